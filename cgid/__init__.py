@@ -1,0 +1,1 @@
+"""Tells coal from gangue by how a falling rock hits steel."""

@@ -1,0 +1,1 @@
+"""One impact: its pulse, its peaks, its rebound."""

@@ -1,0 +1,98 @@
+"""Checks of numbers, one message style: name, rule, value, unit."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from cgid.errors import InvalidValue
+
+Floats = NDArray[np.float64]
+
+
+def real(name: str, value: ArrayLike, unit: str = "") -> Floats:
+    """Return `value` as finite float64 numbers, or raise.
+
+    Parameters
+    ----------
+    name : str
+        What the number is called in the message.
+    value : array_like
+        A real scalar or array of any shape.
+    unit : str, optional
+        Shown behind the offending value.
+
+    Returns
+    -------
+    ndarray
+        float64, of the shape of `value`.
+
+    Raises
+    ------
+    InvalidValue
+        If a value is no real number, nan or infinite.
+    """
+    try:
+        given: NDArray[Any] = np.asarray(value)
+        numbers = given.astype(np.float64) if given.dtype.kind in "fiu" else None
+    except (TypeError, ValueError):
+        numbers = None
+    if numbers is None:
+        raise InvalidValue(f"{name} must be a real number or an array of them, got {value!r}")
+    _require(np.isfinite(numbers), name, "must be finite", numbers, unit)
+    return numbers
+
+
+def positive(name: str, value: ArrayLike, unit: str = "") -> Floats:
+    """Return `value` as finite float64 numbers above zero, or raise `InvalidValue`."""
+    numbers = real(name, value, unit)
+    _require(numbers > 0, name, "must be above 0", numbers, unit)
+    return numbers
+
+
+def not_negative(name: str, value: ArrayLike, unit: str = "") -> Floats:
+    """Return `value` as finite float64 numbers of zero or more, or raise `InvalidValue`."""
+    numbers = real(name, value, unit)
+    _require(numbers >= 0, name, "must be 0 or more", numbers, unit)
+    return numbers
+
+
+def poisson_ratio(name: str, value: ArrayLike) -> Floats:
+    """Return Poisson's ratio as float64 within (-1, 0.5), the range of a stable isotropic solid."""
+    numbers = real(name, value)
+    _require((numbers > -1) & (numbers < 0.5), name, "must lie between -1 and 0.5 (exclusive)", numbers)
+    return numbers
+
+
+def restitution(name: str, value: ArrayLike) -> Floats:
+    """Return a coefficient of restitution as float64 within (0, 1]; at 0 the damping would be infinite."""
+    numbers = real(name, value)
+    _require((numbers > 0) & (numbers <= 1), name, "must lie above 0 and up to 1", numbers)
+    return numbers
+
+
+def broadcast(**values: Floats) -> tuple[Floats, ...]:
+    """Return the named arrays broadcast against each other; the message of a failure names their shapes."""
+    try:
+        return tuple(np.broadcast_arrays(*values.values()))
+    except ValueError:
+        shapes = ", ".join(f"{name} {np.shape(value)}" for name, value in values.items())
+        raise InvalidValue(f"these shapes do not broadcast against each other: {shapes}") from None
+
+
+def choice(name: str, value: str, allowed: tuple[str, ...] | dict[str, Any]) -> str:
+    """Return `value` if it is one of `allowed`; else raise with the list of names."""
+    if value not in allowed:
+        raise InvalidValue(f"{name} must be one of {', '.join(map(repr, allowed))}, got {value!r}")
+    return value
+
+
+def _require(holds: NDArray[np.bool_] | bool, name: str, rule: str, values: Floats, unit: str = "") -> None:
+    if np.all(holds):
+        return
+    where = np.flatnonzero(~np.atleast_1d(holds))
+    value = np.atleast_1d(values).ravel()[where[0]]
+    place = f" at index {where[0]}" if values.size > 1 else ""
+    raise InvalidValue(f"{name} {rule}, got {value:g}{' ' + unit if unit else ''}{place}")
