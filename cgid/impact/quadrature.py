@@ -15,7 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cgid.impact.restitution import damping_number, logarithms
+from cgid.impact.restitution import damping_number, exponential_rest, logarithms
 from cgid.validation import Floats
 
 _PANELS, _NODES = 6, 24
@@ -82,7 +82,7 @@ def peak_logarithm(damping: float | Floats) -> Floats:
     It is the root of `(8/5) expm1(p) - p = expm1(a) - a` with `a = ln(1 + D)`.
     """
     a = np.log1p(np.asarray(damping, dtype=np.float64))
-    energy = _exponential_rest(a)
+    energy = exponential_rest(a)
     p = np.where(a < 1, 5 / 6 * a**2, np.maximum(a - 0.47, 0.1))
     for _ in range(_NEWTON_STEPS):
         p = p - (1.6 * np.expm1(p) - p - energy) / (1.6 * np.exp(p) - 1)
@@ -107,9 +107,9 @@ class _Branch:
     def energy(self, distance: Floats) -> Floats:
         """Return `phi(p_end) - phi(p)` without cancellation."""
         if self.from_touch:
-            return -self.end_rate * np.expm1(-distance) - _exponential_rest(-distance)
+            return -self.end_rate * np.expm1(-distance) - exponential_rest(-distance)
         if self.length < 1:
-            return self.end_rate * np.expm1(distance) - _exponential_rest(distance)
+            return self.end_rate * np.expm1(distance) - exponential_rest(distance)
         # e^(p_end) (e^distance - 1), written so that nothing overflows when e -> 0.
         near = self.end_power * np.expm1(np.minimum(distance, 1.0))
         return distance - np.where(distance < 1, near, np.exp(distance - self.length) - self.end_power)
@@ -148,14 +148,3 @@ class _Branch:
             step = (np.sqrt(reached) - np.sqrt(times)) * 2 * np.sqrt(reached) / self.rate(y)
             y = np.asarray(np.clip(y - step, 0.5 * y, longest))
         return np.asarray(y, dtype=np.float64)
-
-
-def _exponential_rest(p: Floats) -> Floats:
-    """Return `expm1(p) - p` without cancellation near zero."""
-    p = np.asarray(p, dtype=np.float64)
-    small = np.abs(p) < 0.5
-    x = np.where(small, p, 0.0)
-    series = np.zeros_like(x)
-    for order in range(18, 1, -1):
-        series = x / order * (1 + series) if order > 2 else x * x / 2 * (1 + series)
-    return np.asarray(np.where(small, series, np.expm1(p) - p), dtype=np.float64)

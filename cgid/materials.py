@@ -1,0 +1,117 @@
+"""Elastic materials: the paper's spheres and steel, and published ranges, each number with its source."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from numpy.typing import ArrayLike
+
+from cgid import validation
+
+
+@dataclass(frozen=True, kw_only=True)
+class Material:
+    """An isotropic elastic material.
+
+    Parameters
+    ----------
+    density : array_like
+        [kg/m^3], above 0.
+    youngs_modulus : array_like
+        [Pa], above 0.
+    poisson_ratio : array_like
+        Within (-1, 0.5).
+
+    Raises
+    ------
+    InvalidValue
+        A value breaks its rule.
+
+    Examples
+    --------
+    >>> coal = Material(density=1380, youngs_modulus=2.26e9, poisson_ratio=0.28)
+    >>> round(float(coal.plane_strain_compliance) * 1e12, 3)  # (1 - .28^2) / 2.26 GPa, in 1/TPa
+    407.788
+    """
+
+    density: ArrayLike
+    youngs_modulus: ArrayLike
+    poisson_ratio: ArrayLike
+
+    def __post_init__(self) -> None:
+        validation.positive("density", self.density, "kg/m^3")
+        validation.positive("youngs_modulus", self.youngs_modulus, "Pa")
+        validation.poisson_ratio("poisson_ratio", self.poisson_ratio)
+
+    @property
+    def plane_strain_compliance(self) -> validation.Floats:
+        """`(1 - nu^2) / E` [1/Pa]."""
+        nu = validation.real("poisson_ratio", self.poisson_ratio)
+        return (1 - nu**2) / validation.real("youngs_modulus", self.youngs_modulus, "Pa")
+
+
+@dataclass(frozen=True, kw_only=True)
+class MaterialRange:
+    """Lowest and highest published values of a rock, and where they were published.
+
+    Real rock lies outside such ranges, too: they are examples of what has been measured, not bounds.
+    """
+
+    density: tuple[float, float]
+    youngs_modulus: tuple[float, float]
+    poisson_ratio: tuple[float, float]
+    sources: tuple[str, ...]
+
+
+#: Yang, Zeng & Wan (2018), Shock and Vibration, Tables 1 and 2: 1 and 2 resemble coal, 3 and 4 gangue.
+YANG2018_SPHERES = {
+    1: Material(density=1380.0, youngs_modulus=2.26e9, poisson_ratio=0.28),
+    2: Material(density=1550.6, youngs_modulus=4.3e9, poisson_ratio=0.30),
+    3: Material(density=2412.0, youngs_modulus=21.64e9, poisson_ratio=0.30),
+    4: Material(density=2400.0, youngs_modulus=3.906e9, poisson_ratio=0.28),
+}
+#: The radius of all four spheres [m].
+YANG2018_RADIUS = 0.025
+#: The metal plate of the same tables; the values are those of EN 1993-1-1, section 3.2.6.
+STEEL = Material(density=7850.0, youngs_modulus=210e9, poisson_ratio=0.30)
+
+_LIU = "Liu et al. 2021, Shock and Vibration, doi 10.1155/2021/7649459, Table 4"
+_DISTURBED = "Shock and Vibration 2021, article 6625233, Table 1"
+_GAS = "Shock and Vibration 2021, article 8854538, Table 5 (without gas pressure)"
+_STAGGERED = "Advances in Civil Engineering 2021, article 1499675, Table 2 (E, nu from its K, G)"
+_XCT = "Complexity 2019, article 4021368, Table 3 (calibrated particles of a discrete-element model)"
+_NUCLEAR = "Advances in Civil Engineering 2019, article 4815236, Table 2"
+
+COAL = MaterialRange(
+    density=(1300.0, 1540.0),
+    youngs_modulus=(0.6e9, 23.9e9),
+    poisson_ratio=(0.16, 0.30),
+    sources=(
+        f"{_LIU}: 1339 kg/m^3 (apparent), 23.87 GPa, .25",
+        f"{_DISTURBED}: 1350 kg/m^3, .6 GPa, .24",
+        f"{_GAS}: 1.99-2.26 GPa, .28-.30",
+        f"{_STAGGERED}: 1400 kg/m^3, 4.65 GPa, .163",
+        f"{_NUCLEAR}: 1340 kg/m^3, 3.66 GPa, .20",
+        f"{_XCT}: 1540 kg/m^3",
+        "Complexity 2023, article 7775116, Table 2: 1300 kg/m^3, .58 GPa, .26 (E, nu from its K, G)",
+    ),
+)
+SHALE = MaterialRange(
+    density=(2410.0, 2620.0),
+    youngs_modulus=(3.1e9, 15.2e9),
+    poisson_ratio=(0.10, 0.21),
+    sources=(
+        f"{_DISTURBED}, mudstone: 2450 kg/m^3, 3.14 GPa, .21",
+        f"{_STAGGERED}, sandy mudstone: 2410 kg/m^3, 15.2 GPa, .10",
+        "Complexity 2023, article 7775116, Table 2, mudstone: 2620 kg/m^3",
+    ),
+)
+SANDSTONE = MaterialRange(
+    density=(2480.0, 2720.0),
+    youngs_modulus=(6.4e9, 52e9),
+    poisson_ratio=(0.10, 0.29),
+    sources=(
+        f"{_DISTURBED}, medium sandstone, packsand: 2690-2720 kg/m^3, 6.37-8.21 GPa, .10-.17",
+        f"{_STAGGERED}, fine and coarse sandstone: 2480-2510 kg/m^3, 29.9-52.0 GPa, .24-.29",
+    ),
+)
