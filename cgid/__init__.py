@@ -1,1 +1,48 @@
-"""Tells coal from gangue by how a falling rock hits steel."""
+"""Tells coal from gangue by how a falling rock hits steel.
+
+The public names are loaded when they are first used: `import cgid` alone pulls in neither numpy nor
+numba, scikit-learn, pandas or matplotlib.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import Any
+
+__version__ = "0.1.0"
+
+#: Where each public name lives.
+_HOMES = {
+    "Batch": "cgid.signals",
+    "Dataset": "cgid.store",
+    "Elastic": "cgid.impact",
+    "HalfSpace": "cgid.impact",
+    "HuntCrossley": "cgid.impact",
+    "Impact": "cgid.impact",
+    "ImpactClassifier": "cgid.identification.classifier",
+    "Material": "cgid.materials",
+    "Model": "cgid.identification.model",
+    "RIGID": "cgid.impact",
+    "Scene": "cgid.scene",
+    "Signal": "cgid.signals",
+    "Sphere": "cgid.impact",
+    "extract": "cgid.features",
+    "fft_filter": "cgid.filters",
+    "find_impacts": "cgid.identification.events",
+    "load_scene": "cgid.scene",
+    "read_recording": "cgid.recordings",
+    "synthesise": "cgid.scene",
+    "train": "cgid.identification.training",
+}
+
+__all__ = sorted([*_HOMES, "__version__"])  # pyright: ignore[reportUnsupportedDunderAll]
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOMES:
+        raise AttributeError(f"module 'cgid' has no attribute {name!r}")
+    return getattr(import_module(_HOMES[name]), name)
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *_HOMES})

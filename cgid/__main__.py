@@ -1,0 +1,5 @@
+"""`python -m cgid` is the command line."""
+
+from cgid.cli import main
+
+main()

@@ -1,0 +1,105 @@
+"""The FFT filter: zero phase, brick wall or tapered edge.
+
+What it does to a clean damped-Hertz pulse of duration T (`tests/test_filters.py` measures both):
+
+* a brick-wall low-pass at 4/T moves the peak by less than 1 %, at 2/T by a few per cent, and it rings:
+  before and after the pulse there are oscillations although nothing has touched yet;
+* a tapered edge rings less and costs a little more of the peak at the same cut-off.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from cgid import validation
+from cgid.errors import InvalidValue
+from cgid.validation import Floats
+
+#: Rows transformed at once: so many spectra stay in the processor's cache.
+_ROWS = 32
+
+
+def fft_filter(
+    samples: ArrayLike,
+    sampling_rate: float,
+    low: float | None = None,
+    high: float | None = None,
+    taper: float = 0.0,
+) -> NDArray[np.floating]:
+    """Return the part of a signal that lies between two frequencies.
+
+    Parameters
+    ----------
+    samples : array_like, (..., n_samples)
+        Filtered along the last axis; float32 stays float32, everything else becomes float64.
+    sampling_rate : float
+        [Hz].
+    low, high : float, optional
+        Edges of the pass band [Hz]; None leaves that side open. `high` alone is a low-pass.
+    taper : float
+        Width of each edge over its frequency, in [0, 1]. 0 is the brick wall of Yang, Zeng & Wan (2018);
+        else the gain falls like a raised cosine, and is 1/2 at the edge.
+
+    Returns
+    -------
+    ndarray, (..., n_samples)
+        Zero phase: nothing moves in time. The transform is circular: what rings past one end of the
+        frame comes in at the other.
+
+    Raises
+    ------
+    InvalidValue
+        Edges are not in order or above the Nyquist frequency, samples are not finite, taper is not in [0, 1].
+
+    Examples
+    --------
+    >>> t = np.arange(1000) / 1e4
+    >>> two = np.sin(2 * np.pi * 100 * t) + np.sin(2 * np.pi * 3000 * t)
+    >>> bool(np.allclose(fft_filter(two, 1e4, high=1000), np.sin(2 * np.pi * 100 * t)))
+    True
+    """
+    given = np.asarray(samples)
+    values: NDArray[np.floating] = given if given.dtype == np.float32 else validation.real("samples", given)
+    if values.ndim == 0 or values.shape[-1] < 2:
+        raise InvalidValue(f"samples must hold at least 2 samples along the last axis, got shape {values.shape}")
+    if not np.isfinite(values).all():
+        raise InvalidValue(f"samples must be finite, {np.sum(~np.isfinite(values))} of {values.size} are not")
+    rate = float(validation.positive("sampling_rate", sampling_rate, "Hz"))
+    frequency = np.asarray(np.fft.rfftfreq(values.shape[-1], 1 / rate), np.float64)
+    gain = filter_gain(frequency, rate, low, high, taper).astype(values.dtype)
+    rows = values.reshape(-1, values.shape[-1])
+    out = np.empty(rows.shape, rows.dtype)
+    for first in range(0, len(rows), _ROWS):
+        block = slice(first, first + _ROWS)
+        out[block] = np.fft.irfft(np.fft.rfft(rows[block]) * gain, n=rows.shape[-1])
+    return out.reshape(values.shape)
+
+
+def filter_gain(frequency: Floats, sampling_rate: float, low: float | None, high: float | None, taper: float) -> Floats:
+    """Return the gain of `fft_filter` at frequencies [Hz], between 0 and 1."""
+    width = float(validation.real("taper", taper))
+    if not 0 <= width <= 1:
+        raise InvalidValue(f"taper must lie between 0 and 1, got {width:g}")
+    nyquist = sampling_rate / 2
+    gain = np.ones(frequency.shape)
+    for name, edge in (("low", low), ("high", high)):
+        if edge is None:
+            continue
+        cut = float(validation.positive(name, edge, "Hz"))
+        if cut > nyquist:
+            raise InvalidValue(
+                f"{name} must be at most half the sampling rate, {nyquist:g} Hz, got {cut:g} Hz: "
+                f"lower it or sample at {2 * cut:g} Hz or more"
+            )
+        gain *= _below(frequency, cut, width) if name == "high" else 1 - _below(frequency, cut, width)
+    if low is not None and high is not None and low >= high:
+        raise InvalidValue(f"low must be below high, got low {low:g} Hz and high {high:g} Hz")
+    return gain
+
+
+def _below(frequency: Floats, edge: float, taper: float) -> Floats:
+    if taper == 0:
+        return np.asarray(frequency <= edge, np.float64)
+    place = np.clip((frequency - edge) / (taper * edge), -0.5, 0.5)
+    return np.asarray(0.5 - 0.5 * np.sin(np.pi * place))

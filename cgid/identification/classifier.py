@@ -1,0 +1,139 @@
+"""The scikit-learn estimator: standardise, one of three families, calibrate by temperature, know its limits."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.optimize import minimize_scalar
+from sklearn.base import BaseEstimator, ClassifierMixin
+from sklearn.discriminant_analysis import QuadraticDiscriminantAnalysis
+from sklearn.ensemble import HistGradientBoostingClassifier
+from sklearn.linear_model import LogisticRegression
+from sklearn.model_selection import StratifiedKFold, cross_val_predict
+from sklearn.utils.multiclass import check_classification_targets
+from sklearn.utils.validation import check_is_fitted, validate_data
+
+from cgid import validation
+from cgid.identification.transform import Neighbourhood, Standardiser, softmax, squares
+from cgid.validation import Floats
+
+#: The families a model may be of, each exportable as plain numbers.
+FAMILIES = ("boosting", "discriminant", "logistic")
+
+
+class ImpactClassifier(ClassifierMixin, BaseEstimator):
+    """Identifies the material of an impact from its features, with calibrated probabilities.
+
+    Parameters
+    ----------
+    family : {"boosting", "discriminant", "logistic"}
+        Histogram gradient boosting; quadratic discriminant analysis; logistic regression on the features and
+        their products.
+    n_trees : int
+        Boosting rounds.
+    n_leaves : int
+        Largest number of leaves of a tree.
+    learning_rate : float
+        Of boosting.
+    calibration_folds : int
+        Probabilities are calibrated on predictions for folds left out (Guo et al. 2017, temperature scaling);
+        0 leaves them as they are.
+    random_state : int
+        Of the folds.
+
+    Attributes
+    ----------
+    classes_ : ndarray
+    standardiser_ : Standardiser
+    estimator_ : the fitted scikit-learn classifier of the family
+    temperature_ : float
+        What the scores are divided by.
+    neighbourhood_ : Neighbourhood
+    """
+
+    def __init__(
+        self,
+        family: str = "boosting",
+        *,
+        n_trees: int = 200,
+        n_leaves: int = 15,
+        learning_rate: float = 0.08,
+        calibration_folds: int = 3,
+        random_state: int = 0,
+    ) -> None:
+        self.family = family
+        self.n_trees = n_trees
+        self.n_leaves = n_leaves
+        self.learning_rate = learning_rate
+        self.calibration_folds = calibration_folds
+        self.random_state = random_state
+
+    def fit(self, X: ArrayLike, y: ArrayLike) -> ImpactClassifier:
+        """Fit to features (n_impacts, n_features) and labels (n_impacts,)."""
+        validation.choice("family", self.family, FAMILIES)
+        features, labels = validate_data(self, X, y, dtype=np.float64, ensure_min_samples=2)
+        check_classification_targets(labels)
+        self.classes_, encoded = np.unique(labels, return_inverse=True)
+        if len(self.classes_) < 2:
+            raise ValueError(f"classifier needs at least 2 classes, got 1 class: {self.classes_[0]!r}")
+        self.standardiser_ = Standardiser.fit(features)
+        standardised = self.standardiser_.apply(features)
+        self.neighbourhood_ = Neighbourhood.fit(standardised, encoded)
+        inputs = self._inputs(standardised)
+        self.estimator_ = self._new_estimator().fit(inputs, encoded)
+        self.temperature_ = self._temperature(inputs, encoded)
+        return self
+
+    def predict_proba(self, X: ArrayLike) -> Floats:
+        """Return probabilities, (n_impacts, n_classes), in the order of `classes_`."""
+        return softmax(self._scores(X) / self.temperature_)
+
+    def predict(self, X: ArrayLike) -> NDArray[Any]:
+        """Return the most probable labels, (n_impacts,)."""
+        best = np.argmax(self.predict_proba(X), axis=1)
+        return np.asarray(self.classes_[best])
+
+    def novelty(self, X: ArrayLike) -> Floats:
+        """Return how far each impact lies from the training, 1 at the limit, (n_impacts,)."""
+        return self.neighbourhood_.novelty(self._standardised(X))
+
+    def _standardised(self, X: ArrayLike) -> Floats:
+        check_is_fitted(self)
+        return self.standardiser_.apply(validate_data(self, X, dtype=np.float64, reset=False))
+
+    def _scores(self, X: ArrayLike) -> Floats:
+        return np.asarray(self.estimator_.decision_function(self._inputs(self._standardised(X))))
+
+    def _inputs(self, standardised: Floats) -> Floats:
+        return squares(standardised) if self.family == "logistic" else standardised
+
+    def _new_estimator(self) -> Any:
+        if self.family == "logistic":
+            return LogisticRegression(C=10.0, max_iter=1000)
+        if self.family == "discriminant":
+            return QuadraticDiscriminantAnalysis(reg_param=2e-4)
+        return HistGradientBoostingClassifier(
+            max_iter=self.n_trees,
+            max_leaf_nodes=self.n_leaves,
+            learning_rate=self.learning_rate,
+            l2_regularization=1.0,
+            early_stopping=False,
+            random_state=self.random_state,
+        )
+
+    def _temperature(self, inputs: Floats, encoded: NDArray[np.intp]) -> float:
+        folds = min(self.calibration_folds, int(np.bincount(encoded).min()))
+        # With a handful of impacts of a class there is nothing to calibrate on.
+        if folds < 2 or len(encoded) < 50 * folds:
+            return 1.0
+        splitter = StratifiedKFold(folds, shuffle=True, random_state=self.random_state)
+        scores = cross_val_predict(self._new_estimator(), inputs, encoded, cv=splitter, method="decision_function")
+        rows = np.arange(len(encoded))
+
+        def loss(log_temperature: float) -> float:
+            chosen = softmax(scores / np.exp(log_temperature))[rows, encoded]
+            return float(-np.mean(np.log(np.maximum(chosen, 1e-300))))
+
+        return float(np.exp(minimize_scalar(loss, bounds=(-3.0, 3.0), method="bounded").x))

@@ -1,0 +1,199 @@
+"""The three families of classifiers as plain arrays: scores from arrays, and what makes such arrays sound.
+
+Every family is one class with `scores(standardised) -> (n,) or (n, n_classes)`; `arrays` is what a model file holds.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cgid.errors import BadData
+from cgid.identification.transform import squares
+from cgid.validation import Floats
+
+Arrays = Mapping[str, NDArray[Any]]
+#: Rows scored at once.
+_ROWS = 2048
+
+
+class Family(ABC):
+    """A fitted classifier as arrays."""
+
+    #: The arrays, and the number of their axes.
+    AXES: Mapping[str, int]
+
+    def __init__(self, arrays: Arrays, n_features: int, n_classes: int) -> None:
+        self.arrays, self.n_features, self.n_classes = arrays, n_features, n_classes
+        for name, n_axes in self.AXES.items():
+            if name not in arrays:
+                raise BadData(f"array {name} is missing")
+            if arrays[name].ndim != n_axes:
+                raise BadData(f"array {name} must have {n_axes} axes, got shape {arrays[name].shape}")
+        self.check()
+
+    @abstractmethod
+    def check(self) -> None:
+        """Raise `BadData` unless the arrays can be used without harm."""
+
+    @abstractmethod
+    def scores(self, standardised: Floats) -> Floats:
+        """Return the scores of the classes; one column for two classes: that of the second."""
+
+    @property
+    def n_scores(self) -> int:
+        """Columns of scores: one for two classes."""
+        return 1 if self.n_classes == 2 else self.n_classes
+
+    def _require(self, name: str, shape: tuple[int, ...]) -> None:
+        if self.arrays[name].shape != shape:
+            raise BadData(f"array {name} must have shape {shape}, got {self.arrays[name].shape}")
+
+
+class Logistic(Family):
+    """Linear in the features and their products."""
+
+    AXES = {"coefficients": 2, "intercepts": 1}
+
+    @staticmethod
+    def export(estimator: Any) -> dict[str, NDArray[Any]]:
+        """Return the arrays of a fitted scikit-learn LogisticRegression."""
+        return {"coefficients": estimator.coef_, "intercepts": estimator.intercept_}
+
+    def check(self) -> None:
+        """Shapes follow from the numbers of features and classes."""
+        self._require("coefficients", (self.n_scores, self.n_features + self.n_features * (self.n_features + 1) // 2))
+        self._require("intercepts", (self.n_scores,))
+
+    def scores(self, standardised: Floats) -> Floats:
+        """Return `x w + b`."""
+        scores = squares(standardised) @ self.arrays["coefficients"].T + self.arrays["intercepts"]
+        return np.asarray(scores[:, 0] if self.n_scores == 1 else scores)
+
+
+class Discriminant(Family):
+    """One Gaussian for each class."""
+
+    AXES = {"means": 2, "rotations": 3, "variances": 2, "log_priors": 1}
+
+    @staticmethod
+    def export(estimator: Any) -> dict[str, NDArray[Any]]:
+        """Return the arrays of a fitted scikit-learn QuadraticDiscriminantAnalysis."""
+        return {
+            "means": estimator.means_,
+            "rotations": np.stack(estimator.rotations_),
+            "variances": np.stack(estimator.scalings_),
+            "log_priors": np.log(estimator.priors_),
+        }
+
+    def check(self) -> None:
+        """Shapes follow from the numbers of features and classes, variances are above zero."""
+        n_axes = self.arrays["rotations"].shape[2]
+        self._require("means", (self.n_classes, self.n_features))
+        self._require("rotations", (self.n_classes, self.n_features, n_axes))
+        self._require("variances", (self.n_classes, n_axes))
+        self._require("log_priors", (self.n_classes,))
+        if not (self.arrays["variances"] > 0).all():
+            raise BadData("array variances must be above 0")
+
+    def scores(self, standardised: Floats) -> Floats:
+        """Return the logarithms of the class densities times the priors."""
+        columns = []
+        for mean, rotation, variance, prior in zip(*(self.arrays[name] for name in self.AXES), strict=True):
+            white = (standardised - mean) @ (rotation * variance**-0.5)
+            columns.append(-0.5 * (np.sum(white**2, axis=1) + np.sum(np.log(variance))) + prior)
+        return np.asarray(columns[1] - columns[0] if self.n_scores == 1 else np.stack(columns, axis=1))
+
+
+class Boosting(Family):
+    """Sums of decision trees; all trees of all columns in one table of nodes."""
+
+    AXES = {"baseline": 1, "roots": 1, "columns": 1, "feature": 1, "threshold": 1, "left": 1, "right": 1, "value": 1}
+
+    @staticmethod
+    def export(estimator: Any) -> dict[str, NDArray[Any]]:
+        """Return the arrays of a fitted scikit-learn HistGradientBoostingClassifier without missing values."""
+        roots, columns, tables = [], [], []
+        first = 0
+        for iteration in estimator._predictors:
+            for column, tree in enumerate(iteration):
+                nodes = tree.nodes
+                leaf = nodes["is_leaf"].astype(bool)
+                own = np.arange(len(nodes)) + first
+                tables.append(
+                    (
+                        np.where(leaf, 0, nodes["feature_idx"]).astype(np.int32),
+                        np.where(leaf, 0.0, nodes["num_threshold"]),
+                        # A leaf is its own child: a walk that arrives stays there.
+                        np.where(leaf, own, nodes["left"].astype(np.int64) + first).astype(np.int32),
+                        np.where(leaf, own, nodes["right"].astype(np.int64) + first).astype(np.int32),
+                        np.where(leaf, nodes["value"], 0.0),
+                    )
+                )
+                roots.append(first)
+                columns.append(column)
+                first += len(nodes)
+        named = zip(("feature", "threshold", "left", "right", "value"), zip(*tables, strict=True), strict=True)
+        return {
+            "baseline": np.ravel(estimator._baseline_prediction).astype(np.float64),
+            "roots": np.array(roots, np.int32),
+            "columns": np.array(columns, np.int32),
+            **{name: np.concatenate(parts) for name, parts in named},
+        }
+
+    def check(self) -> None:
+        """Children come after their parent within the same tree, features and columns exist."""
+        a, n_nodes = self.arrays, len(self.arrays["feature"])
+        for name in ("threshold", "left", "right", "value"):
+            self._require(name, (n_nodes,))
+        for name in ("roots", "columns", "feature", "left", "right"):
+            if a[name].dtype.kind != "i":
+                raise BadData(f"array {name} must hold whole numbers, got {a[name].dtype}")
+        self._require("baseline", (self.n_scores,))
+        self._require("columns", a["roots"].shape)
+        roots = a["roots"]
+        if not len(roots) or roots[0] != 0 or (np.diff(roots) <= 0).any() or roots[-1] >= n_nodes:
+            raise BadData("array roots must rise from 0 and stay below the number of nodes")
+        if (a["columns"] < 0).any() or (a["columns"] >= self.n_scores).any():
+            raise BadData(f"array columns must lie between 0 and {self.n_scores - 1}")
+        if (a["feature"] < 0).any() or (a["feature"] >= self.n_features).any():
+            raise BadData(f"array feature must lie between 0 and {self.n_features - 1}")
+        own = np.arange(n_nodes)
+        end = np.append(roots[1:], n_nodes)[np.searchsorted(roots, own, side="right") - 1]
+        leaf = (a["left"] == own) & (a["right"] == own)
+        for name in ("left", "right"):
+            if not (leaf | ((a[name] > own) & (a[name] < end))).all():
+                raise BadData(f"array {name} must point to a later node of the same tree")
+
+    def scores(self, standardised: Floats) -> Floats:
+        """Walk all trees at once, level by level, and add up their leaves in the order of training."""
+        out = np.empty((len(standardised), self.n_scores))
+        for first in range(0, len(standardised), _ROWS):
+            rows = standardised[first : first + _ROWS]
+            leaves = self.arrays["value"][self._walk(rows)]
+            for column in range(self.n_scores):
+                own = leaves[:, self.arrays["columns"] == column]
+                out[first : first + _ROWS, column] = self.arrays["baseline"][column] + own.sum(axis=1)
+        return out[:, 0] if self.n_scores == 1 else out
+
+    def _walk(self, rows: Floats) -> NDArray[np.int32]:
+        a, order = self.arrays, np.arange(len(rows))[:, None]
+        node = np.broadcast_to(a["roots"], (len(rows), len(a["roots"])))
+        while True:
+            below = rows[order, a["feature"][node]] <= a["threshold"][node]
+            child = np.where(below, a["left"][node], a["right"][node])
+            if np.array_equal(child, node):
+                return np.asarray(node, np.int32)
+            node = child
+
+
+#: By the name that the model file gives.
+BY_NAME: Mapping[str, type[Boosting] | type[Discriminant] | type[Logistic]] = {
+    "boosting": Boosting,
+    "discriminant": Discriminant,
+    "logistic": Logistic,
+}

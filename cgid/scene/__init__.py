@@ -1,0 +1,8 @@
+"""Many impacts and what senses them: a scene file, its populations, its signals."""
+
+from cgid.scene.generation import generate
+from cgid.scene.scene import Scene, load_scene, parse_scene
+from cgid.scene.sensor import Sensor
+from cgid.scene.synthesis import synthesise
+
+__all__ = ["Scene", "Sensor", "generate", "load_scene", "parse_scene", "synthesise"]

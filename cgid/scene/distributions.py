@@ -1,0 +1,265 @@
+"""Distributions of the numbers of a population, all drawn by the inverse of their distribution function.
+
+One uniform number gives one value, so what is drawn does not depend on how many are drawn at once.
+"""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from typing import Annotated, Any, Literal, Self
+
+import numpy as np
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, model_validator
+from scipy import special
+
+from cgid.scene.units import parse
+from cgid.validation import Floats
+
+#: The smallest and largest uniform numbers that are ever drawn (`cgid.scene.randomness`).
+SMALLEST_UNIFORM, LARGEST_UNIFORM = 2.0**-54, 1 - 2.0**-53
+
+
+class _Distribution(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+    @abstractmethod
+    def quantile(self, uniform: Floats) -> Floats:
+        """Return the values below which these shares of the draws lie."""
+
+    @property
+    def extremes(self) -> tuple[float, float]:
+        """The smallest and the largest value that can ever be drawn."""
+        low, high = self.quantile(np.array([SMALLEST_UNIFORM, LARGEST_UNIFORM]))
+        return float(low), float(high)
+
+
+class Constant(_Distribution):
+    """Always the same value."""
+
+    distribution: Literal["constant"] = "constant"
+    value: float
+
+    def quantile(self, uniform: Floats) -> Floats:
+        """Return the value itself."""
+        return np.full(uniform.shape, self.value)
+
+
+class Choice(_Distribution):
+    """One of several values, with weights (equal by default)."""
+
+    distribution: Literal["choice"]
+    values: tuple[float, ...] = Field(min_length=1)
+    weights: tuple[float, ...] | None = None
+
+    @model_validator(mode="after")
+    def _weights_fit(self) -> Self:
+        if self.weights is not None:
+            if len(self.weights) != len(self.values):
+                raise ValueError(f"weights must be as many as values, {len(self.values)}, got {len(self.weights)}")
+            if min(self.weights) < 0 or sum(self.weights) <= 0:
+                raise ValueError(f"weights must be 0 or more with a sum above 0, got {list(self.weights)}")
+        return self
+
+    def quantile(self, uniform: Floats) -> Floats:
+        """Return the value whose stretch of the weights holds the uniform number."""
+        weights = np.ones(len(self.values)) if self.weights is None else np.array(self.weights)
+        edges = np.cumsum(weights) / weights.sum()
+        edges[np.flatnonzero(weights)[-1] :] = 1.0
+        return np.asarray(self.values, np.float64)[np.searchsorted(edges, uniform, side="right")]
+
+    @property
+    def extremes(self) -> tuple[float, float]:
+        """The smallest and largest value, whatever their weights."""
+        return min(self.values), max(self.values)
+
+
+class _Bounded(_Distribution):
+    lowest: float
+    highest: float
+
+    @model_validator(mode="after")
+    def _in_order(self) -> Self:
+        if not self.lowest < self.highest:
+            raise ValueError(f"lowest must be below highest, got {self.lowest:g} and {self.highest:g}")
+        return self
+
+
+class Uniform(_Bounded):
+    """Every value between two bounds alike."""
+
+    distribution: Literal["uniform"]
+
+    def quantile(self, uniform: Floats) -> Floats:
+        """Return `lowest + (highest - lowest) u`."""
+        return self.lowest + (self.highest - self.lowest) * uniform
+
+
+class LogUniform(_Bounded):
+    """The logarithm is uniform between two bounds."""
+
+    distribution: Literal["log-uniform"]
+
+    @model_validator(mode="after")
+    def _above_zero(self) -> Self:
+        if self.lowest <= 0:
+            raise ValueError(f"lowest must be above 0 for a logarithm, got {self.lowest:g}")
+        return self
+
+    def quantile(self, uniform: Floats) -> Floats:
+        """Return `lowest (highest / lowest)^u`."""
+        return np.asarray(np.clip(self.lowest * (self.highest / self.lowest) ** uniform, self.lowest, self.highest))
+
+
+class _Truncatable(_Distribution):
+    """A distribution without bounds of its own, which may be given some: draws between them only."""
+
+    lowest: float | None = None
+    highest: float | None = None
+
+    @abstractmethod
+    def _cumulative(self, value: float) -> float: ...
+
+    @abstractmethod
+    def _inverse(self, probability: Floats) -> Floats: ...
+
+    @model_validator(mode="after")
+    def _holds_something(self) -> Self:
+        low, high = self._probabilities
+        if not high - low > 1e-12:
+            raise ValueError(f"lowest {self.lowest} and highest {self.highest} must leave something between them")
+        return self
+
+    @property
+    def _probabilities(self) -> tuple[float, float]:
+        return (
+            0.0 if self.lowest is None else self._cumulative(self.lowest),
+            1.0 if self.highest is None else self._cumulative(self.highest),
+        )
+
+    def quantile(self, uniform: Floats) -> Floats:
+        """Return the inverse of the distribution function between the bounds."""
+        if self.lowest is None and self.highest is None:
+            return self._inverse(uniform)
+        low, high = self._probabilities
+        return np.asarray(np.clip(self._inverse(low + (high - low) * uniform), self.lowest, self.highest))
+
+
+class Normal(_Truncatable):
+    """Gaussian; as "truncated-normal" between a lowest and a highest value."""
+
+    distribution: Literal["normal", "truncated-normal"]
+    mean: float
+    deviation: float
+
+    @model_validator(mode="after")
+    def _bounds_fit_name(self) -> Self:
+        if self.deviation <= 0:
+            raise ValueError(f"deviation must be above 0, got {self.deviation:g}")
+        if self.distribution == "truncated-normal" and (self.lowest is None or self.highest is None):
+            raise ValueError("truncated-normal must have lowest and highest; without bounds it is normal")
+        if self.distribution == "normal" and not (self.lowest is None and self.highest is None):
+            raise ValueError("normal has no lowest or highest; with bounds it is truncated-normal")
+        return self
+
+    def _cumulative(self, value: float) -> float:
+        return float(special.ndtr((value - self.mean) / self.deviation))
+
+    def _inverse(self, probability: Floats) -> Floats:
+        return np.asarray(self.mean + self.deviation * special.ndtri(probability))
+
+
+class Lognormal(_Truncatable):
+    """The logarithm is Gaussian: half of the draws lie below `median`, `sigma` is the deviation of the logarithm."""
+
+    distribution: Literal["lognormal"]
+    median: float = Field(gt=0)
+    sigma: float = Field(gt=0)
+
+    def _cumulative(self, value: float) -> float:
+        return float(special.ndtr(np.log(value / self.median) / self.sigma)) if value > 0 else 0.0
+
+    def _inverse(self, probability: Floats) -> Floats:
+        return np.asarray(self.median * np.exp(self.sigma * special.ndtri(probability)))
+
+
+class RosinRammler(_Truncatable):
+    """Rosin & Rammler (1933): `1 - exp(-(x / characteristic)^uniformity)` lies below x.
+
+    The law was found for the *mass* that passes a sieve; here it is the share of the impacts.
+    """
+
+    distribution: Literal["rosin-rammler"]
+    characteristic: float = Field(gt=0)
+    uniformity: float = Field(gt=0)
+
+    def _cumulative(self, value: float) -> float:
+        return float(-np.expm1(-((max(value, 0.0) / self.characteristic) ** self.uniformity)))
+
+    def _inverse(self, probability: Floats) -> Floats:
+        return np.asarray(self.characteristic * (-np.log1p(-probability)) ** (1 / self.uniformity))
+
+
+#: The keys of a distribution that have the dimension of the quantity.
+_MEASURED = ("value", "values", "lowest", "highest", "mean", "deviation", "median", "characteristic")
+
+
+def measured(dimension: str) -> BeforeValidator:
+    """Return the reader of a distribution of this dimension: units become SI, a bare number is a constant."""
+
+    def read(content: Any) -> Any:
+        if not isinstance(content, dict):
+            return (
+                content if isinstance(content, BaseModel) else {"distribution": "constant", "value": _si("", content)}
+            )
+        problems: list[str] = []
+        numbers = dict(content)
+        for key in content.keys() & set(_MEASURED):
+            try:
+                numbers[key] = _si(f"{key} ", content[key])
+            except ValueError as error:
+                problems.append(str(error))
+        if problems:
+            raise ValueError("; ".join(sorted(problems)))
+        return numbers
+
+    def _si(key: str, value: Any) -> Any:
+        try:
+            if isinstance(value, list):
+                return tuple(parse(item, dimension) for item in value)
+            return parse(value, dimension)
+        except ValueError as error:
+            raise ValueError(f"{key}{error}") from None
+
+    return BeforeValidator(read)
+
+
+Distribution = Annotated[
+    Constant | Choice | Uniform | LogUniform | Normal | Lognormal | RosinRammler,
+    Field(discriminator="distribution"),
+]
+#: The names a scene file may use, to be left out of the paths of errors.
+DISTRIBUTION_NAMES = (
+    "constant",
+    "choice",
+    "uniform",
+    "log-uniform",
+    "normal",
+    "truncated-normal",
+    "lognormal",
+    "rosin-rammler",
+)
+
+
+def within(lowest: float, highest: float, rule: str, unit: str = "") -> AfterValidator:
+    """Return the check that a distribution can never draw a value outside `lowest..highest`."""
+
+    def check(distribution: _Distribution) -> _Distribution:
+        low, high = distribution.extremes
+        if not (lowest <= low and high <= highest):
+            value = low if low < lowest else high
+            drawn = "got" if isinstance(distribution, Constant) else "it can be drawn as"
+            cure = "" if isinstance(distribution, Constant) else "; give it lowest and highest, or other parameters"
+            raise ValueError(f"{rule}, {drawn} {value:.3g}{' ' + unit if unit else ''}{cure}")
+        return distribution
+
+    return AfterValidator(check)

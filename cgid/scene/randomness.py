@@ -1,0 +1,37 @@
+"""Random numbers by address: (seed, purpose, block of 256 samples) always gives the same ones.
+
+Philox is a counter-based generator (Salmon et al. 2011): its key is the seed and the purpose, its counter the
+block, so a sample comes out the same whatever the shard, the worker or the order.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from cgid.errors import InvalidValue
+from cgid.validation import Floats
+
+#: Samples that share one address.
+BLOCK = 256
+#: What numbers are drawn for; a new purpose is a new number.
+PARAMETERS, NOISE = 1, 2
+
+
+def generator(seed: int, purpose: int, block: int) -> np.random.Generator:
+    """Return the generator of one address.
+
+    Raises
+    ------
+    InvalidValue
+        The seed is not within 0 and 2^63 - 1.
+    """
+    if not 0 <= seed < 2**63:
+        raise InvalidValue(f"seed must lie between 0 and 2^63 - 1, got {seed}")
+    key = np.array([seed, purpose], np.uint64)
+    return np.random.Generator(np.random.Philox(key=key, counter=np.array([0, 0, 0, block], np.uint64)))
+
+
+def uniforms(seed: int, block: int, n_kinds: int) -> Floats:
+    """Return uniform numbers strictly between 0 and 1, (n_kinds, `BLOCK`), for the parameters of one block."""
+    raw = generator(seed, PARAMETERS, block).random((BLOCK, n_kinds)).T
+    return np.asarray(np.clip(raw, 2.0**-54, None))

@@ -1,0 +1,125 @@
+"""From a scene to signals, block by block, doing only what the scene asks for."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Iterator
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import DTypeLike, NDArray
+
+from cgid import family, validation
+from cgid.errors import InvalidValue
+from cgid.impact import HertzRangeWarning
+from cgid.scene.population import Draw, draw
+from cgid.scene.randomness import BLOCK, NOISE, generator
+from cgid.scene.scene import Scene
+from cgid.signals import Batch
+
+
+def synthesise(
+    scene: Scene,
+    n_signals: int,
+    seed: int = 0,
+    *,
+    first: int = 0,
+    dtype: Literal["float32", "float64"] = "float32",
+) -> Iterator[Batch]:
+    """Yield the signals of a scene in batches of at most 256.
+
+    Parameters
+    ----------
+    scene : Scene
+    n_signals : int
+        How many, above 0.
+    seed : int
+        Between 0 and 2^63 - 1. The same seed gives the same signals, in however many calls.
+    first : int
+        Number of the first signal.
+    dtype : {"float32", "float64"}
+        Of the samples. The noise is drawn as float32 either way, so both hold the same signals.
+
+    Yields
+    ------
+    Batch
+        Forces [N], labels, parameters, specimens.
+
+    Raises
+    ------
+    InvalidValue
+        A number breaks its rule.
+    """
+    if n_signals < 1 or first < 0:
+        raise InvalidValue(f"n_signals must be 1 or more and first 0 or more, got {n_signals} and {first}")
+    validation.choice("dtype", dtype, ("float32", "float64"))
+    last = first + n_signals
+    for block in range(first // BLOCK, (last - 1) // BLOCK + 1):
+        part = slice(max(first - block * BLOCK, 0), min(last - block * BLOCK, BLOCK))
+        yield _block(scene, seed, block, part, dtype)
+
+
+def _block(scene: Scene, seed: int, block: int, part: slice, dtype: DTypeLike) -> Batch:
+    with warnings.catch_warnings():
+        # A population reaches past Hertz's range here and there; `cgid check` says how often.
+        warnings.simplefilter("ignore", HertzRangeWarning)
+        drawn = draw(scene, seed, block)
+    frames = make_frames(scene, drawn, seed, block, dtype)
+    return Batch(
+        signals=frames[part],
+        labels=drawn.labels[part],
+        sampling_rate=scene.sampling.sampling_rate,
+        unit="N",
+        pre_trigger=scene.sampling.pre_trigger,
+        specimen=drawn.specimen[part],
+        parameters={name: values[part] for name, values in drawn.parameters.items()},
+        source=scene.sha256,
+    )
+
+
+def make_frames(scene: Scene, drawn: Draw, seed: int, block: int, dtype: DTypeLike) -> NDArray[Any]:
+    """Return the frames of one block: pulses, bandwidth, noise, range, bits, each only where it is on."""
+    sensor = scene.sensor
+    shape = (len(drawn.labels), scene.sampling.samples)
+    if sensor.bandwidth is None:
+        # Pulses are added to the noise where they are, which saves a pass over the frames.
+        frames = _noise(scene, drawn, seed, block, dtype) if sensor.noisy else np.zeros(shape, dtype)
+        add_pulses(frames, scene, drawn)
+    else:
+        frames = np.zeros(shape, dtype)
+        add_pulses(frames, scene, drawn)
+        frames = sensor.limit_band(frames, scene.sampling.sampling_rate)
+        if sensor.noisy:
+            frames += _noise(scene, drawn, seed, block, dtype)
+    sensor.digitise(frames)
+    return frames
+
+
+def _noise(scene: Scene, drawn: Draw, seed: int, block: int, dtype: DTypeLike) -> NDArray[Any]:
+    noise = np.empty((len(drawn.labels), scene.sampling.samples), np.float32)
+    generator(seed, NOISE, block).standard_normal(dtype=np.float32, out=noise)
+    level = scene.sensor.noise_level(drawn.parameters["peak_force"])[:, None]
+    if noise.dtype == dtype:
+        noise *= level.astype(np.float32)
+        return noise
+    return noise.astype(np.float64) * level
+
+
+def add_pulses(frames: NDArray[Any], scene: Scene, drawn: Draw) -> None:
+    """Add the force pulse of each impact to its frame, in place."""
+    # numba is loaded here: scenes are read and checked without it.
+    from cgid.impact import _kernels
+
+    impact = drawn.impact
+    restitution = np.ascontiguousarray(np.broadcast_to(impact.restitution, len(frames)))
+    tau_c, _, compression = family.times(restitution)
+    _kernels.add_to_frames(
+        frames,
+        drawn.parameters["onset"] * scene.sampling.sampling_rate,
+        1 / (scene.sampling.sampling_rate * impact.time_scale),
+        family.chebyshev_basis(restitution, 2)[:, 1].copy(),
+        np.ascontiguousarray(tau_c),
+        family.cut_time(tau_c, compression),
+        np.ascontiguousarray(impact.force_scale),
+        family.table().force,
+    )

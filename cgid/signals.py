@@ -1,0 +1,200 @@
+"""The nouns of the whole house: one signal, and a labelled batch of them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cgid import validation
+from cgid.errors import BadData, InvalidValue
+
+#: Standard gravity [m/s^2], the factor from g.
+STANDARD_GRAVITY = 9.80665
+
+#: Quantity -> its units -> factor to the SI unit, which comes first.
+UNITS: Mapping[str, Mapping[str, float]] = {
+    "force": {"N": 1.0, "kN": 1e3, "MN": 1e6, "mN": 1e-3, "lbf": 4.4482216152605},
+    "acceleration": {
+        "m/s^2": 1.0,
+        "m/s2": 1.0,
+        "m/s²": 1.0,
+        "m/s**2": 1.0,
+        "mm/s^2": 1e-3,
+        "g": STANDARD_GRAVITY,
+        "mg": 1e-3 * STANDARD_GRAVITY,
+    },
+    "velocity": {"m/s": 1.0, "mm/s": 1e-3, "cm/s": 1e-2},
+    "displacement": {"m": 1.0, "mm": 1e-3, "um": 1e-6, "µm": 1e-6},
+    "pressure": {"Pa": 1.0, "kPa": 1e3, "MPa": 1e6},
+    "voltage": {"V": 1.0, "mV": 1e-3, "uV": 1e-6, "µV": 1e-6},
+    "strain": {"m/m": 1.0, "um/m": 1e-6, "µm/m": 1e-6},
+    "level": {"FS": 1.0},
+}
+
+
+def quantity_of(unit: str) -> str:
+    """Return the quantity that a unit belongs to.
+
+    Raises
+    ------
+    InvalidValue
+        The unit is unknown; the message lists the known ones.
+
+    Examples
+    --------
+    >>> quantity_of("kN"), quantity_of("g")
+    ('force', 'acceleration')
+    """
+    for quantity, units in UNITS.items():
+        if unit in units:
+            return quantity
+    known = "; ".join(f"{quantity}: {', '.join(units)}" for quantity, units in UNITS.items())
+    raise InvalidValue(f"unit must be one of the known ones, got {unit!r} ({known})")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Signal:
+    """One channel of samples, with everything one must know to read it.
+
+    Parameters
+    ----------
+    samples : ndarray, (n_samples,)
+        Finite numbers in `unit`; float32 and float64 are kept, integers become float64.
+    sampling_rate : float
+        [Hz], above 0.
+    unit : str or None
+        As written in `UNITS`; None when nobody said.
+    source : str
+        Where it came from: a file name.
+    channel : str
+        Which of the channels of the source.
+    pre_trigger : int or None
+        Number of samples before touch, where known.
+
+    Raises
+    ------
+    BadData
+        Samples are not one-dimensional, empty or not finite (the sample is named).
+    InvalidValue
+        The sampling rate or the unit breaks its rule.
+    """
+
+    samples: NDArray[Any]
+    sampling_rate: float
+    unit: str | None = None
+    source: str = "signal"
+    channel: str = "1"
+    pre_trigger: int | None = None
+
+    def __post_init__(self) -> None:
+        samples = np.asarray(self.samples)
+        if samples.dtype.kind not in "fiu":
+            raise BadData(f"{self.name}: samples must be real numbers, got type {samples.dtype}")
+        if samples.dtype not in (np.float32, np.float64):
+            samples = samples.astype(np.float64)
+        if samples.ndim != 1 or not samples.size:
+            raise BadData(f"{self.name}: samples must be one row of at least one number, got shape {samples.shape}")
+        finite = np.isfinite(samples)
+        if not finite.all():
+            first = int(np.argmin(finite))
+            raise BadData(
+                f"{self.name}: samples must be finite, sample {first} is {samples[first]} "
+                f"({np.sum(~finite)} of {samples.size} are not finite); cut or repair the recording there"
+            )
+        rate = float(validation.positive("sampling_rate", self.sampling_rate, "Hz"))
+        if self.unit is not None:
+            quantity_of(self.unit)
+        object.__setattr__(self, "samples", samples)
+        object.__setattr__(self, "sampling_rate", rate)
+
+    @property
+    def name(self) -> str:
+        """Source and channel in one word."""
+        return self.source if self.channel == "1" else f"{self.source} channel {self.channel}"
+
+    @property
+    def quantity(self) -> str | None:
+        """The physical quantity of the unit; None when the unit is unknown."""
+        return None if self.unit is None else quantity_of(self.unit)
+
+    @property
+    def duration(self) -> float:
+        """Length of the recording [s]."""
+        return len(self.samples) / self.sampling_rate
+
+    def in_si(self) -> Signal:
+        """Return the signal in the SI unit of its quantity.
+
+        Examples
+        --------
+        >>> signal = Signal(samples=np.array([1.0, 2.0]), sampling_rate=1e5, unit="kN").in_si()
+        >>> signal.samples.tolist(), signal.unit
+        ([1000.0, 2000.0], 'N')
+        """
+        if self.unit is None or self.quantity is None:
+            return self
+        units = UNITS[self.quantity]
+        factor, si = units[self.unit], next(iter(units))
+        return self if self.unit == si else replace(self, samples=self.samples * factor, unit=si)
+
+    def as_force(self, mass: float) -> Signal:
+        """Return the contact force [N] of a striker that carries the accelerometer.
+
+        Parameters
+        ----------
+        mass : float
+            Of the whole accelerated body [kg]. Force is mass times acceleration only if that body is rigid
+            and nothing but the contact accelerates it.
+
+        Raises
+        ------
+        InvalidValue
+            The mass is not above 0, or the signal is no acceleration.
+        """
+        mass = float(validation.positive("mass", mass, "kg"))
+        if self.quantity != "acceleration":
+            raise InvalidValue(f"{self.name}: mass turns an acceleration into a force, this is {self.quantity}")
+        return replace(self, samples=self.in_si().samples * mass, unit="N")
+
+    def inverted(self) -> Signal:
+        """Return the signal with its sign changed."""
+        return replace(self, samples=-self.samples)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Batch:
+    """Labelled signals of one kind, one impact each.
+
+    Parameters
+    ----------
+    signals : ndarray, (n_signals, n_samples)
+        In `unit`.
+    labels : ndarray of str, (n_signals,)
+    sampling_rate : float
+        [Hz].
+    unit : str
+    pre_trigger : int
+        Number of samples before touch.
+    specimen : ndarray of uint64, (n_signals,)
+        The same number for every impact of the same particle: such impacts must not be on both sides of a split.
+    parameters : dict of ndarray, each (n_signals,)
+        What the signals were made from, where known.
+    source : str
+        Identity of the data, such as the SHA-256 of the scene.
+    """
+
+    signals: NDArray[Any]
+    labels: NDArray[np.str_]
+    sampling_rate: float
+    unit: str
+    pre_trigger: int
+    specimen: NDArray[np.uint64]
+    parameters: Mapping[str, NDArray[np.float64]] = field(default_factory=dict)
+    source: str = ""
+
+    def __len__(self) -> int:
+        return len(self.signals)

@@ -1,0 +1,50 @@
+"""Whole files or none: written beside their name, flushed to disk, then renamed."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import secrets
+from pathlib import Path
+
+from cgid.errors import CannotCreate, WriteFailed
+
+
+def write_whole(path: str | Path, content: bytes | memoryview) -> None:
+    """Write a file so that its name only ever bears the old content or all of the new.
+
+    Raises
+    ------
+    CannotCreate
+        The folder is missing or not writable.
+    WriteFailed
+        The disk is full or broken; what was there before is untouched.
+    """
+    path = Path(path)
+    try:
+        # Opened like any new file, so that it gets the permissions the user's umask gives.
+        temporary = path.with_name(f".{path.name}.{secrets.token_hex(6)}.part")
+        stream = temporary.open("xb")
+    except OSError as error:
+        raise CannotCreate(
+            f"{path}: cannot be created ({error.strerror}); choose an existing folder you may write to"
+        ) from None
+    try:
+        with stream:
+            stream.write(content)
+            stream.flush()
+            os.fsync(stream.fileno())
+        temporary.replace(path)
+    except OSError as error:
+        _remove(temporary)
+        raise WriteFailed(
+            f"{path}: writing failed ({error.strerror}); nothing was left behind, free some space"
+        ) from None
+    except BaseException:
+        _remove(temporary)
+        raise
+
+
+def _remove(path: Path) -> None:
+    with contextlib.suppress(OSError):
+        path.unlink()

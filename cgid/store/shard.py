@@ -1,0 +1,197 @@
+"""One shard: an HDF5 file that is a whole dataset by itself.
+
+Every dataset is chunked and carries a checksum (fletcher32), strings are of fixed length, and the file uses the
+checksummed headers of HDF5 1.10: a flipped bit is found when it is read.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import h5py
+import numpy as np
+from numpy.typing import NDArray
+
+from cgid.errors import BadData
+from cgid.signals import Batch, quantity_of
+
+FORMAT = "cgid-dataset"
+SCHEMA_VERSION = 1
+#: Bytes of a chunk of signals, about.
+_CHUNK_BYTES = 1 << 19
+#: The storage in memory grows by this much.
+_GROWTH = 1 << 22
+COMPRESSIONS = ("none", "gzip")
+#: More than this in one file is refused: a shard is held in memory.
+LARGEST_SHARD = 2 << 30
+
+
+@dataclass(frozen=True, kw_only=True)
+class ShardPlan:
+    """What all shards of a dataset have in common.
+
+    Attributes
+    ----------
+    n_samples : int
+    dtype : str
+        Of the signals.
+    label_width : int
+        Bytes of the longest label.
+    parameter_units : dict
+        The stored parameters and their units.
+    attributes : dict
+        Root attributes: numbers and strings that say how the data was made.
+    compression : {"none", "gzip"}
+    """
+
+    n_samples: int
+    dtype: str
+    label_width: int
+    parameter_units: Mapping[str, str]
+    attributes: Mapping[str, Any]
+    compression: str = "none"
+
+
+class ShardBuilder:
+    """A shard in memory, filled batch by batch."""
+
+    def __init__(self, plan: ShardPlan, first: int, n_signals: int) -> None:
+        self._plan, self._filled, self._n_signals = plan, 0, n_signals
+        self._columns: list[Batch] = []
+        self._file = h5py.File.in_memory(block_size=_GROWTH, libver=("v110", "v110"))
+        for name, value in {**plan.attributes, "first_signal": first}.items():
+            self._file.attrs[name] = np.bytes_(value.encode()) if isinstance(value, str) else value
+        rows = max(1, _CHUNK_BYTES // (plan.n_samples * np.dtype(plan.dtype).itemsize))
+        extra = {"compression": "gzip", "compression_opts": 4, "shuffle": True} if plan.compression == "gzip" else {}
+        self._create("signals", (plan.n_samples,), plan.dtype, rows, **extra)
+        self._create("labels", (), f"S{plan.label_width}", 4096)
+        self._create("specimen", (), "uint64", 4096)
+        for name, unit in plan.parameter_units.items():
+            self._create(f"parameters/{name}", (), "float64", 4096)
+            self._file[f"parameters/{name}"].attrs["unit"] = np.bytes_(unit.encode())
+
+    def _create(self, name: str, tail: tuple[int, ...], dtype: str, chunk_rows: int, **extra: Any) -> None:
+        shape = (self._n_signals, *tail)
+        chunks = (min(chunk_rows, self._n_signals), *tail)
+        self._file.create_dataset(name, shape, dtype, chunks=chunks, fletcher32=True, **extra)
+
+    def add(self, batch: Batch) -> None:
+        """Append the signals of a batch."""
+        rows = slice(self._filled, self._filled + len(batch))
+        signals = self._file["signals"]
+        if not self._filled:
+            signals.attrs["sampling_rate"] = batch.sampling_rate
+            signals.attrs["pre_trigger"] = batch.pre_trigger
+            signals.attrs["unit"] = np.bytes_(batch.unit.encode())
+            signals.attrs["quantity"] = np.bytes_(quantity_of(batch.unit).encode())
+        signals[rows] = batch.signals
+        # The short columns are kept and written once: a call of HDF5 costs more than they are long.
+        self._columns.append(replace(batch, signals=np.empty((len(batch), 0))))
+        self._filled = rows.stop
+
+    def image(self) -> bytes:
+        """Return the finished file and let go of the memory behind it."""
+        if self._filled != self._n_signals:
+            raise BadData(f"a shard of {self._n_signals} signals was given {self._filled}")
+        self._file["labels"][:] = np.char.encode(np.concatenate([part.labels for part in self._columns]), "utf-8")
+        self._file["specimen"][:] = np.concatenate([part.specimen for part in self._columns])
+        for name in self._plan.parameter_units:
+            self._file[f"parameters/{name}"][:] = np.concatenate([part.parameters[name] for part in self._columns])
+        self._file.flush()
+        content: bytes = self._file.id.get_file_image()
+        self._file.close()
+        return content
+
+
+@dataclass(frozen=True)
+class ShardHeader:
+    """What a shard says about itself, checked."""
+
+    n_signals: int
+    n_samples: int
+    dtype: str
+    sampling_rate: float
+    pre_trigger: int
+    unit: str
+    parameter_units: Mapping[str, str]
+    attributes: Mapping[str, Any]
+
+
+def read_header(file: h5py.File, path: str) -> ShardHeader:
+    """Return the checked header of an open shard.
+
+    Raises
+    ------
+    BadData
+        It is no cgid dataset, of another version, incomplete, or holds what a dataset must not hold.
+    """
+    attributes = {name: _plain(value) for name, value in file.attrs.items()}
+    if attributes.get("format") != FORMAT:
+        raise BadData(f"{path}: this HDF5 file must be a cgid dataset (attribute format = {FORMAT!r}); it is not")
+    version = attributes.get("schema_version")
+    if version != SCHEMA_VERSION:
+        raise BadData(f"{path}: schema_version must be {SCHEMA_VERSION}, got {version}: use the cgid that wrote it")
+    signals = _plain_dataset(file, "signals", path)
+    if signals.ndim != 2 or signals.dtype not in (np.float32, np.float64) or not all(signals.shape):
+        raise BadData(f"{path}: signals must be rows of floats, got shape {signals.shape} of {signals.dtype}")
+    if signals.size * signals.dtype.itemsize > LARGEST_SHARD:
+        raise BadData(
+            f"{path}: signals must be at most {LARGEST_SHARD >> 30} GiB in one file, "
+            f"it declares {signals.size * signals.dtype.itemsize / 2**30:.3g} GiB"
+        )
+    for name, kind in (("labels", "S"), ("specimen", "u")):
+        dataset = _plain_dataset(file, name, path)
+        if dataset.shape != signals.shape[:1] or dataset.dtype.kind != kind:
+            raise BadData(f"{path}: {name} must be one value a signal, got shape {dataset.shape} of {dataset.dtype}")
+    units = _parameter_units(file, path, signals.shape[0])
+    about = {name: _plain(value) for name, value in signals.attrs.items()}
+    for name, kinds in (("sampling_rate", float), ("pre_trigger", int), ("unit", str)):
+        if not isinstance(about.get(name), kinds):
+            raise BadData(f"{path}: signals must have the attribute {name}, got {about.get(name)!r}")
+    n_signals, n_samples = signals.shape
+    return ShardHeader(
+        n_signals,
+        n_samples,
+        signals.dtype.name,
+        about["sampling_rate"],
+        about["pre_trigger"],
+        about["unit"],
+        units,
+        attributes,
+    )
+
+
+def _parameter_units(file: h5py.File, path: str, n_signals: int) -> dict[str, str]:
+    if not isinstance(file.get("parameters", getlink=True), h5py.HardLink):
+        return {}
+    units = {}
+    for name in file["parameters"]:
+        dataset = _plain_dataset(file, f"parameters/{name}", path)
+        if dataset.shape != (n_signals,) or dataset.dtype.kind != "f":
+            raise BadData(f"{path}: parameters/{name} must be one number a signal, got shape {dataset.shape}")
+        units[name] = str(_plain(dataset.attrs.get("unit", b"")))
+    return units
+
+
+def _plain_dataset(file: h5py.File, name: str, path: str) -> h5py.Dataset:
+    """Return a dataset that lies in this very file; links elsewhere could read other files."""
+    for part in (name.split("/")[0], name):
+        if not isinstance(file.get(part, getlink=True), h5py.HardLink):
+            raise BadData(f"{path}: {part} must be part of the file itself; it is missing or a link")
+    dataset = file[name]
+    if not isinstance(dataset, h5py.Dataset) or dataset.external or dataset.is_virtual or dataset.dtype.hasobject:
+        raise BadData(f"{path}: {name} must be a plain dataset inside the file")
+    return dataset
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, bytes):
+        return value.decode(errors="replace")
+    return value.item() if isinstance(value, np.generic) else value
+
+
+def text_of(labels: NDArray[np.bytes_]) -> NDArray[np.str_]:
+    """Return stored labels as text."""
+    return np.char.decode(labels, "utf-8", errors="replace")

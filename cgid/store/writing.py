@@ -1,0 +1,136 @@
+"""Writing a dataset: one file, or a folder of shards with a manifest that is written last."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections import Counter
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from cgid.errors import CannotCreate, InvalidValue
+from cgid.signals import Batch
+from cgid.store.files import write_whole
+from cgid.store.shard import FORMAT, LARGEST_SHARD, SCHEMA_VERSION, ShardBuilder, ShardPlan
+
+MANIFEST = "manifest.json"
+SUFFIXES = (".h5", ".hdf5")
+
+
+@dataclass(frozen=True)
+class ShardEntry:
+    """A line of the manifest."""
+
+    file: str
+    first_signal: int
+    n_signals: int
+    bytes: int
+    sha256: str
+    labels: dict[str, int]
+
+
+def is_single_file(output: str | Path) -> bool:
+    """Return whether this name asks for one file and not for a folder."""
+    return Path(output).suffix.lower() in SUFFIXES
+
+
+def check_output(output: str | Path, overwrite: bool = False) -> Path:
+    """Return the output as a path if it may be written, before any work is done.
+
+    Raises
+    ------
+    CannotCreate
+        Something is there already, or the folder above is missing.
+    """
+    path = Path(output)
+    if not path.parent.is_dir():
+        raise CannotCreate(f"{path}: the folder {path.parent} must exist; make it first")
+    if path.is_dir() and is_single_file(path):
+        raise CannotCreate(f"{path}: is a folder; choose another name for the file")
+    if path.exists() and not path.is_dir() and not is_single_file(path):
+        raise CannotCreate(f"{path}: is a file; choose another name for the folder, or one ending in .h5")
+    occupied = path.exists() and not (path.is_dir() and not any(path.iterdir()))
+    if occupied and not overwrite:
+        raise CannotCreate(f"{path}: exists already; choose another name or say --overwrite")
+    if occupied and path.is_dir() and not any((path / name).exists() for name in (MANIFEST, "shard-00000.h5")):
+        raise CannotCreate(f"{path}: is a folder with other things in it and is not overwritten; choose another name")
+    return path
+
+
+class DatasetWriter:
+    """Cuts a run of signals into shards and writes them; shards may be written in any order, by any process.
+
+    Parameters
+    ----------
+    output : Path
+        A file ending in .h5 (a single shard), else a folder.
+    plan : ShardPlan
+    n_signals : int
+    shard_signals : int
+        Signals of a shard of a folder.
+
+    Raises
+    ------
+    InvalidValue
+        The shard would be too large to be built in memory.
+    """
+
+    def __init__(self, output: Path, plan: ShardPlan, n_signals: int, shard_signals: int) -> None:
+        self.output, self.plan, self.n_signals = output, plan, n_signals
+        self.shard_signals = n_signals if is_single_file(output) else min(shard_signals, n_signals)
+        size = self.shard_signals * plan.n_samples * (8 if plan.dtype == "float64" else 4)
+        if size > LARGEST_SHARD:
+            cure = "give a name that does not end in .h5, for a folder" if is_single_file(output) else "ask for smaller"
+            raise InvalidValue(
+                f"a shard must be at most {LARGEST_SHARD >> 30} GiB, {self.shard_signals} signals make "
+                f"{size / 2**30:.3g} GiB: {cure}"
+            )
+
+    @property
+    def shards(self) -> list[tuple[int, int, int]]:
+        """Number, first signal and number of signals of each shard."""
+        starts = range(0, self.n_signals, self.shard_signals)
+        return [(k, first, min(self.shard_signals, self.n_signals - first)) for k, first in enumerate(starts)]
+
+    def begin(self, overwrite: bool) -> None:
+        """Make room: an old manifest goes first, so that no mixture looks whole."""
+        if is_single_file(self.output):
+            return
+        try:
+            self.output.mkdir(exist_ok=True)
+            if overwrite:
+                (self.output / MANIFEST).unlink(missing_ok=True)
+                for old in self.output.glob("shard-*.h5"):
+                    old.unlink()
+        except OSError as error:
+            raise CannotCreate(f"{self.output}: cannot be written ({error.strerror}); choose another place") from None
+
+    def write_shard(self, number: int, first: int, n_signals: int, batches: Iterable[Batch]) -> ShardEntry:
+        """Build one shard in memory and put it on the disk whole."""
+        builder = ShardBuilder(self.plan, first, n_signals)
+        labels: Counter[str] = Counter()
+        for batch in batches:
+            builder.add(batch)
+            labels.update(batch.labels.tolist())
+        content = builder.image()
+        single = is_single_file(self.output)
+        path = self.output if single else self.output / f"shard-{number:05d}.h5"
+        write_whole(path, content)
+        digest = hashlib.sha256(content).hexdigest()
+        return ShardEntry(path.name, first, n_signals, len(content), digest, dict(sorted(labels.items())))
+
+    def finish(self, entries: Iterable[ShardEntry]) -> None:
+        """Write the manifest of a folder; only now it is a dataset."""
+        if is_single_file(self.output):
+            return
+        listed = sorted(entries, key=lambda entry: entry.first_signal)
+        manifest: dict[str, Any] = {
+            "format": FORMAT,
+            "schema_version": SCHEMA_VERSION,
+            "n_signals": self.n_signals,
+            "attributes": dict(self.plan.attributes),
+            "shards": [vars(entry) for entry in listed],
+        }
+        write_whole(self.output / MANIFEST, (json.dumps(manifest, indent=1) + "\n").encode())

@@ -1,0 +1,561 @@
+"""Recordings: what is read back equal, what the header says, and every fault with its place and cure."""
+
+import io
+import random
+import struct
+import subprocess
+import sys
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+from scipy.io import wavfile
+
+from cgid.errors import BadData, CgidError, InvalidValue, MissingOption, NoInput
+from cgid.recordings import is_dataset, read_recording
+from cgid.recordings.contents import MAX_CHANNELS
+
+REAL = Path(__file__).parents[2] / "shared" / "realdata"
+real_data = pytest.mark.skipif(not REAL.is_dir(), reason=f"the measured recordings are not there: {REAL}")
+
+
+@pytest.fixture
+def write(tmp_path):
+    def written(content, name="hit.csv"):
+        file = tmp_path / name
+        file.write_bytes(content.encode() if isinstance(content, str) else content)
+        return file
+
+    return written
+
+
+def read_bytes(content, **options):
+    """Read from the standard input, which spares the file."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(sys, "stdin", SimpleNamespace(buffer=io.BytesIO(content)))
+        return read_recording("-", **options)
+
+
+def read_text(content, **options):
+    return read_bytes(content.encode(), **options)
+
+
+def npy(array, **options):
+    file = io.BytesIO()
+    np.save(file, array, **options)
+    return file.getvalue()
+
+
+def npy_header(text, version=(1, 0)):
+    text = text.encode("latin-1") + b"\n"
+    return b"\x93NUMPY" + bytes(version) + struct.pack("<H" if version == (1, 0) else "<I", len(text)) + text
+
+
+def wav(samples, rate=44100):
+    file = io.BytesIO()
+    wavfile.write(file, rate, samples)
+    return file.getvalue()
+
+
+def wav_chunks(samples, *, bits, tag=1, channels=1, rate=1000, before=b"", after=b"", order="<", riff=b"RIFF"):
+    align = channels * bits // 8
+    form = struct.pack(order + "HHIIHH", tag, channels, rate, rate * align, align, bits)
+    body = b"WAVE" + before + b"fmt " + struct.pack(order + "I", len(form)) + form
+    body += b"data" + struct.pack(order + "I", len(samples)) + samples + b"\0" * (len(samples) % 2) + after
+    return riff + struct.pack(order + "I", len(body)) + body
+
+
+# ---- text that is read ----
+
+
+@settings(deadline=None, max_examples=60)
+@given(
+    table=hnp.arrays(np.float64, st.tuples(st.integers(3, 12), st.integers(1, 4)), elements=st.floats(-1e300, 1e300)),
+    delimiter=st.sampled_from([",", ";", "\t", " ", "   ", ", \t", " ; ", "|"]),
+    header=st.booleans(),
+    comma=st.booleans(),
+    end=st.sampled_from(["\n", "\r\n", "\r"]),
+    encoding=st.sampled_from(["utf-8", "utf-8-sig", "utf-16", "latin-1"]),
+)
+def test_any_numbers_in_any_layout_are_read_back_equal(table, delimiter, header, comma, end, encoding):
+    rows, columns = table.shape
+    # A signal must not look like an even time, so one is given.
+    full = np.c_[np.arange(rows) * 0.25, table]
+    lines = [delimiter.join(repr(float(value)) for value in row) for row in full]
+    if comma and "," not in delimiter:
+        lines = [line.replace(".", ",") for line in lines]
+    names = [f"ch{k}" for k in range(columns)]
+    if header:
+        lines.insert(0, delimiter.join(["time (s)", *(f"{name} (µm)" for name in names)]))
+    signals = read_bytes((end.join(lines) + end).encode(encoding))
+    assert len(signals) == columns
+    for k, signal in enumerate(signals):
+        assert signal.samples.tolist() == table[:, k].tolist()
+        assert signal.sampling_rate == 4.0
+        assert signal.unit == ("µm" if header else None)
+        assert signal.channel == ("1" if columns == 1 else names[k] if header else str(k + 1))
+
+
+@pytest.mark.parametrize(
+    ("header", "unit", "rate"),
+    [
+        ("time (s),force (N)", "N", 2.0),
+        ("time(s), \t \t acceleration(g)", "g", 2.0),
+        ("# time(s), \t \t acceleration(g)", "g", 2.0),
+        ("t [ms],force [kN]", "kN", 2000.0),
+        ("t/us,F/kN", "kN", 2e6),
+        ("t/μs,a/(m/s^2)", "m/s^2", 2e6),
+        ("time_ms,v_mm/s", "mm/s", 2000.0),
+        ("s,N", "N", 2.0),
+        ("ms,N", "N", 2000.0),
+        ('"Zeit (ms)","Kraft (N)"', "N", 2000.0),
+        ('"time","force, filtered (N)"', "N", 2.0),
+        ("Time,Channel A\n(ms),(mV)\n", "mV", 2000.0),
+        ("# columns: time, force (N)\n# somebody, somewhere", "N", 2.0),
+        ("% made by hand\n% t,x\n% unit: MPa", "MPa", 2.0),
+        ("// t,peak (raw) (V)", "V", 2.0),
+        ("time,force (furlongs)", None, 2.0),
+        ("; remark\ntime,force", None, 2.0),
+        ("; time; force (N)", "N", 2.0),
+        ("\n\n# a title\nOperator: X, Y\ntime,mm\n\n", "mm", 2.0),
+    ],
+)
+def test_header_gives_units_and_time(header, unit, rate):
+    (signal,) = read_text(f"{header}\n0,1\n0.5,3\n1,2\n")
+    assert signal.samples.tolist() == [1, 3, 2]
+    assert (signal.unit, signal.sampling_rate) == (unit, pytest.approx(rate, rel=1e-12))
+    assert signal.channel == "1"
+
+
+@pytest.mark.parametrize(
+    ("remark", "rate"),
+    [
+        ("# sampling_rate: 200000 Hz", 2e5),
+        ("# sampling rate = 200 kHz", 2e5),
+        ("Sample rate [kHz],51.2", 51200.0),
+        ("% fs = 1e5", 1e5),
+        ("# Sampling frequency: 1 MHz", 1e6),
+    ],
+)
+def test_remarks_give_rate_and_unit(remark, rate):
+    (signal,) = read_text(f"{remark}\n# unit: kN\n1.5\n2.5\n")
+    assert (signal.sampling_rate, signal.unit, signal.samples.tolist()) == (pytest.approx(rate), "kN", [1.5, 2.5])
+
+
+@pytest.mark.parametrize(
+    "header", ["time (s) force (N)", "# t[s] F[N]", "s N", "%t F/N", "time_s\tforce_N", '"t" "F (N)"']
+)
+def test_header_above_columns_of_blanks(header):
+    (signal,) = read_text(f"{header}\n0 1\n0.5 3\n1 2\n")
+    assert (signal.unit, signal.sampling_rate) == ("N", 2.0)
+
+
+def test_time_column_need_not_come_first_and_names_select():
+    text = "force (N);t (ms);acc (g)\n1;0;4\n2;1;5\n0;2;6\n"
+    force, acceleration = read_text(text)
+    assert (force.channel, force.unit, force.samples.tolist()) == ("force", "N", [1, 2, 0])
+    assert (acceleration.channel, acceleration.unit, acceleration.samples.tolist()) == ("acc", "g", [4, 5, 6])
+    for choice in ("acc", 2, "2"):
+        (chosen,) = read_text(text, channel=choice)
+        assert (chosen.channel, chosen.samples.tolist()) == ("acc", [4, 5, 6])
+
+
+@pytest.mark.parametrize("choice", [0, 3, -1, "none", "", True, "9" * 5000, "²"])
+def test_unknown_channel_lists_the_channels(choice):
+    with pytest.raises(InvalidValue, match=r"1 \(left\), 2 \(right\)"):
+        read_text("left,right\n1,2\n4,4\n", sampling_rate=10, channel=choice)
+
+
+def test_name_of_two_channels_is_refused():
+    with pytest.raises(InvalidValue, match="'a' is the name of several"):
+        read_text("a,a\n1,2\n4,4\n", sampling_rate=10, channel="a")
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("1,2,\n5,3,\n", [[1, 5], [2, 3]]),
+        ("a;b;\n1,5;2;\n5;3;\n", [[1.5, 5], [2, 3]]),
+        ('"1","2"\n"5","3"\n', [[1, 5], [2, 3]]),
+        ("1,5 2\n5 3,5\n", [[1.5, 5], [2, 3.5]]),
+        ("5 2\n1 3,5\n", [[5, 1], [2, 3.5]]),
+        ("1, 2\t7\n5,3 4\n", [[1, 5], [2, 3], [7, 4]]),
+        ("1,2\n\n# remark, 5\n% remark\n   \n5,3 # end\n; nothing\n", [[1, 5], [2, 3]]),
+        ("1,2\n// remark\n5,3", [[1, 5], [2, 3]]),
+        ("-.5e1,+2.\n5E-1,3\n\x1a", [[-5, 0.5], [2, 3]]),
+        ("1000 samples\n2 rows\n1 2\n5 3\n", [[1, 5], [2, 3]]),
+        ("force (N)\n3\n4\n", [[3, 4]]),
+        ("3 4\n", [[3], [4]]),
+    ],
+)
+def test_layouts(text, expected):
+    signals = read_text(text, sampling_rate=10)
+    assert [signal.samples.tolist() for signal in signals] == expected
+
+
+def test_rate_of_time_column_is_exact_and_rounded_digits_are_allowed():
+    times = np.arange(5000) / 44100
+    for shown in ("%.6f", "%.7f", "%.6g", "%.18e", "%.5f"):
+        text = "".join(f"{shown % time},{k % 7}\n" for k, time in enumerate(times))
+        (signal,) = read_text(text)
+        assert signal.sampling_rate == pytest.approx(44100, rel=3e-4)
+    (signal,) = read_text("".join(f"{1e9 + k / 1000:.3f} {k % 5}\n" for k in range(50)))
+    assert signal.sampling_rate == pytest.approx(1000, rel=1e-6)
+
+
+def test_given_rate_that_agrees_is_used():
+    text = "t,F\n0,1\n0.001,2\n0.002,0\n"
+    (signal,) = read_text(text, sampling_rate=1000.5)
+    assert signal.sampling_rate == 1000.5
+
+
+def test_line_of_units_below_the_names():
+    signals = read_text("Time,Left,Right\n(ms),(mV),g\n\n0,1,2\n1,5,3\n")
+    assert [(signal.channel, signal.unit) for signal in signals] == [("Left", "mV"), ("Right", "g")]
+
+
+def test_uneven_first_column_without_header_is_a_channel():
+    assert len(read_text("0 1\n1 2\n5 3\n", sampling_rate=5)) == 2
+
+
+# ---- text that is refused ----
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("", ["empty"]),
+        ("time,force\n", ["no line", "numbers"]),
+        ("\n# only\n", ["no line", "numbers"]),
+        ("0,1\n1,nan\n2,3\n", ["sample 1", "line 2", "column 2", "'nan'"]),
+        ("t,F\n0,1\n1,inf\n2,3\n", ["sample 1", "line 3", "'inf'"]),
+        ("0,1\n1,1e999\n2,3\n", ["sample 1", "line 2", "'1e999'"]),
+        ("0,1\n1,\n2,3\n", ["sample 1", "line 2", "empty"]),
+        ("0,1,2\n1,,3\n", ["sample 1", "line 2", "column 2 is empty"]),
+        ("time,force,note\n0,1,\n1,2,\n", ["sample 0", "line 2", "column 3 is empty"]),
+        ("1,2,\n1,,3,\n", ["sample 1", "3", "2 fields"]),
+        ("0\t1\n1\t\n2\t3\n", ["sample 1", "line 2", "empty"]),
+        ("0,1\n1,abc\n2,3\n", ["sample 1", "line 2", "'abc'"]),
+        ("t,F\n0,abc\n1,2\n2,3\n", ["sample 0", "line 2", "'abc'"]),
+        ("t,F\n0,a\n1,b\n2,3\n", ["sample 0", "line 2", "'a'"]),
+        ("0,1\n1,1_0\n", ["sample 1", "'1_0'"]),
+        ("0,1\n1,٣\n", ["sample 1", "'٣'"]),
+        ("0;1,5\n1;2.5\n", ["sample 1", "'2.5'"]),
+        ("0;0.5\n1;2,000.5\n", ["sample 0", "'0.5'"]),
+        ("0,1\n# remark\n\n1,2,3\n", ["sample 1", "line 4", "2 fields", "has 3"]),
+        ("0,1\n1\n2,3\n", ["sample 1", "line 2", "has 1"]),
+        ("0,1\n1,2\n2", ["sample 2", "line 3", "cut off"]),
+        ("0,1\n1,2\n2,1e", ["sample 2", "line 3", "cut off"]),
+        ("0,1\n1,2\n2,1 \x00", ["neither text, NPY nor WAV"]),
+        ("\x02\x03junk", ["neither text, NPY nor WAV"]),
+        ("0,05\n0,07\n", ["comma", "decimal"]),
+        ("force (N)\n3,5\n4,5\n", ["comma", "decimal"]),
+        ("t\n0\n1\n", ["channel beside time"]),
+        (" ".join(["1"] * (MAX_CHANNELS + 1)), ["columns", "transpose"]),
+        ("time,F\n0,1\n1,2\n1,3\n", ["increase", "sample 2", "1 s"]),
+        ("time,F\n0,1\n-1,2\n", ["increase", "sample 1", "-1 s"]),
+        ("time,F\n0,1\n0.001,2\n0.002,3\n0.004,3\n0.005,3\n", ["even", "sample 3", "0.004 s", "resample"]),
+        ("time,F\n0,1\n0.001,2\n0.0021,3\n0.003,3\n", ["even", "resample"]),
+        ("time,F\n0.00002,1\n0.00004,2\n0.00008,3\n0.0001,3\n", ["even", "sample 2", "resample"]),
+        ("time,F\n0,1\n-1e308,1\n", ["increase"]),
+        ("time,F\n-1.5e308,1\n1.5e308,1\n", ["finite time"]),
+        ("time,F\n-1.7e308,1\n0,2\n1.7e308,1\n", ["sampling rate of 0 Hz"]),
+        ("time,F\n0,1\n1e-323,1\n", ["sampling rate of inf Hz"]),
+        ("time (min),F\n0,1\n1,2\n", ["s, ms or us", "'min'"]),
+        ("# sampling_rate: 0 Hz\n1\n2\n", ["sampling rate", "0 Hz"]),
+        ("# sampling_rate: 1000 Hz\ntime,F\n0,1\n1,2\n", ["1000 Hz", "1 Hz", "time column"]),
+    ],
+)
+def test_bad_text_is_refused_with_its_place(text, words, write):
+    file = write(text)
+    with pytest.raises(BadData) as caught:
+        read_recording(file)
+    message = str(caught.value)
+    assert message.startswith(f"{file}: ") and "\n" not in message
+    assert [word for word in words if word not in message] == []
+
+
+def test_fault_deep_in_a_large_file_is_found():
+    lines = [f"{k},{k % 9}" for k in range(60_000)]
+    lines[51_234] = "51234,oops"
+    with pytest.raises(BadData, match=r"sample 51234 \(line 51236\) column 2 is 'oops'"):
+        read_text("t,F\n" + "\n".join(lines) + "\n")
+
+
+def test_options_that_contradict_the_file():
+    text = "time (s),force (N)\n0,1\n0.001,2\n0.002,0\n"
+    with pytest.raises(InvalidValue, match=r"1002 Hz where the time column says 1000 Hz"):
+        read_text(text, sampling_rate=1002)
+    with pytest.raises(BadData, match=r"says N \(force\) and --unit says g \(acceleration\)"):
+        read_text(text, unit="g")
+    with pytest.raises(BadData, match=r"says N \(force\) and --unit says kN"):
+        read_text(text, unit="kN")
+    assert read_text(text, unit="N")[0].unit == "N"
+    assert read_text(text.replace("(N)", ""), unit="g")[0].unit == "g"
+    assert read_text(text.replace("(N)", "(m/s2)"), unit="m/s^2")[0].quantity == "acceleration"
+    with pytest.raises(InvalidValue, match="stone"):
+        read_text(text, unit="stone")
+
+
+@pytest.mark.parametrize("rate", [0, -5.0, float("nan"), float("inf"), "fast", [1.0, 2.0], True])
+def test_impossible_rates(rate):
+    with pytest.raises(InvalidValue, match="sampling_rate"):
+        read_text("1\n2\n", sampling_rate=rate)
+    with pytest.raises(InvalidValue, match="sampling_rate must be above 0, got -5 Hz"):
+        read_text("1\n2\n", sampling_rate=-5)
+
+
+@pytest.mark.parametrize("content", [b"1\n2\n", b"F (N)\n1\n", b"time,F\n0,1\n", npy(np.ones(5))])
+def test_missing_rate_names_its_option(content):
+    with pytest.raises(MissingOption, match="--rate HZ"):
+        read_bytes(content)
+
+
+# ---- files and streams ----
+
+
+def test_inputs_that_cannot_be_opened(tmp_path, monkeypatch):
+    for name in (tmp_path / "none.csv", "", "a\0b", "x" * 5000, tmp_path / "hit.csv" / "below"):
+        with pytest.raises(NoInput):
+            read_recording(name)
+    monkeypatch.setattr(Path, "read_bytes", lambda _: (_ for _ in ()).throw(PermissionError(13, "denied")))
+    with pytest.raises(NoInput, match="permission"):
+        read_recording(tmp_path / "locked.csv")
+    monkeypatch.setattr(Path, "read_bytes", lambda _: (_ for _ in ()).throw(MemoryError()))
+    with pytest.raises(BadData, match="memory"):
+        read_recording(tmp_path / "large.csv")
+    monkeypatch.setattr(sys, "stdin", None)
+    with pytest.raises(NoInput):
+        read_recording("-")
+
+
+def test_datasets_are_told_apart(tmp_path, write):
+    hdf5 = write(b"\x89HDF\r\n\x1a\n" + bytes(100), "set.dat")
+    assert is_dataset(hdf5) and is_dataset(tmp_path)
+    named = write("1\n2\n", "set.h5")
+    assert not any(map(is_dataset, (named, tmp_path / "none", "-", "", "a\0b")))
+    for path in (hdf5, tmp_path, named):
+        with pytest.raises(BadData, match=r"cgid\.store.*--index"):
+            read_recording(path, sampling_rate=1)
+
+
+def test_standard_input_and_content_before_suffix(write):
+    samples = np.array([1.0, -2.0, 3.0])
+    for content in (b"1\n-2\n3\n", npy(samples), wav(samples, 8)):
+        (signal,) = read_bytes(content, sampling_rate=8)
+        assert (signal.samples.tolist(), signal.source, signal.channel) == ([1, -2, 3], "stdin", "1")
+        file = write(content, "misnamed.txt")
+        (signal,) = read_recording(str(file), sampling_rate=8)
+        assert (signal.samples.tolist(), signal.source, signal.name) == ([1, -2, 3], str(file), str(file))
+
+
+def test_text_and_npy_need_no_scipy():
+    code = "import sys, cgid.recordings; sys.exit(bool({'scipy', 'pandas', 'h5py', 'numba'} & set(sys.modules)))"
+    assert subprocess.run([sys.executable, "-c", code], cwd=Path(__file__).parents[1], check=False).returncode == 0
+
+
+# ---- NPY ----
+
+
+@settings(deadline=None, max_examples=60)
+@given(
+    array=hnp.arrays(
+        st.sampled_from(["<f8", ">f8", "<f4", ">f4", "<f2", "<i2", ">i4", "|u1"]),
+        hnp.array_shapes(min_dims=1, max_dims=2, max_side=6),
+        elements={"allow_nan": False, "allow_infinity": False},
+    ),
+    fortran=st.booleans(),
+)
+def test_npy_is_read_back_equal(array, fortran):
+    signals = read_bytes(npy(np.asfortranarray(array) if fortran else array), sampling_rate=5)
+    rows = np.atleast_2d(array)
+    rows = rows.T if rows.shape[1] < rows.shape[0] else rows
+    assert [signal.samples.tolist() for signal in signals] == rows.tolist()
+    kept = np.float32 if array.dtype.str[1:] == "f4" else np.float64
+    assert {signal.samples.dtype for signal in signals} == {np.dtype(kept)}
+    assert all(signal.samples.flags.writeable for signal in signals)
+
+
+@pytest.mark.parametrize("version", [(1, 0), (2, 0), (3, 0)])
+def test_npy_of_every_version(version):
+    file = io.BytesIO()
+    np.lib.format.write_array(file, np.array([3.0, 4.0]), version=version)
+    assert read_bytes(file.getvalue(), sampling_rate=5)[0].samples.tolist() == [3, 4]
+
+
+def header_of(shape, descr="<f8"):
+    return npy_header(f"{{'descr': '{descr}', 'fortran_order': False, 'shape': {shape}}}")
+
+
+@pytest.mark.parametrize(
+    ("content", "word"),
+    [
+        (npy(np.array([None, 1]), allow_pickle=True), "type object"),
+        (npy(np.zeros(3, complex)), "complex128"),
+        (npy(np.zeros(3, "f8,f8")), "real numbers"),
+        (npy(np.zeros(3, bool)), "bool"),
+        (npy(np.array(["a"])), "real numbers"),
+        (npy(np.float64(1)), "one or two axes"),
+        (npy(np.zeros((2, 2, 2))), "one or two axes"),
+        (npy(np.zeros(0)), "at least one sample"),
+        (npy(np.zeros((10**9, 0))), "at least one sample"),
+        (npy(np.ones(9))[:-1], "cut off"),
+        (npy(np.ones(9)) + b"more", "save one array only"),
+        (npy(np.zeros((MAX_CHANNELS + 1, MAX_CHANNELS + 1), "i1")), "channels"),
+        (header_of("(10**18,)"), "damaged"),
+        (header_of(f"({10**18},)"), "cut off"),
+        (header_of(f"({2**63}, {2**63})"), "cut off"),
+        (header_of("(-1, -8)") + bytes(64), "axes"),
+        (header_of("(2,)", "O") + b"cos\nsystem\n", "type object"),
+        (header_of("(2,)", "nonsense"), "damaged"),
+        (npy_header("(" * 5000), "damaged"),
+        (npy_header("{'descr': '\\d'}"), "damaged"),
+        (npy_header(" " * 20000 + "{}", (2, 0)), "damaged"),
+        (npy_header("{}", (9, 9)), "damaged"),
+        (b"\x93NUMPY", "damaged"),
+        (b"\x93NUMPY\x02\x00\xff\xff\xff\xff{", "damaged"),
+        (npy(np.array([1.0, np.nan])), "sample 1 is nan"),
+    ],
+)
+def test_bad_npy_is_refused(content, word):
+    with pytest.raises(BadData, match=word) as caught:
+        read_bytes(content, sampling_rate=5)
+    assert str(caught.value).startswith("stdin: ")
+
+
+# ---- WAV ----
+
+
+@pytest.mark.parametrize(
+    ("samples", "expected"),
+    [
+        (np.array([0, 128, 192, 255], np.uint8), [-1, 0, 0.5, 127 / 128]),
+        (np.array([-(2**15), 0, 2**14], np.int16), [-1, 0, 0.5]),
+        (np.array([-(2**31), 0, 2**30], np.int32), [-1, 0, 0.5]),
+        (np.array([-1.5, 0, 0.25], np.float32), [-1.5, 0, 0.25]),
+        (np.array([-1.5, 0, 0.25], np.float64), [-1.5, 0, 0.25]),
+    ],
+)
+def test_wav_is_scaled_to_full_scale(samples, expected):
+    (signal,) = read_bytes(wav(samples))
+    assert (signal.samples.tolist(), signal.sampling_rate) == (expected, 44100)
+    assert (signal.unit, signal.quantity) == ("FS", "level")
+    assert signal.samples.dtype == (samples.dtype if samples.dtype == np.float32 else np.float64)
+    left, right = read_bytes(wav(np.c_[samples, samples[::-1]]), unit="Pa")
+    assert (left.samples.tolist(), right.samples.tolist()) == (expected, expected[::-1])
+    assert (left.channel, right.channel, left.unit) == ("1", "2", "Pa")
+
+
+def test_wav_of_24_bits_big_endian_and_with_foreign_chunks():
+    three = b"".join(value.to_bytes(3, "little", signed=True) for value in (-(2**23), 0, 2**22))
+    foreign = b"smpl" + struct.pack("<I", 4) + b"\0" * 4
+    (signal,) = read_bytes(wav_chunks(three, bits=24, before=foreign, after=foreign))
+    assert signal.samples.tolist() == [-1, 0, 0.5]
+    big = np.array([-(2**15), 2**14], ">i2").tobytes()
+    content = wav_chunks(big, bits=16, order=">", riff=b"RIFX")
+    (signal,) = read_bytes(content)
+    assert signal.samples.tolist() == [-1, 0.5]
+    with pytest.raises(BadData, match="declares 4 bytes"):
+        read_bytes(content[:4] + struct.pack(">I", len(content) - 10) + content[8:-2])
+
+
+def test_wav_rate_given_twice():
+    content = wav(np.ones(5, np.float32), 48000)
+    assert read_bytes(content, sampling_rate=48010)[0].sampling_rate == 48010
+    with pytest.raises(InvalidValue, match=r"44100 Hz where the header of the WAV file says 48000 Hz"):
+        read_bytes(content, sampling_rate=44100)
+
+
+WHOLE = wav_chunks(np.arange(100, dtype="<i2").tobytes(), bits=16)
+
+
+@pytest.mark.parametrize(
+    ("content", "word"),
+    [
+        *[(WHOLE[:length], "cut off|WAV") for length in range(4, len(WHOLE), 7)],
+        # The outer size agrees with the cut file here, so that only the data chunk tells.
+        (b"RIFF" + struct.pack("<I", len(WHOLE) - 28) + WHOLE[8:-20], "declares 200 bytes .* cut off"),
+        (WHOLE[:4] + struct.pack("<I", 5000) + WHOLE[8:], "too early"),
+        (wav_chunks(b"", bits=16), "at least one sample"),
+        (wav_chunks(b"abcd", bits=16, rate=0), "0 Hz"),
+        (wav_chunks(b"abcd", bits=16, channels=0), "WAV"),
+        (wav_chunks(b"abcd", bits=8, tag=7), "MULAW"),
+        (b"RIFF" + struct.pack("<I", 4) + b"AVI ", "WAV"),
+        (b"RIFF" + struct.pack("<I", 4) + b"WAVE", "WAV"),
+        (wav(np.array([1, np.inf], np.float32)), "sample 1 is inf"),
+    ],
+)
+def test_bad_wav_is_refused(content, word):
+    with pytest.raises(BadData, match=word) as caught:
+        read_bytes(content)
+    assert str(caught.value).startswith("stdin: ")
+
+
+# ---- measured recordings and hostile ones ----
+
+
+@real_data
+def test_measured_drop_tower_pulse():
+    (signal,) = read_recording(REAL / "shock" / "acc_base_a0.txt")
+    assert (len(signal.samples), signal.unit) == (1439, "g")
+    assert signal.sampling_rate == pytest.approx(49993.05, abs=1)
+    assert signal.samples.max() == pytest.approx(485.97, abs=0.01)
+
+
+@real_data
+def test_measured_sounds_have_two_channels():
+    files = sorted((REAL / "bulk_ramp").glob("*.wav"))
+    assert len(files) == 15
+    for file in files:
+        left, right = read_recording(file)
+        assert left.sampling_rate == right.sampling_rate == 44100
+        single = file.name == "steel_nut_M4_1.wav"
+        assert left.samples.dtype == right.samples.dtype == (np.float32 if single else np.float64)
+        assert 0.01 < np.abs(left.samples).max() <= 1
+
+
+def mutated(content, draw):
+    content = bytearray(content)
+    for _ in range(draw.randrange(1, 5)):
+        at = draw.randrange(len(content) + 1)
+        piece = draw.choice([draw.randbytes(draw.randrange(1, 9)), b",", b"\n", b"-", b"e9", b"\xff\xff\xff\x7f", b""])
+        content[at : at + draw.randrange(9)] = piece
+        if draw.random() < 0.2:
+            content = content[: draw.randrange(len(content) + 1)]
+    return bytes(content)
+
+
+VALID = [
+    b"time (ms),force (N)\n" + b"".join(b"%d.5,%d\n" % (k, k % 7) for k in range(20)),
+    "# sampling_rate: 5 kHz\nµ;x (g);\n1,5;2;\n3;4,5;\n".encode("utf-16"),
+    "Zeit [µs]\tKraft/kN\n0,1\t2\n0,2\t3\n".encode("latin-1"),
+    b'# unit: V\n"1", "2"\t3\n1, 2\t4\n',
+    npy(np.arange(12.0).reshape(2, 6)),
+    WHOLE,
+    wav(np.linspace(-1, 1, 20, dtype=np.float32).reshape(-1, 2)),
+]
+
+
+def fuzz(seed, rounds):
+    draw = random.Random(seed)
+    read = 0
+    for _ in range(rounds):
+        content = mutated(draw.choice(VALID), draw) if draw.random() < 0.9 else draw.randbytes(draw.randrange(60))
+        try:
+            signals = read_bytes(
+                content, sampling_rate=draw.choice([None, 1000.0]), channel=draw.choice([None, None, 1])
+            )
+        except CgidError as error:
+            assert "\n" not in str(error)
+        else:
+            read += len(signals)
+            assert all(np.isfinite(signal.samples).all() for signal in signals)
+    return read
+
+
+def test_damaged_files_raise_nothing_but_our_own_errors():
+    assert fuzz(20, 1200) > 50
