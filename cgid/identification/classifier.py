@@ -20,17 +20,17 @@ from cgid.identification.transform import Neighbourhood, Standardiser, softmax, 
 from cgid.validation import Floats
 
 #: The families a model may be of, each exportable as plain numbers.
-FAMILIES = ("boosting", "discriminant", "logistic")
+FAMILIES = ("logistic", "boosting", "discriminant")
 
 
-class ImpactClassifier(ClassifierMixin, BaseEstimator):
+class ImpactClassifier(ClassifierMixin, BaseEstimator):  # type: ignore[misc]
     """Identifies the material of an impact from its features, with calibrated probabilities.
 
     Parameters
     ----------
-    family : {"boosting", "discriminant", "logistic"}
-        Histogram gradient boosting; quadratic discriminant analysis; logistic regression on the features and
-        their products.
+    family : {"logistic", "boosting", "discriminant"}
+        Logistic regression on the features and their products; histogram gradient boosting; quadratic
+        discriminant analysis.
     n_trees : int
         Boosting rounds.
     n_leaves : int
@@ -55,7 +55,7 @@ class ImpactClassifier(ClassifierMixin, BaseEstimator):
 
     def __init__(
         self,
-        family: str = "boosting",
+        family: str = "logistic",
         *,
         n_trees: int = 200,
         n_leaves: int = 15,
@@ -104,14 +104,15 @@ class ImpactClassifier(ClassifierMixin, BaseEstimator):
         return self.standardiser_.apply(validate_data(self, X, dtype=np.float64, reset=False))
 
     def _scores(self, X: ArrayLike) -> Floats:
-        return np.asarray(self.estimator_.decision_function(self._inputs(self._standardised(X))))
+        inputs = self._inputs(self._standardised(X))
+        return np.asarray(self.estimator_.decision_function(inputs))
 
     def _inputs(self, standardised: Floats) -> Floats:
         return squares(standardised) if self.family == "logistic" else standardised
 
     def _new_estimator(self) -> Any:
         if self.family == "logistic":
-            return LogisticRegression(C=10.0, max_iter=1000)
+            return LogisticRegression(C=10.0, solver="newton-cholesky", max_iter=100)
         if self.family == "discriminant":
             return QuadraticDiscriminantAnalysis(reg_param=2e-4)
         return HistGradientBoostingClassifier(

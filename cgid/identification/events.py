@@ -76,8 +76,9 @@ def find_impacts(signal: Signal, *, dead_time: float = DEAD_TIME) -> list[Event]
         lowest = middle - float(samples.min())
         cure = "invert it" if lowest > THRESHOLD_OVER_NOISE * noise else "record nearer or with less noise"
         raise BadData(
-            f"{signal.name}: no impact: a sample must rise {THRESHOLD_OVER_NOISE:g} times the noise ({noise:.3g}) above "
-            f"the median, the highest rises {highest:.3g}, the deepest falls {lowest:.3g} {signal.unit or ''}; {cure}"
+            f"{signal.name}: no impact: a sample must rise {THRESHOLD_OVER_NOISE:g} times the noise ({noise:.3g}) "
+            f"above the median, the highest rises {highest:.3g}, the deepest falls {lowest:.3g} "
+            f"{signal.unit or ''}; {cure}"
         )
     threshold = max(THRESHOLD_OVER_NOISE * noise, THRESHOLD_OVER_PEAK * highest)
     high = np.flatnonzero(samples - middle > threshold)

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,7 +25,7 @@ class Family(ABC):
     """A fitted classifier as arrays."""
 
     #: The arrays, and the number of their axes.
-    AXES: Mapping[str, int]
+    AXES: ClassVar[Mapping[str, int]]
 
     def __init__(self, arrays: Arrays, n_features: int, n_classes: int) -> None:
         self.arrays, self.n_features, self.n_classes = arrays, n_features, n_classes
@@ -57,7 +57,7 @@ class Family(ABC):
 class Logistic(Family):
     """Linear in the features and their products."""
 
-    AXES = {"coefficients": 2, "intercepts": 1}
+    AXES: ClassVar[Mapping[str, int]] = {"coefficients": 2, "intercepts": 1}
 
     @staticmethod
     def export(estimator: Any) -> dict[str, NDArray[Any]]:
@@ -78,7 +78,7 @@ class Logistic(Family):
 class Discriminant(Family):
     """One Gaussian for each class."""
 
-    AXES = {"means": 2, "rotations": 3, "variances": 2, "log_priors": 1}
+    AXES: ClassVar[Mapping[str, int]] = {"means": 2, "rotations": 3, "variances": 2, "log_priors": 1}
 
     @staticmethod
     def export(estimator: Any) -> dict[str, NDArray[Any]]:
@@ -112,7 +112,16 @@ class Discriminant(Family):
 class Boosting(Family):
     """Sums of decision trees; all trees of all columns in one table of nodes."""
 
-    AXES = {"baseline": 1, "roots": 1, "columns": 1, "feature": 1, "threshold": 1, "left": 1, "right": 1, "value": 1}
+    AXES: ClassVar[Mapping[str, int]] = {
+        "baseline": 1,
+        "roots": 1,
+        "columns": 1,
+        "feature": 1,
+        "threshold": 1,
+        "left": 1,
+        "right": 1,
+        "value": 1,
+    }
 
     @staticmethod
     def export(estimator: Any) -> dict[str, NDArray[Any]]:

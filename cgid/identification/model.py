@@ -134,7 +134,7 @@ class Model:
         for label, cost in (costs or {}).items():
             validation.choice("cost", label, self.labels)
             weights[self.labels.index(label)] = validation.positive(f"cost of {label}", cost)
-        return np.array(self.labels)[np.argmax(probabilities * weights, axis=1)]
+        return np.asarray(np.array(self.labels)[np.argmax(probabilities * weights, axis=1)])
 
     def _standardised(self, features: Floats) -> Floats:
         if features.ndim != 2 or features.shape[1] != len(self.features) or not np.isfinite(features).all():
@@ -244,7 +244,9 @@ class Model:
         for name, kind in kinds.items():
             if not isinstance(header.get(name), kind):
                 raise BadData(f"{name} is missing or of a wrong kind in the header")
-        values = {name: tuple(header[name]) if kind is list else header[name] for name, kind in kinds.items()}
+        values: dict[str, Any] = {
+            name: tuple(header[name]) if kind is list else header[name] for name, kind in kinds.items()
+        }
         return cls(arrays=arrays, **values)
 
 

@@ -13,30 +13,16 @@ from numpy.typing import NDArray
 
 from cgid import __version__
 from cgid.errors import BadData, InvalidValue
-from cgid.features import choose, extract_array
+from cgid.features import FEATURES, choose, extract_array
 from cgid.identification.classifier import ImpactClassifier
 from cgid.identification.metrics import evaluate
 from cgid.identification.model import Model
 from cgid.signals import Batch, quantity_of
 from cgid.validation import Floats
 
-#: What a model looks at by default: height, length and shape of the pulse; no two say the same.
-DEFAULT_FEATURES = (
-    "peak_force",
-    "width_10",
-    "width_50",
-    "contact_duration",
-    "rise_time",
-    "fall_time",
-    "asymmetry",
-    "skewness",
-    "deviation",
-    "impulse",
-    "energy",
-    "size_free_index",
-    "spectral_centroid",
-    "cutoff_10db",
-)
+#: What a model looks at by default: everything but the band energies, whose bands are in Hz and not in 1/T
+#: and which bring nothing that the other spectral features do not say.
+DEFAULT_FEATURES = tuple(name for name in FEATURES if not name.startswith("band_energy"))
 #: Share of the specimens that only judge.
 TEST_SHARE = 0.25
 
@@ -161,7 +147,7 @@ def train(
     batches: Iterable[Batch],
     *,
     features: Iterable[str] | None = None,
-    family: str = "boosting",
+    family: str = "logistic",
     test_share: float = TEST_SHARE,
     seed: int = 0,
     shuffle_labels: bool = False,

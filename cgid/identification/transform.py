@@ -30,7 +30,7 @@ class Standardiser:
     @classmethod
     def fit(cls, features: Floats) -> Standardiser:
         """Return the standardiser of these rows."""
-        logarithmic = (features > 0).all(axis=0)
+        logarithmic = np.asarray((features > 0).all(axis=0))
         # A thousandth of the smallest value ever seen: far outside, and still a logarithm.
         floor = np.where(logarithmic, np.maximum(1e-3 * features.min(axis=0), np.finfo(float).tiny), 1.0)
         plain = cls(logarithmic, floor, np.zeros(features.shape[1]), np.ones(features.shape[1])).apply(features)

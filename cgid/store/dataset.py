@@ -77,8 +77,8 @@ class Dataset:
             manifest = json.loads(file.read_bytes())
         except OSError:
             raise BadData(
-                f"{self.path}: a dataset folder must hold {MANIFEST}; without it the run that made it was not finished: "
-                "generate it again"
+                f"{self.path}: a dataset folder must hold {MANIFEST}; without it the run that made it was not "
+                "finished: generate it again"
             ) from None
         except ValueError:
             raise BadData(f"{file}: must be JSON, it is not; generate the dataset again") from None

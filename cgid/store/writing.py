@@ -11,8 +11,8 @@ from pathlib import Path
 from typing import Any
 
 from cgid.errors import CannotCreate, InvalidValue
+from cgid.files import write_whole
 from cgid.signals import Batch
-from cgid.store.files import write_whole
 from cgid.store.shard import FORMAT, LARGEST_SHARD, SCHEMA_VERSION, ShardBuilder, ShardPlan
 
 MANIFEST = "manifest.json"

@@ -1,0 +1,112 @@
+"""`cgid info`: what is in this dataset, model or recording."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import click
+
+from cgid.cli.options import print_json
+
+
+@click.command(short_help="Say what is in a dataset, a model or a recording.")
+@click.argument("file")
+@click.option("--rate", "sampling_rate", type=float, help="Sampling rate [Hz], where a recording does not say it.")
+@click.option("--unit", help="Unit of the samples, where a recording does not say it.")
+@click.option("--json", "as_json", is_flag=True, help="One JSON object.")
+def info(file: str, sampling_rate: float | None, unit: str | None, as_json: bool) -> None:
+    """Say what is in FILE: a dataset, a model, or a recording (every channel)."""
+    from cgid.recordings import is_dataset
+
+    if file != "-" and is_dataset(file):
+        content = _dataset(file)
+    elif file.endswith(".npz"):
+        content = _model(file)
+    else:
+        content = _recording(file, sampling_rate, unit)
+    if as_json:
+        print_json(content)
+    else:
+        _print(content)
+
+
+def _print(content: dict[str, Any], indent: str = "") -> None:
+    for name, value in content.items():
+        if isinstance(value, dict):
+            click.echo(f"{indent}{name}:")
+            _print(value, indent + "  ")
+        else:
+            click.echo(f"{indent}{name}: {f'{value:.8g}' if isinstance(value, float) else value}")
+
+
+def _dataset(file: str) -> dict[str, Any]:
+    from collections import Counter
+
+    from cgid.store import Dataset
+
+    dataset = Dataset(file)
+    labels: Counter[str] = Counter()
+    for batch in dataset.batches():
+        labels.update(batch.labels.tolist())
+    about = dataset.header.attributes
+    damaged = dataset.damaged_shards()
+    return {
+        "kind": "dataset",
+        "file": file,
+        "signals": len(dataset),
+        "samples": dataset.header.n_samples,
+        "sampling_rate_hz": dataset.sampling_rate,
+        "pre_trigger": dataset.pre_trigger,
+        "quantity": dataset.quantity,
+        "unit": dataset.unit,
+        "labels": dict(sorted(labels.items())),
+        "parameters": dict(dataset.header.parameter_units),
+        "dtype": dataset.header.dtype,
+        "damaged_shards": ", ".join(damaged) or "none",
+        **{name: about[name] for name in ("scene_name", "scene_sha256", "seed", "versions") if name in about},
+    }
+
+
+def _model(file: str) -> dict[str, Any]:
+    from cgid.identification.model import Model
+
+    header = Model.load(file).header
+    training = header.pop("training")
+    metrics = training.pop("metrics", {})
+    shown = ("accuracy", "accuracy_interval_95", "recall", "brier_score", "expected_calibration_error")
+    return {
+        "kind": "model",
+        "file": file,
+        **header,
+        "training": training,
+        "metrics": {name: metrics[name] for name in shown if name in metrics},
+    }
+
+
+def _recording(file: str, sampling_rate: float | None, unit: str | None) -> dict[str, Any]:
+    import numpy as np
+
+    from cgid.errors import BadData
+    from cgid.identification.events import find_impacts
+    from cgid.recordings import read_recording
+
+    channels = {}
+    for signal in read_recording(file, sampling_rate=sampling_rate, unit=unit):
+        samples = signal.samples
+        try:
+            impacts = len(find_impacts(signal))
+        except BadData:
+            impacts = 0
+        channels[f"channel {signal.channel}"] = {
+            "samples": samples.size,
+            "sampling_rate_hz": signal.sampling_rate,
+            "duration_s": signal.duration,
+            "quantity": signal.quantity or "unknown",
+            "unit": signal.unit or "unknown",
+            "dtype": samples.dtype.name,
+            "lowest": float(samples.min()),
+            "median": float(np.median(samples)),
+            "highest": float(samples.max()),
+            "impacts": impacts,
+        }
+    return {"kind": "recording", "file": file, **channels}

@@ -1,0 +1,69 @@
+"""The group of commands, and what becomes of errors: one line on stderr and an exit code, never a traceback."""
+
+from __future__ import annotations
+
+import os
+import sys
+import warnings
+from typing import Any
+
+import click
+
+from cgid import __version__
+from cgid.cli.check import check
+from cgid.cli.features import features
+from cgid.cli.generate import generate
+from cgid.cli.info import info
+from cgid.cli.predict import predict
+from cgid.cli.train import train
+from cgid.errors import CgidError
+
+_INTERRUPTED, _INTERNAL = 130, 70
+
+
+@click.group(context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110})
+@click.version_option(__version__, prog_name="cgid")
+def cli() -> None:
+    """Tell coal from gangue by how a falling rock hits steel."""
+
+
+for command in (generate, check, train, predict, features, info):
+    cli.add_command(command)
+
+
+def main(arguments: list[str] | None = None) -> None:
+    """Run the command line and exit."""
+    sys.exit(run(arguments))
+
+
+def run(arguments: list[str] | None = None) -> int:
+    """Run the command line and return its exit code."""
+    warnings.showwarning = _one_line_warning
+    try:
+        code = cli.main(args=arguments, prog_name="cgid", standalone_mode=False)
+        sys.stdout.flush()
+        return code if isinstance(code, int) else 0
+    except click.ClickException as error:
+        error.show()
+        return error.exit_code
+    except CgidError as error:
+        for line in str(error).splitlines():
+            click.echo(f"cgid: error: {line}", err=True)
+        return error.exit_code
+    except (click.Abort, KeyboardInterrupt):
+        click.echo("cgid: interrupted; nothing half-written is left", err=True)
+        return _INTERRUPTED
+    except BrokenPipeError:
+        # Whoever read our output has seen enough. Python would complain again when it closes stdout.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
+    except Exception as error:
+        if os.environ.get("CGID_DEBUG"):
+            raise
+        text = " ".join(f"{type(error).__name__}: {error}".split())
+        click.echo(f"cgid: internal error: {text}; please report it (CGID_DEBUG=1 shows where)", err=True)
+        return _INTERNAL
+
+
+def _one_line_warning(message: Warning | str, *_: Any, **__: Any) -> None:
+    click.echo(f"cgid: warning: {' '.join(str(message).split())}", err=True)

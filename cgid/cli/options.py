@@ -1,0 +1,84 @@
+"""Options that several commands share, and the way inputs become signals."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
+from typing import Any, TypeVar
+
+import click
+
+from cgid.errors import CgidError, InvalidValue
+from cgid.signals import Signal
+
+F = TypeVar("F", bound=Callable[..., Any])
+#: Version of the lines that --json prints.
+JSON_VERSION = 1
+
+
+def recording_options(command: F) -> F:
+    """Add the options that say how to read a recording."""
+    options: list[Callable[[Any], Any]] = [
+        click.option("--rate", "sampling_rate", type=float, help="Sampling rate [Hz], where the file does not say it."),
+        click.option("--unit", help="Unit of the samples (N, kN, g, m/s^2, ...), where the file does not say it."),
+        click.option("--channel", help="Only this channel: its name, or its number from 1."),
+        click.option("--index", type=int, help="Only this signal of a dataset, from 0."),
+        click.option("--invert", is_flag=True, help="Turn the signal over: impacts must point upwards."),
+        click.option("--dead-time", type=float, default=2.0, show_default=True, help="Ringing after a blow [ms]."),
+        click.option("--json", "as_json", is_flag=True, help="One JSON object a line."),
+    ]
+    for option in reversed(options):
+        command = option(command)
+    return command
+
+
+def read_signals(
+    path: str, sampling_rate: float | None, unit: str | None, channel: str | None, index: int | None, invert: bool
+) -> list[Signal]:
+    """Return the signals of a recording, or the one signal asked for of a dataset."""
+    from cgid.recordings import is_dataset, read_recording
+
+    if path != "-" and is_dataset(path):
+        from cgid.store import Dataset
+
+        signals = [Dataset(path).signal(0 if index is None else index)]
+    else:
+        if index is not None:
+            raise InvalidValue(f"{path}: --index picks a signal of a dataset (HDF5), this is a recording; leave it out")
+        signals = read_recording(path, sampling_rate=sampling_rate, unit=unit, channel=channel)
+    return [signal.inverted() for signal in signals] if invert else signals
+
+
+def each_file(files: Iterable[str], treat: Callable[[str], None]) -> int:
+    """Treat every file; say what is wrong with one and go on. Return the exit code of the first that failed."""
+    code = 0
+    for file in files:
+        try:
+            treat(file)
+        except CgidError as error:
+            for line in str(error).splitlines():
+                click.echo(f"cgid: error: {line}", err=True)
+            code = code or error.exit_code
+    return code
+
+
+def print_json(content: dict[str, Any]) -> None:
+    """Print one object on a line of its own; what is not a number becomes null."""
+    click.echo(json.dumps({"version": JSON_VERSION, **_finite(content)}))
+
+
+def _finite(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _finite(item) for key, item in value.items()}
+    return None if isinstance(value, float) and value != value else value
+
+
+@contextmanager
+def progress_bar(total: int | None, what: str) -> Iterator[Callable[[int], object]]:
+    """Yield a function that moves a progress bar on stderr; there is none where stderr is no terminal."""
+    from tqdm import tqdm
+
+    with tqdm(total=total, unit=f" {what}", disable=None, file=sys.stderr, unit_scale=True) as bar:
+        yield bar.update

@@ -1,0 +1,52 @@
+"""A trained model on disk: the model file, its card, its pictures."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from cgid.errors import CannotCreate
+from cgid.files import write_whole
+from cgid.identification.card import write_card
+from cgid.identification.training import Training
+
+
+def check_model_output(path: Path, *, plots: bool = False, overwrite: bool = False) -> Path:
+    """Return the path if a model may be written there, before any work is done.
+
+    Raises
+    ------
+    CannotCreate
+        The name does not end in .npz, the folder is missing, or there is a model already.
+    MissingExtra
+        Pictures are asked for and matplotlib is not installed.
+    """
+    if path.suffix != ".npz":
+        raise CannotCreate(f"{path}: the name of a model must end in .npz, got {path.suffix or 'no ending'!r}")
+    if not path.parent.is_dir():
+        raise CannotCreate(f"{path}: the folder {path.parent} must exist; make it first")
+    if path.is_dir() or (path.exists() and not overwrite):
+        raise CannotCreate(f"{path}: exists already; choose another name or say --overwrite")
+    if plots:
+        from cgid.plots import require_matplotlib
+
+        require_matplotlib()
+    return path
+
+
+def write_model(training: Training, path: Path, *, plots: bool = False) -> list[Path]:
+    """Write pictures, card and, last, the model; return the files written."""
+    pictures: dict[str, bytes] = {}
+    if plots:
+        from cgid.plots import judgement_pictures
+
+        labels, probabilities = training.test_labels, training.test_probabilities
+        drawn = judgement_pictures(labels, probabilities, training.model.labels, training.metrics)
+        pictures = {f"{path.stem}-{name}.png": picture for name, picture in drawn.items()}
+    contents = {
+        **pictures,
+        f"{path.stem}.md": write_card(training.model, path.name, tuple(pictures)).encode(),
+        path.name: training.model.to_bytes(),
+    }
+    for name, content in contents.items():
+        write_whole(path.with_name(name), content)
+    return [path.with_name(name) for name in contents]

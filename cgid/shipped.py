@@ -1,0 +1,42 @@
+"""What comes with the package: scenes, a sample, the default model.
+
+In an installed wheel they lie inside the package, in a checkout (and so in an editable install) at its top level.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Literal
+
+from cgid.errors import NoInput
+
+_PACKAGE = Path(__file__).parent
+DEFAULT_MODEL = "default.npz"
+SAMPLE = "sample.csv"
+
+
+def path_of(kind: Literal["datasets", "models"], name: str) -> Path:
+    """Return the path of a shipped file.
+
+    Raises
+    ------
+    NoInput
+        The installation is incomplete.
+
+    Examples
+    --------
+    >>> path_of("datasets", "reference.toml").name
+    'reference.toml'
+    """
+    for folder in (_PACKAGE / "shipped" / kind, _PACKAGE.parent / kind):
+        if (folder / name).is_file():
+            return folder / name
+    raise NoInput(f"{kind}/{name}: must come with cgid and is missing: install it again")
+
+
+def scene_path(scene: str) -> Path:
+    """Return the path of a scene: a file, or the bare name of a shipped one such as "reference"."""
+    given = Path(scene)
+    if given.suffix or given.exists():
+        return given
+    return path_of("datasets", f"{scene}.toml")
