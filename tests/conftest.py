@@ -1,0 +1,34 @@
+"""Scenes, data and models that several tests share."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from cgid.identification.training import Training, train
+from cgid.scene import Scene, load_scene, synthesise
+
+ROOT = Path(__file__).parents[1]
+REAL_DATA = ROOT.parent / "shared" / "realdata"
+
+
+@pytest.fixture(scope="session")
+def reference_scene() -> Scene:
+    return load_scene(ROOT / "datasets" / "reference.toml")
+
+
+@pytest.fixture(scope="session")
+def trained(reference_scene: Scene) -> dict[str, Training]:
+    """One small model of each family."""
+    return {
+        family: train(synthesise(reference_scene, 3000, seed=5), family=family)
+        for family in ("logistic", "boosting", "discriminant")
+    }
+
+
+@pytest.fixture(scope="session")
+def real_data() -> Path:
+    if not REAL_DATA.is_dir():
+        pytest.skip("the real recordings are not beside this checkout (../shared/realdata)")
+    return REAL_DATA

@@ -1,0 +1,393 @@
+"""Classifier, model file, training: against scikit-learn itself, and against files that mean harm."""
+
+from __future__ import annotations
+
+import io
+import json
+import subprocess
+import sys
+import zipfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy import stats
+from sklearn import metrics as reference_metrics
+from sklearn.utils.estimator_checks import check_estimator
+
+from cgid.errors import BadData, CgidError, InvalidValue, NoInput
+from cgid.features import extract_array
+from cgid.identification.answers import identify, suited
+from cgid.identification.card import write_card
+from cgid.identification.classifier import FAMILIES, ImpactClassifier
+from cgid.identification.metrics import evaluate
+from cgid.identification.model import Model
+from cgid.identification.output import check_model_output, write_model
+from cgid.identification.training import Training, hold_out, measure, train
+from cgid.scene import Scene, parse_scene, synthesise
+from cgid.signals import Signal
+
+Trained = dict[str, Training]
+
+
+def held_out(scene: Scene, training: Training, n: int = 600) -> tuple[np.ndarray, np.ndarray]:
+    batches = list(synthesise(scene, n, seed=99))
+    rows = [extract_array(b.signals, b.sampling_rate, training.model.features, pre_trigger=200) for b in batches]
+    return np.concatenate(rows), np.concatenate([b.labels for b in batches])
+
+
+# -- the estimator ----------------------------------------------------------------------------------------
+
+
+@pytest.mark.filterwarnings("ignore")
+@pytest.mark.parametrize("family", FAMILIES)
+def test_estimator_passes_scikit_learns_own_checks(family: str) -> None:
+    results = check_estimator(ImpactClassifier(family, n_trees=20), on_fail=None, on_skip=None)
+    assert [r["check_name"] for r in results if r["status"] == "failed"] == []
+    assert sum(r["status"] == "passed" for r in results) > 40
+
+
+def test_probabilities_are_calibrated_where_the_family_is_overconfident() -> None:
+    generator = np.random.default_rng(1)
+    signal = generator.normal(size=4000)
+    labels = np.where(generator.random(4000) < 1 / (1 + np.exp(-signal)), "a", "b")
+    copies = np.repeat(signal[:, None], 8, axis=1) + generator.normal(0, 0.05, (4000, 8))
+    raw = ImpactClassifier("boosting", calibration_folds=0, n_trees=400).fit(copies[:2000], labels[:2000])
+    calibrated = ImpactClassifier("boosting", n_trees=400).fit(copies[:2000], labels[:2000])
+    errors = [
+        evaluate(labels[2000:], c.predict_proba(copies[2000:]), ("a", "b"))["expected_calibration_error"]
+        for c in (raw, calibrated)
+    ]
+    assert calibrated.temperature_ > 1.5
+    assert errors[1] < 0.5 * errors[0]
+
+
+def test_unknown_family_is_refused() -> None:
+    with pytest.raises(InvalidValue, match="family must be one of"):
+        ImpactClassifier("svm").fit([[1.0], [2.0]], ["a", "b"])
+
+
+# -- the model against the estimator ----------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("family", FAMILIES)
+def test_file_gives_scikit_learns_probabilities(
+    family: str, trained: Trained, reference_scene: Scene, tmp_path: Path
+) -> None:
+    training = trained[family]
+    features, _ = held_out(reference_scene, training)
+    (tmp_path / "m.npz").write_bytes(training.model.to_bytes())
+    loaded = Model.load(tmp_path / "m.npz")
+    np.testing.assert_allclose(
+        loaded.probabilities(features), training.classifier.predict_proba(features), rtol=0, atol=1e-12
+    )
+    np.testing.assert_allclose(loaded.novelty(features), training.classifier.novelty(features), rtol=1e-12)
+
+
+@pytest.mark.parametrize("family", FAMILIES)
+def test_three_labels_are_exported_too(family: str) -> None:
+    generator = np.random.default_rng(3)
+    labels = np.repeat(["coal", "sandstone", "shale"], 200)
+    features = np.exp(generator.normal(size=(600, 3)) + np.repeat(np.eye(3), 200, axis=0))
+    classifier = ImpactClassifier(family, n_trees=30).fit(features, labels)
+    model = Model.from_classifier(
+        classifier,
+        features=("peak_force", "width_10", "impulse"),
+        unit="N",
+        sampling_rates=(1e5, 2e5),
+        training={},
+    )
+    np.testing.assert_allclose(model.probabilities(features), classifier.predict_proba(features), rtol=0, atol=1e-12)
+    assert (model.decide(model.probabilities(features)) == classifier.predict(features)).all()
+
+
+def test_model_file_is_the_same_every_time(trained: Trained) -> None:
+    assert trained["boosting"].model.to_bytes() == trained["boosting"].model.to_bytes()
+
+
+def test_prediction_needs_numpy_alone(trained: Trained, tmp_path: Path) -> None:
+    (tmp_path / "m.npz").write_bytes(trained["boosting"].model.to_bytes())
+    code = (
+        "import sys, numpy as np; from cgid.identification.answers import identify; "
+        "from cgid.identification.model import Model; from cgid.signals import Signal; "
+        f"m = Model.load({str(tmp_path / 'm.npz')!r}); t = np.arange(500) / 2e5; "
+        "f = 9e3 * np.sin(np.pi * np.clip((t - 1e-3) / 4e-4, 0, 1)) ** 1.5; "
+        "print(identify(Signal(samples=f, sampling_rate=2e5, unit='N'), m)[0].label); "
+        "print([x for x in ('scipy', 'sklearn', 'numba', 'pandas', 'h5py', 'pydantic') if x in sys.modules])"
+    )
+    lines = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.split("\n")
+    assert lines[0] in ("coal", "gangue", "unknown")
+    assert lines[1] == "[]"
+
+
+# -- answers one can trust --------------------------------------------------------------------------------
+
+
+def test_novelty_keeps_the_training_inside_and_throws_strangers_out(trained: Trained, reference_scene: Scene) -> None:
+    training = trained["logistic"]
+    features, _ = held_out(reference_scene, training, 2000)
+    assert np.mean(training.model.novelty(features) > 1) < 0.01
+    stranger = features * np.where(np.array(training.model.features) == "contact_duration", 30.0, 1.0)
+    assert (training.model.novelty(stranger) > 1).all()
+
+
+def test_stranger_is_answered_with_unknown(trained: Trained) -> None:
+    times = np.arange(4000) / 2e5
+    rectangle = Signal(samples=np.where((times > 4e-3) & (times < 9e-3), 5e3, 0.0), sampling_rate=2e5, unit="N")
+    (answer,) = identify(rectangle, trained["logistic"].model)
+    assert answer.label == "unknown"
+    assert answer.novelty > 1
+    assert "outside of the training" in answer.problem
+
+
+def test_costs_move_the_decision_to_the_cheaper_mistake(trained: Trained) -> None:
+    model = trained["logistic"].model
+    probabilities = np.array([[0.7, 0.3], [0.8, 0.2], [0.2, 0.8]])
+    assert model.decide(probabilities).tolist() == ["coal", "coal", "gangue"]
+    assert model.decide(probabilities, {"gangue": 3.0}).tolist() == ["gangue", "coal", "gangue"]
+    # Expected cost by hand: calling it coal costs p(gangue) x 3, calling it gangue costs p(coal) x 1.
+    by_hand = np.where(probabilities[:, 1] * 3 > probabilities[:, 0], "gangue", "coal")
+    assert model.decide(probabilities, {"gangue": 3.0}).tolist() == by_hand.tolist()
+
+
+@pytest.mark.parametrize("costs", [{"granite": 1.0}, {"coal": 0.0}, {"coal": -1.0}, {"coal": float("nan")}])
+def test_impossible_costs_are_refused(costs: dict[str, float], trained: Trained) -> None:
+    with pytest.raises(InvalidValue, match="cost"):
+        trained["logistic"].model.decide(np.array([[0.5, 0.5]]), costs)
+
+
+def test_acceleration_needs_the_mass_of_the_striker(trained: Trained) -> None:
+    model = trained["logistic"].model
+    signal = Signal(samples=np.array([0.0, 1.0]), sampling_rate=1e5, unit="g")
+    with pytest.raises(BadData, match="--mass KG"):
+        suited(signal, model)
+    assert suited(signal, model, mass=2.0).samples[1] == pytest.approx(2 * 9.80665)
+    with pytest.raises(CgidError, match="--unit"):
+        suited(Signal(samples=np.zeros(3), sampling_rate=1e5), model)
+    kilonewton = Signal(samples=np.array([0.0, 1.5]), sampling_rate=1e5, unit="kN")
+    assert suited(kilonewton, model).samples.tolist() == [0.0, 1500.0]
+
+
+# -- files that mean harm ---------------------------------------------------------------------------------
+
+
+def rewritten(model: Model, **changes: Any) -> bytes:
+    """Return a model file with some arrays or the header replaced, as an attacker would write it."""
+    with np.load(io.BytesIO(model.to_bytes())) as stored:
+        arrays = {name: stored[name] for name in stored.files}
+    for name, value in changes.items():
+        arrays[name.replace("__", ".")] = value
+    stream = io.BytesIO()
+    np.savez(stream, **arrays)
+    return stream.getvalue()
+
+
+def header_with(model: Model, **changes: Any) -> np.ndarray:
+    return np.frombuffer(json.dumps(model.header | changes).encode(), np.uint8)
+
+
+TREE_HARM = {
+    "child before its parent": ("left", lambda a: np.zeros_like(a)),
+    "child beyond the table": ("right", lambda a: np.full_like(a, 10**6)),
+    "negative child": ("left", lambda a: np.full_like(a, -5)),
+    "feature that does not exist": ("feature", lambda a: np.full_like(a, 99)),
+    "threshold not finite": ("threshold", lambda a: np.full_like(a, np.nan)),
+    "value not finite": ("value", lambda a: np.full_like(a, np.inf)),
+    "children as floats": ("left", lambda a: a.astype(float)),
+    "roots out of order": ("roots", lambda a: a[::-1].copy()),
+    "columns that do not exist": ("columns", lambda a: a + 3),
+    "too short": ("right", lambda a: a[:-1]),
+}
+
+
+@pytest.mark.parametrize("harm", TREE_HARM)
+def test_harmful_trees_are_refused(harm: str, trained: Trained, tmp_path: Path) -> None:
+    name, change = TREE_HARM[harm]
+    model = trained["boosting"].model
+    content = rewritten(model, **{f"family__{name}": change(model.arrays[f"family.{name}"])})
+    (tmp_path / "m.npz").write_bytes(content)
+    with pytest.raises(BadData, match="no sound model"):
+        Model.load(tmp_path / "m.npz")
+
+
+HEADER_HARM: dict[str, dict[str, Any]] = {
+    "another format": {"format": "pickle"},
+    "another version": {"schema_version": 2},
+    "unknown family": {"family": "svm"},
+    "one label": {"labels": ["coal"]},
+    "labels twice": {"labels": ["coal", "coal"]},
+    "unknown feature": {"features": ["nose_length"]},
+    "a feature less": {"features": ["peak_force"]},
+    "temperature zero": {"temperature": 0},
+    "temperature a text": {"temperature": "hot"},
+    "unknown unit": {"unit": "stone"},
+    "rates in the wrong order": {"sampling_rates": [2e5, 1e5]},
+    "rates as text": {"sampling_rates": ["a", "b"]},
+}
+
+
+@pytest.mark.parametrize("harm", HEADER_HARM)
+def test_harmful_headers_are_refused(harm: str, trained: Trained, tmp_path: Path) -> None:
+    model = trained["logistic"].model
+    (tmp_path / "m.npz").write_bytes(rewritten(model, header=header_with(model, **HEADER_HARM[harm])))
+    with pytest.raises(BadData, match="no sound model"):
+        Model.load(tmp_path / "m.npz")
+
+
+def test_pickles_and_bombs_are_refused(trained: Trained, tmp_path: Path) -> None:
+    path = tmp_path / "m.npz"
+    stream = io.BytesIO()
+    np.savez(stream, header=np.array([{"a": 1}], dtype=object), allow_pickle=True)
+    path.write_bytes(stream.getvalue())
+    with pytest.raises(BadData):
+        Model.load(path)
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("header.npy", bytes(10**7))
+    with pytest.raises(BadData, match="uncompressed"):
+        Model.load(path)
+
+
+def test_missing_empty_and_text_files_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(NoInput):
+        Model.load(tmp_path / "none.npz")
+    for content in (b"", b"hello", b"PK\x03\x04"):
+        (tmp_path / "m.npz").write_bytes(content)
+        with pytest.raises(BadData):
+            Model.load(tmp_path / "m.npz")
+
+
+@pytest.mark.parametrize("family", FAMILIES)
+def test_damaged_files_are_refused_or_harmless(family: str, trained: Trained, tmp_path: Path) -> None:
+    """A zip archive carries checksums, so whatever still loads has to be the same model."""
+    content = bytearray(trained[family].model.to_bytes())
+    generator = np.random.default_rng(7)
+    whole = trained[family].model
+    for _ in range(60):
+        place, bit = int(generator.integers(len(content))), int(generator.integers(8))
+        content[place] ^= 1 << bit
+        (tmp_path / "m.npz").write_bytes(content)
+        try:
+            loaded = Model.load(tmp_path / "m.npz")
+        except BadData:
+            pass
+        else:
+            assert loaded.header == whole.header
+            assert all(np.array_equal(loaded.arrays[name], whole.arrays[name]) for name in whole.arrays)
+        content[place] ^= 1 << bit
+
+
+# -- training ---------------------------------------------------------------------------------------------
+
+
+def test_specimens_are_never_on_both_sides() -> None:
+    generator = np.random.default_rng(0)
+    specimen = generator.integers(0, 60, 1000).astype(np.uint64)
+    labels = np.where(specimen < 30, "coal", "gangue")
+    test = hold_out(labels, specimen)
+    assert not set(specimen[test]) & set(specimen[~test])
+    assert {len(np.unique(specimen[test & (labels == label)])) for label in ("coal", "gangue")} == {8}
+
+
+def test_yang_spheres_are_split_by_sphere() -> None:
+    scene = parse_scene(_tiny_scene())
+    training = train(synthesise(scene, 600), features=["peak_force", "width_50"])
+    assert training.model.training["n_train_specimens"] == 2
+    assert training.model.training["n_test_specimens"] == 2
+
+
+def test_label_with_one_specimen_cannot_be_judged() -> None:
+    with pytest.raises(InvalidValue, match="at least 2 specimens"):
+        hold_out(np.array(["a", "a", "b", "b"]), np.array([1, 1, 2, 3], np.uint64))
+
+
+def test_one_label_is_refused(reference_scene: Scene) -> None:
+    content = json.loads(reference_scene.text)
+    content["populations"] = content["populations"][:1]
+    with pytest.raises(BadData, match="at least 2 labels"):
+        train(synthesise(parse_scene(content), 200))
+    with pytest.raises(BadData, match="there are none"):
+        train([])
+
+
+def test_shuffled_labels_score_at_chance(reference_scene: Scene) -> None:
+    training = train(synthesise(reference_scene, 4000, seed=8), shuffle_labels=True)
+    low, high = training.metrics["accuracy_interval_95"]
+    assert low - 0.02 < 0.5 < high + 0.02
+
+
+def test_accuracy_stays_between_a_plain_rule_and_the_noise_free_limit(trained: Trained) -> None:
+    # physics: peak and duration alone, noise-free, reach .85; with the restitution .901.
+    assert 0.82 < trained["logistic"].metrics["accuracy"] < 0.91
+
+
+def test_same_seed_gives_the_same_model(reference_scene: Scene) -> None:
+    first, second = (train(synthesise(reference_scene, 600, seed=2), seed=3).model.to_bytes() for _ in range(2))
+    assert first == second
+
+
+def test_units_are_not_mixed(reference_scene: Scene) -> None:
+    from dataclasses import replace
+
+    batches = list(synthesise(reference_scene, 512))
+    with pytest.raises(BadData, match="one unit"):
+        measure([batches[0], replace(batches[1], unit="kN")])
+
+
+def test_metrics_agree_with_scikit_learn() -> None:
+    generator = np.random.default_rng(4)
+    second = generator.random(2000)
+    labels = np.where(generator.random(2000) < second, "gangue", "coal")
+    probabilities = np.stack([1 - second, second], axis=1)
+    found = evaluate(labels, probabilities, ("coal", "gangue"))
+    predicted = np.where(second > 0.5, "gangue", "coal")
+    assert found["accuracy"] == reference_metrics.accuracy_score(labels, predicted)
+    assert found["brier_score"] == pytest.approx(2 * reference_metrics.brier_score_loss(labels == "gangue", second))
+    assert found["log_loss"] == pytest.approx(reference_metrics.log_loss(labels == "gangue", second))
+    assert found["recall"]["coal"] == reference_metrics.recall_score(labels, predicted, pos_label="coal")
+    assert found["expected_calibration_error"] < 0.05
+    z = stats.norm.ppf(0.975)
+    p, n = found["accuracy"], 2000
+    middle = (p + z**2 / (2 * n)) / (1 + z**2 / n)
+    assert np.mean(found["accuracy_interval_95"]) == pytest.approx(middle)
+
+
+# -- what is written --------------------------------------------------------------------------------------
+
+
+def test_card_tells_the_figures_of_the_model(trained: Trained) -> None:
+    model = trained["boosting"].model
+    card = write_card(model, "m.npz", ("a.png",))
+    assert f"{model.training['metrics']['accuracy']:.4f}" in card
+    assert model.training["sources"][0] in card
+    assert "![a.png](a.png)" in card
+    assert all(feature in card for feature in model.features)
+
+
+def test_pictures_card_and_model_are_written(trained: Trained, tmp_path: Path) -> None:
+    written = write_model(trained["logistic"], tmp_path / "m.npz", plots=True)
+    assert [path.name for path in written] == ["m-confusion.png", "m-reliability.png", "m-roc.png", "m.md", "m.npz"]
+    assert all((tmp_path / name).read_bytes()[:4] == b"\x89PNG" for name in ("m-confusion.png", "m-roc.png"))
+    assert {path.name for path in tmp_path.iterdir()} == {path.name for path in written}
+
+
+def test_pictures_without_matplotlib_name_the_extra(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
+    with pytest.raises(CgidError, match=r"pip install 'cgid\[plot\]'") as caught:
+        check_model_output(tmp_path / "m.npz", plots=True)
+    assert caught.value.exit_code == 69
+
+
+def _tiny_scene() -> dict[str, Any]:
+    sphere = {"radius": "25 mm", "velocity": {"distribution": "uniform", "lowest": 2, "highest": 10}}
+    spheres = [("coal", 1380, 2.26e9), ("coal", 1550, 4.3e9), ("gangue", 2412, 21.6e9), ("gangue", 2400, 3.9e9)]
+    return {
+        "name": "four spheres",
+        "impact": {"stiffness": "series", "dissipation": "elastic", "target": "rigid"},
+        "sampling": {"sampling_rate": "200 kHz", "samples": 512, "pre_trigger": 64},
+        "sensor": {"relative_noise": "1 %"},
+        "populations": [
+            {"label": label, "density": density, "youngs_modulus": modulus, "poisson_ratio": 0.3, **sphere}
+            for label, density, modulus in spheres
+        ],
+    }

@@ -1,0 +1,74 @@
+"""What comes with the package is there, in a checkout as in a wheel, and says the truth."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import cgid
+from cgid import shipped
+from cgid.errors import NoInput
+from cgid.identification.answers import identify, suited
+from cgid.identification.model import Model
+from cgid.recordings import read_recording
+from cgid.scene import Scene, load_scene
+
+ROOT = Path(__file__).parents[1]
+
+
+def test_files_are_found_in_a_checkout() -> None:
+    assert shipped.path_of("models", shipped.DEFAULT_MODEL) == ROOT / "models" / "default.npz"
+    assert shipped.scene_path("reference") == ROOT / "datasets" / "reference.toml"
+    with pytest.raises(NoInput, match="must come with cgid"):
+        shipped.path_of("models", "nothing.npz")
+
+
+def test_files_are_found_in_the_layout_of_a_wheel(tmp_path: Path) -> None:
+    shutil.copytree(ROOT / "cgid", tmp_path / "cgid", ignore=shutil.ignore_patterns("__pycache__"))
+    for kind in ("datasets", "models"):
+        shutil.copytree(ROOT / kind, tmp_path / "cgid" / "shipped" / kind)
+    run = subprocess.run(
+        [sys.executable, "-m", "cgid", "predict", "--sample"],
+        cwd=tmp_path,
+        env={"PYTHONPATH": str(tmp_path), "PATH": ""},
+        capture_output=True,
+        text=True,
+    )
+    assert run.returncode == 0, run.stderr
+    assert str(tmp_path / "cgid" / "shipped" / "datasets" / "sample.csv") in run.stdout
+
+
+def test_default_model_belongs_to_the_shipped_scene(reference_scene: Scene) -> None:
+    model = Model.load(shipped.path_of("models", shipped.DEFAULT_MODEL))
+    assert list(model.training["sources"]) == [reference_scene.sha256]
+
+
+def test_sample_holds_six_impacts_and_the_model_knows_them() -> None:
+    model = Model.load(shipped.path_of("models", shipped.DEFAULT_MODEL))
+    (signal,) = read_recording(shipped.path_of("datasets", shipped.SAMPLE))
+    answers = identify(suited(signal, model), model)
+    np.testing.assert_allclose([a.time for a in answers], np.arange(6) * 0.02 + 0.005, atol=2e-5)
+    # The truth, as make_sample.py prints it.
+    assert [a.label for a in answers] == ["coal", "gangue"] * 3
+
+
+@pytest.mark.parametrize("name", ["reference", "yang2018", "peers"])
+def test_shipped_scenes_are_sound(name: str) -> None:
+    assert load_scene(shipped.scene_path(name)).labels == ("coal", "gangue")
+
+
+def test_import_is_light_and_every_public_name_is_there() -> None:
+    code = (
+        "import sys, cgid; "
+        "print([x for x in ('numpy', 'numba', 'sklearn', 'pandas', 'matplotlib', 'scipy') if x in sys.modules])"
+    )
+    assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True).stdout.strip() == "[]"
+    for name in cgid.__all__:
+        assert getattr(cgid, name) is not None
+    with pytest.raises(AttributeError):
+        _ = cgid.nothing
