@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from cgid import validation
 from cgid.errors import BadData, InvalidValue
-from cgid.pulses import PulseBatch
+from cgid.pulses import DETECTION_LIMIT, PulseBatch
 from cgid.validation import Floats
 
 if TYPE_CHECKING:
@@ -198,8 +198,17 @@ def extract_array(
     pre_trigger: int | None = None,
     remove_baseline: bool = True,
     invalid: Literal["raise", "nan"] = "raise",
+    detection_limit: float = DETECTION_LIMIT,
 ) -> Floats:
     """Return features as plain numbers, without pandas; as `extract`.
+
+    Parameters
+    ----------
+    samples, sampling_rate, features, pre_trigger, remove_baseline, invalid
+        As in `extract`.
+    detection_limit : float
+        A peak must pass this many standard deviations of the noise before touch; an impact that was found in a
+        recording by other means may ask for less.
 
     Returns
     -------
@@ -215,14 +224,14 @@ def extract_array(
     validation.choice("invalid", invalid, ("raise", "nan"))
     out = np.full((len(frames), len(names)), np.nan)
     for first in range(0, len(frames), _ROWS):
-        pulses = PulseBatch(frames[first : first + _ROWS], rate, pre_trigger, remove_baseline)
+        pulses = PulseBatch(frames[first : first + _ROWS], rate, pre_trigger, remove_baseline, detection_limit)
         sound = np.ones(len(pulses.samples), bool)
         found = pulses.problems()
         if found and invalid == "raise":
             pulses.require_sound()
         if found:
             sound[list(found)] = False
-            pulses = PulseBatch(pulses.samples[sound], rate, pre_trigger, remove_baseline)
+            pulses = PulseBatch(pulses.samples[sound], rate, pre_trigger, remove_baseline, detection_limit)
         if sound.any():
             rows = first + np.flatnonzero(sound)
             for column, name in enumerate(names):

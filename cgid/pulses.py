@@ -45,6 +45,8 @@ class PulseBatch:
         Samples before touch. None: each row's own, up to where it last is below 2 % of its largest value.
     remove_baseline : bool
         Whether the mean before touch is subtracted.
+    detection_limit : float
+        A peak must pass this many standard deviations of what is before touch.
     """
 
     def __init__(
@@ -53,11 +55,13 @@ class PulseBatch:
         sampling_rate: float,
         pre_trigger: int | None = None,
         remove_baseline: bool = True,
+        detection_limit: float = DETECTION_LIMIT,
     ) -> None:
         self.samples = samples
         self.sampling_rate = sampling_rate
         self.pre_trigger = pre_trigger
         self.remove_baseline = remove_baseline
+        self.detection_limit = detection_limit
 
     # -- before touch ---------------------------------------------------------------------------------
 
@@ -242,6 +246,17 @@ class PulseBatch:
     # -- the spectrum ---------------------------------------------------------------------------------
 
     @cached_property
+    def _transform_lengths(self) -> NDArray[np.intp]:
+        touch, separation = self.contact
+        wanted = np.maximum(_ZERO_PADDING * np.ceil(separation - touch + 1), 64)
+        return np.asarray(2 ** np.ceil(np.log2(wanted)).astype(np.intp))
+
+    def _bins(self, lengths: NDArray[np.intp]) -> NDArray[np.intp]:
+        """Return how many bins of each row's spectrum count."""
+        top = np.minimum(SPECTRUM_LIMIT / self.duration, self.sampling_rate / 2)
+        return np.asarray(np.floor(top * lengths / self.sampling_rate).astype(np.intp) + 1)
+
+    @cached_property
     def spectrum(self) -> tuple[Floats, Floats]:
         """Frequencies [Hz] and power, each (n_signals, n_bins), of the contact alone.
 
@@ -250,10 +265,8 @@ class PulseBatch:
         zero power, so a row does not depend on its neighbours.
         """
         touch, separation = self.contact
-        wanted = np.maximum(_ZERO_PADDING * np.ceil(separation - touch + 1), 64)
-        lengths = 2 ** np.ceil(np.log2(wanted)).astype(np.intp)
-        top = np.minimum(SPECTRUM_LIMIT / self.duration, self.sampling_rate / 2)
-        bins = np.floor(top * lengths / self.sampling_rate).astype(np.intp) + 1
+        lengths = self._transform_lengths
+        bins = self._bins(lengths)
         power = np.zeros((len(lengths), int(bins.max())))
         first = np.maximum(np.ceil(touch).astype(np.intp), 0)
         for length in np.unique(lengths):
@@ -271,8 +284,11 @@ class PulseBatch:
     def cumulative_energy(self) -> Floats:
         """Share of the spectrum's energy up to each frequency, (n_signals, n_bins), trapezoids."""
         _, power = self.spectrum
-        steps = np.cumsum(0.5 * (power[:, 1:] + power[:, :-1]), axis=1)
-        return np.concatenate([np.zeros((len(power), 1)), steps / steps[:, -1:]], axis=1)
+        steps = 0.5 * (power[:, 1:] + power[:, :-1])
+        # No step from a row's last bin to the padding behind it.
+        steps[np.arange(1, power.shape[1]) >= self._bins(self._transform_lengths)[:, None]] = 0.0
+        total = np.cumsum(steps, axis=1)
+        return np.concatenate([np.zeros((len(power), 1)), total / total[:, -1:]], axis=1)
 
     # -- what is wrong with it ------------------------------------------------------------------------
 
@@ -281,9 +297,9 @@ class PulseBatch:
         found: dict[int, str] = {}
         first, last = self._edges
         count = last - first + 1
-        for row in np.flatnonzero(~(self.peak > DETECTION_LIMIT * self.noise) | ~(self.peak > 0)):
+        for row in np.flatnonzero(~(self.peak > self.detection_limit * self.noise) | ~(self.peak > 0)):
             found[int(row)] = (
-                f"no impact: the peak must pass {DETECTION_LIMIT:g} times the noise, it is {self.peak[row]:.3g} "
+                f"no impact: the peak must pass {self.detection_limit:g} times the noise, it is {self.peak[row]:.3g} "
                 f"over a noise of {self.noise[row]:.3g}; if the pulse points downwards, invert the signal"
             )
         cut_off = (first == 0) | (last == self.samples.shape[1] - 1)

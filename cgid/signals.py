@@ -157,7 +157,9 @@ class Signal:
         """
         mass = float(validation.positive("mass", mass, "kg"))
         if self.quantity != "acceleration":
-            raise InvalidValue(f"{self.name}: mass turns an acceleration into a force, this is {self.quantity}")
+            raise InvalidValue(
+                f"{self.name}: mass turns an acceleration into a force, this is {self.quantity}; leave the mass out"
+            )
         return replace(self, samples=self.in_si().samples * mass, unit="N")
 
     def inverted(self) -> Signal:

@@ -57,6 +57,7 @@ def _print(signal: Any, chosen: tuple[str, ...], remove_baseline: bool, dead_tim
                 chosen,
                 pre_trigger=part.pre_trigger,
                 remove_baseline=remove_baseline,
+                detection_limit=event.detection_limit,
             )[0].tolist()
         except BadData as error:
             values, problem = [float("nan")] * len(chosen), str(error)

@@ -44,7 +44,9 @@ def run(arguments: list[str] | None = None) -> int:
         sys.stdout.flush()
         return code if isinstance(code, int) else 0
     except click.ClickException as error:
-        error.show()
+        context = getattr(error, "ctx", None)
+        cure = f"; see {context.command_path} --help" if context is not None else ""
+        click.echo(f"cgid: error: {' '.join(error.format_message().split()).rstrip('.')}{cure}", err=True)
         return error.exit_code
     except CgidError as error:
         for line in str(error).splitlines():
@@ -53,8 +55,9 @@ def run(arguments: list[str] | None = None) -> int:
     except (click.Abort, KeyboardInterrupt):
         click.echo("cgid: interrupted; nothing half-written is left", err=True)
         return _INTERRUPTED
-    except BrokenPipeError:
-        # Whoever read our output has seen enough. Python would complain again when it closes stdout.
+    except (BrokenPipeError, SystemExit):
+        # Whoever read our output has seen enough (click turns that into SystemExit). Python would complain
+        # again when it closes stdout.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
     except Exception as error:

@@ -12,7 +12,7 @@ from cgid.errors import BadData, MissingOption
 from cgid.features import extract_array
 from cgid.identification.events import DEAD_TIME, find_impacts
 from cgid.identification.model import UNKNOWN, Model
-from cgid.pulses import PulseBatch
+from cgid.pulses import DETECTION_LIMIT, PulseBatch
 from cgid.signals import UNITS, Signal
 
 
@@ -109,8 +109,14 @@ def identify(
     answers = []
     for event in find_impacts(signal, dead_time=dead_time):
         part = event.signal
-        frames = part.samples[None]
-        answers += identify_frames(frames, part.sampling_rate, model, pre_trigger=part.pre_trigger, costs=costs)
+        answers += identify_frames(
+            part.samples[None],
+            part.sampling_rate,
+            model,
+            pre_trigger=part.pre_trigger,
+            costs=costs,
+            detection_limit=event.detection_limit,
+        )
         answers[-1] = replace(answers[-1], time=event.time)
     return answers
 
@@ -122,15 +128,23 @@ def identify_frames(
     *,
     pre_trigger: int | None,
     costs: Mapping[str, float] | None = None,
+    detection_limit: float = DETECTION_LIMIT,
 ) -> list[Answer]:
     """Return one answer for each frame (n_signals, n_samples) of a single impact."""
     if frames.shape[1] < 6:
         return [_unmeasured(f"a frame must hold at least 6 samples, got {frames.shape[1]}")] * len(frames)
-    features = extract_array(frames, sampling_rate, model.features, pre_trigger=pre_trigger, invalid="nan")
+    features = extract_array(
+        frames,
+        sampling_rate,
+        model.features,
+        pre_trigger=pre_trigger,
+        invalid="nan",
+        detection_limit=detection_limit,
+    )
     sound = np.asarray(np.isfinite(features).all(axis=1))
     time = 0.0 if pre_trigger is None else pre_trigger / sampling_rate
     known = _known_answers(features[sound], model, costs, time)
-    problems = {} if sound.all() else PulseBatch(frames, sampling_rate, pre_trigger).problems()
+    problems = {} if sound.all() else PulseBatch(frames, sampling_rate, pre_trigger, True, detection_limit).problems()
     return [
         next(known) if sound[row] else _unmeasured(problems.get(row, "a feature has no finite value"), time)
         for row in range(len(frames))

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from cgid import validation
 from cgid.errors import BadData
+from cgid.pulses import DETECTION_LIMIT
 from cgid.signals import Signal
 
 #: An impact rises above this many standard deviations of the noise,
@@ -17,6 +18,9 @@ THRESHOLD_OVER_NOISE = 6.0
 THRESHOLD_OVER_PEAK = 0.05
 #: What follows within this time belongs to the same blow: a struck body rings [s].
 DEAD_TIME = 2e-3
+#: What was found has to rise this many standard deviations above what is before it in its own frame: less than
+#: elsewhere, for there the ringing of the blow before may still go on.
+FOUND_LIMIT = 2.0
 #: At most so many samples before an impact tell its baseline and noise.
 _QUIET_SAMPLES = 1000
 
@@ -31,10 +35,13 @@ class Event:
         The samples around it.
     time : float
         When the recording first passes the threshold [s], counted from its first sample.
+    detection_limit : float
+        What `cgid.features.extract_array` should ask of it.
     """
 
     signal: Signal
     time: float
+    detection_limit: float = FOUND_LIMIT
 
 
 def find_impacts(signal: Signal, *, dead_time: float = DEAD_TIME) -> list[Event]:
@@ -70,7 +77,7 @@ def find_impacts(signal: Signal, *, dead_time: float = DEAD_TIME) -> list[Event]
             f"{signal.name}: no impact: all {samples.size} samples are {samples[0]:g}; check the sensor and its cable"
         )
     if signal.pre_trigger is not None:
-        return [Event(signal, signal.pre_trigger / signal.sampling_rate)]
+        return [Event(signal, signal.pre_trigger / signal.sampling_rate, DETECTION_LIMIT)]
     noise = 1.4826 * float(np.median(np.abs(samples - middle)))
     if highest <= THRESHOLD_OVER_NOISE * noise:
         lowest = middle - float(samples.min())

@@ -20,7 +20,18 @@ DIMENSIONS: dict[str, dict[str, float]] = {
     "ratio": {"": 1.0, "%": 1e-2},
 }
 
-_NUMBER = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(.*?)\s*")
+#: Dimension -> lowest and highest value in SI units: wider than anything that falls, and within them no formula
+#: of an impact overflows.
+LIMITS: dict[str, tuple[float, float]] = {
+    "density": (1e-3, 1e5),
+    "modulus": (1e3, 1e15),
+    "length": (1e-6, 1e4),
+    "speed": (1e-3, 1e4),
+    "frequency": (1e-3, 1e9),
+    "force": (1e-9, 1e15),
+}
+
+_NUMBER = re.compile(r"([-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+))(?:[eE]([-+]?[0-9]{1,9}))?\s*(.*)")
 
 
 def parse(value: Any, dimension: str) -> float:
@@ -38,19 +49,32 @@ def parse(value: Any, dimension: str) -> float:
     """
     units = DIMENSIONS[dimension]
     if isinstance(value, str):
-        match = _NUMBER.fullmatch(value)
+        match = _NUMBER.fullmatch(value.strip())
         if match is None:
             raise ValueError(f"must be a number with a unit such as '1 {next(iter(units))}', got {value!r}")
-        number, unit = float(match[1]), match[2]
+        unit = match[3]
         if unit not in units:
             known = ", ".join(name or "no unit" for name in units)
             raise ValueError(f"must be a {dimension} in {known}, got {value!r}")
-        # Powers of ten are divided by where they are below one: 25 mm is 25 / 1000, which is .025 exactly rounded.
-        factor = units[unit]
-        value = number / round(1 / factor) if factor < 1 and dimension != "speed" else number * factor
-    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
-        raise ValueError(f"must be a finite number [{next(iter(units)) or '1'}], got {value!r}")
-    return float(value)
+        # A power of ten goes into the exponent: "136.51 GPa" is the very number 136.51e9, without a second rounding.
+        power = round(math.log10(units[unit]))
+        decimal = float(f"{match[1]}e{int(match[2] or 0) + power}")
+        value = decimal if units[unit] == float(f"1e{power}") else decimal / 10.0**power * units[unit]
+    try:
+        number = math.nan if isinstance(value, bool) or not isinstance(value, int | float) else float(value)
+    except OverflowError:
+        number = math.inf
+    if not math.isfinite(number):
+        raise ValueError(f"must be a finite number [{next(iter(units)) or '1'}], got {_shown(value)}")
+    return number
+
+
+def _shown(value: Any) -> str:
+    """Write a value for a message, cut where it is long (an integer of TOML has no bounds)."""
+    if isinstance(value, int) and value.bit_length() > 64:
+        return f"an integer of {value.bit_length()} bits"
+    text = repr(value)
+    return text if len(text) <= 80 else text[:80] + "..."
 
 
 def _reader(dimension: str) -> Callable[[Any], float]:

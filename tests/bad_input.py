@@ -1,0 +1,200 @@
+"""Every kind of bad input as one case: what is called, which exit code comes out, what the line must say.
+
+`tests/test_cli.py` runs them; `python -m tests.bad_input` prints them as a table with the messages.
+"""
+
+from __future__ import annotations
+
+import shutil
+import tempfile
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from cgid import shipped
+from cgid.identification.model import Model
+from cgid.scene import generate, parse_scene
+
+ROOT = Path(__file__).parents[1]
+RATE = 2e5
+
+
+@dataclass(frozen=True)
+class Case:
+    """One bad input."""
+
+    name: str
+    arguments: tuple[str, ...]
+    exit_code: int
+    says: tuple[str, ...]
+
+
+def pulse(n_samples: int = 1000, duration: float = 5e-4, rate: float = RATE) -> np.ndarray:
+    """Return a clean pulse of 9 kN in a frame with a little noise [N]."""
+    times = np.arange(n_samples) / rate
+    force = 9e3 * np.sin(np.pi * np.clip((times - 0.3 * n_samples / rate) / duration, 0, 1)) ** 1.5
+    return force + np.random.default_rng(0).normal(0, 20, n_samples)
+
+
+def _csv(path: Path, samples: np.ndarray, header: str = f"# sampling_rate: {RATE:g} Hz\nforce (N)\n") -> None:
+    path.write_text(header + "".join(f"{value:.3f}\n" for value in samples))
+
+
+def _scene(path: Path, change: Callable[[str], str]) -> None:
+    path.write_text(change((ROOT / "datasets" / "reference.toml").read_text()))
+
+
+def make_files(folder: Path) -> None:
+    """Write the bad files, and good ones to go wrong with."""
+    good = pulse()
+    _csv(folder / "good.csv", good)
+    (folder / "empty.csv").write_bytes(b"")
+    (folder / "junk.csv").write_bytes(np.random.default_rng(1).bytes(4000))
+    (folder / "truncated.wav").write_bytes(b"RIFF\xff\xff\x00\x00WAVEfmt \x10\x00\x00\x00\x01\x00")
+    np.save(folder / "whole.npy", good)
+    (folder / "truncated.npy").write_bytes((folder / "whole.npy").read_bytes()[:3000])
+    for name, bad in (("nan", np.nan), ("inf", np.inf)):
+        samples = good.copy()
+        samples[17] = bad
+        _csv(folder / f"{name}.csv", samples)
+    _csv(folder / "noise.csv", np.random.default_rng(2).normal(0, 20, 2000))
+    _csv(folder / "constant.csv", np.full(500, 3.0))
+    _csv(folder / "few.csv", pulse(200, 1e-4, 2e4), "# sampling_rate: 20000 Hz\nforce (N)\n")
+    _csv(folder / "no_rate.csv", good, "force (N)\n")
+    _csv(folder / "no_unit.csv", good, "# sampling_rate: 200000 Hz\n")
+    _csv(folder / "acceleration.csv", good / 9.81, "# sampling_rate: 200000 Hz\nacceleration (g)\n")
+    _csv(folder / "downwards.csv", -good)
+    _csv(folder / "cut_off.csv", good[: 300 + 40])
+    (folder / "text.npz").write_text("no model")
+    shutil.copy(shipped.path_of("models", shipped.DEFAULT_MODEL), folder / "model.npz")
+    default = Model.load(folder / "model.npz")
+    (folder / "acceleration.npz").write_bytes(replace(default, unit="m/s^2").to_bytes())
+    _scene(folder / "reference.toml", lambda text: text)
+    _scene(
+        folder / "zero.toml", lambda text: text.replace("lowest = 0.1, highest = 0.8", "lowest = 0.0, highest = 0.8")
+    )
+    _scene(
+        folder / "high.toml", lambda text: text.replace("lowest = 0.1, highest = 0.9", "lowest = 0.1, highest = 1.2")
+    )
+    _scene(folder / "negative.toml", lambda text: text.replace('mean = "1400 kg/m^3"', 'mean = "-1400 kg/m^3"'))
+    _scene(folder / "unknown.toml", lambda text: text.replace("jitter", "jittter"))
+    _scene(folder / "unit.toml", lambda text: text.replace("3.1 GPa", "3.1 GHz"))
+    _scene(folder / "toml.toml", lambda text: text.replace("[impact]", "[impact"))
+    _scene(
+        folder / "three.toml",
+        lambda text: text.replace("3.1 GPa", "3 s").replace("jitter", "jittter").replace("relative_noise", "noise"),
+    )
+    one = parse_scene(_one_label())
+    generate(one, folder / "one.h5", 64)
+    two = _one_label()
+    two["populations"] = [two["populations"][0], {**two["populations"][0], "label": "gangue", "density": 2400}]
+    generate(parse_scene(two), folder / "two.h5", 64)
+    (folder / "truncated.h5").write_bytes((folder / "two.h5").read_bytes()[:20000])
+    (folder / "unfinished").mkdir()
+    shutil.copy(folder / "two.h5", folder / "unfinished" / "shard-00000.h5")
+
+
+def _one_label() -> dict:
+    return {
+        "name": "one",
+        "impact": {"stiffness": "hertz", "dissipation": "elastic", "target": "rigid"},
+        "sampling": {"sampling_rate": "200 kHz", "samples": 512, "pre_trigger": 64},
+        "populations": [
+            {
+                "label": "coal",
+                "density": 1400,
+                "youngs_modulus": "3 GPa",
+                "poisson_ratio": 0.3,
+                "radius": {"distribution": "uniform", "lowest": "20 mm", "highest": "30 mm"},
+                "velocity": "4 m/s",
+            }
+        ],
+    }
+
+
+CASES = (
+    Case("missing file", ("predict", "none.csv"), 66, ("none.csv",)),
+    Case("empty file", ("predict", "empty.csv"), 65, ("empty.csv", "empty")),
+    Case("binary junk", ("predict", "junk.csv"), 65, ("junk.csv", "neither text, NPY nor WAV")),
+    Case("truncated WAV", ("predict", "truncated.wav"), 65, ("truncated.wav",)),
+    Case("truncated NPY", ("predict", "truncated.npy", "--rate", "2e5", "--unit", "N"), 65, ("truncated.npy",)),
+    Case("truncated dataset", ("predict", "truncated.h5"), 65, ("truncated.h5",)),
+    Case("unfinished dataset", ("train", "unfinished", "-o", "new.npz"), 65, ("manifest.json", "not finished")),
+    Case("nan sample", ("predict", "nan.csv"), 65, ("17", "nan")),
+    Case("infinite sample", ("features", "inf.csv"), 65, ("17", "inf")),
+    Case("no impact", ("predict", "noise.csv"), 65, ("no impact", "6 times the noise")),
+    Case("impact downwards", ("predict", "downwards.csv"), 65, ("no impact", "invert")),
+    Case("constant signal", ("features", "constant.csv"), 65, ("constant.csv", "all 500 samples are 3")),
+    Case("too few samples on the pulse", ("predict", "few.csv"), 65, ("20000 Hz", "samples", "Hz or more")),
+    Case("pulse cut off by the end", ("predict", "cut_off.csv"), 65, ("cut off", "longer frame")),
+    Case("no sampling rate", ("predict", "no_rate.csv"), 2, ("--rate",)),
+    Case("sampling rate zero", ("predict", "whole.npy", "--rate", "0", "--unit", "N"), 65, ("sampling_rate", "0 Hz")),
+    Case("sampling rate negative", ("features", "whole.npy", "--rate", "-5"), 65, ("sampling_rate", "-5 Hz")),
+    Case("no unit", ("predict", "no_unit.csv"), 2, ("--unit",)),
+    Case("unknown unit", ("predict", "no_unit.csv", "--unit", "stone"), 65, ("stone", "force: N")),
+    Case("wrong quantity", ("predict", "acceleration.csv"), 65, ("acceleration", "--mass KG")),
+    Case(
+        "model of another quantity",
+        ("predict", "good.csv", "--model", "acceleration.npz"),
+        65,
+        ("acceleration", "force"),
+    ),
+    Case(
+        "dataset for a model of another quantity", ("predict", "two.h5", "--model", "acceleration.npz"), 65, ("m/s^2",)
+    ),
+    Case("mass of a force", ("predict", "good.csv", "--mass", "2"), 65, ("mass", "force")),
+    Case("mass zero", ("predict", "acceleration.csv", "--mass", "0"), 65, ("mass", "0 kg")),
+    Case("no model", ("predict", "good.csv", "--model", "none.npz"), 66, ("none.npz",)),
+    Case("model of junk", ("predict", "good.csv", "--model", "text.npz"), 65, ("text.npz", "no sound model")),
+    Case("unknown label in costs", ("predict", "good.csv", "--cost", "granite=2"), 65, ("granite",)),
+    Case("cost that is no number", ("predict", "good.csv", "--cost", "coal=much"), 2, ("LABEL=COST",)),
+    Case("unknown channel", ("predict", "good.csv", "--channel", "7"), 65, ("7",)),
+    Case("index out of range", ("predict", "two.h5", "--index", "64"), 65, ("index", "63")),
+    Case("index of a recording", ("predict", "good.csv", "--index", "0"), 65, ("--index",)),
+    Case("unknown feature", ("features", "good.csv", "--features", "nose"), 65, ("nose", "peak_force")),
+    Case("dataset of one class", ("train", "one.h5", "-o", "new.npz"), 65, ("at least 2 labels", "coal")),
+    Case("model name without .npz", ("train", "two.h5", "-o", "new.txt"), 73, ("new.txt", ".npz")),
+    Case("model exists", ("train", "two.h5", "-o", "model.npz"), 73, ("model.npz", "--overwrite")),
+    Case("folder of the model is missing", ("train", "two.h5", "-o", "no/new.npz"), 73, ("no",)),
+    Case("restitution 0", ("check", "zero.toml"), 65, ("populations.0.restitution", "0.05 and 1")),
+    Case("restitution 1.2", ("check", "high.toml"), 65, ("populations.1.restitution", "1.2")),
+    Case("negative density", ("check", "negative.toml"), 65, ("populations.0.density", "above 0", "kg/m^3")),
+    Case("unknown key", ("check", "unknown.toml"), 65, ("sampling.jittter", "unknown key")),
+    Case("wrong unit", ("check", "unit.toml"), 65, ("populations.0.youngs_modulus", "3.1 GHz", "GPa")),
+    Case("scene is no TOML", ("check", "toml.toml"), 65, ("toml.toml", "TOML")),
+    Case("three errors at once", ("check", "three.toml"), 65, ("youngs_modulus", "jittter", "sensor.noise")),
+    Case("missing scene", ("generate", "none.toml", "-o", "new.h5"), 66, ("none.toml",)),
+    Case("dataset exists", ("generate", "reference.toml", "-o", "two.h5"), 73, ("two.h5", "--overwrite")),
+    Case("folder is missing", ("generate", "reference.toml", "-o", "no/new.h5"), 73, ("no",)),
+    Case("no signals", ("generate", "reference.toml", "-o", "new.h5", "-n", "0"), 65, ("n_signals", "0")),
+    Case("seed negative", ("generate", "reference.toml", "-o", "new.h5", "--seed", "-1"), 65, ("seed", "-1")),
+    Case("one file too large", ("generate", "reference.toml", "-o", "new.h5", "-n", "999999"), 65, ("2 GiB", ".h5")),
+    Case("unknown command", ("foretell",), 2, ("foretell",)),
+    Case("no file given", ("predict",), 2, ("FILE",)),
+)
+
+
+def main() -> None:
+    """Print the table."""
+    import contextlib
+    import io
+    import os
+
+    from cgid.cli.main import run
+
+    with tempfile.TemporaryDirectory() as folder:
+        os.chdir(folder)
+        make_files(Path(folder))
+        print("| input | command | exit code | message |\n|---|---|---|---|")
+        for case in CASES:
+            stream = io.StringIO()
+            with contextlib.redirect_stderr(stream), contextlib.redirect_stdout(io.StringIO()):
+                code = run(list(case.arguments))
+            message = "<br>".join(line.removeprefix("cgid: error: ") for line in stream.getvalue().splitlines())
+            print(f"| {case.name} | `cgid {' '.join(case.arguments)}` | {code} | {message} |")
+
+
+if __name__ == "__main__":
+    main()

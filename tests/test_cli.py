@@ -1,0 +1,234 @@
+"""The command line from outside: what it prints, where, and what it returns."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+
+from cgid.cli.main import run
+from tests.bad_input import CASES, Case, make_files
+
+ROOT = Path(__file__).parents[1]
+
+
+@pytest.fixture(scope="module")
+def bad_files(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("bad")
+    make_files(folder)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A dataset and a model made by the commands themselves."""
+    folder = tmp_path_factory.mktemp("made")
+    assert run(["generate", "reference", "-o", str(folder / "data"), "-n", "3000", "--seed", "4"]) == 0
+    assert run(["generate", "reference", "-o", str(folder / "new.h5"), "-n", "400", "--seed", "5"]) == 0
+    assert run(["train", str(folder / "data"), "-o", str(folder / "m.npz")]) == 0
+    return folder
+
+
+@pytest.mark.parametrize("case", CASES, ids=lambda case: case.name)
+def test_bad_input(
+    case: Case, bad_files: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(bad_files)
+    before = {path: path.stat().st_mtime_ns for path in bad_files.rglob("*")}
+    code = run(list(case.arguments))
+    out, err = capsys.readouterr()
+    assert code == case.exit_code, err
+    errors = [line for line in err.splitlines() if line.startswith("cgid: error: ")]
+    assert len(errors) == (3 if case.name == "three errors at once" else 1), err
+    assert all(word in " ".join(errors) for word in case.says), err
+    assert "Traceback" not in err
+    assert out == ""
+    assert {path: path.stat().st_mtime_ns for path in bad_files.rglob("*")} == before
+
+
+def test_train_then_predict_on_new_impacts(made: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["predict", str(made / "new.h5"), "--model", str(made / "m.npz"), "--json"]) == 0
+    out, err = capsys.readouterr()
+    rows = [json.loads(line) for line in out.splitlines()]
+    assert len(rows) == 400
+    right = np.mean([max(row["probabilities"], key=row["probabilities"].get) == row["truth"] for row in rows])
+    assert 0.8 < right < 0.95
+    assert f"accuracy {right:.4f} (95 % interval" in err
+    assert (made / "m.md").read_text().startswith("# Model card")
+
+
+def test_one_signal_of_a_dataset_answers_like_the_whole(made: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    arguments = ["predict", str(made / "new.h5"), "--model", str(made / "m.npz"), "--json"]
+    run(arguments)
+    whole = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    assert run([*arguments, "--index", "17"]) == 0
+    (one,) = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    assert one["probabilities"] == pytest.approx(whole[17]["probabilities"], abs=1e-12)
+
+
+def test_training_from_a_scene_is_training_from_its_dataset(made: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    scene, data = str(ROOT / "datasets" / "reference.toml"), str(made / "data")
+    assert run(["train", scene, "-n", "3000", "--seed", "4", "-o", str(made / "a.npz"), "--json"]) == 0
+    from_scene = json.loads(capsys.readouterr().out)
+    assert run(["train", data, "--seed", "4", "-o", str(made / "b.npz"), "--json"]) == 0
+    from_data = json.loads(capsys.readouterr().out)
+    assert from_scene["accuracy"] == from_data["accuracy"]
+    assert (made / "a.npz").read_bytes() == (made / "b.npz").read_bytes()
+
+
+def test_shuffled_labels_are_reported_at_chance(made: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    arguments = ["train", str(made / "data"), "-o", str(made / "s.npz"), "--shuffle-labels", "--json"]
+    assert run(arguments) == 0
+    assert 0.42 < json.loads(capsys.readouterr().out)["accuracy"] < 0.58
+    assert "shuffled labels" in (made / "s.md").read_text()
+
+
+def test_info_says_what_is_there(made: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["info", str(made / "data"), "--json"]) == 0
+    dataset = json.loads(capsys.readouterr().out)
+    assert (dataset["signals"], dataset["samples"], dataset["seed"]) == (3000, 2048, 4)
+    assert sum(dataset["labels"].values()) == 3000
+    assert dataset["damaged_shards"] == "none"
+    assert run(["info", str(made / "m.npz"), "--json"]) == 0
+    model = json.loads(capsys.readouterr().out)
+    assert model["training"]["sources"] == [dataset["scene_sha256"]]
+    assert run(["info", str(made / "m.npz")]) == 0
+    assert "family: logistic" in capsys.readouterr().out
+
+
+def test_check_previews_a_scene(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["check", "reference"]) == 0
+    out, err = capsys.readouterr()
+    assert "share of the labels" in out
+    assert "fewer than 20 samples on the contact" in err
+    assert run(["check", "yang2018", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["labels"] == pytest.approx({"coal": 0.5, "gangue": 0.5}, abs=0.04)
+
+
+def test_generate_options(made: Path) -> None:
+    common = ["generate", "reference", "-n", "600", "--seed", "9"]
+    assert run([*common, "-o", str(made / "a.h5")]) == 0
+    assert run([*common, "-o", str(made / "b.h5"), "--dtype", "float64", "--compression", "gzip"]) == 0
+    assert run([*common, "-o", str(made / "c"), "--shard-signals", "250", "--jobs", "2"]) == 0
+    with h5py.File(made / "a.h5") as single, h5py.File(made / "b.h5") as double:
+        assert double["signals"].dtype == np.float64
+        assert double["signals"].compression == "gzip"
+        np.testing.assert_allclose(double["signals"][:], single["signals"][:], rtol=2e-7, atol=1e-2)
+        shards = [h5py.File(path)["signals"][:] for path in sorted((made / "c").glob("*.h5"))]
+        np.testing.assert_array_equal(np.concatenate(shards), single["signals"][:])
+
+
+def test_features_are_a_table_in_the_unit_of_the_file(capsys: pytest.CaptureFixture[str]) -> None:
+    sample = str(ROOT / "datasets" / "sample.csv")
+    assert run(["features", sample, "--features", "peak_force,width_10"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[1].split("\t") == ["time [s]", "peak_force [N]", "width_10 [s]"]
+    assert len(lines) == 2 + 6
+    assert run(["features", sample, "--json", "--keep-baseline"]) == 0
+    row = json.loads(capsys.readouterr().out.splitlines()[0])
+    assert row["version"] == 1
+    assert row["units"]["impulse"] == "N s"
+    assert row["features"]["peak_force"] == pytest.approx(8399, rel=0.02)
+
+
+def test_standard_input_is_a_recording() -> None:
+    sample = (ROOT / "datasets" / "sample.csv").read_bytes()
+    done = subprocess.run([sys.executable, "-m", "cgid", "predict", "-", "--json"], input=sample, capture_output=True)
+    assert done.returncode == 0
+    assert len(done.stdout.splitlines()) == 6
+
+
+def test_one_bad_file_does_not_hide_the_others(bad_files: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    files = [str(bad_files / name) for name in ("empty.csv", "good.csv", "none.csv")]
+    assert run(["predict", *files, "--json"]) == 65
+    out, err = capsys.readouterr()
+    assert [json.loads(line)["source"] for line in out.splitlines()] == [files[1]]
+    assert len(err.splitlines()) == 2
+
+
+def test_real_shock(real_data: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    file = str(real_data / "shock" / "acc_base_a0.txt")
+    for option in ([], ["--keep-baseline"]):
+        assert run(["features", file, "--json", *option]) == 0
+        (row,) = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+        assert 478 <= row["features"]["peak_acceleration"] <= 486
+        assert 0.39e-3 <= row["features"]["width_10"] <= 0.41e-3
+        assert row["sampling_rate_hz"] == pytest.approx(49_993, abs=1)
+    assert run(["predict", file]) == 65
+    assert "--mass KG" in capsys.readouterr().err
+    assert run(["predict", file, "--mass", "1.5", "--json"]) == 0
+    row = json.loads(capsys.readouterr().out)
+    assert row["in_training_range"] is (row["novelty"] <= 1)
+    assert row["label"] in ("coal", "gangue", "unknown")
+
+
+@pytest.mark.parametrize("name", ["steel_nut_M4_1.wav", "plastic_spheres_1.wav"])
+def test_real_wav_per_channel(name: str, real_data: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    file = str(real_data / "bulk_ramp" / name)
+    assert run(["info", file, "--json"]) == 0
+    about = json.loads(capsys.readouterr().out)
+    assert {about[f"channel {k}"]["sampling_rate_hz"] for k in (1, 2)} == {44100.0}
+    assert run(["features", file, "--json", "--features", "peak_force,width_50"]) == 0
+    rows = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    assert len({row["source"] for row in rows}) == 2
+    assert any(row["features"]["peak_level"] for row in rows)
+
+
+def test_version_and_help(capsys: pytest.CaptureFixture[str]) -> None:
+    import cgid
+
+    assert run(["--version"]) == 0
+    assert cgid.__version__ in capsys.readouterr().out
+    assert run(["--help"]) == 0
+    out = capsys.readouterr().out
+    assert all(name in out for name in ("generate", "check", "train", "predict", "features", "info"))
+
+
+def test_internal_errors_are_one_line(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    import cgid.identification.model as module
+
+    def broken(*_: object) -> None:
+        raise RuntimeError("two\nlines")
+
+    monkeypatch.setattr(module.Model, "load", broken)
+    assert run(["predict", "--sample"]) == 70
+    assert capsys.readouterr().err.count("\n") == 1
+
+
+def test_closed_pipe_is_no_error() -> None:
+    command = f"{sys.executable} -m cgid predict --sample --json | head -n 1; exit ${{PIPESTATUS[0]}}"
+    done = subprocess.run(["bash", "-c", command], capture_output=True, text=True)
+    assert done.returncode == 0
+    assert done.stderr == ""
+
+
+def test_interrupted_generation_leaves_nothing_that_looks_whole(tmp_path: Path) -> None:
+    command = [sys.executable, "-m", "cgid", "generate", "reference", "-n", "500000", "-o", str(tmp_path / "d")]
+    process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True, env={**os.environ, "PYTHONWARNINGS": ""})
+    deadline = time.monotonic() + 60
+    while not list(tmp_path.glob("d/*.h5")) and time.monotonic() < deadline:
+        time.sleep(0.05)
+    process.send_signal(signal.SIGINT)
+    _, err = process.communicate(timeout=60)
+    assert process.returncode == 130, err
+    assert "interrupted" in err
+    assert not list(tmp_path.glob("d/manifest.json"))
+    assert not list(tmp_path.glob("d/.*.part"))
+    assert run(["info", str(tmp_path / "d")]) == 65
+
+
+def test_predict_imports_nothing_heavy() -> None:
+    code = (
+        "import sys; from cgid.cli.main import run; run(['predict', '--sample']); "
+        "print([x for x in ('numba', 'sklearn', 'pandas', 'scipy', 'matplotlib') if x in sys.modules], file=sys.stderr)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert done.stderr.strip() == "[]"
