@@ -88,7 +88,10 @@ def _rolloff(pulses: PulseBatch) -> Floats:
 def _cutoff(pulses: PulseBatch) -> Floats:
     frequency, power = pulses.spectrum
     decibel = 10 * np.log10(np.maximum(power, 1e-30 * power[:, :1]) / power[:, :1])
-    return _frequency_where(frequency, decibel, decibel <= -10.0, -10.0)
+    reached = decibel <= -10.0
+    # Where the spectrum nowhere is that low, its last bin stands for "higher than can be told".
+    reached[np.arange(len(reached)), pulses.n_bins - 1] = True
+    return _frequency_where(frequency, decibel, reached, -10.0)
 
 
 def _frequency_where(frequency: Floats, curve: Floats, reached: NDArray[np.bool_], level: float) -> Floats:
@@ -228,7 +231,7 @@ def extract_array(
         sound = np.ones(len(pulses.samples), bool)
         found = pulses.problems()
         if found and invalid == "raise":
-            pulses.require_sound()
+            pulses.require_sound(first, len(frames))
         if found:
             sound[list(found)] = False
             pulses = PulseBatch(pulses.samples[sound], rate, pre_trigger, remove_baseline, detection_limit)
@@ -260,11 +263,11 @@ def extract(
         Names out of `FEATURES`; all of them by default. Only these, and what they need, are computed.
     pre_trigger : int, optional
         Samples before touch; baseline and noise are their mean and standard deviation. By default every
-        sample up to the foot of the pulse (2 % of the largest sample).
+        sample up to the foot of the pulse (1 % of the way from the first samples to the largest).
     remove_baseline : bool
         Whether the baseline is subtracted before anything is measured.
     invalid : {"raise", "nan"}
-        What happens to a signal that cannot be measured.
+        What happens to a signal that cannot be measured; a sample that is not finite is always an error.
 
     Returns
     -------

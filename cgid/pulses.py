@@ -42,7 +42,8 @@ class PulseBatch:
     sampling_rate : float
         [Hz].
     pre_trigger : int or None
-        Samples before touch. None: each row's own, up to where it last is below 2 % of its largest value.
+        Samples before touch. None: each row's own, up to where it last is below 1 % of the way from its first
+        samples to its largest.
     remove_baseline : bool
         Whether the mean before touch is subtracted.
     detection_limit : float
@@ -81,10 +82,17 @@ class PulseBatch:
 
     @cached_property
     def _foot(self) -> NDArray[np.intp]:
-        """A sample surely before touch: a fifth of the rise before the last one below 2 % of the peak."""
+        """A sample surely before touch: a fifth of the rise before the last one below 1 % of the peak.
+
+        The peak is counted from the mean of the first quarter of what is before it: whatever offset a sensor has.
+        """
         place, highest = self._highest
         columns = np.arange(self.samples.shape[1])
-        low = (self.samples < 0.02 * highest[:, None]) & (columns < place[:, None])
+        count = np.maximum(place // 4, 1)
+        early = columns[: count.max()] < count[:, None]
+        start = np.sum(self.samples[:, : count.max()], axis=1, where=early, dtype=np.float64) / count
+        level = start + 0.01 * (highest - start)
+        low = (self.samples < level[:, None]) & (columns < place[:, None])
         foot = np.where(low, columns, 0).max(axis=1)
         return np.asarray(np.maximum(foot - (place - foot) // 5 - 1, 0))
 
@@ -120,7 +128,8 @@ class PulseBatch:
     def _edges(self) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
         """First and last sample of the run around the peak that is above 10 % of the peak."""
         n_rows, n_samples = self.samples.shape
-        level = (0.1 * self.peak + self._offset).astype(self.samples.dtype)
+        # Never above the largest sample: where nothing rises above the baseline it is a run by itself.
+        level = np.minimum(0.1 * self.peak + self._offset, self._highest[1]).astype(self.samples.dtype)
         # Few samples are high: their flat places fall into runs, broken by gaps and by the ends of rows.
         high = np.flatnonzero(self.samples >= level[:, None])
         breaks = np.flatnonzero((np.diff(high) > 1) | (high[1:] % n_samples == 0)) + 1
@@ -251,10 +260,11 @@ class PulseBatch:
         wanted = np.maximum(_ZERO_PADDING * np.ceil(separation - touch + 1), 64)
         return np.asarray(2 ** np.ceil(np.log2(wanted)).astype(np.intp))
 
-    def _bins(self, lengths: NDArray[np.intp]) -> NDArray[np.intp]:
-        """Return how many bins of each row's spectrum count."""
+    @cached_property
+    def n_bins(self) -> NDArray[np.intp]:
+        """How many bins of each row's spectrum count; behind them is padding."""
         top = np.minimum(SPECTRUM_LIMIT / self.duration, self.sampling_rate / 2)
-        return np.asarray(np.floor(top * lengths / self.sampling_rate).astype(np.intp) + 1)
+        return np.asarray(np.floor(top * self._transform_lengths / self.sampling_rate).astype(np.intp) + 1)
 
     @cached_property
     def spectrum(self) -> tuple[Floats, Floats]:
@@ -265,8 +275,7 @@ class PulseBatch:
         zero power, so a row does not depend on its neighbours.
         """
         touch, separation = self.contact
-        lengths = self._transform_lengths
-        bins = self._bins(lengths)
+        lengths, bins = self._transform_lengths, self.n_bins
         power = np.zeros((len(lengths), int(bins.max())))
         first = np.maximum(np.ceil(touch).astype(np.intp), 0)
         for length in np.unique(lengths):
@@ -286,7 +295,7 @@ class PulseBatch:
         _, power = self.spectrum
         steps = 0.5 * (power[:, 1:] + power[:, :-1])
         # No step from a row's last bin to the padding behind it.
-        steps[np.arange(1, power.shape[1]) >= self._bins(self._transform_lengths)[:, None]] = 0.0
+        steps[np.arange(1, power.shape[1]) >= self.n_bins[:, None]] = 0.0
         total = np.cumsum(steps, axis=1)
         return np.concatenate([np.zeros((len(power), 1)), total / total[:, -1:]], axis=1)
 
@@ -304,6 +313,9 @@ class PulseBatch:
             )
         cut_off = (first == 0) | (last == self.samples.shape[1] - 1)
         for row in np.flatnonzero(cut_off):
+            if np.ptp(self.samples[row]) == 0:
+                constant = f"no impact: all samples are {self.samples[row, 0]:g}; check the sensor and its cable"
+                found.setdefault(int(row), constant)
             end = "start" if first[row] == 0 else "end"
             found.setdefault(
                 int(row),
@@ -320,11 +332,11 @@ class PulseBatch:
             )
         return found
 
-    def require_sound(self) -> None:
-        """Raise `BadData` for the first row that cannot be measured."""
+    def require_sound(self, first_row: int = 0, n_signals: int | None = None) -> None:
+        """Raise `BadData` for the first row that cannot be measured; rows are counted from `first_row`."""
         found = self.problems()
         if found:
-            row = min(found)
-            where = f"signal {row}: " if len(self.samples) > 1 else ""
-            more = f" ({len(found)} of {len(self.samples)} signals cannot be measured)" if len(found) > 1 else ""
+            row, last_row = min(found), first_row + len(self.samples) - 1
+            where = f"signal {first_row + row}: " if (n_signals or len(self.samples)) > 1 else ""
+            more = f" ({len(found)} of signals {first_row} to {last_row} cannot be measured)" if len(found) > 1 else ""
             raise BadData(f"{where}{found[row]}{more}")

@@ -12,7 +12,7 @@ import numpy as np
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, model_validator
 from scipy import special
 
-from cgid.scene.units import parse
+from cgid.scene.units import DIMENSIONS, LIMITS, Number, parse
 from cgid.validation import Floats
 
 #: The smallest and largest uniform numbers that are ever drawn (`cgid.scene.randomness`).
@@ -29,7 +29,8 @@ class _Distribution(BaseModel):
     @property
     def extremes(self) -> tuple[float, float]:
         """The smallest and the largest value that can ever be drawn."""
-        low, high = self.quantile(np.array([SMALLEST_UNIFORM, LARGEST_UNIFORM]))
+        with np.errstate(all="ignore"):  # what overflows is infinite, and out of every bounds
+            low, high = self.quantile(np.array([SMALLEST_UNIFORM, LARGEST_UNIFORM]))
         return float(low), float(high)
 
 
@@ -49,15 +50,15 @@ class Choice(_Distribution):
 
     distribution: Literal["choice"]
     values: tuple[float, ...] = Field(min_length=1)
-    weights: tuple[float, ...] | None = None
+    weights: tuple[Number, ...] | None = None
 
     @model_validator(mode="after")
     def _weights_fit(self) -> Self:
         if self.weights is not None:
             if len(self.weights) != len(self.values):
                 raise ValueError(f"weights must be as many as values, {len(self.values)}, got {len(self.weights)}")
-            if min(self.weights) < 0 or sum(self.weights) <= 0:
-                raise ValueError(f"weights must be 0 or more with a sum above 0, got {list(self.weights)}")
+            if min(self.weights) < 0 or not 0 < sum(self.weights) < np.inf:
+                raise ValueError(f"weights must be 0 or more with a finite sum above 0, got {list(self.weights)}")
         return self
 
     def quantile(self, uniform: Floats) -> Floats:
@@ -103,6 +104,8 @@ class LogUniform(_Bounded):
     def _above_zero(self) -> Self:
         if self.lowest <= 0:
             raise ValueError(f"lowest must be above 0 for a logarithm, got {self.lowest:g}")
+        if self.highest / self.lowest == np.inf:
+            raise ValueError(f"highest / lowest must be a finite number, got {self.highest:g} and {self.lowest:g}")
         return self
 
     def quantile(self, uniform: Floats) -> Floats:
@@ -131,10 +134,11 @@ class _Truncatable(_Distribution):
 
     @property
     def _probabilities(self) -> tuple[float, float]:
-        return (
-            0.0 if self.lowest is None else self._cumulative(self.lowest),
-            1.0 if self.highest is None else self._cumulative(self.highest),
-        )
+        with np.errstate(all="ignore"):  # far beyond the bulk powers overflow, and the function is 0 or 1
+            return (
+                0.0 if self.lowest is None else self._cumulative(self.lowest),
+                1.0 if self.highest is None else self._cumulative(self.highest),
+            )
 
     def quantile(self, uniform: Floats) -> Floats:
         """Return the inverse of the distribution function between the bounds."""
@@ -149,12 +153,10 @@ class Normal(_Truncatable):
 
     distribution: Literal["normal", "truncated-normal"]
     mean: float
-    deviation: float
+    deviation: float = Field(gt=0)
 
     @model_validator(mode="after")
     def _bounds_fit_name(self) -> Self:
-        if self.deviation <= 0:
-            raise ValueError(f"deviation must be above 0, got {self.deviation:g}")
         if self.distribution == "truncated-normal" and (self.lowest is None or self.highest is None):
             raise ValueError("truncated-normal must have lowest and highest; without bounds it is normal")
         if self.distribution == "normal" and not (self.lowest is None and self.highest is None):
@@ -173,7 +175,7 @@ class Lognormal(_Truncatable):
 
     distribution: Literal["lognormal"]
     median: float = Field(gt=0)
-    sigma: float = Field(gt=0)
+    sigma: Number = Field(gt=0)
 
     def _cumulative(self, value: float) -> float:
         return float(special.ndtr(np.log(value / self.median) / self.sigma)) if value > 0 else 0.0
@@ -190,10 +192,10 @@ class RosinRammler(_Truncatable):
 
     distribution: Literal["rosin-rammler"]
     characteristic: float = Field(gt=0)
-    uniformity: float = Field(gt=0)
+    uniformity: Number = Field(gt=0)
 
     def _cumulative(self, value: float) -> float:
-        return float(-np.expm1(-((max(value, 0.0) / self.characteristic) ** self.uniformity)))
+        return float(-np.expm1(-(np.float64(max(value, 0.0) / self.characteristic) ** self.uniformity)))
 
     def _inverse(self, probability: Floats) -> Floats:
         return np.asarray(self.characteristic * (-np.log1p(-probability)) ** (1 / self.uniformity))
@@ -250,13 +252,20 @@ DISTRIBUTION_NAMES = (
 )
 
 
+def measured_within(dimension: str) -> AfterValidator:
+    """Return the check that a distribution stays above 0 and within the `LIMITS` of its dimension."""
+    lowest, highest = LIMITS[dimension]
+    unit = next(iter(DIMENSIONS[dimension]))
+    return within(lowest, highest, f"must be above 0, within {lowest:g} and {highest:g} {unit}", unit)
+
+
 def within(lowest: float, highest: float, rule: str, unit: str = "") -> AfterValidator:
     """Return the check that a distribution can never draw a value outside `lowest..highest`."""
 
     def check(distribution: _Distribution) -> _Distribution:
         low, high = distribution.extremes
         if not (lowest <= low and high <= highest):
-            value = low if low < lowest else high
+            value = high if lowest <= low else low
             drawn = "got" if isinstance(distribution, Constant) else "it can be drawn as"
             cure = "" if isinstance(distribution, Constant) else "; give it lowest and highest, or other parameters"
             raise ValueError(f"{rule}, {drawn} {value:.3g}{' ' + unit if unit else ''}{cure}")

@@ -18,11 +18,9 @@ from cgid.errors import BadData, NoInput
 from cgid.family import HIGHEST_RESTITUTION, LOWEST_RESTITUTION
 from cgid.impact import RIGID, HalfSpace, RigidWall
 from cgid.materials import Material
-from cgid.scene.distributions import DISTRIBUTION_NAMES, Distribution, measured, within
+from cgid.scene.distributions import DISTRIBUTION_NAMES, Distribution, measured, measured_within, within
 from cgid.scene.sensor import Sensor
-from cgid.scene.units import Density, Frequency, Modulus, Ratio
-
-_TINY, _HUGE = 5e-324, 1e300
+from cgid.scene.units import Density, Frequency, Modulus, Number, Ratio, Whole, shown
 
 
 class _Section(BaseModel):
@@ -33,13 +31,13 @@ class Population(_Section):
     """Particles of one kind and the way they fall; several populations may share a label."""
 
     label: str = Field(min_length=1, max_length=32, pattern=r"^[A-Za-z0-9_. -]+$")
-    weight: float = Field(default=1.0, gt=0)
-    density: Annotated[Distribution, measured("density"), within(_TINY, _HUGE, "must be above 0", "kg/m^3")]
-    youngs_modulus: Annotated[Distribution, measured("modulus"), within(_TINY, _HUGE, "must be above 0", "Pa")]
+    weight: Number = Field(default=1.0, gt=0, le=1e9)
+    density: Annotated[Distribution, measured("density"), measured_within("density")]
+    youngs_modulus: Annotated[Distribution, measured("modulus"), measured_within("modulus")]
     poisson_ratio: Annotated[
         Distribution, measured("ratio"), within(-1 + 1e-9, 0.5 - 1e-9, "must lie between -1 and 0.5")
     ]
-    radius: Annotated[Distribution, measured("length"), within(_TINY, _HUGE, "must be above 0", "m")]
+    radius: Annotated[Distribution, measured("length"), measured_within("length")]
     restitution: (
         Annotated[
             Distribution,
@@ -52,8 +50,8 @@ class Population(_Section):
         ]
         | None
     ) = None
-    drop_height: Annotated[Distribution, measured("length"), within(_TINY, _HUGE, "must be above 0", "m")] | None = None
-    velocity: Annotated[Distribution, measured("speed"), within(_TINY, _HUGE, "must be above 0", "m/s")] | None = None
+    drop_height: Annotated[Distribution, measured("length"), measured_within("length")] | None = None
+    velocity: Annotated[Distribution, measured("speed"), measured_within("speed")] | None = None
 
     @model_validator(mode="after")
     def _one_way_to_fall(self) -> Self:
@@ -65,8 +63,8 @@ class Population(_Section):
 class TargetSection(_Section):
     """The elastic half space that is hit; `target = "rigid"` for a rigid wall."""
 
-    density: Density = Field(default=7850.0, gt=0)
-    youngs_modulus: Modulus = Field(gt=0)
+    density: Density = 7850.0
+    youngs_modulus: Modulus
     poisson_ratio: Ratio = Field(gt=-1, lt=0.5)
 
 
@@ -89,10 +87,10 @@ class ImpactSection(_Section):
 class SamplingSection(_Section):
     """How the frame of an impact is cut."""
 
-    sampling_rate: Frequency = Field(gt=0)
-    samples: int = Field(ge=16, le=2**24)
-    pre_trigger: int = Field(ge=2)
-    jitter: float = Field(default=1.0, ge=0, le=1)
+    sampling_rate: Frequency
+    samples: Whole = Field(ge=16, le=2**20)
+    pre_trigger: Whole = Field(ge=2)
+    jitter: Number = Field(default=1.0, ge=0, le=1)
 
     @model_validator(mode="after")
     def _room_for_a_pulse(self) -> Self:
@@ -116,17 +114,20 @@ class Scene(_Section):
     @model_validator(mode="after")
     def _parts_fit(self) -> Self:
         elastic = self.impact.dissipation == "elastic"
+        problems = []
         for index, population in enumerate(self.populations):
             if elastic and population.restitution is not None:
-                raise ValueError(f"populations.{index}.restitution must be left out when dissipation is elastic")
+                problems.append(f"populations.{index}.restitution: must be left out when dissipation is elastic")
             if not elastic and population.restitution is None:
-                raise ValueError(f"populations.{index}.restitution is missing: hunt-crossley dissipation needs it")
+                problems.append(f"populations.{index}.restitution: is missing, hunt-crossley dissipation needs it")
         nyquist = self.sampling.sampling_rate / 2
         if self.sensor.bandwidth is not None and self.sensor.bandwidth >= nyquist:
-            raise ValueError(
-                f"sensor.bandwidth must be below half the sampling rate, {nyquist:g} Hz, got "
-                f"{self.sensor.bandwidth:g} Hz: leave it out for an unlimited sensor"
+            problems.append(
+                f"sensor.bandwidth: must be below half the sampling rate, {nyquist:g} Hz, got "
+                f"{self.sensor.bandwidth:g} Hz; leave it out for an unlimited sensor"
             )
+        if problems:
+            raise ValueError("\n".join(problems))
         return self
 
     @property
@@ -169,9 +170,10 @@ def load_scene(path: str | Path) -> Scene:
     except UnicodeDecodeError:
         raise BadData(f"{path}: a scene file must be UTF-8 text; this one is not") from None
     try:
-        return parse_scene(tomllib.loads(text), source=str(path))
-    except tomllib.TOMLDecodeError as error:
+        content = tomllib.loads(text)
+    except (ValueError, RecursionError) as error:  # also integers of thousands of digits, and nesting without end
         raise BadData(f"{path}: a scene file must be valid TOML: {error}") from None
+    return parse_scene(content, source=str(path))
 
 
 def parse_scene(content: dict[str, Any], source: str = "scene") -> Scene:
@@ -179,8 +181,9 @@ def parse_scene(content: dict[str, Any], source: str = "scene") -> Scene:
     try:
         return Scene.model_validate(content)
     except ValidationError as error:
-        lines = [f"{source}: {_path(entry['loc'])}: {_message(entry)}" for entry in error.errors(include_url=False)]
-        raise BadData("\n".join(lines)) from None
+        entries = [entry for entry in error.errors(include_url=False) if not _other_alternative(entry)]
+        problems = [line for entry in entries for line in _lines(entry)]
+        raise BadData("\n".join(f"{source}: {line}" for line in problems)) from None
 
 
 def _path(location: tuple[int | str, ...]) -> str:
@@ -189,15 +192,31 @@ def _path(location: tuple[int | str, ...]) -> str:
     return ".".join(str(part) for part in location if part not in left_out) or "scene"
 
 
+def _other_alternative(entry: Any) -> bool:
+    """Return whether this is about the way to write the target that was not chosen."""
+    if "literal['rigid']" in entry["loc"]:
+        return isinstance(entry["input"], dict)
+    return "TargetSection" in entry["loc"] and entry["type"] == "model_type"
+
+
+def _lines(entry: Any) -> list[str]:
+    """Write one line for each problem; what concerns the whole scene comes with its own paths."""
+    message = _message(entry)
+    if not entry["loc"] and entry["type"] == "value_error":
+        return message.split("\n")
+    return [f"{_path(entry['loc'])}: {message}"]
+
+
 def _message(entry: Any) -> str:
     if entry["type"] == "extra_forbidden":
         return "unknown key; look for a misspelling, or take it out"
     if entry["type"] == "missing":
         return "is missing"
-    if entry["type"] == "union_tag_not_found":
-        return f"must name its distribution: one of {', '.join(DISTRIBUTION_NAMES)}"
+    if entry["type"] in ("union_tag_not_found", "union_tag_invalid"):
+        got = f", got {entry['ctx']['tag']!r}" if "tag" in entry.get("ctx", {}) else ""
+        return f"must name its distribution: one of {', '.join(DISTRIBUTION_NAMES)}{got}"
     text = str(entry["msg"]).removeprefix("Value error, ").replace("Input should", "must")
-    shown = entry["input"]
-    if entry["type"] != "value_error" and isinstance(shown, str | int | float):
-        text += f", got {shown!r}"
+    given = entry["input"]
+    if entry["type"] != "value_error" and isinstance(given, str | int | float):
+        text += f", got {shown(given)}"
     return text

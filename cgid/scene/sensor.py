@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from cgid.filters import fft_filter
-from cgid.scene.units import Force, Frequency, Ratio
+from cgid.scene.units import Force, Frequency, Level, Ratio, Whole
 from cgid.validation import Floats
 
 
@@ -34,11 +34,11 @@ class Sensor(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
-    relative_noise: Ratio = Field(default=0.0, ge=0)
-    absolute_noise: Force = Field(default=0.0, ge=0)
-    bandwidth: Frequency | None = Field(default=None, gt=0)
-    range: Force | None = Field(default=None, gt=0)
-    bits: int | None = Field(default=None, ge=2, le=32)
+    relative_noise: Ratio = Field(default=0.0, ge=0, le=1e6)
+    absolute_noise: Level = 0.0
+    bandwidth: Frequency | None = None
+    range: Force | None = None
+    bits: Whole | None = Field(default=None, ge=2, le=32)
 
     @model_validator(mode="after")
     def _bits_need_a_range(self) -> Self:

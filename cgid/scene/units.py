@@ -7,7 +7,7 @@ import re
 from collections.abc import Callable
 from typing import Annotated, Any
 
-from pydantic import BeforeValidator
+from pydantic import BeforeValidator, Field, Strict
 
 #: Dimension -> unit -> factor to the SI unit, which comes first.
 DIMENSIONS: dict[str, dict[str, float]] = {
@@ -57,19 +57,21 @@ def parse(value: Any, dimension: str) -> float:
             known = ", ".join(name or "no unit" for name in units)
             raise ValueError(f"must be a {dimension} in {known}, got {value!r}")
         # A power of ten goes into the exponent: "136.51 GPa" is the very number 136.51e9, without a second rounding.
-        power = round(math.log10(units[unit]))
-        decimal = float(f"{match[1]}e{int(match[2] or 0) + power}")
-        value = decimal if units[unit] == float(f"1e{power}") else decimal / 10.0**power * units[unit]
+        factor, exponent = units[unit], int(match[2] or 0)
+        power = round(math.log10(factor))
+        if factor == float(f"1e{power}"):
+            exponent, factor = exponent + power, 1.0
+        value = float(f"{match[1]}e{exponent}") * factor
     try:
         number = math.nan if isinstance(value, bool) or not isinstance(value, int | float) else float(value)
     except OverflowError:
         number = math.inf
     if not math.isfinite(number):
-        raise ValueError(f"must be a finite number [{next(iter(units)) or '1'}], got {_shown(value)}")
+        raise ValueError(f"must be a finite number [{next(iter(units)) or '1'}], got {shown(value)}")
     return number
 
 
-def _shown(value: Any) -> str:
+def shown(value: Any) -> str:
     """Write a value for a message, cut where it is long (an integer of TOML has no bounds)."""
     if isinstance(value, int) and value.bit_length() > 64:
         return f"an integer of {value.bit_length()} bits"
@@ -84,10 +86,17 @@ def _reader(dimension: str) -> Callable[[Any], float]:
     return read
 
 
-Density = Annotated[float, BeforeValidator(_reader("density"))]
-Modulus = Annotated[float, BeforeValidator(_reader("modulus"))]
-Length = Annotated[float, BeforeValidator(_reader("length"))]
-Speed = Annotated[float, BeforeValidator(_reader("speed"))]
-Frequency = Annotated[float, BeforeValidator(_reader("frequency"))]
-Force = Annotated[float, BeforeValidator(_reader("force"))]
+def _limits(dimension: str) -> Any:
+    lowest, highest = LIMITS[dimension]
+    return Field(ge=lowest, le=highest)
+
+
+Density = Annotated[float, BeforeValidator(_reader("density")), _limits("density")]
+Modulus = Annotated[float, BeforeValidator(_reader("modulus")), _limits("modulus")]
+Frequency = Annotated[float, BeforeValidator(_reader("frequency")), _limits("frequency")]
+Force = Annotated[float, BeforeValidator(_reader("force")), _limits("force")]
+Level = Annotated[float, BeforeValidator(_reader("force")), Field(ge=0, le=LIMITS["force"][1])]
+#: Without a dimension: a number as it stands, neither a string nor true or false.
+Number = Annotated[float, Strict()]
+Whole = Annotated[int, Strict()]
 Ratio = Annotated[float, BeforeValidator(_reader("ratio"))]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import re
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -13,10 +14,10 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from cgid.errors import BadData, InvalidValue, NoInput
+from cgid.errors import BadData, CgidError, InvalidValue, NoInput
 from cgid.signals import Batch, Signal, quantity_of
 from cgid.store.shard import FORMAT, SCHEMA_VERSION, ShardHeader, read_header, text_of
-from cgid.store.writing import MANIFEST
+from cgid.store.writing import MANIFEST, SHARD_NAME
 
 _HDF5_MAGIC = b"\x89HDF\r\n\x1a\n"
 #: Signals read at once.
@@ -80,7 +81,7 @@ class Dataset:
                 f"{self.path}: a dataset folder must hold {MANIFEST}; without it the run that made it was not "
                 "finished: generate it again"
             ) from None
-        except ValueError:
+        except (ValueError, RecursionError):
             raise BadData(f"{file}: must be JSON, it is not; generate the dataset again") from None
         if not isinstance(manifest, dict) or manifest.get("format") != FORMAT:
             raise BadData(f"{file}: must have format {FORMAT!r}; this is another manifest")
@@ -89,6 +90,9 @@ class Dataset:
         entries = manifest.get("shards")
         if not isinstance(entries, list) or not entries or not all(map(_is_entry, entries)):
             raise BadData(f"{file}: shards must be a list of file, n_signals, sha256; generate the dataset again")
+        total = sum(entry["n_signals"] for entry in entries)
+        if len({entry["file"] for entry in entries}) < len(entries) or manifest.get("n_signals") != total:
+            raise BadData(f"{file}: shards must be listed once each, {total} signals in all; generate the dataset again")
         return entries
 
     def _require_fit(self, shard: Path, header: ShardHeader) -> None:
@@ -204,7 +208,9 @@ def _opened(path: Path) -> Iterator[h5py.File]:
         raise BadData(f"{path}: must be a readable HDF5 file, {reason}; generate it again") from None
     try:
         yield file
-    except (RuntimeError, KeyError) as error:  # what h5py raises on damaged headers
+    except CgidError:
+        raise
+    except (OSError, RuntimeError, LookupError, ValueError, TypeError, ArithmeticError) as error:  # from damaged headers
         raise BadData(f"{path}: is damaged ({error}); generate it again") from None
     finally:
         file.close()
@@ -214,9 +220,9 @@ def _is_entry(entry: Any) -> bool:
     if not isinstance(entry, dict):
         return False
     file, count, digest = entry.get("file"), entry.get("n_signals"), entry.get("sha256")
-    if not (isinstance(file, str) and isinstance(digest, str) and isinstance(count, int)):
+    if not (isinstance(file, str) and isinstance(digest, str) and type(count) is int):
         return False
-    return Path(file).name == file and count > 0
+    return re.fullmatch(SHARD_NAME, file) is not None and count > 0
 
 
 def _sha256(path: Path) -> str:

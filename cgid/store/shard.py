@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cgid.errors import BadData
-from cgid.signals import Batch, quantity_of
+from cgid.signals import UNITS, Batch, quantity_of
 
 FORMAT = "cgid-dataset"
 SCHEMA_VERSION = 1
@@ -127,7 +127,7 @@ def read_header(file: h5py.File, path: str) -> ShardHeader:
     BadData
         It is no cgid dataset, of another version, incomplete, or holds what a dataset must not hold.
     """
-    attributes = {name: _plain(value) for name, value in file.attrs.items()}
+    attributes = _attributes(file)
     if attributes.get("format") != FORMAT:
         raise BadData(f"{path}: this HDF5 file must be a cgid dataset (attribute format = {FORMAT!r}); it is not")
     version = attributes.get("schema_version")
@@ -136,21 +136,21 @@ def read_header(file: h5py.File, path: str) -> ShardHeader:
     signals = _plain_dataset(file, "signals", path)
     if signals.ndim != 2 or signals.dtype not in (np.float32, np.float64) or not all(signals.shape):
         raise BadData(f"{path}: signals must be rows of floats, got shape {signals.shape} of {signals.dtype}")
-    if signals.size * signals.dtype.itemsize > LARGEST_SHARD:
-        raise BadData(
-            f"{path}: signals must be at most {LARGEST_SHARD >> 30} GiB in one file, "
-            f"it declares {signals.size * signals.dtype.itemsize / 2**30:.3g} GiB"
-        )
     for name, kind in (("labels", "S"), ("specimen", "u")):
         dataset = _plain_dataset(file, name, path)
         if dataset.shape != signals.shape[:1] or dataset.dtype.kind != kind:
             raise BadData(f"{path}: {name} must be one value a signal, got shape {dataset.shape} of {dataset.dtype}")
     units = _parameter_units(file, path, signals.shape[0])
-    about = {name: _plain(value) for name, value in signals.attrs.items()}
-    for name, kinds in (("sampling_rate", float), ("pre_trigger", int), ("unit", str)):
-        if not isinstance(about.get(name), kinds):
-            raise BadData(f"{path}: signals must have the attribute {name}, got {about.get(name)!r}")
     n_signals, n_samples = signals.shape
+    about = _attributes(signals)
+    rate, before, unit = (about.get(name) for name in ("sampling_rate", "pre_trigger", "unit"))
+    for name, value, holds in (
+        ("sampling_rate", rate, isinstance(rate, float) and 0 < rate < np.inf),
+        ("pre_trigger", before, type(before) is int and 0 <= before < n_samples),
+        ("unit", unit, any(unit in units for units in UNITS.values())),
+    ):
+        if not holds:
+            raise BadData(f"{path}: signals must have a sound attribute {name}, got {value!r}")
     return ShardHeader(
         n_signals,
         n_samples,
@@ -164,14 +164,17 @@ def read_header(file: h5py.File, path: str) -> ShardHeader:
 
 
 def _parameter_units(file: h5py.File, path: str, n_signals: int) -> dict[str, str]:
-    if not isinstance(file.get("parameters", getlink=True), h5py.HardLink):
+    if "parameters" not in file:
         return {}
+    link = file.get("parameters", getlink=True)
+    if not isinstance(link, h5py.HardLink) or not isinstance(file["parameters"], h5py.Group):
+        raise BadData(f"{path}: parameters must be a group of the file itself; it is a link or a dataset")
     units = {}
     for name in file["parameters"]:
         dataset = _plain_dataset(file, f"parameters/{name}", path)
         if dataset.shape != (n_signals,) or dataset.dtype.kind != "f":
             raise BadData(f"{path}: parameters/{name} must be one number a signal, got shape {dataset.shape}")
-        units[name] = str(_plain(dataset.attrs.get("unit", b"")))
+        units[name] = str(_attributes(dataset).get("unit", ""))
     return units
 
 
@@ -183,13 +186,21 @@ def _plain_dataset(file: h5py.File, name: str, path: str) -> h5py.Dataset:
     dataset = file[name]
     if not isinstance(dataset, h5py.Dataset) or dataset.external or dataset.is_virtual or dataset.dtype.hasobject:
         raise BadData(f"{path}: {name} must be a plain dataset inside the file")
+    size = dataset.size * dataset.dtype.itemsize if dataset.shape is not None else 0
+    if size > LARGEST_SHARD:
+        raise BadData(f"{path}: {name} must be at most {LARGEST_SHARD >> 30} GiB, it declares {size / 2**30:.3g} GiB")
     return dataset
 
 
-def _plain(value: Any) -> Any:
-    if isinstance(value, bytes):
-        return value.decode(errors="replace")
-    return value.item() if isinstance(value, np.generic) else value
+def _attributes(item: h5py.HLObject) -> dict[str, Any]:
+    """Return the attributes that are one number or one string of fixed length; no others are written, or even read."""
+    found = {}
+    for name in item.attrs:
+        stored = item.attrs.get_id(name)
+        if stored.shape == () and stored.dtype.kind in "biufS":
+            value = item.attrs[name]
+            found[name] = value.decode(errors="replace") if isinstance(value, bytes) else value.item()
+    return found
 
 
 def text_of(labels: NDArray[np.bytes_]) -> NDArray[np.str_]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import re
 from collections import Counter
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -16,6 +17,9 @@ from cgid.signals import Batch
 from cgid.store.shard import FORMAT, LARGEST_SHARD, SCHEMA_VERSION, ShardBuilder, ShardPlan
 
 MANIFEST = "manifest.json"
+SHARD_NAME = r"shard-[0-9]{5,}\.h5"
+#: What a dataset folder may hold, with what a killed run leaves behind.
+_OURS = re.compile(rf"(manifest\.json|{SHARD_NAME})|\.(manifest\.json|{SHARD_NAME})\.[0-9a-f]+\.part")
 SUFFIXES = (".h5", ".hdf5")
 
 
@@ -45,18 +49,33 @@ def check_output(output: str | Path, overwrite: bool = False) -> Path:
         Something is there already, or the folder above is missing.
     """
     path = Path(output)
+    try:
+        _require_room(path, overwrite)
+    except CannotCreate:
+        raise
+    except OSError as error:
+        raise CannotCreate(f"{path}: cannot be looked at ({error.strerror}); choose another name") from None
+    return path
+
+
+def _require_room(path: Path, overwrite: bool) -> None:
     if not path.parent.is_dir():
         raise CannotCreate(f"{path}: the folder {path.parent} must exist; make it first")
     if path.is_dir() and is_single_file(path):
         raise CannotCreate(f"{path}: is a folder; choose another name for the file")
     if path.exists() and not path.is_dir() and not is_single_file(path):
         raise CannotCreate(f"{path}: is a file; choose another name for the folder, or one ending in .h5")
-    occupied = path.exists() and not (path.is_dir() and not any(path.iterdir()))
-    if occupied and not overwrite:
+    content = sorted(entry.name for entry in path.iterdir()) if path.is_dir() else None
+    if path.exists() and content != [] and not overwrite:
         raise CannotCreate(f"{path}: exists already; choose another name or say --overwrite")
-    if occupied and path.is_dir() and not any((path / name).exists() for name in (MANIFEST, "shard-00000.h5")):
-        raise CannotCreate(f"{path}: is a folder with other things in it and is not overwritten; choose another name")
-    return path
+    foreign = [name for name in content or () if not _OURS.fullmatch(name)]
+    if (path / MANIFEST).is_file() and f'"{FORMAT}"'.encode() not in (path / MANIFEST).read_bytes():
+        foreign.append(MANIFEST)
+    if foreign:
+        raise CannotCreate(
+            f"{path}: is a folder with other things in it, such as {foreign[0]}, and is not overwritten; "
+            "choose another name"
+        )
 
 
 class DatasetWriter:
@@ -102,8 +121,9 @@ class DatasetWriter:
             self.output.mkdir(exist_ok=True)
             if overwrite:
                 (self.output / MANIFEST).unlink(missing_ok=True)
-                for old in self.output.glob("shard-*.h5"):
-                    old.unlink()
+                for old in self.output.iterdir():
+                    if _OURS.fullmatch(old.name):
+                        old.unlink()
         except OSError as error:
             raise CannotCreate(f"{self.output}: cannot be written ({error.strerror}); choose another place") from None
 

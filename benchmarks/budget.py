@@ -1,0 +1,91 @@
+"""The run-time budget: where a signal's microseconds go, from parameters to the disk and on to the answer.
+
+    python benchmarks/budget.py [SCENE] [--signals N]
+
+Every stage is timed alone on the same blocks of 256 signals of the scene, one thread, the best of several rounds;
+the last column is its share of making a signal. Prints Markdown.
+"""
+
+import argparse
+import tempfile
+import time
+import warnings
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+from cgid import shipped
+from cgid.features import extract_array
+from cgid.filters import fft_filter
+from cgid.identification.model import Model
+from cgid.impact import HertzRangeWarning
+from cgid.scene import generate, load_scene
+from cgid.scene.population import draw
+from cgid.scene.randomness import BLOCK
+from cgid.scene.synthesis import _noise, add_pulses, make_frames
+
+ROUNDS = 7
+
+
+def microseconds(work: Callable[[], object], n_signals: int, rounds: int = ROUNDS) -> float:
+    """Return the best time of several rounds, for one signal [us]."""
+    work()
+    times = []
+    for _ in range(rounds):
+        start = time.perf_counter()
+        work()
+        times.append(time.perf_counter() - start)
+    return min(times) / n_signals * 1e6
+
+
+def main() -> None:
+    """Time every stage and print the table."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("scene", nargs="?", default="reference")
+    parser.add_argument("--signals", type=int, default=16384, help="for the whole way to the disk")
+    arguments = parser.parse_args()
+    warnings.simplefilter("ignore", HertzRangeWarning)
+    scene = load_scene(shipped.scene_path(arguments.scene))
+    rate, pre_trigger = scene.sampling.sampling_rate, scene.sampling.pre_trigger
+    drawn = draw(scene, 0, 0)
+    frames = make_frames(scene, drawn, 0, 0, np.float32)
+    model = Model.load(shipped.path_of("models", shipped.DEFAULT_MODEL))
+    features = extract_array(frames, rate, model.features, pre_trigger=pre_trigger, invalid="nan")
+    features = features[np.isfinite(features).all(axis=1)]
+
+    def measured(*names: str) -> Callable[[], object]:
+        return lambda: extract_array(frames, rate, names or None, pre_trigger=pre_trigger, invalid="nan")
+
+    making = {
+        "parameters": lambda: draw(scene, 0, 0),
+        "pulse": lambda: add_pulses(frames, scene, drawn),
+        "noise": lambda: _noise(scene, drawn, 0, 0, np.float32),
+        "sensor (range, bits; nothing when off)": lambda: scene.sensor.digitise(frames),
+    }
+    using = {
+        "FFT filter": lambda: fft_filter(frames, rate, high=rate / 10),
+        "feature: peak_force alone": measured("peak_force"),
+        "features in time (13)": measured(*model.features[:13]),
+        "features of the model (17)": measured(*model.features),
+        "all features (23)": measured(),
+        "probabilities and novelty": lambda: (model.probabilities(features), model.novelty(features)),
+    }
+    cost = {name: microseconds(work, BLOCK) for name, work in (making | using).items()}
+    with tempfile.TemporaryDirectory() as folder:
+        whole = microseconds(
+            lambda: generate(scene, Path(folder) / "data", arguments.signals, overwrite=True), arguments.signals, 3
+        )
+    cost["HDF5, checksums, SHA-256, disk"] = whole - sum(cost[name] for name in making)
+    print(f"Scene `{scene.name}`, {scene.sampling.samples} float32 samples a signal, one thread.\n")
+    print("| making a signal | us | share |\n|---|---|---|")
+    for name in (*making, "HDF5, checksums, SHA-256, disk"):
+        print(f"| {name} | {cost[name]:.1f} | {cost[name] / whole:.0%} |")
+    print(f"| **whole** ({1e6 / whole:.0f} signals/s) | {whole:.1f} | |")
+    print("\n| using a signal | us |\n|---|---|")
+    for name in using:
+        print(f"| {name} | {cost[name]:.1f} |")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,48 @@
+"""CPU time of `cgid predict` on the shipped sample beside `python -c "import numpy"`, alternating, whole processes.
+
+python benchmarks/startup.py [--rounds 15]
+"""
+
+import argparse
+import os
+import statistics
+import sys
+
+COMMANDS = {
+    "python -c 'import numpy'": ["-c", "import numpy"],
+    "cgid predict --sample": ["-m", "cgid", "predict", "--sample"],
+}
+
+
+def cpu_seconds(arguments: list[str]) -> float:
+    """Return user and system time of one process."""
+    quiet = [(os.POSIX_SPAWN_OPEN, 1, os.devnull, os.O_WRONLY, 0)]
+    pid = os.posix_spawn(sys.executable, [sys.executable, *arguments], os.environ, file_actions=quiet)
+    _, status, usage = os.wait4(pid, 0)
+    if status:
+        raise SystemExit(f"{arguments} failed")
+    return usage.ru_utime + usage.ru_stime
+
+
+def main() -> None:
+    """Alternate both commands and print Markdown."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--rounds", type=int, default=15)
+    rounds = parser.parse_args().rounds
+    times: dict[str, list[float]] = {name: [] for name in COMMANDS}
+    for number in range(rounds + 1):
+        for name, arguments in COMMANDS.items():
+            seconds = cpu_seconds(arguments)
+            if number:  # the first round fills the caches of the disk
+                times[name].append(seconds)
+    print("| process | median CPU [s] | lowest | highest |\n|---|---|---|---|")
+    for name, seconds_list in times.items():
+        print(
+            f"| `{name}` | {statistics.median(seconds_list):.3f} | {min(seconds_list):.3f} | {max(seconds_list):.3f} |"
+        )
+    base, predict = (statistics.median(values) for values in times.values())
+    print(f"\nratio of the medians: {predict / base:.2f}")
+
+
+if __name__ == "__main__":
+    main()
