@@ -70,15 +70,19 @@ def _tilt(pulses: PulseBatch) -> Floats:
     return ((rise_10 + fall_10) - (rise_50 + fall_50)) / (fall_50 - rise_50)
 
 
+def _weighted_mean(pulses: PulseBatch, values: Floats) -> Floats:
+    """Return the mean over the spectrum by the trapezoid rule: the bin at 0 Hz has half a bin's width."""
+    power = pulses.spectrum[1].copy()
+    power[:, 0] *= 0.5
+    return np.asarray(np.sum(values * power, axis=1) / power.sum(axis=1))
+
+
 def _centroid(pulses: PulseBatch) -> Floats:
-    frequency, power = pulses.spectrum
-    return np.asarray(np.sum(frequency * power, axis=1) / power.sum(axis=1))
+    return _weighted_mean(pulses, pulses.spectrum[0])
 
 
 def _bandwidth(pulses: PulseBatch) -> Floats:
-    frequency, power = pulses.spectrum
-    spread = (frequency - _centroid(pulses)[:, None]) ** 2
-    return np.asarray(np.sqrt(np.sum(spread * power, axis=1) / power.sum(axis=1)))
+    return np.sqrt(_weighted_mean(pulses, (pulses.spectrum[0] - _centroid(pulses)[:, None]) ** 2))
 
 
 def _rolloff(pulses: PulseBatch) -> Floats:
@@ -88,10 +92,11 @@ def _rolloff(pulses: PulseBatch) -> Floats:
 def _cutoff(pulses: PulseBatch) -> Floats:
     frequency, power = pulses.spectrum
     decibel = 10 * np.log10(np.maximum(power, 1e-30 * power[:, :1]) / power[:, :1])
-    reached = decibel <= -10.0
-    # Where the spectrum nowhere is that low, its last bin stands for "higher than can be told".
-    reached[np.arange(len(reached)), pulses.n_bins - 1] = True
-    return _frequency_where(frequency, decibel, reached, -10.0)
+    rows, last = np.arange(len(decibel)), pulses.n_bins - 1
+    reached = (decibel <= -10.0) & (np.arange(decibel.shape[1]) <= last[:, None])
+    # Where the spectrum is nowhere that low, its last frequency stands for "higher than can be told".
+    found = _frequency_where(frequency, decibel, reached, -10.0)
+    return np.where(reached.any(axis=1), found, frequency[rows, last])
 
 
 def _frequency_where(frequency: Floats, curve: Floats, reached: NDArray[np.bool_], level: float) -> Floats:

@@ -56,7 +56,7 @@ def quantity_of(unit: str) -> str:
     raise InvalidValue(f"unit must be one of the known ones, got {unit!r} ({known})")
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Signal:
     """One channel of samples, with everything one must know to read it.
 
@@ -167,7 +167,7 @@ class Signal:
         return replace(self, samples=-self.samples)
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Batch:
     """Labelled signals of one kind, one impact each.
 

@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
+
+# Before scikit-learn is loaded: OpenMP threads that wait spin, and on a busy machine small fits then take minutes.
+os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import pytest
 

@@ -23,6 +23,8 @@ DEAD_TIME = 2e-3
 FOUND_LIMIT = 2.0
 #: At most so many samples before an impact tell its baseline and noise.
 _QUIET_SAMPLES = 1000
+#: What is larger is no measurement, and its square no number.
+_LARGEST = 1e150
 
 
 @dataclass(frozen=True)
@@ -66,10 +68,16 @@ def find_impacts(signal: Signal, *, dead_time: float = DEAD_TIME) -> list[Event]
     Raises
     ------
     BadData
-        The signal is constant, or nothing rises above the noise.
+        The signal is constant or absurdly large, or nothing rises above the noise.
     """
     gap = float(validation.not_negative("dead_time", dead_time, "s"))
-    samples = signal.samples
+    # In double precision: a threshold found in another one may lie above every sample.
+    samples = signal.samples.astype(np.float64, copy=False)
+    if max(samples.max(), -samples.min()) > _LARGEST:
+        raise BadData(
+            f"{signal.name}: samples must lie within +-{_LARGEST:g}, they reach from {samples.min():.3g} to "
+            f"{samples.max():.3g}; was the file read in the right format?"
+        )
     middle = float(np.median(samples))
     highest = float(samples.max()) - middle
     if samples.min() == samples.max():

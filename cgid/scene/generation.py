@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import platform
-from collections.abc import Callable, Iterator
+import warnings
+from collections.abc import Callable, Generator, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import closing
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any, Literal
@@ -13,9 +16,10 @@ from cgid.errors import InvalidValue
 from cgid.scene.population import PARAMETER_UNITS
 from cgid.scene.scene import Scene
 from cgid.scene.synthesis import synthesise
+from cgid.signals import Batch
 from cgid.store import FORMAT, SCHEMA_VERSION, DatasetWriter, check_output
 from cgid.store.shard import COMPRESSIONS, ShardPlan
-from cgid.store.writing import ShardEntry
+from cgid.store.writing import BuiltShard, ShardEntry
 
 #: Signals of a shard: 32 MiB of 2048 float32 samples, built in memory.
 SHARD_SIGNALS = 4096
@@ -81,10 +85,15 @@ def generate(
     next(synthesise(scene, 1, seed))  # what is wrong with the scene or the seed shows before anything is written
     writer.begin(overwrite)
     entries = []
-    for entry in _write_all(writer, scene, seed, dtype, jobs, progress):
-        entries.append(entry)
-        if progress is not None and (jobs > 1 and len(writer.shards) > 1):
-            progress(entry.n_signals)
+    try:
+        with closing(_write_all(writer, scene, seed, dtype, jobs, progress)) as written:
+            for entry in written:
+                entries.append(entry)
+                if progress is not None and (jobs > 1 and len(writer.shards) > 1):
+                    progress(entry.n_signals)
+    except BaseException:
+        writer.abandon()
+        raise
     writer.finish(entries)
     return path
 
@@ -96,34 +105,56 @@ def _write_all(
     dtype: Literal["float32", "float64"],
     jobs: int,
     progress: Callable[[int], object] | None,
-) -> Iterator[ShardEntry]:
+) -> Generator[ShardEntry, None, None]:
     if jobs == 1 or len(writer.shards) == 1:
-        for shard in writer.shards:
-            yield _write_one(writer, scene, seed, dtype, shard, progress)
+        # One thread hashes and writes a shard while the next one is made: neither holds Python's lock.
+        with ThreadPoolExecutor(max_workers=1) as disk:
+            waiting: Future[ShardEntry] | None = None
+            for shard in writer.shards:
+                built = _build(writer, scene, seed, dtype, shard, progress)
+                if waiting is not None:
+                    yield waiting.result()
+                waiting = disk.submit(writer.put, built)
+                del built  # the thread alone keeps it, until it is written
+            if waiting is not None:
+                yield waiting.result()
         return
     import joblib
 
     work = (joblib.delayed(_write_one)(writer, scene, seed, dtype, shard) for shard in writer.shards)
-    yield from joblib.Parallel(n_jobs=jobs, return_as="generator_unordered")(work)
+    results = joblib.Parallel(n_jobs=jobs, return_as="generator_unordered")(work)
+    try:
+        for entry in results:  # noqa: UP028 - `yield from` would pass an interruption on before the warning is off
+            yield entry
+    finally:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", UserWarning)  # that work is cancelled is what an interruption is for
+            results.close()
 
 
 def _write_one(
+    writer: DatasetWriter, scene: Scene, seed: int, dtype: Literal["float32", "float64"], shard: tuple[int, int, int]
+) -> ShardEntry:
+    return writer.put(_build(writer, scene, seed, dtype, shard))
+
+
+def _build(
     writer: DatasetWriter,
     scene: Scene,
     seed: int,
     dtype: Literal["float32", "float64"],
     shard: tuple[int, int, int],
     progress: Callable[[int], object] | None = None,
-) -> ShardEntry:
+) -> BuiltShard:
     number, first, count = shard
 
-    def batches() -> Iterator[Any]:
+    def batches() -> Iterator[Batch]:
         for batch in synthesise(scene, count, seed, first=first, dtype=dtype):
             yield batch
             if progress is not None:
                 progress(len(batch))
 
-    return writer.write_shard(number, first, count, batches())
+    return writer.build_shard(number, first, count, batches())
 
 
 def _attributes(scene: Scene, seed: int) -> dict[str, Any]:

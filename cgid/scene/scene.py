@@ -181,7 +181,7 @@ def parse_scene(content: dict[str, Any], source: str = "scene") -> Scene:
     try:
         return Scene.model_validate(content)
     except ValidationError as error:
-        entries = [entry for entry in error.errors(include_url=False) if not _other_alternative(entry)]
+        entries = [entry for entry in error.errors(include_url=False) if not _besides(entry)]
         problems = [line for entry in entries for line in _lines(entry)]
         raise BadData("\n".join(f"{source}: {line}" for line in problems)) from None
 
@@ -192,8 +192,10 @@ def _path(location: tuple[int | str, ...]) -> str:
     return ".".join(str(part) for part in location if part not in left_out) or "scene"
 
 
-def _other_alternative(entry: Any) -> bool:
-    """Return whether this is about the way to write the target that was not chosen."""
+def _besides(entry: Any) -> bool:
+    """Return whether this only follows from another mistake, or is about the way to write a target not chosen."""
+    if entry["type"] == "too_short":
+        return len(entry["input"]) > 0  # parts there are, but none is sound
     if "literal['rigid']" in entry["loc"]:
         return isinstance(entry["input"], dict)
     return "TargetSection" in entry["loc"] and entry["type"] == "model_type"

@@ -36,6 +36,10 @@ def is_dataset(path: str | Path) -> bool:
         return False
 
 
+#: What h5py raises on damaged headers.
+_DAMAGE = (OSError, RuntimeError, LookupError, ValueError, TypeError, ArithmeticError)
+
+
 class Dataset:
     """A dataset on disk: a file or a folder of shards.
 
@@ -92,7 +96,7 @@ class Dataset:
             raise BadData(f"{file}: shards must be a list of file, n_signals, sha256; generate the dataset again")
         total = sum(entry["n_signals"] for entry in entries)
         if len({entry["file"] for entry in entries}) < len(entries) or manifest.get("n_signals") != total:
-            raise BadData(f"{file}: shards must be listed once each, {total} signals in all; generate the dataset again")
+            raise BadData(f"{file}: every shard must be listed, and once, {total} signals in all; generate it again")
         return entries
 
     def _require_fit(self, shard: Path, header: ShardHeader) -> None:
@@ -210,7 +214,7 @@ def _opened(path: Path) -> Iterator[h5py.File]:
         yield file
     except CgidError:
         raise
-    except (OSError, RuntimeError, LookupError, ValueError, TypeError, ArithmeticError) as error:  # from damaged headers
+    except _DAMAGE as error:
         raise BadData(f"{path}: is damaged ({error}); generate it again") from None
     finally:
         file.close()

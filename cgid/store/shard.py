@@ -164,10 +164,9 @@ def read_header(file: h5py.File, path: str) -> ShardHeader:
 
 
 def _parameter_units(file: h5py.File, path: str, n_signals: int) -> dict[str, str]:
-    if "parameters" not in file:
+    if not file.id.links.exists(b"parameters"):
         return {}
-    link = file.get("parameters", getlink=True)
-    if not isinstance(link, h5py.HardLink) or not isinstance(file["parameters"], h5py.Group):
+    if not _is_inside(file, "parameters") or not isinstance(file["parameters"], h5py.Group):
         raise BadData(f"{path}: parameters must be a group of the file itself; it is a link or a dataset")
     units = {}
     for name in file["parameters"]:
@@ -181,7 +180,7 @@ def _parameter_units(file: h5py.File, path: str, n_signals: int) -> dict[str, st
 def _plain_dataset(file: h5py.File, name: str, path: str) -> h5py.Dataset:
     """Return a dataset that lies in this very file; links elsewhere could read other files."""
     for part in (name.split("/")[0], name):
-        if not isinstance(file.get(part, getlink=True), h5py.HardLink):
+        if not _is_inside(file, part):
             raise BadData(f"{path}: {part} must be part of the file itself; it is missing or a link")
     dataset = file[name]
     if not isinstance(dataset, h5py.Dataset) or dataset.external or dataset.is_virtual or dataset.dtype.hasobject:
@@ -190,6 +189,12 @@ def _plain_dataset(file: h5py.File, name: str, path: str) -> h5py.Dataset:
     if size > LARGEST_SHARD:
         raise BadData(f"{path}: {name} must be at most {LARGEST_SHARD >> 30} GiB, it declares {size / 2**30:.3g} GiB")
     return dataset
+
+
+def _is_inside(file: h5py.File, name: str) -> bool:
+    """Return whether this name is there and no soft or external link, without following it."""
+    links = file.id.links
+    return bool(links.exists(name.encode()) and links.get_info(name.encode()).type == h5py.h5l.TYPE_HARD)
 
 
 def _attributes(item: h5py.HLObject) -> dict[str, Any]:

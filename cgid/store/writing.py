@@ -35,6 +35,17 @@ class ShardEntry:
     labels: dict[str, int]
 
 
+@dataclass(frozen=True)
+class BuiltShard:
+    """A shard in memory: the content of its file, and what the manifest says of it."""
+
+    number: int
+    first: int
+    n_signals: int
+    content: bytes
+    labels: dict[str, int]
+
+
 def is_single_file(output: str | Path) -> bool:
     """Return whether this name asks for one file and not for a folder."""
     return Path(output).suffix.lower() in SUFFIXES
@@ -127,19 +138,28 @@ class DatasetWriter:
         except OSError as error:
             raise CannotCreate(f"{self.output}: cannot be written ({error.strerror}); choose another place") from None
 
-    def write_shard(self, number: int, first: int, n_signals: int, batches: Iterable[Batch]) -> ShardEntry:
-        """Build one shard in memory and put it on the disk whole."""
+    def build_shard(self, number: int, first: int, n_signals: int, batches: Iterable[Batch]) -> BuiltShard:
+        """Build one shard in memory."""
         builder = ShardBuilder(self.plan, first, n_signals)
         labels: Counter[str] = Counter()
         for batch in batches:
             builder.add(batch)
             labels.update(batch.labels.tolist())
-        content = builder.image()
-        single = is_single_file(self.output)
-        path = self.output if single else self.output / f"shard-{number:05d}.h5"
-        write_whole(path, content)
-        digest = hashlib.sha256(content).hexdigest()
-        return ShardEntry(path.name, first, n_signals, len(content), digest, dict(sorted(labels.items())))
+        return BuiltShard(number, first, n_signals, builder.image(), dict(sorted(labels.items())))
+
+    def put(self, shard: BuiltShard) -> ShardEntry:
+        """Put a built shard on the disk whole, and return its line of the manifest."""
+        path = self.output if is_single_file(self.output) else self.output / f"shard-{shard.number:05d}.h5"
+        write_whole(path, shard.content)
+        digest = hashlib.sha256(shard.content).hexdigest()
+        return ShardEntry(path.name, shard.first, shard.n_signals, len(shard.content), digest, shard.labels)
+
+    def abandon(self) -> None:
+        """Remove what a worker that was stopped has left half-written; finished shards stay."""
+        if not is_single_file(self.output):
+            for part in self.output.glob(".*.part"):
+                if _OURS.fullmatch(part.name):
+                    part.unlink(missing_ok=True)
 
     def finish(self, entries: Iterable[ShardEntry]) -> None:
         """Write the manifest of a folder; only now it is a dataset."""

@@ -1,0 +1,260 @@
+"""Finding impacts: recordings with impacts at known times, and recordings without."""
+
+import numpy as np
+import pytest
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+from cgid import family
+from cgid.errors import BadData, CgidError, InvalidValue
+from cgid.features import extract_array
+from cgid.identification.events import DEAD_TIME, THRESHOLD_OVER_PEAK, find_impacts
+from cgid.signals import Signal
+from tests import naive
+
+RATE = 1e5
+DEAD_SAMPLES = int(DEAD_TIME * RATE)
+
+
+def recording(samples, **fields):
+    return Signal(samples=np.asarray(samples), **{"sampling_rate": RATE, "unit": "N", **fields})
+
+
+def sharp(height, length=30):
+    """A blow that is at its height with its first sample, so that its time has no doubt."""
+    return height * (1 - np.arange(length) / length) ** 2
+
+
+def hertzian(height, length=30, restitution=0.6):
+    """A pulse of the family; returned from touch on."""
+    contact, top, _ = family.times(restitution)
+    force = family.force(np.arange(1, length) / length * contact, restitution)
+    return height * force / family.force(np.atleast_1d(top), restitution)
+
+
+def placed(n_samples, blows, noise=0.0, baseline=0.0, seed=0):
+    """Blows, {first sample: samples}, on a baseline with noise."""
+    samples = np.zeros(n_samples)
+    for first, blow in blows.items():
+        samples[first : first + len(blow)] += blow[: n_samples - first]
+    return samples + baseline + noise * np.random.default_rng(seed).normal(size=n_samples)
+
+
+def found_samples(samples, **options):
+    return [round(event.time * RATE) for event in find_impacts(recording(samples), **options)]
+
+
+# -- times ----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.1, 5.0])
+@pytest.mark.parametrize("baseline", [0.0, -1000.0, 37.0, 1e5])
+def test_sharp_blows_are_found_at_their_first_sample(noise, baseline):
+    truth = [700, 1500, 4000, 9000]
+    samples = placed(10_000, {first: sharp(1000) for first in truth}, noise, baseline)
+    assert found_samples(samples) == truth
+
+
+@pytest.mark.parametrize("noise", [0.0, 1.0])
+@pytest.mark.parametrize("restitution", [1.0, 0.5])
+def test_pulses_are_found_within_two_samples_of_touch(noise, restitution):
+    truth = [700, 1500, 4000, 9000]
+    samples = placed(10_000, {first: hertzian(1000, 25, restitution) for first in truth}, noise)
+    assert np.abs(np.subtract(found_samples(samples), truth)).max() <= 2
+
+
+def test_time_is_where_the_threshold_is_passed():
+    samples = placed(5000, {1000: hertzian(1000, 400), 3000: hertzian(300, 400)})
+    expected = naive.stretches(samples.tolist(), THRESHOLD_OVER_PEAK * samples.max(), DEAD_SAMPLES)
+    assert found_samples(samples) == expected
+
+
+@pytest.mark.parametrize("share", [0.06, 0.1, 0.5])
+@pytest.mark.parametrize("noise", [0.0, 5.0])
+def test_small_blow_beside_a_large_one_is_found(share, noise):
+    samples = placed(10_000, {2000: sharp(1000), 6000: sharp(1000 * share)}, noise)
+    assert found_samples(samples) == [2000, 6000]
+
+
+def test_blow_under_the_share_of_the_largest_is_left_out():
+    assert found_samples(placed(10_000, {2000: sharp(1000), 6000: sharp(40)})) == [2000]
+
+
+def test_blow_under_the_noise_is_left_out():
+    assert found_samples(placed(10_000, {2000: sharp(1000), 6000: sharp(60)}, noise=20.0)) == [2000]
+
+
+# -- dead time ------------------------------------------------------------------------------------------------
+
+
+def test_decaying_ringing_within_the_dead_time_is_the_same_blow():
+    t = np.arange(180)
+    ringing = 1000 * np.exp(-t / 60) * np.cos(2 * np.pi * t / 25)
+    assert found_samples(placed(5000, {1000: ringing, 3000: ringing}, noise=1.0)) == [1000, 3000]
+
+
+@pytest.mark.parametrize(("apart", "expected"), [(0, 1), (1, 2), (5, 2)])
+def test_two_blows_are_two_just_outside_the_dead_time(apart, expected):
+    # From the last high sample of one to the first of the next.
+    blow = np.full(10, 1000.0)
+    second = 1000 + 9 + DEAD_SAMPLES + apart
+    assert len(find_impacts(recording(placed(5000, {1000: blow, second: blow})))) == expected
+
+
+def test_dead_time_can_be_chosen():
+    samples = placed(5000, {1000: sharp(1000), 1100: sharp(1000), 3000: sharp(1000)})
+    assert found_samples(samples) == [1000, 3000]
+    assert found_samples(samples, dead_time=5e-4) == [1000, 1100, 3000]
+    assert found_samples(samples, dead_time=0.1) == [1000]
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    st.lists(st.tuples(st.integers(1, 500), st.floats(0.06, 1.0)), min_size=1, max_size=8),
+    st.sampled_from([0.0, 0.5]),
+    st.sampled_from([0.0, -300.0, 20.0]),
+)
+def test_every_blow_further_apart_than_the_dead_time_is_found(blows, noise, baseline):
+    gaps, shares = zip(*blows, strict=True)
+    firsts = (300 + np.cumsum(np.array(gaps) + DEAD_SAMPLES + 30)).tolist()
+    heights = 1000 * np.array(shares) / max(shares)
+    # Quiet is what the recording mostly is: the median must fall on it.
+    n_samples = firsts[-1] + 1000
+    samples = placed(n_samples, {first: sharp(height) for first, height in zip(firsts, heights, strict=True)}, noise)
+    assert found_samples(samples + baseline) == firsts
+
+
+# -- frames ---------------------------------------------------------------------------------------------------
+
+
+def test_frames_can_be_measured():
+    truth = {1000: 1000.0, 1400: 300.0, 3000: 80.0}
+    samples = placed(5000, {first: hertzian(height) for first, height in truth.items()}, noise=1.0, baseline=500.0)
+    events = find_impacts(recording(samples))
+    found = [extract_array(event.signal.samples, RATE, ["peak_force"])[0, 0] for event in events]
+    assert found == pytest.approx(list(truth.values()), abs=4)
+
+
+def test_frames_are_cut_from_the_recording_and_share_no_blow():
+    samples = placed(5000, {1000: sharp(1000), 1400: sharp(800)}, noise=1.0)
+    first, second = (event.signal.samples for event in find_impacts(recording(samples)))
+    assert (first.max(), second.max()) == pytest.approx((1000, 800), abs=5)
+    assert np.array_equal(first, samples[: first.size])
+
+
+@pytest.mark.parametrize("kind", [np.float32, np.float64])
+def test_frames_keep_all_but_the_samples(kind):
+    given_signal = recording(placed(5000, {1000: sharp(1000)}).astype(kind), source="a.csv", channel="2")
+    (event,) = find_impacts(given_signal)
+    assert event.signal.samples.dtype == kind
+    assert (event.signal.sampling_rate, event.signal.unit, event.signal.name) == (RATE, "N", given_signal.name)
+
+
+def test_a_frame_of_a_dataset_is_one_impact():
+    signal = recording(placed(2000, {500: sharp(1000), 1500: sharp(900)}), pre_trigger=500)
+    (event,) = find_impacts(signal)
+    assert event.signal is signal
+    assert event.time == 500 / RATE
+
+
+def test_recording_is_not_changed():
+    samples = placed(5000, {1000: sharp(1000)}, noise=1.0)
+    copy = samples.copy()
+    find_impacts(recording(samples))
+    assert np.array_equal(samples, copy)
+
+
+# -- the ends of a recording ----------------------------------------------------------------------------------
+
+
+def test_blow_at_the_very_start_is_found_and_refused_by_its_features():
+    (event,) = find_impacts(recording(placed(3000, {0: sharp(1000)})))
+    assert event.time == 0
+    with pytest.raises(BadData, match="cut off by its start"):
+        extract_array(event.signal.samples, RATE)
+
+
+def test_blow_at_the_very_end_is_found_and_refused_by_its_features():
+    (event,) = find_impacts(recording(placed(3000, {2990: sharp(1000)})))
+    assert round(event.time * RATE) == 2990
+    with pytest.raises(BadData, match="cut off by its end"):
+        extract_array(event.signal.samples, RATE)
+
+
+# -- no impact ------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("value", [0.0, -3.0, 0.1])
+def test_constant_recording(value):
+    with pytest.raises(BadData, match=f"all 500 samples are {value:g}; check the sensor"):
+        find_impacts(recording(np.full(500, value)))
+
+
+@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("baseline", [0.0, 50.0])
+def test_noise_alone(seed, baseline):
+    with pytest.raises(BadData, match=r"no impact: .*record nearer or with less noise"):
+        find_impacts(recording(placed(20_000, {}, noise=1.0, baseline=baseline, seed=seed)))
+
+
+def test_inverted_recording_is_told_to_be_inverted():
+    samples = -placed(5000, {1000: sharp(1000)}, noise=1.0)
+    with pytest.raises(BadData, match="invert it"):
+        find_impacts(recording(samples))
+    assert found_samples(-samples) == [1000]
+
+
+@pytest.mark.parametrize("samples", [[1e300, -1e300, 0.0], [1e308, 1e308, 0.0]])
+def test_absurdly_large_samples_are_refused(samples):
+    with pytest.raises(BadData, match="right format"):
+        find_impacts(recording(samples))
+
+
+@pytest.mark.parametrize("dead_time", [-1e-3, np.nan, np.inf])
+def test_dead_time_is_zero_or_more(dead_time):
+    with pytest.raises(InvalidValue, match="dead_time"):
+        find_impacts(recording(sharp(1.0)), dead_time=dead_time)
+
+
+# -- any length, anything at all ------------------------------------------------------------------------------
+
+
+def test_a_million_samples_with_two_thousand_blows():
+    truth = list(range(250, 1_000_000, 500))
+    samples = placed(1_000_000, {first: sharp(100 + first % 900) for first in truth}, noise=1.0)
+    assert found_samples(samples) == truth
+
+
+@settings(max_examples=300, deadline=None)
+@given(
+    st.one_of(
+        arrays(np.float64, st.integers(1, 60), elements=st.floats(allow_nan=False, allow_infinity=False)),
+        arrays(np.float32, st.integers(1, 60), elements=st.floats(allow_nan=False, allow_infinity=False, width=32)),
+        arrays(np.float64, st.integers(1, 60), elements=st.integers(-3, 9).map(float)),
+    ),
+    st.sampled_from([0.0, 2e-5, DEAD_TIME, 1e300]),
+)
+@example(np.array([3e38, -3e38, 0, 3e38], np.float32), DEAD_TIME)
+def test_any_finite_recording_is_cut_or_refused(samples, dead_time):
+    try:
+        events = find_impacts(recording(samples), dead_time=dead_time)
+    except CgidError:
+        return
+    assert events
+    assert all(event.signal.samples.size for event in events)
+    assert np.all(np.diff([event.time for event in events]) > 0)
+
+
+def test_single_precision_does_not_lose_the_only_high_sample():
+    # Six times the noise above the median, give or take the last digit of single precision.
+    random = np.random.default_rng(0)
+    for _ in range(3000):
+        samples = (1000 * random.normal() + random.normal(size=random.integers(4, 9))).astype(np.float32)
+        middle = np.median(samples)
+        noise = 1.4826 * np.median(np.abs(samples - middle))
+        samples[0] = middle + np.float32(6 * noise * (1 + random.integers(-3, 4) * 6e-8))
+        try:
+            assert find_impacts(recording(samples))
+        except BadData:
+            continue

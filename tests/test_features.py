@@ -1,0 +1,620 @@
+"""Features against exact pulses of the family, slow twins, their own units, noise, and bad input."""
+
+import re
+import warnings
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+from scipy import integrate, optimize, signal, stats
+
+from cgid import family
+from cgid.errors import BadData, CgidError, InvalidValue
+from cgid.features import FEATURES, MINIMUM_FRAME, choose, extract, extract_array
+from cgid.identification.events import find_impacts
+from cgid.impact import Elastic, HalfSpace, HuntCrossley, Impact, Sphere
+from cgid.materials import STEEL, YANG2018_SPHERES
+from cgid.pulses import PulseBatch
+from cgid.recordings import read_recording
+from tests import naive
+
+REAL_SHOCK = Path(__file__).parents[2] / "shared" / "realdata" / "shock"
+MEGAHERTZ = 1e6
+SPECTRAL = [name for name in FEATURES if name.startswith(("spectral", "cutoff", "band"))]
+TEMPORAL = [name for name in FEATURES if name not in SPECTRAL]
+#: Powers of the amplitude and of time in each unit.
+POWERS = {"U": (1, 0), "s": (0, 1), "1": (0, 0), "U s": (1, 1), "U^2 s": (2, 1), "U/s^2": (1, -2), "Hz": (0, -1)}
+
+
+def impact(restitution=1.0, radius=0.025):
+    return Impact(
+        sphere=Sphere(material=YANG2018_SPHERES[1], radius=radius),
+        target=HalfSpace(material=STEEL),
+        velocity=2.0,
+        stiffness="hertz",
+        dissipation=Elastic() if restitution == 1 else HuntCrossley(restitution=restitution),
+    )
+
+
+def recorded(hit, rate=MEGAHERTZ, before=200, shift=0.0):
+    """Sample an impact's force; touch lies `shift` samples before sample number `before`."""
+    n_samples = int(2 * before + hit.contact_duration * rate)
+    return hit.force((np.arange(n_samples) - before + shift) / rate)
+
+
+def family_pulse(restitution, duration, rate, n_samples, before, peak=1000.0):
+    """Sample the family's pulse, stretched to a contact duration and a peak."""
+    contact, top, _ = family.times(restitution)
+    tau = (np.arange(n_samples) - before) / rate * contact / duration
+    return peak * family.force(tau, restitution) / family.force(np.atleast_1d(top), restitution)
+
+
+def measure(samples, rate=MEGAHERTZ, features=None, **options):
+    """One signal's features by name."""
+    names = choose(features)
+    return dict(zip(names, extract_array(samples, rate, names, **options)[0].tolist(), strict=True))
+
+
+# -- exact pulses ---------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("restitution", [1.0, 0.8, 0.6, 0.5])
+def test_peak_is_the_closed_form(restitution):
+    hit = impact(restitution)
+    found = measure(recorded(hit), features=["peak_force"])
+    assert found["peak_force"] == pytest.approx(float(hit.peak_force), rel=3e-5)
+
+
+@pytest.mark.parametrize("restitution", [1.0, 0.8, 0.6, 0.5])
+@pytest.mark.parametrize("level", [10, 50])
+def test_widths_agree_with_scipy(restitution, level):
+    samples = recorded(impact(restitution))
+    expected = signal.peak_widths(samples, [int(samples.argmax())], rel_height=1 - level / 100)[0][0] / MEGAHERTZ
+    assert measure(samples, features=[f"width_{level}"])[f"width_{level}"] == pytest.approx(expected, rel=1e-12)
+
+
+@pytest.mark.parametrize(("restitution", "error"), [(1.0, 1e-5), (0.8, 1e-5), (0.6, 1e-5), (0.5, 1e-5), (0.3, 4e-4)])
+def test_impulse_is_the_change_of_momentum(restitution, error):
+    hit = impact(restitution)
+    found = measure(recorded(hit), features=["impulse"])["impulse"]
+    assert found == pytest.approx(float((1 + hit.restitution) * hit.reduced_mass * hit.velocity), rel=error)
+
+
+@pytest.mark.parametrize("restitution", [1.0, 0.8, 0.6, 0.5])
+def test_energy_is_the_integral_of_the_square(restitution):
+    hit = impact(restitution)
+    expected = integrate.quad(lambda t: float(hit.force(t)) ** 2, 0, float(hit.contact_duration), epsrel=1e-9)[0]
+    assert measure(recorded(hit), features=["energy"])["energy"] == pytest.approx(expected, rel=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("restitution", "shortest", "longest"),
+    [
+        (1.0, -1e-4, 1e-4),
+        (0.8, -1e-4, 1e-4),
+        (0.6, -5e-4, 0),
+        (0.5, -0.0018, -0.0016),
+        (0.4, -0.0122, -0.0114),
+        (0.3, -0.092, -0.084),
+    ],
+)
+@pytest.mark.parametrize("shift", [0.0, 0.3, 0.7])
+def test_contact_duration_errs_as_stated_for_damped_pulses(restitution, shortest, longest, shift):
+    hit = impact(restitution)
+    found = measure(recorded(hit, shift=shift), features=["contact_duration"])["contact_duration"]
+    assert shortest < found / float(hit.contact_duration) - 1 < longest
+
+
+def test_elastic_pulse_is_symmetric():
+    found = measure(recorded(impact()), features=["asymmetry", "tilt", "skewness"])
+    assert found == pytest.approx({"asymmetry": 0.0, "tilt": 0.0, "skewness": 0.0}, abs=1e-4)
+
+
+def test_the_more_is_lost_the_more_the_pulse_leans():
+    found = [measure(recorded(impact(e))) for e in (1.0, 0.8, 0.6, 0.4)]
+    for name in ("asymmetry", "tilt", "skewness"):
+        assert np.all(np.diff([row[name] for row in found]) > 0.05)
+
+
+@pytest.mark.parametrize("restitution", [1.0, 0.5])
+def test_time_features_agree_with_the_slow_twin(restitution):
+    samples = recorded(impact(restitution))
+    found, slow = measure(samples), samples.tolist()
+    assert found["rise_time"] == pytest.approx(naive.rise_time(slow, MEGAHERTZ), rel=1e-12)
+    assert found["fall_time"] == pytest.approx(naive.fall_time(slow, MEGAHERTZ), rel=1e-12)
+    assert found["width_10"] == pytest.approx(naive.width(slow, MEGAHERTZ, 0.1), rel=1e-12)
+    assert found["impulse"] == pytest.approx(naive.impulse(slow, MEGAHERTZ), rel=1e-6)
+    assert found["energy"] == pytest.approx(naive.energy(slow, MEGAHERTZ), rel=1e-9)
+    assert found["skewness"] == pytest.approx(naive.skewness(slow), abs=2e-4)
+
+
+@pytest.mark.parametrize("restitution", [1.0, 0.5])
+def test_spectral_features_agree_with_the_slow_twin(restitution):
+    samples = recorded(impact(restitution), rate=2e5, before=40)
+    found = measure(samples, 2e5)
+    spectrum = naive.power_spectrum(samples.tolist(), 2e5, found["contact_duration"])
+    expected = {
+        "spectral_centroid": naive.centroid(*spectrum),
+        "spectral_bandwidth": naive.bandwidth(*spectrum),
+        "spectral_rolloff": naive.rolloff(*spectrum),
+        "cutoff_10db": naive.cutoff_10db(*spectrum),
+        "band_energy_0_500_hz": naive.band_power(*spectrum, 0, 500),
+        "band_energy_1000_2000_hz": naive.band_power(*spectrum, 1000, 2000),
+        "band_energy_4000_8000_hz": naive.band_power(*spectrum, 4000, 8000),
+    }
+    assert {name: found[name] for name in expected} == pytest.approx(expected, rel=1e-4)
+
+
+def test_cutoff_of_a_half_sine_is_that_of_its_closed_form_spectrum():
+    # |F(f)| of sin(pi t/T) is |cos(pi f T) / (1 - (2 f T)^2)| of its value at 0.
+    samples = np.sin(np.pi * np.clip((np.arange(3000) - 1000) / 1000, 0, 1))
+    root = optimize.brentq(lambda x: abs(np.cos(np.pi * x) / (1 - (2 * x) ** 2)) - 10**-0.5, 0.6, 1.4)
+    found = measure(samples, 1e6, ["cutoff_10db"])["cutoff_10db"]
+    assert found * 1e-3 == pytest.approx(root, rel=5e-3)
+
+
+# -- units ----------------------------------------------------------------------------------------------------
+
+
+def scalable():
+    return [name for name in FEATURES if not name.startswith("band")]
+
+
+@pytest.mark.parametrize("name", scalable())
+def test_amplitude_scales_each_feature_as_its_unit_says(name):
+    samples = recorded(impact(0.6))
+    power = POWERS[FEATURES[name].unit][0]
+    once, more = (extract_array(factor * samples, MEGAHERTZ, [name])[0, 0] for factor in (1.0, 7.0))
+    assert more == pytest.approx(once * 7.0**power, rel=1e-9)
+
+
+@pytest.mark.parametrize("name", scalable())
+def test_time_scales_each_feature_as_its_unit_says(name):
+    samples = recorded(impact(0.6))
+    power = POWERS[FEATURES[name].unit][1]
+    once, more = (extract_array(samples, MEGAHERTZ / factor, [name])[0, 0] for factor in (1.0, 7.0))
+    assert more == pytest.approx(once * 7.0**power, rel=1e-9)
+
+
+@pytest.mark.parametrize("name", scalable())
+def test_a_longer_pulse_at_the_same_rate_moves_each_feature_as_its_unit_says(name):
+    power = POWERS[FEATURES[name].unit][1]
+    short, long = (family_pulse(0.6, duration, MEGAHERTZ, 4000, 500) for duration in (5e-4, 1.5e-3))
+    once, more = (extract_array(samples, MEGAHERTZ, [name])[0, 0] for samples in (short, long))
+    # The grid of the spectrum is finer for one than for the other.
+    assert more == pytest.approx(once * 3.0**power, rel=0.005 if name in SPECTRAL else 1e-3)
+
+
+def test_a_pulse_twice_as_slow_has_its_energy_one_octave_lower():
+    samples = recorded(impact(0.6))
+    fast, slow = measure(samples, 1e6), measure(samples, 5e5)
+    for low in (500, 1000, 2000, 4000):
+        octave, below = f"band_energy_{2 * low}_{4 * low}_hz", f"band_energy_{low}_{2 * low}_hz"
+        assert slow[below] == pytest.approx(fast[octave], abs=1e-12)
+
+
+def test_bands_share_out_the_whole_energy():
+    found = measure(recorded(impact(0.6)))
+    bands = [found[name] for name in FEATURES if name.startswith("band")]
+    assert min(bands) >= 0
+    assert sum(bands) == pytest.approx(1.0, abs=1e-12)
+
+
+def test_size_free_index_does_not_know_the_radius():
+    small, large = (
+        measure(recorded(impact(0.6, radius)), features=["size_free_index", "peak_force"]) for radius in (0.01, 0.05)
+    )
+    assert large["peak_force"] / small["peak_force"] == pytest.approx(25, rel=1e-3)
+    assert large["size_free_index"] == pytest.approx(small["size_free_index"], rel=1e-3)
+
+
+def test_units_name_the_unit_of_the_signal():
+    assert [FEATURES[name].unit_for("kN") for name in ("peak_force", "energy", "width_10")] == ["kN", "kN^2 s", "s"]
+
+
+# -- batches and columns --------------------------------------------------------------------------------------
+
+
+def mixed_batch(n_signals=300):
+    """Pulses of very different lengths and shapes with noise, more of them than are measured at once."""
+    random = np.random.default_rng(3)
+    durations = np.exp(random.uniform(np.log(1e-4), np.log(1.5e-3), n_signals))
+    rows = [family_pulse(random.uniform(0.3, 1.0), duration, 1e5, 400, 100) for duration in durations]
+    return np.array(rows) + random.normal(0, 5, (n_signals, 400))
+
+
+def test_a_row_does_not_depend_on_its_neighbours():
+    batch = mixed_batch()
+    together = extract_array(batch, 1e5)
+    alone = np.concatenate([extract_array(row, 1e5) for row in batch])
+    scale = np.abs(alone).max(axis=0)
+    assert np.abs(together - alone).max(axis=0) / scale == pytest.approx(np.zeros(len(FEATURES)), abs=1e-12)
+
+
+def test_order_of_rows_is_kept():
+    batch = mixed_batch(20)
+    assert extract_array(batch[::-1], 1e5)[::-1] == pytest.approx(extract_array(batch, 1e5), rel=1e-12)
+
+
+def test_frame_and_array_hold_the_same():
+    batch = mixed_batch(5)
+    table = extract(batch, 1e5)
+    assert list(table.columns) == list(FEATURES)
+    assert np.array_equal(table.to_numpy(), extract_array(batch, 1e5))
+
+
+def test_columns_come_as_asked():
+    names = ["width_50", "peak_force", "cutoff_10db"]
+    table = extract(mixed_batch(5), 1e5, names)
+    assert list(table.columns) == names
+    for name in names:
+        assert np.array_equal(table[name], extract_array(mixed_batch(5), 1e5, [name])[:, 0])
+
+
+def test_one_name_is_one_column():
+    assert extract_array(recorded(impact()), MEGAHERTZ, "peak_force").shape == (1, 1)
+
+
+def test_integers_are_measured_as_numbers():
+    samples = np.round(recorded(impact())).astype(np.int32)
+    assert np.array_equal(extract_array(samples, MEGAHERTZ), extract_array(samples.astype(float), MEGAHERTZ))
+
+
+def test_single_precision_costs_one_part_in_a_hundred_thousand():
+    batch = mixed_batch(50)
+    double, single = extract_array(batch, 1e5), extract_array(batch.astype(np.float32), 1e5)
+    assert np.abs(single - double).max(axis=0) / np.abs(double).max(axis=0) == pytest.approx(
+        np.zeros(len(FEATURES)), abs=1e-5
+    )
+
+
+def test_input_is_not_changed():
+    batch = mixed_batch(5)
+    copy = batch.copy()
+    extract_array(batch, 1e5)
+    assert np.array_equal(batch, copy)
+
+
+# -- only what is asked ---------------------------------------------------------------------------------------
+
+
+def count_transforms(monkeypatch):
+    calls = []
+    transform = np.fft.rfft
+    monkeypatch.setattr(np.fft, "rfft", lambda *a, **k: calls.append(1) or transform(*a, **k))
+    return calls
+
+
+def test_no_spectrum_is_made_for_features_in_time(monkeypatch):
+    calls = count_transforms(monkeypatch)
+    extract_array(recorded(impact()), MEGAHERTZ, TEMPORAL)
+    assert not calls
+
+
+def test_one_spectrum_serves_all_spectral_features(monkeypatch):
+    calls = count_transforms(monkeypatch)
+    extract_array(recorded(impact()), MEGAHERTZ, SPECTRAL)
+    assert len(calls) == 1
+
+
+@pytest.mark.parametrize(
+    ("names", "unneeded"),
+    [
+        (["peak_force"], ["contact", "_window", "moments", "spectrum", "time_of_peak"]),
+        (["peak_force", "width_10", "rise_time"], ["contact", "moments", "spectrum", "time_of_peak"]),
+        (["contact_duration"], ["_during_contact", "moments", "energy", "spectrum", "time_of_peak"]),
+        (["energy"], ["moments", "spectrum", "time_of_peak"]),
+        (["spectral_centroid"], ["moments", "energy", "cumulative_energy", "time_of_peak"]),
+    ],
+)
+def test_nothing_is_measured_that_was_not_asked(monkeypatch, names, unneeded):
+    made = []
+    for quantity in unneeded:
+        monkeypatch.setattr(PulseBatch, quantity, property(lambda self, quantity=quantity: made.append(quantity)))
+    extract_array(recorded(impact()), MEGAHERTZ, names)
+    assert made == []
+
+
+def test_crossings_of_one_level_are_sought_once(monkeypatch):
+    levels = []
+    search = PulseBatch._crossings_at
+    monkeypatch.setattr(
+        PulseBatch,
+        "_crossings_at",
+        lambda self, level, power=1.0: levels.append(level[0]) or search(self, level, power),
+    )
+    extract_array(recorded(impact()), MEGAHERTZ, ["width_10", "rise_time", "fall_time", "asymmetry"])
+    assert sorted(levels) == [0.1, 0.8, 0.9]
+
+
+# -- baseline -------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("offset", [-5000.0, -300.0, 10.0, 300.0, 5000.0])
+@pytest.mark.parametrize("pre_trigger", [None, 200])
+def test_a_constant_changes_nothing(offset, pre_trigger):
+    samples = recorded(impact(0.6))
+    plain = measure(samples, pre_trigger=pre_trigger)
+    assert measure(samples + offset, pre_trigger=pre_trigger) == pytest.approx(plain, rel=1e-6)
+
+
+@pytest.mark.parametrize("offset", [-300.0, 10.0])
+def test_a_constant_moves_the_peak_where_the_baseline_is_kept(offset):
+    samples = recorded(impact(0.6))
+    kept = measure(samples + offset, features=["peak_force"], remove_baseline=False)["peak_force"]
+    assert kept - samples.max() == pytest.approx(offset, rel=1e-9)
+
+
+def test_known_touch_and_found_touch_agree():
+    batch = mixed_batch()
+    known, found = (extract_array(batch, 1e5, pre_trigger=touch)[:, 0] for touch in (100, None))
+    assert found / known == pytest.approx(np.ones(len(batch)), abs=0.003)
+
+
+def test_clean_pulse_is_the_same_with_known_and_found_touch():
+    samples = recorded(impact(0.6))
+    assert measure(samples, pre_trigger=200) == pytest.approx(measure(samples), rel=1e-9)
+
+
+@pytest.mark.parametrize("pre_trigger", [0, 1])
+def test_no_samples_before_touch_means_no_baseline(pre_trigger):
+    samples = recorded(impact(0.6)) + 10
+    assert measure(samples, features=["peak_force"], pre_trigger=pre_trigger)["peak_force"] == samples.max()
+
+
+# -- noise ----------------------------------------------------------------------------------------------------
+
+#: Measured on 500 noisy copies of a pulse of 60 samples: largest bias and spread [% of the clean value]. The
+#: largest sample of a flat top is too large; the tail of a damped pulse drowns, and its duration comes out short.
+NOISE_LIMITS = {
+    (1.0, 1): {"peak_force": (1.1, 1.0), "width_10": (0.4, 1.0), "width_50": (0.8, 1.2), "contact_duration": (0.5, 2)},
+    (1.0, 2): {"peak_force": (2.5, 1.7), "width_10": (0.7, 1.7), "width_50": (1.9, 2.1), "contact_duration": (1, 3)},
+    (0.5, 1): {"peak_force": (0.8, 1.0), "width_10": (0.7, 2.0), "width_50": (0.6, 1.4), "contact_duration": (5, 4)},
+    (0.5, 2): {"peak_force": (1.8, 1.8), "width_10": (2.0, 3.4), "width_50": (1.6, 2.7), "contact_duration": (11, 5.5)},
+}
+
+
+@pytest.mark.parametrize(("restitution", "percent"), NOISE_LIMITS)
+@pytest.mark.parametrize("pre_trigger", [None, 100])
+def test_noise_moves_features_no_further_than_measured(restitution, percent, pre_trigger):
+    limits = NOISE_LIMITS[restitution, percent]
+    clean = family_pulse(restitution, 6e-4, 1e5, 300, 100)
+    noisy = clean + np.random.default_rng(11).normal(0, 10 * percent, (500, 300))
+    expected = extract_array(clean, 1e5, limits)[0]
+    found = 100 * (extract_array(noisy, 1e5, limits, pre_trigger=pre_trigger) / expected - 1)
+    bias, spread = np.array(list(limits.values())).T
+    assert np.all(np.abs(found.mean(axis=0)) <= bias), found.mean(axis=0)
+    assert np.all(found.std(axis=0) <= spread), found.std(axis=0)
+
+
+def test_impulse_is_hardly_biased_by_noise():
+    clean = family_pulse(1.0, 6e-4, 1e5, 300, 100)
+    noisy = clean + np.random.default_rng(12).normal(0, 20, (500, 300))
+    found = extract_array(noisy, 1e5, ["impulse"])[:, 0] / extract_array(clean, 1e5, ["impulse"])[0, 0] - 1
+    assert abs(stats.ttest_1samp(found, 0).statistic) < 4
+    assert found.std() < 0.008
+
+
+# -- what cannot be measured ----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
+def test_a_sample_that_is_not_finite_is_named(value):
+    batch = mixed_batch(3)
+    batch[2, 17] = value
+    with pytest.raises(BadData, match="signal 2 sample 17"):
+        extract_array(batch, 1e5)
+    with pytest.raises(BadData, match="finite, sample 17"):
+        extract_array(batch[2], 1e5)
+
+
+def test_too_few_samples_and_the_cure_works():
+    with pytest.raises(BadData, match=r"sampling_rate 100000 Hz gives this .* ms pulse 2 samples above 10 %") as caught:
+        extract(family_pulse(1.0, 2.8e-5, 1e5, 100, 50), 1e5)
+    rate = float(re.search(r"use ([\d.e+]+) Hz", str(caught.value))[1])
+    found = measure(family_pulse(1.0, 2.8e-5, rate, 2000, 1000), rate, ["contact_duration", "peak_force"])
+    assert found == pytest.approx({"contact_duration": 2.8e-5, "peak_force": 1000}, rel=0.05)
+
+
+def frame_with(*samples):
+    return np.array([0.0] * 10 + list(samples) + [0.0] * 10)
+
+
+def test_four_samples_above_a_tenth_are_enough_and_three_are_not():
+    assert np.isfinite(extract_array(frame_with(0.3, 1.0, 0.9, 0.2), 1e5)).all()
+    with pytest.raises(BadData, match="pulse 3 samples above 10 %"):
+        extract_array(frame_with(0.3, 1.0, 0.2), 1e5)
+
+
+def test_cutoff_of_a_spectrum_that_never_falls_so_low_is_its_last_frequency():
+    needle = frame_with(0.11, 1.0, 0.11, 0.11)
+    alone = extract_array(needle, 1e5, ["cutoff_10db"])[0, 0]
+    beside = extract_array([needle, frame_with(*np.hanning(11)[1:-1], 0, 0)[: needle.size]], 1e5, ["cutoff_10db"])[0, 0]
+    assert alone == beside == 5e4
+
+
+def test_cut_off_by_the_start():
+    with pytest.raises(BadData, match="cut off by its start"):
+        extract_array(recorded(impact())[350:], MEGAHERTZ)
+
+
+def test_cut_off_by_the_end():
+    with pytest.raises(BadData, match="cut off by its end"):
+        extract_array(recorded(impact())[:350], MEGAHERTZ)
+
+
+@pytest.mark.parametrize("options", [{}, {"pre_trigger": 100}])
+def test_noise_alone_is_no_impact(options):
+    noise = np.random.default_rng(5).normal(0, 1, 300)
+    noise[150] = 4.0
+    with pytest.raises(BadData, match="no impact"):
+        extract_array(noise, 1e5, **options)
+
+
+def test_inverted_pulse_is_told_to_be_inverted():
+    pulse = recorded(impact())
+    samples = np.random.default_rng(5).normal(0, 10, pulse.size) - pulse
+    with pytest.raises(BadData, match=r"no impact.*invert the signal"):
+        extract_array(samples, MEGAHERTZ, pre_trigger=200)
+
+
+@pytest.mark.parametrize("value", [0.0, 0.1, -0.1, 1 / 3, -7.0, 1e6])
+@pytest.mark.parametrize("options", [{}, {"pre_trigger": 37}, {"remove_baseline": False}])
+@pytest.mark.parametrize("kind", [np.float32, np.float64])
+def test_constant_frame_is_no_impact(value, options, kind):
+    with pytest.raises(BadData, match="no impact"):
+        extract_array(np.full(100, value, kind), 1e5, **options)
+
+
+def test_a_frame_below_zero_is_no_impact_where_the_baseline_is_kept():
+    with pytest.raises(BadData, match="no impact"):
+        extract_array(recorded(impact()) - 1e6, MEGAHERTZ, remove_baseline=False)
+
+
+@pytest.mark.parametrize("shape", [(), (MINIMUM_FRAME - 1,), (2, 0), (2, 3, 20)])
+def test_shapes_that_are_no_rows_of_samples(shape):
+    with pytest.raises(CgidError, match=r"samples must be rows of at least|shape"):
+        extract_array(np.zeros(shape), 1e5)
+
+
+def test_no_signal_gives_no_row():
+    assert extract_array(np.zeros((0, 100)), 1e5, ["peak_force", "energy"]).shape == (0, 2)
+
+
+@pytest.mark.parametrize(
+    ("names", "message"),
+    [
+        (["peak"], "feature must be one of 'peak_force'.*got 'peak'"),
+        (["energy", "energy"], "once each, .*got energy, energy"),
+        ([], "at least one, got none"),
+    ],
+)
+def test_features_are_known_and_named_once(names, message):
+    with pytest.raises(InvalidValue, match=message):
+        extract_array(recorded(impact()), MEGAHERTZ, names)
+
+
+@pytest.mark.parametrize("pre_trigger", [-1, 100, 10**9])
+def test_pre_trigger_lies_in_the_frame(pre_trigger):
+    with pytest.raises(InvalidValue, match=f"pre_trigger must lie between 0 and the 100 .*got {pre_trigger}"):
+        extract_array(np.ones(100), 1e5, pre_trigger=pre_trigger)
+
+
+@pytest.mark.parametrize("rate", [0.0, -1.0, np.nan, np.inf])
+def test_sampling_rate_is_above_zero(rate):
+    with pytest.raises(InvalidValue, match="sampling_rate"):
+        extract_array(recorded(impact()), rate)
+
+
+def test_invalid_has_two_choices():
+    with pytest.raises(InvalidValue, match="invalid must be one of"):
+        extract_array(recorded(impact()), MEGAHERTZ, invalid="skip")
+
+
+def spoilt_batch():
+    batch = mixed_batch()
+    bad = [3, 100, 280, 299]
+    batch[3], batch[100], batch[280], batch[299] = 0.0, -batch[100], np.roll(batch[280], -105), np.roll(batch[299], 295)
+    return batch, bad
+
+
+def test_bad_rows_become_nan_and_no_other():
+    batch, bad = spoilt_batch()
+    found = extract_array(batch, 1e5, invalid="nan")
+    assert np.flatnonzero(np.isnan(found).all(axis=1)).tolist() == bad
+    good = np.setdiff1d(np.arange(len(batch)), bad)
+    assert found[good] == pytest.approx(extract_array(batch[good], 1e5), rel=1e-9, abs=1e-12)
+
+
+def test_all_rows_bad_gives_all_nan():
+    assert np.isnan(extract_array(np.zeros((3, 50)), 1e5, invalid="nan")).all()
+
+
+def test_the_first_bad_row_is_named_and_the_others_counted():
+    batch, _ = spoilt_batch()
+    with pytest.raises(BadData, match=r"^signal 3: no impact.*\(2 of signals 0 to 255 cannot be measured\)"):
+        extract_array(batch, 1e5)
+
+
+@pytest.mark.parametrize("row", [256, 280])
+def test_rows_are_counted_over_the_whole_batch(row):
+    batch = mixed_batch(row + 1)
+    batch[row] = 0.0
+    with pytest.raises(BadData, match=f"^signal {row}: no impact"):
+        extract_array(batch, 1e5)
+
+
+def test_a_single_signal_is_not_numbered():
+    with pytest.raises(BadData, match=r"^no impact"):
+        extract_array(np.zeros(100), 1e5)
+
+
+# -- real shocks ----------------------------------------------------------------------------------------------
+
+
+def real_shock(name):
+    if not REAL_SHOCK.is_dir():
+        pytest.skip("the real shocks are not beside this checkout (../shared/realdata/shock)")
+    (recording,) = read_recording(REAL_SHOCK / name)
+    return recording
+
+
+@pytest.mark.parametrize("remove_baseline", [True, False])
+def test_real_shock_has_the_published_peak_and_width(remove_baseline):
+    (event,) = find_impacts(real_shock("acc_base_a0.txt"))
+    found = extract(
+        event.signal.samples, event.signal.sampling_rate, ["peak_force", "width_10"], remove_baseline=remove_baseline
+    )
+    assert event.signal.unit == "g"
+    assert 478 <= found["peak_force"][0] <= 486
+    assert 0.39e-3 <= found["width_10"][0] <= 0.41e-3
+
+
+@pytest.mark.parametrize("number", range(4))
+def test_each_real_shock_is_one_impact(number):
+    assert len(find_impacts(real_shock(f"acc_base_a{number}.txt"))) == 1
+
+
+# -- anything at all ------------------------------------------------------------------------------------------
+
+
+@st.composite
+def smooth_pulses(draw):
+    """A few bells close to each other, of any size, on any offset."""
+    t = np.arange(300.0)
+    samples = np.zeros(300)
+    for _ in range(draw(st.integers(1, 4))):
+        centre, spread = draw(st.floats(120, 180)), draw(st.floats(0.3, 25))
+        samples += draw(st.floats(0.1, 1.0)) * np.exp(-0.5 * ((t - centre) / spread) ** 2)
+    return draw(st.sampled_from([1e-6, 1.0, 1e9])) * (samples + draw(st.sampled_from([0.0, -3.0, 2.0])))
+
+
+@settings(max_examples=150, deadline=None)
+@given(smooth_pulses(), st.sampled_from([np.float32, np.float64]))
+def test_smooth_pulses_have_finite_features(samples, kind):
+    try:
+        found = extract_array(samples.astype(kind), 1e5)
+    except BadData:
+        return
+    assert np.isfinite(found).all()
+    assert found[0, 0] > 0
+
+
+JUNK = st.one_of(
+    arrays(np.float64, st.tuples(st.integers(1, 4), st.integers(6, 40)), elements=st.integers(-3, 9).map(float)),
+    arrays(np.float64, st.tuples(st.integers(1, 4), st.integers(6, 40)), elements=st.floats(-1e12, 1e12)),
+    arrays(np.float32, st.tuples(st.integers(1, 4), st.integers(6, 40)), elements=st.floats(-1, 1, width=32)),
+)
+
+
+@settings(max_examples=300, deadline=None)
+@given(JUNK, st.one_of(st.none(), st.integers(0, 5)), st.booleans())
+def test_junk_is_measured_or_refused(samples, pre_trigger, remove_baseline):
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        found = extract_array(samples, 1e5, pre_trigger=pre_trigger, remove_baseline=remove_baseline, invalid="nan")
+    refused = np.isnan(found).all(axis=1)
+    assert np.isfinite(found[~refused]).all()

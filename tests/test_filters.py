@@ -1,0 +1,232 @@
+"""The FFT filter against a direct Fourier sum, and what it does to a clean pulse."""
+
+import itertools
+
+import numpy as np
+import pytest
+
+from cgid import family
+from cgid.errors import InvalidValue
+from cgid.filters import fft_filter, filter_gain
+from tests import naive
+
+RATE = 1e6
+
+
+#: Long, so that an edge falls on a fine grid and nothing rings around the ends.
+FRAME = 2**16
+TOUCH = FRAME // 2
+
+
+def clean_pulse(restitution, duration):
+    """A pulse of peak 1 in a frame much longer than itself."""
+    contact, top, _ = family.times(restitution)
+    tau = np.arange(int(duration * RATE) + 2) / RATE * contact / duration
+    samples = np.zeros(FRAME)
+    samples[TOUCH : TOUCH + tau.size] = family.force(tau, restitution)
+    return samples / family.force(np.atleast_1d(top), restitution)
+
+
+def noise(*shape):
+    return np.random.default_rng(1).normal(size=shape)
+
+
+# -- the filter itself ----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("n_samples", [32, 33])
+@pytest.mark.parametrize("taper", [0.0, 0.3, 1.0])
+@pytest.mark.parametrize(("low", "high"), [(None, 210.0), (120.0, None), (120.0, 340.0), (None, None)])
+def test_agrees_with_the_direct_sum(n_samples, taper, low, high):
+    samples = noise(n_samples)
+    expected = naive.fft_filter(samples.tolist(), 1000.0, low, high, taper)
+    assert fft_filter(samples, 1000.0, low, high, taper) == pytest.approx(expected, abs=1e-12)
+
+
+@pytest.mark.parametrize(("kind", "kept"), [(np.float32, np.float32), (np.float64, np.float64), (int, np.float64)])
+def test_precision_is_kept(kind, kept):
+    assert fft_filter(np.arange(10).astype(kind), 1000.0, high=200).dtype == kept
+
+
+def test_single_precision_is_good_to_its_last_digits():
+    samples = noise(5, 2048)
+    single = fft_filter(samples.astype(np.float32), 1000.0, high=200)
+    assert single == pytest.approx(fft_filter(samples, 1000.0, high=200), abs=5e-6)
+
+
+def test_filters_along_the_last_axis_whatever_the_shape():
+    samples = noise(2, 50, 64)
+    together = fft_filter(samples, 1000.0, high=200, taper=0.5)
+    alone = [[fft_filter(row, 1000.0, high=200, taper=0.5) for row in block] for block in samples]
+    assert together.shape == samples.shape
+    assert together == pytest.approx(np.array(alone), abs=1e-15)
+
+
+def test_no_row_gives_no_row():
+    assert fft_filter(np.zeros((0, 64)), 1000.0, high=200).shape == (0, 64)
+
+
+def test_input_is_not_changed():
+    samples = noise(64)
+    copy = samples.copy()
+    fft_filter(samples, 1000.0, low=100, high=200)
+    assert np.array_equal(samples, copy)
+
+
+@pytest.mark.parametrize("taper", [0.0, 0.5])
+def test_impulse_response_is_symmetric(taper):
+    impulse = np.zeros(257)
+    impulse[128] = 1.0
+    response = fft_filter(impulse, 1000.0, high=100, taper=taper)
+    assert response == pytest.approx(response[::-1], abs=1e-15)
+    assert response.argmax() == 128
+
+
+@pytest.mark.parametrize("taper", [0.0, 0.5])
+def test_low_and_high_pass_add_to_the_input(taper):
+    samples = noise(301)
+    low, high = fft_filter(samples, 1000.0, high=150, taper=taper), fft_filter(samples, 1000.0, low=150, taper=taper)
+    assert low + high == pytest.approx(samples, abs=1e-13)
+
+
+def test_bands_add_to_the_input():
+    samples = noise(301)
+    edges = [None, 100.0, 250.0, None]
+    bands = [fft_filter(samples, 1000.0, low, high) for low, high in itertools.pairwise(edges)]
+    assert sum(bands) == pytest.approx(samples, abs=1e-13)
+
+
+def test_brick_wall_applied_twice_is_applied_once():
+    once = fft_filter(noise(301), 1000.0, low=50, high=150)
+    assert fft_filter(once, 1000.0, low=50, high=150) == pytest.approx(once, abs=1e-13)
+
+
+@pytest.mark.parametrize("taper", [0.1, 0.5, 1.0])
+def test_taper_passes_half_at_the_edge(taper):
+    edge = 100.0
+    ends = np.array([edge * (1 - taper / 2), edge, edge * (1 + taper / 2)])
+    assert filter_gain(ends, 1000.0, None, edge, taper) == pytest.approx([1, 0.5, 0], abs=1e-15)
+    assert filter_gain(ends, 1000.0, edge, None, taper) == pytest.approx([0, 0.5, 1], abs=1e-15)
+
+
+def test_taper_falls_all_the_way():
+    gain = filter_gain(np.linspace(50, 150, 101), 1000.0, None, 100.0, 0.8)
+    assert np.all(np.diff(gain) <= 0)
+    assert np.all((gain >= 0) & (gain <= 1))
+
+
+def test_edge_at_half_the_sampling_rate_passes_everything():
+    samples = noise(64)
+    assert fft_filter(samples, 1000.0, high=500) == pytest.approx(samples, abs=1e-14)
+
+
+# -- what is refused ------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("options", [{"high": 501.0}, {"low": 600.0}])
+def test_edge_above_half_the_sampling_rate(options):
+    cure = 2 * next(iter(options.values()))
+    with pytest.raises(InvalidValue, match=f"at most half the sampling rate, 500 Hz.*sample at {cure:g} Hz or more"):
+        fft_filter(noise(64), 1000.0, **options)
+
+
+@pytest.mark.parametrize(("low", "high"), [(200.0, 100.0), (100.0, 100.0)])
+def test_edges_are_in_order(low, high):
+    with pytest.raises(InvalidValue, match=f"low must be below high, got low {low:g} Hz and high {high:g} Hz"):
+        fft_filter(noise(64), 1000.0, low, high)
+
+
+@pytest.mark.parametrize("edge", [0.0, -5.0, np.nan, np.inf])
+@pytest.mark.parametrize("name", ["low", "high"])
+def test_edges_are_above_zero(name, edge):
+    with pytest.raises(InvalidValue, match=name):
+        fft_filter(noise(64), 1000.0, **{name: edge})
+
+
+@pytest.mark.parametrize("taper", [-0.1, 1.1, np.nan])
+def test_taper_lies_between_0_and_1(taper):
+    with pytest.raises(InvalidValue, match="taper"):
+        fft_filter(noise(64), 1000.0, high=100, taper=taper)
+
+
+@pytest.mark.parametrize("kind", [np.float32, np.float64])
+@pytest.mark.parametrize("value", [np.nan, np.inf])
+def test_samples_are_finite(kind, value):
+    samples = noise(64).astype(kind)
+    samples[7] = value
+    with pytest.raises(InvalidValue, match="samples must be finite"):
+        fft_filter(samples, 1000.0, high=100)
+
+
+@pytest.mark.parametrize("samples", [np.float32(1.0), 1.0, [1.0], np.zeros((3, 0))])
+def test_a_row_has_two_samples(samples):
+    with pytest.raises(InvalidValue, match="at least 2 samples"):
+        fft_filter(samples, 1000.0, high=100)
+
+
+@pytest.mark.parametrize("rate", [0.0, -1.0, np.nan])
+def test_sampling_rate_is_above_zero(rate):
+    with pytest.raises(InvalidValue, match="sampling_rate"):
+        fft_filter(noise(64), rate)
+
+
+# -- what it does to a clean pulse: the numbers in the docstring of cgid.filters --------------------------------
+
+
+@pytest.mark.parametrize(
+    ("restitution", "over_duration", "taper", "change"),
+    [
+        (1.0, 4, 0.0, 0.0022),
+        (0.5, 4, 0.0, 0.0085),
+        (1.0, 2, 0.0, 0.0132),
+        (0.5, 2, 0.0, -0.0677),
+        (1.0, 4, 0.5, 0.0009),
+        (0.5, 4, 0.5, 0.0071),
+        (1.0, 2, 0.5, 0.0109),
+        (0.5, 2, 0.5, -0.0730),
+    ],
+)
+@pytest.mark.parametrize("duration", [2e-4, 5e-4])
+def test_low_pass_moves_the_peak_as_stated(restitution, over_duration, taper, change, duration):
+    filtered = fft_filter(clean_pulse(restitution, duration), RATE, high=over_duration / duration, taper=taper)
+    assert filtered.max() - 1 == pytest.approx(change, abs=0.0005)
+
+
+@pytest.mark.parametrize(
+    ("restitution", "over_duration", "ringing"),
+    [(1.0, 4, 0.0035), (0.5, 4, 0.0126), (1.0, 2, 0.0203), (0.5, 2, 0.0793)],
+)
+def test_brick_wall_rings_before_touch_as_stated(restitution, over_duration, ringing):
+    filtered = fft_filter(clean_pulse(restitution, 5e-4), RATE, high=over_duration / 5e-4)
+    # A tenth of the duration before touch and more, so that it is no smearing of the rise.
+    assert np.abs(filtered[: TOUCH - 50]).max() == pytest.approx(ringing, rel=0.02)
+
+
+@pytest.mark.parametrize("restitution", [1.0, 0.5])
+@pytest.mark.parametrize("over_duration", [2, 4])
+def test_taper_rings_as_high_beside_the_pulse_and_dies_out_sooner(restitution, over_duration):
+    pulse = clean_pulse(restitution, 5e-4)
+    brick, taper = (fft_filter(pulse, RATE, high=over_duration / 5e-4, taper=taper) for taper in (0.0, 0.5))
+    beside = np.abs(taper[: TOUCH - 50]).max() / np.abs(brick[: TOUCH - 50]).max()
+    one_duration_before = np.abs(taper[: TOUCH - 500]).max() / np.abs(brick[: TOUCH - 500]).max()
+    assert 0.85 < beside < 1
+    assert one_duration_before < 1 / 3
+
+
+@pytest.mark.parametrize("restitution", [1.0, 0.9, 0.7, 0.5, 0.4, 0.35, 0.3])
+def test_20_khz_costs_a_pulse_above_200_us_at_most_1_3_percent(restitution):
+    costs = [
+        1 - fft_filter(clean_pulse(restitution, duration), RATE, high=20e3).max()
+        for duration in np.geomspace(200e-6, 1.5e-3, 12)
+    ]
+    assert max(costs) <= 0.013
+
+
+def test_20_khz_costs_a_short_pulse_much_more():
+    assert 1 - fft_filter(clean_pulse(0.5, 100e-6), RATE, high=20e3).max() > 0.05
+
+
+def test_transform_is_circular():
+    samples = np.zeros(512)
+    samples[:20] = 1.0
+    assert np.abs(fft_filter(samples, RATE, high=5e4)[-20:]).max() > 0.05

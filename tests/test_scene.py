@@ -1,0 +1,516 @@
+"""Scenes: units, distributions against scipy.stats, and every mistake with its path."""
+
+import copy
+import random
+import tomllib
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from pydantic import TypeAdapter
+from scipy import stats
+
+from cgid.errors import BadData, CgidError, InvalidValue, NoInput
+from cgid.scene import load_scene, parse_scene, synthesise
+from cgid.scene.distributions import LARGEST_UNIFORM, SMALLEST_UNIFORM, Distribution
+from cgid.scene.population import draw
+from cgid.scene.randomness import generator, uniforms
+from cgid.scene.units import parse
+
+DATASETS = Path(__file__).parents[1] / "datasets"
+SHIPPED = ("reference", "peers", "yang2018")
+GRID = (np.arange(100_000) + 0.5) / 100_000
+
+
+def content(**changes):
+    """Return a small damped scene of two populations; changes are given as sampling__samples=64."""
+    population = {
+        "density": 1400,
+        "youngs_modulus": "3 GPa",
+        "poisson_ratio": 0.3,
+        "radius": "25 mm",
+        "restitution": 0.5,
+        "velocity": 4,
+    }
+    scene = {
+        "name": "small",
+        "impact": {"stiffness": "hertz", "dissipation": "hunt-crossley", "target": "rigid"},
+        "sampling": {"sampling_rate": "200 kHz", "samples": 128, "pre_trigger": 16},
+        "populations": [{"label": "coal", **population}, {"label": "gangue", **population}],
+    }
+    for path, value in changes.items():
+        *parents, last = path.split("__")
+        section = scene
+        for name in parents:
+            section = section[int(name)] if name.isdigit() else section.setdefault(name, {})
+        if value is None:
+            del section[last]
+        else:
+            section[last] = value
+    return scene
+
+
+def complaints(**changes):
+    """Return what is said about a scene, one line each, without the name of the source."""
+    with pytest.raises(BadData) as caught:
+        parse_scene(content(**changes))
+    return [line.removeprefix("scene: ") for line in str(caught.value).splitlines()]
+
+
+def distribution(**parameters):
+    return TypeAdapter(Distribution).validate_python(parameters)
+
+
+# ---- units -----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("written", "dimension", "value"),
+    [
+        ("3.1 GPa", "modulus", 3.1e9),
+        ("3.1GPa", "modulus", 3.1e9),
+        ("  2500 MPa ", "modulus", 2.5e9),
+        ("1.4 g/cm^3", "density", 1400.0),
+        ("2.45 t/m^3", "density", 2450.0),
+        ("25 mm", "length", 0.025),
+        ("2.5e1 mm", "length", 0.025),
+        (".5 cm", "length", 0.005),
+        ("36 km/h", "speed", 10.0),
+        ("-3 mm/s", "speed", -0.003),
+        ("200 kHz", "frequency", 2e5),
+        ("12 kN", "force", 12e3),
+        ("2 %", "ratio", 0.02),
+        ("0.3", "ratio", 0.3),
+        (20, "length", 20.0),
+    ],
+)
+def test_numbers_with_units(written, dimension, value):
+    assert parse(written, dimension) == value
+
+
+@pytest.mark.parametrize(
+    ("written", "dimension"),
+    [
+        ("3.1 GHz", "modulus"),
+        ("3.1", "modulus"),
+        ("3.1 gpa", "modulus"),
+        ("1 mm 2", "length"),
+        ("m", "length"),
+        ("", "length"),
+        ("1e400 m", "length"),
+        ("1e99999999999 m", "length"),
+        ("nan m", "length"),
+        (float("nan"), "length"),
+        (float("inf"), "length"),
+        (10**400, "length"),
+        (True, "length"),
+        (None, "length"),
+        ([1], "length"),
+    ],
+)
+def test_what_is_no_number_with_its_unit(written, dimension):
+    with pytest.raises(ValueError, match="must be"):
+        parse(written, dimension)
+
+
+@given(
+    st.decimals(0, 10_000, places=4), st.sampled_from([("GPa", 9, "modulus"), ("mm", -3, "length"), ("%", -2, "ratio")])
+)
+def test_a_unit_is_the_same_number_as_the_exponent(number, unit):
+    name, power, dimension = unit
+    assert parse(f"{number:f} {name}", dimension) == float(f"{number:f}e{power}")
+
+
+# ---- distributions ---------------------------------------------------------------------------------------------------
+
+WIDE = {"lowest": 2.0, "highest": 9.0}
+FREE = [
+    ({"distribution": "uniform", **WIDE}, stats.uniform(2, 7)),
+    ({"distribution": "log-uniform", **WIDE}, stats.loguniform(2, 9)),
+    ({"distribution": "normal", "mean": 5.0, "deviation": 1.5}, stats.norm(5, 1.5)),
+    ({"distribution": "lognormal", "median": 3.0, "sigma": 0.4}, stats.lognorm(0.4, scale=3)),
+    (
+        {"distribution": "rosin-rammler", "characteristic": 4.0, "uniformity": 1.7},
+        stats.weibull_min(1.7, scale=4),
+    ),
+]
+CUT = [
+    (
+        {"distribution": "truncated-normal", "mean": 5.0, "deviation": 3.0, **WIDE},
+        stats.norm(5, 3),
+    ),
+    ({"distribution": "lognormal", "median": 3.0, "sigma": 0.9, **WIDE}, stats.lognorm(0.9, scale=3)),
+    (
+        {"distribution": "rosin-rammler", "characteristic": 4.0, "uniformity": 1.2, **WIDE},
+        stats.weibull_min(1.2, scale=4),
+    ),
+]
+
+
+def name_of(case):
+    return case["distribution"] if isinstance(case, dict) else ""
+
+
+@pytest.mark.parametrize(("parameters", "expected"), FREE, ids=name_of)
+def test_quantiles_are_those_of_scipy(parameters, expected):
+    np.testing.assert_allclose(distribution(**parameters).quantile(GRID), expected.ppf(GRID), rtol=1e-12)
+
+
+@pytest.mark.parametrize(("parameters", "whole"), CUT, ids=name_of)
+def test_truncation_is_the_whole_law_given_that_it_lies_within(parameters, whole):
+    drawn = distribution(**parameters).quantile(GRID)
+    share = (whole.cdf(drawn) - whole.cdf(2.0)) / (whole.cdf(9.0) - whole.cdf(2.0))
+    np.testing.assert_allclose(share, GRID, atol=1e-13)
+
+
+@pytest.mark.parametrize(("parameters", "_"), [FREE[0], FREE[1], *CUT], ids=name_of)
+def test_bounds_are_attained_and_never_passed(parameters, _):
+    law = distribution(**parameters)
+    low, high = law.quantile(np.array([0.0, 1.0]))
+    assert (low, high) == pytest.approx((2.0, 9.0), rel=1e-15)
+    near = law.quantile(np.array([SMALLEST_UNIFORM, LARGEST_UNIFORM]))
+    assert near.min() >= 2.0
+    assert near.max() <= 9.0
+
+
+def test_one_side_alone_can_be_cut():
+    law = distribution(distribution="lognormal", median=3.0, sigma=0.9, lowest=2.0)
+    whole = stats.lognorm(0.9, scale=3)
+    np.testing.assert_allclose(law.quantile(GRID), whole.isf(whole.sf(2.0) * (1 - GRID)), rtol=1e-10)
+
+
+def test_choice_follows_its_weights():
+    law = distribution(distribution="choice", values=[4, 2, 8, 1], weights=[1, 0, 3, 0])
+    drawn = law.quantile(GRID)
+    assert {float(value): np.mean(drawn == value) for value in np.unique(drawn)} == {4.0: 0.25, 8.0: 0.75}
+
+
+def test_choice_without_weights_is_even():
+    drawn = distribution(distribution="choice", values=[3, 1, 2, 5]).quantile(GRID)
+    assert np.unique(drawn, return_counts=True)[1].tolist() == [25_000] * 4
+
+
+def test_choice_at_the_last_uniform_number():
+    """The running sum of these weights ends below their sum."""
+    weights = [0.1] * 11
+    law = distribution(distribution="choice", values=list(range(11)), weights=weights)
+    assert np.cumsum(weights)[-1] / np.sum(weights) < LARGEST_UNIFORM
+    ends = law.quantile(np.array([SMALLEST_UNIFORM, LARGEST_UNIFORM]))
+    assert ends.tolist() == [0, 10]
+
+
+def test_a_bare_number_is_a_constant():
+    (population, _) = parse_scene(content(populations__0__density="1.4 t/m^3")).populations
+    assert population.density.quantile(GRID[:3]).tolist() == [1400.0] * 3
+
+
+def test_uniform_numbers_lie_strictly_within_zero_and_one_and_are_uniform():
+    drawn = np.concatenate([uniforms(5, block, 4).ravel() for block in range(64)])
+    assert drawn.min() > 0
+    assert drawn.max() < 1
+    assert stats.kstest(drawn, "uniform").pvalue > 1e-3
+
+
+def test_addresses_have_their_own_random_numbers():
+    first = {generator(*address).random() for address in [(0, 1, 0), (1, 1, 0), (0, 2, 0), (0, 1, 1)]}
+    assert len(first) == 4
+
+
+@pytest.mark.parametrize("seed", [-1, 2**63])
+def test_seed_out_of_range(seed):
+    with pytest.raises(InvalidValue, match="seed"):
+        generator(seed, 1, 0)
+
+
+# ---- mistakes --------------------------------------------------------------------------------------------------------
+
+NORMAL = {"distribution": "normal", "mean": "1400 kg/m^3", "deviation": "200 kg/m^3"}
+
+
+@pytest.mark.parametrize(
+    ("changes", "path", "says"),
+    [
+        ({"sampling__jittter": 1}, "sampling.jittter", "unknown key"),
+        ({"populations__1__youngs_modulus": "3 GHz"}, "populations.1.youngs_modulus", "'3 GHz'"),
+        ({"populations__1__restitution": 0}, "populations.1.restitution", "between 0.05 and 1, got 0"),
+        ({"populations__1__restitution": 1.2}, "populations.1.restitution", "got 1.2"),
+        ({"populations__1__density": -5}, "populations.1.density", "above 0"),
+        ({"populations__1__density": NORMAL}, "populations.1.density", "can be drawn as"),
+        ({"populations__0__poisson_ratio": 0.5}, "populations.0.poisson_ratio", "between -1 and 0.5"),
+        ({"sensor__bits": 12}, "sensor", "range"),
+        ({"populations__0__drop_height": 1}, "populations.0", "not both"),
+        ({"populations__0__velocity": None}, "populations.0", "either drop_height or velocity"),
+        ({"populations__1__restitution": None}, "populations.1.restitution", "missing"),
+        ({"populations__0__density": {"distribution": "gamma"}}, "populations.0.density", "rosin-rammler, got 'gamma'"),
+        ({"populations__0__density": {"mean": 3}}, "populations.0.density", "name its distribution"),
+        ({"populations__0__density": True}, "populations.0.density", "finite number"),
+        ({"populations__0__density": float("nan")}, "populations.0.density", "nan"),
+        ({"populations__0__radius": float("inf")}, "populations.0.radius", "inf"),
+        ({"populations__0__radius": 10**400}, "populations.0.radius", "integer of 1329 bits"),
+        ({"populations__0__weight": True}, "populations.0.weight", "number"),
+        ({"populations__0__weight": 0}, "populations.0.weight", "greater than 0"),
+        ({"populations__0__label": "a/b"}, "populations.0.label", "pattern"),
+        ({"populations__0__radius": None}, "populations.0.radius", "missing"),
+        ({"populations": []}, "populations", "at least 1"),
+        ({"sampling__samples": "128"}, "sampling.samples", "integer"),
+        ({"sampling__samples": 1 << 60_000}, "sampling.samples", "bits"),
+        ({"sampling__pre_trigger": 125}, "sampling", "leave 8 samples"),
+        ({"sampling__sampling_rate": "200 kN"}, "sampling.sampling_rate", "Hz"),
+        ({"sensor__bandwidth": "100 kHz"}, "sensor.bandwidth", "below half the sampling rate"),
+        ({"impact__stiffness": "soft"}, "impact.stiffness", "'hertz'"),
+        ({"impact__target": "wood"}, "impact.target", "'rigid'"),
+        ({"impact__target": {"youngs_modulus": "210 GPa"}}, "impact.target.poisson_ratio", "missing"),
+        ({"impact": None}, "impact", "missing"),
+    ],
+    ids=lambda value: value if isinstance(value, str) else "",
+)
+def test_one_mistake_is_one_line_with_its_path(changes, path, says):
+    (line,) = complaints(**changes)
+    assert line.startswith(f"{path}: ")
+    assert says in line
+
+
+def test_restitution_must_be_left_out_when_elastic():
+    lines = complaints(impact__dissipation="elastic")
+    assert [line.split(": ")[0] for line in lines] == ["populations.0.restitution", "populations.1.restitution"]
+    assert "left out" in lines[0]
+
+
+@pytest.mark.parametrize(
+    ("parameters", "says"),
+    [
+        ({"distribution": "uniform", "lowest": 2000, "highest": 1000}, "lowest must be below highest"),
+        ({"distribution": "log-uniform", "lowest": 0, "highest": 1000}, "above 0 for a logarithm"),
+        ({"distribution": "choice", "values": [1, 2], "weights": [1]}, "as many as values"),
+        ({"distribution": "choice", "values": [1, 2], "weights": [1, -1]}, "0 or more"),
+        ({"distribution": "choice", "values": [1, 2], "weights": [1e308, 1e308]}, "finite sum"),
+        ({"distribution": "choice", "values": []}, "at least 1"),
+        ({"distribution": "normal", "mean": 1400, "deviation": 0}, "greater than 0"),
+        ({"distribution": "truncated-normal", "mean": 1400, "deviation": 0, **WIDE}, "greater than 0"),
+        ({"distribution": "normal", "mean": 1400, "deviation": 9, "lowest": 1}, "it is truncated-normal"),
+        ({"distribution": "truncated-normal", "mean": 1400, "deviation": 9}, "must have lowest and highest"),
+        ({"distribution": "truncated-normal", "mean": 1400, "deviation": 9, **WIDE}, "leave something"),
+        ({"distribution": "rosin-rammler", "characteristic": 1, "uniformity": 0.1}, "can be drawn as"),
+        ({"distribution": "lognormal", "median": 1400, "sigma": 1000}, "can be drawn as"),
+    ],
+)
+def test_distributions_that_cannot_be(parameters, says):
+    (line,) = complaints(populations__1__density=parameters)
+    assert line.startswith("populations.1.density")
+    assert says in line
+
+
+def test_all_mistakes_are_reported_at_once():
+    lines = complaints(
+        populations__1__density="3 s", sampling__jittter=1, sensor__relative_noise=-1, populations__0__label=None
+    )
+    paths = {line.split(": ")[0] for line in lines}
+    assert paths == {"populations.1.density", "sampling.jittter", "sensor.relative_noise", "populations.0.label"}
+
+
+def test_two_wrong_units_of_one_distribution():
+    wrong = {"distribution": "uniform", "lowest": "1 mm", "highest": "2 s"}
+    (line,) = complaints(populations__1__density=wrong)
+    assert "'1 mm'" in line
+    assert "'2 s'" in line
+
+
+@pytest.mark.parametrize(
+    ("written", "says"),
+    [
+        (b"[impact", "valid TOML"),
+        (b"name = '\xff'", "UTF-8"),
+        (b"seed = " + b"9" * 6000, "valid TOML"),
+        (b"deep = " + b"[" * 100_000, "valid TOML"),
+        (b"", "name: is missing"),
+    ],
+    ids=["broken", "not UTF-8", "endless integer", "endless nesting", "empty"],
+)
+def test_files_that_are_no_scene(tmp_path, written, says):
+    file = tmp_path / "scene.toml"
+    file.write_bytes(written)
+    with pytest.raises(BadData, match=says) as caught:
+        load_scene(file)
+    assert str(caught.value).startswith(str(file))
+
+
+@pytest.mark.parametrize("path", ["none.toml", "."])
+def test_missing_file(tmp_path, path):
+    with pytest.raises(NoInput, match="cannot be read"):
+        load_scene(tmp_path / path)
+
+
+def nodes(value, path=()):
+    """Return the paths of everything in a nested mapping."""
+    items = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
+    found = []
+    for key, part in items:
+        found += [(*path, key), *nodes(part, (*path, key))]
+    return found
+
+
+def test_damaged_scenes_give_errors_with_a_message_or_finite_signals():
+    """Random deletions and replacements in the shipped scenes: no other exception, no warning, no nan."""
+    rng = random.Random(20181)
+    scenes = [tomllib.loads((DATASETS / f"{name}.toml").read_text()) for name in SHIPPED]
+    values = [
+        0, -1, 0.5, 1.2, 1e300, -1e308, 5e-324, 1e10, 1e-6, 10**400, 2**70, True, float("nan"), float("inf"), "", "x",
+        "3 GPa", "1 m", "5 %", "rigid", "elastic", [], [1], [[1]], {}, {"distribution": [1]},
+        {"distribution": "uniform", "lowest": -1.7e308, "highest": 1.7e308},
+        {"distribution": "log-uniform", "lowest": 1e-300, "highest": 1e300},
+        {"distribution": "rosin-rammler", "characteristic": 1e-3, "uniformity": 100, "highest": 1e10},
+        {"distribution": "truncated-normal", "mean": 1, "deviation": 0, "lowest": 0, "highest": 2},
+    ]  # fmt: skip
+    outcomes = {"sound": 0, "refused": 0}
+    for _ in range(600):
+        scene = copy.deepcopy(rng.choice(scenes))
+        scene["sampling"]["samples"] = 128
+        scene["sampling"]["pre_trigger"] = 16
+        *parents, last = rng.choice(nodes(scene))
+        section = scene
+        for key in parents:
+            section = section[key]
+        if rng.random() < 0.2:
+            del section[last]
+        else:
+            section[last] = rng.choice(values)
+        try:
+            batch = next(synthesise(parse_scene(scene), 4))
+        except CgidError as error:
+            assert str(error)
+            outcomes["refused"] += 1
+        else:
+            assert np.isfinite(batch.signals).all()
+            outcomes["sound"] += 1
+    assert min(outcomes.values()) > 20
+
+
+@pytest.mark.parametrize("extreme", ["lowest", "highest"])
+def test_the_widest_scene_allowed_gives_finite_signals(extreme):
+    from cgid.scene.units import LIMITS
+
+    at = {name: bounds[extreme == "highest"] for name, bounds in LIMITS.items()}
+    scene = parse_scene(
+        content(
+            populations__0__density=at["density"],
+            populations__0__youngs_modulus=at["modulus"],
+            populations__0__radius=at["length"],
+            populations__0__velocity=at["speed"],
+            sampling__sampling_rate=at["frequency"],
+            sensor__relative_noise=0.1,
+        )
+    )
+    batch = next(synthesise(scene, 256))
+    assert np.isfinite(batch.signals).all()
+
+
+# ---- identity --------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", SHIPPED)
+def test_shipped_scenes_load(name):
+    scene = load_scene(DATASETS / f"{name}.toml")
+    assert scene.name == name
+    assert scene.labels == ("coal", "gangue")
+
+
+@pytest.mark.parametrize("number", ["3.1", "136.51"])
+def test_identity_does_not_depend_on_the_unit(number):
+    with_unit = parse_scene(content(populations__0__youngs_modulus=f"{number} GPa"))
+    without = parse_scene(content(populations__0__youngs_modulus=float(f"{number}e9")))
+    assert with_unit.sha256 == without.sha256
+
+
+def test_identity_does_not_depend_on_the_layout_of_the_file(tmp_path):
+    file = tmp_path / "reference.toml"
+    lines = (DATASETS / "reference.toml").read_text().splitlines()
+    file.write_text("\n\n".join(line for line in lines if not line.startswith("#")))
+    assert load_scene(file).sha256 == load_scene(DATASETS / "reference.toml").sha256
+
+
+def test_identity_depends_on_every_number():
+    changed = parse_scene(content(populations__0__density=1400.0000001))
+    assert changed.sha256 != parse_scene(content()).sha256
+
+
+def test_stored_text_is_the_scene_again():
+    import json
+
+    scene = load_scene(DATASETS / "reference.toml")
+    assert parse_scene(json.loads(scene.text)) == scene
+
+
+# ---- the population of reference.toml --------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def drawn():
+    scene = load_scene(DATASETS / "reference.toml")
+    draws = [draw(scene, 11, block) for block in range(120)]
+    labels = np.concatenate([d.labels for d in draws])
+    return {
+        label: {k: np.concatenate([d.parameters[k] for d in draws])[labels == label] for k in draws[0].parameters}
+        for label in ("coal", "gangue")
+    }
+
+
+def test_labels_of_reference_come_alike(drawn):
+    n_coal, n = drawn["coal"]["radius"].size, 120 * 256
+    assert abs(n_coal - n / 2) < 4 * np.sqrt(n / 4)
+
+
+def truncated_normal(mean, deviation, lowest, highest):
+    return stats.truncnorm((lowest - mean) / deviation, (highest - mean) / deviation, mean, deviation)
+
+
+REFERENCE = [
+    ("coal", "density", stats.norm(1400, 80)),
+    ("gangue", "density", stats.norm(2450, 110)),
+    ("coal", "youngs_modulus", stats.lognorm(0.35, scale=3.1e9)),
+    ("gangue", "youngs_modulus", stats.lognorm(0.55, scale=10e9)),
+    ("coal", "poisson_ratio", stats.uniform(0.26, 0.08)),
+    ("gangue", "poisson_ratio", stats.uniform(0.20, 0.12)),
+    ("coal", "radius", stats.loguniform(0.01, 0.08)),
+    ("gangue", "radius", stats.loguniform(0.01, 0.08)),
+    ("coal", "restitution", truncated_normal(0.35, 0.08, 0.1, 0.8)),
+    ("gangue", "restitution", truncated_normal(0.50, 0.10, 0.1, 0.9)),
+    ("coal", "drop_height", stats.uniform(0.5, 2.5)),
+    ("gangue", "drop_height", stats.uniform(0.5, 2.5)),
+]
+
+
+@pytest.mark.parametrize(("label", "name", "law"), REFERENCE)
+def test_reference_has_its_stated_mean_and_median(drawn, label, name, law):
+    values = drawn[label][name]
+    assert abs(values.mean() - law.mean()) < 4 * law.std() / np.sqrt(values.size)
+    assert abs(np.mean(values < law.median()) - 0.5) < 4 * 0.5 / np.sqrt(values.size)
+
+
+@pytest.mark.parametrize(("label", "name", "law"), REFERENCE)
+def test_reference_has_its_stated_shape(drawn, label, name, law):
+    assert stats.kstest(drawn[label][name], law.cdf).pvalue > 1e-4
+
+
+def test_parameters_of_one_impact_are_independent(drawn):
+    names = ("density", "youngs_modulus", "poisson_ratio", "radius", "restitution", "drop_height", "onset")
+    ranks = stats.spearmanr(np.stack([drawn["coal"][name] for name in names], axis=1)).statistic
+    apart = np.abs(ranks[~np.eye(len(names), dtype=bool)])
+    assert apart.max() < 4.5 / np.sqrt(drawn["coal"]["radius"].size)
+
+
+def test_velocity_is_that_of_free_fall(drawn):
+    height = drawn["coal"]["drop_height"]
+    np.testing.assert_allclose(drawn["coal"]["velocity"] ** 2 / 2, 9.80665 * height, rtol=1e-12)
+
+
+def test_touch_lies_within_the_jitter_after_the_pre_trigger(drawn):
+    place = drawn["coal"]["onset"] * 200e3 - 200
+    assert stats.kstest(place, "uniform").pvalue > 1e-4
+
+
+def test_weights_of_populations():
+    scene = parse_scene(content(populations__0__weight=3))
+    labels = np.concatenate([draw(scene, 2, block).labels for block in range(40)])
+    assert abs(np.mean(labels == "coal") - 0.75) < 4 * np.sqrt(0.75 * 0.25 / labels.size)

@@ -1,0 +1,781 @@
+"""Datasets: what comes back, what a file must hold, and damage of every kind."""
+
+import errno
+import functools
+import hashlib
+import json
+import os
+import random
+import shutil
+import subprocess
+import tracemalloc
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+
+from cgid.errors import BadData, CannotCreate, CgidError, InvalidValue, NoInput, WriteFailed
+from cgid.files import write_whole
+from cgid.scene import generate, parse_scene, synthesise
+from cgid.scene.population import PARAMETER_UNITS
+from cgid.store import Dataset, is_dataset
+
+N = 1000
+
+
+def population(label, density):
+    return {
+        "label": label,
+        "density": {"distribution": "uniform", "lowest": density, "highest": 1.1 * density},
+        "youngs_modulus": "3 GPa",
+        "poisson_ratio": 0.3,
+        "radius": {"distribution": "uniform", "lowest": "20 mm", "highest": "30 mm"},
+        "restitution": 0.5,
+        "drop_height": "1 m",
+    }
+
+
+@functools.cache
+def scene_of(samples=64):
+    return parse_scene(
+        {
+            "name": "small",
+            "impact": {"stiffness": "hertz", "dissipation": "hunt-crossley", "target": "rigid"},
+            "sampling": {"sampling_rate": "100 kHz", "samples": samples, "pre_trigger": 16},
+            "sensor": {"relative_noise": 0.01},
+            "populations": [population("coal", 1400), population("gangue", 2400)],
+        }
+    )
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    """One dataset as a file, and as folders of several cuts, by one and by two processes."""
+    folder = tmp_path_factory.mktemp("made")
+    generate(scene_of(), folder / "one.h5", N, 7)
+    for shard_signals in (256, 300, 1000):
+        generate(scene_of(), folder / f"cut{shard_signals}", N, 7, shard_signals=shard_signals)
+    generate(scene_of(), folder / "jobs", N, 7, shard_signals=300, jobs=2)
+    generate(scene_of(), folder / "packed.h5", N, 7, compression="gzip")
+    return folder
+
+
+@pytest.fixture
+def folder(made, tmp_path):
+    """A copy of a folder of four shards, to be damaged."""
+    return Path(shutil.copytree(made / "cut300", tmp_path / "data"))
+
+
+@pytest.fixture(scope="module")
+def tiny(tmp_path_factory):
+    """A file of 48 short signals."""
+    return generate(scene_of(32), tmp_path_factory.mktemp("tiny") / "tiny.h5", 48, 1)
+
+
+@pytest.fixture
+def copy(tiny, tmp_path):
+    return Path(shutil.copy(tiny, tmp_path / "copy.h5"))
+
+
+def columns(path):
+    """Return everything that a dataset gives when all of it is read."""
+    dataset = Dataset(path)
+    batches = list(dataset.batches())
+    found = {name: np.concatenate([getattr(b, name) for b in batches]) for name in ("signals", "labels", "specimen")}
+    for name in dataset.header.parameter_units:
+        found[name] = np.concatenate([batch.parameters[name] for batch in batches])
+    return found
+
+
+def assert_equal(found, expected):
+    assert found.keys() == expected.keys()
+    for name, values in expected.items():
+        np.testing.assert_array_equal(found[name], values, err_msg=name)
+        assert found[name].dtype.kind == values.dtype.kind
+
+
+# ---- round trip ------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", ["one.h5", "cut256", "cut300", "cut1000", "jobs", "packed.h5"])
+def test_what_comes_back_is_what_was_synthesised(made, name):
+    batches = list(synthesise(scene_of(), N, 7))
+    expected = {key: np.concatenate([getattr(b, key) for b in batches]) for key in ("signals", "labels", "specimen")}
+    for key in PARAMETER_UNITS:
+        expected[key] = np.concatenate([batch.parameters[key] for batch in batches])
+    assert_equal(columns(made / name), expected)
+
+
+@pytest.mark.parametrize("name", ["one.h5", "cut300"])
+def test_a_dataset_says_what_it_is(made, name):
+    dataset = Dataset(made / name)
+    assert len(dataset) == N
+    assert (dataset.sampling_rate, dataset.unit, dataset.quantity, dataset.pre_trigger) == (1e5, "N", "force", 16)
+    assert dataset.source == scene_of().sha256
+    assert dataset.header.n_samples == 64
+    batch = next(dataset.batches())
+    assert (batch.sampling_rate, batch.unit, batch.pre_trigger, batch.source) == (1e5, "N", 16, dataset.source)
+
+
+@pytest.mark.parametrize("name", ["one.h5", "cut300"])
+def test_batches_are_as_long_as_asked(made, name):
+    lengths = [len(batch) for batch in Dataset(made / name).batches(170)]
+    assert max(lengths) == 170
+    assert sum(lengths) == N
+
+
+def test_float64_is_kept(tmp_path):
+    generate(scene_of(), tmp_path / "double.h5", 20, 7, dtype="float64")
+    (batch,) = Dataset(tmp_path / "double.h5").batches()
+    np.testing.assert_array_equal(batch.signals, next(synthesise(scene_of(), 20, 7, dtype="float64")).signals)
+
+
+@pytest.mark.parametrize("index", [0, 299, 300, 999])
+def test_one_signal(made, index):
+    expected = columns(made / "one.h5")["signals"][index]
+    for name in ("one.h5", "cut300"):
+        signal = Dataset(made / name).signal(index)
+        np.testing.assert_array_equal(signal.samples, expected)
+        assert (signal.unit, signal.sampling_rate, signal.pre_trigger) == ("N", 1e5, 16)
+        assert str(index) in signal.name
+
+
+@pytest.mark.parametrize("index", [-1, 1000])
+def test_no_such_signal(made, index):
+    with pytest.raises(InvalidValue, match=f"between 0 and 999, got {index}"):
+        Dataset(made / "cut300").signal(index)
+
+
+def test_progress_counts_every_signal(tmp_path):
+    for jobs in (1, 2):
+        told = []
+        generate(scene_of(32), tmp_path / f"jobs{jobs}", 700, shard_signals=300, jobs=jobs, progress=told.append)
+        assert sum(told) == 700
+
+
+def test_a_run_is_byte_for_byte_repeatable(made):
+    for shard in (made / "cut300").glob("*"):
+        assert shard.read_bytes() == (made / "jobs" / shard.name).read_bytes()
+
+
+# ---- the file --------------------------------------------------------------------------------------------------------
+
+
+def items(path):
+    """Return every dataset and attribute of a file by its name."""
+    with h5py.File(path) as file:
+        datasets, attributes = {}, {"/": dict(file.attrs)}
+
+        def visit(name, item):
+            attributes[name] = dict(item.attrs)
+            if isinstance(item, h5py.Dataset):
+                datasets[name] = (item.dtype, item.chunks, item.fletcher32, item.compression, item.shuffle)
+
+        file.visititems(visit)
+        return datasets, attributes
+
+
+@pytest.mark.parametrize("name", ["one.h5", "packed.h5", "cut300/shard-00003.h5"])
+def test_everything_is_chunked_with_a_checksum_and_of_fixed_length(made, name):
+    datasets, attributes = items(made / name)
+    assert set(datasets) == {"signals", "labels", "specimen", *(f"parameters/{p}" for p in PARAMETER_UNITS)}
+    for dtype, chunks, checksum, _, _ in datasets.values():
+        assert chunks is not None
+        assert checksum
+        assert dtype.kind in "fuS"
+    for values in attributes.values():
+        assert all(isinstance(value, np.bytes_ | np.integer | np.floating) for value in values.values())
+
+
+def test_compression_is_gzip_after_a_byte_shuffle(made):
+    assert items(made / "packed.h5")[0]["signals"][3:] == ("gzip", True)
+    assert items(made / "one.h5")[0]["signals"][3:] == (None, False)
+    assert (made / "packed.h5").stat().st_size < (made / "one.h5").stat().st_size
+
+
+def test_root_attributes_say_how_it_was_made(made):
+    about = items(made / "cut300" / "shard-00002.h5")[1]["/"]
+    assert (about["format"], about["schema_version"], about["seed"]) == (b"cgid-dataset", 1, 7)
+    assert hashlib.sha256(about["scene"]).hexdigest() == about["scene_sha256"].decode() == scene_of().sha256
+    assert parse_scene(json.loads(about["scene"])) == scene_of()
+    assert about["scene_name"] == b"small"
+    assert about["first_signal"] == 600
+    assert f"numpy {np.__version__}".encode() in about["versions"]
+    assert f"h5py {h5py.__version__}".encode() in about["versions"]
+
+
+def test_units_stand_beside_the_numbers(made):
+    about = items(made / "one.h5")[1]
+    signals = about["signals"]
+    assert (signals["unit"], signals["quantity"], signals["sampling_rate"]) == (b"N", b"force", 1e5)
+    assert signals["pre_trigger"] == 16
+    for name, unit in PARAMETER_UNITS.items():
+        assert about[f"parameters/{name}"]["unit"] == unit.encode()
+
+
+def test_every_shard_is_a_dataset_by_itself(made):
+    shard = columns(made / "cut300" / "shard-00001.h5")
+    np.testing.assert_array_equal(shard["signals"], columns(made / "one.h5")["signals"][300:600])
+
+
+def test_plain_h5py_reads_the_same(made):
+    with h5py.File(made / "one.h5") as file:
+        signals, labels = file["signals"][:], file["labels"].asstr()[:]
+    found = columns(made / "one.h5")
+    np.testing.assert_array_equal(signals, found["signals"])
+    assert labels.tolist() == found["labels"].tolist()
+
+
+@pytest.mark.skipif(shutil.which("h5dump") is None, reason="h5dump is not on the PATH")
+def test_h5dump_reads_the_header(made):
+    shown = subprocess.run(["h5dump", "-H", str(made / "one.h5")], capture_output=True, text=True, check=True).stdout
+    assert 'DATASET "signals"' in shown
+
+
+def test_a_scene_of_more_text_than_an_old_attribute_holds(tmp_path):
+    """Attributes of the old file format end at 64 KiB."""
+    values = [float(value) for value in range(1, 9001)]
+    spread = {"distribution": "choice", "values": values}
+    content = json.loads(scene_of(32).text)
+    content["populations"][0]["density"] = spread
+    scene = parse_scene(content)
+    assert len(scene.text) > 1 << 16
+    path = generate(scene, tmp_path / "long.h5", 5)
+    assert Dataset(path).header.attributes["scene"] == scene.text
+
+
+# ---- the manifest ----------------------------------------------------------------------------------------------------
+
+
+def test_manifest_has_the_digest_and_size_of_every_shard(made):
+    manifest = json.loads((made / "cut300" / "manifest.json").read_text())
+    assert [entry["first_signal"] for entry in manifest["shards"]] == [0, 300, 600, 900]
+    for entry in manifest["shards"]:
+        content = (made / "cut300" / entry["file"]).read_bytes()
+        assert entry["sha256"] == hashlib.sha256(content).hexdigest()
+        assert entry["bytes"] == len(content)
+
+
+def test_manifest_counts_the_labels(made):
+    manifest = json.loads((made / "cut300" / "manifest.json").read_text())
+    labels = columns(made / "one.h5")["labels"]
+    for entry in manifest["shards"]:
+        part = labels[entry["first_signal"] :][: entry["n_signals"]].tolist()
+        assert entry["labels"] == {label: part.count(label) for label in ("coal", "gangue")}
+
+
+def test_manifest_finds_one_flipped_bit_anywhere(folder):
+    assert Dataset(folder).damaged_shards() == []
+    shard = folder / "shard-00002.h5"
+    content = bytearray(shard.read_bytes())
+    content[-1] ^= 1
+    dataset = Dataset(folder)
+    shard.write_bytes(content)
+    assert dataset.damaged_shards() == [str(shard)]
+
+
+def test_a_single_file_has_no_manifest_to_compare_with(made):
+    assert Dataset(made / "one.h5").damaged_shards() == []
+
+
+def rewrite(folder, **changes):
+    file = folder / "manifest.json"
+    file.write_text(json.dumps({**json.loads(file.read_text()), **changes}))
+
+
+def shards_of(folder):
+    return json.loads((folder / "manifest.json").read_text())["shards"]
+
+
+def test_without_a_manifest_the_run_was_not_finished(folder):
+    (folder / "manifest.json").unlink()
+    with pytest.raises(BadData, match=r"manifest\.json.*not finished"):
+        Dataset(folder)
+
+
+@pytest.mark.parametrize("junk", [b"", b"\xff\xfe", b"[1, 2", b"[" * 100_000, b"[]", b'"text"', b'{"format": "other"}'])
+def test_junk_for_a_manifest(folder, junk):
+    (folder / "manifest.json").write_bytes(junk)
+    with pytest.raises(BadData, match=r"manifest\.json"):
+        Dataset(folder)
+
+
+def test_manifest_of_another_version(folder):
+    rewrite(folder, schema_version=2)
+    with pytest.raises(BadData, match="schema_version must be 1, got 2"):
+        Dataset(folder)
+
+
+@pytest.mark.parametrize(
+    "name", ["/etc/passwd", "../shard-00000.h5", "..", "", "sub/shard-00000.h5", "a\0b", "manifest.json", 7]
+)
+def test_file_names_outside_the_folder_are_refused(folder, name):
+    shards = shards_of(folder)
+    shards[0]["file"] = name
+    rewrite(folder, shards=shards)
+    with pytest.raises(BadData, match="shards must be a list"):
+        Dataset(folder)
+
+
+@pytest.mark.parametrize(
+    "shards", [None, [], {}, "x", [1], [{}], [{"file": "shard-00000.h5", "n_signals": 0, "sha256": ""}]]
+)
+def test_lists_of_shards_that_are_none(folder, shards):
+    rewrite(folder, shards=shards)
+    with pytest.raises(BadData, match="shards must be a list"):
+        Dataset(folder)
+
+
+@pytest.mark.parametrize("change", ["drop", "repeat"])
+def test_every_shard_is_listed_once(folder, change):
+    shards = shards_of(folder)
+    rewrite(folder, shards=shards[1:] if change == "drop" else [*shards, shards[0]])
+    with pytest.raises(BadData, match="every shard must be listed, and once"):
+        Dataset(folder)
+
+
+def test_shard_missing(folder):
+    (folder / "shard-00001.h5").unlink()
+    with pytest.raises(BadData, match=r"shard-00001\.h5: this shard of the dataset is missing"):
+        Dataset(folder)
+
+
+def test_shard_of_another_length(folder):
+    shutil.copy(folder / "shard-00003.h5", folder / "shard-00001.h5")
+    with pytest.raises(BadData, match="as many signals as"):
+        Dataset(folder)
+
+
+def test_shard_of_another_frame(folder, tiny):
+    shutil.copy(tiny, folder / "shard-00003.h5")
+    with pytest.raises(BadData, match="n_samples must be that of the other shards, 64, got 32"):
+        Dataset(folder)
+
+
+# ---- damage ----------------------------------------------------------------------------------------------------------
+
+
+def test_a_flipped_bit_is_found_or_harmless(tiny, tmp_path):
+    expected, content = columns(tiny), tiny.read_bytes()
+    rng, path, found = random.Random(2018), tmp_path / "flipped.h5", 0
+    for _ in range(200):
+        damaged = bytearray(content)
+        damaged[rng.randrange(len(content))] ^= 1 << rng.randrange(8)
+        path.write_bytes(damaged)
+        try:
+            assert_equal(columns(path), expected)
+        except CgidError as error:
+            assert "flipped.h5" in str(error)
+            found += 1
+    assert found > 20
+
+
+def test_a_flipped_bit_of_a_signal_is_found_by_its_checksum(tiny, tmp_path):
+    raw = columns(tiny)["signals"][20].tobytes()
+    content = bytearray(tiny.read_bytes())
+    content[content.index(raw) + 50] ^= 4
+    path = tmp_path / "flipped.h5"
+    path.write_bytes(content)
+    with pytest.raises(BadData, match="checksum"):
+        columns(path)
+    with pytest.raises(BadData, match="checksum"):
+        Dataset(path).signal(20)
+
+
+@pytest.mark.parametrize("share", [0.0, 0.001, 0.1, 0.5, 0.9, 0.999])
+def test_truncated(tiny, tmp_path, share):
+    path = tmp_path / "short.h5"
+    content = tiny.read_bytes()
+    path.write_bytes(content[: int(share * len(content))])
+    with pytest.raises(BadData, match="empty, truncated or no HDF5"):
+        columns(path)
+
+
+def test_text_with_the_name_of_a_dataset(tmp_path):
+    path = tmp_path / "text.h5"
+    path.write_text("time,force\n0,1\n")
+    assert not is_dataset(path)
+    with pytest.raises(BadData, match="readable HDF5"):
+        Dataset(path)
+
+
+def test_nothing_there(tmp_path):
+    assert not is_dataset(tmp_path / "none.h5")
+    with pytest.raises(NoInput, match=r"none\.h5"):
+        Dataset(tmp_path / "none.h5")
+
+
+def test_what_looks_like_a_dataset(made):
+    assert is_dataset(made / "one.h5")
+    assert is_dataset(made / "cut300")
+
+
+# ---- files that somebody else made -----------------------------------------------------------------------------------
+
+
+def refused(path, says):
+    with pytest.raises(BadData, match=says) as caught:
+        columns(path)
+    assert str(path) in str(caught.value)
+
+
+def test_hdf5_of_another_format(tmp_path):
+    path = tmp_path / "other.h5"
+    with h5py.File(path, "w") as file:
+        file["signals"] = np.zeros((3, 64))
+    refused(path, "must be a cgid dataset")
+
+
+@pytest.mark.parametrize("version", [2, "1", None])
+def test_wrong_schema_version(copy, version):
+    with h5py.File(copy, "r+") as file:
+        del file.attrs["schema_version"]
+        if version is not None:
+            file.attrs["schema_version"] = version
+    refused(copy, "schema_version must be 1")
+
+
+@pytest.mark.parametrize("value", [np.array(["cgid-dataset", "cgid-dataset"], "S12"), "cgid-dataset", 3.0])
+def test_format_must_be_one_string_of_fixed_length(copy, value):
+    with h5py.File(copy, "r+") as file:
+        file.attrs["format"] = value
+    refused(copy, "must be a cgid dataset")
+
+
+@pytest.mark.parametrize("name", ["signals", "labels", "specimen"])
+def test_missing_dataset(copy, name):
+    with h5py.File(copy, "r+") as file:
+        del file[name]
+    refused(copy, f"{name} must be part of the file")
+
+
+@pytest.mark.parametrize("name", ["signals", "labels", "specimen", "parameters", "parameters/radius"])
+@pytest.mark.parametrize("kind", ["soft", "external", "dangling"])
+def test_links_are_refused(copy, tiny, name, kind):
+    with h5py.File(copy, "r+") as file:
+        file.move(name, "hidden")
+        links = {
+            "soft": h5py.SoftLink("/hidden"),
+            "external": h5py.ExternalLink(str(tiny), name),
+            "dangling": h5py.ExternalLink("/nowhere.h5", name),
+        }
+        file[name] = links[kind]
+    refused(copy, "must be (part|a group) of the file itself")
+
+
+def replaced(path, name, make):
+    """Put another dataset in place of one, with the attributes of the old."""
+    with h5py.File(path, "r+") as file:
+        about, shape = dict(file[name].attrs), file[name].shape
+        del file[name]
+        make(file, shape)
+        file[name].attrs.update(about)
+
+
+def test_external_storage_is_refused(copy, tmp_path):
+    secret = tmp_path / "secret"
+    secret.write_bytes(bytes(48 * 32 * 4))
+    external = [(str(secret), 0, 48 * 32 * 4)]
+    replaced(copy, "signals", lambda file, shape: file.create_dataset("signals", shape, "f4", external=external))
+    refused(copy, "plain dataset")
+
+
+def test_virtual_dataset_is_refused(copy, tiny):
+    def make(file, shape):
+        layout = h5py.VirtualLayout(shape, "f4")
+        layout[:] = h5py.VirtualSource(str(tiny), "signals", shape)
+        file.create_virtual_dataset("signals", layout)
+
+    replaced(copy, "signals", make)
+    refused(copy, "plain dataset")
+
+
+@pytest.mark.parametrize("kind", [h5py.string_dtype(), h5py.vlen_dtype(np.float32), h5py.ref_dtype])
+@pytest.mark.parametrize("name", ["labels", "signals", "parameters/radius"])
+def test_variable_length_and_references_are_refused(copy, name, kind):
+    replaced(copy, name, lambda file, shape: file.create_dataset(name, shape, kind))
+    refused(copy, "plain dataset")
+
+
+def test_attributes_of_variable_length_are_never_read(copy):
+    with h5py.File(copy, "r+") as file:
+        file.attrs["remark"] = "of variable length"
+        file["signals"].attrs["remarks"] = ["one", "two"]
+    assert "remark" not in Dataset(copy).header.attributes
+
+
+@pytest.mark.parametrize(
+    ("name", "shape", "kind", "says"),
+    [
+        ("signals", (48, 32), "i4", "rows of floats"),
+        ("signals", (48, 32), ">f4", "rows of floats"),
+        ("signals", (48,), "f4", "rows of floats"),
+        ("signals", (48, 0), "f4", "rows of floats"),
+        ("signals", None, "f4", "rows of floats"),
+        ("labels", (47,), "S6", "one value a signal"),
+        ("labels", (48,), "f8", "one value a signal"),
+        ("specimen", (48,), "i8", "one value a signal"),
+        ("parameters/radius", (48, 2), "f8", "one number a signal"),
+        ("parameters/radius", (48,), "S6", "one number a signal"),
+    ],
+)
+def test_wrong_shape_or_type(copy, name, shape, kind, says):
+    def make(file, _):
+        content = h5py.Empty(kind) if shape is None else np.zeros(shape, kind)
+        file.create_dataset(name, data=content)
+
+    replaced(copy, name, make)
+    refused(copy, says)
+
+
+def test_parameters_that_are_a_dataset(copy):
+    with h5py.File(copy, "r+") as file:
+        del file["parameters"]
+        file["parameters"] = np.zeros(48)
+    refused(copy, "parameters must be a group")
+
+
+def test_a_dataset_without_parameters(copy):
+    with h5py.File(copy, "r+") as file:
+        del file["parameters"]
+    assert columns(copy).keys() == {"signals", "labels", "specimen"}
+
+
+@pytest.mark.parametrize(("name", "shape", "kind"), [("signals", (10**6, 10**6), "f4"), ("labels", (48,), "S99999999")])
+def test_a_huge_declared_size_is_refused_before_it_is_read(copy, name, shape, kind):
+    chunks = tuple(min(length, 8) for length in shape)
+    replaced(copy, name, lambda file, _: file.create_dataset(name, shape, kind, chunks=chunks))
+    refused(copy, f"{name} must be at most 2 GiB")
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("sampling_rate", None),
+        ("sampling_rate", 0.0),
+        ("sampling_rate", np.nan),
+        ("sampling_rate", [1e5, 1e5]),
+        ("sampling_rate", b"fast"),
+        ("pre_trigger", None),
+        ("pre_trigger", -1),
+        ("pre_trigger", 32),
+        ("pre_trigger", 16.5),
+        ("unit", None),
+        ("unit", np.bytes_(b"stone")),
+    ],
+)
+def test_unsound_attributes_of_the_signals(copy, name, value):
+    with h5py.File(copy, "r+") as file:
+        del file["signals"].attrs[name]
+        if value is not None:
+            file["signals"].attrs[name] = value
+    refused(copy, f"sound attribute {name}")
+
+
+# ---- writing ---------------------------------------------------------------------------------------------------------
+
+
+def leftovers(folder):
+    return sorted(path.name for path in folder.rglob("*") if path.suffix == ".part")
+
+
+class Stop(Exception):
+    pass
+
+
+@pytest.mark.parametrize("reason", [Stop, KeyboardInterrupt])
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_an_interrupted_run_leaves_no_manifest(tmp_path, reason, jobs):
+    done = 0
+
+    def progress(count):
+        nonlocal done
+        done += count
+        if done > 500:
+            raise reason
+
+    with pytest.raises(reason):
+        generate(scene_of(32), tmp_path / "data", 2000, shard_signals=300, jobs=jobs, progress=progress)
+    assert not (tmp_path / "data" / "manifest.json").exists()
+    assert leftovers(tmp_path) == []
+    with pytest.raises(BadData, match="not finished"):
+        Dataset(tmp_path / "data")
+
+
+def test_what_a_stopped_worker_left_half_written_goes(tmp_path):
+    def progress(_):
+        (tmp_path / "data" / ".shard-00001.h5.0123456789ab.part").touch()
+        raise Stop
+
+    with pytest.raises(Stop):
+        generate(scene_of(32), tmp_path / "data", 1000, shard_signals=300, progress=progress)
+    assert list((tmp_path / "data").iterdir()) == []
+
+
+def test_an_interrupted_file_leaves_nothing(tmp_path):
+    def progress(_):
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        generate(scene_of(32), tmp_path / "data.h5", 300, progress=progress)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_an_unfinished_folder_can_be_made_again(tmp_path, folder):
+    (folder / "manifest.json").unlink()
+    (folder / "shard-00000.h5").unlink()
+    (folder / ".shard-00001.h5.0123456789ab.part").write_bytes(b"killed")
+    generate(scene_of(32), folder, 100, overwrite=True)
+    assert sorted(path.name for path in folder.iterdir()) == ["manifest.json", "shard-00000.h5"]
+    assert len(Dataset(folder)) == 100
+
+
+@pytest.mark.parametrize("name", ["one.h5", "cut300"])
+def test_an_existing_dataset_is_kept_unless_told_otherwise(made, name):
+    before = columns(made / name)
+    with pytest.raises(CannotCreate, match="exists already"):
+        generate(scene_of(32), made / name, 10)
+    assert_equal(columns(made / name), before)
+
+
+def test_overwriting_a_file(copy):
+    generate(scene_of(), copy, 10, overwrite=True)
+    assert len(Dataset(copy)) == 10
+
+
+def test_overwriting_a_folder_leaves_no_old_shard(folder):
+    generate(scene_of(32), folder, 10, overwrite=True)
+    assert sorted(path.name for path in folder.iterdir()) == ["manifest.json", "shard-00000.h5"]
+    assert Dataset(folder).header.n_samples == 32
+
+
+def test_an_empty_folder_is_room_enough(tmp_path):
+    (tmp_path / "data").mkdir()
+    assert len(Dataset(generate(scene_of(32), tmp_path / "data", 10))) == 10
+
+
+@pytest.mark.parametrize("name", ["thesis.txt", "manifest.json", "shard-1.h5"])
+def test_a_folder_with_foreign_files_is_never_overwritten(tmp_path, name):
+    (tmp_path / name).write_text("{}")
+    with pytest.raises(CannotCreate, match=name):
+        generate(scene_of(32), tmp_path, 10, overwrite=True)
+    assert [path.name for path in tmp_path.iterdir()] == [name]
+    assert (tmp_path / name).read_text() == "{}"
+
+
+def test_a_dataset_with_a_foreign_file_is_not_overwritten(folder):
+    (folder / "thesis.txt").touch()
+    with pytest.raises(CannotCreate, match=r"such as thesis\.txt"):
+        generate(scene_of(32), folder, 10, overwrite=True)
+    assert len(Dataset(folder)) == N
+
+
+@pytest.mark.parametrize("name", ["no/data", "no/data.h5", "x" * 300, "x" * 300 + ".h5"])
+def test_names_that_cannot_be_made(tmp_path, name):
+    with pytest.raises(CannotCreate):
+        generate(scene_of(32), tmp_path / name, 10)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_file_is_no_folder_and_a_folder_no_file(tmp_path):
+    (tmp_path / "data").touch()
+    (tmp_path / "data.h5").mkdir()
+    with pytest.raises(CannotCreate, match="is a file"):
+        generate(scene_of(32), tmp_path / "data", 10, overwrite=True)
+    with pytest.raises(CannotCreate, match="is a folder"):
+        generate(scene_of(32), tmp_path / "data.h5", 10, overwrite=True)
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="root may write everywhere")
+def test_folder_without_permission_to_write(tmp_path):
+    tmp_path.chmod(0o500)
+    for name in ("data", "data.h5"):
+        with pytest.raises(CannotCreate, match="Permission"):
+            generate(scene_of(32), tmp_path / name, 10)
+    tmp_path.chmod(0o700)
+
+
+def no_space(*_):
+    raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+
+def test_disk_full_keeps_the_old_file(copy, monkeypatch):
+    before = copy.read_bytes()
+    monkeypatch.setattr(os, "fsync", no_space)
+    with pytest.raises(WriteFailed, match="No space left"):
+        generate(scene_of(), copy, 10, overwrite=True)
+    assert copy.read_bytes() == before
+    assert list(copy.parent.iterdir()) == [copy]
+
+
+def test_disk_full_in_the_middle_of_a_folder(tmp_path, monkeypatch):
+    sync, calls = os.fsync, []
+
+    def third_fails(descriptor):
+        calls.append(descriptor)
+        return no_space() if len(calls) == 3 else sync(descriptor)
+
+    monkeypatch.setattr(os, "fsync", third_fails)
+    with pytest.raises(WriteFailed, match=r"shard-00002\.h5"):
+        generate(scene_of(32), tmp_path / "data", 1000, shard_signals=256)
+    assert sorted(path.name for path in (tmp_path / "data").iterdir()) == ["shard-00000.h5", "shard-00001.h5"]
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="there is no /dev/full to write to")
+def test_a_write_that_fails_leaves_nothing(tmp_path, monkeypatch):
+    opened = Path.open
+    monkeypatch.setattr(Path, "open", lambda self, mode: self.touch() or opened(Path("/dev/full"), "wb"))
+    with pytest.raises(WriteFailed, match="No space left"):
+        write_whole(tmp_path / "file", bytes(1 << 20))
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_new_file_has_the_permissions_of_the_umask(tmp_path):
+    write_whole(tmp_path / "file", b"content")
+    (tmp_path / "other").touch()
+    assert (tmp_path / "file").stat().st_mode == (tmp_path / "other").stat().st_mode
+
+
+def test_a_file_above_2_gib_is_refused_with_the_cure(tmp_path):
+    n_signals = (2 << 30) // (64 * 4) + 1
+    with pytest.raises(InvalidValue, match=r"at most 2 GiB.*does not end in \.h5, for a folder"):
+        generate(scene_of(), tmp_path / "large.h5", n_signals)
+    with pytest.raises(InvalidValue, match="ask for smaller"):
+        generate(scene_of(), tmp_path / "large", n_signals, shard_signals=n_signals)
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"n_signals": 0},
+        {"n_signals": 9, "jobs": 0},
+        {"n_signals": 9, "shard_signals": 0},
+        {"n_signals": 9, "compression": "lzf"},
+        {"n_signals": 9, "dtype": "float16"},
+        {"n_signals": 9, "seed": -1},
+    ],
+    ids=str,
+)
+def test_options_that_cannot_be_write_nothing(tmp_path, options):
+    with pytest.raises(InvalidValue):
+        generate(scene_of(32), tmp_path / "data", **options)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_memory_does_not_grow_with_the_number_of_signals(tmp_path):
+    def peak(n_signals):
+        tracemalloc.reset_peak()
+        generate(scene_of(256), tmp_path / str(n_signals), n_signals, shard_signals=256)
+        return tracemalloc.get_traced_memory()[1]
+
+    generate(scene_of(256), tmp_path / "first", 256)
+    tracemalloc.start()
+    try:
+        before = tracemalloc.get_traced_memory()[0]
+        few, many = (peak(n_signals) - before for n_signals in (512, 2048))
+    finally:
+        tracemalloc.stop()
+    assert few > 256 * 256 * 4
+    assert many < 1.2 * few

@@ -1,0 +1,379 @@
+"""Signals of a scene against `Impact.force` by itself, and what the sensor makes of them."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy import stats
+
+from cgid.errors import InvalidValue
+from cgid.filters import fft_filter
+from cgid.impact import RIGID, Elastic, HalfSpace, HuntCrossley, Impact, Sphere, _kernels
+from cgid.materials import Material
+from cgid.scene import load_scene, parse_scene, synthesise
+from cgid.scene import synthesis as synthesis_module
+from cgid.scene.randomness import BLOCK
+
+DATASETS = Path(__file__).parents[1] / "datasets"
+STEEL = {"density": 7850, "youngs_modulus": "210 GPa", "poisson_ratio": 0.3}
+RATE = 200e3
+
+
+def uniform(lowest, highest):
+    return {"distribution": "uniform", "lowest": lowest, "highest": highest}
+
+
+def scene_of(samples=256, target="rigid", stiffness="hertz", elastic=False, sensor=None, **sampling):
+    population = {
+        "density": uniform(1300, 1500),
+        "youngs_modulus": uniform("2 GPa", "5 GPa"),
+        "poisson_ratio": 0.3,
+        "radius": uniform("15 mm", "40 mm"),
+        "velocity": uniform(2, 8),
+    }
+    if not elastic:
+        population["restitution"] = uniform(0.05, 1.0)
+    return parse_scene(
+        {
+            "name": "small",
+            "impact": {
+                "stiffness": stiffness,
+                "dissipation": "elastic" if elastic else "hunt-crossley",
+                "target": target,
+            },
+            "sampling": {"sampling_rate": RATE, "samples": samples, "pre_trigger": 16, **sampling},
+            "sensor": sensor or {},
+            "populations": [
+                {"label": "coal", **population},
+                {"label": "gangue", **population, "density": uniform(2300, 2600)},
+            ],
+        }
+    )
+
+
+def batch_of(scene, n_signals=BLOCK, seed=3, **options):
+    (batch,) = synthesise(scene, n_signals, seed, **options)
+    return batch
+
+
+def impact_of(batch, scene):
+    """Rebuild the impacts from the stored parameters alone."""
+    p = batch.parameters
+    steel = Material(density=7850, youngs_modulus=210e9, poisson_ratio=0.3)
+    return Impact(
+        sphere=Sphere(
+            material=Material(
+                density=p["density"], youngs_modulus=p["youngs_modulus"], poisson_ratio=p["poisson_ratio"]
+            ),
+            radius=p["radius"],
+        ),
+        target=RIGID if scene.impact.target == "rigid" else HalfSpace(material=steel),
+        velocity=p["velocity"],
+        stiffness=scene.impact.stiffness,
+        dissipation=(
+            Elastic() if scene.impact.dissipation == "elastic" else HuntCrossley(restitution=p["restitution"])
+        ),
+    )
+
+
+def expected_frames(batch, scene):
+    times = np.arange(scene.sampling.samples) / RATE - batch.parameters["onset"][:, None]
+    return impact_of(batch, scene).force(times)
+
+
+# ---- clean signals ---------------------------------------------------------------------------------------------------
+
+KINDS = [
+    {"target": STEEL},
+    {"target": "rigid"},
+    {"target": STEEL, "stiffness": "series"},
+    {"target": STEEL, "stiffness": "rigid-sphere"},
+    {"target": STEEL, "elastic": True},
+    {"target": STEEL, "jitter": 0.0},
+]
+
+
+@pytest.mark.parametrize("kind", KINDS, ids=str)
+@pytest.mark.parametrize(("dtype", "tolerance"), [("float32", 1e-6), ("float64", 1e-9)])
+def test_clean_signals_are_the_force_of_each_impact(kind, dtype, tolerance):
+    scene = scene_of(**kind)
+    batch = batch_of(scene, dtype=dtype)
+    assert batch.signals.dtype == dtype
+    error = np.abs(batch.signals - expected_frames(batch, scene)).max(axis=1)
+    assert (error / batch.parameters["peak_force"]).max() < tolerance
+
+
+def test_stored_peak_and_duration_are_those_of_the_impact():
+    scene = scene_of(target=STEEL)
+    batch = batch_of(scene)
+    impact = impact_of(batch, scene)
+    np.testing.assert_allclose(batch.parameters["peak_force"], impact.peak_force, rtol=1e-13)
+    np.testing.assert_allclose(batch.parameters["contact_duration"], impact.contact_duration, rtol=1e-13)
+
+
+def test_elastic_impacts_have_restitution_one():
+    assert (batch_of(scene_of(elastic=True)).parameters["restitution"] == 1).all()
+
+
+def test_drop_height_is_unknown_where_the_velocity_was_given():
+    assert np.isnan(batch_of(scene_of()).parameters["drop_height"]).all()
+
+
+def test_impulse_is_the_momentum_given_back():
+    scene = scene_of(samples=4096)
+    batch = batch_of(scene, 64, dtype="float64")
+    p = batch.parameters
+    mass = 4 / 3 * np.pi * p["radius"] ** 3 * p["density"]
+    momentum = (1 + p["restitution"]) * mass * p["velocity"]
+    np.testing.assert_allclose(batch.signals.sum(axis=1) / RATE, momentum, rtol=1e-3)
+
+
+def test_nothing_before_touch_and_nothing_after_separation():
+    scene = scene_of(samples=512)
+    batch = batch_of(scene)
+    times = np.arange(512) / RATE - batch.parameters["onset"][:, None]
+    after = times > batch.parameters["contact_duration"][:, None]
+    assert after.any(axis=1).all()
+    assert (batch.signals[after] == 0).all()
+    assert (batch.signals[:, :17] == 0).all()
+
+
+def test_without_jitter_every_touch_falls_on_the_pre_trigger_sample():
+    batch = batch_of(scene_of(jitter=0.0))
+    assert (batch.parameters["onset"] == 16 / RATE).all()
+    assert (batch.signals[:, 16] == 0).all()
+    assert (batch.signals[:, 17] > 0).all()
+
+
+def test_jitter_spreads_touch_over_its_share_of_a_sample():
+    onsets = [batch.parameters["onset"] for batch in synthesise(scene_of(samples=32, jitter=0.4), 8 * BLOCK)]
+    place = np.concatenate(onsets) * RATE - 16
+    assert stats.kstest(place, stats.uniform(0, 0.4).cdf).pvalue > 1e-4
+
+
+@pytest.mark.parametrize("samples", [24, 25, 40])
+def test_pulses_cut_off_by_the_end_of_the_frame(samples):
+    scene = scene_of(samples=samples)
+    batch = batch_of(scene, dtype="float64")
+    end = batch.parameters["onset"] + batch.parameters["contact_duration"]
+    assert (end * RATE > samples).any()
+    np.testing.assert_allclose(batch.signals, expected_frames(batch, scene), rtol=1e-6, atol=1e-5)
+
+
+# ---- noise -----------------------------------------------------------------------------------------------------------
+
+
+def residual(sensor, **options):
+    scene = scene_of(samples=512, sensor=sensor)
+    batch = batch_of(scene, **options)
+    return batch, batch.signals - expected_frames(batch, scene)
+
+
+@pytest.mark.parametrize(
+    ("sensor", "relative", "absolute"),
+    [
+        ({"relative_noise": 0.02}, 0.02, 0),
+        ({"absolute_noise": "30 N"}, 0, 30),
+        ({"relative_noise": "2 %", "absolute_noise": 30}, 0.02, 30),
+    ],
+)
+@pytest.mark.parametrize("dtype", ["float32", "float64"])
+def test_noise_is_white_gaussian_of_the_level_asked_for(sensor, relative, absolute, dtype):
+    batch, noise = residual(sensor, dtype=dtype)
+    scaled = noise / np.hypot(relative * batch.parameters["peak_force"], absolute)[:, None]
+    # 131072 numbers: the deviation is known to 1 / sqrt(2 n) = 0.2 %.
+    assert scaled.std() == pytest.approx(1, abs=4 * 0.002)
+    assert abs(scaled.mean()) < 4 / np.sqrt(scaled.size)
+    assert stats.kstest(scaled.ravel(), "norm").pvalue > 1e-4
+    neighbours = np.mean(scaled[:, 1:] * scaled[:, :-1])
+    assert abs(neighbours) < 4 / np.sqrt(scaled.size)
+
+
+def test_each_signal_has_the_noise_of_its_own_peak():
+    batch, noise = residual({"relative_noise": 0.02})
+    level = noise.std(axis=1) / batch.parameters["peak_force"]
+    # 512 samples each, 256 signals: five deviations of 1 / sqrt(2 * 512).
+    np.testing.assert_allclose(level, 0.02, rtol=5 / np.sqrt(1024))
+
+
+def test_no_two_signals_share_their_noise():
+    _, noise = residual({"absolute_noise": 30})
+    correlation = np.corrcoef(noise)[np.triu_indices(len(noise), 1)]
+    assert np.abs(correlation).max() < 6 / np.sqrt(512)
+
+
+def test_float32_is_float64_with_three_roundings():
+    """The level of the noise, the noise and the sum are rounded, each to half an ulp."""
+    scene = scene_of(sensor={"relative_noise": 0.02})
+    single, double = (batch_of(scene, dtype=dtype).signals for dtype in ("float32", "float64"))
+    noise = double - batch_of(scene_of(), dtype="float64").signals
+    assert (np.abs(single - double) <= 2.0**-24 * (2 * np.abs(noise) + np.abs(double)) * (1 + 1e-6)).all()
+
+
+def test_filtered_float32_is_float64_to_a_millionth_of_the_peak():
+    scene = scene_of(sensor={"relative_noise": 0.02, "bandwidth": "60 kHz"})
+    single, double = (batch_of(scene, dtype=dtype) for dtype in ("float32", "float64"))
+    error = np.abs(single.signals - double.signals).max(axis=1)
+    assert (error / single.parameters["peak_force"]).max() < 1e-6
+
+
+# ---- the rest of the sensor ------------------------------------------------------------------------------------------
+
+
+def test_bandwidth_is_a_low_pass_with_a_raised_cosine_edge():
+    clean = batch_of(scene_of(), dtype="float64").signals
+    limited = batch_of(scene_of(sensor={"bandwidth": "10 kHz"}), dtype="float64").signals
+    frequency = np.fft.rfftfreq(256, 1 / RATE)
+    place = np.clip((frequency - 10e3) / 5e3, -0.5, 0.5)
+    expected = np.fft.irfft(np.fft.rfft(clean) * np.cos(np.pi / 2 * (place + 0.5)) ** 2, n=256)
+    np.testing.assert_allclose(limited, expected, atol=1e-10 * clean.max())
+    assert np.abs(limited - clean).max() > 1e-3 * clean.max()
+
+
+def test_noise_is_not_limited_by_the_bandwidth():
+    both = batch_of(scene_of(sensor={"absolute_noise": 30, "bandwidth": "10 kHz"}), dtype="float64").signals
+    pulses = batch_of(scene_of(sensor={"bandwidth": "10 kHz"}), dtype="float64").signals
+    noise = batch_of(scene_of(sensor={"absolute_noise": 30}), dtype="float64").signals
+    clean = batch_of(scene_of(), dtype="float64").signals
+    np.testing.assert_allclose(both - pulses, noise - clean, atol=1e-9)
+
+
+def test_clipping_cuts_at_full_scale_and_changes_nothing_below():
+    free = batch_of(scene_of(sensor={"absolute_noise": 100})).signals
+    clipped = batch_of(scene_of(sensor={"absolute_noise": 100, "range": 150})).signals
+    assert free.min() < -150 < 150 < free.max()
+    np.testing.assert_array_equal(clipped, np.minimum(np.maximum(free, -150), 150))
+
+
+@pytest.mark.parametrize("bits", [2, 8, 12])
+@pytest.mark.parametrize("dtype", ["float32", "float64"])
+def test_bits_are_levels_of_a_grid_within_the_range(bits, dtype):
+    sensor = {"absolute_noise": 50, "range": "1024 N"}
+    fine = batch_of(scene_of(sensor=sensor), dtype=dtype).signals
+    coarse = batch_of(scene_of(sensor={**sensor, "bits": bits}), dtype=dtype).signals
+    step = 2 * 1024 / 2**bits
+    levels = coarse / step
+    np.testing.assert_array_equal(levels, np.round(levels))
+    assert coarse.min() >= -1024
+    assert coarse.max() == 1024 - step
+    inside = np.abs(fine) < 1024 - step
+    assert np.abs(coarse - fine)[inside].max() <= step / 2
+    assert np.unique(coarse).size <= 2**bits
+
+
+def test_clean_silence_stays_zero_after_rounding():
+    assert (batch_of(scene_of(sensor={"range": 1000, "bits": 8})).signals[:, :17] == 0).all()
+
+
+# ---- what a signal depends on ----------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def small():
+    scene = scene_of(samples=32, sensor={"relative_noise": 0.02})
+    batches = list(synthesise(scene, 4 * BLOCK, 3))
+    return scene, batches
+
+
+def joined(batches, name):
+    return np.concatenate(
+        [batch.parameters[name] if name in batch.parameters else getattr(batch, name) for batch in batches]
+    )
+
+
+@settings(max_examples=25, deadline=None)
+@given(first=st.integers(0, 3 * BLOCK), count=st.integers(1, BLOCK + 9))
+def test_a_signal_is_the_same_wherever_the_run_is_cut(small, first, count):
+    scene, whole = small
+    part = list(synthesise(scene, count, 3, first=first))
+    for name in ("signals", "labels", "specimen", "density", "onset", "peak_force"):
+        np.testing.assert_array_equal(joined(part, name), joined(whole, name)[first : first + count])
+
+
+def test_batches_have_at_most_a_block_and_as_many_signals_as_asked(small):
+    lengths = [len(batch) for batch in synthesise(small[0], 600, 3, first=100)]
+    assert lengths == [156, 256, 188]
+
+
+def test_seeds_differ(small):
+    other = next(synthesise(small[0], BLOCK, 4))
+    assert not np.isin(other.parameters["radius"], joined(small[1], "radius")).any()
+    assert not np.isin(other.signals[:, 0], joined(small[1], "signals")[:, 0]).all()
+
+
+def test_blocks_differ(small):
+    radius = joined(small[1], "radius")
+    assert np.unique(radius).size == radius.size
+    noise = joined(small[1], "signals")[:, :16] / joined(small[1], "peak_force")[:, None]
+    blocks = noise.reshape(4, -1)
+    assert np.abs(np.corrcoef(blocks)[np.triu_indices(4, 1)]).max() < 5 / np.sqrt(blocks.shape[1])
+
+
+def test_batches_say_what_they_are(small):
+    scene, (batch, *_) = small
+    assert (batch.unit, batch.sampling_rate, batch.pre_trigger, batch.source) == ("N", RATE, 16, scene.sha256)
+
+
+@pytest.mark.parametrize(("count", "first"), [(0, 0), (-1, 0), (1, -1)])
+def test_impossible_ranges(small, count, first):
+    with pytest.raises(InvalidValue, match="n_signals must be 1 or more"):
+        next(synthesise(small[0], count, first=first))
+
+
+def test_unknown_type_of_samples(small):
+    with pytest.raises(InvalidValue, match="dtype"):
+        next(synthesise(small[0], 1, dtype="float16"))
+
+
+def test_yang2018_has_four_specimens():
+    batches = list(synthesise(load_scene(DATASETS / "yang2018.toml"), 400))
+    specimen, modulus = joined(batches, "specimen"), joined(batches, "youngs_modulus")
+    assert np.unique(specimen).size == 4
+    assert np.unique(np.stack([specimen.astype(float), modulus]), axis=1).shape[1] == 4
+
+
+def test_reference_has_a_new_specimen_for_every_impact():
+    scene = load_scene(DATASETS / "reference.toml")
+    specimen = joined(list(synthesise(scene, 4 * BLOCK)), "specimen")
+    assert np.unique(specimen).size == 4 * BLOCK
+
+
+# ---- nothing is done that is not asked for ---------------------------------------------------------------------------
+
+
+@pytest.fixture
+def calls(monkeypatch):
+    """How often the costly steps were taken."""
+    counted = {"noise": 0, "filter": 0, "kernel": 0}
+
+    def counting(name, function):
+        def wrapped(*args, **kwargs):
+            counted[name] += 1
+            return function(*args, **kwargs)
+
+        return wrapped
+
+    monkeypatch.setattr(synthesis_module, "generator", counting("noise", synthesis_module.generator))
+    monkeypatch.setattr("cgid.scene.sensor.fft_filter", counting("filter", fft_filter))
+    monkeypatch.setattr(_kernels, "add_to_frames", counting("kernel", _kernels.add_to_frames))
+    return counted
+
+
+@pytest.mark.parametrize(
+    ("sensor", "noise", "filtered"),
+    [
+        ({}, 0, 0),
+        ({"relative_noise": 0, "absolute_noise": 0}, 0, 0),
+        ({"relative_noise": 0.01}, 3, 0),
+        ({"absolute_noise": 5}, 3, 0),
+        ({"bandwidth": "20 kHz"}, 0, 3),
+        ({"bandwidth": "20 kHz", "relative_noise": 0.01}, 3, 3),
+    ],
+    ids=str,
+)
+def test_every_stage_runs_once_a_block_or_not_at_all(calls, sensor, noise, filtered):
+    for _ in synthesise(scene_of(samples=32, sensor=sensor), 2 * BLOCK + 1):
+        pass
+    assert calls == {"noise": noise, "filter": filtered, "kernel": 3}
