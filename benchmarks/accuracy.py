@@ -59,7 +59,7 @@ def main() -> None:
             f"{m['expected_calibration_error']:.4f} | {seconds:.1f} |"
         )
 
-    boosting = HistGradientBoostingClassifier(max_iter=300, max_leaf_nodes=31, learning_rate=0.06)
+    boosting = HistGradientBoostingClassifier(max_iter=300, max_leaf_nodes=31, learning_rate=0.06, random_state=0)
     line("noise-free limit: exact peak, duration, restitution", boosting, limit, truth)
     line("exact peak and duration alone", boosting, limit[:, :2], truth)
     for family in FAMILIES:
