@@ -139,6 +139,24 @@ def test_features_are_a_table_in_the_unit_of_the_file(capsys: pytest.CaptureFixt
     assert row["features"]["peak_force"] == pytest.approx(8399, rel=0.02)
 
 
+def test_features_of_a_dataset_are_one_row_a_signal(made: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    arguments = ["features", str(made / "new.h5"), "--features", "peak_force,contact_duration", "--json"]
+    assert run(arguments) == 0
+    rows = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    with h5py.File(made / "new.h5") as file:
+        exact = file["parameters/peak_force"][:]
+    assert [row["features"]["peak_force"] for row in rows] == pytest.approx(exact, rel=0.06)
+    assert run([*arguments, "--index", "3"]) == 0
+    assert json.loads(capsys.readouterr().out)["features"] == pytest.approx(rows[3]["features"])
+
+
+def test_table_of_features_is_printed(capsys: pytest.CaptureFixture[str]) -> None:
+    from cgid.features import FEATURES
+
+    assert run(["features", "--list"]) == 0
+    assert [line.split("\t")[0] for line in capsys.readouterr().out.splitlines()] == list(FEATURES)
+
+
 def test_standard_input_is_a_recording() -> None:
     sample = (ROOT / "datasets" / "sample.csv").read_bytes()
     done = subprocess.run([sys.executable, "-m", "cgid", "predict", "-", "--json"], input=sample, capture_output=True)

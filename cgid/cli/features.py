@@ -10,12 +10,14 @@ from cgid.cli.options import each_file, print_json, read_signals, recording_opti
 
 
 @click.command(short_help="Measure the impacts in recordings: one row each.")
-@click.argument("files", nargs=-1, required=True, metavar="FILE...")
+@click.argument("files", nargs=-1, metavar="FILE...")
+@click.option("--list", "as_list", is_flag=True, help="Print the table of features instead: unit, definition, source.")
 @click.option("--features", "names", help="Only these, with commas between them.")
 @click.option("--keep-baseline", is_flag=True, help="Do not subtract the mean before touch.")
 @recording_options
 def features(
     files: tuple[str, ...],
+    as_list: bool,
     names: str | None,
     keep_baseline: bool,
     as_json: bool,
@@ -23,11 +25,21 @@ def features(
     **reading: Any,
 ) -> int:
     """Print the features of every impact in FILEs, tab-separated, in the unit of the file; - is stdin."""
-    from cgid.features import choose
+    from cgid.features import FEATURES, choose
+    from cgid.recordings import is_dataset
 
+    if as_list:
+        for feature in FEATURES.values():
+            click.echo("\t".join([feature.name, feature.unit, feature.definition, feature.source]))
+        return 0
+    if not files:
+        raise click.UsageError("give at least one FILE, or --list for the table of features")
     chosen = choose(None if names is None else [name.strip() for name in names.split(",")])
 
     def treat(path: str) -> None:
+        if path != "-" and is_dataset(path) and reading["index"] is None:
+            _print_dataset(path, chosen, not keep_baseline, as_json, reading["invert"])
+            return
         for signal in read_signals(path, **reading):
             _print(signal, chosen, not keep_baseline, dead_time * 1e-3, as_json)
 
@@ -35,18 +47,14 @@ def features(
 
 
 def _print(signal: Any, chosen: tuple[str, ...], remove_baseline: bool, dead_time: float, as_json: bool) -> None:
+    """Print the impacts of one channel; those that cannot be measured have no numbers and say why."""
     from cgid.errors import BadData
-    from cgid.features import FEATURES, extract_array
+    from cgid.features import extract_array
     from cgid.identification.events import find_impacts
 
-    quantity, unit = signal.quantity or "signal", signal.unit or "U"
-    titles = [name.replace("peak_force", f"peak_{quantity}") for name in chosen]
-    units = [FEATURES[name].unit_for(unit) for name in chosen]
     events = find_impacts(signal, dead_time=dead_time)
-    if not as_json:
-        baseline = "baseline removed" if remove_baseline else "baseline kept"
-        click.echo(f"# {signal.name}: {signal.sampling_rate:.8g} Hz, {len(events)} impacts, {baseline}")
-        click.echo("\t".join(["time [s]", *(f"{t} [{u}]" for t, u in zip(titles, units, strict=True))]))
+    columns = _Columns(signal.quantity, signal.unit, chosen, as_json)
+    columns.title(signal.name, signal.sampling_rate, len(events), remove_baseline)
     problems = []
     for number, event in enumerate(events, start=1):
         part, problem = event.signal, None
@@ -62,24 +70,67 @@ def _print(signal: Any, chosen: tuple[str, ...], remove_baseline: bool, dead_tim
         except BadData as error:
             values, problem = [float("nan")] * len(chosen), str(error)
             problems.append(f"impact {number} at {event.time:.6f} s: {problem}")
-        if as_json:
-            print_json(
-                {
-                    "source": signal.name,
-                    "impact": number,
-                    "time_s": event.time,
-                    "sampling_rate_hz": signal.sampling_rate,
-                    "baseline_removed": remove_baseline,
-                    "features": dict(zip(titles, values, strict=True)),
-                    "units": dict(zip(titles, units, strict=True)),
-                    "problem": problem,
-                }
-            )
-        else:
-            click.echo("\t".join([f"{event.time:.6f}", *("-" if v != v else f"{v:.6g}" for v in values)]))
+        about = {"sampling_rate_hz": signal.sampling_rate, "baseline_removed": remove_baseline, "problem": problem}
+        columns.row(signal.name, number, event.time, values, about)
     for problem in problems[:3]:
         click.echo(f"cgid: warning: {signal.name}: {problem}", err=True)
     if len(problems) > 3:
         click.echo(f"cgid: warning: {signal.name}: and {len(problems) - 3} more impacts cannot be measured", err=True)
     if len(problems) == len(events):
         raise BadData(f"{signal.name}: none of its {len(events)} impacts can be measured; the first: {problems[0]}")
+
+
+def _print_dataset(path: str, chosen: tuple[str, ...], remove_baseline: bool, as_json: bool, invert: bool) -> None:
+    """Print one row for each signal of a dataset, batch by batch."""
+    from cgid.features import extract_array
+    from cgid.store import Dataset
+
+    dataset = Dataset(path)
+    columns = _Columns(dataset.quantity, dataset.unit, chosen, as_json)
+    columns.title(path, dataset.sampling_rate, len(dataset), remove_baseline)
+    number = unmeasured = 0
+    for batch in dataset.batches():
+        table = extract_array(
+            -batch.signals if invert else batch.signals,
+            batch.sampling_rate,
+            chosen,
+            pre_trigger=batch.pre_trigger,
+            remove_baseline=remove_baseline,
+            invalid="nan",
+        )
+        for values, label in zip(table.tolist(), batch.labels.tolist(), strict=True):
+            about = {"sampling_rate_hz": batch.sampling_rate, "baseline_removed": remove_baseline, "label": label}
+            columns.row(f"{path} index {number}", 1, batch.pre_trigger / batch.sampling_rate, values, about)
+            number += 1
+            unmeasured += any(value != value for value in values)
+    if unmeasured:
+        click.echo(f"cgid: warning: {path}: {unmeasured} of {len(dataset)} signals cannot be measured", err=True)
+
+
+class _Columns:
+    """The columns of the table, in the unit of the signal."""
+
+    def __init__(self, quantity: str | None, unit: str | None, chosen: tuple[str, ...], as_json: bool) -> None:
+        from cgid.features import FEATURES
+
+        self.titles = [name.replace("peak_force", f"peak_{quantity or 'signal'}") for name in chosen]
+        self.units = [FEATURES[name].unit_for(unit or "U") for name in chosen]
+        self.as_json = as_json
+
+    def title(self, name: str, rate: float, n_impacts: int, remove_baseline: bool) -> None:
+        """Print what the table is of, and its head."""
+        if self.as_json:
+            return
+        baseline = "baseline removed" if remove_baseline else "baseline kept"
+        click.echo(f"# {name}: {rate:.8g} Hz, impacts: {n_impacts}, {baseline}")
+        titles = (f"{title} [{unit}]" for title, unit in zip(self.titles, self.units, strict=True))
+        click.echo("\t".join(["time [s]", *titles]))
+
+    def row(self, source: str, number: int, time: float, values: list[float], about: dict[str, Any]) -> None:
+        """Print the row of one impact."""
+        if not self.as_json:
+            click.echo("\t".join([f"{time:.6f}", *("-" if value != value else f"{value:.6g}" for value in values)]))
+            return
+        features, units = (dict(zip(self.titles, column, strict=True)) for column in (values, self.units))
+        head = {"source": source, "impact": number, "time_s": time}
+        print_json(head | about | {"features": features, "units": units})

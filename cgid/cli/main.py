@@ -14,6 +14,7 @@ from cgid.cli.check import check
 from cgid.cli.features import features
 from cgid.cli.generate import generate
 from cgid.cli.info import info
+from cgid.cli.interruption import heard
 from cgid.cli.predict import predict
 from cgid.cli.train import train
 from cgid.errors import CgidError
@@ -40,7 +41,8 @@ def run(arguments: list[str] | None = None) -> int:
     """Run the command line and return its exit code."""
     warnings.showwarning = _one_line_warning
     try:
-        code = cli.main(args=arguments, prog_name="cgid", standalone_mode=False)
+        with heard():
+            code = cli.main(args=arguments, prog_name="cgid", standalone_mode=False)
         sys.stdout.flush()
         return code if isinstance(code, int) else 0
     except click.ClickException as error:

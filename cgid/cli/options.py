@@ -10,6 +10,7 @@ from typing import Any, TypeVar
 
 import click
 
+from cgid.cli.interruption import stop_if_asked
 from cgid.errors import CgidError, InvalidValue
 from cgid.signals import Signal
 
@@ -24,7 +25,7 @@ def recording_options(command: F) -> F:
         click.option("--rate", "sampling_rate", type=float, help="Sampling rate [Hz], where the file does not say it."),
         click.option("--unit", help="Unit of the samples (N, kN, g, m/s^2, ...), where the file does not say it."),
         click.option("--channel", help="Only this channel: its name, or its number from 1."),
-        click.option("--index", type=int, help="Only this signal of a dataset, from 0."),
+        click.option("--index", type=int, help="Only this signal of a dataset, from 0; else all of them."),
         click.option("--invert", is_flag=True, help="Turn the signal over: impacts must point upwards."),
         click.option("--dead-time", type=float, default=2.0, show_default=True, help="Ringing after a blow [ms]."),
         click.option("--json", "as_json", is_flag=True, help="One JSON object a line."),
@@ -37,13 +38,13 @@ def recording_options(command: F) -> F:
 def read_signals(
     path: str, sampling_rate: float | None, unit: str | None, channel: str | None, index: int | None, invert: bool
 ) -> list[Signal]:
-    """Return the signals of a recording, or the one signal asked for of a dataset."""
+    """Return the signals of a recording, or the one signal of a dataset that was asked for."""
     from cgid.recordings import is_dataset, read_recording
 
     if path != "-" and is_dataset(path):
         from cgid.store import Dataset
 
-        signals = [Dataset(path).signal(0 if index is None else index)]
+        signals = [Dataset(path).signal(index or 0)]
     else:
         if index is not None:
             raise InvalidValue(f"{path}: --index picks a signal of a dataset (HDF5), this is a recording; leave it out")
@@ -81,4 +82,9 @@ def progress_bar(total: int | None, what: str) -> Iterator[Callable[[int], objec
     from tqdm import tqdm
 
     with tqdm(total=total, unit=f" {what}", disable=None, file=sys.stderr, unit_scale=True) as bar:
-        yield bar.update
+
+        def move(number: int) -> None:
+            bar.update(number)
+            stop_if_asked()
+
+        yield move
