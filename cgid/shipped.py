@@ -13,6 +13,7 @@ from cgid.errors import NoInput
 _PACKAGE = Path(__file__).parent
 DEFAULT_MODEL = "default.npz"
 SAMPLE = "sample.csv"
+SCENES = ("reference", "peers", "yang2018")
 
 
 def path_of(kind: Literal["datasets", "models"], name: str) -> Path:
@@ -36,7 +37,4 @@ def path_of(kind: Literal["datasets", "models"], name: str) -> Path:
 
 def scene_path(scene: str) -> Path:
     """Return the path of a scene: a file, or the bare name of a shipped one such as "reference"."""
-    given = Path(scene)
-    if given.suffix or given.exists():
-        return given
-    return path_of("datasets", f"{scene}.toml")
+    return Path(scene) if scene not in SCENES else path_of("datasets", f"{scene}.toml")

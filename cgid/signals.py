@@ -15,6 +15,9 @@ from cgid.errors import BadData, InvalidValue
 #: Standard gravity [m/s^2], the factor from g.
 STANDARD_GRAVITY = 9.80665
 
+#: Beyond these no recorder samples, and squares of times are no numbers any more [Hz].
+_RATES = (1e-6, 1e12)
+
 #: Quantity -> its units -> factor to the SI unit, which comes first.
 UNITS: Mapping[str, Mapping[str, float]] = {
     "force": {"N": 1.0, "kN": 1e3, "MN": 1e6, "mN": 1e-3, "lbf": 4.4482216152605},
@@ -106,6 +109,8 @@ class Signal:
                 f"({np.sum(~finite)} of {samples.size} are not finite); cut or repair the recording there"
             )
         rate = float(validation.positive("sampling_rate", self.sampling_rate, "Hz"))
+        if not _RATES[0] <= rate <= _RATES[1]:
+            raise InvalidValue(f"sampling_rate must lie between {_RATES[0]:g} and {_RATES[1]:g} Hz, got {rate:g} Hz")
         if self.unit is not None:
             quantity_of(self.unit)
         object.__setattr__(self, "samples", samples)
@@ -114,6 +119,8 @@ class Signal:
     @property
     def name(self) -> str:
         """Source and channel in one word."""
+        if self.channel.startswith("index "):
+            return f"{self.source} {self.channel}"
         return self.source if self.channel == "1" else f"{self.source} channel {self.channel}"
 
     @property

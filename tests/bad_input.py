@@ -153,6 +153,9 @@ CASES = (
     Case("unknown channel", ("predict", "good.csv", "--channel", "7"), 65, ("7",)),
     Case("index out of range", ("predict", "two.h5", "--index", "64"), 65, ("index", "63")),
     Case("index of a recording", ("predict", "good.csv", "--index", "0"), 65, ("--index",)),
+    Case("unit for a dataset", ("predict", "two.h5", "--unit", "V"), 65, ("--unit", "two.h5")),
+    Case("dead time negative", ("predict", "good.csv", "--dead-time", "-1"), 65, ("--dead-time", "-1 ms")),
+    Case("sampling rate absurd", ("predict", "whole.npy", "--rate", "1e300", "--unit", "N"), 65, ("sampling_rate",)),
     Case("unknown feature", ("features", "good.csv", "--features", "nose"), 65, ("nose", "peak_force")),
     Case("dataset of one class", ("train", "one.h5", "-o", "new.npz"), 65, ("at least 2 labels", "coal")),
     Case("model name without .npz", ("train", "two.h5", "-o", "new.txt"), 73, ("new.txt", ".npz")),
@@ -171,6 +174,8 @@ CASES = (
     Case("no signals", ("generate", "reference.toml", "-o", "new.h5", "-n", "0"), 65, ("n_signals", "0")),
     Case("seed negative", ("generate", "reference.toml", "-o", "new.h5", "--seed", "-1"), 65, ("seed", "-1")),
     Case("one file too large", ("generate", "reference.toml", "-o", "new.h5", "-n", "999999"), 65, ("2 GiB", ".h5")),
+    Case("disk too small", ("generate", "reference.toml", "-o", "new", "-n", "999999999"), 73, ("GB", "room")),
+    Case("too many signals", ("generate", "reference.toml", "-o", "new", "-n", "9999999999999"), 65, ("n_signals",)),
     Case("unknown command", ("foretell",), 2, ("foretell",)),
     Case("no file given", ("predict",), 2, ("FILE",)),
 )

@@ -228,6 +228,25 @@ def test_closed_pipe_is_no_error() -> None:
     assert done.stderr == ""
 
 
+def test_full_output_is_an_error_and_not_a_crash() -> None:
+    if not Path("/dev/full").exists():
+        pytest.skip("this machine has no /dev/full")
+    done = subprocess.run(
+        ["bash", "-c", f"{sys.executable} -m cgid predict --sample > /dev/full"], capture_output=True, text=True
+    )
+    assert done.returncode == 74
+    assert done.stderr.startswith("cgid: error: output: writing failed")
+    assert done.stderr.count("\n") == 1
+
+
+def test_more_workers_than_shards_are_not_started(made: Path) -> None:
+    assert run(["generate", "reference", "-n", "30", "-o", str(made / "w"), "--jobs", "4294967296"]) == 0
+
+
+def test_scene_is_trained_on_by_its_name(made: Path) -> None:
+    assert run(["train", "reference", "-n", "800", "-o", str(made / "n.npz")]) == 0
+
+
 def test_interrupted_generation_leaves_nothing_that_looks_whole(tmp_path: Path) -> None:
     command = [sys.executable, "-m", "cgid", "generate", "reference", "-n", "500000", "-o", str(tmp_path / "d")]
     process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True, env={**os.environ, "PYTHONWARNINGS": ""})

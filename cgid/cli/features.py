@@ -6,7 +6,14 @@ from typing import Any
 
 import click
 
-from cgid.cli.options import each_file, print_json, read_signals, recording_options
+from cgid.cli.options import (
+    check_dead_time,
+    each_file,
+    print_json,
+    read_signals,
+    recording_options,
+    refuse_recording_options,
+)
 
 
 @click.command(short_help="Measure the impacts in recordings: one row each.")
@@ -36,8 +43,11 @@ def features(
         raise click.UsageError("give at least one FILE, or --list for the table of features")
     chosen = choose(None if names is None else [name.strip() for name in names.split(",")])
 
+    check_dead_time(dead_time)
+
     def treat(path: str) -> None:
         if path != "-" and is_dataset(path) and reading["index"] is None:
+            refuse_recording_options(path, **reading)
             _print_dataset(path, chosen, not keep_baseline, as_json, reading["invert"])
             return
         for signal in read_signals(path, **reading):

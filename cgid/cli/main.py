@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import sys
 import warnings
@@ -15,11 +16,12 @@ from cgid.cli.features import features
 from cgid.cli.generate import generate
 from cgid.cli.info import info
 from cgid.cli.interruption import heard
+from cgid.cli.options import say_error
 from cgid.cli.predict import predict
 from cgid.cli.train import train
 from cgid.errors import CgidError
 
-_INTERRUPTED, _INTERNAL = 130, 70
+_INTERRUPTED, _INTERNAL, _OUTPUT_FAILED = 130, 70, 74
 
 
 @click.group(context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110})
@@ -51,8 +53,7 @@ def run(arguments: list[str] | None = None) -> int:
         click.echo(f"cgid: error: {' '.join(error.format_message().split()).rstrip('.')}{cure}", err=True)
         return error.exit_code
     except CgidError as error:
-        for line in str(error).splitlines():
-            click.echo(f"cgid: error: {line}", err=True)
+        say_error(error)
         return error.exit_code
     except (click.Abort, KeyboardInterrupt):
         click.echo("cgid: interrupted; nothing half-written is left", err=True)
@@ -62,6 +63,18 @@ def run(arguments: list[str] | None = None) -> int:
         # again when it closes stdout.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
+    except OSError as error:
+        # Our own files raise errors of ours: what is left is the standard output, or the machine.
+        with contextlib.suppress(OSError):
+            sys.stdout.flush()
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        click.echo(
+            f"cgid: error: output: writing failed ({error.strerror}); make room or choose another place", err=True
+        )
+        return _OUTPUT_FAILED
+    except MemoryError:
+        click.echo("cgid: error: memory: the input must fit into it, it does not; use a smaller one", err=True)
+        return 65
     except Exception as error:
         if os.environ.get("CGID_DEBUG"):
             raise

@@ -17,6 +17,8 @@ from cgid.signals import Signal
 F = TypeVar("F", bound=Callable[..., Any])
 #: Version of the lines that --json prints.
 JSON_VERSION = 1
+#: No struck body rings for longer [ms].
+LONGEST_DEAD_TIME = 1e4
 
 
 def recording_options(command: F) -> F:
@@ -52,6 +54,20 @@ def read_signals(
     return [signal.inverted() for signal in signals] if invert else signals
 
 
+def refuse_recording_options(path: str, **given: Any) -> None:
+    """Refuse options that say how to read a recording: a dataset says all of that itself."""
+    flags = {"sampling_rate": "--rate", "unit": "--unit", "channel": "--channel", "mass": "--mass"}
+    for name, flag in flags.items():
+        if given.get(name) is not None:
+            raise InvalidValue(f"{path}: {flag} is for recordings, a dataset says it itself; leave {flag} out")
+
+
+def check_dead_time(milliseconds: float) -> None:
+    """Refuse a dead time that is no time."""
+    if not 0 <= milliseconds <= LONGEST_DEAD_TIME:
+        raise InvalidValue(f"--dead-time must lie between 0 and {LONGEST_DEAD_TIME:g} ms, got {milliseconds:g} ms")
+
+
 def each_file(files: Iterable[str], treat: Callable[[str], None]) -> int:
     """Treat every file; say what is wrong with one and go on. Return the exit code of the first that failed."""
     code = 0
@@ -59,10 +75,15 @@ def each_file(files: Iterable[str], treat: Callable[[str], None]) -> int:
         try:
             treat(file)
         except CgidError as error:
-            for line in str(error).splitlines():
-                click.echo(f"cgid: error: {line}", err=True)
+            say_error(error)
             code = code or error.exit_code
     return code
+
+
+def say_error(error: CgidError) -> None:
+    """Say what is wrong on stderr, a line for each mistake."""
+    for line in str(error).splitlines():
+        click.echo(f"cgid: error: {line}", err=True)
 
 
 def print_json(content: dict[str, Any]) -> None:

@@ -8,7 +8,14 @@ from typing import Any
 
 import click
 
-from cgid.cli.options import each_file, print_json, read_signals, recording_options
+from cgid.cli.options import (
+    check_dead_time,
+    each_file,
+    print_json,
+    read_signals,
+    recording_options,
+    refuse_recording_options,
+)
 
 
 @click.command(short_help="Identify the material of the impacts in recordings.")
@@ -44,6 +51,7 @@ def predict(
     model = Model.load(model_path or shipped.path_of("models", shipped.DEFAULT_MODEL))
     weights = dict(_parse_cost(text) for text in costs)
     model.decide(_no_rows(model), weights)
+    check_dead_time(dead_time)
     titles = iter([] if as_json else [_ROW.format("time [s]", "label", "probability", "novelty", "source")])
 
     def treat(path: str) -> None:
@@ -70,6 +78,7 @@ def _treat(
     from cgid.recordings import is_dataset
 
     if path != "-" and is_dataset(path) and reading["index"] is None:
+        refuse_recording_options(path, mass=mass, **reading)
         _treat_dataset(path, model, costs, titles, as_json, reading["invert"])
         return
     for signal in read_signals(path, **reading):

@@ -42,7 +42,10 @@ def train(
     overwrite: bool,
     as_json: bool,
 ) -> None:
-    """Train a model on DATA: datasets made by cgid generate, or scenes (.toml), which never touch the disk."""
+    """Train a model on DATA: datasets made by cgid generate, or scenes.
+
+    A scene is a .toml file or the name of a shipped one; its signals never touch the disk.
+    """
     from cgid.features import choose
     from cgid.identification.output import check_model_output, write_model
     from cgid.identification.training import train as train_model
@@ -80,7 +83,7 @@ def _batches(data: tuple[str, ...], n_signals: int, seed: int) -> Iterator[Any]:
     from cgid.store import Dataset
 
     for item in data:
-        if Path(item).suffix == ".toml":
+        if Path(item).suffix == ".toml" or (item in shipped.SCENES and not Path(item).exists()):
             from cgid.scene import load_scene, synthesise
 
             yield from synthesise(load_scene(shipped.scene_path(item)), n_signals, seed)

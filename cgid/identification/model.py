@@ -210,7 +210,8 @@ class Model:
             It is no model, damaged, of another version, or would misbehave.
         """
         try:
-            content = Path(path).read_bytes()
+            with Path(path).open("rb") as stream:
+                content = stream.read(LARGEST_FILE + 1)
         except OSError as error:
             raise NoInput(
                 f"{path}: the model cannot be read ({error.strerror}); give a file made by cgid train"
@@ -252,7 +253,7 @@ class Model:
 
 def _read_arrays(content: bytes) -> dict[str, NDArray[Any]]:
     if len(content) > LARGEST_FILE:
-        raise BadData(f"it must be at most {LARGEST_FILE >> 20} MiB, it is {len(content) >> 20} MiB")
+        raise BadData(f"it must be at most {LARGEST_FILE >> 20} MiB, it is larger")
     try:
         with zipfile.ZipFile(io.BytesIO(content)) as archive:
             entries = archive.infolist()

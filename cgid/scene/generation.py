@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import os
 import platform
+import signal
+import threading
 import warnings
 from collections.abc import Callable, Generator, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -23,6 +26,8 @@ from cgid.store.writing import BuiltShard, ShardEntry
 
 #: Signals of a shard: 32 MiB of 2048 float32 samples, built in memory.
 SHARD_SIGNALS = 4096
+#: More would need a manifest larger than memory.
+MOST_SIGNALS = 10**9
 
 
 def generate(
@@ -81,7 +86,12 @@ def generate(
         attributes=_attributes(scene, seed),
         compression=compression,
     )
+    if n_signals > MOST_SIGNALS:
+        raise InvalidValue(f"n_signals must be at most {MOST_SIGNALS}, got {n_signals}; make several datasets")
     writer = DatasetWriter(path, plan, n_signals, shard_signals)
+    writer.require_room()
+    # More workers than shards or processors only cost memory.
+    jobs = min(jobs, len(writer.shards), os.cpu_count() or 1)
     next(synthesise(scene, 1, seed))  # what is wrong with the scene or the seed shows before anything is written
     writer.begin(overwrite)
     entries = []
@@ -135,6 +145,9 @@ def _write_all(
 def _write_one(
     writer: DatasetWriter, scene: Scene, seed: int, dtype: Literal["float32", "float64"], shard: tuple[int, int, int]
 ) -> ShardEntry:
+    # Ctrl-C reaches every process of the group; the one that waits for the workers answers it.
+    if threading.current_thread() is threading.main_thread():
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
     return writer.put(_build(writer, scene, seed, dtype, shard))
 
 

@@ -22,6 +22,9 @@ from cgid.scene.distributions import DISTRIBUTION_NAMES, Distribution, measured,
 from cgid.scene.sensor import Sensor
 from cgid.scene.units import Density, Frequency, Modulus, Number, Ratio, Whole, shown
 
+#: No scene is longer.
+_LARGEST_FILE = 8 << 20
+
 
 class _Section(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
@@ -162,11 +165,13 @@ def load_scene(path: str | Path) -> Scene:
         It is no TOML, or breaks rules; one line for each, with its path in the file.
     """
     try:
-        text = Path(path).read_bytes().decode()
+        with Path(path).open("rb") as stream:
+            stored = stream.read(_LARGEST_FILE + 1)
+        if len(stored) > _LARGEST_FILE:
+            raise BadData(f"{path}: a scene file must be at most {_LARGEST_FILE >> 20} MiB, it is larger")
+        text = stored.decode()
     except OSError as error:
-        raise NoInput(
-            f"{path}: the scene file cannot be read ({error.strerror}); give the path of a .toml file"
-        ) from None
+        raise NoInput(f"{path}: the scene file cannot be read ({error.strerror}); give a .toml file") from None
     except UnicodeDecodeError:
         raise BadData(f"{path}: a scene file must be UTF-8 text; this one is not") from None
     try:

@@ -133,6 +133,9 @@ class Dataset:
         """SHA-256 of the scene that the signals were made from; empty when they were not."""
         return str(self.header.attributes.get("scene_sha256", ""))
 
+    def __iter__(self) -> Iterator[Batch]:
+        return self.batches()
+
     def batches(self, n_rows: int = _ROWS) -> Iterator[Batch]:
         """Yield the signals in order, at most `n_rows` at once.
 

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import json
 import re
+import shutil
 from collections import Counter
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -124,6 +126,18 @@ class DatasetWriter:
         starts = range(0, self.n_signals, self.shard_signals)
         return [(k, first, min(self.shard_signals, self.n_signals - first)) for k, first in enumerate(starts)]
 
+    def require_room(self) -> None:
+        """Raise `CannotCreate` if the disk has less room than the signals alone will take."""
+        if self.plan.compression != "none":
+            return
+        needed = self.n_signals * self.plan.n_samples * (8 if self.plan.dtype == "float64" else 4)
+        free = shutil.disk_usage(self.output.parent).free
+        if needed > free:
+            raise CannotCreate(
+                f"{self.output}: the disk must have room for {needed / 1e9:.3g} GB of signals, {free / 1e9:.3g} GB are "
+                "free; make room, or fewer signals"
+            )
+
     def begin(self, overwrite: bool) -> None:
         """Make room: an old manifest goes first, so that no mixture looks whole."""
         if is_single_file(self.output):
@@ -160,6 +174,8 @@ class DatasetWriter:
             for part in self.output.glob(".*.part"):
                 if _OURS.fullmatch(part.name):
                     part.unlink(missing_ok=True)
+            with contextlib.suppress(OSError):
+                self.output.rmdir()  # only if nothing is in it
 
     def finish(self, entries: Iterable[ShardEntry]) -> None:
         """Write the manifest of a folder; only now it is a dataset."""
