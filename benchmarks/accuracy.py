@@ -13,7 +13,7 @@ import numpy as np
 from sklearn.ensemble import HistGradientBoostingClassifier
 
 from cgid import shipped
-from cgid.features import extract_array
+from cgid.features import FEATURES, extract_array
 from cgid.identification.classifier import FAMILIES, ImpactClassifier
 from cgid.identification.metrics import evaluate
 from cgid.identification.training import DEFAULT_FEATURES, hold_out
@@ -48,6 +48,8 @@ def main() -> None:
     print(f"{int((~sound).sum())} left out.\n")
     print("| | accuracy | 95 % interval | Brier | calibration error | fit [s] |\n|---|---|---|---|---|---|")
 
+    linear = tuple(k for k, name in enumerate(DEFAULT_FEATURES) if FEATURES[name].unit == "1")
+
     def line(name: str, estimator: object, inputs: np.ndarray, target: np.ndarray) -> None:
         start = time.perf_counter()
         estimator.fit(inputs[~test], target[~test])
@@ -63,9 +65,9 @@ def main() -> None:
     line("noise-free limit: exact peak, duration, restitution", boosting, limit, truth)
     line("exact peak and duration alone", boosting, limit[:, :2], truth)
     for family in FAMILIES:
-        line(f"cgid, {family}, measured under noise", ImpactClassifier(family), features, truth)
+        line(f"cgid, {family}, measured under noise", ImpactClassifier(family, linear=linear), features, truth)
     shuffled = np.random.default_rng(0).permutation(truth)
-    line("shuffled labels", ImpactClassifier(), features, shuffled)
+    line("shuffled labels", ImpactClassifier(linear=linear), features, shuffled)
 
 
 if __name__ == "__main__":

@@ -84,7 +84,7 @@ _NUCLEAR = "Advances in Civil Engineering 2019, article 4815236, Table 2"
 
 COAL = MaterialRange(
     density=(1300.0, 1540.0),
-    youngs_modulus=(0.6e9, 23.9e9),
+    youngs_modulus=(0.58e9, 23.9e9),
     poisson_ratio=(0.16, 0.30),
     sources=(
         f"{_LIU}: 1339 kg/m^3 (apparent), 23.87 GPa, .25",

@@ -61,7 +61,7 @@ def test_train_then_predict_on_new_impacts(made: Path, capsys: pytest.CaptureFix
     assert len(rows) == 400
     right = np.mean([max(row["probabilities"], key=row["probabilities"].get) == row["truth"] for row in rows])
     assert 0.8 < right < 0.95
-    assert f"accuracy {right:.4f} (95 % interval" in err
+    assert f"accuracy of the most probable label {right:.4f} (95 % interval" in err
     assert (made / "m.md").read_text().startswith("# Model card")
 
 
@@ -82,6 +82,12 @@ def test_training_from_a_scene_is_training_from_its_dataset(made: Path, capsys: 
     from_data = json.loads(capsys.readouterr().out)
     assert from_scene["accuracy"] == from_data["accuracy"]
     assert (made / "a.npz").read_bytes() == (made / "b.npz").read_bytes()
+
+
+def test_nothing_beside_a_model_is_overwritten_unasked(made: Path) -> None:
+    (made / "notes.md").write_text("mine")
+    assert run(["train", str(made / "data"), "-o", str(made / "notes.npz")]) == 73
+    assert (made / "notes.md").read_text() == "mine"
 
 
 def test_shuffled_labels_are_reported_at_chance(made: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -184,7 +190,7 @@ def test_real_shock(real_data: Path, capsys: pytest.CaptureFixture[str]) -> None
     assert "--mass KG" in capsys.readouterr().err
     assert run(["predict", file, "--mass", "1.5", "--json"]) == 0
     row = json.loads(capsys.readouterr().out)
-    assert row["in_training_range"] is (row["novelty"] <= 1)
+    assert row["in_training_range"] is False  # neither at 50 kHz nor by its novelty
     assert row["label"] in ("coal", "gangue", "unknown")
 
 

@@ -296,6 +296,28 @@ def test_yang_spheres_are_split_by_sphere() -> None:
     assert training.model.training["n_test_specimens"] == 2
 
 
+def test_equal_particles_of_two_datasets_stay_on_one_side() -> None:
+    content = _tiny_scene()
+    quiet, loud = (parse_scene({**content, "sensor": {"relative_noise": noise}}) for noise in (0.01, 0.02))
+    batches = [*synthesise(quiet, 300), *synthesise(loud, 300, seed=1)]
+    training = train(batches, features=["peak_force", "width_50"])
+    assert training.model.training["n_train_specimens"] == training.model.training["n_test_specimens"] == 2
+    low, high = training.metrics["accuracy_interval_95"]
+    assert high - low > 0.5, "two specimens are two trials, however many impacts"
+
+
+def test_calibration_folds_keep_specimens_together() -> None:
+    """A classifier that knows every specimen by heart must be told so: its scores are worth little for others."""
+    generator = np.random.default_rng(6)
+    specimen = np.repeat(np.arange(60), 30)
+    features = np.repeat(generator.normal(size=(60, 6)), 30, axis=0) + generator.normal(0, 1e-3, (1800, 6))
+    labels = np.where(specimen % 2, "a", "b")
+    by_heart = ImpactClassifier("boosting").fit(features, labels)
+    honest = ImpactClassifier("boosting").fit(features, labels, specimen)
+    assert by_heart.temperature_ < 1.1
+    assert honest.temperature_ > 3
+
+
 def test_label_with_one_specimen_cannot_be_judged() -> None:
     with pytest.raises(InvalidValue, match="at least 2 specimens"):
         hold_out(np.array(["a", "a", "b", "b"]), np.array([1, 1, 2, 3], np.uint64))

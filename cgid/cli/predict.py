@@ -106,9 +106,11 @@ def _treat_dataset(
         )
     _warn_of_rate(path, dataset.sampling_rate, model)
     number, right, measured, unknown = count(), 0, 0, 0
+    specimens: set[int] = set()
     for batch in dataset.batches():
         frames = -batch.signals if invert else batch.signals
         answers = identify_frames(frames, batch.sampling_rate, model, pre_trigger=batch.pre_trigger, costs=costs)
+        specimens.update(batch.specimen.tolist())
         for answer, truth in zip(answers, batch.labels.tolist(), strict=True):
             _print(f"{path} index {next(number)}", [answer], titles, as_json, truth)
             unknown += answer.label == "unknown"
@@ -117,18 +119,20 @@ def _treat_dataset(
                 measured += 1
                 right += max(answer.probabilities, key=lambda label: answer.probabilities[label]) == truth
     if measured:
-        low, high = _wilson(right, measured)
+        # Impacts of one specimen are no independent trials.
+        low, high = _wilson(right / measured, min(measured, len(specimens)))
         click.echo(
-            f"{path}: accuracy {right / measured:.4f} (95 % interval {low:.4f} to {high:.4f}) on {measured} of "
-            f"{len(dataset)} labelled impacts; {unknown} answered unknown",
+            f"{path}: accuracy of the most probable label {right / measured:.4f} "
+            f"(95 % interval {low:.4f} to {high:.4f}) on {measured} of {len(dataset)} labelled impacts; "
+            f"{unknown} answered unknown",
             err=True,
         )
 
 
-def _wilson(right: int, total: int) -> tuple[float, float]:
+def _wilson(share: float, total: int) -> tuple[float, float]:
     """Return the 95 % score interval of a share (Wilson 1927)."""
     z = 1.959963984540054
-    share, extra = right / total, z * z / total
+    extra = z * z / total
     middle = (share + extra / 2) / (1 + extra)
     half = z * (share * (1 - share) / total + extra / (4 * total)) ** 0.5 / (1 + extra)
     return middle - half, middle + half
@@ -147,7 +151,7 @@ def _print(source: str, answers: Iterable[Any], titles: Iterator[str], as_json: 
                 "probability": answer.probability,
                 "probabilities": dict(answer.probabilities),
                 "novelty": answer.novelty,
-                "in_training_range": answer.novelty <= 1,
+                "in_training_range": answer.in_training_range,
                 "problem": answer.problem or None,
             }
             print_json(content | ({} if truth is None else {"truth": truth}))
@@ -178,6 +182,6 @@ def _no_rows(model: Any) -> Any:
 
 def _warn_of_rate(name: str, rate: float, model: Any) -> None:
     low, high = model.sampling_rates
-    if not 0.99 * low <= rate <= 1.01 * high:
+    if not model.covers(rate):
         trained = f"{low:g}" if low == high else f"{low:g} to {high:g}"
         click.echo(f"cgid: warning: {name}: sampled at {rate:g} Hz, the model was trained at {trained} Hz", err=True)

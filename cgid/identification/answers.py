@@ -30,14 +30,17 @@ class Answer:
         Of each label of the model; empty when the impact could not be measured.
     novelty : float
         Distance from the training, 1 at its edge; nan when the impact could not be measured.
+    in_training_range : bool
+        Whether the novelty is at most 1 and the sampling rate one that the model was trained at.
     problem : str
-        Why there is no known label; empty when there is one.
+        Why there is no known label, or why to doubt it; else empty.
     """
 
     time: float
     label: str
     probabilities: Mapping[str, float]
     novelty: float
+    in_training_range: bool = False
     problem: str = ""
 
     @property
@@ -143,7 +146,7 @@ def identify_frames(
     )
     sound = np.asarray(np.isfinite(features).all(axis=1))
     time = 0.0 if pre_trigger is None else pre_trigger / sampling_rate
-    known = _known_answers(features[sound], model, costs, time)
+    known = _known_answers(features[sound], model, costs, time, sampling_rate)
     problems = {} if sound.all() else PulseBatch(frames, sampling_rate, pre_trigger, True, detection_limit).problems()
     return [
         next(known) if sound[row] else _unmeasured(problems.get(row, "a feature has no finite value"), time)
@@ -152,19 +155,26 @@ def identify_frames(
 
 
 def _known_answers(
-    features: NDArray[np.float64], model: Model, costs: Mapping[str, float] | None, time: float
+    features: NDArray[np.float64],
+    model: Model,
+    costs: Mapping[str, float] | None,
+    time: float,
+    sampling_rate: float,
 ) -> Iterator[Answer]:
     if not len(features):
         return
     probabilities, novelties = model.probabilities(features), model.novelty(features)
     for row, label in enumerate(model.decide(probabilities, costs).tolist()):
         novelty = float(novelties[row])
-        problem = "" if novelty <= 1 else f"outside of the training (novelty {novelty:.3g}, 1 is the edge)"
+        problem = "" if model.covers(sampling_rate) else f"not trained at {sampling_rate:g} Hz"
+        if novelty > 1:
+            problem = f"outside of the training (novelty {novelty:.3g}, 1 is the edge)"
         yield Answer(
             time=time,
             label=label if novelty <= 1 else UNKNOWN,
             probabilities=dict(zip(model.labels, probabilities[row].tolist(), strict=True)),
             novelty=novelty,
+            in_training_range=not problem,
             problem=problem,
         )
 

@@ -60,8 +60,9 @@ def write_card(model: Model, name: str, pictures: tuple[str, ...] = ()) -> str:
         *([""] if pictures else []),
         "## Limits",
         "",
-        "It knows the impacts of its training data and no others: one seam, one sensor, one target. An impact",
-        "whose novelty passes 1 (the distance that 99.9 % of the training impacts keep) is answered with *unknown*.",
+        "It knows the impacts of its training data and no others. An impact whose novelty passes 1 (the distance",
+        "that 99.9 % of the training impacts keep) is answered with *unknown*; at another sampling rate it is less",
+        "often right than it says. The interval counts specimens, not impacts.",
         "Data that was synthesised says how good the method can be, not how good it is in a mine.",
         "",
     ]

@@ -11,7 +11,7 @@ from sklearn.base import BaseEstimator, ClassifierMixin
 from sklearn.discriminant_analysis import QuadraticDiscriminantAnalysis
 from sklearn.ensemble import HistGradientBoostingClassifier
 from sklearn.linear_model import LogisticRegression
-from sklearn.model_selection import StratifiedKFold, cross_val_predict
+from sklearn.model_selection import StratifiedGroupKFold, StratifiedKFold, cross_val_predict
 from sklearn.utils.multiclass import check_classification_targets
 from sklearn.utils.validation import check_is_fitted, validate_data
 
@@ -31,6 +31,8 @@ class ImpactClassifier(ClassifierMixin, BaseEstimator):  # type: ignore[misc]
     family : {"logistic", "boosting", "discriminant"}
         Logistic regression on the features and their products; histogram gradient boosting; quadratic
         discriminant analysis.
+    linear : tuple of int
+        Columns that never get a logarithm; the others do where all training values are above 0.
     n_trees : int
         Boosting rounds.
     n_leaves : int
@@ -57,6 +59,7 @@ class ImpactClassifier(ClassifierMixin, BaseEstimator):  # type: ignore[misc]
         self,
         family: str = "logistic",
         *,
+        linear: tuple[int, ...] = (),
         n_trees: int = 200,
         n_leaves: int = 15,
         learning_rate: float = 0.08,
@@ -64,26 +67,30 @@ class ImpactClassifier(ClassifierMixin, BaseEstimator):  # type: ignore[misc]
         random_state: int = 0,
     ) -> None:
         self.family = family
+        self.linear = linear
         self.n_trees = n_trees
         self.n_leaves = n_leaves
         self.learning_rate = learning_rate
         self.calibration_folds = calibration_folds
         self.random_state = random_state
 
-    def fit(self, X: ArrayLike, y: ArrayLike) -> ImpactClassifier:
-        """Fit to features (n_impacts, n_features) and labels (n_impacts,)."""
+    def fit(self, X: ArrayLike, y: ArrayLike, groups: ArrayLike | None = None) -> ImpactClassifier:
+        """Fit to features (n_impacts, n_features) and labels (n_impacts,).
+
+        Impacts of the same of `groups` (n_impacts,), their specimens, are never on both sides of a fold.
+        """
         validation.choice("family", self.family, FAMILIES)
         features, labels = validate_data(self, X, y, dtype=np.float64, ensure_min_samples=2)
         check_classification_targets(labels)
         self.classes_, encoded = np.unique(labels, return_inverse=True)
         if len(self.classes_) < 2:
             raise ValueError(f"classifier needs at least 2 classes, got 1 class: {self.classes_[0]!r}")
-        self.standardiser_ = Standardiser.fit(features)
+        self.standardiser_ = Standardiser.fit(features, self.linear)
         standardised = self.standardiser_.apply(features)
         self.neighbourhood_ = Neighbourhood.fit(standardised, encoded)
         inputs = self._inputs(standardised)
         self.estimator_ = self._new_estimator().fit(inputs, encoded)
-        self.temperature_ = self._temperature(inputs, encoded)
+        self.temperature_ = self._temperature(inputs, encoded, None if groups is None else np.asarray(groups))
         return self
 
     def predict_proba(self, X: ArrayLike) -> Floats:
@@ -124,13 +131,21 @@ class ImpactClassifier(ClassifierMixin, BaseEstimator):  # type: ignore[misc]
             random_state=self.random_state,
         )
 
-    def _temperature(self, inputs: Floats, encoded: NDArray[np.intp]) -> float:
-        folds = min(self.calibration_folds, int(np.bincount(encoded).min()))
-        # With a handful of impacts of a class there is nothing to calibrate on.
-        if folds < 2 or len(encoded) < 50 * folds:
+    def _temperature(self, inputs: Floats, encoded: NDArray[np.intp], groups: NDArray[Any] | None) -> float:
+        if groups is None or len(np.unique(groups)) == len(groups):
+            groups = None
+            counts = np.bincount(encoded)
+        else:
+            counts = np.array([len(np.unique(groups[encoded == k])) for k in range(len(self.classes_))])
+        folds = min(self.calibration_folds, int(counts.min()))
+        # With a handful of impacts or of specimens of a class there is nothing to calibrate on.
+        if folds < 2 or len(encoded) < 50 * folds or counts.min() < 5 * folds * (groups is not None):
             return 1.0
-        splitter = StratifiedKFold(folds, shuffle=True, random_state=self.random_state)
-        scores = cross_val_predict(self._new_estimator(), inputs, encoded, cv=splitter, method="decision_function")
+        kind = StratifiedKFold if groups is None else StratifiedGroupKFold
+        splitter = kind(folds, shuffle=True, random_state=self.random_state)
+        scores = cross_val_predict(
+            self._new_estimator(), inputs, encoded, groups=groups, cv=splitter, method="decision_function"
+        )
         rows = np.arange(len(encoded))
 
         def loss(log_temperature: float) -> float:

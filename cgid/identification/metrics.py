@@ -15,7 +15,9 @@ from cgid.validation import Floats
 _BINS = 10
 
 
-def evaluate(labels: NDArray[np.str_], probabilities: Floats, classes: tuple[str, ...]) -> dict[str, Any]:
+def evaluate(
+    labels: NDArray[np.str_], probabilities: Floats, classes: tuple[str, ...], n_independent: int | None = None
+) -> dict[str, Any]:
     """Return the metrics of predictions, as plain numbers for JSON.
 
     Parameters
@@ -24,6 +26,8 @@ def evaluate(labels: NDArray[np.str_], probabilities: Floats, classes: tuple[str
         The truth.
     probabilities : ndarray, (n_impacts, n_classes)
     classes : tuple of str
+    n_independent : int, optional
+        How many of the impacts count for the interval: that of their specimens, where it is smaller.
 
     Returns
     -------
@@ -36,7 +40,8 @@ def evaluate(labels: NDArray[np.str_], probabilities: Floats, classes: tuple[str
     predicted = names[np.argmax(probabilities, axis=1)]
     hits = predicted == labels
     truth = (labels[:, None] == names[None]).astype(float)
-    interval = binomtest(int(hits.sum()), len(hits)).proportion_ci(method="wilson")
+    counted = len(hits) if n_independent is None else n_independent
+    interval = binomtest(round(float(hits.mean()) * counted), counted).proportion_ci(method="wilson")
     confusion = metrics.confusion_matrix(labels, predicted, labels=names)
     bins = reliability(probabilities.max(axis=1), hits)
     return {

@@ -115,6 +115,10 @@ class Model:
         """
         return self._neighbourhood.novelty(self._standardised(features))
 
+    def covers(self, sampling_rate: float) -> bool:
+        """Return whether the model was trained at this sampling rate [Hz], within 1 %."""
+        return bool(0.99 * self.sampling_rates[0] <= sampling_rate <= 1.01 * self.sampling_rates[1])
+
     def decide(self, probabilities: Floats, costs: Mapping[str, float] | None = None) -> NDArray[np.str_]:
         """Return the label of the smallest expected cost, (n_impacts,).
 

@@ -9,6 +9,9 @@ from cgid.files import write_whole
 from cgid.identification.card import write_card
 from cgid.identification.training import Training
 
+#: The pictures that go beside a model.
+PICTURES = ("confusion", "reliability", "roc")
+
 
 def check_model_output(path: Path, *, plots: bool = False, overwrite: bool = False) -> Path:
     """Return the path if a model may be written there, before any work is done.
@@ -24,8 +27,11 @@ def check_model_output(path: Path, *, plots: bool = False, overwrite: bool = Fal
         raise CannotCreate(f"{path}: the name of a model must end in .npz, got {path.suffix or 'no ending'!r}")
     if not path.parent.is_dir():
         raise CannotCreate(f"{path}: the folder {path.parent} must exist; make it first")
-    if path.is_dir() or (path.exists() and not overwrite):
-        raise CannotCreate(f"{path}: exists already; choose another name or say --overwrite")
+    pictures = [f"{path.stem}-{name}.png" for name in PICTURES] if plots else []
+    for name in (path.name, f"{path.stem}.md", *pictures):
+        found = path.with_name(name)
+        if found.is_dir() or (found.exists() and not overwrite):
+            raise CannotCreate(f"{found}: exists already; choose another name or say --overwrite")
     if plots:
         from cgid.plots import require_matplotlib
 

@@ -97,9 +97,8 @@ def measure(
             )
         )
         labels.append(batch.labels)
-        # Specimens of different sources are different, even if their numbers happen to agree.
         sources += [batch.source] if batch.source not in sources else []
-        specimen.append(batch.specimen ^ np.uint64(sources.index(batch.source) * 0x9E3779B97F4A7C15 % 2**64))
+        specimen.append(batch.specimen)
         rates.add(batch.sampling_rate)
         if progress is not None:
             progress(len(batch))
@@ -187,12 +186,17 @@ def train(
             "add data of another material"
         )
     if shuffle_labels:
-        labels = np.random.default_rng(seed).permutation(labels)
-        specimen = np.arange(len(labels), dtype=np.uint64)
+        # Among the specimens, so that the split that is checked is the one that is used.
+        _, first, own = np.unique(specimen, return_index=True, return_inverse=True)
+        labels = np.random.default_rng(seed).permutation(labels[first])[own]
     test = hold_out(labels, specimen, test_share, seed)
-    classifier = ImpactClassifier(family=family, random_state=seed).fit(measured.features[~test], labels[~test])
+    # Features without a unit may be of either sign: no logarithm for them.
+    linear = tuple(column for column, name in enumerate(names) if FEATURES[name].unit == "1")
+    classifier = ImpactClassifier(family=family, linear=linear, random_state=seed)
+    classifier.fit(measured.features[~test], labels[~test], specimen[~test])
     probabilities = classifier.predict_proba(measured.features[test])
-    metrics = evaluate(labels[test], probabilities, tuple(str(label) for label in classifier.classes_))
+    classes = tuple(str(label) for label in classifier.classes_)
+    metrics = evaluate(labels[test], probabilities, classes, n_independent=len(np.unique(specimen[test])))
     model = Model.from_classifier(
         classifier,
         features=names,

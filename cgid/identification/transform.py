@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -28,9 +29,10 @@ class Standardiser:
     scale: Floats
 
     @classmethod
-    def fit(cls, features: Floats) -> Standardiser:
-        """Return the standardiser of these rows."""
+    def fit(cls, features: Floats, linear: Sequence[int] = ()) -> Standardiser:
+        """Return the standardiser of these rows; the columns named linear never get a logarithm."""
         logarithmic = np.asarray((features > 0).all(axis=0))
+        logarithmic[list(linear)] = False
         # A thousandth of the smallest value ever seen: far outside, and still a logarithm.
         floor = np.where(logarithmic, np.maximum(1e-3 * features.min(axis=0), np.finfo(float).tiny), 1.0)
         plain = cls(logarithmic, floor, np.zeros(features.shape[1]), np.ones(features.shape[1])).apply(features)

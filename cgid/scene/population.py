@@ -75,7 +75,7 @@ def draw(scene: Scene, seed: int, block: int) -> Draw:
     values["peak_force"], values["contact_duration"] = impact.peak_force, impact.contact_duration
     labels = np.array([population.label for population in scene.populations])[which]
     particle = [values[name] for name in ("density", "youngs_modulus", "poisson_ratio", "radius")]
-    return Draw(labels, {name: values[name] for name in PARAMETER_UNITS}, _specimen(which, particle), impact)
+    return Draw(labels, {name: values[name] for name in PARAMETER_UNITS}, _specimen(particle), impact)
 
 
 def _impact(scene: Scene, values: Mapping[str, Floats]) -> Impact:
@@ -92,9 +92,12 @@ def _impact(scene: Scene, values: Mapping[str, Floats]) -> Impact:
     )
 
 
-def _specimen(which: NDArray[np.intp], particle: list[Floats]) -> NDArray[np.uint64]:
-    """Mix population and particle into one 64-bit number (the finaliser of splitmix64, Steele et al. 2014)."""
-    mixed = which.astype(np.uint64)
+def _specimen(particle: list[Floats]) -> NDArray[np.uint64]:
+    """Mix material and size into one 64-bit number (the finaliser of splitmix64, Steele et al. 2014).
+
+    An equal particle has the same number in every population, scene and dataset.
+    """
+    mixed = np.zeros(particle[0].shape, np.uint64)
     for values in particle:
         mixed = mixed + values.view(np.uint64) + np.uint64(0x9E3779B97F4A7C15)
         for shift, factor in ((30, 0xBF58476D1CE4E5B9), (27, 0x94D049BB133111EB)):
