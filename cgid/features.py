@@ -24,6 +24,8 @@ if TYPE_CHECKING:
 
 #: Rows measured at once: enough to share the overhead, few enough to stay in the cache.
 _ROWS = 256
+#: A frame must hold the fewest samples of a pulse and one on either side.
+MINIMUM_FRAME = 6
 
 
 @dataclass(frozen=True)
@@ -317,7 +319,3 @@ def _frames(samples: ArrayLike) -> NDArray[Any]:
         where = f"signal {row} sample {column}" if len(frames) > 1 else f"sample {column}"
         raise BadData(f"samples must be finite, {where} is {frames[row, column]}: cut or repair the recording there")
     return frames
-
-
-#: A frame must hold the fewest samples of a pulse and one on either side.
-MINIMUM_FRAME = 6

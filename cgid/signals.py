@@ -119,8 +119,6 @@ class Signal:
     @property
     def name(self) -> str:
         """Source and channel in one word."""
-        if self.channel.startswith("index "):
-            return f"{self.source} {self.channel}"
         return self.source if self.channel == "1" else f"{self.source} channel {self.channel}"
 
     @property

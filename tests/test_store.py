@@ -17,9 +17,10 @@ import pytest
 
 from cgid.errors import BadData, CannotCreate, CgidError, InvalidValue, NoInput, WriteFailed
 from cgid.files import write_whole
+from cgid.recordings import is_dataset
 from cgid.scene import generate, parse_scene, synthesise
 from cgid.scene.population import PARAMETER_UNITS
-from cgid.store import Dataset, is_dataset
+from cgid.store import Dataset
 
 N = 1000
 

@@ -7,12 +7,12 @@ from typing import Any
 import click
 
 from cgid.cli.options import (
+    asks_for_whole_dataset,
     check_dead_time,
     each_file,
     print_json,
     read_signals,
     recording_options,
-    refuse_recording_options,
 )
 
 
@@ -33,7 +33,6 @@ def features(
 ) -> int:
     """Print the features of every impact in FILEs, tab-separated, in the unit of the file; - is stdin."""
     from cgid.features import FEATURES, choose
-    from cgid.recordings import is_dataset
 
     if as_list:
         for feature in FEATURES.values():
@@ -46,8 +45,7 @@ def features(
     check_dead_time(dead_time)
 
     def treat(path: str) -> None:
-        if path != "-" and is_dataset(path) and reading["index"] is None:
-            refuse_recording_options(path, **reading)
+        if asks_for_whole_dataset(path, **reading):
             _print_dataset(path, chosen, not keep_baseline, as_json, reading["invert"])
             return
         for signal in read_signals(path, **reading):

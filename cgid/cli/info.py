@@ -18,7 +18,7 @@ def info(file: str, sampling_rate: float | None, unit: str | None, as_json: bool
     """Say what is in FILE: a dataset, a model, or a recording (every channel)."""
     from cgid.recordings import is_dataset
 
-    if file != "-" and is_dataset(file):
+    if is_dataset(file):
         content = _dataset(file)
     elif file.endswith(".npz"):
         content = _model(file)

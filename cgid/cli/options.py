@@ -43,7 +43,7 @@ def read_signals(
     """Return the signals of a recording, or the one signal of a dataset that was asked for."""
     from cgid.recordings import is_dataset, read_recording
 
-    if path != "-" and is_dataset(path):
+    if is_dataset(path):
         from cgid.store import Dataset
 
         signals = [Dataset(path).signal(index or 0)]
@@ -54,12 +54,20 @@ def read_signals(
     return [signal.inverted() for signal in signals] if invert else signals
 
 
-def refuse_recording_options(path: str, **given: Any) -> None:
-    """Refuse options that say how to read a recording: a dataset says all of that itself."""
+def asks_for_whole_dataset(path: str, *, index: int | None, **given: Any) -> bool:
+    """Return whether this is a dataset of which no single signal is asked for.
+
+    Refuses options that say how to read a recording: a dataset says all of that itself.
+    """
+    from cgid.recordings import is_dataset
+
+    if index is not None or not is_dataset(path):
+        return False
     flags = {"sampling_rate": "--rate", "unit": "--unit", "channel": "--channel", "mass": "--mass"}
     for name, flag in flags.items():
         if given.get(name) is not None:
             raise InvalidValue(f"{path}: {flag} is for recordings, a dataset says it itself; leave {flag} out")
+    return True
 
 
 def check_dead_time(milliseconds: float) -> None:

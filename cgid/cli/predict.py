@@ -9,12 +9,12 @@ from typing import Any
 import click
 
 from cgid.cli.options import (
+    asks_for_whole_dataset,
     check_dead_time,
     each_file,
     print_json,
     read_signals,
     recording_options,
-    refuse_recording_options,
 )
 
 
@@ -75,10 +75,8 @@ def _treat(
 ) -> None:
     from cgid.errors import BadData
     from cgid.identification.answers import identify, suited
-    from cgid.recordings import is_dataset
 
-    if path != "-" and is_dataset(path) and reading["index"] is None:
-        refuse_recording_options(path, mass=mass, **reading)
+    if asks_for_whole_dataset(path, mass=mass, **reading):
         _treat_dataset(path, model, costs, titles, as_json, reading["invert"])
         return
     for signal in read_signals(path, **reading):
@@ -97,6 +95,7 @@ def _treat_dataset(
     """Answer for every signal of a dataset, batch by batch, and count the right answers."""
     from cgid.errors import BadData
     from cgid.identification.answers import identify_frames
+    from cgid.identification.interval import wilson_interval
     from cgid.store import Dataset
 
     dataset = Dataset(path)
@@ -120,22 +119,13 @@ def _treat_dataset(
                 right += max(answer.probabilities, key=lambda label: answer.probabilities[label]) == truth
     if measured:
         # Impacts of one specimen are no independent trials.
-        low, high = _wilson(right / measured, min(measured, len(specimens)))
+        low, high = wilson_interval(right / measured, min(measured, len(specimens)))
         click.echo(
             f"{path}: accuracy of the most probable label {right / measured:.4f} "
             f"(95 % interval {low:.4f} to {high:.4f}) on {measured} of {len(dataset)} labelled impacts; "
             f"{unknown} answered unknown",
             err=True,
         )
-
-
-def _wilson(share: float, total: int) -> tuple[float, float]:
-    """Return the 95 % score interval of a share (Wilson 1927)."""
-    z = 1.959963984540054
-    extra = z * z / total
-    middle = (share + extra / 2) / (1 + extra)
-    half = z * (share * (1 - share) / total + extra / (4 * total)) ** 0.5 / (1 + extra)
-    return middle - half, middle + half
 
 
 def _print(source: str, answers: Iterable[Any], titles: Iterator[str], as_json: bool, truth: str | None = None) -> None:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cgid.errors import BadData, MissingOption
-from cgid.features import extract_array
+from cgid.features import MINIMUM_FRAME, extract_array
 from cgid.identification.events import DEAD_TIME, find_impacts
 from cgid.identification.model import UNKNOWN, Model
 from cgid.pulses import DETECTION_LIMIT, PulseBatch
@@ -134,8 +134,9 @@ def identify_frames(
     detection_limit: float = DETECTION_LIMIT,
 ) -> list[Answer]:
     """Return one answer for each frame (n_signals, n_samples) of a single impact."""
-    if frames.shape[1] < 6:
-        return [_unmeasured(f"a frame must hold at least 6 samples, got {frames.shape[1]}")] * len(frames)
+    if frames.shape[1] < MINIMUM_FRAME:
+        short = f"a frame must hold at least {MINIMUM_FRAME} samples, got {frames.shape[1]}"
+        return [_unmeasured(short)] * len(frames)
     features = extract_array(
         frames,
         sampling_rate,

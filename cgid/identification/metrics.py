@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import binomtest
 from sklearn import metrics
 
+from cgid.identification.interval import wilson_interval
 from cgid.validation import Floats
 
 #: Bins of the reliability diagram.
@@ -41,13 +41,13 @@ def evaluate(
     hits = predicted == labels
     truth = (labels[:, None] == names[None]).astype(float)
     counted = len(hits) if n_independent is None else n_independent
-    interval = binomtest(round(float(hits.mean()) * counted), counted).proportion_ci(method="wilson")
+    interval = wilson_interval(round(float(hits.mean()) * counted) / counted, counted)
     confusion = metrics.confusion_matrix(labels, predicted, labels=names)
     bins = reliability(probabilities.max(axis=1), hits)
     return {
         "n_impacts": len(labels),
         "accuracy": float(hits.mean()),
-        "accuracy_interval_95": [float(interval.low), float(interval.high)],
+        "accuracy_interval_95": list(interval),
         "recall": {c: float(confusion[k, k] / max(confusion[k].sum(), 1)) for k, c in enumerate(classes)},
         "brier_score": float(np.mean(np.sum((probabilities - truth) ** 2, axis=1))),
         "log_loss": float(-np.mean(np.log(np.maximum(probabilities[truth > 0], 1e-300)))),

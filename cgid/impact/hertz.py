@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from cgid import validation
+from cgid.signals import STANDARD_GRAVITY
 from cgid.validation import Floats
 
 #: K over Hertz's `K1 = 4/3 sqrt(R) E`; Yang, Zeng & Wan (2018), Eq. 5-6, 7-8 and 9-13.
@@ -19,7 +20,6 @@ STIFFNESS_THEORIES = {
     "rigid-sphere": 8 * np.sqrt(3) / 9,
     "series": 1.75**-1.5,
 }
-STANDARD_GRAVITY = 9.80665  # m/s^2
 
 
 def contact_stiffness(reduced_radius: ArrayLike, reduced_modulus: ArrayLike, theory: str) -> Floats:

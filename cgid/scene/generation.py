@@ -99,7 +99,7 @@ def generate(
         with closing(_write_all(writer, scene, seed, dtype, jobs, progress)) as written:
             for entry in written:
                 entries.append(entry)
-                if progress is not None and (jobs > 1 and len(writer.shards) > 1):
+                if progress is not None and jobs > 1:
                     progress(entry.n_signals)
     except BaseException:
         writer.abandon()
@@ -116,7 +116,7 @@ def _write_all(
     jobs: int,
     progress: Callable[[int], object] | None,
 ) -> Generator[ShardEntry, None, None]:
-    if jobs == 1 or len(writer.shards) == 1:
+    if jobs == 1:
         # One thread hashes and writes a shard while the next one is made: neither holds Python's lock.
         with ThreadPoolExecutor(max_workers=1) as disk:
             waiting: Future[ShardEntry] | None = None

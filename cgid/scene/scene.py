@@ -9,6 +9,7 @@ from __future__ import annotations
 import hashlib
 import json
 import tomllib
+from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
@@ -143,7 +144,7 @@ class Scene(_Section):
         """The whole scene as JSON with sorted keys: what is stored in a dataset, and hashed."""
         return json.dumps(self.model_dump(mode="json", exclude_none=True), sort_keys=True)
 
-    @property
+    @cached_property  # every batch of signals bears it
     def sha256(self) -> str:
         """Identity of the scene: the hash of `text`, whatever the layout of the file."""
         return hashlib.sha256(self.text.encode()).hexdigest()

@@ -19,23 +19,8 @@ from cgid.signals import Batch, Signal, quantity_of
 from cgid.store.shard import FORMAT, SCHEMA_VERSION, ShardHeader, read_header, text_of
 from cgid.store.writing import MANIFEST, SHARD_NAME
 
-_HDF5_MAGIC = b"\x89HDF\r\n\x1a\n"
 #: Signals read at once.
 _ROWS = 1024
-
-
-def is_dataset(path: str | Path) -> bool:
-    """Return whether this is a folder or an HDF5 file, by its first bytes."""
-    path = Path(path)
-    if path.is_dir():
-        return True
-    try:
-        with path.open("rb") as stream:
-            return stream.read(8) == _HDF5_MAGIC
-    except OSError:
-        return False
-
-
 #: What h5py raises on damaged headers.
 _DAMAGE = (OSError, RuntimeError, LookupError, ValueError, TypeError, ArithmeticError)
 
@@ -55,6 +40,9 @@ class Dataset:
         It is no dataset, unfinished (no manifest), damaged, or its shards do not fit together.
     """
 
+    #: What all shards have in common; the counts are those of the first.
+    header: ShardHeader
+
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
         if not self.path.exists():
@@ -73,8 +61,6 @@ class Dataset:
             self._counts.append(header.n_signals)
         if self._entries is not None and self._counts != [entry["n_signals"] for entry in self._entries]:
             raise BadData(f"{path}: shards must hold as many signals as {MANIFEST} says; generate the dataset again")
-
-    header: ShardHeader
 
     def _read_manifest(self) -> list[dict[str, Any]]:
         file = self.path / MANIFEST
@@ -189,8 +175,7 @@ class Dataset:
                     samples=batch.signals[0],
                     sampling_rate=self.sampling_rate,
                     unit=self.unit,
-                    source=str(self.path),
-                    channel=f"index {index}",
+                    source=f"{self.path} index {index}",
                     pre_trigger=self.pre_trigger,
                 )
             first += count
