@@ -6,8 +6,9 @@ parameter here is the restitution e (D and e are two names of one number, `cgid.
 How a pulse is stored. The contact is cut at `tau_s`, between its largest displacement and its middle.
 With `sigma = sqrt(tau / tau_s)` counted from touch, and `sigma = sqrt((tau_c - tau) / (tau_c - tau_s))`
 counted back from separation, force / sigma^3 and displacement / sigma^2 are smooth and positive: each
-is a polynomial on every one of the segments of sigma, and each coefficient of these, like the times, is
-a Chebyshev series in ln e. `cgid.impact.tabulation` makes the table by quadrature to machine precision.
+is a polynomial on every one of the segments of sigma. Each coefficient of these, like the times, is in turn
+a polynomial of ln e on every one of the intervals of ln e, so that a pulse needs few of them.
+`cgid.impact.tabulation` makes the table by quadrature to machine precision.
 """
 
 from __future__ import annotations
@@ -24,20 +25,24 @@ Floats = NDArray[np.float64]
 TABLE_PATH = Path(__file__).with_name("family.npz")
 #: The restitutions that the table covers.
 LOWEST_RESTITUTION, HIGHEST_RESTITUTION = 0.05, 1.0
-#: The exponent of the cut between the two halves: near the largest displacement where e is large,
-#: late enough for the long tail where e is small (0.6 balances the errors of both halves).
-_CUT = 0.6
+#: Intervals of ln e, and coefficients of the polynomial on each.
+INTERVALS, ORDERS = 16, 9
+#: Segments of sigma in either half of a pulse, and coefficients of the polynomial on each.
+SEGMENTS, POWERS = 4, 18
+#: Columns behind the coefficients of both halves: contact time and the time of the cut.
+CONTACT, CUT = 2 * SEGMENTS * POWERS, 2 * SEGMENTS * POWERS + 1
 
 
 @dataclass(frozen=True)
 class FamilyTable:
-    """Chebyshev coefficients over ln e, lowest order first.
+    """Coefficients of polynomials in the place within an interval of ln e (-1 to 1), lowest order first.
 
     Attributes
     ----------
-    force, displacement : ndarray, (n_terms, 2, n_segments, n_powers)
-        Local polynomials of both halves (from touch, from separation).
-    times : ndarray, (n_time_terms, 3)
+    force, displacement : ndarray, (INTERVALS, ORDERS, CUT + 1)
+        What the columns hold: the local polynomials of both halves (from touch, from separation), segment by
+        segment, lowest power first, then contact time and time of the cut.
+    times : ndarray, (INTERVALS, n_time_orders, 3)
         Contact time, time of the peak force, time of the largest displacement.
     """
 
@@ -59,17 +64,10 @@ def in_table(restitution: ArrayLike) -> NDArray[np.bool_]:
     return np.asarray((e >= LOWEST_RESTITUTION) & (e <= HIGHEST_RESTITUTION))
 
 
-def chebyshev_basis(restitution: ArrayLike, n_terms: int) -> Floats:
-    """Return the Chebyshev polynomials of ln e, shape `(*restitution.shape, n_terms)`."""
+def coordinate(restitution: ArrayLike) -> Floats:
+    """Return where a restitution stands in the table: 0 at 1, `INTERVALS` at the lowest, evenly in ln e."""
     e = np.asarray(restitution, dtype=np.float64)
-    lowest = np.log(LOWEST_RESTITUTION)
-    angle = np.arccos(np.clip(1 - 2 * np.log(e) / lowest, -1, 1))
-    return np.asarray(np.cos(angle[..., None] * np.arange(n_terms)))
-
-
-def cut_time(contact_time: ArrayLike, compression_time: ArrayLike) -> Floats:
-    """Return tau_s, where the first half of the table ends and the second begins."""
-    return np.asarray(np.asarray(compression_time) ** (1 - _CUT) * (0.5 * np.asarray(contact_time)) ** _CUT)
+    return np.asarray(np.clip(np.log(e) * (INTERVALS / np.log(LOWEST_RESTITUTION)), 0, INTERVALS))
 
 
 def times(restitution: ArrayLike) -> tuple[Floats, Floats, Floats]:
@@ -91,8 +89,7 @@ def times(restitution: ArrayLike) -> tuple[Floats, Floats, Floats]:
     >>> round(float(contact), 9), round(float(peak), 9), round(float(maximum), 9)
     (3.603560584, 0.90537521, 1.383143902)
     """
-    terms = table().times
-    values = chebyshev_basis(restitution, len(terms)) @ terms
+    values = _at(table().times, restitution)
     return values[..., 0], values[..., 1], values[..., 2]
 
 
@@ -119,23 +116,29 @@ def displacement(tau: ArrayLike, restitution: ArrayLike) -> Floats:
     return _evaluate(table().displacement, 2, tau, restitution)
 
 
-def _evaluate(terms: Floats, power: int, tau: ArrayLike, restitution: ArrayLike) -> Floats:
-    tau, e = np.asarray(tau, np.float64), np.asarray(restitution, np.float64)
-    local = np.tensordot(chebyshev_basis(e, len(terms)), terms, axes=1)
-    contact, _, compression = (value[..., None] for value in times(e))
-    cut = cut_time(contact, compression)
+def _at(columns: Floats, restitution: ArrayLike) -> Floats:
+    """Return the columns of a table at these restitutions, shape `(*restitution.shape, n_columns)`."""
+    place = coordinate(restitution)
+    interval = np.minimum(place.astype(np.intp), INTERVALS - 1)
+    u = (2 * (place - interval) - 1)[..., None]
+    value = columns[interval, -1]
+    for order in range(columns.shape[1] - 2, -1, -1):
+        value = value * u + columns[interval, order]
+    return np.asarray(value)
+
+
+def _evaluate(columns: Floats, power: int, tau: ArrayLike, restitution: ArrayLike) -> Floats:
+    tau, rows = np.asarray(tau, np.float64), _at(columns, restitution)
+    contact, cut = rows[..., CONTACT, None], rows[..., CUT, None]
     late = tau > cut
     inside = (tau > 0) & (tau < contact)
     fraction = np.where(late, (contact - tau) / (contact - cut), tau / cut)
     sigma = np.sqrt(np.where(inside, fraction, 0.0))
-    n_segments = terms.shape[2]
-    segment = np.minimum((sigma * n_segments).astype(np.intp), n_segments - 1)
-    offset = 2 * (sigma * n_segments - segment) - 1
-    rows = np.broadcast_to(local, (*np.broadcast_shapes(tau.shape[:-1], e.shape), *local.shape[-3:]))
-    half = np.broadcast_to(late.astype(np.intp), segment.shape)
-    leading = np.ogrid[tuple(slice(n) for n in segment.shape)][:-1]
-    coefficients = rows[(*leading, half, segment)]
-    value = coefficients[..., -1]
-    for order in range(terms.shape[3] - 2, -1, -1):
-        value = value * offset + coefficients[..., order]
+    segment = np.minimum((sigma * SEGMENTS).astype(np.intp), SEGMENTS - 1)
+    u = 2 * (sigma * SEGMENTS - segment) - 1
+    first = np.broadcast_to((late * SEGMENTS + segment) * POWERS, u.shape)
+    rows = np.broadcast_to(rows, (*u.shape[:-1], rows.shape[-1]))
+    value = np.take_along_axis(rows, first + POWERS - 1, axis=-1)
+    for order in range(POWERS - 2, -1, -1):
+        value = value * u + np.take_along_axis(rows, first + order, axis=-1)
     return np.asarray(np.where(inside, value * sigma**power, 0.0))

@@ -1,12 +1,14 @@
-"""One impact: its pulse, its peaks, its rebound."""
+"""One impact: its pulse, its peaks, its rebound, and how they hang on the material."""
 
-from cgid.impact.bodies import RIGID, HalfSpace, RigidWall, Sphere
-from cgid.impact.dissipation import Elastic, HuntCrossley
+from cgid.impact.bodies import RIGID, HalfSpace, RigidWall, Sphere, ThinPlate
+from cgid.impact.damping_factors import HUNT_CROSSLEY_LAWS
+from cgid.impact.dissipation import Elastic, HuntCrossley, Viscoelastic
 from cgid.impact.hertz import STIFFNESS_THEORIES, contact_stiffness, free_fall_velocity
-from cgid.impact.pulse import HertzRangeWarning, Impact
+from cgid.impact.pulse import HertzRangeWarning, Impact, ThinPlateWarning
 from cgid.impact.restitution import damping_number, delivered_restitution
 
 __all__ = [
+    "HUNT_CROSSLEY_LAWS",
     "RIGID",
     "STIFFNESS_THEORIES",
     "Elastic",
@@ -16,6 +18,9 @@ __all__ = [
     "Impact",
     "RigidWall",
     "Sphere",
+    "ThinPlate",
+    "ThinPlateWarning",
+    "Viscoelastic",
     "contact_stiffness",
     "damping_number",
     "delivered_restitution",

@@ -1,7 +1,8 @@
-"""Every numba function of the impact: floats and arrays in, arrays out, no checks, no strings.
+"""Numba kernels of the tabulated pulses: floats and arrays in, arrays out, no checks, no strings.
 
-The symbols are those of `cgid.family`: a pulse is two sets of local polynomials in sigma, found by a
-Chebyshev series over ln e. All kernels stay in this file: numba's cache does not see edits elsewhere.
+`cgid.family` says how a pulse is stored. No `fastmath`: the same table gives the same bits on every machine,
+whether or not it fuses multiplication and addition. All kernels stay in this file: numba's cache does not see
+edits elsewhere.
 """
 
 from __future__ import annotations
@@ -13,92 +14,132 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from cgid.family import CONTACT, CUT, INTERVALS, ORDERS, POWERS, SEGMENTS
+
 Array = NDArray[Any]
 
 _jit = numba.njit(cache=True, nogil=True, error_model="numpy")
+_MIDDLE = SEGMENTS * POWERS  # where the columns of the second half begin
 
 
 @_jit
-def _blend(cosine: float, terms: Array, out: Array) -> None:
-    """Sum the Chebyshev series over ln e: terms (n_terms, n_coefficients) -> out (n_coefficients)."""
-    before, now = 1.0, cosine
+def _blend(columns: Array, place: float, out: Array) -> None:
+    """Evaluate the polynomials over ln e of one interval: columns (interval, order, column) -> out (column)."""
+    interval = min(int(place), INTERVALS - 1)
+    u = 2.0 * (place - interval) - 1.0
+    rows = columns[interval]
     for j in range(out.size):
-        out[j] = terms[0, j] + cosine * terms[1, j]
-    for k in range(2, terms.shape[0]):
-        before, now = now, 2.0 * cosine * now - before
-        for j in range(out.size):
-            out[j] += now * terms[k, j]
+        value = rows[ORDERS - 1, j]
+        for order in range(ORDERS - 2, -1, -1):
+            value = value * u + rows[order, j]
+        out[j] = value
 
 
 @_jit
-def _local(coefficients: Array, offset: int, n_segments: int, n_powers: int, sigma: float) -> float:
-    """Evaluate the local polynomial that serves sigma."""
-    place = sigma * n_segments
-    segment = min(int(place), n_segments - 1)
-    u = 2.0 * (place - segment) - 1.0
-    first = offset + segment * n_powers
-    value: float = coefficients[first + n_powers - 1]
-    for power in range(n_powers - 2, -1, -1):
-        value = value * u + coefficients[first + power]
-    return value
+def _add_segment(
+    samples: Array, coefficients: Array, segment: int, square: float, step: float, amplitude: float
+) -> None:
+    """Add the force on samples that lie in one segment; square is sigma^2 of the first, step its increment.
+
+    The loop runs over a slice from its start and over a fixed number of powers, which is what lets the compiler
+    take several samples at once.
+    """
+    offset = 2.0 * segment + 1.0
+    for k in range(samples.size):
+        sigma_square = abs(square + k * step)
+        sigma = math.sqrt(sigma_square)
+        u = 2.0 * SEGMENTS * sigma - offset
+        value = coefficients[POWERS - 1]
+        for power in range(POWERS - 2, -1, -1):
+            value = value * u + coefficients[power]
+        samples[k] += amplitude * (value * sigma_square * sigma)
 
 
 @_jit
-def _pulse(
-    coefficients: Array, n_segments: int, n_powers: int, tau: float, cut: float, tau_c: float, cubic: bool
-) -> float:
-    """Return force (cubic) or displacement at tau within contact."""
-    if tau <= cut:
-        square, offset = tau / cut, 0
-    else:
-        square, offset = (tau_c - tau) / (tau_c - cut), n_segments * n_powers
-    sigma = math.sqrt(square)
-    value = square * _local(coefficients, offset, n_segments, n_powers, sigma)
-    return value * sigma if cubic else value
+def _sample_after(place: float, n_samples: int) -> int:
+    """Return the first sample strictly after a place on the sample grid, within 0 and n_samples."""
+    return int(min(max(math.floor(place) + 1.0, 0.0), float(n_samples)))
+
+
+@_jit
+def add_to_frames(
+    frames: Array, onset: Array, step: Array, place: Array, amplitude: Array, columns: Array, rows: Array
+) -> None:
+    """Add one force pulse to some rows of frames (n, n_samples); only contact is touched.
+
+    onset [samples] is where touch falls on the sample grid, step is the sampling interval over T0, place is
+    `family.coordinate` of the restitution.
+    """
+    pulse = np.empty(columns.shape[2])
+    for i in rows:
+        _blend(columns, place[i], pulse)
+        contact, cut, h = pulse[CONTACT], pulse[CUT], step[i]
+        samples = frames[i]
+        here = _sample_after(onset[i], samples.size)
+        for segment in range(SEGMENTS):
+            edge = cut * ((segment + 1.0) / SEGMENTS) ** 2
+            end = max(_sample_after(onset[i] + edge / h, samples.size), here)
+            _add_segment(
+                samples[here:end],
+                pulse[segment * POWERS : (segment + 1) * POWERS],
+                segment,
+                (here - onset[i]) * h / cut,
+                h / cut,
+                amplitude[i],
+            )
+            here = end
+        rest = contact - cut
+        for segment in range(SEGMENTS - 1, -1, -1):
+            edge = contact - rest * (segment / SEGMENTS) ** 2
+            end = max(_sample_after(onset[i] + edge / h, samples.size), here)
+            if segment == 0 and end > here and (end - 1 - onset[i]) * h >= contact:
+                end -= 1  # a sample that falls on separation itself holds no force
+            first_column = _MIDDLE + segment * POWERS
+            _add_segment(
+                samples[here:end],
+                pulse[first_column : first_column + POWERS],
+                segment,
+                (contact - (here - onset[i]) * h) / rest,
+                -h / rest,
+                amplitude[i],
+            )
+            here = end
 
 
 @_jit
 def at_times(
     times: Array,
-    cosine: Array,
-    tau_c: Array,
-    cut: Array,
+    place: Array,
     time_scale: Array,
     amplitude: Array,
-    terms: Array,
+    columns: Array,
     cubic: bool,
     out: Array,
+    rows: Array,
 ) -> None:
-    """Fill out (n, k) with the pulses at times (n, k) [s]; zero outside contact."""
-    n_segments, n_powers = terms.shape[2], terms.shape[3]
-    flat = terms.reshape(terms.shape[0], 2 * n_segments * n_powers)
-    coefficients = np.empty(flat.shape[1])
-    for i in range(times.shape[0]):
-        _blend(cosine[i], flat, coefficients)
+    """Fill some rows of out (n, k) with the pulses at times (n, k) [s]; zero outside contact.
+
+    cubic: the columns hold a force (over sigma^3), else a displacement (over sigma^2).
+    """
+    pulse = np.empty(columns.shape[2])
+    for i in rows:
+        _blend(columns, place[i], pulse)
+        contact, cut = pulse[CONTACT], pulse[CUT]
         for k in range(times.shape[1]):
             tau = times[i, k] / time_scale[i]
-            if 0.0 < tau < tau_c[i]:
-                out[i, k] = amplitude[i] * _pulse(coefficients, n_segments, n_powers, tau, cut[i], tau_c[i], cubic)
-            else:
+            if not 0.0 < tau < contact:
                 out[i, k] = 0.0
-
-
-@_jit
-def add_to_frames(
-    frames: Array, onset: Array, step: Array, cosine: Array, tau_c: Array, cut: Array, amplitude: Array, terms: Array
-) -> None:
-    """Add one force pulse to every row of frames (n, n_samples); only samples in contact are touched.
-
-    onset [samples] is where touch falls on the sample grid, step is the sampling interval over T0.
-    """
-    n_segments, n_powers = terms.shape[2], terms.shape[3]
-    flat = terms.reshape(terms.shape[0], 2 * n_segments * n_powers)
-    coefficients = np.empty(flat.shape[1])
-    for i in range(frames.shape[0]):
-        _blend(cosine[i], flat, coefficients)
-        first = max(math.ceil(onset[i]), 0)
-        last = min(math.floor(onset[i] + tau_c[i] / step[i]), frames.shape[1] - 1)
-        for k in range(first, last + 1):
-            tau = (k - onset[i]) * step[i]
-            if 0.0 < tau < tau_c[i]:
-                frames[i, k] += amplitude[i] * _pulse(coefficients, n_segments, n_powers, tau, cut[i], tau_c[i], True)
+                continue
+            if tau <= cut:
+                square, column = tau / cut, 0
+            else:
+                square, column = (contact - tau) / (contact - cut), _MIDDLE
+            sigma = math.sqrt(square)
+            segment = min(int(sigma * SEGMENTS), SEGMENTS - 1)
+            u = 2.0 * (sigma * SEGMENTS - segment) - 1.0
+            column += segment * POWERS
+            value = pulse[column + POWERS - 1]
+            for power in range(POWERS - 2, -1, -1):
+                value = value * u + pulse[column + power]
+            value *= square
+            out[i, k] = amplitude[i] * (value * sigma if cubic else value)

@@ -1,4 +1,4 @@
-"""The two bodies of an impact: a sphere, and a half space, another sphere or a rigid wall."""
+"""The two bodies of an impact: a sphere, and a half space, a thin plate, another sphere or a rigid wall."""
 
 from __future__ import annotations
 
@@ -20,6 +20,7 @@ class Sphere:
     radius: ArrayLike
 
     def __post_init__(self) -> None:
+        validation.instance("material", self.material, Material)
         validation.positive("radius", self.radius, "m")
 
     @property
@@ -35,6 +36,43 @@ class HalfSpace:
 
     material: Material
 
+    def __post_init__(self) -> None:
+        validation.instance("material", self.material, Material)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ThinPlate:
+    """A plate of `material` and `thickness` [m], so wide that no wave comes back from its edges in time.
+
+    Where it is hit it gives way at the speed `P / Z`, and flexural waves carry the energy off: Zener (1941),
+    Phys. Rev. 59, 669.
+    """
+
+    material: Material
+    thickness: ArrayLike
+
+    def __post_init__(self) -> None:
+        validation.instance("material", self.material, Material)
+        validation.positive("thickness", self.thickness, "m")
+
+    @property
+    def impedance(self) -> Floats:
+        """`Z = 8 sqrt(B rho h)`, `B = E h^3 / (12 (1 - nu^2))` [kg/s].
+
+        Examples
+        --------
+        >>> from cgid.materials import STEEL
+        >>> round(float(ThinPlate(material=STEEL, thickness=0.008).impedance))
+        6291
+        """
+        return impedance_of_unit_thickness(self.material) * validation.real("thickness", self.thickness, "m") ** 2
+
+
+def impedance_of_unit_thickness(material: Material) -> Floats:
+    """Return Z / h^2 of a thin plate [kg/(s m^2)]."""
+    density = validation.real("density", material.density, "kg/m^3")
+    return 8 * np.sqrt(density / (12 * material.plane_strain_compliance))
+
 
 @dataclass(frozen=True)
 class RigidWall:
@@ -43,7 +81,7 @@ class RigidWall:
 
 RIGID = RigidWall()
 
-Target = HalfSpace | Sphere | RigidWall
+Target = HalfSpace | ThinPlate | Sphere | RigidWall
 
 
 def reduced_radius(sphere: Sphere, target: Target) -> Floats:
@@ -60,6 +98,11 @@ def reduced_modulus(sphere: Sphere, target: Target) -> Floats:
     if not isinstance(target, RigidWall):
         compliance = compliance + target.material.plane_strain_compliance
     return 1 / compliance
+
+
+def sphere_share(sphere: Sphere, target: Target) -> Floats:
+    """Return the sphere's share in the compliance of both bodies, `(1 - nu1^2) E / E1`: 1 on a rigid wall."""
+    return sphere.material.plane_strain_compliance * reduced_modulus(sphere, target)
 
 
 def reduced_mass(sphere: Sphere, target: Target) -> Floats:

@@ -1,4 +1,4 @@
-"""How an impact loses energy: not at all, or by Hunt-Crossley damping."""
+"""How the material loses energy: not at all, by Hunt-Crossley damping, or as a viscoelastic solid."""
 
 from __future__ import annotations
 
@@ -8,16 +8,15 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from cgid import validation
-from cgid.impact.restitution import damping_number
+from cgid.errors import InvalidValue
+from cgid.impact.damping_factors import HUNT_CROSSLEY_LAWS
+from cgid.impact.restitution import delivered_restitution
 from cgid.validation import Floats
-
-#: Damping laws by name: each gives the damping number D = chi v of the restitution asked for.
-HUNT_CROSSLEY_LAWS = {"exact": damping_number}
 
 
 @dataclass(frozen=True)
 class Elastic:
-    """No loss: the sphere leaves as fast as it came."""
+    """No loss in the material: against anything but a thin plate the sphere leaves as fast as it came."""
 
     @property
     def damping_number(self) -> Floats:
@@ -38,8 +37,20 @@ class HuntCrossley:
     ----------
     restitution : array_like
         Rebound speed over impact speed asked for, in (0, 1].
-    law : {"exact"}
-        How chi follows from the restitution. "exact" delivers what is asked.
+    law : str
+        How chi follows from the restitution: "exact", which delivers what is asked, or one of the published
+        factors "hunt-crossley", "herbert-mcwhannell", "lee-wang", "lankarani-nikravesh", "gonthier",
+        "zhiying-qishao", "flores", "hu-guo" (`cgid.impact.damping_factors`).
+
+    Raises
+    ------
+    InvalidValue
+        A restitution outside (0, 1], or an unknown law.
+
+    Examples
+    --------
+    >>> round(float(HuntCrossley(restitution=0.5, law="lankarani-nikravesh").delivered_restitution), 3)
+    0.725
     """
 
     restitution: ArrayLike
@@ -52,12 +63,53 @@ class HuntCrossley:
     @property
     def damping_number(self) -> Floats:
         """D = chi v, for this law."""
-        return HUNT_CROSSLEY_LAWS[self.law](self.restitution)
+        return np.asarray(HUNT_CROSSLEY_LAWS[self.law](validation.restitution("restitution", self.restitution)))
 
     @property
     def delivered_restitution(self) -> Floats:
-        """The restitution that really comes out: the exact law delivers what is asked."""
-        return validation.restitution("restitution", self.restitution)
+        """The restitution that this damping really gives on a target that takes no energy."""
+        if self.law == "exact":
+            return validation.restitution("restitution", self.restitution)
+        return delivered_restitution(self.damping_number)
 
 
-Dissipation = Elastic | HuntCrossley
+@dataclass(frozen=True, kw_only=True)
+class Viscoelastic:
+    """A viscoelastic sphere, `P = K (delta^(3/2) + A delta^(1/2) delta')` (Kuwabara & Kono 1987).
+
+    Restitution is a result: it falls with speed. Contact ends where the force has fallen to zero, while the
+    sphere is still flattened; there is never attraction. Give one of the two numbers.
+
+    Parameters
+    ----------
+    dissipative_constant : array_like, optional
+        A [s] as written above. (Brilliantov et al. 1996, Phys. Rev. E 53, 5382, write `3/2 A` for it.)
+    time_constant : array_like, optional
+        b [s] of a Kelvin-Voigt sphere, whose stress is that of the strain plus b times its rate. Then
+        `A = 3/2 b s`, where s is the sphere's share in the compliance of both bodies.
+
+    Raises
+    ------
+    InvalidValue
+        Neither or both are given, or a number is not above 0.
+    """
+
+    dissipative_constant: ArrayLike | None = None
+    time_constant: ArrayLike | None = None
+
+    def __post_init__(self) -> None:
+        if (self.dissipative_constant is None) == (self.time_constant is None):
+            raise InvalidValue("Viscoelastic needs one of dissipative_constant [s] and time_constant [s], not both")
+        for name in ("dissipative_constant", "time_constant"):
+            if getattr(self, name) is not None:
+                validation.positive(name, getattr(self, name), "s")
+
+    def constant(self, sphere_share: Floats) -> Floats:
+        """Return A [s], given the sphere's share in the compliance of both bodies."""
+        if self.time_constant is not None:
+            return np.asarray(1.5 * validation.positive("time_constant", self.time_constant, "s") * sphere_share)
+        assert self.dissipative_constant is not None
+        return validation.positive("dissipative_constant", self.dissipative_constant, "s")
+
+
+Dissipation = Elastic | HuntCrossley | Viscoelastic

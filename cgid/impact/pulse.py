@@ -1,29 +1,40 @@
-"""Impact: one blow, or as many as the arrays hold, scaled from the dimensionless family."""
+"""Impact: one blow, or as many as the arrays hold, scaled from its dimensionless curve."""
 
 from __future__ import annotations
 
 import warnings
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
-from cgid import family, validation
+from cgid import validation
+from cgid.errors import InvalidValue
 from cgid.impact import bodies
-from cgid.impact.bodies import Sphere, Target
-from cgid.impact.dissipation import Dissipation
+from cgid.impact.bodies import HalfSpace, RigidWall, Sphere, Target, ThinPlate
+from cgid.impact.curves import Curves, Quantity
+from cgid.impact.dissipation import Dissipation, Elastic, HuntCrossley, Viscoelastic
 from cgid.impact.hertz import contact_stiffness
-from cgid.impact.quadrature import peak_logarithm, reference_pulse, time_of_peak
-from cgid.impact.restitution import energy_below
 from cgid.validation import Floats
 
 #: Beyond this displacement over radius Hertz's small-strain contact is out of its range.
 HERTZ_LIMIT = 0.1
+#: Beyond this lambda Zener's thin plate disagrees with finer models.
+INELASTICITY_LIMIT = 1.5
+#: A weight g L / v^2 below this changes no result by more than the table's own error.
+NEGLIGIBLE_WEIGHT = 1e-12
+
+DType = Literal["float32", "float64"]
 
 
 class HertzRangeWarning(UserWarning):
     """The displacement is too large a part of the radius for Hertz's theory."""
+
+
+class ThinPlateWarning(UserWarning):
+    """The impact is too heavy for Zener's thin plate."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -34,24 +45,30 @@ class Impact:
     ----------
     sphere : Sphere
         What falls.
-    target : HalfSpace, Sphere or RIGID
+    target : HalfSpace, ThinPlate, Sphere or RIGID
         What it falls on, at rest.
     velocity : array_like
         Normal impact speed [m/s], above 0 (relative speed for two spheres).
     stiffness : {"hertz", "rigid-sphere", "series"}
         The theory of the contact stiffness (`cgid.impact.hertz`); it has no default.
-    dissipation : Elastic or HuntCrossley
-        Where the energy goes.
+    dissipation : Elastic, HuntCrossley or Viscoelastic
+        Where the material's energy goes. What a thin plate takes comes on top of it.
+    gravity : array_like
+        Pull towards the target during contact [m/s^2], 0 or more. It is left out where its weight beside the
+        force, `g L / v^2`, is below 1e-12.
 
     Raises
     ------
     InvalidValue
-        A number breaks its rule, a theory is unknown, or shapes do not broadcast.
+        A number breaks its rule, a theory is unknown, shapes do not broadcast, the sphere does not rebound, or
+        the impact lies outside the reach of double precision.
 
     Warns
     -----
     HertzRangeWarning
         If the displacement passes a tenth of the radius.
+    ThinPlateWarning
+        If Zener's lambda of a thin plate passes 1.5.
 
     Examples
     --------
@@ -75,119 +92,207 @@ class Impact:
     velocity: ArrayLike
     stiffness: str
     dissipation: Dissipation
+    gravity: ArrayLike = 0.0
 
     def __post_init__(self) -> None:
+        validation.instance("sphere", self.sphere, Sphere)
+        validation.instance("target", self.target, HalfSpace, ThinPlate, Sphere, RigidWall)
+        validation.instance("dissipation", self.dissipation, Elastic, HuntCrossley, Viscoelastic)
         validation.positive("velocity", self.velocity, "m/s")
-        strain = np.max(self.peak_displacement / self.reduced_radius)
-        if strain > HERTZ_LIMIT:
-            warnings.warn(
-                f"displacement / radius reaches {strain:.3g}; Hertz's theory holds up to {HERTZ_LIMIT:g}",
-                HertzRangeWarning,
-                stacklevel=3,
-            )
+        validation.not_negative("gravity", self.gravity, "m/s^2")
+        self._require_reach()
+        self._curves.require_rebound()
+        self._warn_of_range()
+
+    def _require_reach(self) -> None:
+        with np.errstate(all="ignore"):
+            scales = {
+                "mass": (self.reduced_mass, "kg"),
+                "contact stiffness": (self.contact_stiffness, "N/m^(3/2)"),
+                "displacement": (self.length_scale, "m"),
+                "duration": (self.time_scale, "s"),
+                "force": (self.force_scale, "N"),
+                "energy": (self.reduced_mass * self._velocity**2, "J"),
+            }
+        for name, (scale, unit) in scales.items():
+            held = (scale > 1e-290) & (scale < 1e290)
+            if not held.all():
+                raise InvalidValue(
+                    f"the {name} of the impact must lie between 1e-290 and 1e290 {unit} for double precision to hold "
+                    f"it, got {scale[~held].ravel()[0]:g} {unit}; check radius, material and velocity"
+                )
+
+    def _warn_of_range(self) -> None:
+        # An elastic impact goes deepest, and its depth is known without the damping.
+        if (1.1 * self.length_scale > HERTZ_LIMIT * self.reduced_radius).any():
+            strain = (self.peak_displacement / self.reduced_radius).max(initial=0.0)
+            if strain > HERTZ_LIMIT:
+                message = f"displacement / radius reaches {strain:.3g}; Hertz's theory holds up to {HERTZ_LIMIT:g}"
+                warnings.warn(message, HertzRangeWarning, stacklevel=4)
+        largest = self.inelasticity.max(initial=0.0)
+        if largest > INELASTICITY_LIMIT:
+            message = f"lambda of the thin plate reaches {largest:.3g}; Zener's theory holds to {INELASTICITY_LIMIT:g}"
+            warnings.warn(message, ThinPlateWarning, stacklevel=4)
 
     @cached_property
-    def _parameters(self) -> dict[str, Floats]:
-        """The five numbers of the equation of motion, broadcast to one shape."""
-        names = ("radius", "mass", "stiffness", "velocity", "damping", "restitution")
-        values = (
-            bodies.reduced_radius(self.sphere, self.target),
-            bodies.reduced_mass(self.sphere, self.target),
-            contact_stiffness(
-                bodies.reduced_radius(self.sphere, self.target),
-                bodies.reduced_modulus(self.sphere, self.target),
-                self.stiffness,
-            ),
-            validation.real("velocity", self.velocity, "m/s"),
-            self.dissipation.damping_number,
-            self.dissipation.delivered_restitution,
-        )
-        named = dict(zip(names, values, strict=True))
-        return dict(zip(names, validation.broadcast(**named), strict=True))
+    def _shape(self) -> tuple[int, ...]:
+        named = {
+            "radius": bodies.reduced_radius(self.sphere, self.target),
+            "mass": bodies.reduced_mass(self.sphere, self.target),
+            "modulus": bodies.reduced_modulus(self.sphere, self.target),
+            "velocity": np.asarray(self.velocity),
+            "gravity": np.asarray(self.gravity),
+            "dissipation": self._loss,
+            "thickness": np.asarray(self.target.thickness if isinstance(self.target, ThinPlate) else 0.0),
+        }
+        return validation.broadcast(**named)[0].shape
 
     @property
+    def _loss(self) -> Floats:
+        """The one number of the dissipation: the material's restitution, or A."""
+        if isinstance(self.dissipation, Viscoelastic):
+            return self.dissipation.constant(bodies.sphere_share(self.sphere, self.target))
+        return self.dissipation.delivered_restitution
+
+    def _broadcast(self, values: ArrayLike) -> Floats:
+        return np.broadcast_to(np.asarray(values, dtype=np.float64), self._shape)
+
+    @cached_property
+    def _velocity(self) -> Floats:
+        return self._broadcast(self.velocity)
+
+    @cached_property
     def reduced_radius(self) -> Floats:
         """R of the contact [m]."""
-        return self._parameters["radius"]
+        return self._broadcast(bodies.reduced_radius(self.sphere, self.target))
 
-    @property
+    @cached_property
     def reduced_modulus(self) -> Floats:
         """E of the contact [Pa]."""
-        return bodies.reduced_modulus(self.sphere, self.target)
+        return self._broadcast(bodies.reduced_modulus(self.sphere, self.target))
 
-    @property
+    @cached_property
     def reduced_mass(self) -> Floats:
         """Mass of the relative motion [kg]."""
-        return self._parameters["mass"]
+        return self._broadcast(bodies.reduced_mass(self.sphere, self.target))
 
-    @property
+    @cached_property
     def contact_stiffness(self) -> Floats:
         """K of `P = K delta^(3/2)` [N/m^(3/2)]."""
-        return self._parameters["stiffness"]
+        return contact_stiffness(self.reduced_radius, self.reduced_modulus, self.stiffness)
 
-    @property
-    def restitution(self) -> Floats:
-        """Rebound speed over impact speed, as delivered."""
-        return self._parameters["restitution"]
-
-    @property
+    @cached_property
     def length_scale(self) -> Floats:
         """`L = (m v^2 / K)^(2/5)` [m], the unit of displacement."""
-        p = self._parameters
-        return np.asarray((p["mass"] * p["velocity"] ** 2 / p["stiffness"]) ** 0.4)
+        return np.asarray((self.reduced_mass * self._velocity**2 / self.contact_stiffness) ** 0.4)
 
-    @property
+    @cached_property
     def time_scale(self) -> Floats:
         """`T0 = L / v` [s], the unit of time."""
-        return self.length_scale / self._parameters["velocity"]
+        return self.length_scale / self._velocity
 
-    @property
+    @cached_property
     def force_scale(self) -> Floats:
         """`K L^(3/2)` [N], the unit of force."""
-        return self._parameters["stiffness"] * self.length_scale**1.5
+        return self.contact_stiffness * self.length_scale**1.5
 
-    @property
+    @cached_property
+    def inelasticity(self) -> Floats:
+        """Zener's `lambda = m / (Z T0)` of a thin plate; 0 for any other target."""
+        if not isinstance(self.target, ThinPlate):
+            return np.zeros(self._shape)
+        return self.reduced_mass / (self.target.impedance * self.time_scale)
+
+    @cached_property
+    def _curves(self) -> Curves:
+        viscoelastic = isinstance(self.dissipation, Viscoelastic)
+        weight = self._broadcast(self.gravity) * self.length_scale / self._velocity**2
+        return Curves(
+            material_restitution=np.ones(self._shape).ravel() if viscoelastic else self._broadcast(self._loss).ravel(),
+            zeta=(self._broadcast(self._loss) / self.time_scale * viscoelastic).ravel(),
+            inelasticity=np.ravel(self.inelasticity),
+            weight=np.where(weight < NEGLIGIBLE_WEIGHT, 0.0, weight).ravel(),
+        )
+
+    def _shaped(self, values: Floats) -> Floats:
+        return np.asarray(values.reshape(self._shape))
+
+    @cached_property
+    def restitution(self) -> Floats:
+        """Rebound speed over impact speed, as delivered by material and plate together."""
+        return self._shaped(self._curves.restitution)
+
+    @cached_property
     def peak_displacement(self) -> Floats:
-        """Largest displacement of the sphere centre [m], `L (5/2 G(1))^(2/5)`; closed form."""
-        return self.length_scale * (2.5 * energy_below(self._parameters["damping"])) ** 0.4
+        """Largest displacement of the sphere centre [m], `L (5/2 G(1))^(2/5)` in closed form."""
+        return self.length_scale * self._shaped(self._curves.peak_displacement)
 
-    @property
+    @cached_property
     def peak_force(self) -> Floats:
-        """Largest contact force [N]; closed form, before the largest displacement when damped."""
-        damping = self._parameters["damping"]
-        p = peak_logarithm(damping)
-        # (2/5) x^(5/2) = 3 x' / (5 D) at the peak, and x' / D = expm1(p) / D^2.
-        ratio = np.divide(np.expm1(p), damping**2, out=np.full(damping.shape, 5 / 6), where=damping > 1e-8)
-        return np.asarray(self.force_scale * (1.5 * ratio) ** 0.6 * np.exp(p))
+        """Largest contact force [N], in closed form; before the largest displacement when damped."""
+        return self.force_scale * self._shaped(self._curves.peak_force)
 
     @property
     def contact_duration(self) -> Floats:
         """Time from touch to separation [s]."""
-        return self.time_scale * self._family_times[0]
+        return self.time_scale * self._shaped(self._curves.times[0])
 
     @property
     def time_of_peak(self) -> Floats:
         """Time from touch to the largest force [s]."""
-        return self.time_scale * self._family_times[1]
+        return self.time_scale * self._shaped(self._curves.times[1])
+
+    @property
+    def compression_time(self) -> Floats:
+        """Time from touch to the largest displacement [s]."""
+        return self.time_scale * self._shaped(self._curves.times[2])
+
+    @property
+    def end_displacement(self) -> Floats:
+        """Displacement at separation [m]: 0, but for a viscoelastic sphere, which leaves flattened."""
+        return self.length_scale * self._shaped(self._curves.end_displacement)
 
     @property
     def rebound_velocity(self) -> Floats:
         """Speed of separation, `e v` [m/s]."""
-        return self._parameters["restitution"] * self._parameters["velocity"]
+        return self.restitution * self._velocity
 
     @property
     def impulse(self) -> Floats:
-        """Integral of the force over the contact, `(1 + e) m v` [N s]."""
-        p = self._parameters
-        return np.asarray((1 + p["restitution"]) * p["mass"] * p["velocity"])
+        """Integral of the force over the contact, `(1 + e) m v` and the weight over the contact [N s]."""
+        impulse = (1 + self.restitution) * self.reduced_mass * self._velocity
+        if np.any(self._curves.weight):
+            impulse = impulse + self.reduced_mass * self._broadcast(self.gravity) * self.contact_duration
+        return np.asarray(impulse)
 
-    def force(self, times: ArrayLike) -> Floats:
+    @property
+    def radiated_energy(self) -> Floats:
+        """Energy that a thin plate carries off, the integral of `P^2 / Z` [J]; 0 for any other target."""
+        return self.reduced_mass * self._velocity**2 * self._shaped(self._curves.plate_energy)
+
+    @property
+    def dissipated_energy(self) -> Floats:
+        """Energy lost in the material, `1/2 m v^2 (1 - e^2)` without a plate [J].
+
+        It is what impact energy, and the fall of a sphere that leaves flattened, leave beside rebound and plate.
+        """
+        e = self.restitution
+        lost = 0.5 * self.reduced_mass * self._velocity**2 * (1 - e) * (1 + e) - self.radiated_energy
+        if np.any(self._curves.weight):
+            lost = lost + self.reduced_mass * self._broadcast(self.gravity) * self.end_displacement
+        return np.asarray(lost)
+
+    def force(self, times: ArrayLike, *, dtype: DType = "float64", threads: int = 1) -> NDArray[Any]:
         """Return the contact force over time.
 
         Parameters
         ----------
         times : array_like, (..., n_times)
             Time since touch [s], along the last axis.
+        dtype : {"float64", "float32"}
+            Of the result.
+        threads : int
+            How many threads share the impacts.
 
         Returns
         -------
@@ -195,72 +300,89 @@ class Impact:
             [N], zero outside contact, never attractive. Shape of `times` for a single impact, else the
             impacts' shape broadcast against the leading axes of `times`, then n_times.
         """
-        return self._over_time(times, self.force_scale, "force")
+        return self._over_time(times, "force", self.force_scale, dtype, threads)
 
-    def displacement(self, times: ArrayLike) -> Floats:
+    def displacement(self, times: ArrayLike, *, dtype: DType = "float64", threads: int = 1) -> NDArray[Any]:
         """Return the displacement of the sphere centre [m] over time, zero outside contact; as `force`."""
-        return self._over_time(times, self.length_scale, "displacement")
+        return self._over_time(times, "displacement", self.length_scale, dtype, threads)
 
-    @cached_property
-    def _family_times(self) -> tuple[Floats, Floats, Floats]:
-        """Contact time, time of peak and compression time, dimensionless."""
-        e = self._parameters["restitution"]
-        served = family.in_table(e)
-        found = np.stack(np.broadcast_arrays(*family.times(np.where(served, e, 1.0))))
-        for index in map(tuple, np.argwhere(~served)):
-            pulse = reference_pulse(float(e[index]))
-            found[(slice(None), *index)] = pulse.contact_time, time_of_peak(float(e[index])), pulse.compression_time
-        return found[0], found[1], found[2]
+    def _over_time(
+        self, times: ArrayLike, quantity: Quantity, amplitude: Floats, dtype: DType, threads: int
+    ) -> NDArray[Any]:
+        _require_output(dtype, threads)
+        given = validation.real("times", times, "s")
+        row = np.atleast_1d(given)
+        leading = validation.broadcast(impacts=self.reduced_mass, times=np.empty(row.shape[:-1]))[0].shape
+        index = np.broadcast_to(np.arange(self.reduced_mass.size).reshape(self._shape), leading).ravel()
+        curves = self._curves if leading == self._shape else self._curves.taken(index)
+        out = curves.evaluate(
+            np.ascontiguousarray(np.broadcast_to(row, (*leading, row.shape[-1]))).reshape(index.size, row.shape[-1]),
+            self.time_scale.ravel()[index],
+            amplitude.ravel()[index],
+            quantity,
+            dtype,
+            threads,
+        ).reshape(*leading, row.shape[-1])
+        return out[..., 0] if given.ndim == 0 else out
 
-    def _over_time(self, times: ArrayLike, amplitude: Floats, quantity: str) -> Floats:
-        times = validation.real("times", times, "s")
-        e = self._parameters["restitution"]
-        if times.ndim == 0:
-            return self._over_time(times[None], amplitude, quantity)[..., 0]
-        leading = np.broadcast_shapes(e.shape, times.shape[:-1])
-        rows = np.ascontiguousarray(np.broadcast_to(times, (*leading, times.shape[-1]))).reshape(-1, times.shape[-1])
+    def force_frames(
+        self,
+        sampling_rate: float,
+        n_samples: int,
+        onset: ArrayLike = 0.0,
+        *,
+        dtype: DType = "float64",
+        threads: int = 1,
+    ) -> NDArray[Any]:
+        """Return the contact force on the even grid of a recorder, one frame for each impact.
 
-        def flat(values: Floats) -> Floats:
-            return np.ascontiguousarray(np.broadcast_to(values, leading), dtype=np.float64).ravel()
+        Only the samples in contact are computed. Values agree with `force` to rounding.
 
-        out = np.empty(rows.shape)
-        restitution = flat(e)
-        served = family.in_table(restitution)
-        scale, height = flat(self.time_scale), flat(amplitude)
-        if served.any():
-            _fill(out, rows, restitution, scale, height, [flat(t) for t in self._family_times], quantity, served)
-        for row in np.flatnonzero(~served):
-            displacement, force = reference_pulse(float(restitution[row])).evaluate(rows[row] / scale[row])
-            out[row] = height[row] * (force if quantity == "force" else displacement)
-        return out.reshape(*leading, times.shape[-1])
+        Parameters
+        ----------
+        sampling_rate : float
+            [Hz].
+        n_samples : int
+            Length of a frame.
+        onset : array_like
+            Time of touch within the frame [s]; it may lie before or behind it.
+        dtype : {"float64", "float32"}
+        threads : int
+            How many threads share the impacts.
+
+        Returns
+        -------
+        ndarray, (*shape of the impacts and onset, n_samples)
+            [N].
+        """
+        _require_output(dtype, threads)
+        rate = float(validation.positive("sampling_rate", sampling_rate, "Hz"))
+        if n_samples < 1:
+            raise InvalidValue(f"n_samples must be 1 or more, got {n_samples}")
+        frames = np.zeros((*self._shape, n_samples), dtype)
+        self.add_to_frames(frames, rate, onset, threads=threads)
+        return frames
+
+    def add_to_frames(self, frames: NDArray[Any], sampling_rate: float, onset: ArrayLike, *, threads: int = 1) -> None:
+        """Add the contact force to frames (*shape of the impacts, n_samples) in place; see `force_frames`.
+
+        Raises
+        ------
+        InvalidValue
+            The frames have another shape, no float samples, or do not lie in one piece of memory.
+        """
+        if frames.shape[:-1] != self._shape or frames.dtype.kind != "f" or not frames.flags.c_contiguous:
+            raise InvalidValue(
+                f"frames must be C-contiguous float samples of shape ({', '.join(map(str, self._shape))}, n_samples), "
+                f"got {frames.dtype} of shape {frames.shape}"
+            )
+        places = self._broadcast(validation.real("onset", onset, "s")) * sampling_rate
+        rows = frames.reshape(-1, frames.shape[-1])
+        step = 1 / (sampling_rate * self.time_scale)
+        self._curves.add_to_frames(rows, places.ravel(), step.ravel(), self.force_scale.ravel(), threads)
 
 
-def _fill(
-    out: Floats,
-    times: Floats,
-    restitution: Floats,
-    time_scale: Floats,
-    amplitude: Floats,
-    family_times: list[Floats],
-    quantity: str,
-    served: np.ndarray[tuple[int, ...], np.dtype[np.bool_]],
-) -> None:
-    # numba is loaded here and not above: the closed forms do not need it.
-    from cgid.impact import _kernels
-
-    table = family.table()
-    terms = table.force if quantity == "force" else table.displacement
-    contact, _, compression = (values[served] for values in family_times)
-    filled = np.empty((int(served.sum()), times.shape[1]))
-    _kernels.at_times(
-        times[served],
-        family.chebyshev_basis(restitution[served], 2)[:, 1].copy(),
-        contact,
-        family.cut_time(contact, compression),
-        time_scale[served],
-        amplitude[served],
-        terms,
-        quantity == "force",
-        filled,
-    )
-    out[served] = filled
+def _require_output(dtype: str, threads: int) -> None:
+    validation.choice("dtype", dtype, ("float64", "float32"))
+    if threads < 1:
+        raise InvalidValue(f"threads must be 1 or more, got {threads}")

@@ -1,6 +1,6 @@
 """One dimensionless damped-Hertz pulse by quadrature: the slow, exact path.
 
-It makes the table of `cgid.family`, serves restitutions outside that table, and checks it.
+It makes the table of `cgid.family`, and checks it and the integration of `cgid.impact._taylor`.
 
 With `p = ln(1 + D x')` the equation `x'' = -x^(3/2) (1 + D x')` reads `p' = -D x^(3/2)`, and its first
 integral (Hunt & Crossley 1975) gives x in closed form, `(2/5) D^2 x^(5/2) = phi(p_end) - phi(p)` with
@@ -15,6 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from cgid.impact.closed_forms import peak_logarithm
 from cgid.impact.restitution import damping_number, exponential_rest, logarithms
 from cgid.validation import Floats
 
@@ -74,19 +75,6 @@ def time_of_peak(restitution: float) -> float:
     branch = _Branch(float(damping_number(restitution)), restitution, "touch")
     distance = branch.length - peak_logarithm(branch.damping)
     return float(branch.time(np.asarray([distance**0.2]))[0])
-
-
-def peak_logarithm(damping: float | Floats) -> Floats:
-    """Return p = `ln(1 + D x')` where the force peaks.
-
-    It is the root of `(8/5) expm1(p) - p = expm1(a) - a` with `a = ln(1 + D)`.
-    """
-    a = np.log1p(np.asarray(damping, dtype=np.float64))
-    energy = exponential_rest(a)
-    p = np.where(a < 1, 5 / 6 * a**2, np.maximum(a - 0.47, 0.1))
-    for _ in range(_NEWTON_STEPS):
-        p = p - (1.6 * np.expm1(p) - p - energy) / (1.6 * np.exp(p) - 1)
-    return np.maximum(p, 0.0)
 
 
 class _Branch:

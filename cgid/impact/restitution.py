@@ -148,22 +148,3 @@ def exponential_rest(p: ArrayLike) -> Floats:
     for order in range(18, 2, -1):
         series = 1 + x / order * series
     return np.asarray(np.where(small, x * x / 2 * series, np.expm1(p) - p), dtype=np.float64)
-
-
-def energy_below(damping: ArrayLike) -> Floats:
-    """Return `G(1) = 1/D - ln(1 + D)/D^2`, the energy stored at the largest displacement over `m v^2`.
-
-    Parameters
-    ----------
-    damping : array_like
-        D = chi v, zero or more.
-
-    Returns
-    -------
-    ndarray
-        1/2 for an elastic impact, `(2/5) x_max^(5/2)` for any.
-    """
-    damping = np.asarray(damping, dtype=np.float64)
-    # D - ln(1 + D) = expm1(a) - a with a = ln(1 + D), which keeps its digits for small D.
-    rest = exponential_rest(np.log1p(damping))
-    return np.asarray(np.divide(rest, damping**2, out=np.full(damping.shape, 0.5), where=damping > 1e-150))

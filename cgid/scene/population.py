@@ -72,7 +72,9 @@ def draw(scene: Scene, seed: int, block: int) -> Draw:
     sampling = scene.sampling
     values["onset"] = (sampling.pre_trigger + sampling.jitter * kinds[-1]) / sampling.sampling_rate
     impact = _impact(scene, values)
-    values["peak_force"], values["contact_duration"] = impact.peak_force, impact.contact_duration
+    # What a law delivers is what the pulse shows, and what was asked may differ from it.
+    for name in ("restitution", "peak_force", "contact_duration"):
+        values[name] = getattr(impact, name)
     labels = np.array([population.label for population in scene.populations])[which]
     particle = [values[name] for name in ("density", "youngs_modulus", "poisson_ratio", "radius")]
     return Draw(labels, {name: values[name] for name in PARAMETER_UNITS}, _specimen(particle), impact)

@@ -64,6 +64,12 @@ class Population(_Section):
         return self
 
 
+Law = Literal[
+    "exact", "hunt-crossley", "herbert-mcwhannell", "lee-wang", "lankarani-nikravesh", "gonthier", "zhiying-qishao",
+    "flores", "hu-guo",
+]  # fmt: skip
+
+
 class TargetSection(_Section):
     """The elastic half space that is hit; `target = "rigid"` for a rigid wall."""
 
@@ -77,7 +83,7 @@ class ImpactSection(_Section):
 
     stiffness: Literal["hertz", "rigid-sphere", "series"]
     dissipation: Literal["elastic", "hunt-crossley"]
-    law: Literal["exact"] = "exact"
+    law: Law = "exact"
     target: TargetSection | Literal["rigid"]
 
     @property

@@ -9,7 +9,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
-from cgid import family, validation
+from cgid import validation
 from cgid.errors import InvalidValue
 from cgid.impact import HertzRangeWarning
 from cgid.scene.population import Draw, draw
@@ -107,19 +107,5 @@ def _noise(scene: Scene, drawn: Draw, seed: int, block: int, dtype: DTypeLike) -
 
 def add_pulses(frames: NDArray[Any], scene: Scene, drawn: Draw) -> None:
     """Add the force pulse of each impact to its frame, in place."""
-    # numba is loaded here: scenes are read and checked without it.
-    from cgid.impact import _kernels
-
-    impact = drawn.impact
-    restitution = np.ascontiguousarray(np.broadcast_to(impact.restitution, len(frames)))
-    tau_c, _, compression = family.times(restitution)
-    _kernels.add_to_frames(
-        frames,
-        drawn.parameters["onset"] * scene.sampling.sampling_rate,
-        1 / (scene.sampling.sampling_rate * impact.time_scale),
-        family.chebyshev_basis(restitution, 2)[:, 1].copy(),
-        np.ascontiguousarray(tau_c),
-        family.cut_time(tau_c, compression),
-        np.ascontiguousarray(impact.force_scale),
-        family.table().force,
-    )
+    onset = drawn.parameters["onset"]
+    drawn.impact.add_to_frames(frames, scene.sampling.sampling_rate, onset)

@@ -1,0 +1,291 @@
+"""Numba kernels of the reference path: one impact, integrated by Taylor series of its own recurrences.
+
+The contact (dimensionless: x displacement, y velocity of the sphere, f force)
+
+    x' = y - lambda f,  y' = gamma - f,  f = x^(3/2) + (D x^(3/2) + zeta x^(1/2)) x'
+
+is not smooth at touch. With x = w^2 and d tau = w d sigma it becomes polynomial, and passes smoothly through
+w = 0 at both ends of the contact:
+
+    w' = (y - lambda f) / 2,  y' = w (gamma - f),  tau' = w,  f = w r - lambda c f,  r = w^2 q + zeta y,
+
+with q = 1 + D y (carried as a state of its own: where it decays to nothing, it keeps its digits and its sign)
+and c = D w^3 + zeta w. All kernels stay in this file: numba's cache does not see edits elsewhere.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[Any]
+
+_jit = numba.njit(cache=True, nogil=True, error_model="numpy")
+
+#: Order of the series, and the share of its radius of convergence that a step takes: .15^20 is 1e-16.5.
+ORDER, SHARE = 20, 0.15
+#: Room for the steps of one impact; what needs more is beyond the reach of this path.
+MOST_STEPS = 4096
+#: What became of an impact.
+SEPARATED, STAYS, OUT_OF_REACH = 0, 1, 2
+#: Rows of a step: w, its rate of displacement u = x', force, time, plate energy, w^2 q + zeta y, sphere velocity.
+_W, _U, _F, _TAU, _PLATE, _R, _Y, _ROWS = 0, 1, 2, 3, 4, 5, 6, 7
+DISPLACEMENT, FORCE = _W, _F
+#: Columns of the parameters: D, zeta, lambda and gamma above.
+PARAMETERS = ("damping", "zeta", "inelasticity", "weight")
+#: Columns of `summaries`.
+RESULTS = (
+    "status",
+    "restitution",
+    "contact_time",
+    "peak_force",
+    "time_of_peak",
+    "peak_displacement",
+    "compression_time",
+    "end_displacement",
+    "plate_energy",
+)
+_LEAST_POWER = 1e-30  # below it the force is nothing beside its peak, and the rest is free flight
+
+
+@_jit
+def _value(row: Array, order: int, s: float) -> float:
+    value: float = row[order]
+    for k in range(order - 1, -1, -1):
+        value = value * s + row[k]
+    return value
+
+
+@_jit
+def _slope(row: Array, order: int, s: float) -> float:
+    value: float = order * row[order]
+    for k in range(order - 1, 0, -1):
+        value = value * s + k * row[k]
+    return value
+
+
+@_jit
+def _product(a: Array, b: Array, k: int) -> float:
+    total = 0.0
+    for i in range(k + 1):
+        total += a[i] * b[k - i]
+    return total
+
+
+@_jit
+def _expand(
+    step: Array, scratch: Array, order: int, q0: float, damping: float, zeta: float, inelasticity: float, weight: float
+) -> None:
+    """Fill the series of one step from its values of order zero (w, y, tau and plate energy in step, q0)."""
+    w, u, f, tau, plate, r, y = step[0], step[1], step[2], step[3], step[4], step[5], step[6]
+    q, square, c, wf = scratch[0], scratch[1], scratch[2], scratch[3]
+    q[0] = q0
+    for k in range(order + 1):
+        square[k] = _product(w, w, k)
+        r[k] = _product(square, q, k) + zeta * y[k]
+        f[k] = _product(w, r, k)
+        if inelasticity > 0.0:
+            c[k] = damping * _product(square, w, k) + zeta * w[k]
+            rest = 0.0
+            for i in range(1, k + 1):
+                rest += c[i] * f[k - i]
+            f[k] = (f[k] - inelasticity * rest) / (1.0 + inelasticity * c[0])
+        u[k] = y[k] - inelasticity * f[k]
+        wf[k] = _product(w, f, k)
+        if k == order:
+            break
+        w[k + 1] = 0.5 * u[k] / (k + 1)
+        y[k + 1] = (weight * w[k] - wf[k]) / (k + 1)
+        q[k + 1] = damping * y[k + 1]
+        tau[k + 1] = w[k] / (k + 1)
+        plate[k + 1] = inelasticity * _product(wf, f, k) / (k + 1) if inelasticity > 0.0 else 0.0
+
+
+@_jit
+def _inverse_radius(row: Array, order: int, scale: float) -> float:
+    """Return 1 / radius of convergence from the last coefficients (six: at touch only each fifth is not zero)."""
+    largest = 0.0
+    for k in range(max(order - 5, 1), order + 1):
+        largest = max(largest, (abs(row[k]) / scale) ** (1.0 / k))
+    return largest
+
+
+@_jit
+def _step_length(step: Array, q: Array, order: int, share: float) -> float:
+    # The digits of w are wanted beside its largest value; at touch that is still to come, a rate of 1/2 away.
+    inverse = max(_inverse_radius(step[_Y], order, 1.0), _inverse_radius(step[_W], order, max(step[_W, 0], 0.1)))
+    if q[0] != 1.0:
+        inverse = max(inverse, _inverse_radius(q, order, q[0]))
+    return share / max(inverse, 1e-3)
+
+
+@_jit
+def _root(row: Array, order: int, high: float, of_slope: bool) -> float:
+    """Return where a series (or its slope), positive just after 0 and not above 0 at high, falls to zero."""
+    low, s = 0.0, 0.5 * high
+    for _ in range(200):
+        value = _slope(row, order, s) if of_slope else _value(row, order, s)
+        if value > 0.0:
+            low = s
+        else:
+            high = s
+        if high - low <= 4e-16 * high or value == 0.0:
+            break
+        # Secant through the bracket's neighbourhood by the local rate, bisection where that leaves the bracket.
+        beside = s + 1e-6 * (high - low)
+        rate = ((_slope(row, order, beside) if of_slope else _value(row, order, beside)) - value) / (beside - s)
+        following = s - value / rate if rate < 0.0 else low
+        if abs(following - s) <= 2e-16 * abs(s):
+            break
+        s = following if low < following < high else 0.5 * (low + high)
+    return s
+
+
+@_jit
+def _integrate(parameters: Array, order: int, fixed: float, steps: Array, lengths: Array, result: Array) -> int:
+    """Fill steps (n, 7, order + 1) and lengths (n) of one impact, and its results; return the number of steps.
+
+    fixed is the length of every step, or 0 for the length that the series allow.
+    """
+    damping, zeta, inelasticity, weight = parameters[0], parameters[1], parameters[2], parameters[3]
+    scratch = np.zeros((4, order + 1))
+    steps[0, :, 0] = 0.0
+    steps[0, _Y, 0] = 1.0
+    q0 = 1.0 + damping
+    peak_found, turned = False, False
+    result[:] = 0.0
+    result[0] = OUT_OF_REACH
+    for n in range(steps.shape[0] - 1):
+        step = steps[n]
+        _expand(step, scratch, order, q0, damping, zeta, inelasticity, weight)
+        if q0 == 0.0 and step[_W, 1] < 0.0:
+            h = -1.001 * step[_W, 0] / step[_W, 1]
+        elif fixed > 0.0:
+            h = fixed
+        else:
+            h = _step_length(step, scratch[0], order, SHARE)
+        ending = step[_R] if zeta > 0.0 else step[_W]
+        ended = _value(ending, order, h) <= 0.0
+        if ended:
+            h = _root(ending, order, h, False)
+        if not peak_found and _slope(step[_F], order, h) <= 0.0:
+            peak_found = True
+            s = _root(step[_F], order, h, True)
+            result[3], result[4] = _value(step[_F], order, s), _value(step[_TAU], order, s)
+        u = _value(step[_U], order, h)
+        if not turned and u <= 0.0:
+            turned = True
+            s = _root(step[_U], order, h, False)
+            result[5], result[6] = _value(step[_W], order, s) ** 2, _value(step[_TAU], order, s)
+        lengths[n] = h
+        following = steps[n + 1]
+        for row in (_W, _TAU, _PLATE, _Y):
+            following[row, 0] = _value(step[row], order, h)
+        if ended:
+            result[0] = SEPARATED
+            result[1], result[2] = -following[_Y, 0], following[_TAU, 0]
+            result[7] = following[_W, 0] ** 2 if zeta > 0.0 else 0.0
+            result[8] = following[_PLATE, 0]
+            return n + 1
+        if turned and weight > 0.0 and u >= -1e-13:
+            result[0] = STAYS
+            return n + 1
+        q0 = _value(scratch[0], order, h)
+        if zeta == 0.0 and weight == 0.0 and q0 < _LEAST_POWER:
+            q0, following[_Y, 0] = 0.0, -1.0 / damping
+    return 0
+
+
+@_jit
+def summaries(parameters: Array, order: int, fixed: float, out: Array, rows: Array) -> None:
+    """Fill some rows of out (n, len(RESULTS)) for impacts of parameters (n, 4), see `PARAMETERS`."""
+    steps, lengths = np.empty((MOST_STEPS, _ROWS, order + 1)), np.empty(MOST_STEPS)
+    for i in rows:
+        _integrate(parameters[i], order, fixed, steps, lengths, out[i])
+
+
+@_jit
+def _within_step(step: Array, order: int, wanted: float, guess: float, high: float) -> float:
+    """Return s in [0, high] at which the time of this step reaches wanted; time grows at the rate w."""
+    tau, w = step[_TAU], step[_W]
+    low, s = 0.0, min(max(guess, 0.0), high)
+    for _ in range(60):
+        error = _value(tau, order, s) - wanted
+        if error < 0.0:
+            low = s
+        else:
+            high = s
+        rate = _value(w, order, s)
+        following = s - error / rate if rate > 0.0 else 0.5 * (low + high)
+        if abs(following - s) <= 1e-15 * high or high - low <= 1e-15 * high:
+            return min(max(following, low), high)
+        s = following if low < following < high else 0.5 * (low + high)
+    return s
+
+
+@_jit
+def _march(steps: Array, lengths: Array, count: int, order: int, n: int, s: float, tau: float) -> tuple[int, float]:
+    """Return the step and the place in it at time tau, seeking from (n, s)."""
+    if tau < steps[n, _TAU, 0]:
+        n, s = 0, 0.0
+    while n < count - 1 and steps[n + 1, _TAU, 0] <= tau:
+        n, s = n + 1, 0.0
+    step = steps[n]
+    past = tau - _value(step[_TAU], order, s)
+    w = _value(step[_W], order, s)
+    # From touch time goes like sigma^2 / 4; later a sample is a small move at the rate w.
+    guess = s + past / w if past < 10.0 * w * w else s + 2.0 * math.sqrt(past)
+    return n, _within_step(step, order, tau, guess, lengths[n])
+
+
+@_jit
+def _quantity(step: Array, order: int, s: float, row: int) -> float:
+    value = _value(step[row], order, s)
+    return value * value if row == _W else max(value, 0.0)
+
+
+@_jit
+def at_times(
+    times: Array, parameters: Array, time_scale: Array, amplitude: Array, row: int, out: Array, rows: Array
+) -> None:
+    """Fill some rows of out (n, k) at times (n, k) [s], zero outside contact.
+
+    row: `DISPLACEMENT` or `FORCE`.
+    """
+    steps, lengths = np.empty((MOST_STEPS, _ROWS, ORDER + 1)), np.empty(MOST_STEPS)
+    result = np.empty(len(RESULTS))
+    for i in rows:
+        count = _integrate(parameters[i], ORDER, 0.0, steps, lengths, result)
+        n, s = 0, 0.0
+        for k in range(times.shape[1]):
+            tau = times[i, k] / time_scale[i]
+            if 0.0 < tau < result[2]:
+                n, s = _march(steps, lengths, count, ORDER, n, s, tau)
+                out[i, k] = amplitude[i] * _quantity(steps[n], ORDER, s, row)
+            else:
+                out[i, k] = 0.0
+
+
+@_jit
+def add_to_frames(frames: Array, onset: Array, step: Array, parameters: Array, amplitude: Array, rows: Array) -> None:
+    """Add one force pulse to some rows of frames (n, n_samples); only contact is touched.
+
+    onset [samples] is where touch falls on the sample grid, step is the sampling interval over T0.
+    """
+    steps, lengths = np.empty((MOST_STEPS, _ROWS, ORDER + 1)), np.empty(MOST_STEPS)
+    result = np.empty(len(RESULTS))
+    for i in rows:
+        count = _integrate(parameters[i], ORDER, 0.0, steps, lengths, result)
+        n_samples = float(frames.shape[1])
+        here = int(min(max(math.floor(onset[i]) + 1.0, 0.0), n_samples))
+        end = int(min(max(math.ceil(onset[i] + result[2] / step[i]) + 1.0, 0.0), n_samples))
+        n, s = 0, 0.0
+        for k in range(here, end):
+            tau = (k - onset[i]) * step[i]
+            if 0.0 < tau < result[2]:
+                n, s = _march(steps, lengths, count, ORDER, n, s, tau)
+                frames[i, k] += amplitude[i] * _quantity(steps[n], ORDER, s, FORCE)

@@ -1,0 +1,215 @@
+"""The dimensionless curves of a batch of impacts, each by the cheapest way that is exact.
+
+Four numbers say all of an impact: the material's restitution (or Hunt-Crossley damping, its other name), zeta,
+lambda and gamma of `cgid.impact._taylor`. Where the last three are zero the impact is *plain*: its peaks are
+closed forms, and its pulse is in the shipped table (`cgid.family`) unless it is damped beyond it. Everything
+else is integrated. This is where it is decided what runs.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import DTypeLike, NDArray
+
+from cgid import family
+from cgid.errors import InvalidValue
+from cgid.impact.closed_forms import peak_displacement, peak_force
+from cgid.impact.restitution import damping_number
+from cgid.validation import Floats
+
+Quantity = Literal["force", "displacement"]
+#: Samples up to which numpy evaluates the table: no kernel needs compiling or loading for a pulse or two.
+_FEW = 4096
+#: Rows that a thread takes at once.
+_CHUNK = 256
+
+
+@dataclass(frozen=True)
+class Curves:
+    """The curves of n impacts, in units of L, T0 and `K L^(3/2)`.
+
+    Attributes
+    ----------
+    material_restitution : ndarray, (n,)
+        What the material's loss alone would leave: 1 where it is elastic or viscoelastic.
+    zeta : ndarray, (n,)
+        `A v / L` of a viscoelastic sphere.
+    inelasticity : ndarray, (n,)
+        Zener's lambda of a thin plate.
+    weight : ndarray, (n,)
+        `g L / v^2`.
+    """
+
+    material_restitution: Floats
+    zeta: Floats
+    inelasticity: Floats
+    weight: Floats
+
+    @cached_property
+    def plain(self) -> NDArray[np.bool_]:
+        """Where nothing but Hunt-Crossley damping acts."""
+        return np.asarray((self.zeta == 0) & (self.inelasticity == 0) & (self.weight == 0))
+
+    @cached_property
+    def tabulated(self) -> NDArray[np.bool_]:
+        """Where the shipped table holds the pulse."""
+        return self.plain & family.in_table(self.material_restitution)
+
+    @cached_property
+    def damping(self) -> Floats:
+        """D of the Hunt-Crossley loss."""
+        return damping_number(self.material_restitution)
+
+    @cached_property
+    def _parameters(self) -> Floats:
+        """The columns `_taylor.PARAMETERS`."""
+        return np.stack([self.damping, self.zeta, self.inelasticity, self.weight], axis=1)
+
+    @property
+    def restitution(self) -> Floats:
+        """Rebound speed over impact speed."""
+        return self._closed_or_integrated(lambda rows: self.material_restitution[rows], "restitution")
+
+    @property
+    def peak_force(self) -> Floats:
+        """Largest force."""
+        return self._closed_or_integrated(lambda rows: peak_force(self.damping[rows]), "peak_force")
+
+    @property
+    def peak_displacement(self) -> Floats:
+        """Largest displacement."""
+        return self._closed_or_integrated(lambda rows: peak_displacement(self.damping[rows]), "peak_displacement")
+
+    @property
+    def end_displacement(self) -> Floats:
+        """Displacement at separation: zero but for a viscoelastic sphere."""
+        return self._closed_or_integrated(lambda rows: np.zeros(int(rows.sum())), "end_displacement")
+
+    @property
+    def plate_energy(self) -> Floats:
+        """Energy radiated into the plate over `m v^2`."""
+        return self._closed_or_integrated(lambda rows: np.zeros(int(rows.sum())), "plate_energy")
+
+    @cached_property
+    def times(self) -> tuple[Floats, Floats, Floats]:
+        """Contact time, time of the peak force, time of the largest displacement."""
+        out = np.empty((3, self.plain.size))
+        if self.tabulated.any():
+            out[:, self.tabulated] = family.times(self.material_restitution[self.tabulated])
+        if not self.tabulated.all():
+            rest = ~self.tabulated
+            for row, name in enumerate(("contact_time", "time_of_peak", "compression_time")):
+                out[row, rest] = self._integrated[name][rest]
+        return out[0], out[1], out[2]
+
+    def _closed_or_integrated(self, closed: Callable[[NDArray[np.bool_]], Floats], name: str) -> Floats:
+        out = np.empty(self.plain.size)
+        out[self.plain] = closed(self.plain)
+        if not self.plain.all():
+            out[~self.plain] = self._integrated[name][~self.plain]
+        return out
+
+    @cached_property
+    def _integrated(self) -> dict[str, Floats]:
+        """The results of the reference path for the rows that the table does not hold, nan elsewhere."""
+        from cgid.impact import _taylor
+
+        rows = np.flatnonzero(~self.tabulated)
+        found = np.full((self.plain.size, len(_taylor.RESULTS)), np.nan)
+        _taylor.summaries(self._parameters, _taylor.ORDER, 0.0, found, rows)
+        self._require_separation(rows, found[rows, 0])
+        return dict(zip(_taylor.RESULTS, found.T, strict=True))
+
+    def taken(self, rows: NDArray[np.intp]) -> Curves:
+        """Return the curves of these rows, in this order."""
+        return Curves(self.material_restitution[rows], self.zeta[rows], self.inelasticity[rows], self.weight[rows])
+
+    def require_rebound(self) -> None:
+        """Raise `InvalidValue` where the sphere does not leave again, or not within the reach of double precision."""
+        if not self.plain.all():
+            _ = self._integrated
+
+    def _require_separation(self, rows: NDArray[np.intp], status: Floats) -> None:
+        from cgid.impact import _taylor
+
+        if (status == _taylor.SEPARATED).all():
+            return
+        index = np.flatnonzero(status != _taylor.SEPARATED)[0]
+        row = rows[index]
+        numbers = (
+            f"restitution of the material {self.material_restitution[row]:g}, zeta {self.zeta[row]:g}, "
+            f"lambda {self.inelasticity[row]:g}, g L / v^2 {self.weight[row]:g}"
+        )
+        place = f" at index {row}" if self.plain.size > 1 else ""
+        if status[index] == _taylor.STAYS:
+            raise InvalidValue(
+                f"the sphere must rebound, but its weight holds it on the target ({numbers}){place}; "
+                "raise the velocity or the restitution, or leave gravity out"
+            )
+        raise InvalidValue(
+            f"the loss must leave a rebound that double precision can follow, got {numbers}{place}; lower the loss"
+        )
+
+    def evaluate(
+        self, times: Floats, time_scale: Floats, amplitude: Floats, quantity: Quantity, dtype: DTypeLike, threads: int
+    ) -> NDArray[Any]:
+        """Return force or displacement at times (n, k) [s], shape (n, k), zero outside contact."""
+        out = np.empty(times.shape, dtype)
+        rows, rest = np.flatnonzero(self.tabulated), np.flatnonzero(~self.tabulated)
+        if rows.size * times.shape[1] <= _FEW:
+            restitution = self.material_restitution[rows]
+            evaluated = getattr(family, quantity)(times[rows] / time_scale[rows, None], restitution)
+            out[rows] = amplitude[rows, None] * evaluated
+        else:
+            from cgid.impact import _kernels
+
+            columns, place = getattr(family.table(), quantity), family.coordinate(self.material_restitution)
+            cubic = quantity == "force"
+            _in_threads(_kernels.at_times, (times, place, time_scale, amplitude, columns, cubic, out), rows, threads)
+        if rest.size:
+            from cgid.impact import _taylor
+
+            row = _taylor.FORCE if quantity == "force" else _taylor.DISPLACEMENT
+            _in_threads(_taylor.at_times, (times, self._parameters, time_scale, amplitude, row, out), rest, threads)
+        return out
+
+    def add_to_frames(self, frames: NDArray[Any], onset: Floats, step: Floats, amplitude: Floats, threads: int) -> None:
+        """Add a force pulse to each of the frames, in place.
+
+        Parameters
+        ----------
+        frames : ndarray of float32 or float64, (n, n_samples)
+        onset : ndarray, (n,)
+            Place of touch on the sample grid [samples].
+        step : ndarray, (n,)
+            Sampling interval over T0.
+        amplitude : ndarray, (n,)
+            [N].
+        threads : int
+        """
+        rows, rest = np.flatnonzero(self.tabulated), np.flatnonzero(~self.tabulated)
+        if rows.size:
+            from cgid.impact import _kernels
+
+            place, columns = family.coordinate(self.material_restitution), family.table().force
+            _in_threads(_kernels.add_to_frames, (frames, onset, step, place, amplitude, columns), rows, threads)
+        if rest.size:
+            from cgid.impact import _taylor
+
+            _in_threads(_taylor.add_to_frames, (frames, onset, step, self._parameters, amplitude), rest, threads)
+
+
+def _in_threads(kernel: Callable[..., None], arguments: tuple[Any, ...], rows: NDArray[np.intp], threads: int) -> None:
+    """Call a kernel, which lets go of the interpreter's lock, for parts of the rows in threads."""
+    if threads == 1:
+        kernel(*arguments, rows)
+        return
+    parts = np.array_split(rows, -(-rows.size // _CHUNK)) if rows.size else []
+    with ThreadPoolExecutor(threads) as pool:
+        list(pool.map(lambda part: kernel(*arguments, part), parts))
