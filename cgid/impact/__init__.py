@@ -4,6 +4,7 @@ from cgid.impact.bodies import RIGID, HalfSpace, RigidWall, Sphere, ThinPlate
 from cgid.impact.damping_factors import HUNT_CROSSLEY_LAWS
 from cgid.impact.dissipation import Elastic, HuntCrossley, Viscoelastic
 from cgid.impact.hertz import STIFFNESS_THEORIES, contact_stiffness, free_fall_velocity
+from cgid.impact.inverse import dissipative_constant, plate_thickness
 from cgid.impact.pulse import HertzRangeWarning, Impact, ThinPlateWarning
 from cgid.impact.restitution import damping_number, delivered_restitution
 
@@ -24,5 +25,7 @@ __all__ = [
     "contact_stiffness",
     "damping_number",
     "delivered_restitution",
+    "dissipative_constant",
     "free_fall_velocity",
+    "plate_thickness",
 ]

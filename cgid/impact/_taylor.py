@@ -124,24 +124,22 @@ def _step_length(step: Array, q: Array, order: int, share: float) -> float:
 
 
 @_jit
-def _root(row: Array, order: int, high: float, of_slope: bool) -> float:
-    """Return where a series (or its slope), positive just after 0 and not above 0 at high, falls to zero."""
+def _root(row: Array, order: int, high: float) -> float:
+    """Return where a series, positive just after 0 and not above 0 at high, falls to zero: Newton in a bracket."""
     low, s = 0.0, 0.5 * high
-    for _ in range(200):
-        value = _slope(row, order, s) if of_slope else _value(row, order, s)
+    for _ in range(100):
+        value = _value(row, order, s)
         if value > 0.0:
             low = s
         else:
             high = s
-        if high - low <= 4e-16 * high or value == 0.0:
-            break
-        # Secant through the bracket's neighbourhood by the local rate, bisection where that leaves the bracket.
-        beside = s + 1e-6 * (high - low)
-        rate = ((_slope(row, order, beside) if of_slope else _value(row, order, beside)) - value) / (beside - s)
+        rate = _slope(row, order, s)
         following = s - value / rate if rate < 0.0 else low
-        if abs(following - s) <= 2e-16 * abs(s):
+        if not low < following < high:
+            following = 0.5 * (low + high)
+        if abs(following - s) <= 2e-16 * s:
             break
-        s = following if low < following < high else 0.5 * (low + high)
+        s = following
     return s
 
 
@@ -152,7 +150,7 @@ def _integrate(parameters: Array, order: int, fixed: float, steps: Array, length
     fixed is the length of every step, or 0 for the length that the series allow.
     """
     damping, zeta, inelasticity, weight = parameters[0], parameters[1], parameters[2], parameters[3]
-    scratch = np.zeros((4, order + 1))
+    scratch = np.zeros((5, order + 1))
     steps[0, :, 0] = 0.0
     steps[0, _Y, 0] = 1.0
     q0 = 1.0 + damping
@@ -168,18 +166,24 @@ def _integrate(parameters: Array, order: int, fixed: float, steps: Array, length
             h = fixed
         else:
             h = _step_length(step, scratch[0], order, SHARE)
-        ending = step[_R] if zeta > 0.0 else step[_W]
-        ended = _value(ending, order, h) <= 0.0
+        ended = _value(step[_W], order, h) <= 0.0
         if ended:
-            h = _root(ending, order, h, False)
+            h = _root(step[_W], order, h)
+        # A viscoelastic sphere separates before w = 0 (beyond, its force would be positive again).
+        if zeta > 0.0 and (ended or _value(step[_R], order, h) <= 0.0):
+            ended = True
+            h = _root(step[_R], order, h)
         if not peak_found and _slope(step[_F], order, h) <= 0.0:
             peak_found = True
-            s = _root(step[_F], order, h, True)
+            rate = scratch[4]
+            for k in range(order):
+                rate[k] = (k + 1) * step[_F, k + 1]
+            s = _root(rate, order - 1, h)
             result[3], result[4] = _value(step[_F], order, s), _value(step[_TAU], order, s)
         u = _value(step[_U], order, h)
         if not turned and u <= 0.0:
             turned = True
-            s = _root(step[_U], order, h, False)
+            s = _root(step[_U], order, h)
             result[5], result[6] = _value(step[_W], order, s) ** 2, _value(step[_TAU], order, s)
         lengths[n] = h
         following = steps[n + 1]

@@ -101,7 +101,7 @@ class Impact:
         validation.positive("velocity", self.velocity, "m/s")
         validation.not_negative("gravity", self.gravity, "m/s^2")
         self._require_reach()
-        self._curves.require_rebound()
+        self.curves.require_rebound()
         self._warn_of_range()
 
     def _require_reach(self) -> None:
@@ -204,7 +204,7 @@ class Impact:
         return self.reduced_mass / (self.target.impedance * self.time_scale)
 
     @cached_property
-    def _curves(self) -> Curves:
+    def curves(self) -> Curves:
         viscoelastic = isinstance(self.dissipation, Viscoelastic)
         weight = self._broadcast(self.gravity) * self.length_scale / self._velocity**2
         return Curves(
@@ -220,37 +220,37 @@ class Impact:
     @cached_property
     def restitution(self) -> Floats:
         """Rebound speed over impact speed, as delivered by material and plate together."""
-        return self._shaped(self._curves.restitution)
+        return self._shaped(self.curves.restitution)
 
     @cached_property
     def peak_displacement(self) -> Floats:
         """Largest displacement of the sphere centre [m], `L (5/2 G(1))^(2/5)` in closed form."""
-        return self.length_scale * self._shaped(self._curves.peak_displacement)
+        return self.length_scale * self._shaped(self.curves.peak_displacement)
 
     @cached_property
     def peak_force(self) -> Floats:
         """Largest contact force [N], in closed form; before the largest displacement when damped."""
-        return self.force_scale * self._shaped(self._curves.peak_force)
+        return self.force_scale * self._shaped(self.curves.peak_force)
 
     @property
     def contact_duration(self) -> Floats:
         """Time from touch to separation [s]."""
-        return self.time_scale * self._shaped(self._curves.times[0])
+        return self.time_scale * self._shaped(self.curves.times[0])
 
     @property
     def time_of_peak(self) -> Floats:
         """Time from touch to the largest force [s]."""
-        return self.time_scale * self._shaped(self._curves.times[1])
+        return self.time_scale * self._shaped(self.curves.times[1])
 
     @property
     def compression_time(self) -> Floats:
         """Time from touch to the largest displacement [s]."""
-        return self.time_scale * self._shaped(self._curves.times[2])
+        return self.time_scale * self._shaped(self.curves.times[2])
 
     @property
     def end_displacement(self) -> Floats:
         """Displacement at separation [m]: 0, but for a viscoelastic sphere, which leaves flattened."""
-        return self.length_scale * self._shaped(self._curves.end_displacement)
+        return self.length_scale * self._shaped(self.curves.end_displacement)
 
     @property
     def rebound_velocity(self) -> Floats:
@@ -261,14 +261,14 @@ class Impact:
     def impulse(self) -> Floats:
         """Integral of the force over the contact, `(1 + e) m v` and the weight over the contact [N s]."""
         impulse = (1 + self.restitution) * self.reduced_mass * self._velocity
-        if np.any(self._curves.weight):
+        if np.any(self.curves.weight):
             impulse = impulse + self.reduced_mass * self._broadcast(self.gravity) * self.contact_duration
         return np.asarray(impulse)
 
     @property
     def radiated_energy(self) -> Floats:
         """Energy that a thin plate carries off, the integral of `P^2 / Z` [J]; 0 for any other target."""
-        return self.reduced_mass * self._velocity**2 * self._shaped(self._curves.plate_energy)
+        return self.reduced_mass * self._velocity**2 * self._shaped(self.curves.plate_energy)
 
     @property
     def dissipated_energy(self) -> Floats:
@@ -278,7 +278,7 @@ class Impact:
         """
         e = self.restitution
         lost = 0.5 * self.reduced_mass * self._velocity**2 * (1 - e) * (1 + e) - self.radiated_energy
-        if np.any(self._curves.weight):
+        if np.any(self.curves.weight):
             lost = lost + self.reduced_mass * self._broadcast(self.gravity) * self.end_displacement
         return np.asarray(lost)
 
@@ -314,7 +314,7 @@ class Impact:
         row = np.atleast_1d(given)
         leading = validation.broadcast(impacts=self.reduced_mass, times=np.empty(row.shape[:-1]))[0].shape
         index = np.broadcast_to(np.arange(self.reduced_mass.size).reshape(self._shape), leading).ravel()
-        curves = self._curves if leading == self._shape else self._curves.taken(index)
+        curves = self.curves if leading == self._shape else self.curves.taken(index)
         out = curves.evaluate(
             np.ascontiguousarray(np.broadcast_to(row, (*leading, row.shape[-1]))).reshape(index.size, row.shape[-1]),
             self.time_scale.ravel()[index],
@@ -379,7 +379,7 @@ class Impact:
         places = self._broadcast(validation.real("onset", onset, "s")) * sampling_rate
         rows = frames.reshape(-1, frames.shape[-1])
         step = 1 / (sampling_rate * self.time_scale)
-        self._curves.add_to_frames(rows, places.ravel(), step.ravel(), self.force_scale.ravel(), threads)
+        self.curves.add_to_frames(rows, places.ravel(), step.ravel(), self.force_scale.ravel(), threads)
 
 
 def _require_output(dtype: str, threads: int) -> None:
