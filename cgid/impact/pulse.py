@@ -205,6 +205,7 @@ class Impact:
 
     @cached_property
     def curves(self) -> Curves:
+        """The dimensionless curves, one row for each impact in C order."""
         viscoelastic = isinstance(self.dissipation, Viscoelastic)
         weight = self._broadcast(self.gravity) * self.length_scale / self._velocity**2
         return Curves(

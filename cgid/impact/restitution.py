@@ -13,15 +13,23 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.special import zeta
 
 from cgid.validation import Floats
 from cgid.validation import restitution as valid_restitution
 
 _SMALL = 0.8  # above it coth(t) and 1/t differ enough to be subtracted
-_ORDERS = np.arange(1, 15)
-# coth(t) - 1/t = sum over n of 2 t / (t^2 + n^2 pi^2), expanded in t^2: zeta(2k) by Euler's formula.
-_SERIES = 2 * (-1.0) ** (_ORDERS + 1) * zeta(2 * _ORDERS) / np.pi ** (2 * _ORDERS)
+_N_TERMS = 14
+
+
+def _langevin_series() -> Floats:
+    """Return c_k of `coth(t) - 1/t = sum of c_k t^(2k - 1)`, from its own equation `L' = 1 - L^2 - 2 L/t`."""
+    terms = [1 / 3]
+    for k in range(2, _N_TERMS + 1):
+        terms.append(-sum(terms[i] * terms[-1 - i] for i in range(k - 1)) / (2 * k + 1))
+    return np.array(terms)
+
+
+_SERIES = _langevin_series()
 _NEWTON_STEPS = 6  # the start value is within 5 %, and each step squares the error
 
 
