@@ -57,7 +57,7 @@ def _confusion(counts: NDArray[np.int_], classes: tuple[str, ...]) -> bytes:
         axes.text(column, row, f"{count}\n{share:.1%}", ha="center", va="center", color="w" if share > 0.5 else "k")
     axes.set(xticks=range(len(classes)), xticklabels=classes, xlabel="answer")
     axes.set(yticks=range(len(classes)), yticklabels=classes, ylabel="truth")
-    return _png(figure)
+    return png(figure)
 
 
 def _reliability(bins: list[list[float]]) -> bytes:
@@ -69,7 +69,7 @@ def _reliability(bins: list[list[float]]) -> bytes:
     lowest = min(0.5, *confidence, *accuracy)
     axes.set(xlabel="probability of the answer", ylabel="share of right answers", xlim=(lowest, 1), ylim=(lowest, 1))
     axes.legend()
-    return _png(figure)
+    return png(figure)
 
 
 def _roc(labels: NDArray[np.str_], probabilities: Floats, classes: tuple[str, ...]) -> bytes:
@@ -83,10 +83,11 @@ def _roc(labels: NDArray[np.str_], probabilities: Floats, classes: tuple[str, ..
     axes.plot([0, 1], [0, 1], color="0.7")
     axes.set(xlabel="share of the others taken for it", ylabel="share of it that is found")
     axes.legend()
-    return _png(figure)
+    return png(figure)
 
 
-def _png(figure: Any) -> bytes:
+def png(figure: Any) -> bytes:
+    """Return a matplotlib figure as a PNG picture; the same figure gives the same bytes."""
     stream = io.BytesIO()
     figure.savefig(stream, format="png", dpi=120, metadata={"Software": None})
     return stream.getvalue()

@@ -18,6 +18,7 @@ from cgid.cli.info import info
 from cgid.cli.interruption import heard
 from cgid.cli.options import say_error
 from cgid.cli.predict import predict
+from cgid.cli.reproduce import reproduce
 from cgid.cli.train import train
 from cgid.errors import CgidError
 
@@ -30,7 +31,7 @@ def cli() -> None:
     """Tell coal from gangue by how a falling rock hits steel."""
 
 
-for command in (generate, check, train, predict, features, info):
+for command in (generate, check, train, predict, features, info, reproduce):
     cli.add_command(command)
 
 

@@ -7,6 +7,7 @@ from cgid.impact.hertz import STIFFNESS_THEORIES, contact_stiffness, free_fall_v
 from cgid.impact.inverse import dissipative_constant, plate_thickness
 from cgid.impact.pulse import HertzRangeWarning, Impact, ThinPlateWarning
 from cgid.impact.restitution import damping_number, delivered_restitution
+from cgid.impact.sensitivity import Sensitivity, local_sensitivity, ordering, range_influence, response_grid
 
 __all__ = [
     "HUNT_CROSSLEY_LAWS",
@@ -18,6 +19,7 @@ __all__ = [
     "HuntCrossley",
     "Impact",
     "RigidWall",
+    "Sensitivity",
     "Sphere",
     "ThinPlate",
     "ThinPlateWarning",
@@ -27,5 +29,9 @@ __all__ = [
     "delivered_restitution",
     "dissipative_constant",
     "free_fall_velocity",
+    "local_sensitivity",
+    "ordering",
     "plate_thickness",
+    "range_influence",
+    "response_grid",
 ]

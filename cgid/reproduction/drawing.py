@@ -1,0 +1,167 @@
+"""Draws panels of lines and surfaces, and tables, from the data that also goes into the CSV files."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from cgid.plots import png, require_matplotlib
+from cgid.reproduction.quantities import QUANTITIES
+
+_COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#e69f00")
+#: Inches of a panel alone, of one of two, and of one of more beside each other; of a surface.
+_PANEL_SIZES, _SURFACE_SIZE = ((5.2, 4.0), (4.2, 3.2), (3.4, 2.7)), (4.6, 3.7)
+#: Inches of a row of the legend, of a character, and of the piece of line before it.
+_LEGEND_ROW, _CHARACTER, _LEGEND_LINE = 0.3, 0.085, 0.6
+
+#: What a formula in a head holds that is not seen.
+_MARKUP = re.compile(r"[${}_^]|\\[a-z]+")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Lines:
+    """A panel of one line for each value of the column `by` (one line if it is empty), of the rows `where` holds.
+
+    Parameters
+    ----------
+    x, y : str
+        Columns.
+    by : str
+        Column that tells the lines apart.
+    where : mapping of str to object
+        Columns and the value that the rows of this panel have there.
+    title : str
+    labels : mapping
+        From a value of `by` to what the legend says.
+    marker : str
+        "." or "o" marks every point; "end" the last of a line, the first lines lying on top.
+    """
+
+    x: str
+    y: str
+    by: str = ""
+    where: Mapping[str, object] = field(default_factory=dict)
+    title: str = ""
+    labels: Mapping[Any, str] = field(default_factory=dict)
+    marker: str = ""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Surface:
+    """A response surface `z(x, y)` over the full grid of the rows `where` holds."""
+
+    x: str
+    y: str
+    z: str
+    where: Mapping[str, object] = field(default_factory=dict)
+    title: str = ""
+
+
+Panel = Lines | Surface
+
+
+def draw(data: Any, panels: Sequence[Panel], columns: int) -> bytes:
+    """Return a PNG picture of panels, `columns` of them beside each other, of a data frame.
+
+    Raises
+    ------
+    MissingExtra
+        matplotlib is not installed.
+    """
+    rows = -(-len(panels) // columns)
+    width, height = _SURFACE_SIZE if isinstance(panels[0], Surface) else _PANEL_SIZES[min(columns, 3) - 1]
+    figure = require_matplotlib()(figsize=(width * columns, height * rows), layout="constrained")
+    named: dict[str, Any] = {}
+    for place, panel in enumerate(panels, start=1):
+        chosen = data
+        for name, value in panel.where.items():
+            chosen = chosen[chosen[name] == value]
+        if isinstance(panel, Surface):
+            _surface(figure.add_subplot(rows, columns, place, projection="3d"), chosen, panel)
+        else:
+            named |= _lines(figure.add_subplot(rows, columns, place), chosen, panel)
+    if named:
+        # Every panel has the same lines, so one legend below serves all.
+        widest = max(len(text) for text in named) * _CHARACTER + _LEGEND_LINE
+        per_row = max(1, min(len(named), int(width * columns / widest)))
+        figure.set_figheight(height * rows + _LEGEND_ROW * -(-len(named) // per_row))
+        figure.legend(
+            named.values(), named.keys(), loc="outside lower center", ncols=per_row, frameon=False, columnspacing=1.2
+        )
+    return png(figure)
+
+
+def _lines(axes: Any, data: Any, panel: Lines) -> dict[str, Any]:
+    """Draw a panel of lines and return what the legend names."""
+    x, y = QUANTITIES[panel.x], QUANTITIES[panel.y]
+    groups = list(data.groupby(panel.by, sort=False)) if panel.by else [("", data)]
+    named = {}
+    for order, (value, rows) in enumerate(groups):
+        xs, ys = rows[panel.x].to_numpy() * x.factor, rows[panel.y].to_numpy() * y.factor
+        at_end = panel.marker == "end"
+        (line,) = axes.plot(
+            xs,
+            ys,
+            color=_COLOURS[order % len(_COLOURS)],
+            marker="o" if at_end else panel.marker or None,
+            markevery=[len(xs) - 1] if at_end else None,
+            zorder=3 - 0.1 * order if at_end else 2,
+        )
+        if panel.by:
+            named[panel.labels.get(value) or _label(panel.by, value)] = line
+    axes.set(xlabel=x.title, ylabel=y.title)
+    axes.set_title(panel.title, fontsize="medium")
+    axes.grid(alpha=0.3)
+    return named
+
+
+def _surface(axes: Any, data: Any, panel: Surface) -> None:
+    x, y, z = QUANTITIES[panel.x], QUANTITIES[panel.y], QUANTITIES[panel.z]
+    grid = data.pivot(index=panel.x, columns=panel.y, values=panel.z)
+    xs, ys = np.meshgrid(grid.index.to_numpy() * x.factor, grid.columns.to_numpy() * y.factor, indexing="ij")
+    axes.plot_surface(xs, ys, grid.to_numpy() * z.factor, cmap="viridis", rstride=1, cstride=1, linewidth=0)
+    axes.set(xlabel=x.title, ylabel=y.title, zlabel=z.title)
+    axes.set_title(panel.title, fontsize="medium")
+    # The back corner is the lowest of a surface that falls along both axes, the front one of a rising surface.
+    axes.view_init(elev=24, azim=-125 if grid.iloc[0, 0] < grid.iloc[-1, -1] else 40)
+    axes.xaxis.labelpad = axes.yaxis.labelpad = 7
+    axes.zaxis.labelpad = 9
+    axes.locator_params(nbins=5)
+    axes.set_box_aspect(None, zoom=0.9)
+
+
+def _label(column: str, value: object) -> str:
+    quantity = QUANTITIES.get(column)
+    if quantity is None:
+        return f"{column} {value}"
+    return f"{value:g} {quantity.shown_unit}" if quantity.shown_unit else f"{quantity.label} {value:g}"
+
+
+def draw_table(heads: Sequence[str], cells: Sequence[Sequence[str]]) -> bytes:
+    """Return a PNG picture of a table.
+
+    Raises
+    ------
+    MissingExtra
+        matplotlib is not installed.
+    """
+    widths = [max(len(_MARKUP.sub("", text)) for text in column) + 3 for column in zip(heads, *cells, strict=True)]
+    figure = require_matplotlib()(figsize=(0.085 * sum(widths), 0.3 * (len(cells) + 2)), layout="constrained")
+    axes = figure.subplots()
+    axes.axis("off")
+    table = axes.table(
+        [list(row) for row in cells],
+        colLabels=list(heads),
+        colWidths=[width / sum(widths) for width in widths],
+        cellLoc="center",
+        bbox=(0, 0, 1, 1),
+    )
+    table.auto_set_font_size(False)
+    table.set_fontsize(9)
+    for (row, _), cell in table.get_celld().items():
+        cell.set(edgecolor="0.7", facecolor="0.93" if row == 0 else "white")
+    return png(figure)

@@ -1,0 +1,139 @@
+"""What is printed in Yang, Zeng & Wan (2018), Shock and Vibration, as data: tables, constants, orderings.
+
+Inputs of Tables 1 and 2 are in `cgid.materials`; here is what the paper gets from them, and what it says.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from cgid.validation import Floats
+
+#: Impact speeds of the simulations [m/s], section 3.1.
+VELOCITIES = (2.0, 4.0, 6.0, 8.0, 10.0)
+#: Gravity of the simulations [m/s^2], section 3.1.
+GRAVITY = 9.8
+#: Gap between sphere and plate at the start of a simulation [m], section 3.1.
+START_GAP = 0.000326
+#: Length, width and thickness of the metal plate [m], Table 2.
+PLATE_SIZE = (0.4584, 0.360, 0.008)
+
+
+@dataclass(frozen=True)
+class PrintedContact:
+    """Reduced modulus [GPa] and Hertz's stiffness [N/m^(3/2)] of a sphere on the plate, digits as printed."""
+
+    reduced_modulus: str
+    stiffness: str
+
+
+#: Table 1, both rows.
+TABLE_1 = PrintedContact("2.4265", "5.1155e8")
+#: Table 2, by the number of the sphere.
+TABLE_2 = {
+    1: PrintedContact("2.4265", "5.1155e8"),
+    2: PrintedContact("4.6305", "9.7619e8"),
+    3: PrintedContact("21.559", "4.5450e9"),
+    4: PrintedContact("4.1618", "8.7739e8"),
+}
+
+
+@dataclass(frozen=True)
+class ParameterRange:
+    """A range `start : step : stop` of Tables 4 and 5, in SI units."""
+
+    start: float
+    step: float
+    stop: float
+
+    @property
+    def values(self) -> Floats:
+        """Every value, both ends included."""
+        return np.linspace(self.start, self.stop, round((self.stop - self.start) / self.step) + 1)
+
+
+class PoissonRange(ParameterRange):
+    """A range of Poisson's ratio; where it ends at 0.5, the incompressible limit, the float below stands for it."""
+
+    @property
+    def values(self) -> Floats:
+        """Every value, both ends included."""
+        return np.minimum(super().values, np.nextafter(0.5, 0.0))
+
+
+_ROCK_MODULUS, _POISSON = ParameterRange(1e9, 0.5e9, 21e9), PoissonRange(0.1, 0.01, 0.5)
+#: Table 4: sphere 1 on the metal plate.
+TABLE_4 = {
+    "radius": ParameterRange(0.010, 0.005, 0.210),
+    "density": ParameterRange(1000.0, 60.0, 3400.0),
+    "youngs_modulus": _ROCK_MODULUS,
+    "poisson_ratio": _POISSON,
+    "target_youngs_modulus": ParameterRange(20e9, 40e9, 1620e9),
+    "target_poisson_ratio": _POISSON,
+}
+#: Table 5: sphere 1 on a plate of its own material. Radius and density have no range there.
+TABLE_5 = {
+    "youngs_modulus": _ROCK_MODULUS,
+    "poisson_ratio": _POISSON,
+    "target_youngs_modulus": _ROCK_MODULUS,
+    "target_poisson_ratio": _POISSON,
+}
+
+
+@dataclass(frozen=True)
+class Constant:
+    """A ratio `response / parameter^power` that the paper prints under Eq. 18, in SI units."""
+
+    response: str
+    parameter: str
+    power: float
+    value: float
+
+
+CONSTANTS = (
+    Constant("peak_displacement", "radius", 1.0, 0.013373106060040),
+    Constant("peak_force", "radius", 2.0, 2.161252014548062e6),
+    Constant("peak_displacement", "density", 0.4, 1.854473633711090e-5),
+    Constant("peak_force", "density", 0.6, 17.646475463447818),
+)
+
+
+@dataclass(frozen=True)
+class Ordering:
+    """Things by falling size; between each and the next stands ">>", ">" or "="."""
+
+    names: tuple[str, ...]
+    relations: tuple[str, ...]
+
+    @classmethod
+    def of(cls, text: str) -> Ordering:
+        """Return the ordering written as `a >> b > c = d`."""
+        words = text.split()
+        return cls(tuple(words[::2]), tuple(words[1::2]))
+
+
+#: Sensitivity of peak force and DCS to the sphere's parameters, sections 4 (Figure 12) and 5.
+SPHERE_ORDERING = Ordering.of("radius >> youngs_modulus > density > poisson_ratio")
+#: To the plate's, section 4 (Figure 13).
+PLATE_ORDERING = Ordering.of("target_youngs_modulus >> target_poisson_ratio")
+#: Conclusion 4, for the two bodies of Table 5.
+CONCLUSION_4 = Ordering.of(
+    "radius >> youngs_modulus = target_youngs_modulus > density > poisson_ratio = target_poisson_ratio"
+)
+#: Conclusion 5, for the two bodies of Table 4.
+CONCLUSION_5 = Ordering.of(
+    "radius >> target_youngs_modulus > youngs_modulus > density > poisson_ratio > target_poisson_ratio"
+)
+#: Section 5, of the four spheres by number: inputs of Table 2, then responses at 10 m/s.
+SPHERES_BY = {
+    "density": Ordering.of("3 > 4 >> 2 > 1"),
+    "youngs_modulus": Ordering.of("3 >> 2 > 4 > 1"),
+    "poisson_ratio": Ordering.of("2 = 3 > 4 = 1"),
+    "peak_force": Ordering.of("3 >> 4 > 2 > 1"),
+    "peak_displacement": Ordering.of("4 > 1 > 2 >> 3"),
+}
+#: Stiffness theories by falling response at one speed, and for the force at one DCS (text of Figures 4 to 6).
+THEORIES_BY_DISPLACEMENT = Ordering.of("series > hertz > rigid-sphere")
+THEORIES_BY_FORCE = Ordering.of("rigid-sphere > hertz > series")

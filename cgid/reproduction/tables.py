@@ -1,0 +1,171 @@
+"""Tables 1, 2, 4 and 5 of the paper: inputs as printed, beside what follows from them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from cgid.impact import Impact
+from cgid.impact.sensitivity import PARAMETERS, parameters_of, range_influence
+from cgid.materials import STEEL, YANG2018_RADIUS, YANG2018_SPHERES, Material
+from cgid.reproduction import impacts, paper
+from cgid.reproduction.quantities import QUANTITIES
+
+#: Columns that the paper prints with five digits.
+_FIVE_DIGITS = ("reduced_modulus", "printed_reduced_modulus", "contact_stiffness", "printed_contact_stiffness")
+
+
+@dataclass(frozen=True, kw_only=True)
+class PaperTable:
+    """A table of the paper, computed.
+
+    Parameters
+    ----------
+    name : str
+        Of its files, without the ending.
+    title : str
+    note : str
+        What was chosen here because the paper does not say it.
+    data : pandas.DataFrame
+        Columns named as in `quantities`, in SI units.
+    heads, cells : list
+        What the picture shows, in the paper's units.
+    """
+
+    name: str
+    title: str
+    note: str = ""
+    data: Any
+    heads: list[str]
+    cells: list[list[str]]
+
+
+def computed_contact(number: int) -> tuple[float, float]:
+    """Return reduced modulus [Pa] and Hertz's stiffness K1 [N/m^(3/2)] of a sphere of Table 2 on the plate."""
+    impact = impacts.paper_impact(number, impacts.SECTION_4_VELOCITY, "hertz")
+    return float(impact.reduced_modulus), float(impact.contact_stiffness)
+
+
+def _body(body: str, material: Material, radius: float = np.nan) -> dict[str, Any]:
+    return {
+        "body": body,
+        "density": material.density,
+        "youngs_modulus": material.youngs_modulus,
+        "poisson_ratio": material.poisson_ratio,
+        "radius": radius,
+    }
+
+
+def _contact(printed: paper.PrintedContact, number: int) -> dict[str, float]:
+    modulus, stiffness = computed_contact(number)
+    return {
+        "printed_reduced_modulus": float(printed.reduced_modulus) * 1e9,
+        "reduced_modulus": modulus,
+        "printed_contact_stiffness": float(printed.stiffness),
+        "contact_stiffness": stiffness,
+    }
+
+
+def _contact_table(name: str, title: str, rows: list[dict[str, Any]]) -> PaperTable:
+    import pandas as pd
+
+    data = pd.DataFrame(rows)
+    # Here the columns hold both bodies, so the index of the symbols goes.
+    heads = [QUANTITIES[column].title.replace("_1", "") if column in QUANTITIES else column for column in data.columns]
+    cells = [[_cell(column, row[column]) for column in data.columns] for row in data.to_dict("records")]
+    return PaperTable(name=name, title=title, data=data, heads=heads, cells=cells)
+
+
+def _cell(column: str, value: Any) -> str:
+    if column not in QUANTITIES:
+        return str(value)
+    if np.isnan(value):
+        return "\N{EM DASH}"
+    return f"{value * QUANTITIES[column].factor:{'#' if column in _FIVE_DIGITS else ''}.5g}"
+
+
+def table_1() -> PaperTable:
+    """Return Table 1: sphere 1 and the plate."""
+    contact = _contact(paper.TABLE_1, 1)
+    rows = [
+        _body("elastic sphere", YANG2018_SPHERES[1], YANG2018_RADIUS) | contact,
+        _body("metal plate", STEEL) | contact,
+    ]
+    return _contact_table("table_1", "Parameters of the contact model", rows)
+
+
+def table_2() -> PaperTable:
+    """Return Table 2: the four spheres, and the plate with its size."""
+    rows = [
+        _body(f"sphere {number}", sphere, YANG2018_RADIUS) | _contact(paper.TABLE_2[number], number)
+        for number, sphere in YANG2018_SPHERES.items()
+    ]
+    size = dict(zip(("length", "width", "thickness"), paper.PLATE_SIZE, strict=True))
+    rows.append(_body("metal plate", STEEL) | size)
+    return _contact_table("table_2", "Parameters of the four spheres and of the plate", rows)
+
+
+def _range_table(
+    name: str, title: str, note: str, impact: Impact, ranges: Mapping[str, paper.ParameterRange]
+) -> PaperTable:
+    import pandas as pd
+
+    found = range_influence(impact, {parameter: values.values for parameter, values in ranges.items()})
+    held = parameters_of(impact)
+    rows, cells = [], []
+    for parameter, values in ranges.items():
+        influence = (float(found.peak_force[parameter]), float(found.peak_displacement[parameter]))
+        rows.append({
+            "body": "plate" if parameter.startswith("target_") else "sphere",
+            "parameter": parameter.removeprefix("target_"),
+            "unit": PARAMETERS[parameter] or "1",
+            "held": float(held[parameter]),
+            "start": values.start,
+            "step": values.step,
+            "stop": values.stop,
+            "values": values.values.size,
+            "peak_force_influence": influence[0],
+            "peak_displacement_influence": influence[1],
+        })  # fmt: skip
+        shown = QUANTITIES[parameter]
+        numbers = [
+            f"{value * shown.factor:.5g}" for value in (float(held[parameter]), values.start, values.step, values.stop)
+        ]
+        cells.append([shown.title, numbers[0], " : ".join(numbers[1:]), *(f"{value:.4g}" for value in influence)])
+    heads = ["parameter", "held at", "start : step : stop"]
+    heads += [QUANTITIES[f"peak_{response}_influence"].title for response in ("force", "displacement")]
+    return PaperTable(name=name, title=title, note=note, data=pd.DataFrame(rows), heads=heads, cells=cells)
+
+
+def table_4() -> PaperTable:
+    """Return Table 4: ranges for sphere 1 on the metal plate, and what each does to the responses."""
+    return _range_table(
+        "table_4",
+        "Ranges of the parameters, sphere on metal plate",
+        "Both influences are computed here. A Poisson's ratio of 0.5 is taken as the largest float below it.",
+        impacts.table_4_impact(),
+        paper.TABLE_4,
+    )
+
+
+def table_5() -> PaperTable:
+    """Return Table 5: ranges for two bodies of equal properties, and what each does to the responses."""
+    return _range_table(
+        "table_5",
+        "Ranges of the parameters, sphere and plate with the same properties",
+        "Both influences are computed here, one parameter moved and the others held.",
+        impacts.table_5_impact(),
+        paper.TABLE_5,
+    )
+
+
+#: How to make each table, by the name of its files.
+TABLES: dict[str, Callable[[], PaperTable]] = {
+    "table_1": table_1,
+    "table_2": table_2,
+    "table_4": table_4,
+    "table_5": table_5,
+}
