@@ -181,10 +181,16 @@ def _integrate(parameters: Array, order: int, fixed: float, steps: Array, length
             s = _root(rate, order - 1, h)
             result[3], result[4] = _value(step[_F], order, s), _value(step[_TAU], order, s)
         u = _value(step[_U], order, h)
-        if not turned and u <= 0.0:
-            turned = True
-            s = _root(step[_U], order, h)
-            result[5], result[6] = _value(step[_W], order, s) ** 2, _value(step[_TAU], order, s)
+        if not turned:
+            # Where x' = y the sphere turns at q = 1, which keeps its digits when D is large.
+            by_q = damping > 1.0 and inelasticity == 0.0
+            turning = scratch[4]
+            turning[:] = scratch[0] if by_q else step[_U]
+            turning[0] -= 1.0 if by_q else 0.0
+            if _value(turning, order, h) <= 0.0:
+                turned = True
+                s = _root(turning, order, h)
+                result[5], result[6] = _value(step[_W], order, s) ** 2, _value(step[_TAU], order, s)
         lengths[n] = h
         following = steps[n + 1]
         for row in (_W, _TAU, _PLATE, _Y):

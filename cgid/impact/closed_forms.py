@@ -31,7 +31,7 @@ def energy_below(damping: ArrayLike) -> Floats:
     damping = np.asarray(damping, dtype=np.float64)
     # D - ln(1 + D) = expm1(a) - a with a = ln(1 + D), which keeps its digits for small D.
     rest = exponential_rest(np.log1p(damping))
-    return np.asarray(np.divide(rest, damping**2, out=np.full(damping.shape, 0.5), where=damping > 1e-150))
+    return _over_square(rest, damping, 0.5)
 
 
 def peak_displacement(damping: ArrayLike) -> Floats:
@@ -69,5 +69,11 @@ def peak_force(damping: ArrayLike) -> Floats:
     damping = np.asarray(damping, dtype=np.float64)
     p = peak_logarithm(damping)
     # (2/5) x^(5/2) = 3 x' / (5 D) at the peak, and x' / D = expm1(p) / D^2.
-    ratio = np.divide(np.expm1(p), damping**2, out=np.full(damping.shape, 5 / 6), where=damping > 1e-8)
+    ratio = _over_square(np.expm1(p), damping, 5 / 6)
     return np.asarray((1.5 * ratio) ** 0.6 * np.exp(p))
+
+
+def _over_square(values: Floats, damping: Floats, limit: float) -> Floats:
+    """Return values / D^2, its limit where D is so small that it is reached; neither square over- nor underflows."""
+    safe = np.maximum(damping, 1e-8)
+    return np.asarray(np.where(damping > 1e-8, values / safe / safe, limit))

@@ -24,6 +24,8 @@ from cgid.impact.restitution import damping_number
 from cgid.validation import Floats
 
 Quantity = Literal["force", "displacement"]
+#: Below it the time scales of braking and of leaving lie too far apart for double precision.
+LOWEST_RESTITUTION = 1e-50
 #: Samples up to which numpy evaluates the table: no kernel needs compiling or loading for a pulse or two.
 _FEW = 4096
 #: Rows that a thread takes at once.
@@ -132,6 +134,12 @@ class Curves:
 
     def require_rebound(self) -> None:
         """Raise `InvalidValue` where the sphere does not leave again, or not within the reach of double precision."""
+        beyond = self.material_restitution < LOWEST_RESTITUTION
+        if beyond.any():
+            raise InvalidValue(
+                f"the restitution of the material must be {LOWEST_RESTITUTION:g} or more for double precision to "
+                f"follow the impact, got {self.material_restitution[beyond][0]:g}"
+            )
         if not self.plain.all():
             _ = self._integrated
 

@@ -23,7 +23,7 @@ from cgid.validation import Floats
 HERTZ_LIMIT = 0.1
 #: Beyond this lambda Zener's thin plate disagrees with finer models.
 INELASTICITY_LIMIT = 1.5
-#: A weight g L / v^2 below this changes no result by more than the table's own error.
+#: A weight that changes speed over the whole contact by less than this share is left out.
 NEGLIGIBLE_WEIGHT = 1e-12
 
 DType = Literal["float32", "float64"]
@@ -54,8 +54,8 @@ class Impact:
     dissipation : Elastic, HuntCrossley or Viscoelastic
         Where the material's energy goes. What a thin plate takes comes on top of it.
     gravity : array_like
-        Pull towards the target during contact [m/s^2], 0 or more. It is left out where its weight beside the
-        force, `g L / v^2`, is below 1e-12.
+        Pull towards the target during contact [m/s^2], 0 or more. It is left out where, in all of the contact,
+        it would change the speed by less than 1e-12 of the impact speed.
 
     Raises
     ------
@@ -207,13 +207,12 @@ class Impact:
     def curves(self) -> Curves:
         """The dimensionless curves, one row for each impact in C order."""
         viscoelastic = isinstance(self.dissipation, Viscoelastic)
+        restitution = np.ones(self._shape) if viscoelastic else self._broadcast(self._loss)
         weight = self._broadcast(self.gravity) * self.length_scale / self._velocity**2
-        return Curves(
-            material_restitution=np.ones(self._shape).ravel() if viscoelastic else self._broadcast(self._loss).ravel(),
-            zeta=(self._broadcast(self._loss) / self.time_scale * viscoelastic).ravel(),
-            inelasticity=np.ravel(self.inelasticity),
-            weight=np.where(weight < NEGLIGIBLE_WEIGHT, 0.0, weight).ravel(),
-        )
+        # The harder the damping, the longer the contact: it lasts about e^-0.6 in units of T0.
+        weight = np.where(weight < NEGLIGIBLE_WEIGHT * restitution**0.6, 0.0, weight)
+        zeta = self._broadcast(self._loss) / self.time_scale if viscoelastic else np.zeros(self._shape)
+        return Curves(restitution.ravel(), zeta.ravel(), np.ravel(self.inelasticity), weight.ravel())
 
     def _shaped(self, values: Floats) -> Floats:
         return np.asarray(values.reshape(self._shape))
@@ -261,10 +260,8 @@ class Impact:
     @property
     def impulse(self) -> Floats:
         """Integral of the force over the contact, `(1 + e) m v` and the weight over the contact [N s]."""
-        impulse = (1 + self.restitution) * self.reduced_mass * self._velocity
-        if np.any(self.curves.weight):
-            impulse = impulse + self.reduced_mass * self._broadcast(self.gravity) * self.contact_duration
-        return np.asarray(impulse)
+        pull = self._shaped(self.curves.weight * self.curves.times[0]) if np.any(self.curves.weight) else 0.0
+        return np.asarray((1 + self.restitution + pull) * self.reduced_mass * self._velocity)
 
     @property
     def radiated_energy(self) -> Floats:
@@ -280,7 +277,8 @@ class Impact:
         e = self.restitution
         lost = 0.5 * self.reduced_mass * self._velocity**2 * (1 - e) * (1 + e) - self.radiated_energy
         if np.any(self.curves.weight):
-            lost = lost + self.reduced_mass * self._broadcast(self.gravity) * self.end_displacement
+            fall = self._shaped(self.curves.weight * self.curves.end_displacement)
+            lost = lost + self.reduced_mass * self._velocity**2 * fall
         return np.asarray(lost)
 
     def force(self, times: ArrayLike, *, dtype: DType = "float64", threads: int = 1) -> NDArray[Any]:

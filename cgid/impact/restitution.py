@@ -72,17 +72,18 @@ def inverse_langevin(kappa: ArrayLike, complement: ArrayLike) -> Floats:
         # Near 1 the difference of the complements has the digits, near 0 that of the values.
         error = np.where(kappa < 0.5, value - kappa, complement - rest)
         # The Newton step is taken in ln t, which cannot leave the positive axis.
-        slope = _langevin_slope(t)
-        step = np.divide(error, slope * t, out=np.zeros_like(t), where=t > 0)
+        step = np.divide(error, _logarithmic_slope(t), out=np.zeros_like(t), where=t > 0)
         t = t * np.exp(-np.clip(step, -1, 1))
     return t
 
 
-def _langevin_slope(t: Floats) -> Floats:
+def _logarithmic_slope(t: Floats) -> Floats:
+    """Return `t L'(t)`, without overflow for any t."""
     safe = np.where(t < 0.02, 1.0, np.minimum(t, 350.0))
-    slope = 1 / safe**2 - 1 / np.sinh(safe) ** 2
-    slope = np.where(t > 350.0, 1 / np.maximum(t, 1.0) ** 2, slope)
-    return np.where(t < 0.02, 1 / 3 - t**2 / 15, slope)
+    slope = 1 / safe - safe / np.sinh(safe) ** 2
+    slope = np.where(t > 350.0, 1 / np.maximum(t, 1.0), slope)
+    small = np.minimum(t, 0.02)
+    return np.where(t < 0.02, small * (1 / 3 - small**2 / 15), slope)
 
 
 def damping_number(restitution: ArrayLike) -> Floats:
@@ -127,10 +128,10 @@ def delivered_restitution(damping: ArrayLike) -> Floats:
     """
     damping = np.asarray(damping, dtype=np.float64)
     # D = (1 + L(t)) t is monotone; Newton in t from its two limits, t -> D at 0 and t -> (1 + D)/2.
-    t = damping * (1 + damping / 2) / (1 + damping)
+    t = damping * ((1 + damping / 2) / (1 + damping))
     for _ in range(_NEWTON_STEPS):
         value, _complement = langevin(t)
-        t = t - ((1 + value) * t - damping) / (1 + value + t * _langevin_slope(t))
+        t = t - ((1 + value) * t - damping) / (1 + value + _logarithmic_slope(t))
         t = np.maximum(t, 0.0)
     value, complement = langevin(t)
     return complement / (1 + value)
