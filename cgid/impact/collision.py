@@ -1,0 +1,140 @@
+"""Collision: who meets whom, how fast and by which laws, and the scales that follow."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from cgid import validation
+from cgid.errors import InvalidValue
+from cgid.impact import bodies
+from cgid.impact.bodies import HalfSpace, RigidWall, Sphere, Target, ThinPlate
+from cgid.impact.curves import Curves
+from cgid.impact.dissipation import Dissipation, Elastic, HuntCrossley, Viscoelastic
+from cgid.impact.hertz import contact_stiffness
+from cgid.validation import Floats
+
+#: A weight that changes speed over the whole contact by less than this share is left out.
+NEGLIGIBLE_WEIGHT = 1e-12
+
+
+@dataclass(frozen=True, kw_only=True)
+class Collision:
+    """What `Impact` is given, checked and broadcast, with its units of length, time and force; see `Impact`."""
+
+    sphere: Sphere
+    target: Target
+    velocity: ArrayLike
+    stiffness: str
+    dissipation: Dissipation
+    gravity: ArrayLike = 0.0
+
+    def __post_init__(self) -> None:
+        validation.instance("sphere", self.sphere, Sphere)
+        validation.instance("target", self.target, HalfSpace, ThinPlate, Sphere, RigidWall)
+        validation.instance("dissipation", self.dissipation, Elastic, HuntCrossley, Viscoelastic)
+        validation.positive("velocity", self.velocity, "m/s")
+        validation.not_negative("gravity", self.gravity, "m/s^2")
+        self._require_reach()
+        self.curves.require_rebound()
+
+    def _require_reach(self) -> None:
+        with np.errstate(all="ignore"):
+            scales = {
+                "mass": (self.reduced_mass, "kg"),
+                "contact stiffness": (self.contact_stiffness, "N/m^(3/2)"),
+                "displacement": (self.length_scale, "m"),
+                "duration": (self.time_scale, "s"),
+                "force": (self.force_scale, "N"),
+                "energy": (self.reduced_mass * self._velocity**2, "J"),
+            }
+        for name, (scale, unit) in scales.items():
+            held = (scale > 1e-290) & (scale < 1e290)
+            if not held.all():
+                raise InvalidValue(
+                    f"the {name} of the impact must lie between 1e-290 and 1e290 {unit} for double precision to hold "
+                    f"it, got {scale[~held].ravel()[0]:g} {unit}; check radius, material and velocity"
+                )
+
+    @cached_property
+    def _shape(self) -> tuple[int, ...]:
+        named = {
+            "radius": bodies.reduced_radius(self.sphere, self.target),
+            "mass": bodies.reduced_mass(self.sphere, self.target),
+            "modulus": bodies.reduced_modulus(self.sphere, self.target),
+            "velocity": np.asarray(self.velocity),
+            "gravity": np.asarray(self.gravity),
+            "dissipation": self._loss,
+            "thickness": np.asarray(self.target.thickness if isinstance(self.target, ThinPlate) else 0.0),
+        }
+        return validation.broadcast(**named)[0].shape
+
+    @property
+    def _loss(self) -> Floats:
+        """The one number of the dissipation: the material's restitution, or A."""
+        if isinstance(self.dissipation, Viscoelastic):
+            return self.dissipation.constant(bodies.sphere_share(self.sphere, self.target))
+        return self.dissipation.delivered_restitution
+
+    def _broadcast(self, values: ArrayLike) -> Floats:
+        return np.broadcast_to(np.asarray(values, dtype=np.float64), self._shape)
+
+    @cached_property
+    def _velocity(self) -> Floats:
+        return self._broadcast(self.velocity)
+
+    @cached_property
+    def reduced_radius(self) -> Floats:
+        """R of the contact [m]."""
+        return self._broadcast(bodies.reduced_radius(self.sphere, self.target))
+
+    @cached_property
+    def reduced_modulus(self) -> Floats:
+        """E of the contact [Pa]."""
+        return self._broadcast(bodies.reduced_modulus(self.sphere, self.target))
+
+    @cached_property
+    def reduced_mass(self) -> Floats:
+        """Mass of the relative motion [kg]."""
+        return self._broadcast(bodies.reduced_mass(self.sphere, self.target))
+
+    @cached_property
+    def contact_stiffness(self) -> Floats:
+        """K of `P = K delta^(3/2)` [N/m^(3/2)]."""
+        return contact_stiffness(self.reduced_radius, self.reduced_modulus, self.stiffness)
+
+    @cached_property
+    def length_scale(self) -> Floats:
+        """`L = (m v^2 / K)^(2/5)` [m], the unit of displacement."""
+        return np.asarray((self.reduced_mass * self._velocity**2 / self.contact_stiffness) ** 0.4)
+
+    @cached_property
+    def time_scale(self) -> Floats:
+        """`T0 = L / v` [s], the unit of time."""
+        return self.length_scale / self._velocity
+
+    @cached_property
+    def force_scale(self) -> Floats:
+        """`K L^(3/2)` [N], the unit of force."""
+        return self.contact_stiffness * self.length_scale**1.5
+
+    @cached_property
+    def inelasticity(self) -> Floats:
+        """Zener's `lambda = m / (Z T0)` of a thin plate; 0 for any other target."""
+        if not isinstance(self.target, ThinPlate):
+            return np.zeros(self._shape)
+        return self.reduced_mass / (self.target.impedance * self.time_scale)
+
+    @cached_property
+    def curves(self) -> Curves:
+        """The dimensionless curves, one row for each impact in C order."""
+        viscoelastic = isinstance(self.dissipation, Viscoelastic)
+        restitution = np.ones(self._shape) if viscoelastic else self._broadcast(self._loss)
+        weight = self._broadcast(self.gravity) * self.length_scale / self._velocity**2
+        # The harder the damping, the longer the contact: it lasts about e^-0.6 in units of T0.
+        weight = np.where(weight < NEGLIGIBLE_WEIGHT * restitution**0.6, 0.0, weight)
+        zeta = self._broadcast(self._loss) / self.time_scale if viscoelastic else np.zeros(self._shape)
+        return Curves(restitution.ravel(), zeta.ravel(), np.ravel(self.inelasticity), weight.ravel())
