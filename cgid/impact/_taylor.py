@@ -26,7 +26,8 @@ Array = NDArray[Any]
 
 _jit = numba.njit(cache=True, nogil=True, error_model="numpy")
 
-#: Order of the series, and the share of its radius of convergence that a step takes: .15^20 is 1e-16.5.
+#: Order of the series (an argument of every kernel, for as a constant it would be compiled once more), and the share
+#: of their radius of convergence that a step takes: .15^20 is 1e-16.5.
 ORDER, SHARE = 20, 0.15
 #: Room for the steps of one impact; what needs more is beyond the reach of this path.
 MOST_STEPS = 4096
@@ -35,6 +36,8 @@ SEPARATED, STAYS, OUT_OF_REACH = 0, 1, 2
 #: Rows of a step: w, its rate of displacement u = x', force, time, plate energy, w^2 q + zeta y, sphere velocity.
 _W, _U, _F, _TAU, _PLATE, _R, _Y, _ROWS = 0, 1, 2, 3, 4, 5, 6, 7
 DISPLACEMENT, FORCE = _W, _F
+#: What happens in the course of an impact: w = 0, the force of a viscoelastic sphere 0, the peak, the turn.
+_END, _RELEASE, _PEAK, _TURN = 0, 1, 2, 3
 #: Columns of the parameters: D, zeta, lambda and gamma above.
 PARAMETERS = ("damping", "zeta", "inelasticity", "weight")
 #: Columns of `summaries`.
@@ -69,14 +72,6 @@ def _slope(row: Array, order: int, s: float) -> float:
 
 
 @_jit
-def _product(a: Array, b: Array, k: int) -> float:
-    total = 0.0
-    for i in range(k + 1):
-        total += a[i] * b[k - i]
-    return total
-
-
-@_jit
 def _expand(
     step: Array, scratch: Array, order: int, q0: float, damping: float, zeta: float, inelasticity: float, weight: float
 ) -> None:
@@ -85,24 +80,37 @@ def _expand(
     q, square, c, wf = scratch[0], scratch[1], scratch[2], scratch[3]
     q[0] = q0
     for k in range(order + 1):
-        square[k] = _product(w, w, k)
-        r[k] = _product(square, q, k) + zeta * y[k]
-        f[k] = _product(w, r, k)
+        # Each product's coefficient k is a sum over i of a_i b_(k - i). What is known beforehand goes in one loop.
+        of_square, of_r, of_f, of_wf, of_cube, of_c, of_plate = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+        for i in range(k):
+            of_r += square[i] * q[k - i]
+            of_f += r[i] * w[k - i]
+            of_wf += f[i] * w[k - i]
+            of_square += w[i] * w[k - i]
+        square[k] = of_square + w[k] * w[0]
+        r[k] = of_r + square[k] * q[0] + zeta * y[k]
+        f[k] = of_f + r[k] * w[0]
         if inelasticity > 0.0:
-            c[k] = damping * _product(square, w, k) + zeta * w[k]
-            rest = 0.0
-            for i in range(1, k + 1):
-                rest += c[i] * f[k - i]
-            f[k] = (f[k] - inelasticity * rest) / (1.0 + inelasticity * c[0])
+            for i in range(k):
+                of_cube += square[i] * w[k - i]
+            c[k] = damping * (of_cube + square[k] * w[0]) + zeta * w[k]
+            # f (1 + lambda c) = w r, solved for f[k].
+            for i in range(k):
+                of_c += f[i] * c[k - i]
+            f[k] = (f[k] - inelasticity * of_c) / (1.0 + inelasticity * c[0])
         u[k] = y[k] - inelasticity * f[k]
-        wf[k] = _product(w, f, k)
+        wf[k] = of_wf + f[k] * w[0]
         if k == order:
             break
         w[k + 1] = 0.5 * u[k] / (k + 1)
         y[k + 1] = (weight * w[k] - wf[k]) / (k + 1)
         q[k + 1] = damping * y[k + 1]
         tau[k + 1] = w[k] / (k + 1)
-        plate[k + 1] = inelasticity * _product(wf, f, k) / (k + 1) if inelasticity > 0.0 else 0.0
+        plate[k + 1] = 0.0
+        if inelasticity > 0.0:
+            for i in range(k + 1):
+                of_plate += wf[i] * f[k - i]
+            plate[k + 1] = inelasticity * of_plate / (k + 1)
 
 
 @_jit
@@ -144,21 +152,59 @@ def _root(row: Array, order: int, high: float) -> float:
 
 
 @_jit
+def _watch(
+    step: Array, q: Array, order: int, watched: Array, viscoelastic: bool, rising: bool, compressing: int
+) -> None:
+    """Fill watched (4, order + 1) with the series that fall to zero at the events `_END`, `_RELEASE`, `_PEAK`, `_TURN`.
+
+    compressing: 0 if the sphere has turned, 1 if it turns where q = 1, 2 if where x' = 0.
+    """
+    watched[:] = 0.0
+    watched[:, 0] = 1.0  # what need not be watched stays positive
+    watched[_END] = step[_W]
+    if viscoelastic:
+        watched[_RELEASE] = step[_R]
+    if rising:
+        for k in range(order):
+            watched[_PEAK, k] = (k + 1) * step[_F, k + 1]
+    if compressing == 1:
+        watched[_TURN] = q
+        watched[_TURN, 0] -= 1.0
+    elif compressing == 2:
+        watched[_TURN] = step[_U]
+
+
+@_jit
+def _happen(watched: Array, order: int, h: float, at: Array) -> float:
+    """Fill at with where each event falls in a step of length h, -1 if it does not; return where the step ends."""
+    for event in range(4):
+        at[event] = -1.0
+        if _value(watched[event], order, h) <= 0.0:
+            at[event] = _root(watched[event], order, h)
+            # Contact ends there. (A viscoelastic sphere is released before w = 0: beyond, its force would be
+            # positive again.)
+            if event in (_END, _RELEASE):
+                h = at[event]
+    return h
+
+
+@_jit
 def _integrate(parameters: Array, order: int, fixed: float, steps: Array, lengths: Array, result: Array) -> int:
     """Fill steps (n, 7, order + 1) and lengths (n) of one impact, and its results; return the number of steps.
 
     fixed is the length of every step, or 0 for the length that the series allow.
     """
     damping, zeta, inelasticity, weight = parameters[0], parameters[1], parameters[2], parameters[3]
-    scratch = np.zeros((5, order + 1))
+    scratch, watched, at = np.zeros((4, order + 1)), np.empty((4, order + 1)), np.empty(4)
     steps[0, :, 0] = 0.0
     steps[0, _Y, 0] = 1.0
     q0 = 1.0 + damping
-    peak_found, turned = False, False
+    # Where x' = y the sphere turns at q = 1, which keeps its digits when D is large.
+    rising, compressing = True, 1 if damping > 1.0 and inelasticity == 0.0 else 2
     result[:] = 0.0
     result[0] = OUT_OF_REACH
     for n in range(steps.shape[0] - 1):
-        step = steps[n]
+        step, following = steps[n], steps[n + 1]
         _expand(step, scratch, order, q0, damping, zeta, inelasticity, weight)
         if q0 == 0.0 and step[_W, 1] < 0.0:
             h = -1.001 * step[_W, 0] / step[_W, 1]
@@ -166,42 +212,24 @@ def _integrate(parameters: Array, order: int, fixed: float, steps: Array, length
             h = fixed
         else:
             h = _step_length(step, scratch[0], order, SHARE)
-        ended = _value(step[_W], order, h) <= 0.0
-        if ended:
-            h = _root(step[_W], order, h)
-        # A viscoelastic sphere separates before w = 0 (beyond, its force would be positive again).
-        if zeta > 0.0 and (ended or _value(step[_R], order, h) <= 0.0):
-            ended = True
-            h = _root(step[_R], order, h)
-        if not peak_found and _slope(step[_F], order, h) <= 0.0:
-            peak_found = True
-            rate = scratch[4]
-            for k in range(order):
-                rate[k] = (k + 1) * step[_F, k + 1]
-            s = _root(rate, order - 1, h)
-            result[3], result[4] = _value(step[_F], order, s), _value(step[_TAU], order, s)
-        u = _value(step[_U], order, h)
-        if not turned:
-            # Where x' = y the sphere turns at q = 1, which keeps its digits when D is large.
-            by_q = damping > 1.0 and inelasticity == 0.0
-            turning = scratch[4]
-            turning[:] = scratch[0] if by_q else step[_U]
-            turning[0] -= 1.0 if by_q else 0.0
-            if _value(turning, order, h) <= 0.0:
-                turned = True
-                s = _root(turning, order, h)
-                result[5], result[6] = _value(step[_W], order, s) ** 2, _value(step[_TAU], order, s)
+        _watch(step, scratch[0], order, watched, zeta > 0.0, rising, compressing)
+        h = _happen(watched, order, h, at)
+        if at[_PEAK] >= 0.0:
+            rising = False
+            result[3], result[4] = _value(step[_F], order, at[_PEAK]), _value(step[_TAU], order, at[_PEAK])
+        if at[_TURN] >= 0.0:
+            compressing = 0
+            result[5], result[6] = _value(step[_W], order, at[_TURN]) ** 2, _value(step[_TAU], order, at[_TURN])
         lengths[n] = h
-        following = steps[n + 1]
         for row in (_W, _TAU, _PLATE, _Y):
             following[row, 0] = _value(step[row], order, h)
-        if ended:
+        if at[_END] >= 0.0 or at[_RELEASE] >= 0.0:
             result[0] = SEPARATED
             result[1], result[2] = -following[_Y, 0], following[_TAU, 0]
             result[7] = following[_W, 0] ** 2 if zeta > 0.0 else 0.0
             result[8] = following[_PLATE, 0]
             return n + 1
-        if turned and weight > 0.0 and u >= -1e-13:
+        if compressing == 0 and weight > 0.0 and _value(step[_U], order, h) >= -1e-13:
             result[0] = STAYS
             return n + 1
         q0 = _value(scratch[0], order, h)
@@ -260,36 +288,38 @@ def _quantity(step: Array, order: int, s: float, row: int) -> float:
 
 @_jit
 def at_times(
-    times: Array, parameters: Array, time_scale: Array, amplitude: Array, row: int, out: Array, rows: Array
+    times: Array, parameters: Array, time_scale: Array, amplitude: Array, row: int, order: int, out: Array, rows: Array
 ) -> None:
     """Fill some rows of out (n, k) at times (n, k) [s], zero outside contact.
 
     row: `DISPLACEMENT` or `FORCE`.
     """
-    steps, lengths = np.empty((MOST_STEPS, _ROWS, ORDER + 1)), np.empty(MOST_STEPS)
+    steps, lengths = np.empty((MOST_STEPS, _ROWS, order + 1)), np.empty(MOST_STEPS)
     result = np.empty(len(RESULTS))
     for i in rows:
-        count = _integrate(parameters[i], ORDER, 0.0, steps, lengths, result)
+        count = _integrate(parameters[i], order, 0.0, steps, lengths, result)
         n, s = 0, 0.0
         for k in range(times.shape[1]):
             tau = times[i, k] / time_scale[i]
             if 0.0 < tau < result[2]:
-                n, s = _march(steps, lengths, count, ORDER, n, s, tau)
-                out[i, k] = amplitude[i] * _quantity(steps[n], ORDER, s, row)
+                n, s = _march(steps, lengths, count, order, n, s, tau)
+                out[i, k] = amplitude[i] * _quantity(steps[n], order, s, row)
             else:
                 out[i, k] = 0.0
 
 
 @_jit
-def add_to_frames(frames: Array, onset: Array, step: Array, parameters: Array, amplitude: Array, rows: Array) -> None:
+def add_to_frames(
+    frames: Array, onset: Array, step: Array, parameters: Array, amplitude: Array, order: int, rows: Array
+) -> None:
     """Add one force pulse to some rows of frames (n, n_samples); only contact is touched.
 
     onset [samples] is where touch falls on the sample grid, step is the sampling interval over T0.
     """
-    steps, lengths = np.empty((MOST_STEPS, _ROWS, ORDER + 1)), np.empty(MOST_STEPS)
+    steps, lengths = np.empty((MOST_STEPS, _ROWS, order + 1)), np.empty(MOST_STEPS)
     result = np.empty(len(RESULTS))
     for i in rows:
-        count = _integrate(parameters[i], ORDER, 0.0, steps, lengths, result)
+        count = _integrate(parameters[i], order, 0.0, steps, lengths, result)
         n_samples = float(frames.shape[1])
         here = int(min(max(math.floor(onset[i]) + 1.0, 0.0), n_samples))
         end = int(min(max(math.ceil(onset[i] + result[2] / step[i]) + 1.0, 0.0), n_samples))
@@ -297,5 +327,5 @@ def add_to_frames(frames: Array, onset: Array, step: Array, parameters: Array, a
         for k in range(here, end):
             tau = (k - onset[i]) * step[i]
             if 0.0 < tau < result[2]:
-                n, s = _march(steps, lengths, count, ORDER, n, s, tau)
-                frames[i, k] += amplitude[i] * _quantity(steps[n], ORDER, s, FORCE)
+                n, s = _march(steps, lengths, count, order, n, s, tau)
+                frames[i, k] += amplitude[i] * _quantity(steps[n], order, s, FORCE)

@@ -184,7 +184,12 @@ class Curves:
             from cgid.impact import _taylor
 
             row = _taylor.FORCE if quantity == "force" else _taylor.DISPLACEMENT
-            _in_threads(_taylor.at_times, (times, self._parameters, time_scale, amplitude, row, out), rest, threads)
+            _in_threads(
+                _taylor.at_times,
+                (times, self._parameters, time_scale, amplitude, row, _taylor.ORDER, out),
+                rest,
+                threads,
+            )
         return out
 
     def add_to_frames(self, frames: NDArray[Any], onset: Floats, step: Floats, amplitude: Floats, threads: int) -> None:
@@ -210,7 +215,9 @@ class Curves:
         if rest.size:
             from cgid.impact import _taylor
 
-            _in_threads(_taylor.add_to_frames, (frames, onset, step, self._parameters, amplitude), rest, threads)
+            _in_threads(
+                _taylor.add_to_frames, (frames, onset, step, self._parameters, amplitude, _taylor.ORDER), rest, threads
+            )
 
 
 def _in_threads(kernel: Callable[..., None], arguments: tuple[Any, ...], rows: NDArray[np.intp], threads: int) -> None:

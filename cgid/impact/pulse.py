@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from cgid import validation
 from cgid.errors import InvalidValue
 from cgid.impact.collision import Collision
-from cgid.impact.curves import Quantity
+from cgid.impact.curves import Curves, Quantity
 from cgid.validation import Floats
 
 #: Beyond this displacement over radius Hertz's small-strain contact is out of its range.
@@ -195,17 +195,21 @@ class Impact(Collision):
         _require_output(dtype, threads)
         given = validation.real("times", times, "s")
         row = np.atleast_1d(given)
-        leading = validation.broadcast(impacts=self.reduced_mass, times=np.empty(row.shape[:-1]))[0].shape
-        index = np.broadcast_to(np.arange(self.reduced_mass.size).reshape(self._shape), leading).ravel()
-        curves = self.curves if leading == self._shape else self.curves.taken(index)
-        out = curves.evaluate(
-            np.ascontiguousarray(np.broadcast_to(row, (*leading, row.shape[-1]))).reshape(index.size, row.shape[-1]),
-            self.time_scale.ravel()[index],
-            amplitude.ravel()[index],
-            quantity,
-            dtype,
-            threads,
-        ).reshape(*leading, row.shape[-1])
+        leading, index = self._broadcast_with(times=np.empty(row.shape[:-1]))
+        out = (
+            self._curves_of(leading, index)
+            .evaluate(
+                np.ascontiguousarray(np.broadcast_to(row, (*leading, row.shape[-1]))).reshape(
+                    index.size, row.shape[-1]
+                ),
+                self.time_scale.ravel()[index],
+                amplitude.ravel()[index],
+                quantity,
+                dtype,
+                threads,
+            )
+            .reshape(*leading, row.shape[-1])
+        )
         return out[..., 0] if given.ndim == 0 else out
 
     def force_frames(
@@ -242,27 +246,42 @@ class Impact(Collision):
         rate = float(validation.positive("sampling_rate", sampling_rate, "Hz"))
         if n_samples < 1:
             raise InvalidValue(f"n_samples must be 1 or more, got {n_samples}")
-        frames = np.zeros((*self._shape, n_samples), dtype)
-        self.add_to_frames(frames, rate, onset, threads=threads)
+        touch = validation.real("onset", onset, "s")
+        frames = np.zeros((*self._broadcast_with(onset=touch)[0], n_samples), dtype)
+        self.add_to_frames(frames, rate, touch, threads=threads)
         return frames
 
     def add_to_frames(self, frames: NDArray[Any], sampling_rate: float, onset: ArrayLike, *, threads: int = 1) -> None:
-        """Add the contact force to frames (*shape of the impacts, n_samples) in place; see `force_frames`.
+        """Add the contact force to frames in place; see `force_frames`, which says their shape.
 
         Raises
         ------
         InvalidValue
             The frames have another shape, no float samples, or do not lie in one piece of memory.
         """
-        if frames.shape[:-1] != self._shape or frames.dtype.kind != "f" or not frames.flags.c_contiguous:
+        touch = validation.real("onset", onset, "s")
+        leading, index = self._broadcast_with(onset=touch)
+        if frames.shape[:-1] != leading or frames.dtype.kind != "f" or not frames.flags.c_contiguous:
             raise InvalidValue(
-                f"frames must be C-contiguous float samples of shape ({', '.join(map(str, self._shape))}, n_samples), "
+                f"frames must be C-contiguous float samples of shape {(*leading, 'n_samples')}, "
                 f"got {frames.dtype} of shape {frames.shape}"
             )
-        places = self._broadcast(validation.real("onset", onset, "s")) * sampling_rate
-        rows = frames.reshape(-1, frames.shape[-1])
-        step = 1 / (sampling_rate * self.time_scale)
-        self.curves.add_to_frames(rows, places.ravel(), step.ravel(), self.force_scale.ravel(), threads)
+        self._curves_of(leading, index).add_to_frames(
+            frames.reshape(index.size, frames.shape[-1]),
+            np.broadcast_to(touch, leading).ravel() * sampling_rate,
+            1 / (sampling_rate * self.time_scale.ravel()[index]),
+            self.force_scale.ravel()[index],
+            threads,
+        )
+
+    def _broadcast_with(self, **other: Floats) -> tuple[tuple[int, ...], NDArray[np.intp]]:
+        """Return the shape of the impacts and another array together, and which impact stands at each place."""
+        leading = validation.broadcast(impacts=self.reduced_mass, **other)[0].shape
+        numbers = np.arange(self.reduced_mass.size).reshape(self.reduced_mass.shape)
+        return leading, np.broadcast_to(numbers, leading).ravel()
+
+    def _curves_of(self, leading: tuple[int, ...], index: NDArray[np.intp]) -> Curves:
+        return self.curves if leading == self.reduced_mass.shape else self.curves.taken(index)
 
 
 def _require_output(dtype: str, threads: int) -> None:

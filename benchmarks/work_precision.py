@@ -1,0 +1,270 @@
+"""Run time against error of damped Hertz pulses: cgid beside what a user would pick instead, in one run.
+
+    python benchmarks/work_precision.py                 # table, benchmarks/work_precision.csv and .png
+    python benchmarks/work_precision.py --quick         # two minutes: fewer settings of the peers, no files
+
+The population is that of the shipped scene "peers": 2048 samples at 200 kHz, float64, one thread. All fill fresh frames
+with the same pulses on the same grid; the error is the largest force error over the peak of a pulse, against
+quadrature (1e-13). Peers are given mass, stiffness, damping and velocity (`benchmarks/peers.py`), cgid mass, stiffness,
+restitution and velocity; "from materials" also builds the impacts from radius, moduli and density. Times are the least
+of several runs: these machines are noisy, look at ratios.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import io
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from peers import ONSET, SAMPLES, SAMPLING_RATE, Population, available_peers, frame_errors, population, reference_frames
+
+from cgid import shipped
+from cgid.files import write_whole
+from cgid.impact import HalfSpace, HuntCrossley, Impact, Sphere, _taylor
+from cgid.impact.curves import Curves
+from cgid.materials import STEEL, Material
+from cgid.plots import png, require_matplotlib
+from cgid.scene import load_scene
+from cgid.scene.population import draw
+
+HERE = Path(__file__).parent
+BLOCK = 250  # frames at a time: 4 MB, as a generator of data works
+LEVELS = tuple(10.0**-exponent for exponent in range(3, 10))
+
+
+Run = Callable[[Population], np.ndarray]
+
+
+class Row(NamedTuple):
+    """One method at one setting."""
+
+    method: str
+    setting: str
+    microseconds: float
+    worst: float
+    median: float
+
+
+def curves(impacts: Population) -> Curves:
+    """Return the curves of the population."""
+    nothing = np.zeros(len(impacts))
+    return Curves(impacts.restitution, nothing, nothing, nothing)
+
+
+def cgid_frames(impacts: Population, dtype: str = "float64", threads: int = 1) -> np.ndarray:
+    """Return the frames by the shipped table."""
+    frames = np.zeros((len(impacts), SAMPLES), dtype)
+    onset = np.full(len(impacts), float(ONSET))
+    curves(impacts).add_to_frames(frames, onset, impacts.spacing, impacts.force_scale, threads)
+    return frames
+
+
+def cgid_reference(impacts: Population) -> np.ndarray:
+    """Return the frames by the reference path, which serves every law."""
+    frames = np.zeros((len(impacts), SAMPLES))
+    nothing = np.zeros(len(impacts))
+    parameters = np.stack([impacts.damping_number, nothing, nothing, nothing], axis=1)
+    onset, rows = np.full(len(impacts), float(ONSET)), np.arange(len(impacts))
+    _taylor.add_to_frames(frames, onset, impacts.spacing, parameters, impacts.force_scale, _taylor.ORDER, rows)
+    return frames
+
+
+def from_materials(n: int) -> Run:
+    """Return what makes n frames from radius, moduli, density, restitution and velocity: `Impact.force_frames`."""
+    scene = load_scene(shipped.scene_path("peers"))
+    blocks = [draw(scene, 0, block).parameters for block in range(-(-n // 256))]
+    drawn = {name: np.concatenate([block[name] for block in blocks])[:n] for name in blocks[0]}
+    target = HalfSpace(material=STEEL)
+
+    def run(_: Population) -> np.ndarray:
+        rock = Material(**{name: drawn[name] for name in ("density", "youngs_modulus", "poisson_ratio")})
+        impact = Impact(
+            sphere=Sphere(material=rock, radius=drawn["radius"]),
+            target=target,
+            velocity=drawn["velocity"],
+            stiffness="hertz",
+            dissipation=HuntCrossley(restitution=drawn["restitution"]),
+        )
+        return impact.force_frames(SAMPLING_RATE, SAMPLES, ONSET / SAMPLING_RATE)
+
+    return run
+
+
+def least_time(run: Callable[[], Any], repeats: int) -> float:
+    """Return the least time of several runs [s]; the first, which compiles, does not count."""
+    run()
+    times = []
+    for _ in range(repeats):
+        start = time.perf_counter()
+        result = run()
+        times.append(time.perf_counter() - start)
+        del result
+    return min(times)
+
+
+def measured(
+    method: str,
+    setting: str,
+    run: Callable[[Population], np.ndarray],
+    few: Population,
+    repeats: int,
+    block: int = BLOCK,
+) -> Row:
+    """Return time and error of one method at one setting; frames are filled a block at a time."""
+    errors = frame_errors(run(few).astype(np.float64), reference_frames(few))
+    parts = [few.part(first, first + block) for first in range(0, len(few), block)]
+    seconds = least_time(lambda: [run(part) is None for part in parts], repeats)
+    return Row(method, setting, seconds / len(few) * 1e6, float(errors.max()), float(np.median(errors)))
+
+
+def work_precision(impacts: Population, quick: bool) -> list[Row]:
+    """Return a row for each method and setting."""
+    exact = reference_frames(impacts)
+    whole = len(impacts)
+    rows = [
+        measured("cgid", "table", cgid_frames, impacts, exact, 25),
+        measured("cgid", "table, from materials", from_materials(whole), impacts, exact, 15, block=whole),
+        measured("cgid", "table, float32", lambda few: cgid_frames(few, "float32"), impacts, exact, 25),
+        measured("cgid", "reference path", cgid_reference, impacts, exact, 3),
+    ]
+    for name, peer in available_peers().items():
+        few = impacts.part(0, min(peer.pulses, 10 if quick and peer.pulses < 100 else peer.pulses))
+        for setting in peer.settings[::2] if quick else peer.settings:
+            text = ", ".join(f"{key} {value:g}" for key, value in setting.items() if isinstance(value, int | float))
+            rows.append(measured(name, text, lambda few, s=setting, p=peer: p.run(few, **s), few, exact, 3))
+            print(rows[-1], file=sys.stderr, flush=True)
+    return rows
+
+
+def floors() -> dict[str, float]:
+    """Return what any method pays per frame [us]: a fresh zeroed frame, a copy of one."""
+    shape = (BLOCK, SAMPLES)
+    source, target = np.ones(shape), np.ones(shape)
+
+    def zeroed() -> None:
+        frames = np.zeros(shape)
+        frames[:, ::512] = 0.0  # each page: memory that is never written to is not there yet
+
+    return {
+        "fresh zeroed frame": least_time(zeroed, 50) / BLOCK * 1e6,
+        "copy of a frame": least_time(lambda: np.copyto(target, source), 50) / BLOCK * 1e6,
+    }
+
+
+def work_table(rows: list[Row]) -> str:
+    """Return the rows as Markdown."""
+    lines = ["| method | setting | us per pulse | worst error / peak | median |", "|---|---|---|---|---|"]
+    lines += [f"| {r.method} | {r.setting} | {r.microseconds:.3g} | {r.worst:.1e} | {r.median:.1e} |" for r in rows]
+    return "\n".join(lines)
+
+
+def ratio_table(rows: list[Row]) -> str:
+    """Return how many times longer each peer takes than cgid's table, at the cheapest setting within each error."""
+    ours = next(row for row in rows if row.setting == "table")
+    methods = dict.fromkeys(row.method for row in rows if row.method != "cgid")
+    lines = ["| within an error of | " + " | ".join(f"{level:.0e}" for level in LEVELS) + " |"]
+    lines.append("|---|" + "---|" * len(LEVELS))
+    for method in methods:
+        cells = []
+        for level in LEVELS:
+            within = [row.microseconds for row in rows if row.method == method and row.worst <= level]
+            cells.append(f"{min(within) / ours.microseconds:.3g}" if within else "-")
+        lines.append(f"| {method} | " + " | ".join(cells) + " |")
+    return "\n".join(lines)
+
+
+def against_number(impacts: Population, largest: int) -> str:
+    """Return time per pulse against the number of pulses, on one and two threads, in blocks of frames."""
+    lines = ["| signals | 1 thread [us] | 2 threads [us] |", "|---|---|---|"]
+    n = 100
+    while n <= largest:
+        seconds = []
+        for threads in (1, 2):
+
+            def run(threads: int = threads, n: int = n) -> None:
+                for first in range(0, n, 4 * BLOCK):
+                    start = first % len(impacts)
+                    cgid_frames(impacts.part(start, start + min(4 * BLOCK, n - first)), threads=threads)
+
+            seconds.append(least_time(run, 9 if n <= 10_000 else 1))
+        lines.append(f"| {n} | " + " | ".join(f"{value / n * 1e6:.2f}" for value in seconds) + " |")
+        n *= 10
+    return "\n".join(lines)
+
+
+def against_samples(impacts: Population, floor: float) -> str:
+    """Return time per pulse, frame apart, against the samples in contact (the sampling rate is changed)."""
+    lines = ["| samples in contact | us above a fresh zeroed frame | ns a sample |", "|---|---|---|"]
+    few = impacts.part(0, BLOCK)
+    every, amplitude = curves(few), few.force_scale
+    onset, duration = np.full(BLOCK, float(ONSET)), few.contact_duration / few.time_scale
+    for samples in (2, 5, 10, 30, 60, 120, 300, 1000, 1900):
+
+        def run(step: np.ndarray = duration / samples) -> None:
+            every.add_to_frames(np.zeros((BLOCK, SAMPLES)), onset, step, amplitude, 1)
+
+        above = least_time(run, 30) / BLOCK * 1e6 - floor
+        lines.append(f"| {samples} | {above:.2f} | {above / samples * 1e3:.1f} |")
+    return "\n".join(lines)
+
+
+def picture(rows: list[Row]) -> bytes:
+    """Return the log-log picture of run time against error."""
+    figure = require_matplotlib()(figsize=(7.5, 5), layout="constrained")
+    axes = figure.subplots()
+    for method in dict.fromkeys(row.method for row in rows if row.method != "cgid"):
+        points = [(row.worst, row.microseconds) for row in rows if row.method == method]
+        axes.loglog(*zip(*points, strict=True), "o-", markersize=4, linewidth=1, label=method)
+    for setting, marker in (("table", "*"), ("table, float32", "P"), ("reference path", "D")):
+        row = next(row for row in rows if row.setting == setting)
+        axes.loglog(row.worst, row.microseconds, marker, color="k", markersize=12 if marker == "*" else 7)
+        axes.annotate(
+            f"cgid, {setting}", (row.worst, row.microseconds), (8, 6), textcoords="offset points", weight="bold"
+        )
+    axes.invert_xaxis()
+    axes.set(xlabel="largest force error / peak", ylabel="time per pulse [us], one thread", xlim=(1, 1e-16))
+    axes.set_title("2048-sample frames at 200 kHz, damped Hertz pulses", fontsize=10)
+    axes.grid(True, which="major", alpha=0.3)
+    axes.legend(fontsize=8, loc="upper left", ncols=2)
+    return png(figure)
+
+
+def write(rows: list[Row]) -> None:
+    """Write CSV and picture beside this file."""
+    stream = io.StringIO()
+    writer = csv.writer(stream, lineterminator="\n")
+    writer.writerow(["method", "setting", "time per pulse [us]", "worst error / peak", "median error / peak"])
+    writer.writerows([row.method, row.setting, *(f"{value:.4g}" for value in row[2:])] for row in rows)
+    write_whole(HERE / "work_precision.csv", stream.getvalue().encode())
+    write_whole(HERE / "work_precision.png", picture(rows))
+
+
+def main() -> None:
+    """Print every table, write CSV and picture."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--quick", action="store_true", help="fewer settings, no files")
+    quick = parser.parse_args().quick
+    impacts = population(2000)
+    rows = work_precision(impacts, quick)
+    found = floors()
+    contact = float(np.mean(impacts.samples_in_contact - 1))
+    above = rows[0].microseconds - found["fresh zeroed frame"]
+    print(f"\n{work_table(rows)}\n\nTimes as long as cgid's table (cheapest setting within the error):\n")
+    print(f"{ratio_table(rows)}\n")
+    for name, microseconds in found.items():
+        print(f"{name}: {microseconds:.2f} us")
+    print(f"\n{contact:.0f} samples in contact on average: {above * 1e3 / contact:.1f} ns each above a zeroed frame\n")
+    print(against_samples(impacts, found["fresh zeroed frame"]))
+    print(f"\n{against_number(impacts, 10_000 if quick else 1_000_000)}")
+    if not quick:
+        write(rows)
+
+
+if __name__ == "__main__":
+    main()
