@@ -93,7 +93,8 @@ def instance(name: str, value: Any, *types: type) -> None:
     """Raise `InvalidValue` unless `value` is an object of one of the types."""
     if not isinstance(value, types):
         names = " or ".join(allowed.__name__ for allowed in types)
-        raise InvalidValue(f"{name} must be a {names}, got {value!r}")
+        article = "an" if names[0] in "AEIOU" else "a"
+        raise InvalidValue(f"{name} must be {article} {names}, got {value!r}")
 
 
 def _require(holds: NDArray[np.bool_] | bool, name: str, rule: str, values: Floats, unit: str = "") -> None:

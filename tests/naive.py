@@ -7,6 +7,7 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
+from scipy.integrate import solve_ivp
 
 
 def peak(samples: Sequence[float]) -> tuple[int, float]:
@@ -173,3 +174,66 @@ def stretches(samples: Sequence[float], threshold: float, gap: int) -> list[int]
                 firsts.append(k)
             last = k
     return firsts
+
+
+def impact_rk4(damping: float, end: float, n_steps: int) -> tuple[float, float]:
+    """March x'' = -x^(3/2) (1 + D x') from touch to a time, by the classical rule of Runge and Kutta, even steps."""
+
+    def acceleration(x: float, rate: float) -> float:
+        return -(max(x, 0.0) ** 1.5) * (1 + damping * rate)
+
+    step = end / n_steps
+    x, rate = 0.0, 1.0
+    for _ in range(n_steps):
+        x1, a1 = rate, acceleration(x, rate)
+        x2, a2 = rate + step / 2 * a1, acceleration(x + step / 2 * x1, rate + step / 2 * a1)
+        x3, a3 = rate + step / 2 * a2, acceleration(x + step / 2 * x2, rate + step / 2 * a2)
+        x4, a4 = rate + step * a3, acceleration(x + step * x3, rate + step * a3)
+        x += step / 6 * (x1 + 2 * x2 + 2 * x3 + x4)
+        rate += step / 6 * (a1 + 2 * a2 + 2 * a3 + a4)
+    return x, rate
+
+
+class Contact:
+    """One dimensionless impact by scipy's DOP853 in plain time: displacement x, velocity y of the sphere, force f.
+
+    `x' = y - lambda f, y' = gamma - f, f = x^(3/2) + (D x^(3/2) + zeta x^(1/2)) x'`, from x = 0, y = 1 until x, or
+    the force of a viscoelastic sphere, has fallen to 0. The tolerance is that of the step; what comes out agrees with
+    32-digit arithmetic to about 1e-12. `separates` is False where the sphere is still there at the time `longest`.
+    """
+
+    def __init__(
+        self, damping: float = 0, zeta: float = 0, inelasticity: float = 0, weight: float = 0, longest: float = 1e4
+    ) -> None:
+        def force(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+            x = np.maximum(x, 0)
+            loss = damping * x**1.5 + zeta * x**0.5
+            return np.maximum((x**1.5 + loss * y) / (1 + inelasticity * loss), 0)
+
+        def rates(_time: float, state: np.ndarray) -> list[float]:
+            f = float(force(state[0], state[1]))
+            return [state[1] - inelasticity * f, weight - f, inelasticity * f * f, f]
+
+        def held(time: float, state: np.ndarray) -> float:
+            """Fall through 0 at separation: x, or what the force is over x^(1/2)."""
+            if time == 0:
+                return 1.0
+            return state[0] + zeta * state[1] if zeta else state[0]
+
+        held.terminal, held.direction = True, -1  # type: ignore[attr-defined]
+        self._solved = solve_ivp(
+            rates, (0, longest), [0.0, 1.0, 0.0, 0.0], method="DOP853", rtol=1e-13, atol=1e-16, first_step=1e-8,
+            dense_output=True, events=held,
+        )  # fmt: skip
+        self._force = force
+        self.separates = self._solved.t_events[0].size > 0
+        if self.separates:
+            self.contact_time = float(self._solved.t_events[0][0])
+            end = self._solved.y_events[0][0]
+            self.end_displacement, self.restitution = float(end[0]), -float(end[1])
+            self.plate_energy, self.impulse = float(end[2]), float(end[3])
+
+    def evaluate(self, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return displacement and force at times within the contact."""
+        x, y, _, _ = self._solved.sol(times)
+        return x, self._force(x, y)

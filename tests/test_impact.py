@@ -1,12 +1,30 @@
 """Impact against the paper's printed numbers, closed forms, and quadrature of the evaluated force."""
 
+from dataclasses import replace
+
+import mpmath
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from cgid.errors import InvalidValue
-from cgid.impact import RIGID, Elastic, HalfSpace, HertzRangeWarning, HuntCrossley, Impact, Sphere, free_fall_velocity
+from cgid.impact import (
+    RIGID,
+    Elastic,
+    HalfSpace,
+    HertzRangeWarning,
+    HuntCrossley,
+    Impact,
+    Sphere,
+    ThinPlate,
+    Viscoelastic,
+    free_fall_velocity,
+)
+from cgid.impact.closed_forms import peak_displacement, peak_force
 from cgid.impact.quadrature import reference_pulse
-from cgid.materials import STEEL, YANG2018_RADIUS, YANG2018_SPHERES, Material
+from cgid.impact.restitution import damping_number
+from cgid.materials import COAL, STEEL, YANG2018_RADIUS, YANG2018_SPHERES, Material
 
 
 def paper_impact(number=1, velocity=2.0, stiffness="series", dissipation=None, radius=YANG2018_RADIUS):
@@ -144,6 +162,9 @@ def test_two_spheres_and_a_rigid_wall_after_chung_and_ooi_2011():
     assert (float(two.peak_force) / 1e3, float(two.contact_duration) * 1e6) == pytest.approx(
         (10.6969, 40.339), rel=2e-5
     )
+    pair = glass(2500, 20e9, 0.25, 0.01)  # limestone
+    two = Impact(sphere=pair, target=pair, velocity=20.0, stiffness="hertz", dissipation=Elastic())
+    assert (float(two.peak_force) / 1e3, float(two.contact_duration) * 1e6) == pytest.approx((7.1082, 54.201), rel=1e-5)
     ball = glass(2699, 70e9, 0.30, 0.1)
     wall = Impact(sphere=ball, target=RIGID, velocity=0.2, stiffness="hertz", dissipation=Elastic())
     assert (float(wall.peak_force) / 1e3, float(wall.contact_duration) * 1e6) == pytest.approx(
@@ -158,6 +179,29 @@ def test_free_fall():
 def test_a_displacement_beyond_hertz_warns():
     with pytest.warns(HertzRangeWarning, match=r"displacement / radius reaches 0\.\d+"):
         paper_impact(velocity=100.0)
+
+
+def test_the_warning_of_hertz_comes_at_a_tenth_of_the_radius_and_points_here():
+    """By what the sphere does, not by what it would do without its loss."""
+    depth = paper_impact(velocity=1.0, stiffness="hertz").peak_displacement / YANG2018_RADIUS
+    limit = float(0.1 / depth) ** (1 / 0.8)  # the displacement goes with v^(4/5)
+    paper_impact(velocity=limit * (1 - 1e-9), stiffness="hertz")
+    with pytest.warns(HertzRangeWarning) as caught:
+        paper_impact(velocity=[1.0, limit * (1 + 1e-9)], stiffness="hertz")
+    assert len(caught) == 1
+    assert caught[0].filename == __file__
+    damped = paper_impact(velocity=1.2 * limit, stiffness="hertz", dissipation=HuntCrossley(restitution=0.2))
+    assert damped.peak_displacement < 0.1 * YANG2018_RADIUS
+    soft = paper_impact(velocity=0.5 * limit, stiffness="rigid-sphere")
+    assert soft.contact_stiffness / paper_impact(stiffness="hertz").contact_stiffness == pytest.approx(8 * 3**0.5 / 9)
+
+
+def test_a_restitution_of_one_is_elastic_to_the_last_bit():
+    elastic, undamped = paper_impact(), paper_impact(dissipation=HuntCrossley(restitution=1.0))
+    times = np.linspace(0, 6e-4, 100)
+    assert (elastic.force(times) == undamped.force(times)).all()
+    assert elastic.peak_force == undamped.peak_force
+    assert elastic.contact_duration == undamped.contact_duration
 
 
 @pytest.mark.parametrize(
@@ -185,3 +229,532 @@ def test_bad_materials_laws_and_shapes_are_named():
         paper_impact(radius=[0.01, 0.02], velocity=[1.0, 2.0, 3.0])
     with pytest.raises(TypeError, match="stiffness"):
         Impact(sphere=Sphere(material=STEEL, radius=1), target=RIGID, velocity=1, dissipation=Elastic())
+
+
+# ---- closed forms -----------------------------------------------------------------------------------------------
+
+
+def exact_peaks(damping):
+    """Return largest displacement and force in 50 digits, from the first integral (2/5) x^(5/2) = G(1) - G(x')."""
+    mpmath.mp.dps = 50
+    d = mpmath.mpf(damping)
+
+    def g(u):
+        return u / d - mpmath.log1p(d * u) / d**2
+
+    one = mpmath.mpf(1)
+    rate = mpmath.findroot(lambda u: 3 * u / 5 - d * (g(one) - g(u)), (mpmath.mpf(0), one), "anderson", tol=1e-80)
+    depth = (mpmath.mpf(5) / 2 * (g(one) - g(rate))) ** mpmath.mpf("0.4")
+    return (mpmath.mpf(5) / 2 * g(one)) ** mpmath.mpf("0.4"), depth ** mpmath.mpf("1.5") * (1 + d * rate)
+
+
+@pytest.mark.parametrize(
+    "e",
+    [1e-6, 1e-5, 1e-4, 1e-3, 0.02, 0.1, 0.3, 0.5, 0.7, 0.9, 0.99, 1 - 1e-3, 1 - 1e-5, 1 - 1e-7, 1 - 8e-9, 1 - 5e-9,
+     1 - 1e-9, 1 - 1e-10, 1 - 1e-11, 1 - 1e-12],
+)  # fmt: skip
+def test_closed_forms_against_50_digits(e):
+    """Within 4e-15 of themselves (measured: 1e-15)."""
+    damping = float(damping_number(e))
+    depth, force = exact_peaks(damping)
+    assert float(peak_displacement(damping) / depth) == pytest.approx(1, abs=4e-15)
+    assert float(peak_force(damping) / force) == pytest.approx(1, abs=4e-15)
+    impact = paper_impact(dissipation=HuntCrossley(restitution=e))
+    assert float(impact.peak_displacement / impact.length_scale / depth) == pytest.approx(1, abs=4e-15)
+    assert float(impact.peak_force / impact.force_scale / force) == pytest.approx(1, abs=4e-15)
+
+
+def test_closed_forms_have_no_step_on_their_way_to_the_elastic_impact():
+    damping = np.array([0.0, 1e-300, 1e-150, 1e-100, 1e-20])
+    assert peak_force(damping) == pytest.approx(1.25**0.6, rel=4e-16)
+    assert peak_displacement(damping) == pytest.approx(1.25**0.4, rel=4e-16)
+    # To first order x_max falls by 4/15 D, and the peak force by 2/5 D.
+    damping = 10.0 ** np.linspace(-13, -6, 60)
+    assert 1 - peak_force(damping) / 1.25**0.6 == pytest.approx(0.4 * damping, rel=3e-6, abs=1e-15)
+    assert 1 - peak_displacement(damping) / 1.25**0.4 == pytest.approx(4 / 15 * damping, rel=3e-6, abs=1e-15)
+
+
+# ---- the ways to a pulse ----------------------------------------------------------------------------------------
+
+
+def population(n=700):
+    """Return impacts of all sizes, speeds and losses, a few of them damped beyond the table."""
+    generator = np.random.default_rng(11)
+    restitution = np.where(np.arange(n) % 50 == 7, 0.03, generator.uniform(0.05, 1, n))
+    return paper_impact(
+        radius=generator.uniform(0.01, 0.08, n),
+        velocity=generator.uniform(1, 7, n),
+        stiffness="hertz",
+        dissipation=HuntCrossley(restitution=restitution),
+    )
+
+
+def mechanisms(n=5):
+    """Return small arrays of impacts by each kind of loss, and by what evaluates them."""
+    radius = np.linspace(0.01, 0.05, n)
+    coal, steel = Sphere(material=YANG2018_SPHERES[1], radius=radius), HalfSpace(material=STEEL)
+    plate = ThinPlate(material=STEEL, thickness=0.02)
+    cases = {
+        "elastic": (steel, Elastic(), 0.0),
+        "table": (steel, HuntCrossley(restitution=np.linspace(0.05, 0.9, n)), 0.0),
+        "beyond the table": (steel, HuntCrossley(restitution=0.02), 0.0),
+        "viscoelastic": (steel, Viscoelastic(dissipative_constant=2e-5), 0.0),
+        "plate": (plate, Elastic(), 0.0),
+        "everything": (plate, HuntCrossley(restitution=0.5), 9.81),
+    }
+    return {
+        name: Impact(sphere=coal, target=target, velocity=3.0, stiffness="hertz", dissipation=loss, gravity=gravity)
+        for name, (target, loss, gravity) in cases.items()
+    }
+
+
+MECHANISMS = mechanisms()
+
+
+def test_numpy_and_kernels_agree_on_the_table():
+    """Few samples are evaluated by numpy and many by numba: within 1e-14 of the peak (measured: 2e-15)."""
+    impact = paper_impact(dissipation=HuntCrossley(restitution=[0.05, 0.051, 0.2, 0.5, 0.83, 0.999, 1.0]))
+    fraction = np.concatenate([[-0.5, 0, 1, 1.5], np.sin(np.pi / 2 * np.linspace(0, 1, 6000)) ** 2])
+    for name, peak in (("force", impact.peak_force), ("displacement", impact.peak_displacement)):
+        for row, single in enumerate(impact.restitution):
+            one = paper_impact(dissipation=HuntCrossley(restitution=float(single)))
+            times = fraction * float(one.contact_duration)
+            many = getattr(one, name)(times)
+            few = np.concatenate([getattr(one, name)(part) for part in np.array_split(times, 3)])
+            assert np.abs(many - few).max() < 1e-14 * peak[row]
+            assert not (many == few).all()  # they were two ways, indeed
+
+
+@pytest.mark.parametrize("onset", [0.0, 7.3e-6, -60e-6, 250e-6, 299e-6, 300e-6, 5.0, -5.0, 1e30, -1e30])
+@pytest.mark.parametrize("name", MECHANISMS)
+def test_frames_hold_the_force_on_their_grid(name, onset):
+    impact = MECHANISMS[name]
+    frames = impact.force_frames(1e6, 300, onset)
+    force = impact.force(np.arange(300) / 1e6 - onset)
+    assert frames.shape == (5, 300)
+    # The place on the grid is rounded: by 1e-16 of the place, times the slope of the force.
+    assert np.abs(frames - force).max(axis=1) == pytest.approx(0, abs=2e-12 * impact.peak_force.max())
+    away = onset >= 299e-6 or onset <= -1
+    assert (frames == 0).all() == away
+
+
+@pytest.mark.parametrize("name", MECHANISMS)
+def test_onset_is_a_time_for_each_impact_or_one_for_all(name):
+    impact = MECHANISMS[name]
+    onsets = np.array([0.0, 1e-5, 2.5e-5, -3e-5, 1e-4])
+    together = impact.force_frames(1e6, 500, onsets)
+    for k, onset in enumerate(onsets):
+        assert (together[k] == impact.force_frames(1e6, 500, onset)[k]).all()
+
+
+@pytest.mark.parametrize("name", MECHANISMS)
+def test_onsets_broadcast_against_impacts(name):
+    impact = MECHANISMS[name]
+    onsets = np.array([[0.0], [1e-5], [2e-5]])
+    frames = impact.force_frames(1e6, 500, onsets)
+    assert frames.shape == (3, 5, 500)
+    again = np.zeros((3, 5, 500))
+    impact.add_to_frames(again, 1e6, onsets)
+    assert (again == frames).all()
+    for k in range(3):
+        assert (frames[k] == impact.force_frames(1e6, 500, onsets[k, 0])).all()
+    one = paper_impact().force_frames(1e6, 500, onsets[:, 0])
+    assert one.shape == (3, 500)
+    assert (one[2] == paper_impact().force_frames(1e6, 500, 2e-5)).all()
+    with pytest.raises(InvalidValue, match=r"do not broadcast against each other: impacts \(5,\), onset \(3,\)"):
+        impact.force_frames(1e6, 500, [0.0, 1e-5, 2e-5])
+
+
+@pytest.mark.parametrize("name", MECHANISMS)
+def test_samples_on_touch_and_on_separation_hold_nothing(name):
+    impact = MECHANISMS[name]
+    for k in range(5):
+        duration = float(impact.contact_duration[k])
+        # 64 samples from touch to separation, both on the grid; and the same with touch at sample 16
+        for first in (0, 16):
+            frames = impact.force_frames(64 / duration, 96, first * duration / 64)[k] / impact.peak_force[k]
+            assert (frames[:first] == 0).all()
+            assert frames[first] == pytest.approx(0, abs=1e-20 if name != "viscoelastic" else 1e-7)
+            assert (frames[first + 1 : first + 64] > 0).all()
+            assert frames[first + 64] == pytest.approx(0, abs=1e-15)
+            assert (frames[first + 65 :] == 0).all()
+        at = impact.force(np.array([-1e-300, 0.0, duration, duration * (1 + 1e-15)]))[k] / impact.peak_force[k]
+        assert (at[:2] == 0).all()
+        assert at[2:] == pytest.approx(0, abs=1e-14 if name == "viscoelastic" else 1e-20)
+    # Powers of two make the place of the end exact: nothing is left by rounding.
+    assert (impact.force_frames(2.0**20, 64, 2.0**-15)[:, :33] == 0).all()
+
+
+@pytest.mark.parametrize("name", MECHANISMS)
+def test_a_grid_that_fits_the_contact_leaves_no_trace_of_rounding(name):
+    """Touch and separation on the grid, in up to 300 parts: never nan, never negative, nothing behind separation."""
+    impact = replace(MECHANISMS[name], sphere=Sphere(material=YANG2018_SPHERES[1], radius=0.0317))
+    if name == "table":
+        impact = replace(impact, dissipation=HuntCrossley(restitution=0.37))
+    duration, peak = float(impact.contact_duration), float(impact.peak_force)
+    for parts in range(1, 300):
+        frame = impact.force_frames(parts / duration, parts + 5, 2 * duration / parts) / peak
+        assert (frame >= 0).all()
+        assert frame[[0, 1, 2]] == pytest.approx(0, abs=1e-20 if name != "viscoelastic" else 1e-7)
+        assert frame[parts + 2 :] == pytest.approx(0, abs=1e-14 if name == "viscoelastic" else 1e-20)
+
+
+@pytest.mark.parametrize("name", MECHANISMS)
+def test_single_precision_rounds_the_double_one(name):
+    impact = MECHANISMS[name]
+    times = np.linspace(-1e-5, 4e-4, 900)
+    for few_or_many in (times[:100], times):
+        double, single = impact.force(few_or_many), impact.force(few_or_many, dtype="float32")
+        assert (double.dtype, single.dtype) == (np.float64, np.float32)
+        assert (single == double.astype(np.float32)).all()
+        assert impact.displacement(few_or_many, dtype="float32").dtype == np.float32
+    frames = impact.force_frames(1e6, 400, 3.3e-6, dtype="float32")
+    assert frames.dtype == np.float32
+    assert (frames == impact.force_frames(1e6, 400, 3.3e-6).astype(np.float32)).all()
+
+
+@pytest.mark.parametrize("threads", [2, 5])
+def test_threads_change_no_bit(threads):
+    impacts = population()
+    times = np.linspace(0, 5e-4, 40)
+    onset = np.linspace(-1e-5, 1e-5, 700)
+    assert (impacts.force(times, threads=threads) == impacts.force(times)).all()
+    assert (impacts.displacement(times, threads=threads) == impacts.displacement(times)).all()
+    for dtype in ("float64", "float32"):
+        one, many = (impacts.force_frames(1e5, 60, onset, dtype=dtype, threads=n) for n in (1, threads))
+        assert (one == many).all()
+    viscous = replace(impacts, dissipation=Viscoelastic(dissipative_constant=1e-5))
+    assert (viscous.force(times, threads=threads) == viscous.force(times)).all()
+    assert (viscous.force_frames(1e5, 60, onset, threads=threads) == viscous.force_frames(1e5, 60, onset)).all()
+
+
+def test_a_row_of_many_impacts_is_that_impact_alone():
+    impacts = population(60)
+    frames = impacts.force_frames(2e5, 100, 1e-5)
+    for k in (0, 7, 31, 57):
+        alone = paper_impact(
+            radius=impacts.sphere.radius[k],
+            velocity=impacts.velocity[k],
+            stiffness="hertz",
+            dissipation=HuntCrossley(restitution=impacts.dissipation.restitution[k]),
+        )
+        assert (frames[k] == alone.force_frames(2e5, 100, 1e-5)).all()
+        assert impacts.peak_force[k] == alone.peak_force
+        assert impacts.contact_duration[k] == alone.contact_duration
+
+
+@pytest.mark.parametrize("name", MECHANISMS)
+def test_add_to_frames_adds(name):
+    impact = MECHANISMS[name]
+    ground = np.random.default_rng(2).normal(size=(5, 300)) * impact.peak_force[:, None]
+    pulses = impact.force_frames(1e6, 300, 2e-5)
+    frames = ground.copy()
+    assert impact.add_to_frames(frames, 1e6, 2e-5) is None
+    assert np.abs(frames - (ground + pulses)).max() <= 1e-15 * np.abs(ground).max()
+    assert (frames[pulses == 0] == ground[pulses == 0]).all()
+    impact.add_to_frames(frames, 1e6, 2e-5)
+    assert np.abs(frames - (ground + 2 * pulses)).max() <= 3e-15 * np.abs(ground).max()
+
+
+def test_add_to_frames_says_what_it_cannot_take():
+    impact = MECHANISMS["table"]
+    rule = r"frames must be writeable C-contiguous float32 or float64 samples of shape \(5, '?n_samples'?\), got "
+    for frames, got in [
+        (np.zeros((4, 100)), r"float64 of shape \(4, 100\)"),
+        (np.zeros(100), r"float64 of shape \(100,\)"),
+        (np.zeros((1, 5, 100)), r"float64 of shape \(1, 5, 100\)"),
+        (np.zeros((5, 100), np.int64), r"int64 of shape \(5, 100\)"),
+        (np.zeros((5, 100), complex), r"complex128 of shape \(5, 100\)"),
+        (np.zeros((100, 5)).T, r"float64 of shape \(5, 100\)"),
+        (np.zeros((5, 200))[:, ::2], r"float64 of shape \(5, 100\)"),
+    ]:
+        with pytest.raises(InvalidValue, match=rule + got):
+            impact.add_to_frames(frames, 1e6, 0.0)
+        assert (frames == 0).all()
+    for onset in (np.nan, np.inf, "now"):
+        with pytest.raises(InvalidValue, match="onset must be"):
+            impact.add_to_frames(np.zeros((5, 100)), 1e6, onset)
+
+
+@pytest.mark.parametrize(
+    ("frames", "rate", "threads", "message"),
+    [
+        (np.zeros((5, 9), np.float16), 1e6, 1, "frames must be"),
+        (np.zeros((5, 9), np.longdouble), 1e6, 1, "frames must be"),
+        (np.zeros((5, 9), ">f8"), 1e6, 1, "frames must be"),
+        (np.broadcast_to(0.0, (5, 9)).copy().tolist(), 1e6, 1, "frames must be"),
+        (np.zeros((5, 9)), 0.0, 1, "sampling_rate must be above 0"),
+        (np.zeros((5, 9)), -1e6, 1, "sampling_rate must be above 0"),
+        (np.zeros((5, 9)), np.nan, 1, "sampling_rate must be finite"),
+        (np.zeros((5, 9)), 1e6, 0, "threads must be 1 or more"),
+    ],
+)
+def test_add_to_frames_checks_what_force_frames_checks(frames, rate, threads, message):
+    with pytest.raises(InvalidValue, match=message):
+        MECHANISMS["table"].add_to_frames(frames, rate, 0.0, threads=threads)
+
+
+def test_add_to_frames_says_that_it_cannot_write():
+    frames = np.zeros((5, 9))
+    frames.flags.writeable = False
+    with pytest.raises(InvalidValue, match="frames must be"):
+        MECHANISMS["table"].add_to_frames(frames, 1e6, 0.0)
+
+
+# ---- shapes -----------------------------------------------------------------------------------------------------
+
+
+def test_times_broadcast_against_impacts():
+    impact = paper_impact(velocity=np.array([1.0, 2.0, 3.0]), dissipation=HuntCrossley(restitution=0.5))
+    rows = np.linspace(0, 4e-4, 3)[:, None] * np.linspace(0, 1, 8)
+    assert impact.force(rows).shape == (3, 8)
+    assert impact.force(rows[:, None, :]).shape == (3, 3, 8)
+    assert impact.force(2e-4).shape == (3,)
+    each = impact.force(rows[:, None, :])
+    for i in range(3):
+        assert (each[i] == impact.force(rows[i])).all()
+    alone = paper_impact(dissipation=HuntCrossley(restitution=0.5))
+    assert alone.force(2e-4).shape == ()
+    assert alone.force(rows).shape == (3, 8)
+    assert (alone.force(rows)[1] == alone.force(rows[1])).all()
+    with pytest.raises(InvalidValue, match=r"do not broadcast against each other: impacts \(3,\), times \(2,\)"):
+        impact.force(np.zeros((2, 8)))
+
+
+def test_no_impacts_and_no_times():
+    none = {name: replace(impact, velocity=np.empty((0, 1))) for name, impact in MECHANISMS.items()}
+    for impact in none.values():
+        for quantity in ("restitution", "peak_displacement", "peak_force", "contact_duration", "time_of_peak",
+                         "compression_time", "end_displacement", "rebound_velocity", "impulse", "radiated_energy",
+                         "dissipated_energy", "inelasticity"):  # fmt: skip
+            assert getattr(impact, quantity).shape == (0, 5)
+        for threads in (1, 3):
+            assert impact.force(np.zeros(4), threads=threads).shape == (0, 5, 4)
+            assert impact.force_frames(1e6, 4, threads=threads).shape == (0, 5, 4)
+    for impact in MECHANISMS.values():
+        assert impact.force([]).shape == impact.displacement(np.empty(0)).shape == (5, 0)
+
+
+# ---- what a user can do wrong -----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"target": "rigid"}, "target must be .*Sphere or RigidWall, got 'rigid'"),
+        ({"target": STEEL}, "target must be .*got Material"),
+        ({"dissipation": None}, "dissipation must be .*Elastic or HuntCrossley or Viscoelastic, got None"),
+        ({"dissipation": HuntCrossley}, "dissipation must be .*got <class"),
+        ({"dissipation": 0.5}, r"dissipation must be .*got 0\.5"),
+        ({"sphere": STEEL}, "sphere must be a Sphere, got Material"),
+        ({"velocity": "fast"}, "velocity must be a real number or an array of them, got 'fast'"),
+        ({"velocity": None}, "velocity must be a real number"),
+        ({"velocity": True}, "velocity must be a real number"),
+        ({"velocity": 2 + 1j}, "velocity must be a real number"),
+        ({"velocity": [1.0, 0.0]}, "velocity must be above 0, got 0 m/s at index 1"),
+        ({"velocity": np.inf}, "velocity must be finite"),
+        ({"gravity": -9.81}, r"gravity must be 0 or more, got -9\.81 m/s\^2"),
+        ({"gravity": np.nan}, "gravity must be finite"),
+        ({"stiffness": None}, "stiffness must be one of"),
+    ],
+)
+def test_wrong_things_are_named(changes, message):
+    with pytest.raises(InvalidValue, match=message):
+        replace(paper_impact(), **changes)
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: Sphere(material=COAL, radius=0.1), "material must be a Material, got MaterialRange"),
+        (lambda: HalfSpace(material="steel"), "material must be a Material, got 'steel'"),
+        (lambda: ThinPlate(material=COAL, thickness=0.1), "material must be a Material, got MaterialRange"),
+        (lambda: ThinPlate(material=STEEL, thickness=0), "thickness must be above 0, got 0 m"),
+        (lambda: ThinPlate(material=STEEL, thickness=[0.1, -1]), "thickness must be above 0, got -1 m at index 1"),
+        (lambda: Sphere(material=STEEL, radius=np.nan), "radius must be finite"),
+        (lambda: HuntCrossley(restitution=0.0), "restitution must lie above 0 and up to 1, got 0"),
+        (lambda: HuntCrossley(restitution=1.0000001), "restitution must lie above 0 and up to 1, got 1"),
+        (lambda: HuntCrossley(restitution=np.nan), "restitution must be finite"),
+        (lambda: HuntCrossley(restitution=0.5, law="hertz"), "law must be one of 'exact', 'hunt-crossley'"),
+        (lambda: Viscoelastic(), "needs one of dissipative_constant .* and time_constant .*, not both"),
+        (lambda: Viscoelastic(dissipative_constant=1e-5, time_constant=1e-5), "not both"),
+        (lambda: Viscoelastic(dissipative_constant=0.0), "dissipative_constant must be above 0, got 0 s"),
+        (lambda: Viscoelastic(time_constant=[1e-6, -1]), "time_constant must be above 0, got -1 s at index 1"),
+        (lambda: Viscoelastic(time_constant=np.inf), "time_constant must be finite"),
+        (lambda: Material(density=1, youngs_modulus=1, poisson_ratio=-1), "poisson_ratio must lie between -1 and 0.5"),
+        (lambda: Material(density=1, youngs_modulus=0, poisson_ratio=0), "youngs_modulus must be above 0, got 0 Pa"),
+        (lambda: free_fall_velocity(-1.0), "height must be 0 or more, got -1 m"),
+    ],
+)
+def test_wrong_parts_are_named(make, message):
+    with pytest.raises(InvalidValue, match=message):
+        make()
+
+
+def test_what_has_no_default_must_be_said():
+    with pytest.raises(TypeError, match="thickness"):
+        ThinPlate(material=STEEL)
+    with pytest.raises(TypeError, match="dissipation"):
+        Impact(sphere=Sphere(material=STEEL, radius=1), target=RIGID, velocity=1, stiffness="hertz")
+    with pytest.raises(TypeError, match="restitution"):
+        HuntCrossley()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"dtype": "float16"}, "dtype must be one of 'float64', 'float32', got 'float16'"),
+        ({"threads": 0}, "threads must be 1 or more, got 0"),
+    ],
+)
+def test_wrong_outputs_are_named(arguments, message):
+    with pytest.raises(InvalidValue, match=message):
+        paper_impact().force([0.0], **arguments)
+    with pytest.raises(InvalidValue, match=message):
+        paper_impact().force_frames(1e6, 10, **arguments)
+
+
+def test_wrong_frames_and_times_are_named():
+    for rate, message in ((0.0, "above 0, got 0 Hz"), (-1e6, "above 0"), (np.nan, "finite"), ("fast", "a real number")):
+        with pytest.raises(InvalidValue, match=f"sampling_rate must be {message}"):
+            paper_impact().force_frames(rate, 10)
+    with pytest.raises(InvalidValue, match="n_samples must be 1 or more, got 0"):
+        paper_impact().force_frames(1e6, 0)
+    for times, message in ((np.nan, "finite"), ([0.0, np.inf], "finite"), ("now", "a real number"), (1j, "a real")):
+        with pytest.raises(InvalidValue, match=f"times must be {message}"):
+            paper_impact().force(times)
+
+
+def one_of(velocity=2.0, radius=0.025, density=1380.0, youngs_modulus=2.26e9, thickness=None, **changes):
+    material = Material(density=density, youngs_modulus=youngs_modulus, poisson_ratio=0.28)
+    return Impact(
+        sphere=Sphere(material=material, radius=radius),
+        target=RIGID if thickness is None else ThinPlate(material=STEEL, thickness=thickness),
+        velocity=velocity,
+        stiffness="hertz",
+        **{"dissipation": Elastic(), **changes},
+    )
+
+
+def everything(impact):
+    """Return every number of an impact, and some of its curve."""
+    names = ("restitution", "peak_displacement", "peak_force", "contact_duration", "time_of_peak", "compression_time",
+             "end_displacement", "rebound_velocity", "impulse", "radiated_energy", "dissipated_energy")  # fmt: skip
+    times = float(impact.contact_duration) * np.linspace(-0.1, 1.1, 40)
+    curves = [impact.force(times), impact.displacement(times), impact.force_frames(30 / times[-1], 40)]
+    return np.concatenate([[float(getattr(impact, name)) for name in names], *curves])
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"velocity": 1e-300}, {"velocity": 1e-200}, {"velocity": 1e150}, {"velocity": 1e300},
+        {"radius": 1e-300}, {"radius": 1e-200}, {"radius": 1e-100}, {"radius": 1e100}, {"radius": 1e300},
+        {"density": 1e-300}, {"density": 1e300}, {"youngs_modulus": 1e-300}, {"youngs_modulus": 1e300},
+        {"thickness": 1e-150}, {"thickness": 1e-30},
+        {"dissipation": Viscoelastic(dissipative_constant=1e30)},
+        {"dissipation": Viscoelastic(dissipative_constant=1e300)},
+        {"dissipation": Viscoelastic(time_constant=1e300)},
+        {"gravity": 1e100}, {"gravity": 1e300},
+        {"dissipation": HuntCrossley(restitution=1e-100)},
+    ],
+)  # fmt: skip
+def test_absurd_magnitudes_are_refused_for_double_precision(changes):
+    with pytest.raises(InvalidValue, match="double precision"):
+        everything(one_of(**changes))
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"thickness": 1e-300}, {"thickness": 1e-160}, {"thickness": 1e200},
+        {"dissipation": Viscoelastic(dissipative_constant=1e308)}, {"dissipation": Viscoelastic(time_constant=1.7e308)},
+    ],
+)  # fmt: skip
+def test_absurd_magnitudes_of_the_loss_are_refused_without_a_warning(changes):
+    with pytest.raises(InvalidValue, match="double precision"):
+        everything(one_of(**changes))
+
+
+@pytest.mark.parametrize("law", ["exact", "gonthier", "lee-wang", "flores"])
+@pytest.mark.parametrize("e", [1e-300, 1e-200, 1e-155, 1e-60, 1e-40, 1e-20])
+def test_a_restitution_near_nothing_is_refused_or_served_but_never_nan(e, law):
+    try:
+        numbers = everything(paper_impact(dissipation=HuntCrossley(restitution=e, law=law)))
+    except InvalidValue as error:
+        assert "double precision" in str(error)
+    else:
+        assert np.isfinite(numbers).all()
+
+
+@pytest.mark.parametrize("law", ["gonthier", "flores", "hu-guo"])
+@pytest.mark.parametrize("e", [1e-308, 1e-320])
+def test_the_least_numbers_there_are_make_no_restitution(e, law):
+    with pytest.raises(InvalidValue, match="double precision"):
+        paper_impact(dissipation=HuntCrossley(restitution=e, law=law))
+
+
+@given(exponents=st.tuples(*(st.floats(-limit, limit) for limit in (170, 110, 200, 300))))
+@settings(max_examples=100, deadline=None, derandomize=True)
+@pytest.mark.filterwarnings("ignore::cgid.impact.HertzRangeWarning")
+def test_any_magnitude_is_served_or_refused_without_a_warning(exponents):
+    velocity, radius, density, youngs_modulus = (10.0**exponent for exponent in exponents)
+    try:
+        impact = one_of(velocity=velocity, radius=radius, density=density, youngs_modulus=youngs_modulus)
+    except InvalidValue as error:
+        assert "double precision" in str(error)
+        return
+    numbers = everything(impact)
+    assert np.isfinite(numbers).all()
+    assert float(impact.peak_force * impact.contact_duration / impact.reduced_mass / velocity) == pytest.approx(
+        3.679094, rel=1e-6
+    )
+
+
+# ---- similarity -------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", MECHANISMS)
+@pytest.mark.parametrize(("radius", "density", "modulus", "velocity"), [(3.0, 1.7, 0.3, 1.9), (0.2, 0.6, 5.0, 0.4)])
+@pytest.mark.filterwarnings("ignore::cgid.impact.HertzRangeWarning")
+def test_scaling_all_lengths_densities_moduli_and_speeds_leaves_the_curves(name, radius, density, modulus, velocity):
+    """With D, zeta, lambda and gamma held the dimensionless curve is the same, for both bodies scaled alike."""
+    before = MECHANISMS[name]
+
+    def scaled(material):
+        return Material(
+            density=density * material.density,
+            youngs_modulus=modulus * material.youngs_modulus,
+            poisson_ratio=material.poisson_ratio,
+        )
+
+    sphere = Sphere(material=scaled(before.sphere.material), radius=radius * before.sphere.radius)
+    after = Impact(
+        sphere=sphere,
+        target=HalfSpace(material=scaled(STEEL)),
+        velocity=velocity * 3.0,
+        stiffness="hertz",
+        dissipation=before.dissipation if not isinstance(before.dissipation, Viscoelastic) else Elastic(),
+    )
+    longer = after.time_scale / before.time_scale
+    if isinstance(before.dissipation, Viscoelastic):
+        after = replace(after, dissipation=Viscoelastic(dissipative_constant=2e-5 * longer))
+    if isinstance(before.target, ThinPlate):
+        # lambda = m / (Z T0), Z as the square of the thickness and the root of density and modulus
+        grown = np.sqrt(radius**3 * density / longer / np.sqrt(density * modulus))
+        after = replace(after, target=ThinPlate(material=scaled(STEEL), thickness=0.02 * grown))
+    if np.any(before.gravity):
+        after = replace(after, gravity=before.gravity * velocity / longer)
+    assert after.restitution == pytest.approx(before.restitution, rel=1e-12)
+    fraction = np.linspace(-0.1, 1.1, 300)
+    for curve, unit in (("force", "force_scale"), ("displacement", "length_scale")):
+        first, second = (
+            getattr(impact, curve)(impact.contact_duration[:, None] * fraction) / getattr(impact, unit)[:, None]
+            for impact in (before, after)
+        )
+        assert np.abs(first - second).max() < 1e-12
+    for quantity, unit in (("contact_duration", "time_scale"), ("time_of_peak", "time_scale"),
+                           ("compression_time", "time_scale"), ("peak_force", "force_scale"),
+                           ("peak_displacement", "length_scale"), ("end_displacement", "length_scale")):  # fmt: skip
+        first, second = (getattr(impact, quantity) / getattr(impact, unit) for impact in (before, after))
+        assert second == pytest.approx(first, rel=1e-12)

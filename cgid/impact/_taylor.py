@@ -189,6 +189,17 @@ def _happen(watched: Array, order: int, h: float, at: Array) -> float:
 
 
 @_jit
+def _stays(step: Array, order: int, h: float, damping: float, zeta: float, weight: float, turned: bool) -> bool:
+    """Tell at the end of a step whether gravity holds the sphere for good."""
+    u, w = _value(step[_U], order, h), _value(step[_W], order, h)
+    if abs(u) < 1e-13 or (turned and u > 0.0):
+        return True
+    # It sinks in with its weight in balance, so damped (ever more, the deeper) that it will not swing back.
+    loss = damping * w**3 + zeta * w
+    return not turned and loss * loss > 100.0 * w and abs(_value(step[_F], order, h) - weight) < 1e-3 * weight
+
+
+@_jit
 def _integrate(parameters: Array, order: int, fixed: float, steps: Array, lengths: Array, result: Array) -> int:
     """Fill steps (n, 7, order + 1) and lengths (n) of one impact, and its results; return the number of steps.
 
@@ -229,7 +240,7 @@ def _integrate(parameters: Array, order: int, fixed: float, steps: Array, length
             result[7] = following[_W, 0] ** 2 if zeta > 0.0 else 0.0
             result[8] = following[_PLATE, 0]
             return n + 1
-        if compressing == 0 and weight > 0.0 and _value(step[_U], order, h) >= -1e-13:
+        if weight > 0.0 and _stays(step, order, h, damping, zeta, weight, compressing == 0):
             result[0] = STAYS
             return n + 1
         q0 = _value(scratch[0], order, h)

@@ -51,12 +51,16 @@ class Collision:
                 "force": (self.force_scale, "N"),
                 "energy": (self.reduced_mass * self._velocity**2, "J"),
             }
+            if isinstance(self.dissipation, Viscoelastic):
+                scales["dissipative constant"] = (self._loss, "s")
+            if isinstance(self.target, ThinPlate):
+                scales["plate impedance"] = (self.target.impedance, "kg/s")
         for name, (scale, unit) in scales.items():
             held = (scale > 1e-290) & (scale < 1e290)
             if not held.all():
                 raise InvalidValue(
                     f"the {name} of the impact must lie between 1e-290 and 1e290 {unit} for double precision to hold "
-                    f"it, got {scale[~held].ravel()[0]:g} {unit}; check radius, material and velocity"
+                    f"it, got {scale[~held].ravel()[0]:g} {unit}; check radius, material, velocity and loss"
                 )
 
     @cached_property
@@ -72,7 +76,7 @@ class Collision:
         }
         return validation.broadcast(**named)[0].shape
 
-    @property
+    @cached_property
     def _loss(self) -> Floats:
         """The one number of the dissipation: the material's restitution, or A."""
         if isinstance(self.dissipation, Viscoelastic):

@@ -98,6 +98,22 @@ class Curves:
         """Energy radiated into the plate over `m v^2`."""
         return self._closed_or_integrated(lambda rows: np.zeros(int(rows.sum())), "plate_energy")
 
+    @property
+    def impulse(self) -> Floats:
+        """Integral of the force over the contact: `1 + e`, and with gravity what it pulls in that time."""
+        pull = self.weight * self.times[0] if self.weight.any() else 0.0
+        return np.asarray(1 + self.restitution + pull)
+
+    @property
+    def rebound(self) -> Floats:
+        """Restitution, and 0 where the sphere does not leave again."""
+        if self.plain.all():
+            return self.restitution
+        summary = self._summary
+        return np.where(
+            self.plain, self.material_restitution, np.where(summary["status"] == 0, summary["restitution"], 0.0)
+        )
+
     @cached_property
     def times(self) -> tuple[Floats, Floats, Floats]:
         """Contact time, time of the peak force, time of the largest displacement."""
@@ -118,15 +134,20 @@ class Curves:
         return out
 
     @cached_property
-    def _integrated(self) -> dict[str, Floats]:
+    def _summary(self) -> dict[str, Floats]:
         """The results of the reference path for the rows that the table does not hold, nan elsewhere."""
         from cgid.impact import _taylor
 
-        rows = np.flatnonzero(~self.tabulated)
         found = np.full((self.plain.size, len(_taylor.RESULTS)), np.nan)
-        _taylor.summaries(self._parameters, _taylor.ORDER, 0.0, found, rows)
-        self._require_separation(rows, found[rows, 0])
+        _taylor.summaries(self._parameters, _taylor.ORDER, 0.0, found, np.flatnonzero(~self.tabulated))
         return dict(zip(_taylor.RESULTS, found.T, strict=True))
+
+    @cached_property
+    def _integrated(self) -> dict[str, Floats]:
+        """The same, where every sphere leaves again."""
+        rows = np.flatnonzero(~self.tabulated)
+        self._require_separation(rows, self._summary["status"][rows])
+        return self._summary
 
     def taken(self, rows: NDArray[np.intp]) -> Curves:
         """Return the curves of these rows, in this order."""

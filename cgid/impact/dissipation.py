@@ -14,6 +14,10 @@ from cgid.impact.restitution import delivered_restitution
 from cgid.validation import Floats
 
 
+#: An impact so damped that it would lie outside the reach of double precision anyway.
+_MOST_DAMPING = 1e100
+
+
 @dataclass(frozen=True)
 class Elastic:
     """No loss in the material: against anything but a thin plate the sphere leaves as fast as it came."""
@@ -63,7 +67,14 @@ class HuntCrossley:
     @property
     def damping_number(self) -> Floats:
         """D = chi v, for this law."""
-        return np.asarray(HUNT_CROSSLEY_LAWS[self.law](validation.restitution("restitution", self.restitution)))
+        restitution = validation.restitution("restitution", self.restitution)
+        with np.errstate(over="ignore"):
+            damping = np.asarray(HUNT_CROSSLEY_LAWS[self.law](restitution))
+        if not (damping < _MOST_DAMPING).all():
+            raise InvalidValue(
+                f"restitution must leave a damping number that double precision holds, got {restitution.min():g}"
+            )
+        return damping
 
     @property
     def delivered_restitution(self) -> Floats:

@@ -55,6 +55,7 @@ def dissipative_constant(restitution: ArrayLike, impact: Impact) -> Floats:
     >>> round(float(replace(impact, dissipation=Viscoelastic(dissipative_constant=constant)).restitution), 12)
     0.8
     """
+    validation.instance("impact", impact, Impact)
     elastic = replace(impact, dissipation=Elastic())
 
     def curves(zeta: Floats, rows: NDArray[np.intp]) -> Curves:
@@ -84,6 +85,7 @@ def plate_thickness(restitution: ArrayLike, impact: Impact) -> Floats:
     InvalidValue
         The target is no thin plate, or the restitution cannot be reached.
     """
+    validation.instance("impact", impact, Impact)
     validation.instance("impact.target", impact.target, ThinPlate)
     assert isinstance(impact.target, ThinPlate)
     on_half_space = replace(impact, target=HalfSpace(material=impact.target.material))
@@ -113,7 +115,7 @@ def _sought(
     rows = np.broadcast_to(np.arange(impact.restitution.size).reshape(impact.restitution.shape), wanted.shape)
 
     def excess(logarithm: Floats, wanted: Floats, rows: NDArray[np.intp]) -> Floats:
-        return curves(np.exp(logarithm).ravel(), rows.ravel()).restitution.reshape(wanted.shape) - wanted
+        return curves(np.exp(logarithm).ravel(), rows.ravel()).rebound.reshape(wanted.shape) - wanted
 
     low, high = (np.full(wanted.shape, np.log(bound)) for bound in between)
     least = wanted + excess(high, wanted, rows)

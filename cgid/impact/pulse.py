@@ -87,8 +87,8 @@ class Impact(Collision):
         self._warn_of_range()
 
     def _warn_of_range(self) -> None:
-        # An elastic impact goes deepest, and its depth is known without the damping.
-        if (1.1 * self.length_scale > HERTZ_LIMIT * self.reduced_radius).any():
+        # An elastic impact without weight goes deepest, and its depth is known without the damping.
+        if np.any(self.curves.weight) or (1.1 * self.length_scale > HERTZ_LIMIT * self.reduced_radius).any():
             strain = (self.peak_displacement / self.reduced_radius).max(initial=0.0)
             if strain > HERTZ_LIMIT:
                 message = f"displacement / radius reaches {strain:.3g}; Hertz's theory holds up to {HERTZ_LIMIT:g}"
@@ -144,8 +144,7 @@ class Impact(Collision):
     @property
     def impulse(self) -> Floats:
         """Integral of the force over the contact, `(1 + e) m v` and the weight over the contact [N s]."""
-        pull = self._shaped(self.curves.weight * self.curves.times[0]) if np.any(self.curves.weight) else 0.0
-        return np.asarray((1 + self.restitution + pull) * self.reduced_mass * self._velocity)
+        return self._shaped(self.curves.impulse) * self.reduced_mass * self._velocity
 
     @property
     def radiated_energy(self) -> Floats:
@@ -156,12 +155,14 @@ class Impact(Collision):
     def dissipated_energy(self) -> Floats:
         """Energy lost in the material, `1/2 m v^2 (1 - e^2)` without a plate [J].
 
-        It is what impact energy, and the fall of a sphere that leaves flattened, leave beside rebound and plate.
+        It is what rebound and plate leave of the impact energy and, with gravity, of the sphere's fall while it is
+        in contact: it ends lower by its own displacement and by the way that a plate has given.
         """
         e = self.restitution
         lost = 0.5 * self.reduced_mass * self._velocity**2 * (1 - e) * (1 + e) - self.radiated_energy
         if np.any(self.curves.weight):
-            fall = self._shaped(self.curves.weight * self.curves.end_displacement)
+            way = self.curves.end_displacement + self.curves.inelasticity * self.curves.impulse
+            fall = self._shaped(self.curves.weight * way)
             lost = lost + self.reduced_mass * self._velocity**2 * fall
         return np.asarray(lost)
 
@@ -192,7 +193,8 @@ class Impact(Collision):
     def _over_time(
         self, times: ArrayLike, quantity: Quantity, amplitude: Floats, dtype: DType, threads: int
     ) -> NDArray[Any]:
-        _require_output(dtype, threads)
+        validation.choice("dtype", dtype, ("float64", "float32"))
+        _require_threads(threads)
         given = validation.real("times", times, "s")
         row = np.atleast_1d(given)
         leading, index = self._broadcast_with(times=np.empty(row.shape[:-1]))
@@ -242,13 +244,13 @@ class Impact(Collision):
         ndarray, (*shape of the impacts and onset, n_samples)
             [N].
         """
-        _require_output(dtype, threads)
-        rate = float(validation.positive("sampling_rate", sampling_rate, "Hz"))
+        validation.choice("dtype", dtype, ("float64", "float32"))
+        _require_threads(threads)
         if n_samples < 1:
             raise InvalidValue(f"n_samples must be 1 or more, got {n_samples}")
         touch = validation.real("onset", onset, "s")
         frames = np.zeros((*self._broadcast_with(onset=touch)[0], n_samples), dtype)
-        self.add_to_frames(frames, rate, touch, threads=threads)
+        self.add_to_frames(frames, sampling_rate, touch, threads=threads)
         return frames
 
     def add_to_frames(self, frames: NDArray[Any], sampling_rate: float, onset: ArrayLike, *, threads: int = 1) -> None:
@@ -259,17 +261,15 @@ class Impact(Collision):
         InvalidValue
             The frames have another shape, no float samples, or do not lie in one piece of memory.
         """
+        rate = float(validation.positive("sampling_rate", sampling_rate, "Hz"))
         touch = validation.real("onset", onset, "s")
         leading, index = self._broadcast_with(onset=touch)
-        if frames.shape[:-1] != leading or frames.dtype.kind != "f" or not frames.flags.c_contiguous:
-            raise InvalidValue(
-                f"frames must be C-contiguous float samples of shape {(*leading, 'n_samples')}, "
-                f"got {frames.dtype} of shape {frames.shape}"
-            )
+        _require_frames(frames, leading)
+        _require_threads(threads)
         self._curves_of(leading, index).add_to_frames(
             frames.reshape(index.size, frames.shape[-1]),
-            np.broadcast_to(touch, leading).ravel() * sampling_rate,
-            1 / (sampling_rate * self.time_scale.ravel()[index]),
+            np.broadcast_to(touch, leading).ravel() * rate,
+            1 / (rate * self.time_scale.ravel()[index]),
             self.force_scale.ravel()[index],
             threads,
         )
@@ -284,7 +284,17 @@ class Impact(Collision):
         return self.curves if leading == self.reduced_mass.shape else self.curves.taken(index)
 
 
-def _require_output(dtype: str, threads: int) -> None:
-    validation.choice("dtype", dtype, ("float64", "float32"))
+def _require_frames(frames: NDArray[Any], leading: tuple[int, ...]) -> None:
+    validation.instance("frames", frames, np.ndarray)
+    usable = frames.dtype in (np.float32, np.float64) and frames.flags.c_contiguous and frames.flags.writeable
+    if frames.shape[:-1] != leading or not frames.ndim or not usable:
+        shape = ", ".join(map(str, (*leading, "n_samples")))
+        raise InvalidValue(
+            f"frames must be writeable C-contiguous float32 or float64 samples of shape ({shape}), "
+            f"got {frames.dtype} of shape {frames.shape}"
+        )
+
+
+def _require_threads(threads: int) -> None:
     if threads < 1:
         raise InvalidValue(f"threads must be 1 or more, got {threads}")

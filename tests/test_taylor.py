@@ -1,0 +1,321 @@
+"""The reference path: order of convergence, quadrature, scipy's solvers, its limits, and what becomes of an impact."""
+
+import numpy as np
+import pytest
+from scipy.special import beta
+
+from cgid.impact import _taylor
+from cgid.impact.closed_forms import peak_displacement, peak_force
+from cgid.impact.quadrature import reference_pulse, time_of_peak
+from cgid.impact.restitution import damping_number
+from tests import naive
+
+HALF = float(damping_number(0.5))
+#: Damping, zeta, lambda, gamma of each mechanism by itself and of those that act together.
+MECHANISMS = {
+    "elastic": (0, 0, 0, 0),
+    "hunt-crossley": (HALF, 0, 0, 0),
+    "viscoelastic": (0, 0.5, 0, 0),
+    "plate": (0, 0, 0.5, 0),
+    "plate hunt-crossley": (HALF, 0, 0.5, 0),
+    "gravity hunt-crossley": (HALF, 0, 0, 0.02),
+}
+
+
+def summary(parameters, order=_taylor.ORDER, fixed=0.0):
+    """Return the results of one impact by name."""
+    out = np.full((1, len(_taylor.RESULTS)), np.nan)
+    _taylor.summaries(np.array([parameters], float), order, fixed, out, np.array([0]))
+    return dict(zip(_taylor.RESULTS, out[0], strict=True))
+
+
+def curve(times, parameters, row=_taylor.FORCE):
+    times = np.atleast_2d(times)
+    out = np.full(times.shape, np.nan)
+    ones = np.ones(len(times))
+    columns = np.broadcast_to(np.array(parameters, float), (len(times), 4)).copy()
+    _taylor.at_times(times, columns, ones, ones, row, _taylor.ORDER, out, np.arange(len(times)))
+    return out[0] if len(out) == 1 else out
+
+
+def crowded(duration, n=400):
+    """Return times that crowd at both ends of contact, where the pulse is not smooth, and do not touch them."""
+    return duration * np.sin(np.pi / 2 * np.linspace(0, 1, n + 2)[1:-1]) ** 2
+
+
+# ---- order of convergence ---------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("order", [4, 6, 8])
+@pytest.mark.parametrize("name", MECHANISMS)
+def test_equal_steps_converge_at_the_order_of_the_series(name, order):
+    """A series of order p leaves h^(p+1) a step, h^p in all, because in sigma touch and separation are analytic.
+
+    The exponent is that of a line through at least four errors of restitution and contact time together, from the
+    step .3 down to the errors where rounding begins. Half an order is room for the terms of higher order at the
+    largest steps (measured: within .45 of p); an engine that is not smooth at touch is caught at 2.5.
+    """
+    exact = summary(MECHANISMS[name])
+    steps, errors = 0.3 * 2.0 ** (-np.arange(9) / 2), []
+    for step in steps:
+        found = summary(MECHANISMS[name], order, step)
+        errors.append(np.hypot(*(found[key] - exact[key] for key in ("restitution", "contact_time"))))
+    used = np.array(errors) > 1e-12
+    assert used.sum() >= 4
+    exponent = np.polyfit(np.log(steps[used]), np.log(np.array(errors)[used]), 1)[0]
+    assert exponent == pytest.approx(order, abs=0.5)
+
+
+@pytest.mark.parametrize("e", [1.0, 0.8, 0.5, 0.2])
+def test_the_classical_rule_in_plain_time_converges_at_two_and_a_half(e):
+    """x^(3/2) has no second derivative at touch: the first step errs by h^(5/2), whatever the order of the rule."""
+    pulse = reference_pulse(e)
+    exact = pulse.evaluate(np.array([1.0]))[0][0]
+    errors = np.array([abs(naive.impact_rk4(pulse.damping, 1.0, n)[0] - exact) for n in (80, 160, 320, 640)])
+    assert np.log2(errors[:-1] / errors[1:]) == pytest.approx(2.5, abs=0.02)
+
+
+def test_lengths_that_the_series_choose_give_what_far_shorter_steps_give():
+    for parameters in MECHANISMS.values():
+        chosen, short = summary(parameters), summary(parameters, 12, 0.02)
+        assert list(chosen.values()) == pytest.approx(list(short.values()), rel=2e-14, abs=2e-14)
+
+
+# ---- against quadrature: Hunt-Crossley alone --------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "e", [1.0, 1 - 1e-12, 1 - 1e-6, 0.99, 0.8, 0.5, 0.2, 0.1, 0.05, 0.02, 1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-9, 1e-12]
+)
+def test_quadrature_agrees(e):
+    pulse = reference_pulse(e)
+    parameters = (pulse.damping, 0, 0, 0)
+    found = summary(parameters)
+    assert found["status"] == _taylor.SEPARATED
+    assert found["restitution"] == pytest.approx(e, rel=2e-14)
+    assert found["contact_time"] == pytest.approx(pulse.contact_time, rel=5e-14)
+    assert found["time_of_peak"] == pytest.approx(time_of_peak(e), rel=1e-14)
+    assert found["compression_time"] == pytest.approx(pulse.compression_time, rel=1e-14)
+    assert found["peak_force"] == pytest.approx(float(peak_force(pulse.damping)), rel=1e-14)
+    assert found["peak_displacement"] == pytest.approx(float(peak_displacement(pulse.damping)), rel=1e-14)
+    assert (found["end_displacement"], found["plate_energy"]) == (0, 0)
+    times = np.concatenate([crowded(pulse.contact_time), crowded(pulse.compression_time)])
+    displacement, force = pulse.evaluate(times)
+    assert np.abs(curve(times, parameters) - force).max() < 2e-14 * found["peak_force"]
+    deviation = np.abs(curve(times, parameters, _taylor.DISPLACEMENT) - displacement)
+    assert deviation.max() < 5e-14 * found["peak_displacement"]
+
+
+# ---- against scipy: everything else -----------------------------------------------------------------------------
+
+SCIPY_CASES = [
+    *((0, zeta, 0, 0) for zeta in (1e-3, 0.03, 0.5, 3.0, 10.0, 100.0)),
+    *((0, 0, inelasticity, 0) for inelasticity in (0.01, 0.1, 0.5, 1.5, 5.0)),
+    *((HALF, 0, inelasticity, 0) for inelasticity in (0.01, 0.5, 5.0)),
+    (float(damping_number(0.05)), 0, 0.3, 0),
+    (0, 0.05, 0.1, 0), (0, 2.0, 1.0, 0),
+    (0, 0, 0, 0.3), (HALF, 0, 0, 1e-3), (HALF, 0, 0, 0.05), (0, 0.1, 0, 0.01), (0, 0, 0.2, 0.01),
+    (HALF, 0, 0.1, 1e-3), (0, 0.1, 0.1, 0.005),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("parameters", SCIPY_CASES)
+def test_scipy_agrees(parameters):
+    slow, found = naive.Contact(*parameters), summary(parameters)
+    assert found["status"] == _taylor.SEPARATED
+    # Where zeta is large the force falls to zero nearly along the axis, and its end is felt less well by scipy.
+    along_the_axis = 1e-9 if parameters[1] > 5 else 5e-12
+    assert found["contact_time"] == pytest.approx(slow.contact_time, rel=along_the_axis)
+    assert found["restitution"] == pytest.approx(slow.restitution, rel=1e-11)
+    assert found["plate_energy"] == pytest.approx(slow.plate_energy, abs=1e-13)
+    assert found["end_displacement"] == pytest.approx(slow.end_displacement, abs=1e-12)
+    times = crowded(slow.contact_time)
+    displacement, force = slow.evaluate(times)
+    assert np.abs(curve(times, parameters) - force).max() < 5e-12 * found["peak_force"]
+    deviation = np.abs(curve(times, parameters, _taylor.DISPLACEMENT) - displacement)
+    assert deviation.max() < 5e-12 * found["peak_displacement"]
+
+
+@pytest.mark.parametrize("parameters", SCIPY_CASES)
+def test_peaks_are_the_largest_values_of_the_curves(parameters):
+    found = summary(parameters)
+    times = np.concatenate([
+        crowded(found["contact_time"], 4000),
+        found["time_of_peak"] * np.linspace(0.99, 1.01, 101),
+        np.minimum(found["compression_time"] * np.linspace(0.99, 1.01, 101), found["contact_time"]),
+    ])  # fmt: skip
+    for row, peak, time in (("FORCE", "peak_force", "time_of_peak"),
+                            ("DISPLACEMENT", "peak_displacement", "compression_time")):  # fmt: skip
+        values = curve(times, parameters, getattr(_taylor, row))
+        assert values.max() <= found[peak] * (1 + 4e-15)
+        assert curve(found[time], parameters, getattr(_taylor, row)) == pytest.approx(found[peak], rel=4e-15)
+
+
+def test_impulse_and_energy_of_plate_and_loss_by_quadrature_of_the_curves():
+    """Gauss nodes of theta, tau/tau_c = sin^2(pi theta/2), see the invariants of the motion to rounding."""
+    nodes, weights = np.polynomial.legendre.leggauss(160)
+    theta = (nodes + 1) / 2
+    for parameters in SCIPY_CASES:
+        _, _, inelasticity, weight = parameters
+        found = summary(parameters)
+        force = curve(found["contact_time"] * np.sin(np.pi / 2 * theta) ** 2, parameters)
+        measure = weights / 2 * found["contact_time"] * np.pi / 2 * np.sin(np.pi * theta)
+        momentum = 1 + found["restitution"] + weight * found["contact_time"]
+        assert (force * measure).sum() == pytest.approx(momentum, rel=1e-11)
+        assert inelasticity * (force**2 * measure).sum() == pytest.approx(found["plate_energy"], abs=1e-11)
+
+
+# ---- times in any order, and frames -----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", MECHANISMS)
+@pytest.mark.parametrize("row", [_taylor.FORCE, _taylor.DISPLACEMENT])
+def test_times_in_any_order_and_more_than_once(name, row):
+    """Seeking forth, back and nowhere ends in the same place (but for the rounding of Newton's last step)."""
+    parameters = MECHANISMS[name]
+    times = crowded(summary(parameters)["contact_time"], 300)
+    shuffled = np.random.default_rng(3).permutation(np.concatenate([times, times, times[:50]]))
+    alone = np.array([curve(time, parameters, row)[0] for time in times])
+    for order in (np.argsort(times), np.argsort(-times)):
+        assert np.abs(curve(times[order], parameters, row) - alone[order]).max() < 4e-15
+    expected = alone[np.searchsorted(times, shuffled)]
+    assert np.abs(curve(shuffled, parameters, row) - expected).max() < 4e-15
+
+
+@pytest.mark.parametrize("name", MECHANISMS)
+def test_nothing_before_touch_at_touch_and_from_separation_on(name):
+    parameters = MECHANISMS[name]
+    found = summary(parameters)
+    end = found["contact_time"]
+    outside = np.array([-1e300, -1.0, -5e-324, 0.0, end, np.nextafter(end, 9), 2 * end, 1e300])
+    for row in (_taylor.FORCE, _taylor.DISPLACEMENT):
+        assert (curve(outside, parameters, row) == 0).all()
+        # The first and the last number within contact: force goes like the time to the power 3/2, or less.
+        first, last = curve(np.array([5e-324, np.nextafter(end, 0)]), parameters, row)
+        left = found["end_displacement"] if row == _taylor.DISPLACEMENT else 0.0
+        assert 0 <= first < 1e-150
+        assert last == pytest.approx(left, abs=2e-15)
+        assert last >= 0
+
+
+def test_just_after_touch_force_and_displacement_follow_their_first_terms():
+    tau = np.array([1e-12, 1e-9, 1e-6])
+    for name, (damping, zeta, _, _) in MECHANISMS.items():
+        displacement = curve(tau, MECHANISMS[name], _taylor.DISPLACEMENT)
+        assert displacement == pytest.approx(tau, rel=1e-8)
+        first = (1 + damping) * tau**1.5 + zeta * tau**0.5
+        assert curve(tau, MECHANISMS[name]) == pytest.approx(first, rel=1e-4 if name == "viscoelastic" else 1e-5)
+
+
+@pytest.mark.parametrize("onset", [0.0, 3.25, 17.0, -5.5, -40.0, 58.0, 59.0, 60.0, 400.0, -400.0, 1e30, -1e30])
+def test_frames_hold_what_the_curve_holds_on_their_grid(onset):
+    names = list(MECHANISMS)
+    parameters = np.array([MECHANISMS[name] for name in names], float)
+    step, amplitude = np.linspace(0.05, 0.09, len(names)), np.linspace(1.0, 3.0, len(names))
+    ground = np.random.default_rng(1).normal(size=(len(names), 60))
+    frames = ground.copy()
+    rows = np.arange(len(names))
+    _taylor.add_to_frames(frames, np.full(len(names), onset), step, parameters, amplitude, _taylor.ORDER, rows)
+    times = (np.arange(60) - onset) * step[:, None]
+    pulses = np.empty(frames.shape)
+    _taylor.at_times(times, parameters, np.ones(len(names)), amplitude, _taylor.FORCE, _taylor.ORDER, pulses, rows)
+    assert np.abs(frames - (ground + pulses)).max() < 1e-14
+    outside = pulses == 0
+    assert (frames[outside] == ground[outside]).all()
+
+
+def test_only_the_rows_asked_for_are_touched():
+    parameters = np.array([MECHANISMS["plate"]] * 5, float)
+    times, ones, some = np.full((5, 3), 0.7), np.ones(5), np.array([3, 1])
+    results, values = np.full((5, len(_taylor.RESULTS)), 7.0), np.full((5, 3), 7.0)
+    frames = np.full((5, 8), 7.0)
+    _taylor.summaries(parameters, _taylor.ORDER, 0.0, results, some)
+    _taylor.at_times(times, parameters, ones, ones, _taylor.FORCE, _taylor.ORDER, values, some)
+    _taylor.add_to_frames(frames, np.zeros(5), np.full(5, 0.2), parameters, ones, _taylor.ORDER, some)
+    for touched in (results, values, frames):
+        assert (touched[[0, 2, 4]] == 7).all()
+        assert (touched[[1, 3]] != 7).any(axis=1).all()
+        assert (touched[1] == touched[3]).all()
+
+
+# ---- what becomes of an impact ----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "parameters", [(HALF, 0, 0, 1.0), (HALF, 0, 0, 0.6), (0, 0.5, 0, 2.0), (0, 0, 0.5, 0.3), (6.9, 0, 0, 0.071)]
+)
+def test_a_weight_that_holds_the_sphere_on_the_target(parameters):
+    assert summary(parameters)["status"] == _taylor.STAYS
+    assert not naive.Contact(*parameters, longest=300).separates
+    assert (curve(np.linspace(0, 50, 200), parameters) == 0).all()
+
+
+def test_the_weight_that_just_lets_the_sphere_leave():
+    """Scipy and the reference path see the same side of the edge."""
+    leaving = summary((HALF, 0, 0, 0.1))["status"]
+    low, high = 0.05, 0.3
+    assert leaving == _taylor.SEPARATED
+    for _ in range(30):
+        middle = 0.5 * (low + high)
+        if summary((HALF, 0, 0, middle))["status"] == _taylor.SEPARATED:
+            low = middle
+        else:
+            assert summary((HALF, 0, 0, middle))["status"] == _taylor.STAYS
+            high = middle
+    assert naive.Contact(HALF, weight=low * (1 - 1e-6), longest=100).separates
+    assert not naive.Contact(HALF, weight=high * (1 + 1e-6), longest=100).separates
+
+
+@pytest.mark.parametrize("weight", [1e-3, 0.1, 1.0, 10.0, 100.0])
+def test_an_elastic_sphere_leaves_as_fast_as_it_came_however_heavy(weight):
+    """The first integral 1/2 + gamma x = 2/5 x^(5/2) + 1/2 x'^2 gives the turn and all of the time."""
+    found = summary((0, 0, 0, weight))
+    assert found["status"] == _taylor.SEPARATED
+    # The fall beneath touch is worth gamma x_max beside the energy of impact, and takes as many digits.
+    assert found["restitution"] == pytest.approx(1, abs=2e-15 * (1 + weight * found["peak_displacement"]))
+    turn = np.polynomial.Polynomial([-0.5, 0, -weight, 0, 0, 0.4]).roots()  # in x^(1/2)
+    largest = turn[(abs(turn.imag) < 1e-9) & (turn.real > 0)].real.max() ** 2
+    assert found["peak_displacement"] == pytest.approx(largest, rel=1e-12)
+    assert found["peak_force"] == pytest.approx(largest**1.5, rel=1e-12)
+    assert found["contact_time"] == pytest.approx(2 * found["compression_time"], rel=1e-12)
+
+
+@pytest.mark.parametrize("parameters", [(0, 1e8, 0, 0), (0, 0, 100.0, 0), (0, 0, 1e200, 0), (0, 1e300, 0, 0),
+                                        (1e300, 0, 0, 0), (0, 0, 0, 1e200)])  # fmt: skip
+def test_what_double_precision_cannot_follow_is_said(parameters):
+    assert summary(parameters)["status"] == _taylor.OUT_OF_REACH
+    assert (curve(np.linspace(0, 50, 200), parameters) == 0).all()
+
+
+# ---- continuity -------------------------------------------------------------------------------------------------
+
+SMALL = 10.0 ** np.arange(-14, -5)
+#: Twice the integral of x^(1/2) x' over the compression of an elastic impact: 1 - e = C zeta.
+LOSS = 0.8 * 1.25**0.6 * beta(0.6, 1.5)
+
+
+@pytest.mark.parametrize("number", SMALL)
+def test_a_little_loss_is_what_perturbation_says(number):
+    elastic = summary((0, 0, 0, 0))
+    viscous, plate = summary((0, number, 0, 0)), summary((0, 0, number, 0))
+    assert 1 - viscous["restitution"] == pytest.approx(LOSS * number, rel=4 * number, abs=2e-15)
+    assert viscous["end_displacement"] == pytest.approx(number, rel=2 * number, abs=2e-16)
+    # The equation of x is that of zeta = 3/2 lambda, and what x loses the plate has taken.
+    assert 1 - plate["restitution"] == pytest.approx(1.5 * LOSS * number, rel=4 * number, abs=2e-15)
+    assert plate["plate_energy"] == pytest.approx(1.5 * LOSS * number, rel=4 * number, abs=1e-18)
+    for found in (viscous, plate):
+        for name in ("contact_time", "peak_force", "time_of_peak", "peak_displacement", "compression_time"):
+            assert found[name] == pytest.approx(elastic[name], rel=2 * number + 4e-15)
+
+
+@pytest.mark.parametrize("number", SMALL)
+def test_a_little_weight_and_a_little_of_everything(number):
+    elastic, heavy = summary((0, 0, 0, 0)), summary((0, 0, 0, number))
+    assert heavy["restitution"] == pytest.approx(1, abs=1e-15)
+    # d(x_max)/d(gamma) = x_max / (x_max^(3/2)) from the first integral.
+    drop = number * elastic["peak_displacement"] ** -0.5
+    assert heavy["peak_displacement"] - elastic["peak_displacement"] == pytest.approx(drop, rel=2 * number, abs=1e-15)
+    times = np.linspace(0, elastic["contact_time"], 300)
+    plain = curve(times, (0, 0, 0, 0))
+    for parameters in ((0, number, 0, 0), (0, 0, number, 0), (0, 0, 0, number), (number, number, number, number)):
+        assert np.abs(curve(times, parameters) - plain).max() < 4 * number + 1e-14
