@@ -9,15 +9,19 @@ from cgid.impact.quadrature import reference_pulse, time_of_peak
 from cgid.impact.restitution import damping_number
 
 
-@pytest.mark.parametrize("e", [1.0, 0.999, 0.8, 0.5, 0.3, 0.2, 0.1, 0.07, 0.05])
-def test_table_agrees_with_quadrature(e):
+@pytest.mark.parametrize(
+    ("e", "error"),
+    [(1.0, 2e-13), (0.999, 2e-13), (0.8, 2e-13), (0.5, 2e-13), (0.3, 2e-13), (0.2, 2e-13), (0.1, 2e-12), (0.07, 1e-11),
+     (0.0552, 4e-11), (0.05, 4e-11)],
+)  # fmt: skip
+def test_table_agrees_with_quadrature(e, error):
     pulse = reference_pulse(e)
     tau = np.random.default_rng(7).uniform(0, pulse.contact_time, 400)
     displacement, force = pulse.evaluate(tau)
-    assert np.abs(family.force(tau, e) - force).max() < 2e-10 * force.max()
-    assert np.abs(family.displacement(tau, e) - displacement).max() < 1e-10 * displacement.max()
+    assert np.abs(family.force(tau, e) - force).max() < error * force.max()
+    assert np.abs(family.displacement(tau, e) - displacement).max() < error * displacement.max()
     assert np.array(family.times(e)) == pytest.approx(
-        [pulse.contact_time, time_of_peak(e), pulse.compression_time], rel=1e-12
+        [pulse.contact_time, time_of_peak(e), pulse.compression_time], rel=2e-14
     )
 
 

@@ -1,5 +1,6 @@
 """The laws of loss: damping factors, viscoelastic spheres, thin plates, gravity, their energy, and their inverses."""
 
+import linecache
 from dataclasses import replace
 
 import numpy as np
@@ -334,6 +335,8 @@ def test_gravity_that_weighs_nothing_changes_no_bit(name):
     assert (weightless.displacement(times) == without.displacement(times)).all()
     assert (weightless.force_frames(1e6, 400) == without.force_frames(1e6, 400)).all()
     assert np.abs(weighs.force(times) - without.force(times)).max() < 1e-10 * without.peak_force
+    pull = float(weighs.impulse / without.impulse) - 1
+    assert pull == pytest.approx(2e-12 * float(without.curves.times[0][0]) / (1 + float(without.restitution)), rel=0.5)
 
 
 def test_impacts_with_and_without_weight_stand_in_one_array():
@@ -509,6 +512,7 @@ def test_the_plate_warns_from_lambda_one_and_a_half_on_where_the_impact_was_made
         plate_of(np.array([0.1, 1.5000001]))
     assert len(caught) == 1
     assert caught[0].filename == __file__
+    assert "Impact(" in linecache.getline(__file__, caught[0].lineno)
 
 
 def test_a_heavy_sphere_that_sinks_beyond_hertz_warns():
