@@ -8,9 +8,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import stats
 
-from cgid.errors import InvalidValue
+from cgid.errors import BadData, InvalidValue
 from cgid.filters import fft_filter
-from cgid.impact import RIGID, Elastic, HalfSpace, HuntCrossley, Impact, Sphere, _kernels
+from cgid.impact import HUNT_CROSSLEY_LAWS, RIGID, Elastic, HalfSpace, HuntCrossley, Impact, Sphere, _kernels
 from cgid.materials import Material
 from cgid.scene import load_scene, parse_scene, synthesise
 from cgid.scene import synthesis as synthesis_module
@@ -25,7 +25,7 @@ def uniform(lowest, highest):
     return {"distribution": "uniform", "lowest": lowest, "highest": highest}
 
 
-def scene_of(samples=256, target="rigid", stiffness="hertz", elastic=False, sensor=None, **sampling):
+def scene_of(samples=256, target="rigid", stiffness="hertz", elastic=False, law="exact", sensor=None, **sampling):
     population = {
         "density": uniform(1300, 1500),
         "youngs_modulus": uniform("2 GPa", "5 GPa"),
@@ -41,6 +41,7 @@ def scene_of(samples=256, target="rigid", stiffness="hertz", elastic=False, sens
             "impact": {
                 "stiffness": stiffness,
                 "dissipation": "elastic" if elastic else "hunt-crossley",
+                "law": law,
                 "target": target,
             },
             "sampling": {"sampling_rate": RATE, "samples": samples, "pre_trigger": 16, **sampling},
@@ -83,6 +84,15 @@ def expected_frames(batch, scene):
     return impact_of(batch, scene).force(times)
 
 
+def test_a_scene_takes_every_law_of_an_impact():
+    for law in HUNT_CROSSLEY_LAWS:
+        delivered = batch_of(scene_of(samples=32, law=law)).parameters["restitution"]
+        asked = batch_of(scene_of(samples=32)).parameters["restitution"]
+        assert delivered == pytest.approx(HuntCrossley(restitution=asked, law=law).delivered_restitution, rel=1e-12)
+    with pytest.raises(BadData, match="law"):
+        scene_of(law="newton")
+
+
 # ---- clean signals ---------------------------------------------------------------------------------------------------
 
 KINDS = [
@@ -91,6 +101,9 @@ KINDS = [
     {"target": STEEL, "stiffness": "series"},
     {"target": STEEL, "stiffness": "rigid-sphere"},
     {"target": STEEL, "elastic": True},
+    # The stored restitution is the delivered one: by the exact law it gives the same pulse again.
+    {"target": STEEL, "law": "flores"},
+    {"target": STEEL, "law": "lee-wang"},
     {"target": STEEL, "jitter": 0.0},
 ]
 
