@@ -27,7 +27,7 @@ TABLE_PATH = Path(__file__).with_name("family.npz")
 LOWEST_RESTITUTION, HIGHEST_RESTITUTION = 0.05, 1.0
 #: Intervals of ln e, and coefficients of the polynomial on each.
 INTERVALS, ORDERS = 16, 9
-#: Segments of sigma in either half of a pulse, and coefficients of the polynomial on each.
+#: Segments of sigma in either half of a pulse, and coefficients of the polynomial on each (an even number).
 SEGMENTS, POWERS = 4, 18
 #: Columns behind the coefficients of both halves: contact time and the time of the cut.
 CONTACT, CUT = 2 * SEGMENTS * POWERS, 2 * SEGMENTS * POWERS + 1

@@ -42,17 +42,19 @@ def _add_segment(
     """Add the force on samples that lie in one segment; square is sigma^2 of the first, step its increment.
 
     The loop runs over a slice from its start and over a fixed number of powers, which is what lets the compiler
-    take several samples at once.
+    take several samples at once. Even and odd powers are two chains, which run side by side in the processor.
     """
     offset = 2.0 * segment + 1.0
     for k in range(samples.size):
         sigma_square = abs(square + k * step)
         sigma = math.sqrt(sigma_square)
         u = 2.0 * SEGMENTS * sigma - offset
-        value = coefficients[POWERS - 1]
-        for power in range(POWERS - 2, -1, -1):
-            value = value * u + coefficients[power]
-        samples[k] += amplitude * (value * sigma_square * sigma)
+        square_of_u = u * u
+        even, odd = coefficients[POWERS - 2], coefficients[POWERS - 1]
+        for power in range(POWERS - 4, -1, -2):
+            even = even * square_of_u + coefficients[power]
+            odd = odd * square_of_u + coefficients[power + 1]
+        samples[k] += amplitude * ((even + u * odd) * sigma_square * sigma)
 
 
 @_jit

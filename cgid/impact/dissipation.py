@@ -13,7 +13,6 @@ from cgid.impact.damping_factors import HUNT_CROSSLEY_LAWS
 from cgid.impact.restitution import delivered_restitution
 from cgid.validation import Floats
 
-
 #: An impact so damped that it would lie outside the reach of double precision anyway.
 _MOST_DAMPING = 1e100
 
