@@ -129,13 +129,16 @@ def check_conservation(impact: Impact, worst: Worst, family: str, where: Callabl
     """Integrate the evaluated pulses and compare with what the impact says of itself."""
     times, weights = graded_times(impact)
     flat = times.reshape(times.shape[0], -1)
-    force = impact.force(flat, threads=threads).reshape(times.shape)
-    displacement = impact.displacement(flat, threads=threads).reshape(times.shape)
+    with_peak = np.append(flat, impact.time_of_peak[:, None], axis=1)
+    force, at_peak = np.split(impact.force(with_peak, threads=threads), [flat.shape[1]], axis=1)
+    with_turn = np.append(flat, impact.compression_time[:, None], axis=1)
+    displacement, deepest = np.split(impact.displacement(with_turn, threads=threads), [flat.shape[1]], axis=1)
+    force, displacement = force.reshape(times.shape), displacement.reshape(times.shape)
     bad = ~np.isfinite(force) | ~np.isfinite(displacement) | (force < 0) | (displacement < 0)
     worst.note(f"{family}: nan, inf, negative or attractive forces", bad.any(axis=(1, 2)).astype(float), where)
     momentum, energy = impact.reduced_mass * impact.velocity, 0.5 * impact.reduced_mass * impact.velocity**2
     impulse = (force * weights).sum(axis=(1, 2))
-    worst.note(f"{family}: impulse / (m v)", (impulse - impact.impulse) / momentum, where)
+    worst.note(f"{family}: impulse", impulse / impact.impulse - 1, where)
     pull = impact.gravity * impact.contact_duration / impact.velocity
     delivered = impulse / momentum - pull - 1
     worst.note(f"{family}: delivered restitution, from the impulse", delivered - impact.restitution, where)
@@ -147,17 +150,18 @@ def check_conservation(impact: Impact, worst: Worst, family: str, where: Callabl
         radiated = (force**2 * weights).sum(axis=(1, 2)) / impact.target.impedance
         worst.note(f"{family}: energy in the plate", (radiated - impact.radiated_energy) / energy, where)
         balance = balance - radiated
-    fall = impact.reduced_mass * impact.gravity * impact.end_displacement
+    way = impact.end_displacement
+    if isinstance(impact.target, ThinPlate):
+        way = way + impulse / impact.target.impedance
+    fall = impact.reduced_mass * impact.gravity * way
     worst.note(f"{family}: energy balance", (balance + fall) / energy, where)
     worst.note(
         f"{family}: largest force over the stated peak",
         np.maximum(force.max(axis=(1, 2)) / impact.peak_force - 1, 0),
         where,
     )
-    at_peak = impact.force(impact.time_of_peak[:, None])[:, 0] / impact.peak_force - 1
-    worst.note(f"{family}: force at the time of the peak", at_peak, where)
-    deepest = impact.displacement(impact.compression_time[:, None])[:, 0] / impact.peak_displacement - 1
-    worst.note(f"{family}: displacement at its largest", deepest, where)
+    worst.note(f"{family}: force at the time of the peak", at_peak[:, 0] / impact.peak_force - 1, where)
+    worst.note(f"{family}: displacement at its largest", deepest[:, 0] / impact.peak_displacement - 1, where)
 
 
 def check_similarity(p: dict[str, np.ndarray], worst: Worst, where: Callable[[int], str], rng: Any) -> None:
@@ -167,13 +171,14 @@ def check_similarity(p: dict[str, np.ndarray], worst: Worst, where: Callable[[in
     curves = [
         impact.force(share * impact.contact_duration[:, None]) / impact.peak_force[:, None] for impact in (one, other)
     ]
-    worst.note("similarity: force / peak of two impacts of one restitution", (curves[0] - curves[1]).max(axis=1), where)
+    apart = np.abs(curves[0] - curves[1]).max(axis=1)
+    worst.note("similarity: force / peak of two impacts of one restitution", apart, where)
 
 
 def check_sampling(impact: Impact, worst: Worst, where: Callable[[int], str], rng: Any, threads: int) -> None:
     """Sample 2 to 1e5 times a pulse into frames of float64 and float32, touch anywhere."""
     samples = int(np.exp(rng.uniform(np.log(2), np.log(1e5))))
-    few = np.sort(rng.permutation(impact.velocity.size)[: max(1, 200_000 // samples)])
+    few = np.sort(rng.permutation(impact.velocity.size)[: max(1, 100_000 // samples)])
     # Frames have one rate: time is stretched so that each pulse has as many samples.
     curves = impact.curves.taken(few)
     onset = rng.uniform(-1, 3, few.size)
@@ -196,7 +201,7 @@ def check_sampling(impact: Impact, worst: Worst, where: Callable[[int], str], rn
 
 
 def check_other_laws(p: dict[str, np.ndarray], worst: Worst, rng: Any, threads: int) -> None:
-    """Viscoelastic spheres, thin plates and gravity, over the whole range in which they rebound."""
+    """Viscoelastic spheres to zeta 30, thin plates to lambda 1.5, weights so small that the sphere still leaves."""
     n = p["e"].size
     base = impact_of(p)
     zeta, inelasticity = np.exp(rng.uniform(np.log(1e-9), np.log(30), n)), np.exp(rng.uniform(np.log(1e-9), 0.4, n))
@@ -211,6 +216,7 @@ def check_other_laws(p: dict[str, np.ndarray], worst: Worst, rng: Any, threads: 
         "thin plate": ({"target": plate}, inelasticity),
         "viscoelastic on a thin plate": ({"target": plate, "dissipation": loss}, zeta),
         "gravity": ({"gravity": gravity}, gravity),
+        "gravity on a thin plate": ({"gravity": gravity, "target": plate}, inelasticity),
     }
     for name, (change, number) in cases.items():
         check_conservation(
@@ -250,16 +256,17 @@ def main() -> None:
         def where(i: int, p: dict[str, np.ndarray] = p) -> str:
             return ", ".join(f"{name} {values[i]:.3g}" for name, values in p.items())
 
-        impact = impact_of(p)
-        beyond += int((impact.peak_displacement > HERTZ_LIMIT * impact.reduced_radius).sum())
         tried += BATCH
         for name, rows in (("table", p["e"] >= 0.05), ("beyond the table", p["e"] < 0.05)):
             index = np.flatnonzero(rows)
             part = {key: values[index] for key, values in p.items()}
-            check_conservation(impact_of(part), worst, name, lambda i, j=index: where(j[i]), options.threads)
+            impact = impact_of(part)
+            beyond += int((impact.peak_displacement > HERTZ_LIMIT * impact.reduced_radius).sum())
+            here = lambda i, j=index: where(j[i])  # noqa: E731
+            check_conservation(impact, worst, name, here, options.threads)
+            check_sampling(impact, worst, here, rng, options.threads)
         check_similarity(p, worst, where, rng)
-        check_sampling(impact, worst, where, rng, options.threads)
-        if batch % 10 == 0:
+        if batch % 20 == 0:
             check_other_laws(p, worst, rng, options.threads)
     print(f"{tried} impacts, {beyond} of them ({beyond / tried:.0%}) outside Hertz's range (displacement / R > 0.1).\n")
     print(worst.table())

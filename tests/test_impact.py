@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from cgid import family
 from cgid.errors import InvalidValue
 from cgid.impact import (
     RIGID,
@@ -20,6 +21,7 @@ from cgid.impact import (
     Sphere,
     ThinPlate,
     Viscoelastic,
+    _kernels,
     free_fall_velocity,
 )
 from cgid.impact.closed_forms import peak_displacement, peak_force
@@ -325,6 +327,22 @@ def test_numpy_and_kernels_agree_on_the_table():
             few = np.concatenate([getattr(one, name)(part) for part in np.array_split(times, 3)])
             assert np.abs(many - few).max() < 1e-14 * peak[row]
             assert not (many == few).all()  # they were two ways, indeed
+
+
+@pytest.mark.parametrize("e", [0.05, 0.2, 0.37, 0.8, 1.0])
+@pytest.mark.parametrize("quantity", ["force", "displacement"])
+def test_the_halves_of_the_table_meet_at_the_cut(e, quantity):
+    """At the time of the cut, and at its neighbours, numpy and kernel give what quadrature gives."""
+    columns, place = getattr(family.table(), quantity), family.coordinate([e])
+    pulse = np.empty(columns.shape[2])
+    _kernels._blend(columns, place[0], pulse)
+    cut = pulse[family.CUT]
+    times = np.array([[np.nextafter(cut, 0), cut, np.nextafter(cut, 9)]])
+    found, ones = np.empty((1, 3)), np.ones(1)
+    _kernels.at_times(times, place, ones, ones, columns, quantity == "force", found, np.array([0]))
+    expected = reference_pulse(e).evaluate(times[0])[quantity == "force"]
+    assert found[0] == pytest.approx(expected, abs=5e-11)
+    assert getattr(family, quantity)(times, [e])[0] == pytest.approx(found[0], abs=1e-14)
 
 
 @pytest.mark.parametrize("onset", [0.0, 7.3e-6, -60e-6, 250e-6, 299e-6, 300e-6, 5.0, -5.0, 1e30, -1e30])
@@ -689,6 +707,22 @@ def test_a_restitution_near_nothing_is_refused_or_served_but_never_nan(e, law):
         assert "double precision" in str(error)
     else:
         assert np.isfinite(numbers).all()
+
+
+@pytest.mark.parametrize("e", [1e-49, 1e-30, 1e-12])  # fmt: skip
+def test_a_restitution_near_nothing_on_a_plate_is_refused_or_served_but_never_absurd(e):
+    try:
+        impact = one_of(dissipation=HuntCrossley(restitution=e), thickness=0.008)
+    except InvalidValue as error:
+        assert "double precision" in str(error)
+        return
+    assert 0 < impact.restitution < e * (1 + 1e-12)
+    assert impact.contact_duration > impact.time_scale
+
+
+def test_a_restitution_beyond_reach_is_refused_before_a_force_of_nothing_is_returned():
+    with pytest.raises(InvalidValue, match="double precision"):
+        paper_impact(dissipation=HuntCrossley(restitution=1e-80)).force([0.0, 1e-4])
 
 
 @pytest.mark.parametrize("law", ["gonthier", "flores", "hu-guo"])

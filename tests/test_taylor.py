@@ -266,6 +266,25 @@ def test_the_weight_that_just_lets_the_sphere_leave():
     assert not naive.Contact(HALF, weight=high * (1 + 1e-6), longest=100).separates
 
 
+@pytest.mark.parametrize(
+    ("damping", "zeta", "inelasticity"), [(HALF, 0, 0), (10.0, 0, 0), (0, 0.5, 0), (0, 20.0, 0), (3.0, 0, 1.0)]
+)
+def test_a_sphere_that_leaves_would_leave_if_it_were_lighter(damping, zeta, inelasticity):
+    """No step that happens to end near the turn, or where force and weight are equal, is taken for rest."""
+    low, high = 1e-9, 1.0
+    for _ in range(60):
+        middle = (low * high) ** 0.5
+        leaves = summary((damping, zeta, inelasticity, middle))["status"] == _taylor.SEPARATED
+        low, high = (middle, high) if leaves else (low, middle)
+    weights = np.geomspace(1e-6 * low, low, 3000)
+    parameters = np.column_stack([np.tile([damping, zeta, inelasticity], (weights.size, 1)), weights])
+    out = np.empty((weights.size, len(_taylor.RESULTS)))
+    _taylor.summaries(parameters, _taylor.ORDER, 0.0, out, np.arange(weights.size))
+    assert (out[:, 0] == _taylor.SEPARATED).all()
+    assert (np.diff(out[:, 1]) < 1e-12).all()  # and the heavier, the slower
+    assert low < 0.5
+
+
 @pytest.mark.parametrize("weight", [1e-3, 0.1, 1.0, 10.0, 100.0])
 def test_an_elastic_sphere_leaves_as_fast_as_it_came_however_heavy(weight):
     """The first integral 1/2 + gamma x = 2/5 x^(5/2) + 1/2 x'^2 gives the turn and all of the time."""

@@ -191,12 +191,14 @@ def _happen(watched: Array, order: int, h: float, at: Array) -> float:
 @_jit
 def _stays(step: Array, order: int, h: float, damping: float, zeta: float, weight: float, turned: bool) -> bool:
     """Tell at the end of a step whether gravity holds the sphere for good."""
-    u, w = _value(step[_U], order, h), _value(step[_W], order, h)
+    u = _value(step[_U], order, h)
     if abs(u) < 1e-13 or (turned and u > 0.0):
         return True
-    # It sinks in with its weight in balance, so damped (ever more, the deeper) that it will not swing back.
-    loss = damping * w**3 + zeta * w
-    return not turned and loss * loss > 100.0 * w and abs(_value(step[_F], order, h) - weight) < 1e-3 * weight
+    # Force and weight are in balance, and where the sphere can rest (x^(3/2) = gamma) it is so damped that it creeps
+    # there: it will not swing beyond.
+    root = weight ** (1.0 / 3.0)
+    loss = damping * weight + zeta * root
+    return loss * loss > 100.0 * root and abs(_value(step[_F], order, h) - weight) < 1e-3 * weight
 
 
 @_jit

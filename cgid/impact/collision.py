@@ -21,7 +21,7 @@ from cgid.validation import Floats
 NEGLIGIBLE_WEIGHT = 1e-12
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Collision:
     """What `Impact` is given, checked and broadcast, with its units of length, time and force; see `Impact`."""
 
@@ -52,7 +52,7 @@ class Collision:
                 "energy": (self.reduced_mass * self._velocity**2, "J"),
             }
             if isinstance(self.dissipation, Viscoelastic):
-                scales["dissipative constant"] = (self._loss, "s")
+                scales["dissipative constant"] = (self._loss[1], "s")
             if isinstance(self.target, ThinPlate):
                 scales["plate impedance"] = (self.target.impedance, "kg/s")
         for name, (scale, unit) in scales.items():
@@ -71,17 +71,16 @@ class Collision:
             "modulus": bodies.reduced_modulus(self.sphere, self.target),
             "velocity": np.asarray(self.velocity),
             "gravity": np.asarray(self.gravity),
-            "dissipation": self._loss,
+            "restitution": self._loss[0],
+            "dissipative_constant": self._loss[1],
             "thickness": np.asarray(self.target.thickness if isinstance(self.target, ThinPlate) else 0.0),
         }
         return validation.broadcast(**named)[0].shape
 
     @cached_property
-    def _loss(self) -> Floats:
-        """The one number of the dissipation: the material's restitution, or A."""
-        if isinstance(self.dissipation, Viscoelastic):
-            return self.dissipation.constant(bodies.sphere_share(self.sphere, self.target))
-        return self.dissipation.delivered_restitution
+    def _loss(self) -> tuple[Floats, Floats]:
+        """The material's restitution by Hunt-Crossley damping, and A of a viscoelastic sphere [s]."""
+        return self.dissipation.loss(bodies.sphere_share(self.sphere, self.target))
 
     def _broadcast(self, values: ArrayLike) -> Floats:
         return np.broadcast_to(np.asarray(values, dtype=np.float64), self._shape)
@@ -135,10 +134,10 @@ class Collision:
     @cached_property
     def curves(self) -> Curves:
         """The dimensionless curves, one row for each impact in C order."""
-        viscoelastic = isinstance(self.dissipation, Viscoelastic)
-        restitution = np.ones(self._shape) if viscoelastic else self._broadcast(self._loss)
+        restitution, constant = (self._broadcast(number) for number in self._loss)
         weight = self._broadcast(self.gravity) * self.length_scale / self._velocity**2
         # The harder the damping, the longer the contact: it lasts about e^-0.6 in units of T0.
         weight = np.where(weight < NEGLIGIBLE_WEIGHT * restitution**0.6, 0.0, weight)
-        zeta = self._broadcast(self._loss) / self.time_scale if viscoelastic else np.zeros(self._shape)
-        return Curves(restitution.ravel(), zeta.ravel(), np.ravel(self.inelasticity), weight.ravel())
+        return Curves(
+            restitution.ravel(), (constant / self.time_scale).ravel(), np.ravel(self.inelasticity), weight.ravel()
+        )

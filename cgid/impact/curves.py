@@ -25,7 +25,7 @@ from cgid.validation import Floats
 
 Quantity = Literal["force", "displacement"]
 #: Below it the time scales of braking and of leaving lie too far apart for double precision.
-LOWEST_RESTITUTION = 1e-50
+LOWEST_RESTITUTION = 1e-30
 #: Samples up to which numpy evaluates the table: no kernel needs compiling or loading for a pulse or two.
 _FEW = 4096
 #: Rows that a thread takes at once.
@@ -181,8 +181,9 @@ class Curves:
                 f"the sphere must rebound, but its weight holds it on the target ({numbers}){place}; "
                 "raise the velocity or the restitution, or leave gravity out"
             )
+        cure = "lower the loss, or leave gravity out" if self.weight[row] > 0 else "lower the loss"
         raise InvalidValue(
-            f"the loss must leave a rebound that double precision can follow, got {numbers}{place}; lower the loss"
+            f"the loss must leave a rebound that double precision can follow, got {numbers}{place}; {cure}"
         )
 
     def evaluate(

@@ -31,6 +31,10 @@ class Elastic:
         """Exactly 1."""
         return np.ones(())
 
+    def loss(self, sphere_share: Floats) -> tuple[Floats, Floats]:
+        """Return what `Collision` asks of every dissipation: restitution by Hunt-Crossley damping, and A [s]."""
+        return np.ones(()), np.zeros(())
+
 
 @dataclass(frozen=True, kw_only=True)
 class HuntCrossley:
@@ -82,6 +86,10 @@ class HuntCrossley:
             return validation.restitution("restitution", self.restitution)
         return delivered_restitution(self.damping_number)
 
+    def loss(self, sphere_share: Floats) -> tuple[Floats, Floats]:
+        """Return what `Collision` asks of every dissipation: restitution by Hunt-Crossley damping, and A [s]."""
+        return self.delivered_restitution, np.zeros(())
+
 
 @dataclass(frozen=True, kw_only=True)
 class Viscoelastic:
@@ -96,7 +104,8 @@ class Viscoelastic:
         A [s] as written above. (Brilliantov et al. 1996, Phys. Rev. E 53, 5382, write `3/2 A` for it.)
     time_constant : array_like, optional
         b [s] of a Kelvin-Voigt sphere, whose stress is that of the strain plus b times its rate. Then
-        `A = 3/2 b s`, where s is the sphere's share in the compliance of both bodies.
+        `A = 3/2 b s`, where s is the sphere's share in the compliance of both bodies: the target, a second sphere too,
+        is elastic. For two viscoelastic spheres give the dissipative constant of their contact.
 
     Raises
     ------
@@ -114,12 +123,17 @@ class Viscoelastic:
             if getattr(self, name) is not None:
                 validation.positive(name, getattr(self, name), "s")
 
-    def constant(self, sphere_share: Floats) -> Floats:
-        """Return A [s], given the sphere's share in the compliance of both bodies."""
+    def loss(self, sphere_share: Floats) -> tuple[Floats, Floats]:
+        """Return what `Collision` asks of every dissipation: restitution by Hunt-Crossley damping, and A [s].
+
+        sphere_share is the sphere's share in the compliance of both bodies.
+        """
         if self.time_constant is not None:
-            return np.asarray(1.5 * validation.positive("time_constant", self.time_constant, "s") * sphere_share)
-        assert self.dissipative_constant is not None
-        return validation.positive("dissipative_constant", self.dissipative_constant, "s")
+            constant = np.asarray(1.5 * validation.positive("time_constant", self.time_constant, "s") * sphere_share)
+        else:
+            assert self.dissipative_constant is not None  # __post_init__ saw to it
+            constant = validation.positive("dissipative_constant", self.dissipative_constant, "s")
+        return np.ones(()), constant
 
 
 Dissipation = Elastic | HuntCrossley | Viscoelastic

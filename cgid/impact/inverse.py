@@ -125,5 +125,13 @@ def _sought(
             f"restitution must lie between {least[unreachable][0]:.3g} and {lossless[unreachable][0]:.6g}, which the "
             f"impact has without this loss, got {wanted[unreachable][0]:g}"
         )
-    found = elementwise.find_root(excess, (low, high), args=(wanted, rows))
-    return np.asarray(np.exp(found.x))
+    found = np.asarray(elementwise.find_root(excess, (low, high), args=(wanted, rows)).x)
+    # With gravity the restitution falls from some value straight to nothing: the sphere stays.
+    missed = np.abs(excess(found, wanted, rows)) > 1e-9 * wanted
+    if missed.any():
+        last = wanted + excess(found - 1e-9, wanted, rows)
+        raise InvalidValue(
+            f"restitution must be {last[missed][0]:.3g} or more, for with more loss gravity holds the sphere on the "
+            f"target, got {wanted[missed][0]:g}"
+        )
+    return np.asarray(np.exp(found))

@@ -32,7 +32,7 @@ class ThinPlateWarning(UserWarning):
     """The impact is too heavy for Zener's thin plate."""
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Impact(Collision):
     """A normal impact of a sphere on a target; every number may be an array, and they broadcast.
 
