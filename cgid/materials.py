@@ -42,6 +42,7 @@ class Material:
         validation.positive("density", self.density, "kg/m^3")
         validation.positive("youngs_modulus", self.youngs_modulus, "Pa")
         validation.poisson_ratio("poisson_ratio", self.poisson_ratio)
+        validation.hold(self, "density", "youngs_modulus", "poisson_ratio")
 
     @property
     def plane_strain_compliance(self) -> validation.Floats:

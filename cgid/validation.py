@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import operator
 from typing import Any
 
 import numpy as np
@@ -84,9 +85,30 @@ def broadcast(**values: Floats) -> tuple[Floats, ...]:
 
 def choice(name: str, value: str, allowed: tuple[str, ...] | dict[str, Any]) -> str:
     """Return `value` if it is one of `allowed`; else raise with the list of names."""
-    if value not in allowed:
+    if not isinstance(value, str) or value not in allowed:
         raise InvalidValue(f"{name} must be one of {', '.join(map(repr, allowed))}, got {value!r}")
     return value
+
+
+def count(name: str, value: Any) -> int:
+    """Return `value` as a whole number of 1 or more, or raise `InvalidValue`."""
+    try:
+        number = operator.index(value)
+    except TypeError:
+        number = 0
+    if number < 1:
+        raise InvalidValue(f"{name} must be a whole number of 1 or more, got {value!r}")
+    return number
+
+
+def hold(owner: Any, *names: str) -> None:
+    """Give a frozen dataclass copies of its arrays that nobody can write to: what follows from them is kept."""
+    for name in names:
+        value = getattr(owner, name)
+        if np.ndim(value):
+            held = np.array(value)
+            held.setflags(write=False)
+            object.__setattr__(owner, name, held)
 
 
 def instance(name: str, value: Any, *types: type) -> None:

@@ -23,6 +23,7 @@ from cgid.impact import (
     Viscoelastic,
     _kernels,
     free_fall_velocity,
+    reference,
 )
 from cgid.impact.closed_forms import peak_displacement, peak_force
 from cgid.impact.quadrature import reference_pulse
@@ -316,7 +317,7 @@ MECHANISMS = mechanisms()
 
 
 def test_numpy_and_kernels_agree_on_the_table():
-    """Few samples are evaluated by numpy and many by numba: within 1e-14 of the peak (measured: 2e-15)."""
+    """Few samples are evaluated by numpy and many by numba: within 5e-15 of the peak (measured: 6e-16)."""
     impact = paper_impact(dissipation=HuntCrossley(restitution=[0.05, 0.051, 0.2, 0.5, 0.83, 0.999, 1.0]))
     fraction = np.concatenate([[-0.5, 0, 1, 1.5], np.sin(np.pi / 2 * np.linspace(0, 1, 6000)) ** 2])
     for name, peak in (("force", impact.peak_force), ("displacement", impact.peak_displacement)):
@@ -325,7 +326,7 @@ def test_numpy_and_kernels_agree_on_the_table():
             times = fraction * float(one.contact_duration)
             many = getattr(one, name)(times)
             few = np.concatenate([getattr(one, name)(part) for part in np.array_split(times, 3)])
-            assert np.abs(many - few).max() < 1e-14 * peak[row]
+            assert np.abs(many - few).max() < 5e-15 * peak[row]
             assert not (many == few).all()  # they were two ways, indeed
 
 
@@ -353,7 +354,7 @@ def test_frames_hold_the_force_on_their_grid(name, onset):
     force = impact.force(np.arange(300) / 1e6 - onset)
     assert frames.shape == (5, 300)
     # The place on the grid is rounded: by 1e-16 of the place, times the slope of the force.
-    assert np.abs(frames - force).max(axis=1) == pytest.approx(0, abs=2e-12 * impact.peak_force.max())
+    assert np.abs(frames - force).max(axis=1) == pytest.approx(0, abs=2e-14 * impact.peak_force.max())
     away = onset >= 299e-6 or onset <= -1
     assert (frames == 0).all() == away
 
@@ -508,7 +509,7 @@ def test_add_to_frames_says_what_it_cannot_take():
         (np.zeros((5, 9)), 0.0, 1, "sampling_rate must be above 0"),
         (np.zeros((5, 9)), -1e6, 1, "sampling_rate must be above 0"),
         (np.zeros((5, 9)), np.nan, 1, "sampling_rate must be finite"),
-        (np.zeros((5, 9)), 1e6, 0, "threads must be 1 or more"),
+        (np.zeros((5, 9)), 1e6, 0, "threads must be a whole number of 1 or more"),
     ],
 )
 def test_add_to_frames_checks_what_force_frames_checks(frames, rate, threads, message):
@@ -614,7 +615,7 @@ def test_wrong_parts_are_named(make, message):
 
 
 def test_what_has_no_default_must_be_said():
-    with pytest.raises(TypeError, match="thickness"):
+    with pytest.raises(InvalidValue, match="thickness must be finite, got nan m"):
         ThinPlate(material=STEEL)
     with pytest.raises(TypeError, match="dissipation"):
         Impact(sphere=Sphere(material=STEEL, radius=1), target=RIGID, velocity=1, stiffness="hertz")
@@ -625,8 +626,8 @@ def test_what_has_no_default_must_be_said():
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ({"dtype": "float16"}, "dtype must be one of 'float64', 'float32', got 'float16'"),
-        ({"threads": 0}, "threads must be 1 or more, got 0"),
+        ({"dtype": "float16"}, "dtype must be float32 or float64, got 'float16'"),
+        ({"threads": 0}, "threads must be a whole number of 1 or more, got 0"),
     ],
 )
 def test_wrong_outputs_are_named(arguments, message):
@@ -640,7 +641,7 @@ def test_wrong_frames_and_times_are_named():
     for rate, message in ((0.0, "above 0, got 0 Hz"), (-1e6, "above 0"), (np.nan, "finite"), ("fast", "a real number")):
         with pytest.raises(InvalidValue, match=f"sampling_rate must be {message}"):
             paper_impact().force_frames(rate, 10)
-    with pytest.raises(InvalidValue, match="n_samples must be 1 or more, got 0"):
+    with pytest.raises(InvalidValue, match="n_samples must be a whole number of 1 or more, got 0"):
         paper_impact().force_frames(1e6, 0)
     for times, message in ((np.nan, "finite"), ([0.0, np.inf], "finite"), ("now", "a real number"), (1j, "a real")):
         with pytest.raises(InvalidValue, match=f"times must be {message}"):
@@ -796,3 +797,39 @@ def test_scaling_all_lengths_densities_moduli_and_speeds_leaves_the_curves(name,
                            ("peak_displacement", "length_scale"), ("end_displacement", "length_scale")):  # fmt: skip
         first, second = (getattr(impact, quantity) / getattr(impact, unit) for impact in (before, after))
         assert second == pytest.approx(first, rel=1e-12)
+
+
+def test_later_changes_of_the_arrays_given_change_nothing():
+    velocity, radius, density = np.array([1.0, 2.0]), np.array([0.02, 0.03]), np.array([1300.0, 1400.0])
+    ball = Sphere(material=Material(density=density, youngs_modulus=2e9, poisson_ratio=0.3), radius=radius)
+    impact = Impact(sphere=ball, target=RIGID, velocity=velocity, stiffness="hertz", dissipation=Elastic())
+    before = impact.impulse
+    velocity[:], radius[:], density[:] = 5.0, 0.5, 5000.0
+    assert (impact.impulse == before).all()
+    impact.peak_force[0] = impact.restitution[0] = -1
+    assert impact.peak_force[0] > 0
+    assert impact.restitution[0] == 1
+    with pytest.raises(ValueError, match="read-only"):
+        impact.time_scale[0] = 1
+
+
+def test_float32_refuses_what_it_cannot_hold():
+    ball = Sphere(material=YANG2018_SPHERES[3], radius=1e8)
+    with pytest.warns(HertzRangeWarning):
+        impact = Impact(sphere=ball, target=RIGID, velocity=1e30, stiffness="hertz", dissipation=Elastic())
+    times = impact.contact_duration * np.linspace(0, 1, 5)
+    assert np.isfinite(impact.force(times)).all()
+    with pytest.raises(InvalidValue, match="float32 must hold the samples"):
+        impact.force(times, dtype="float32")
+
+
+@pytest.mark.parametrize("name", sorted(MECHANISMS))
+def test_interpreted_and_compiled_agree(name, monkeypatch):
+    one = replace(MECHANISMS[name])
+    times = one.contact_duration[:, None] * np.linspace(0, 1, 40)
+    compiled = one.force(times), one.restitution, one.time_of_peak
+    monkeypatch.setattr(reference, "_FEW_IMPACTS", 5)
+    monkeypatch.setattr(reference, "_spent", 0.0)
+    two = replace(MECHANISMS[name])
+    for one_by_one, together in zip((two.force(times), two.restitution, two.time_of_peak), compiled, strict=True):
+        assert one_by_one == pytest.approx(together, rel=1e-13, abs=1e-13 * np.abs(together).max())

@@ -161,8 +161,8 @@ def test_impulse_and_energy_of_plate_and_loss_by_quadrature_of_the_curves():
         force = curve(found["contact_time"] * np.sin(np.pi / 2 * theta) ** 2, parameters)
         measure = weights / 2 * found["contact_time"] * np.pi / 2 * np.sin(np.pi * theta)
         momentum = 1 + found["restitution"] + weight * found["contact_time"]
-        assert (force * measure).sum() == pytest.approx(momentum, rel=1e-11)
-        assert inelasticity * (force**2 * measure).sum() == pytest.approx(found["plate_energy"], abs=1e-11)
+        assert (force * measure).sum() == pytest.approx(momentum, rel=1e-12)
+        assert inelasticity * (force**2 * measure).sum() == pytest.approx(found["plate_energy"], abs=1e-12)
 
 
 # ---- times in any order, and frames -----------------------------------------------------------------------------

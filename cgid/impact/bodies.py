@@ -22,6 +22,7 @@ class Sphere:
     def __post_init__(self) -> None:
         validation.instance("material", self.material, Material)
         validation.positive("radius", self.radius, "m")
+        validation.hold(self, "radius")
 
     @property
     def mass(self) -> Floats:
@@ -49,11 +50,12 @@ class ThinPlate:
     """
 
     material: Material
-    thickness: ArrayLike
+    thickness: ArrayLike = np.nan
 
     def __post_init__(self) -> None:
         validation.instance("material", self.material, Material)
         validation.positive("thickness", self.thickness, "m")
+        validation.hold(self, "thickness")
 
     @property
     def impedance(self) -> Floats:

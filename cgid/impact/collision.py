@@ -38,6 +38,7 @@ class Collision:
         validation.instance("dissipation", self.dissipation, Elastic, HuntCrossley, Viscoelastic)
         validation.positive("velocity", self.velocity, "m/s")
         validation.not_negative("gravity", self.gravity, "m/s^2")
+        validation.hold(self, "velocity", "gravity")
         self._require_reach()
         self.curves.require_rebound()
 
@@ -107,29 +108,29 @@ class Collision:
     @cached_property
     def contact_stiffness(self) -> Floats:
         """K of `P = K delta^(3/2)` [N/m^(3/2)]."""
-        return contact_stiffness(self.reduced_radius, self.reduced_modulus, self.stiffness)
+        return _fixed(contact_stiffness(self.reduced_radius, self.reduced_modulus, self.stiffness))
 
     @cached_property
     def length_scale(self) -> Floats:
         """`L = (m v^2 / K)^(2/5)` [m], the unit of displacement."""
-        return np.asarray((self.reduced_mass * self._velocity**2 / self.contact_stiffness) ** 0.4)
+        return _fixed((self.reduced_mass * self._velocity**2 / self.contact_stiffness) ** 0.4)
 
     @cached_property
     def time_scale(self) -> Floats:
         """`T0 = L / v` [s], the unit of time."""
-        return self.length_scale / self._velocity
+        return _fixed(self.length_scale / self._velocity)
 
     @cached_property
     def force_scale(self) -> Floats:
         """`K L^(3/2)` [N], the unit of force."""
-        return self.contact_stiffness * self.length_scale**1.5
+        return _fixed(self.contact_stiffness * self.length_scale**1.5)
 
     @cached_property
     def inelasticity(self) -> Floats:
         """Zener's `lambda = m / (Z T0)` of a thin plate; 0 for any other target."""
         if not isinstance(self.target, ThinPlate):
-            return np.zeros(self._shape)
-        return self.reduced_mass / (self.target.impedance * self.time_scale)
+            return _fixed(np.zeros(self._shape))
+        return _fixed(self.reduced_mass / (self.target.impedance * self.time_scale))
 
     @cached_property
     def curves(self) -> Curves:
@@ -141,3 +142,10 @@ class Collision:
         return Curves(
             restitution.ravel(), (constant / self.time_scale).ravel(), np.ravel(self.inelasticity), weight.ravel()
         )
+
+
+def _fixed(values: Floats) -> Floats:
+    """Return what is kept for later as an array that nobody can write to."""
+    fixed = np.asarray(values)
+    fixed.setflags(write=False)
+    return fixed

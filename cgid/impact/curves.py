@@ -73,27 +73,27 @@ class Curves:
         """The columns `_taylor.PARAMETERS`."""
         return np.stack([self.damping, self.zeta, self.inelasticity, self.weight], axis=1)
 
-    @property
+    @cached_property
     def restitution(self) -> Floats:
         """Rebound speed over impact speed."""
         return self._closed_or_integrated(lambda rows: self.material_restitution[rows], "restitution")
 
-    @property
+    @cached_property
     def peak_force(self) -> Floats:
         """Largest force."""
         return self._closed_or_integrated(lambda rows: peak_force(self.damping[rows]), "peak_force")
 
-    @property
+    @cached_property
     def peak_displacement(self) -> Floats:
         """Largest displacement."""
         return self._closed_or_integrated(lambda rows: peak_displacement(self.damping[rows]), "peak_displacement")
 
-    @property
+    @cached_property
     def end_displacement(self) -> Floats:
         """Displacement at separation: zero but for a viscoelastic sphere."""
         return self._closed_or_integrated(lambda rows: np.zeros(int(rows.sum())), "end_displacement")
 
-    @property
+    @cached_property
     def plate_energy(self) -> Floats:
         """Energy radiated into the plate over `m v^2`."""
         return self._closed_or_integrated(lambda rows: np.zeros(int(rows.sum())), "plate_energy")
@@ -136,10 +136,11 @@ class Curves:
     @cached_property
     def _summary(self) -> dict[str, Floats]:
         """The results of the reference path for the rows that the table does not hold, nan elsewhere."""
-        from cgid.impact import _taylor
+        from cgid.impact import _taylor, reference
 
         found = np.full((self.plain.size, len(_taylor.RESULTS)), np.nan)
-        _taylor.summaries(self._parameters, _taylor.ORDER, 0.0, found, np.flatnonzero(~self.tabulated))
+        summaries = reference.kernel("summaries", self.plain.size)
+        summaries(self._parameters, _taylor.ORDER, 0.0, found, np.flatnonzero(~self.tabulated))
         return dict(zip(_taylor.RESULTS, found.T, strict=True))
 
     @cached_property
@@ -203,15 +204,11 @@ class Curves:
             cubic = quantity == "force"
             _in_threads(_kernels.at_times, (times, place, time_scale, amplitude, columns, cubic, out), rows, threads)
         if rest.size:
-            from cgid.impact import _taylor
+            from cgid.impact import _taylor, reference
 
             row = _taylor.FORCE if quantity == "force" else _taylor.DISPLACEMENT
-            _in_threads(
-                _taylor.at_times,
-                (times, self._parameters, time_scale, amplitude, row, _taylor.ORDER, out),
-                rest,
-                threads,
-            )
+            numbers = (times, self._parameters, time_scale, amplitude, row, _taylor.ORDER, out)
+            _in_threads(reference.kernel("at_times", *times.shape), numbers, rest, threads)
         return out
 
     def add_to_frames(self, frames: NDArray[Any], onset: Floats, step: Floats, amplitude: Floats, threads: int) -> None:
@@ -235,11 +232,10 @@ class Curves:
             place, columns = family.coordinate(self.material_restitution), family.table().force
             _in_threads(_kernels.add_to_frames, (frames, onset, step, place, amplitude, columns), rows, threads)
         if rest.size:
-            from cgid.impact import _taylor
+            from cgid.impact import _taylor, reference
 
-            _in_threads(
-                _taylor.add_to_frames, (frames, onset, step, self._parameters, amplitude, _taylor.ORDER), rest, threads
-            )
+            numbers = (frames, onset, step, self._parameters, amplitude, _taylor.ORDER)
+            _in_threads(reference.kernel("add_to_frames", *frames.shape), numbers, rest, threads)
 
 
 def _in_threads(kernel: Callable[..., None], arguments: tuple[Any, ...], rows: NDArray[np.intp], threads: int) -> None:

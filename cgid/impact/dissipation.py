@@ -66,6 +66,7 @@ class HuntCrossley:
     def __post_init__(self) -> None:
         validation.restitution("restitution", self.restitution)
         validation.choice("law", self.law, HUNT_CROSSLEY_LAWS)
+        validation.hold(self, "restitution")
 
     @property
     def damping_number(self) -> Floats:
@@ -122,6 +123,7 @@ class Viscoelastic:
         for name in ("dissipative_constant", "time_constant"):
             if getattr(self, name) is not None:
                 validation.positive(name, getattr(self, name), "s")
+        validation.hold(self, "dissipative_constant", "time_constant")
 
     def loss(self, sphere_share: Floats) -> tuple[Floats, Floats]:
         """Return what `Collision` asks of every dissipation: restitution by Hunt-Crossley damping, and A [s].

@@ -45,7 +45,9 @@ def contact_stiffness(reduced_radius: ArrayLike, reduced_modulus: ArrayLike, the
     '5.1155e+08'
     """
     factor = STIFFNESS_THEORIES[validation.choice("stiffness", theory, STIFFNESS_THEORIES)]
-    return np.asarray(factor * 4 / 3 * np.sqrt(np.asarray(reduced_radius)) * np.asarray(reduced_modulus))
+    radius = validation.positive("reduced_radius", reduced_radius, "m")
+    modulus = validation.positive("reduced_modulus", reduced_modulus, "Pa")
+    return np.asarray(factor * 4 / 3 * np.sqrt(radius) * modulus)
 
 
 def elastic_peak_displacement(mass: ArrayLike, stiffness: ArrayLike, velocity: ArrayLike) -> Floats:

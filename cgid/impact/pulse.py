@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import warnings
 from dataclasses import dataclass
-from functools import cached_property
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike, DTypeLike, NDArray
 
 from cgid import validation
 from cgid.errors import InvalidValue
@@ -20,8 +19,6 @@ from cgid.validation import Floats
 HERTZ_LIMIT = 0.1
 #: Beyond this lambda Zener's thin plate disagrees with finer models.
 INELASTICITY_LIMIT = 1.5
-
-DType = Literal["float32", "float64"]
 
 
 class HertzRangeWarning(UserWarning):
@@ -101,19 +98,23 @@ class Impact(Collision):
     def _shaped(self, values: Floats) -> Floats:
         return np.asarray(values.reshape(self._shape))
 
-    @cached_property
+    @property
     def restitution(self) -> Floats:
         """Rebound speed over impact speed, as delivered by material and plate together."""
-        return self._shaped(self.curves.restitution)
+        return self._shaped(self.curves.restitution).copy()
 
-    @cached_property
+    @property
     def peak_displacement(self) -> Floats:
-        """Largest displacement of the sphere centre [m], `L (5/2 G(1))^(2/5)` in closed form."""
+        """Largest displacement, the approach of sphere and target [m].
+
+        It is that of the sphere's centre, but on a thin plate, which gives way below it. With no other loss than
+        Hunt-Crossley damping a closed form, `L (5/2 G(1))^(2/5)`.
+        """
         return self.length_scale * self._shaped(self.curves.peak_displacement)
 
-    @cached_property
+    @property
     def peak_force(self) -> Floats:
-        """Largest contact force [N], in closed form; before the largest displacement when damped."""
+        """Largest contact force [N], before the largest displacement when damped; a closed form where that is one."""
         return self.force_scale * self._shaped(self.curves.peak_force)
 
     @property
@@ -133,7 +134,7 @@ class Impact(Collision):
 
     @property
     def end_displacement(self) -> Floats:
-        """Displacement at separation [m]: 0, but for a viscoelastic sphere, which leaves flattened."""
+        """Approach at separation [m]: 0, but for a viscoelastic sphere, which leaves flattened."""
         return self.length_scale * self._shaped(self.curves.end_displacement)
 
     @property
@@ -166,7 +167,7 @@ class Impact(Collision):
             lost = lost + self.reduced_mass * self._velocity**2 * fall
         return np.asarray(lost)
 
-    def force(self, times: ArrayLike, *, dtype: DType = "float64", threads: int = 1) -> NDArray[Any]:
+    def force(self, times: ArrayLike, *, dtype: DTypeLike = "float64", threads: int = 1) -> NDArray[Any]:
         """Return the contact force over time.
 
         Parameters
@@ -186,15 +187,15 @@ class Impact(Collision):
         """
         return self._over_time(times, "force", self.force_scale, dtype, threads)
 
-    def displacement(self, times: ArrayLike, *, dtype: DType = "float64", threads: int = 1) -> NDArray[Any]:
-        """Return the displacement of the sphere centre [m] over time, zero outside contact; as `force`."""
+    def displacement(self, times: ArrayLike, *, dtype: DTypeLike = "float64", threads: int = 1) -> NDArray[Any]:
+        """Return the displacement, the approach of sphere and target [m], over time; as `force`."""
         return self._over_time(times, "displacement", self.length_scale, dtype, threads)
 
     def _over_time(
-        self, times: ArrayLike, quantity: Quantity, amplitude: Floats, dtype: DType, threads: int
+        self, times: ArrayLike, quantity: Quantity, amplitude: Floats, dtype: DTypeLike, threads: int
     ) -> NDArray[Any]:
-        validation.choice("dtype", dtype, ("float64", "float32"))
-        _require_threads(threads)
+        dtype = _output(dtype, amplitude)
+        threads = validation.count("threads", threads)
         given = validation.real("times", times, "s")
         row = np.atleast_1d(given)
         leading, index = self._broadcast_with(times=np.empty(row.shape[:-1]))
@@ -220,7 +221,7 @@ class Impact(Collision):
         n_samples: int,
         onset: ArrayLike = 0.0,
         *,
-        dtype: DType = "float64",
+        dtype: DTypeLike = "float64",
         threads: int = 1,
     ) -> NDArray[Any]:
         """Return the contact force on the even grid of a recorder, one frame for each impact.
@@ -244,10 +245,8 @@ class Impact(Collision):
         ndarray, (*shape of the impacts and onset, n_samples)
             [N].
         """
-        validation.choice("dtype", dtype, ("float64", "float32"))
-        _require_threads(threads)
-        if n_samples < 1:
-            raise InvalidValue(f"n_samples must be 1 or more, got {n_samples}")
+        dtype = _output(dtype, self.force_scale)
+        n_samples = validation.count("n_samples", n_samples)
         touch = validation.real("onset", onset, "s")
         frames = np.zeros((*self._broadcast_with(onset=touch)[0], n_samples), dtype)
         self.add_to_frames(frames, sampling_rate, touch, threads=threads)
@@ -261,14 +260,18 @@ class Impact(Collision):
         InvalidValue
             The frames have another shape, no float samples, or do not lie in one piece of memory.
         """
-        rate = float(validation.positive("sampling_rate", sampling_rate, "Hz"))
+        rate = validation.positive("sampling_rate", sampling_rate, "Hz")
+        if rate.ndim:
+            raise InvalidValue(f"sampling_rate must be one number, got an array of shape {rate.shape}")
+        threads = validation.count("threads", threads)
         touch = validation.real("onset", onset, "s")
         leading, index = self._broadcast_with(onset=touch)
         _require_frames(frames, leading)
-        _require_threads(threads)
+        with np.errstate(over="ignore"):  # a touch beyond all samples is one
+            place = np.broadcast_to(touch, leading).ravel() * rate
         self._curves_of(leading, index).add_to_frames(
             frames.reshape(index.size, frames.shape[-1]),
-            np.broadcast_to(touch, leading).ravel() * rate,
+            place,
             1 / (rate * self.time_scale.ravel()[index]),
             self.force_scale.ravel()[index],
             threads,
@@ -295,6 +298,15 @@ def _require_frames(frames: NDArray[Any], leading: tuple[int, ...]) -> None:
         )
 
 
-def _require_threads(threads: int) -> None:
-    if threads < 1:
-        raise InvalidValue(f"threads must be 1 or more, got {threads}")
+def _output(dtype: DTypeLike, amplitude: Floats) -> np.dtype[Any]:
+    """Return the type of samples of this amplitude, which must hold them."""
+    try:
+        wanted = np.dtype(dtype)
+    except TypeError:
+        wanted = np.dtype(object)
+    if wanted not in (np.float32, np.float64):
+        raise InvalidValue(f"dtype must be float32 or float64, got {dtype!r}")
+    # No dimensionless peak of a loss that keeps to Hertz's order of force passes a thousand times its scale.
+    if wanted == np.float32 and (amplitude > 1e-3 * np.finfo(np.float32).max).any():
+        raise InvalidValue(f"float32 must hold the samples, got some near {amplitude.max():.3g}; use float64")
+    return wanted

@@ -14,7 +14,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from cgid.validation import Floats
+from cgid.validation import Floats, not_negative
 from cgid.validation import restitution as valid_restitution
 
 _SMALL = 0.8  # above it coth(t) and 1/t differ enough to be subtracted
@@ -125,8 +125,13 @@ def delivered_restitution(damping: ArrayLike) -> Floats:
     -------
     ndarray
         Restitution in (0, 1].
+
+    Raises
+    ------
+    InvalidValue
+        A damping number below 0 or not finite.
     """
-    damping = np.asarray(damping, dtype=np.float64)
+    damping = not_negative("damping", damping)
     # D = (1 + L(t)) t is monotone; Newton in t from its two limits, t -> D at 0 and t -> (1 + D)/2.
     t = damping * ((1 + damping / 2) / (1 + damping))
     for _ in range(_NEWTON_STEPS):

@@ -91,6 +91,7 @@ def local_sensitivity(impact: Impact) -> Sensitivity:
     target_youngs_modulus 0.0042
     target_poisson_ratio 0.0008
     """
+    validation.instance("impact", impact, Impact)
     if not isinstance(impact.dissipation, Elastic | HuntCrossley):
         raise InvalidValue(
             "dissipation must be Elastic or HuntCrossley for local sensitivities, got "
@@ -148,6 +149,8 @@ def range_influence(impact: Impact, ranges: Mapping[str, ArrayLike]) -> Sensitiv
     >>> print(f"{found.peak_force['radius']:.4f} {found.peak_force['density']:.4f}")
     3.0000 1.0840
     """
+    validation.instance("impact", impact, Impact)
+    validation.instance("ranges", ranges, Mapping)
     grids = {name: response_grid(impact, {name: values}) for name, values in ranges.items()}
     return Sensitivity(
         {name: _spread(grid.peak_force) for name, grid in grids.items()},
@@ -220,6 +223,8 @@ def response_grid(impact: Impact, parameters: Mapping[str, ArrayLike]) -> Impact
     >>> response_grid(impact, {"radius": [0.02, 0.04], "density": [1200, 1800, 2400]}).peak_force.shape
     (2, 3)
     """
+    validation.instance("impact", impact, Impact)
+    validation.instance("parameters", parameters, Mapping)
     held = parameters_of(impact)
     if not parameters:
         raise InvalidValue("parameters must name at least one of " + ", ".join(held))
