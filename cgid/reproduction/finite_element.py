@@ -1,4 +1,4 @@
-"""Figures of an independent axisymmetric finite-element run of this project's physics notes, quoted."""
+"""Figures of an independent axisymmetric finite-element run, quoted: the run is not part of this package yet."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ ERRORS_OVER_TWENTY = {
     "rigid-sphere": (0.12, -0.12, -0.11),
     "series": (-0.33, 0.47, 0.48),
 }
-#: What else the notes say of these impacts.
+#: What else was found in that run.
 FACTS = (
     "Over all twenty impacts the squared correlation exceeds 0.999 for every theory and so tells nothing; "
     "1 - SSres/SStot does tell: 0.97 to 0.98 for K1, 0.52 and below zero for the series theory.",

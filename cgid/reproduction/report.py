@@ -28,9 +28,10 @@ def write_report(figures: Sequence[PaperFigure], tables: Sequence[PaperTable]) -
     return "\n".join([
         "# The paper, reproduced",
         "",
-        f"The theoretical figures and tables of {_SOURCE}, computed, and {len(claims)} of its statements, each judged "
-        f"by the numbers: {len(holding)} agree, {len(failing)} do not. DCS is the displacement of the sphere's centre. "
-        "Figures 4 to 6 compare the paper's three theories, all others use its own (`series`). `>>` is read as `>`: "
+        f"The theoretical figures and tables of {_SOURCE}, computed, and {len(claims)} judgements of what it "
+        f"says, by the numbers: {len(holding)} agree, {len(failing)} do not. (A ranking is judged once for each of two "
+        "measures, and what must follow from an equation counts as said.) DCS is the displacement of the sphere's "
+        "centre. Figures 4 to 6 compare the paper's three theories, all others use its own (`series`). `>>` is read as `>`: "
         "the paper does not say how much larger is much larger.",
         "",
         "What the paper leaves open and was chosen here: the axes of Figures 4 to 7, the impact speed of section 4 (it "
@@ -119,8 +120,9 @@ def _finite_element() -> list[str]:
     return [
         "## What an independent finite-element run says of the three theories",
         "",
-        "The finite-element figures are quoted from an independent axisymmetric finite-element run of this project's "
-        f"physics notes ({finite_element.METHOD}); the theories are computed here.",
+        "The finite-element figures are quoted from an independent axisymmetric run "
+        f"({finite_element.METHOD}). That run is not part of this package and cannot be made again with it yet; the "
+        "theories are computed here.",
         "",
         *_table(
             (
@@ -143,7 +145,7 @@ def _finite_element() -> list[str]:
             ),
             judged,
         ),
-        "Quoted from the same notes:",
+        "Quoted from the same run:",
         "",
         *(f"* {fact}" for fact in finite_element.FACTS),
         "",
