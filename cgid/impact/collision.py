@@ -17,7 +17,7 @@ from cgid.impact.dissipation import Dissipation, Elastic, HuntCrossley, Viscoela
 from cgid.impact.hertz import contact_stiffness
 from cgid.validation import Floats
 
-#: A weight that changes speed over the whole contact by less than this share is left out.
+#: A weight g L / v^2 below this, times e^0.6, is left out: over the contact it changes the speed by some 3e-12 of it.
 NEGLIGIBLE_WEIGHT = 1e-12
 
 
@@ -51,6 +51,12 @@ class Collision:
                 "duration": (self.time_scale, "s"),
                 "force": (self.force_scale, "N"),
                 "energy": (self.reduced_mass * self._velocity**2, "J"),
+                "square of the velocity": (self._velocity**2, "m^2/s^2"),
+                # Nothing is a weight, too.
+                "weight": (
+                    1 + self._broadcast(self.gravity) * self.length_scale / self._velocity**2,
+                    "times the force",
+                ),
             }
             if isinstance(self.dissipation, Viscoelastic):
                 scales["dissipative constant"] = (self._loss[1], "s")
@@ -138,7 +144,9 @@ class Collision:
         restitution, constant = (self._broadcast(number) for number in self._loss)
         weight = self._broadcast(self.gravity) * self.length_scale / self._velocity**2
         # The harder the damping, the longer the contact: it lasts about e^-0.6 in units of T0.
-        weight = np.where(weight < NEGLIGIBLE_WEIGHT * restitution**0.6, 0.0, weight)
+        # Only what else comes from the table gains by it.
+        plain = (constant == 0) & (self.inelasticity == 0)
+        weight = np.where(plain & (weight < NEGLIGIBLE_WEIGHT * restitution**0.6), 0.0, weight)
         return Curves(
             restitution.ravel(), (constant / self.time_scale).ravel(), np.ravel(self.inelasticity), weight.ravel()
         )

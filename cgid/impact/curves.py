@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
 from typing import Any, Literal
 
 import numpy as np
@@ -25,11 +25,11 @@ from cgid.validation import Floats
 
 Quantity = Literal["force", "displacement"]
 #: Below it the time scales of braking and of leaving lie too far apart for double precision.
-LOWEST_RESTITUTION = 1e-30
+LOWEST_RESTITUTION, LOWEST_ON_A_PLATE = 1e-30, 1e-14
 #: Samples up to which numpy evaluates the table: no kernel needs compiling or loading for a pulse or two.
 _FEW = 4096
-#: Rows that a thread takes at once.
-_CHUNK = 256
+#: Rows below which another thread does not pay.
+_LEAST = 200
 
 
 @dataclass(frozen=True)
@@ -156,10 +156,11 @@ class Curves:
 
     def require_rebound(self) -> None:
         """Raise `InvalidValue` where the sphere does not leave again, or not within the reach of double precision."""
-        beyond = self.material_restitution < LOWEST_RESTITUTION
+        lowest = np.where(self.inelasticity > 0, LOWEST_ON_A_PLATE, LOWEST_RESTITUTION)
+        beyond = self.material_restitution < lowest
         if beyond.any():
             raise InvalidValue(
-                f"the restitution of the material must be {LOWEST_RESTITUTION:g} or more for double precision to "
+                f"the restitution of the material must be {lowest[beyond][0]:g} or more for double precision to "
                 f"follow the impact, got {self.material_restitution[beyond][0]:g}"
             )
         if not self.plain.all():
@@ -195,8 +196,9 @@ class Curves:
         rows, rest = np.flatnonzero(self.tabulated), np.flatnonzero(~self.tabulated)
         if rows.size * times.shape[1] <= _FEW:
             restitution = self.material_restitution[rows]
-            evaluated = getattr(family, quantity)(times[rows] / time_scale[rows, None], restitution)
-            out[rows] = amplitude[rows, None] * evaluated
+            with np.errstate(over="ignore"):  # long past separation
+                tau = times[rows] / time_scale[rows, None]
+            out[rows] = amplitude[rows, None] * getattr(family, quantity)(tau, restitution)
         else:
             from cgid.impact import _kernels
 
@@ -240,9 +242,14 @@ class Curves:
 
 def _in_threads(kernel: Callable[..., None], arguments: tuple[Any, ...], rows: NDArray[np.intp], threads: int) -> None:
     """Call a kernel, which lets go of the interpreter's lock, for parts of the rows in threads."""
-    if threads == 1:
+    threads = min(threads, -(-rows.size // _LEAST))
+    if threads <= 1:
         kernel(*arguments, rows)
         return
-    parts = np.array_split(rows, -(-rows.size // _CHUNK)) if rows.size else []
-    with ThreadPoolExecutor(threads) as pool:
-        list(pool.map(lambda part: kernel(*arguments, part), parts))
+    list(_pool(threads).map(lambda part: kernel(*arguments, part), np.array_split(rows, threads)))
+
+
+@cache
+def _pool(threads: int) -> ThreadPoolExecutor:
+    """Return threads that are kept: starting them anew takes as long as a hundred pulses."""
+    return ThreadPoolExecutor(threads, thread_name_prefix="cgid")

@@ -63,4 +63,5 @@ def free_fall_velocity(height: ArrayLike, gravity: float = STANDARD_GRAVITY) -> 
     >>> round(float(free_fall_velocity(1.0)), 4)
     4.4287
     """
-    return np.sqrt(2 * gravity * validation.not_negative("height", height, "m"))
+    pull = validation.not_negative("gravity", gravity, "m/s^2")
+    return np.asarray(np.sqrt(2 * pull * validation.not_negative("height", height, "m")))

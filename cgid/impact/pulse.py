@@ -46,8 +46,8 @@ class Impact(Collision):
     dissipation : Elastic, HuntCrossley or Viscoelastic
         Where the material's energy goes. What a thin plate takes comes on top of it.
     gravity : array_like
-        Pull towards the target during contact [m/s^2], 0 or more. It is left out where, in all of the contact,
-        it would change the speed by less than 1e-12 of the impact speed.
+        Pull towards the target during contact [m/s^2], 0 or more. It is left out where it would change the speed
+        by no more than some 3e-12 of the impact speed.
 
     Raises
     ------
@@ -267,12 +267,13 @@ class Impact(Collision):
         touch = validation.real("onset", onset, "s")
         leading, index = self._broadcast_with(onset=touch)
         _require_frames(frames, leading)
-        with np.errstate(over="ignore"):  # a touch beyond all samples is one
+        with np.errstate(over="ignore", divide="ignore"):  # touch or end may lie beyond all samples
             place = np.broadcast_to(touch, leading).ravel() * rate
+            step = 1 / (rate * self.time_scale.ravel()[index])
         self._curves_of(leading, index).add_to_frames(
             frames.reshape(index.size, frames.shape[-1]),
             place,
-            1 / (rate * self.time_scale.ravel()[index]),
+            step,
             self.force_scale.ravel()[index],
             threads,
         )

@@ -131,7 +131,7 @@ def delivered_restitution(damping: ArrayLike) -> Floats:
     InvalidValue
         A damping number below 0 or not finite.
     """
-    damping = not_negative("damping", damping)
+    damping = np.minimum(not_negative("damping", damping), 1e300)
     # D = (1 + L(t)) t is monotone; Newton in t from its two limits, t -> D at 0 and t -> (1 + D)/2.
     t = damping * ((1 + damping / 2) / (1 + damping))
     for _ in range(_NEWTON_STEPS):
