@@ -335,7 +335,7 @@ def test_gravity_that_weighs_nothing_changes_no_bit(name):
     if name in ("elastic", "hunt-crossley"):
         assert (weightless.force(times) == without.force(times)).all()
         assert (weightless.displacement(times) == without.displacement(times)).all()
-    assert (weightless.force_frames(1e6, 400) == without.force_frames(1e6, 400)).all()
+        assert (weightless.force_frames(1e6, 400) == without.force_frames(1e6, 400)).all()
     assert np.abs(weighs.force(times) - without.force(times)).max() < 1e-10 * without.peak_force
     pull = float(weighs.impulse / without.impulse) - 1
     assert pull == pytest.approx(2e-12 * float(without.curves.times[0][0]) / (1 + float(without.restitution)), rel=0.5)
