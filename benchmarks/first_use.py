@@ -29,6 +29,7 @@ USES = {
     "2000 frames, float64": f"{START}\nimpact(HuntCrossley(restitution=0.5), 2000).force_frames(2e5, 2048)",
     "2000 frames, float32": f"{START}\nimpact(HuntCrossley(restitution=0.5), 2000).force_frames(2e5, 2048, "
     'dtype="float32")',
+    "2000 viscoelastic frames": f"{START}\nimpact(Viscoelastic(time_constant=5e-6), 2000).force_frames(2e5, 2048)",
     "a viscoelastic pulse": f"{START}\nimpact(Viscoelastic(time_constant=5e-6), 1).force(np.linspace(0, 1e-3, 1000))",
 }
 

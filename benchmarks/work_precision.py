@@ -222,13 +222,18 @@ def picture(rows: list[Row]) -> bytes:
         row = next(row for row in rows if row.setting == setting)
         axes.loglog(row.worst, row.microseconds, marker, color="k", markersize=12 if marker == "*" else 7)
         axes.annotate(
-            f"cgid, {setting}", (row.worst, row.microseconds), (8, 6), textcoords="offset points", weight="bold"
+            f"cgid, {setting}",
+            (row.worst, row.microseconds),
+            (0, 9),
+            textcoords="offset points",
+            weight="bold",
+            ha="center",
         )
     axes.invert_xaxis()
-    axes.set(xlabel="largest force error / peak", ylabel="time per pulse [us], one thread", xlim=(1, 1e-16))
+    axes.set(xlabel="largest force error / peak", ylabel="time per pulse [us], one thread", xlim=(1, 1e-17))
     axes.set_title("2048-sample frames at 200 kHz, damped Hertz pulses", fontsize=10)
     axes.grid(True, which="major", alpha=0.3)
-    axes.legend(fontsize=8, loc="upper left", ncols=2)
+    axes.legend(fontsize=8, loc="upper right")
     return png(figure)
 
 

@@ -199,20 +199,11 @@ class Impact(Collision):
         given = validation.real("times", times, "s")
         row = np.atleast_1d(given)
         leading, index = self._broadcast_with(times=np.empty(row.shape[:-1]))
-        out = (
-            self._curves_of(leading, index)
-            .evaluate(
-                np.ascontiguousarray(np.broadcast_to(row, (*leading, row.shape[-1]))).reshape(
-                    index.size, row.shape[-1]
-                ),
-                self.time_scale.ravel()[index],
-                amplitude.ravel()[index],
-                quantity,
-                dtype,
-                threads,
-            )
-            .reshape(*leading, row.shape[-1])
-        )
+        shape = (*leading, row.shape[-1])
+        rows = np.ascontiguousarray(np.broadcast_to(row, shape)).reshape(index.size, row.shape[-1])
+        unit, height = self.time_scale.ravel()[index], amplitude.ravel()[index]
+        curves = self._curves_of(leading, index)
+        out = curves.evaluate(rows, unit, height, quantity, dtype, threads).reshape(shape)
         return out[..., 0] if given.ndim == 0 else out
 
     def force_frames(
@@ -267,16 +258,12 @@ class Impact(Collision):
         touch = validation.real("onset", onset, "s")
         leading, index = self._broadcast_with(onset=touch)
         _require_frames(frames, leading)
+        _output(frames.dtype, self.force_scale)
         with np.errstate(over="ignore", divide="ignore"):  # touch or end may lie beyond all samples
             place = np.broadcast_to(touch, leading).ravel() * rate
             step = 1 / (rate * self.time_scale.ravel()[index])
-        self._curves_of(leading, index).add_to_frames(
-            frames.reshape(index.size, frames.shape[-1]),
-            place,
-            step,
-            self.force_scale.ravel()[index],
-            threads,
-        )
+        rows, height = frames.reshape(index.size, frames.shape[-1]), self.force_scale.ravel()[index]
+        self._curves_of(leading, index).add_to_frames(rows, place, step, height, threads)
 
     def _broadcast_with(self, **other: Floats) -> tuple[tuple[int, ...], NDArray[np.intp]]:
         """Return the shape of the impacts and another array together, and which impact stands at each place."""
