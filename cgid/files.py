@@ -35,6 +35,9 @@ def write_whole(path: str | Path, content: bytes | memoryview) -> None:
             stream.flush()
             os.fsync(stream.fileno())
         temporary.replace(path)
+    except IsADirectoryError:
+        _remove(temporary)
+        raise CannotCreate(f"{path}: is a folder; choose another name or move it away") from None
     except OSError as error:
         _remove(temporary)
         raise WriteFailed(
