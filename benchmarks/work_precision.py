@@ -18,6 +18,7 @@ import io
 import sys
 import time
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -177,20 +178,33 @@ def ratio_table(rows: list[Row]) -> str:
 
 
 def against_number(impacts: Population, largest: int) -> str:
-    """Return time per pulse against the number of pulses, on one and two threads, in blocks of frames."""
-    lines = ["| signals | 1 thread [us] | 2 threads [us] |", "|---|---|---|"]
+    """Return time per pulse against the number of pulses, on one and two threads, 2000 frames at a time.
+
+    Fresh frames come from the system page by page, which threads wait for in turn; frames in use do not.
+    """
+    lines = ["| signals | fresh frames, 1 thread [us] | 2 threads | frames in use, 1 thread | 2 threads |"]
+    lines.append("|---|---|---|---|---|")
+    whole = len(impacts)
+    frames, every, onset = np.zeros((whole, SAMPLES)), curves(impacts), np.full(whole, float(ONSET))
+    step, amplitude = impacts.spacing, impacts.force_scale
+
+    def fresh(n: int, threads: int) -> None:
+        for first in range(0, n, whole):
+            cgid_frames(impacts.part(0, min(whole, n - first)), threads=threads)
+
+    def in_use(n: int, threads: int) -> None:
+        for first in range(0, n, whole):
+            few = min(whole, n - first)
+            some = every if few == whole else every.taken(np.arange(few))
+            some.add_to_frames(frames[:few], onset[:few], step[:few], amplitude[:few], threads)
+
     n = 100
     while n <= largest:
-        seconds = []
-        for threads in (1, 2):
-
-            def run(threads: int = threads, n: int = n) -> None:
-                for first in range(0, n, 4 * BLOCK):
-                    start = first % len(impacts)
-                    cgid_frames(impacts.part(start, start + min(4 * BLOCK, n - first)), threads=threads)
-
-            seconds.append(least_time(run, 9 if n <= 10_000 else 1))
-        lines.append(f"| {n} | " + " | ".join(f"{value / n * 1e6:.2f}" for value in seconds) + " |")
+        repeats = 9 if n <= 10_000 else 1
+        cells = [
+            least_time(partial(run, n, threads), repeats) / n * 1e6 for run in (fresh, in_use) for threads in (1, 2)
+        ]
+        lines.append(f"| {n} | " + " | ".join(f"{value:.2f}" for value in cells) + " |")
         n *= 10
     return "\n".join(lines)
 

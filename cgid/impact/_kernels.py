@@ -75,36 +75,26 @@ def add_to_frames(
     pulse = np.empty(columns.shape[2])
     for i in rows:
         _blend(columns, place[i], pulse)
-        contact, cut, h = pulse[CONTACT], pulse[CUT], step[i]
-        samples = frames[i]
-        here = _sample_after(onset[i], samples.size)
+        contact, cut, touch, samples = pulse[CONTACT], pulse[CUT], onset[i], frames[i]
+        rest, rate = contact - cut, 1.0 / step[i]
+        first_half, second_half = step[i] / cut, step[i] / rest  # sigma^2 from one sample to the next
+        here = _sample_after(touch, samples.size)
         for segment in range(SEGMENTS):
             edge = cut * ((segment + 1.0) / SEGMENTS) ** 2
-            end = max(_sample_after(onset[i] + edge / h, samples.size), here)
+            end = max(_sample_after(touch + edge * rate, samples.size), here)
+            coefficients = pulse[segment * POWERS : (segment + 1) * POWERS]
             _add_segment(
-                samples[here:end],
-                pulse[segment * POWERS : (segment + 1) * POWERS],
-                segment,
-                (here - onset[i]) * h / cut,
-                h / cut,
-                amplitude[i],
+                samples[here:end], coefficients, segment, (here - touch) * first_half, first_half, amplitude[i]
             )
             here = end
-        rest = contact - cut
         for segment in range(SEGMENTS - 1, -1, -1):
             edge = contact - rest * (segment / SEGMENTS) ** 2
-            end = max(_sample_after(onset[i] + edge / h, samples.size), here)
-            if segment == 0 and end > here and (end - 1 - onset[i]) * h >= contact:
+            end = max(_sample_after(touch + edge * rate, samples.size), here)
+            if segment == 0 and end > here and (end - 1 - touch) * step[i] >= contact:
                 end -= 1  # a sample that falls on separation itself holds no force
-            first_column = _MIDDLE + segment * POWERS
-            _add_segment(
-                samples[here:end],
-                pulse[first_column : first_column + POWERS],
-                segment,
-                (contact - (here - onset[i]) * h) / rest,
-                -h / rest,
-                amplitude[i],
-            )
+            first = _MIDDLE + segment * POWERS
+            square = (contact - (here - touch) * step[i]) / rest
+            _add_segment(samples[here:end], pulse[first : first + POWERS], segment, square, -second_half, amplitude[i])
             here = end
 
 
