@@ -26,8 +26,6 @@ from cgid.materials import STEEL, YANG2018_SPHERES
 
 TABLE = Path(__file__).parent / "references" / "impacts.csv"
 RADIUS, VELOCITY = 0.025, 2.0
-#: The one law that has two names, after its authors' surnames or after their given names.
-NAMES = {"zhang-lu": "zhiying-qishao"}
 N_SAMPLES = 50
 
 
@@ -64,7 +62,7 @@ def impact_of(row):
     zeta, inelasticity = float(row["zeta"]), float(row["lambda"])
     dissipation = Elastic()
     if row["law"]:
-        dissipation = HuntCrossley(restitution=float(row["asked"]), law=NAMES.get(row["law"], row["law"]))
+        dissipation = HuntCrossley(restitution=float(row["asked"]), law=row["law"])
     elif zeta:
         dissipation = Viscoelastic(dissipative_constant=zeta * time)
     with warnings.catch_warnings():
@@ -85,7 +83,7 @@ def test_the_table_has_every_mechanism_and_every_law():
         "hunt-crossley", "published", "kuwabara-kono", "plate", "plate hunt-crossley", "plate kuwabara-kono",
         "gravity hunt-crossley", "gravity kuwabara-kono", "gravity plate",
     } == set(ROWS)  # fmt: skip
-    laws = {NAMES.get(row["law"], row["law"]) for rows in ROWS.values() for row in rows} - {""}
+    laws = {row["law"] for rows in ROWS.values() for row in rows} - {""}
     assert laws == set(HUNT_CROSSLEY_LAWS)
     assert sum(map(len, ROWS.values())) >= 200
 

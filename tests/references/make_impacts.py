@@ -32,7 +32,7 @@ LAWS = {
     "lee-wang": lambda e: 3 * (1 - e) / 4,
     "lankarani-nikravesh": lambda e: 3 * (1 - e**2) / 4,
     "gonthier": lambda e: (1 - e**2) / e,
-    "zhang-lu": lambda e: 3 * (1 - e**2) * exp(2 * (1 - e)) / 4,
+    "zhiying-qishao": lambda e: 3 * (1 - e**2) * exp(2 * (1 - e)) / 4,
     "flores": lambda e: 8 * (1 - e) / (5 * e),
     "hu-guo": lambda e: 3 * (1 - e) / (2 * e),
 }
