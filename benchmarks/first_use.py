@@ -26,6 +26,7 @@ USES = {
     "import numpy": "import numpy",
     "closed forms of a million impacts": f"{START}\nimpact(HuntCrossley(restitution=0.5), 1_000_000).peak_force",
     "one pulse": f"{START}\nimpact(HuntCrossley(restitution=0.5), 1).force(np.linspace(0, 1e-3, 1000))",
+    "one frame": f"{START}\nimpact(HuntCrossley(restitution=0.5), 1).force_frames(2e5, 2048)",
     "2000 frames, float64": f"{START}\nimpact(HuntCrossley(restitution=0.5), 2000).force_frames(2e5, 2048)",
     "2000 frames, float32": f"{START}\nimpact(HuntCrossley(restitution=0.5), 2000).force_frames(2e5, 2048, "
     'dtype="float32")',

@@ -20,6 +20,7 @@ from numpy.typing import DTypeLike, NDArray
 from cgid import family
 from cgid.errors import InvalidValue
 from cgid.impact.closed_forms import peak_displacement, peak_force
+from cgid.impact.kernels import kernel
 from cgid.impact.restitution import damping_number
 from cgid.validation import Floats
 
@@ -136,10 +137,10 @@ class Curves:
     @cached_property
     def _summary(self) -> dict[str, Floats]:
         """The results of the reference path for the rows that the table does not hold, nan elsewhere."""
-        from cgid.impact import _taylor, reference
+        from cgid.impact import _taylor
 
         found = np.full((self.plain.size, len(_taylor.RESULTS)), np.nan)
-        summaries = reference.kernel("summaries", self.plain.size)
+        summaries = kernel(_taylor, "summaries", self.plain.size)
         summaries(self._parameters, _taylor.ORDER, 0.0, found, np.flatnonzero(~self.tabulated))
         return dict(zip(_taylor.RESULTS, found.T, strict=True))
 
@@ -206,11 +207,11 @@ class Curves:
             cubic = quantity == "force"
             _in_threads(_kernels.at_times, (times, place, time_scale, amplitude, columns, cubic, out), rows, threads)
         if rest.size:
-            from cgid.impact import _taylor, reference
+            from cgid.impact import _taylor
 
             row = _taylor.FORCE if quantity == "force" else _taylor.DISPLACEMENT
             numbers = (times, self._parameters, time_scale, amplitude, row, _taylor.ORDER, out)
-            _in_threads(reference.kernel("at_times", *times.shape), numbers, rest, threads)
+            _in_threads(kernel(_taylor, "at_times", *times.shape), numbers, rest, threads)
         return out
 
     def add_to_frames(self, frames: NDArray[Any], onset: Floats, step: Floats, amplitude: Floats, threads: int) -> None:
@@ -232,21 +233,22 @@ class Curves:
             from cgid.impact import _kernels
 
             place, columns = family.coordinate(self.material_restitution), family.table().force
-            _in_threads(_kernels.add_to_frames, (frames, onset, step, place, amplitude, columns), rows, threads)
+            run = kernel(_kernels, "add_to_frames", *frames.shape)
+            _in_threads(run, (frames, onset, step, place, amplitude, columns), rows, threads)
         if rest.size:
-            from cgid.impact import _taylor, reference
+            from cgid.impact import _taylor
 
-            numbers = (frames, onset, step, self._parameters, amplitude, _taylor.ORDER)
-            _in_threads(reference.kernel("add_to_frames", *frames.shape), numbers, rest, threads)
+            run = kernel(_taylor, "add_to_frames", *frames.shape)
+            _in_threads(run, (frames, onset, step, self._parameters, amplitude, _taylor.ORDER), rest, threads)
 
 
-def _in_threads(kernel: Callable[..., None], arguments: tuple[Any, ...], rows: NDArray[np.intp], threads: int) -> None:
+def _in_threads(run: Callable[..., None], arguments: tuple[Any, ...], rows: NDArray[np.intp], threads: int) -> None:
     """Call a kernel, which lets go of the interpreter's lock, for parts of the rows in threads."""
     threads = min(threads, -(-rows.size // _LEAST))
     if threads <= 1:
-        kernel(*arguments, rows)
+        run(*arguments, rows)
         return
-    list(_pool(threads).map(lambda part: kernel(*arguments, part), np.array_split(rows, threads)))
+    list(_pool(threads).map(lambda part: run(*arguments, part), np.array_split(rows, threads)))
 
 
 @cache
