@@ -56,18 +56,18 @@ _LEAST_POWER = 1e-30  # below it the force is nothing beside its peak, and the r
 
 
 @_jit
-def _value(row: Array, order: int, s: float) -> float:
-    value: float = row[order]
+def _value(series: Array, row: int, order: int, s: float) -> float:
+    value: float = series[row, order]
     for k in range(order - 1, -1, -1):
-        value = value * s + row[k]
+        value = value * s + series[row, k]
     return value
 
 
 @_jit
-def _slope(row: Array, order: int, s: float) -> float:
-    value: float = order * row[order]
+def _slope(series: Array, row: int, order: int, s: float) -> float:
+    value: float = order * series[row, order]
     for k in range(order - 1, 0, -1):
-        value = value * s + k * row[k]
+        value = value * s + k * series[row, k]
     return value
 
 
@@ -114,34 +114,34 @@ def _expand(
 
 
 @_jit
-def _inverse_radius(row: Array, order: int, scale: float) -> float:
+def _inverse_radius(series: Array, row: int, order: int, scale: float) -> float:
     """Return 1 / radius of convergence from the last coefficients (six: at touch only each fifth is not zero)."""
     largest = 0.0
     for k in range(max(order - 5, 1), order + 1):
-        largest = max(largest, (abs(row[k]) / scale) ** (1.0 / k))
+        largest = max(largest, (abs(series[row, k]) / scale) ** (1.0 / k))
     return largest
 
 
 @_jit
-def _step_length(step: Array, q: Array, order: int, share: float) -> float:
+def _step_length(step: Array, scratch: Array, order: int, share: float) -> float:
     # The digits of w are wanted beside its largest value; at touch that is still to come, a rate of 1/2 away.
-    inverse = max(_inverse_radius(step[_Y], order, 1.0), _inverse_radius(step[_W], order, max(step[_W, 0], 0.1)))
-    if q[0] != 1.0:
-        inverse = max(inverse, _inverse_radius(q, order, q[0]))
+    inverse = max(_inverse_radius(step, _Y, order, 1.0), _inverse_radius(step, _W, order, max(step[_W, 0], 0.1)))
+    if scratch[0, 0] != 1.0:
+        inverse = max(inverse, _inverse_radius(scratch, 0, order, scratch[0, 0]))
     return share / max(inverse, 1e-3)
 
 
 @_jit
-def _root(row: Array, order: int, high: float) -> float:
+def _root(series: Array, row: int, order: int, high: float) -> float:
     """Return where a series, positive just after 0 and not above 0 at high, falls to zero: Newton in a bracket."""
     low, s = 0.0, 0.5 * high
     for _ in range(100):
-        value = _value(row, order, s)
+        value = _value(series, row, order, s)
         if value > 0.0:
             low = s
         else:
             high = s
-        rate = _slope(row, order, s)
+        rate = _slope(series, row, order, s)
         following = s - value / rate if rate < 0.0 else low
         if not low < following < high:
             following = 0.5 * (low + high)
@@ -153,25 +153,24 @@ def _root(row: Array, order: int, high: float) -> float:
 
 @_jit
 def _watch(
-    step: Array, q: Array, order: int, watched: Array, viscoelastic: bool, rising: bool, compressing: int
+    step: Array, scratch: Array, order: int, watched: Array, viscoelastic: bool, rising: bool, compressing: int
 ) -> None:
     """Fill watched (4, order + 1) with the series that fall to zero at the events `_END`, `_RELEASE`, `_PEAK`, `_TURN`.
 
     compressing: 0 if the sphere has turned, 1 if it turns where q = 1, 2 if where x' = 0.
     """
-    watched[:] = 0.0
-    watched[:, 0] = 1.0  # what need not be watched stays positive
-    watched[_END] = step[_W]
-    if viscoelastic:
-        watched[_RELEASE] = step[_R]
-    if rising:
-        for k in range(order):
-            watched[_PEAK, k] = (k + 1) * step[_F, k + 1]
-    if compressing == 1:
-        watched[_TURN] = q
-        watched[_TURN, 0] -= 1.0
-    elif compressing == 2:
-        watched[_TURN] = step[_U]
+    for k in range(order + 1):
+        nothing = 1.0 if k == 0 else 0.0  # what need not be watched stays positive
+        watched[_END, k] = step[_W, k]
+        watched[_RELEASE, k] = step[_R, k] if viscoelastic else nothing
+        watched[_PEAK, k] = nothing
+        if rising:
+            watched[_PEAK, k] = (k + 1) * step[_F, k + 1] if k < order else 0.0
+        watched[_TURN, k] = nothing
+        if compressing == 1:
+            watched[_TURN, k] = scratch[0, k] - nothing
+        elif compressing == 2:
+            watched[_TURN, k] = step[_U, k]
 
 
 @_jit
@@ -179,8 +178,8 @@ def _happen(watched: Array, order: int, h: float, at: Array) -> float:
     """Fill at with where each event falls in a step of length h, -1 if it does not; return where the step ends."""
     for event in range(4):
         at[event] = -1.0
-        if _value(watched[event], order, h) <= 0.0:
-            at[event] = _root(watched[event], order, h)
+        if _value(watched, event, order, h) <= 0.0:
+            at[event] = _root(watched, event, order, h)
             # Contact ends there. (A viscoelastic sphere is released before w = 0: beyond, its force would be
             # positive again.)
             if event in (_END, _RELEASE):
@@ -191,14 +190,14 @@ def _happen(watched: Array, order: int, h: float, at: Array) -> float:
 @_jit
 def _stays(step: Array, order: int, h: float, damping: float, zeta: float, weight: float, turned: bool) -> bool:
     """Tell at the end of a step whether gravity holds the sphere for good."""
-    u = _value(step[_U], order, h)
+    u = _value(step, _U, order, h)
     if abs(u) < 1e-13 or (turned and u > 0.0):
         return True
     # Force and weight are in balance, and where the sphere can rest (x^(3/2) = gamma) it is so damped that it creeps
     # there: it will not swing beyond.
     root = weight ** (1.0 / 3.0)
     loss = damping * weight + zeta * root
-    return loss * loss > 100.0 * root and abs(_value(step[_F], order, h) - weight) < 1e-3 * weight
+    return loss * loss > 100.0 * root and abs(_value(step, _F, order, h) - weight) < 1e-3 * weight
 
 
 @_jit
@@ -209,8 +208,8 @@ def _integrate(parameters: Array, order: int, fixed: float, steps: Array, length
     """
     damping, zeta, inelasticity, weight = parameters[0], parameters[1], parameters[2], parameters[3]
     scratch, watched, at = np.zeros((4, order + 1)), np.empty((4, order + 1)), np.empty(4)
-    steps[0, :, 0] = 0.0
-    steps[0, _Y, 0] = 1.0
+    for row in range(_ROWS):
+        steps[0, row, 0] = 1.0 if row == _Y else 0.0
     q0 = 1.0 + damping
     # Where x' = y the sphere turns at q = 1, which keeps its digits when D is large.
     rising, compressing = True, 1 if damping > 1.0 and inelasticity == 0.0 else 2
@@ -224,18 +223,18 @@ def _integrate(parameters: Array, order: int, fixed: float, steps: Array, length
         elif fixed > 0.0:
             h = fixed
         else:
-            h = _step_length(step, scratch[0], order, SHARE)
-        _watch(step, scratch[0], order, watched, zeta > 0.0, rising, compressing)
+            h = _step_length(step, scratch, order, SHARE)
+        _watch(step, scratch, order, watched, zeta > 0.0, rising, compressing)
         h = _happen(watched, order, h, at)
         if at[_PEAK] >= 0.0:
             rising = False
-            result[3], result[4] = _value(step[_F], order, at[_PEAK]), _value(step[_TAU], order, at[_PEAK])
+            result[3], result[4] = _value(step, _F, order, at[_PEAK]), _value(step, _TAU, order, at[_PEAK])
         if at[_TURN] >= 0.0:
             compressing = 0
-            result[5], result[6] = _value(step[_W], order, at[_TURN]) ** 2, _value(step[_TAU], order, at[_TURN])
+            result[5], result[6] = _value(step, _W, order, at[_TURN]) ** 2, _value(step, _TAU, order, at[_TURN])
         lengths[n] = h
         for row in (_W, _TAU, _PLATE, _Y):
-            following[row, 0] = _value(step[row], order, h)
+            following[row, 0] = _value(step, row, order, h)
         if at[_END] >= 0.0 or at[_RELEASE] >= 0.0:
             result[0] = SEPARATED
             result[1], result[2] = -following[_Y, 0], following[_TAU, 0]
@@ -245,7 +244,7 @@ def _integrate(parameters: Array, order: int, fixed: float, steps: Array, length
         if weight > 0.0 and _stays(step, order, h, damping, zeta, weight, compressing == 0):
             result[0] = STAYS
             return n + 1
-        q0 = _value(scratch[0], order, h)
+        q0 = _value(scratch, 0, order, h)
         if zeta == 0.0 and weight == 0.0 and q0 < _LEAST_POWER:
             q0, following[_Y, 0] = 0.0, -1.0 / damping
     return 0
@@ -262,15 +261,14 @@ def summaries(parameters: Array, order: int, fixed: float, out: Array, rows: Arr
 @_jit
 def _within_step(step: Array, order: int, wanted: float, guess: float, high: float) -> float:
     """Return s in [0, high] at which the time of this step reaches wanted; time grows at the rate w."""
-    tau, w = step[_TAU], step[_W]
     low, s = 0.0, min(max(guess, 0.0), high)
     for _ in range(60):
-        error = _value(tau, order, s) - wanted
+        error = _value(step, _TAU, order, s) - wanted
         if error < 0.0:
             low = s
         else:
             high = s
-        rate = _value(w, order, s)
+        rate = _value(step, _W, order, s)
         following = s - error / rate if rate > 0.0 else 0.5 * (low + high)
         if abs(following - s) <= 1e-15 * high or high - low <= 1e-15 * high:
             return min(max(following, low), high)
@@ -286,8 +284,8 @@ def _march(steps: Array, lengths: Array, count: int, order: int, n: int, s: floa
     while n < count - 1 and steps[n + 1, _TAU, 0] <= tau:
         n, s = n + 1, 0.0
     step = steps[n]
-    past = tau - _value(step[_TAU], order, s)
-    w = _value(step[_W], order, s)
+    past = tau - _value(step, _TAU, order, s)
+    w = _value(step, _W, order, s)
     # From touch time goes like sigma^2 / 4; later a sample is a small move at the rate w.
     guess = s + past / w if past < 10.0 * w * w else s + 2.0 * math.sqrt(past)
     return n, _within_step(step, order, tau, guess, lengths[n])
@@ -295,7 +293,7 @@ def _march(steps: Array, lengths: Array, count: int, order: int, n: int, s: floa
 
 @_jit
 def _quantity(step: Array, order: int, s: float, row: int) -> float:
-    value = _value(step[row], order, s)
+    value = _value(step, row, order, s)
     return value * value if row == _W else max(value, 0.0)
 
 
