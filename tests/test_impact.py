@@ -22,8 +22,8 @@ from cgid.impact import (
     ThinPlate,
     Viscoelastic,
     _kernels,
+    dispatch,
     free_fall_velocity,
-    kernels,
 )
 from cgid.impact.closed_forms import peak_displacement, peak_force
 from cgid.impact.quadrature import reference_pulse
@@ -828,13 +828,13 @@ def test_interpreted_and_compiled_agree(name, monkeypatch):
     one = replace(MECHANISMS[name])
     times = one.contact_duration[:, None] * np.linspace(0, 1, 40)
     compiled = one.force(times), one.restitution, one.time_of_peak
-    monkeypatch.setattr(kernels, "_FEW_IMPACTS", 5)
-    monkeypatch.setattr(kernels, "_spent", 0.0)
+    monkeypatch.setattr(dispatch, "_FEW_IMPACTS", 5)
+    monkeypatch.setattr(dispatch, "_spent", 0.0)
     two = replace(MECHANISMS[name])
     for one_by_one, together in zip((two.force(times), two.restitution, two.time_of_peak), compiled, strict=True):
         assert (one_by_one == together).all()
     for dtype in ("float32", "float64"):
         frames = two.force_frames(1e5, 60, 1.7e-5, dtype=dtype)
-        monkeypatch.setattr(kernels, "_spent", 9.0)
+        monkeypatch.setattr(dispatch, "_spent", 9.0)
         assert (frames == one.force_frames(1e5, 60, 1.7e-5, dtype=dtype)).all()
-        monkeypatch.setattr(kernels, "_spent", 0.0)
+        monkeypatch.setattr(dispatch, "_spent", 0.0)

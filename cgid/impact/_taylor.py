@@ -252,7 +252,10 @@ def _integrate(parameters: Array, order: int, fixed: float, steps: Array, length
 
 @_jit
 def summaries(parameters: Array, order: int, fixed: float, out: Array, rows: Array) -> None:
-    """Fill some rows of out (n, len(RESULTS)) for impacts of parameters (n, 4), see `PARAMETERS`."""
+    """Fill some rows of out (n, len(RESULTS)) for impacts of parameters (n, 4), see `PARAMETERS`.
+
+    Where there is no rebound the restitution is 0.
+    """
     steps, lengths = np.empty((MOST_STEPS, _ROWS, order + 1)), np.empty(MOST_STEPS)
     for i in rows:
         _integrate(parameters[i], order, fixed, steps, lengths, out[i])

@@ -52,14 +52,10 @@ class Collision:
                 "force": (self.force_scale, "N"),
                 "energy": (self.reduced_mass * self._velocity**2, "J"),
                 "square of the velocity": (self._velocity**2, "m^2/s^2"),
-                # Nothing is a weight, too.
-                "weight": (
-                    1 + self._broadcast(self.gravity) * self.length_scale / self._velocity**2,
-                    "times the force",
-                ),
+                "weight": (1 + self._weight, "times the force"),  # nothing is a weight, too
             }
             if isinstance(self.dissipation, Viscoelastic):
-                scales["dissipative constant"] = (self._loss[1], "s")
+                scales["dissipative constant"] = (self._given["dissipative_constant"], "s")
             if isinstance(self.target, ThinPlate):
                 scales["plate impedance"] = (self.target.impedance, "kg/s")
         for name, (scale, unit) in scales.items():
@@ -71,45 +67,44 @@ class Collision:
                 )
 
     @cached_property
-    def _shape(self) -> tuple[int, ...]:
+    def _given(self) -> dict[str, Floats]:
+        """What the parts come to, broadcast to one shape."""
+        restitution, dissipative_constant = self.dissipation.loss(self.sphere, self.target)
         named = {
             "radius": bodies.reduced_radius(self.sphere, self.target),
             "mass": bodies.reduced_mass(self.sphere, self.target),
             "modulus": bodies.reduced_modulus(self.sphere, self.target),
-            "velocity": np.asarray(self.velocity),
-            "gravity": np.asarray(self.gravity),
-            "restitution": self._loss[0],
-            "dissipative_constant": self._loss[1],
+            "velocity": np.asarray(self.velocity, dtype=np.float64),
+            "gravity": np.asarray(self.gravity, dtype=np.float64),
+            "restitution": restitution,
+            "dissipative_constant": dissipative_constant,
             "thickness": np.asarray(self.target.thickness if isinstance(self.target, ThinPlate) else 0.0),
         }
-        return validation.broadcast(**named)[0].shape
+        return dict(zip(named, validation.broadcast(**named), strict=True))
 
-    @cached_property
-    def _loss(self) -> tuple[Floats, Floats]:
-        """The material's restitution by Hunt-Crossley damping, and A of a viscoelastic sphere [s]."""
-        return self.dissipation.loss(bodies.sphere_share(self.sphere, self.target))
-
-    def _broadcast(self, values: ArrayLike) -> Floats:
-        return np.broadcast_to(np.asarray(values, dtype=np.float64), self._shape)
-
-    @cached_property
+    @property
     def _velocity(self) -> Floats:
-        return self._broadcast(self.velocity)
+        return self._given["velocity"]
 
     @cached_property
+    def _weight(self) -> Floats:
+        """G L / v^2."""
+        return self._given["gravity"] * self.length_scale / self._velocity**2
+
+    @property
     def reduced_radius(self) -> Floats:
         """R of the contact [m]."""
-        return self._broadcast(bodies.reduced_radius(self.sphere, self.target))
+        return self._given["radius"]
 
-    @cached_property
+    @property
     def reduced_modulus(self) -> Floats:
         """E of the contact [Pa]."""
-        return self._broadcast(bodies.reduced_modulus(self.sphere, self.target))
+        return self._given["modulus"]
 
-    @cached_property
+    @property
     def reduced_mass(self) -> Floats:
         """Mass of the relative motion [kg]."""
-        return self._broadcast(bodies.reduced_mass(self.sphere, self.target))
+        return self._given["mass"]
 
     @cached_property
     def contact_stiffness(self) -> Floats:
@@ -135,18 +130,17 @@ class Collision:
     def inelasticity(self) -> Floats:
         """Zener's `lambda = m / (Z T0)` of a thin plate; 0 for any other target."""
         if not isinstance(self.target, ThinPlate):
-            return _fixed(np.zeros(self._shape))
+            return _fixed(np.zeros(self.reduced_mass.shape))
         return _fixed(self.reduced_mass / (self.target.impedance * self.time_scale))
 
     @cached_property
     def curves(self) -> Curves:
         """The dimensionless curves, one row for each impact in C order."""
-        restitution, constant = (self._broadcast(number) for number in self._loss)
-        weight = self._broadcast(self.gravity) * self.length_scale / self._velocity**2
+        restitution, constant = self._given["restitution"], self._given["dissipative_constant"]
         # The harder the damping, the longer the contact: it lasts about e^-0.6 in units of T0.
         # Only what else comes from the table gains by it.
         plain = (constant == 0) & (self.inelasticity == 0)
-        weight = np.where(plain & (weight < NEGLIGIBLE_WEIGHT * restitution**0.6), 0.0, weight)
+        weight = np.where(plain & (self._weight < NEGLIGIBLE_WEIGHT * restitution**0.6), 0.0, self._weight)
         return Curves(
             restitution.ravel(), (constant / self.time_scale).ravel(), np.ravel(self.inelasticity), weight.ravel()
         )

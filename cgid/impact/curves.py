@@ -20,15 +20,13 @@ from numpy.typing import DTypeLike, NDArray
 from cgid import family
 from cgid.errors import InvalidValue
 from cgid.impact.closed_forms import peak_displacement, peak_force
-from cgid.impact.kernels import kernel
+from cgid.impact.dispatch import FEW_SAMPLES, kernel
 from cgid.impact.restitution import damping_number
 from cgid.validation import Floats
 
 Quantity = Literal["force", "displacement"]
 #: Below it the time scales of braking and of leaving lie too far apart for double precision.
 LOWEST_RESTITUTION, LOWEST_ON_A_PLATE = 1e-30, 1e-14
-#: Samples up to which numpy evaluates the table: no kernel needs compiling or loading for a pulse or two.
-_FEW = 4096
 #: Rows below which another thread does not pay.
 _LEAST = 200
 
@@ -92,12 +90,12 @@ class Curves:
     @cached_property
     def end_displacement(self) -> Floats:
         """Displacement at separation: zero but for a viscoelastic sphere."""
-        return self._closed_or_integrated(lambda rows: np.zeros(int(rows.sum())), "end_displacement")
+        return self._closed_or_integrated(lambda _: np.zeros(()), "end_displacement")
 
     @cached_property
     def plate_energy(self) -> Floats:
         """Energy radiated into the plate over `m v^2`."""
-        return self._closed_or_integrated(lambda rows: np.zeros(int(rows.sum())), "plate_energy")
+        return self._closed_or_integrated(lambda _: np.zeros(()), "plate_energy")
 
     @property
     def impulse(self) -> Floats:
@@ -110,10 +108,7 @@ class Curves:
         """Restitution, and 0 where the sphere does not leave again."""
         if self.plain.all():
             return self.restitution
-        summary = self._summary
-        return np.where(
-            self.plain, self.material_restitution, np.where(summary["status"] == 0, summary["restitution"], 0.0)
-        )
+        return np.where(self.plain, self.material_restitution, self._summary["restitution"])
 
     @cached_property
     def times(self) -> tuple[Floats, Floats, Floats]:
@@ -195,7 +190,7 @@ class Curves:
         """Return force or displacement at times (n, k) [s], shape (n, k), zero outside contact."""
         out = np.empty(times.shape, dtype)
         rows, rest = np.flatnonzero(self.tabulated), np.flatnonzero(~self.tabulated)
-        if rows.size * times.shape[1] <= _FEW:
+        if rows.size * times.shape[1] <= FEW_SAMPLES:
             restitution = self.material_restitution[rows]
             with np.errstate(over="ignore"):  # long past separation
                 tau = times[rows] / time_scale[rows, None]

@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike
 
 from cgid import validation
 from cgid.errors import InvalidValue
+from cgid.impact.bodies import Sphere, Target, sphere_share
 from cgid.impact.damping_factors import HUNT_CROSSLEY_LAWS
 from cgid.impact.restitution import delivered_restitution
 from cgid.validation import Floats
@@ -31,9 +32,9 @@ class Elastic:
         """Exactly 1."""
         return np.ones(())
 
-    def loss(self, sphere_share: Floats) -> tuple[Floats, Floats]:
+    def loss(self, sphere: Sphere, target: Target) -> tuple[Floats, Floats]:
         """Return what `Collision` asks of every dissipation: restitution by Hunt-Crossley damping, and A [s]."""
-        return np.ones(()), np.zeros(())
+        return self.delivered_restitution, np.zeros(())
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -87,7 +88,7 @@ class HuntCrossley:
             return validation.restitution("restitution", self.restitution)
         return delivered_restitution(self.damping_number)
 
-    def loss(self, sphere_share: Floats) -> tuple[Floats, Floats]:
+    def loss(self, sphere: Sphere, target: Target) -> tuple[Floats, Floats]:
         """Return what `Collision` asks of every dissipation: restitution by Hunt-Crossley damping, and A [s]."""
         return self.delivered_restitution, np.zeros(())
 
@@ -125,13 +126,11 @@ class Viscoelastic:
                 validation.positive(name, getattr(self, name), "s")
         validation.hold(self, "dissipative_constant", "time_constant")
 
-    def loss(self, sphere_share: Floats) -> tuple[Floats, Floats]:
-        """Return what `Collision` asks of every dissipation: restitution by Hunt-Crossley damping, and A [s].
-
-        sphere_share is the sphere's share in the compliance of both bodies.
-        """
+    def loss(self, sphere: Sphere, target: Target) -> tuple[Floats, Floats]:
+        """Return what `Collision` asks of every dissipation: restitution by Hunt-Crossley damping, and A [s]."""
         if self.time_constant is not None:
-            constant = np.asarray(1.5 * validation.positive("time_constant", self.time_constant, "s") * sphere_share)
+            time_constant = validation.positive("time_constant", self.time_constant, "s")
+            constant = np.asarray(1.5 * time_constant * sphere_share(sphere, target))
         else:
             assert self.dissipative_constant is not None  # __post_init__ saw to it
             constant = validation.positive("dissipative_constant", self.dissipative_constant, "s")

@@ -96,7 +96,7 @@ class Impact(Collision):
             warnings.warn(message, ThinPlateWarning, stacklevel=4)
 
     def _shaped(self, values: Floats) -> Floats:
-        return np.asarray(values.reshape(self._shape))
+        return np.asarray(values.reshape(self.reduced_mass.shape))
 
     @property
     def restitution(self) -> Floats:

@@ -11,13 +11,13 @@ import json
 import tomllib
 from functools import cached_property
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from cgid.errors import BadData, NoInput
 from cgid.family import HIGHEST_RESTITUTION, LOWEST_RESTITUTION
-from cgid.impact import RIGID, HalfSpace, RigidWall
+from cgid.impact import HUNT_CROSSLEY_LAWS, RIGID, HalfSpace, RigidWall
 from cgid.materials import Material
 from cgid.scene.distributions import DISTRIBUTION_NAMES, Distribution, measured, measured_within, within
 from cgid.scene.sensor import Sensor
@@ -64,10 +64,10 @@ class Population(_Section):
         return self
 
 
-Law = Literal[
-    "exact", "hunt-crossley", "herbert-mcwhannell", "lee-wang", "lankarani-nikravesh", "gonthier", "zhiying-qishao",
-    "flores", "hu-guo",
-]  # fmt: skip
+if TYPE_CHECKING:
+    Law = str
+else:
+    Law = Literal[*HUNT_CROSSLEY_LAWS]
 
 
 class TargetSection(_Section):

@@ -14,14 +14,16 @@ from typing import Any
 
 import numpy as np
 
-#: Impacts and samples up to which nothing is compiled, until so many seconds have gone into interpreting.
-_FEW_IMPACTS, _FEW_SAMPLES, _PATIENCE = 4, 4096, 2.0
+#: Samples up to which nothing is compiled: these kernels are interpreted, and numpy evaluates the table.
+FEW_SAMPLES = 4096
+#: Impacts up to which kernels are interpreted, until so many seconds have gone into that.
+_FEW_IMPACTS, _PATIENCE = 4, 2.0
 _spent = 0.0
 
 
 def kernel(module: ModuleType, name: str, n_impacts: int, n_samples: int = 0) -> Callable[..., None]:
     """Return the kernel of a module for so much work: that of the whole batch, not of the rows that need it."""
-    if n_impacts > _FEW_IMPACTS or n_impacts * n_samples > _FEW_SAMPLES or _spent > _PATIENCE:
+    if n_impacts > _FEW_IMPACTS or n_impacts * n_samples > FEW_SAMPLES or _spent > _PATIENCE:
         compiled: Callable[..., None] = getattr(module, name)
         return compiled
     return partial(_interpret, module, name)
