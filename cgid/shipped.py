@@ -13,7 +13,7 @@ from cgid.errors import NoInput
 _PACKAGE = Path(__file__).parent
 DEFAULT_MODEL = "default.npz"
 SAMPLE = "sample.csv"
-SCENES = ("reference", "peers", "yang2018")
+SCENES = ("reference", "peers", "yang2018", "strangers", "lookalikes", "randomised")
 
 
 def path_of(kind: Literal["datasets", "models"], name: str) -> Path:

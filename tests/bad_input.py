@@ -81,6 +81,13 @@ def make_files(folder: Path) -> None:
     _scene(folder / "negative.toml", lambda text: text.replace('mean = "1400 kg/m^3"', 'mean = "-1400 kg/m^3"'))
     _scene(folder / "unknown.toml", lambda text: text.replace("jitter", "jittter"))
     _scene(folder / "unit.toml", lambda text: text.replace("3.1 GPa", "3.1 GHz"))
+    _scene(folder / "shape.toml", lambda text: f"{text}[[taps]]\n{_TAP.replace('square', 'saw')}")
+    _scene(folder / "tap.toml", lambda text: f"{text}[[taps]]\n{_TAP.replace('2 ms', '-2 ms')}")
+    _scene(folder / "second.toml", lambda text: f'{text}second_hit = {{ delay = "2 mm", ratio = 0.5 }}\n')
+    _scene(folder / "clipped.toml", lambda text: f"{text}clipped_at = 1.5\n")
+    _scene(folder / "nothing.toml", lambda text: text.replace("[sensor]", "[randomise]\n[sensor]"))
+    _scene(folder / "rates.toml", lambda text: text.replace("[sensor]", f"[randomise]\n{_RATES}\n[sensor]"))
+    _scene(folder / "sheet.toml", lambda text: text.replace("= 0.30 }", '= 0.30, thickness = "5 mm" }'))
     _scene(folder / "toml.toml", lambda text: text.replace("[impact]", "[impact"))
     _scene(
         folder / "three.toml",
@@ -94,6 +101,10 @@ def make_files(folder: Path) -> None:
     (folder / "truncated.h5").write_bytes((folder / "two.h5").read_bytes()[:20000])
     (folder / "unfinished").mkdir()
     shutil.copy(folder / "two.h5", folder / "unfinished" / "shard-00000.h5")
+
+
+_TAP = 'label = "tap"\nshape = "square"\npeak_force = "1 kN"\ncontact_duration = "2 ms"\n'
+_RATES = 'sampling_rate = { distribution = "uniform", lowest = "50 kHz", highest = "90 kHz" }'
 
 
 def _one_label() -> dict:
@@ -166,6 +177,18 @@ CASES = (
     Case("negative density", ("check", "negative.toml"), 65, ("populations.0.density", "above 0", "kg/m^3")),
     Case("unknown key", ("check", "unknown.toml"), 65, ("sampling.jittter", "unknown key")),
     Case("wrong unit", ("check", "unit.toml"), 65, ("populations.0.youngs_modulus", "3.1 GHz", "GPa")),
+    Case("unknown shape of a tap", ("check", "shape.toml"), 65, ("taps.0.shape", "half-sine", "'saw'")),
+    Case("tap of negative duration", ("check", "tap.toml"), 65, ("taps.0.contact_duration", "above 0", "-0.002 s")),
+    Case("second hit after a length", ("check", "second.toml"), 65, ("populations.1.second_hit.delay", "'2 mm'", "ms")),
+    Case("clipped above the peak", ("check", "clipped.toml"), 65, ("populations.1.clipped_at", "0.001 and 1", "1.5")),
+    Case("nothing randomised", ("check", "nothing.toml"), 65, ("randomise", "at least one of sampling_rate")),
+    Case("plate too thin", ("check", "sheet.toml"), 65, ("populations.1", "lambda", "at most 30", "target.thickness")),
+    Case(
+        "dataset of many sampling rates",
+        ("generate", "rates.toml", "-o", "new.h5"),
+        65,
+        ("randomise.sampling_rate", "one sampling rate", "50000 to 90000 Hz", "cgid train"),
+    ),
     Case("scene is no TOML", ("check", "toml.toml"), 65, ("toml.toml", "TOML")),
     Case("three errors at once", ("check", "three.toml"), 65, ("youngs_modulus", "jittter", "sensor.noise")),
     Case("missing scene", ("generate", "none.toml", "-o", "new.h5"), 66, ("none.toml",)),

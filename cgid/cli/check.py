@@ -28,10 +28,12 @@ def check(scene: str, seed: int, as_json: bool) -> None:
         return
     click.echo(f"{preview['name']}: {preview['description']}")
     click.echo(f"scene SHA-256: {preview['scene_sha256']}")
-    click.echo(
-        f"frames: {loaded.sampling.samples} samples at {loaded.sampling.sampling_rate:g} Hz, "
-        f"{loaded.sampling.samples * 4} bytes a signal in float32"
-    )
+    drawn = preview["randomised"]
+    rate = "a drawn rate" if "sampling_rate [Hz]" in drawn else f"{loaded.sampling.sampling_rate:g} Hz"
+    samples = loaded.sampling.samples
+    click.echo(f"frames: {samples} samples at {rate}, {samples * 4} bytes a signal in float32")
+    for name, (low, high) in drawn.items():
+        click.echo(f"drawn for each block of 256 signals: {name} {low:g} to {high:g}")
     click.echo("share of the labels: " + ", ".join(f"{k} {v:.3f}" for k, v in preview["labels"].items()))
     for name, (low, middle, high) in preview["quantiles_5_50_95"].items():
         click.echo(f"{name:<28} 5 % {low:>11.4g}   median {middle:>11.4g}   95 % {high:>11.4g}")
@@ -44,39 +46,59 @@ def _preview(scene: Any, seed: int) -> dict[str, Any]:
 
     import numpy as np
 
-    from cgid.impact.pulse import HERTZ_LIMIT, HertzRangeWarning
-    from cgid.pulses import WANTED_SAMPLES
-    from cgid.scene.population import PARAMETER_UNITS, draw
+    from cgid.impact import HertzRangeWarning, ThinPlateWarning
+    from cgid.scene.population import draw, parameter_units
+    from cgid.scene.randomness import BLOCK
 
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", HertzRangeWarning)
+        for beyond in (HertzRangeWarning, ThinPlateWarning):
+            warnings.simplefilter("ignore", beyond)
         draws = [draw(scene, seed, block) for block in range(_BLOCKS)]
-    values = {name: np.concatenate([d.parameters[name] for d in draws]) for name in PARAMETER_UNITS}
+    units = parameter_units(scene)
+    values = {name: np.concatenate([d.parameters[name] for d in draws]) for name in units}
+    sampling_rate = np.repeat([d.scene.sampling.sampling_rate for d in draws], BLOCK)
     labels, counts = np.unique(np.concatenate([d.labels for d in draws]), return_counts=True)
-    strain = np.concatenate([d.impact.peak_displacement / d.impact.reduced_radius for d in draws])
-    sampling = scene.sampling
-    on_contact = values["contact_duration"] * sampling.sampling_rate
-    end = values["onset"] + values["contact_duration"]
-    shares = {
-        f"pass Hertz's range (displacement over radius above {HERTZ_LIMIT:g})": np.mean(strain > HERTZ_LIMIT),
-        f"have fewer than {WANTED_SAMPLES} samples on the contact; raise sampling_rate": np.mean(
-            on_contact < WANTED_SAMPLES
-        ),
-        "last beyond the end of the frame and are cut off; raise samples": np.mean(
-            end * sampling.sampling_rate > sampling.samples - 1
-        ),
-    }
-    rows = {f"{name} [{unit}]": values[name] for name, unit in PARAMETER_UNITS.items()}
-    rows["samples on the contact"] = on_contact
+    rows = {f"{name} [{unit}]": values[name] for name, unit in units.items()}
+    rows["samples on the contact"] = values["contact_duration"] * sampling_rate
+    known = {name: column[np.isfinite(column)] for name, column in rows.items()}
+    shares = _shares([d.impact for d in draws], values, sampling_rate, scene.sampling.samples)
     return {
         "name": scene.name,
         "description": scene.description,
         "scene_sha256": scene.sha256,
+        "randomised": _randomised(scene),
         "labels": dict(zip(labels.tolist(), (counts / counts.sum()).tolist(), strict=True)),
         "quantiles_5_50_95": {
-            name: np.quantile(column, [0.05, 0.5, 0.95]).tolist()
-            for name, column in rows.items()
-            if np.isfinite(column).all()
+            name: np.quantile(column, [0.05, 0.5, 0.95]).tolist() for name, column in known.items() if column.size
         },
-        "warnings": {text: float(share) for text, share in shares.items() if share > 0},
+        "warnings": {text: share for text, share in shares.items() if share > 0},
     }
+
+
+def _randomised(scene: Any) -> dict[str, tuple[float, float]]:
+    """Return the smallest and largest value of what is drawn for each block."""
+    if scene.randomise is None:
+        return {}
+    units = {"sampling_rate": "Hz", "relative_noise": "1", "bandwidth": "Hz"}
+    return {f"{name} [{units[name]}]": law.extremes for name, law in scene.randomise.laws.items()}
+
+
+def _shares(impacts: list[Any], values: dict[str, Any], sampling_rate: Any, n_samples: int) -> dict[str, float]:
+    """Return the share of the pulses that something is to be said of, by what it is."""
+    import numpy as np
+
+    from cgid.impact.pulse import HERTZ_LIMIT, INELASTICITY_LIMIT
+    from cgid.pulses import WANTED_SAMPLES
+
+    strain = np.concatenate([impact.peak_displacement / impact.reduced_radius for impact in impacts])
+    inelasticity = np.concatenate([impact.inelasticity for impact in impacts])
+    end = values["onset"] + np.nan_to_num(values.get("second_hit_delay", 0.0)) + values["contact_duration"]
+    beyond = {
+        f"pass Hertz's range (displacement over radius above {HERTZ_LIMIT:g})": strain > HERTZ_LIMIT,
+        f"pass the range of the thin plate (lambda above {INELASTICITY_LIMIT:g})": inelasticity > INELASTICITY_LIMIT,
+        f"have fewer than {WANTED_SAMPLES} samples on the contact; raise sampling_rate": (
+            values["contact_duration"] * sampling_rate < WANTED_SAMPLES
+        ),
+        "last beyond the end of the frame and are cut off; raise samples": end * sampling_rate > n_samples - 1,
+    }
+    return {text: float(np.sum(passed) / end.size) for text, passed in beyond.items()}

@@ -21,7 +21,10 @@ from cgid.cli.options import progress_bar
 @click.option("--compression", type=click.Choice(["none", "gzip"]), default="none", show_default=True)
 @click.option("--overwrite", is_flag=True, help="Replace an old dataset.")
 def generate(scene: str, output: str, **options: Any) -> None:
-    """Make a dataset of signals from SCENE: a .toml file, or the name of a shipped one (reference, yang2018, peers)."""
+    """Make a dataset of signals from SCENE: a .toml file, or the name of a shipped one such as reference.
+
+    A scene that randomises its sampling rate makes no dataset: train on it directly.
+    """
     from cgid import shipped
     from cgid.scene import generate as generate_dataset
     from cgid.scene import load_scene

@@ -4,5 +4,6 @@ from cgid.scene.generation import generate
 from cgid.scene.scene import Scene, load_scene, parse_scene
 from cgid.scene.sensor import Sensor
 from cgid.scene.synthesis import synthesise
+from cgid.scene.variation import varied
 
-__all__ = ["Scene", "Sensor", "generate", "load_scene", "parse_scene", "synthesise"]
+__all__ = ["Scene", "Sensor", "generate", "load_scene", "parse_scene", "synthesise", "varied"]

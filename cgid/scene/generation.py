@@ -16,7 +16,7 @@ from typing import Any, Literal
 
 from cgid import __version__, validation
 from cgid.errors import InvalidValue
-from cgid.scene.population import PARAMETER_UNITS
+from cgid.scene.population import parameter_units
 from cgid.scene.scene import Scene
 from cgid.scene.synthesis import synthesise
 from cgid.signals import Batch
@@ -71,18 +71,24 @@ def generate(
     WriteFailed
         The disk is full; finished shards stay, but without a manifest they are no dataset.
     InvalidValue
-        A number breaks its rule.
+        A number breaks its rule, or the scene randomises its sampling rate.
     """
     for name, value in (("n_signals", n_signals), ("jobs", jobs), ("shard_signals", shard_signals)):
         if value < 1:
             raise InvalidValue(f"{name} must be 1 or more, got {value}")
+    if scene.randomise is not None and scene.randomise.sampling_rate is not None:
+        low, high = scene.randomise.sampling_rate.extremes
+        raise InvalidValue(
+            f"scene {scene.name}: randomise.sampling_rate must be left out for a dataset, which has one sampling rate, "
+            f"got {low:g} to {high:g} Hz; train on the scene itself (cgid train SCENE -o MODEL)"
+        )
     validation.choice("compression", compression, COMPRESSIONS)
     path = check_output(output, overwrite)
     plan = ShardPlan(
         n_samples=scene.sampling.samples,
         dtype=validation.choice("dtype", dtype, ("float32", "float64")),
         label_width=max(len(label.encode()) for label in scene.labels),
-        parameter_units=PARAMETER_UNITS,
+        parameter_units=parameter_units(scene),
         attributes=_attributes(scene, seed),
         compression=compression,
     )

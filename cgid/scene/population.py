@@ -1,20 +1,24 @@
-"""From a scene and a seed to the parameters of its impacts, as arrays, block by block."""
+"""From a scene and a seed to the pulses of one block and their parameters, as arrays."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cgid.impact import Elastic, HuntCrossley, Impact, Sphere, free_fall_velocity
 from cgid.materials import Material
-from cgid.scene.randomness import uniforms
+from cgid.scene.randomisation import settled
+from cgid.scene.randomness import BLOCK, CLIPPING, SECOND_HITS, TAPS, uniforms
 from cgid.scene.scene import Scene
+from cgid.scene.strike import Strike
+from cgid.scene.taps import SHAPES, TapPulses
 from cgid.validation import Floats
 
-#: The stored parameters and their units.
+#: The stored parameters of every scene and their units.
 PARAMETER_UNITS = {
     "density": "kg/m^3",
     "youngs_modulus": "Pa",
@@ -27,75 +31,146 @@ PARAMETER_UNITS = {
     "peak_force": "N",
     "contact_duration": "s",
 }
-_DRAWN = ("density", "youngs_modulus", "poisson_ratio", "radius", "restitution", "fall")
+#: Those of what only some scenes have; the sampling rate, where it is randomised, is said by the batch.
+_MORE_UNITS = {"second_hit_delay": "s", "second_hit_ratio": "1", "clipped_at": "1"}
+_RANDOMISED_UNITS = {"relative_noise": "1", "bandwidth": "Hz"}
+_PARTICLE = ("density", "youngs_modulus", "poisson_ratio", "radius")
+#: What the numbers of an address are for, in their order. A fall has one number, whether it is a height or a speed.
+_FALL = (*_PARTICLE, "restitution", "drop_height")
+_LATER = {
+    TAPS: ("peak_force", "contact_duration"),
+    SECOND_HITS: ("second_hit_delay", "second_hit_ratio"),
+    CLIPPING: ("clipped_at",),
+}
+
+
+def parameter_units(scene: Scene) -> dict[str, str]:
+    """Return the stored parameters of a scene and their units: `PARAMETER_UNITS`, and those of the parts it has."""
+    drawn = {name for source in scene.sources for name in source.laws}
+    units = PARAMETER_UNITS | {name: unit for name, unit in _MORE_UNITS.items() if name in drawn}
+    if scene.randomise is not None:
+        units |= {name: unit for name, unit in _RANDOMISED_UNITS.items() if name in scene.randomise.laws}
+    return units
 
 
 @dataclass(frozen=True)
 class Draw:
-    """The impacts of one block.
+    """The pulses of one block.
 
     Attributes
     ----------
     labels : ndarray of str, (n_signals,)
     parameters : dict of ndarray, each (n_signals,)
-        Drawn and derived, in `PARAMETER_UNITS`; onset is the time of touch in the frame.
+        Drawn and derived, in `parameter_units`, nan where one does not apply; onset is the time of touch in the
+        frame, peak and duration are those of the first hit.
     specimen : ndarray of uint64, (n_signals,)
-        Equal for impacts of an equal particle.
+        Equal for pulses of an equal particle, or of an equal tap.
     impact : Impact
-        All of them.
+        All that are impacts: every signal of a scene without taps.
+    strikes : tuple of Strike
+        What the frames are made of: impacts, taps, second hits.
+    scene : Scene
+        The scene as it holds in this block.
     """
 
     labels: NDArray[np.str_]
     parameters: Mapping[str, Floats]
     specimen: NDArray[np.uint64]
     impact: Impact
+    strikes: tuple[Strike, ...]
+    scene: Scene
 
 
 def draw(scene: Scene, seed: int, block: int) -> Draw:
-    """Return the impacts of one block of 256."""
-    kinds = uniforms(seed, block, len(_DRAWN) + 2)
-    weights = np.array([population.weight for population in scene.populations])
-    edges = np.cumsum(weights / weights.sum())
-    which = np.minimum(np.searchsorted(edges, kinds[0], side="right"), len(weights) - 1)
-    values = {name: np.ones(which.size) for name in (*_DRAWN[:-1], "drop_height", "velocity")}
-    values["drop_height"][:] = np.nan
-    for index, population in enumerate(scene.populations):
-        rows = np.flatnonzero(which == index)
-        for column, name in enumerate(_DRAWN, start=1):
-            if name == "fall":
-                name = "velocity" if population.drop_height is None else "drop_height"
-            distribution = getattr(population, name)
-            if distribution is not None:
-                values[name][rows] = distribution.quantile(kinds[column][rows])
-    fell = np.isfinite(values["drop_height"])
-    values["velocity"][fell] = free_fall_velocity(values["drop_height"][fell])
-    sampling = scene.sampling
-    values["onset"] = (sampling.pre_trigger + sampling.jitter * kinds[-1]) / sampling.sampling_rate
-    impact = _impact(scene, values)
+    """Return the pulses of one block of 256."""
+    here = settled(scene, seed, block)
+    kinds = uniforms(seed, block, len(_FALL) + 2)
+    which = _sources(scene, kinds[0])
+    values = _values(scene, seed, block, which, kinds[1:-1])
+    values["onset"] = (here.sampling.pre_trigger + here.sampling.jitter * kinds[-1]) / here.sampling.sampling_rate
+    for name in _RANDOMISED_UNITS.keys() & values.keys():
+        level = getattr(here.sensor, name)
+        values[name][:] = np.nan if level is None else level
+    shapes = np.array([-1] * len(scene.populations) + [list(SHAPES).index(tap.shape) for tap in scene.taps])[which]
+    fallen, tapped = np.flatnonzero(shapes < 0), np.flatnonzero(shapes >= 0)
+    impact = _impact(scene, values, fallen)
+    strikes = [
+        *_strikes(impact, partial(_impact, scene, values), fallen, values),
+        *_strikes(_taps(shapes, values, tapped), partial(_taps, shapes, values), tapped, values),
+    ]
     # What a law delivers is what the pulse shows, and what was asked may differ from it.
     for name in ("restitution", "peak_force", "contact_duration"):
-        values[name] = getattr(impact, name)
-    labels = np.array([population.label for population in scene.populations])[which]
-    particle = [values[name] for name in ("density", "youngs_modulus", "poisson_ratio", "radius")]
-    return Draw(labels, {name: values[name] for name in PARAMETER_UNITS}, _specimen(particle), impact)
+        values[name][fallen] = getattr(impact, name)
+    specimen = np.empty(BLOCK, np.uint64)
+    specimen[fallen] = _specimen([values[name][fallen] for name in _PARTICLE])
+    specimen[tapped] = _specimen([shapes[tapped].astype(float), *(values[name][tapped] for name in _LATER[TAPS])])
+    labels = np.array([source.label for source in scene.sources])[which]
+    return Draw(labels, values, specimen, impact, tuple(strikes), here)
 
 
-def _impact(scene: Scene, values: Mapping[str, Floats]) -> Impact:
+def _sources(scene: Scene, uniform: Floats) -> NDArray[np.intp]:
+    """Return the number of each signal's population or tap, by their weights."""
+    weights = np.array([source.weight for source in scene.sources])
+    edges = np.cumsum(weights / weights.sum())
+    return np.minimum(np.searchsorted(edges, uniform, side="right"), len(weights) - 1)
+
+
+def _values(scene: Scene, seed: int, block: int, which: NDArray[np.intp], falls: Floats) -> dict[str, Floats]:
+    """Return what the populations and taps draw, nan where one has no such parameter."""
+    values = {name: np.full(BLOCK, np.nan) for name in parameter_units(scene)}
+    columns = dict(zip(_FALL, falls, strict=True))
+    columns["velocity"] = columns["drop_height"]
+    drawn = {name for source in scene.sources for name in source.laws}
+    for purpose, names in _LATER.items():
+        if not drawn.isdisjoint(names):
+            columns |= dict(zip(names, uniforms(seed, block, len(names), purpose), strict=True))
+    for index, source in enumerate(scene.sources):
+        rows = np.flatnonzero(which == index)
+        for name, law in source.laws.items():
+            values[name][rows] = law.quantile(columns[name][rows])
+    fell = np.isfinite(values["drop_height"])
+    values["velocity"][fell] = free_fall_velocity(values["drop_height"][fell])
+    return values
+
+
+def _strikes(
+    first: Impact | TapPulses,
+    pulses_of: Callable[[NDArray[np.intp]], Impact | TapPulses],
+    rows: NDArray[np.intp],
+    values: Mapping[str, Floats],
+) -> Iterator[Strike]:
+    """Yield the first pulses of some signals, and the second ones of those that have one; nothing for none."""
+    if rows.size:
+        yield Strike(rows, first, values["onset"][rows])
+    if "second_hit_delay" not in values:
+        return
+    again = rows[np.isfinite(values["second_hit_delay"][rows])]
+    if again.size:
+        onset = values["onset"][again] + values["second_hit_delay"][again]
+        yield Strike(again, pulses_of(again), onset, values["second_hit_ratio"][again])
+
+
+def _impact(scene: Scene, values: Mapping[str, Floats], rows: NDArray[np.intp]) -> Impact:
+    asked = {name: values[name][rows] for name in (*_PARTICLE, "restitution", "velocity")}
     material = Material(
-        density=values["density"], youngs_modulus=values["youngs_modulus"], poisson_ratio=values["poisson_ratio"]
+        density=asked["density"], youngs_modulus=asked["youngs_modulus"], poisson_ratio=asked["poisson_ratio"]
     )
     elastic = scene.impact.dissipation == "elastic"
     return Impact(
-        sphere=Sphere(material=material, radius=values["radius"]),
+        sphere=Sphere(material=material, radius=asked["radius"]),
         target=scene.impact.body,
-        velocity=values["velocity"],
+        velocity=asked["velocity"],
         stiffness=scene.impact.stiffness,
-        dissipation=Elastic() if elastic else HuntCrossley(restitution=values["restitution"], law=scene.impact.law),
+        dissipation=Elastic() if elastic else HuntCrossley(restitution=asked["restitution"], law=scene.impact.law),
     )
 
 
+def _taps(shapes: NDArray[np.intp], values: Mapping[str, Floats], rows: NDArray[np.intp]) -> TapPulses:
+    return TapPulses(shapes[rows], values["peak_force"][rows], values["contact_duration"][rows])
+
+
 def _specimen(particle: list[Floats]) -> NDArray[np.uint64]:
-    """Mix material and size into one 64-bit number (the finaliser of splitmix64, Steele et al. 2014).
+    """Mix the numbers of a particle or a tap into one 64-bit number (the finaliser of splitmix64, Steele et al. 2014).
 
     An equal particle has the same number in every population, scene and dataset.
     """

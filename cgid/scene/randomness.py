@@ -14,7 +14,7 @@ from cgid.validation import Floats
 #: Samples that share one address.
 BLOCK = 256
 #: What numbers are drawn for; a new purpose is a new number.
-PARAMETERS, NOISE = 1, 2
+PARAMETERS, NOISE, TAPS, SECOND_HITS, CLIPPING, RANDOMISED = 1, 2, 3, 4, 5, 6
 
 
 def generator(seed: int, purpose: int, block: int) -> np.random.Generator:
@@ -31,7 +31,7 @@ def generator(seed: int, purpose: int, block: int) -> np.random.Generator:
     return np.random.Generator(np.random.Philox(key=key, counter=np.array([0, 0, 0, block], np.uint64)))
 
 
-def uniforms(seed: int, block: int, n_kinds: int) -> Floats:
-    """Return uniform numbers strictly between 0 and 1, (n_kinds, `BLOCK`), for the parameters of one block."""
-    raw = generator(seed, PARAMETERS, block).random((BLOCK, n_kinds)).T
+def uniforms(seed: int, block: int, n_kinds: int, purpose: int = PARAMETERS) -> Floats:
+    """Return uniform numbers strictly between 0 and 1, (n_kinds, `BLOCK`), for one purpose in one block."""
+    raw = generator(seed, purpose, block).random((BLOCK, n_kinds)).T
     return np.asarray(np.clip(raw, 2.0**-54, None))

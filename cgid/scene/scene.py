@@ -11,107 +11,22 @@ import json
 import tomllib
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
+from typing import Any, Self
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import Field, ValidationError, model_validator
 
 from cgid.errors import BadData, NoInput
-from cgid.family import HIGHEST_RESTITUTION, LOWEST_RESTITUTION
-from cgid.impact import HUNT_CROSSLEY_LAWS, RIGID, HalfSpace, RigidWall
-from cgid.materials import Material
-from cgid.scene.distributions import DISTRIBUTION_NAMES, Distribution, measured, measured_within, within
+from cgid.scene.distributions import DISTRIBUTION_NAMES
+from cgid.scene.plates import problem_on_plate
+from cgid.scene.sections import ImpactSection, Population, RandomiseSection, SamplingSection, Section, Tap
 from cgid.scene.sensor import Sensor
-from cgid.scene.units import Density, Frequency, Modulus, Number, Ratio, Whole, shown
+from cgid.scene.units import shown
 
 #: No scene is longer.
 _LARGEST_FILE = 8 << 20
 
 
-class _Section(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
-
-
-class Population(_Section):
-    """Particles of one kind and the way they fall; several populations may share a label."""
-
-    label: str = Field(min_length=1, max_length=32, pattern=r"^[A-Za-z0-9_. -]+$")
-    weight: Number = Field(default=1.0, gt=0, le=1e9)
-    density: Annotated[Distribution, measured("density"), measured_within("density")]
-    youngs_modulus: Annotated[Distribution, measured("modulus"), measured_within("modulus")]
-    poisson_ratio: Annotated[
-        Distribution, measured("ratio"), within(-1 + 1e-9, 0.5 - 1e-9, "must lie between -1 and 0.5")
-    ]
-    radius: Annotated[Distribution, measured("length"), measured_within("length")]
-    restitution: (
-        Annotated[
-            Distribution,
-            measured("ratio"),
-            within(
-                LOWEST_RESTITUTION,
-                HIGHEST_RESTITUTION,
-                f"must lie between {LOWEST_RESTITUTION:g} and {HIGHEST_RESTITUTION:g}",
-            ),
-        ]
-        | None
-    ) = None
-    drop_height: Annotated[Distribution, measured("length"), measured_within("length")] | None = None
-    velocity: Annotated[Distribution, measured("speed"), measured_within("speed")] | None = None
-
-    @model_validator(mode="after")
-    def _one_way_to_fall(self) -> Self:
-        if (self.drop_height is None) == (self.velocity is None):
-            raise ValueError("must have either drop_height or velocity, and not both")
-        return self
-
-
-if TYPE_CHECKING:
-    Law = str
-else:
-    Law = Literal[*HUNT_CROSSLEY_LAWS]
-
-
-class TargetSection(_Section):
-    """The elastic half space that is hit; `target = "rigid"` for a rigid wall."""
-
-    density: Density = 7850.0
-    youngs_modulus: Modulus
-    poisson_ratio: Ratio = Field(gt=-1, lt=0.5)
-
-
-class ImpactSection(_Section):
-    """The laws of the impact."""
-
-    stiffness: Literal["hertz", "rigid-sphere", "series"]
-    dissipation: Literal["elastic", "hunt-crossley"]
-    law: Law = "exact"
-    target: TargetSection | Literal["rigid"]
-
-    @property
-    def body(self) -> HalfSpace | RigidWall:
-        """The target of every impact."""
-        if self.target == "rigid":
-            return RIGID
-        return HalfSpace(material=Material(**self.target.model_dump()))
-
-
-class SamplingSection(_Section):
-    """How the frame of an impact is cut."""
-
-    sampling_rate: Frequency
-    samples: Whole = Field(ge=16, le=2**20)
-    pre_trigger: Whole = Field(ge=2)
-    jitter: Number = Field(default=1.0, ge=0, le=1)
-
-    @model_validator(mode="after")
-    def _room_for_a_pulse(self) -> Self:
-        if self.pre_trigger > self.samples - 8:
-            raise ValueError(
-                f"pre_trigger must leave 8 samples of the frame's {self.samples} for the pulse, got {self.pre_trigger}"
-            )
-        return self
-
-
-class Scene(_Section):
+class Scene(Section):
     """A whole scene; see `load_scene`."""
 
     name: str = Field(min_length=1, max_length=64)
@@ -119,17 +34,23 @@ class Scene(_Section):
     impact: ImpactSection
     sampling: SamplingSection
     sensor: Sensor = Sensor()
-    populations: tuple[Population, ...] = Field(min_length=1, max_length=64)
+    randomise: RandomiseSection | None = None
+    populations: tuple[Population, ...] = Field(default=(), max_length=64)
+    taps: tuple[Tap, ...] = Field(default=(), max_length=64)
 
     @model_validator(mode="after")
     def _parts_fit(self) -> Self:
         elastic = self.impact.dissipation == "elastic"
         problems = []
+        if not self.sources:
+            problems.append("populations: must be at least 1 where there are no taps, got none of either")
         for index, population in enumerate(self.populations):
             if elastic and population.restitution is not None:
                 problems.append(f"populations.{index}.restitution: must be left out when dissipation is elastic")
             if not elastic and population.restitution is None:
                 problems.append(f"populations.{index}.restitution: is missing, hunt-crossley dissipation needs it")
+            if (problem := problem_on_plate(self.impact, population)) is not None:
+                problems.append(f"populations.{index}: {problem}")
         nyquist = self.sampling.sampling_rate / 2
         if self.sensor.bandwidth is not None and self.sensor.bandwidth >= nyquist:
             problems.append(
@@ -141,14 +62,21 @@ class Scene(_Section):
         return self
 
     @property
+    def sources(self) -> tuple[Population | Tap, ...]:
+        """All that pulses come from, in the order in which a number is drawn for them."""
+        return (*self.populations, *self.taps)
+
+    @property
     def labels(self) -> tuple[str, ...]:
         """The labels in alphabetical order."""
-        return tuple(sorted({population.label for population in self.populations}))
+        return tuple(sorted({source.label for source in self.sources}))
 
     @property
     def text(self) -> str:
         """The whole scene as JSON with sorted keys: what is stored in a dataset, and hashed."""
-        return json.dumps(self.model_dump(mode="json", exclude_none=True), sort_keys=True)
+        content = self.model_dump(mode="json", exclude_none=True)
+        # What a scene does not use leaves no trace, so that a new kind of part gives no old scene another identity.
+        return json.dumps({key: part for key, part in content.items() if part != []}, sort_keys=True)
 
     @cached_property  # every batch of signals bears it
     def sha256(self) -> str:
@@ -206,8 +134,6 @@ def _path(location: tuple[int | str, ...]) -> str:
 
 def _besides(entry: Any) -> bool:
     """Return whether this only follows from another mistake, or is about the way to write a target not chosen."""
-    if entry["type"] == "too_short":
-        return len(entry["input"]) > 0  # parts there are, but none is sound
     if "literal['rigid']" in entry["loc"]:
         return isinstance(entry["input"], dict)
     return "TargetSection" in entry["loc"] and entry["type"] == "model_type"

@@ -71,3 +71,10 @@ class Sensor(BaseModel):
             np.multiply(np.rint(frames / step), step, out=frames)
             highest = self.range - step
         np.clip(frames, -self.range, highest, out=frames)
+
+
+def clip(frames: NDArray[np.floating], level: Floats) -> None:
+    """Cut each frame off at +- its own level in place; a level of nan leaves it as it is."""
+    rows = np.flatnonzero(np.isfinite(level))
+    height = level[rows, None].astype(frames.dtype)
+    frames[rows] = np.clip(frames[rows], -height, height)

@@ -11,10 +11,11 @@ from numpy.typing import DTypeLike, NDArray
 
 from cgid import validation
 from cgid.errors import InvalidValue
-from cgid.impact import HertzRangeWarning
+from cgid.impact import HertzRangeWarning, ThinPlateWarning
 from cgid.scene.population import Draw, draw
 from cgid.scene.randomness import BLOCK, NOISE, generator
 from cgid.scene.scene import Scene
+from cgid.scene.sensor import clip
 from cgid.signals import Batch
 
 
@@ -43,7 +44,7 @@ def synthesise(
     Yields
     ------
     Batch
-        Forces [N], labels, parameters, specimens.
+        Forces [N], labels, parameters, specimens. Where the scene randomises its sampling rate each batch has its own.
 
     Raises
     ------
@@ -61,14 +62,15 @@ def synthesise(
 
 def _block(scene: Scene, seed: int, block: int, part: slice, dtype: DTypeLike) -> Batch:
     with warnings.catch_warnings():
-        # A population reaches past Hertz's range here and there; `cgid check` says how often.
-        warnings.simplefilter("ignore", HertzRangeWarning)
+        # A population reaches past Hertz's or Zener's range here and there; `cgid check` says how often.
+        for beyond in (HertzRangeWarning, ThinPlateWarning):
+            warnings.simplefilter("ignore", beyond)
         drawn = draw(scene, seed, block)
-    frames = make_frames(scene, drawn, seed, block, dtype)
+    frames = make_frames(drawn.scene, drawn, seed, block, dtype)
     return Batch(
         signals=frames[part],
         labels=drawn.labels[part],
-        sampling_rate=scene.sampling.sampling_rate,
+        sampling_rate=drawn.scene.sampling.sampling_rate,
         unit="N",
         pre_trigger=scene.sampling.pre_trigger,
         specimen=drawn.specimen[part],
@@ -78,7 +80,10 @@ def _block(scene: Scene, seed: int, block: int, part: slice, dtype: DTypeLike) -
 
 
 def make_frames(scene: Scene, drawn: Draw, seed: int, block: int, dtype: DTypeLike) -> NDArray[Any]:
-    """Return the frames of one block: pulses, bandwidth, noise, range, bits, each only where it is on."""
+    """Return the frames of one block: pulses, bandwidth, noise, clipping, range, bits, each only where it is on.
+
+    The scene is that of the block: `drawn.scene`.
+    """
     sensor = scene.sensor
     shape = (len(drawn.labels), scene.sampling.samples)
     if sensor.bandwidth is None:
@@ -91,6 +96,8 @@ def make_frames(scene: Scene, drawn: Draw, seed: int, block: int, dtype: DTypeLi
         frames = sensor.limit_band(frames, scene.sampling.sampling_rate)
         if sensor.noisy:
             frames += _noise(scene, drawn, seed, block, dtype)
+    if "clipped_at" in drawn.parameters:
+        clip(frames, drawn.parameters["clipped_at"] * drawn.parameters["peak_force"])
     sensor.digitise(frames)
     return frames
 
@@ -106,6 +113,6 @@ def _noise(scene: Scene, drawn: Draw, seed: int, block: int, dtype: DTypeLike) -
 
 
 def add_pulses(frames: NDArray[Any], scene: Scene, drawn: Draw) -> None:
-    """Add the force pulse of each impact to its frame, in place."""
-    onset = drawn.parameters["onset"]
-    drawn.impact.add_to_frames(frames, scene.sampling.sampling_rate, onset)
+    """Add the force pulses of each signal to its frame, in place."""
+    for strike in drawn.strikes:
+        strike.add_to_frames(frames, scene.sampling.sampling_rate)

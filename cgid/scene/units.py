@@ -17,6 +17,7 @@ DIMENSIONS: dict[str, dict[str, float]] = {
     "speed": {"m/s": 1.0, "cm/s": 1e-2, "mm/s": 1e-3, "km/h": 1 / 3.6},
     "frequency": {"Hz": 1.0, "kHz": 1e3, "MHz": 1e6},
     "force": {"N": 1.0, "kN": 1e3, "MN": 1e6},
+    "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6},
     "ratio": {"": 1.0, "%": 1e-2},
 }
 
@@ -29,6 +30,7 @@ LIMITS: dict[str, tuple[float, float]] = {
     "speed": (1e-3, 1e4),
     "frequency": (1e-3, 1e9),
     "force": (1e-9, 1e15),
+    "time": (1e-9, 1e4),
 }
 
 _NUMBER = re.compile(r"([-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+))(?:[eE]([-+]?[0-9]{1,9}))?\s*(.*)")
@@ -93,6 +95,7 @@ def _limits(dimension: str) -> Any:
 
 Density = Annotated[float, BeforeValidator(_reader("density")), _limits("density")]
 Modulus = Annotated[float, BeforeValidator(_reader("modulus")), _limits("modulus")]
+Length = Annotated[float, BeforeValidator(_reader("length")), _limits("length")]
 Frequency = Annotated[float, BeforeValidator(_reader("frequency")), _limits("frequency")]
 Force = Annotated[float, BeforeValidator(_reader("force")), _limits("force")]
 Level = Annotated[float, BeforeValidator(_reader("force")), Field(ge=0, le=LIMITS["force"][1])]

@@ -1,0 +1,46 @@
+"""Pulses on their way into the frames of a block."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cgid.impact import Impact
+from cgid.scene.taps import TapPulses
+from cgid.validation import Floats
+
+
+@dataclass(frozen=True)
+class Strike:
+    """Pulses of one kind, each with its place in a block.
+
+    Attributes
+    ----------
+    rows : ndarray of int, (n,)
+        Signals of the block that they belong to.
+    pulses : Impact or TapPulses
+        n of them.
+    onset : ndarray, (n,)
+        Time of touch in the frame [s].
+    ratio : ndarray, (n,), optional
+        What each is multiplied by.
+    """
+
+    rows: NDArray[np.intp]
+    pulses: Impact | TapPulses
+    onset: Floats
+    ratio: Floats | None = None
+
+    def add_to_frames(self, frames: NDArray[Any], sampling_rate: float) -> None:
+        """Add the pulses to the frames of the block, in place."""
+        if self.ratio is None and self.rows.size == len(frames):
+            self.pulses.add_to_frames(frames, sampling_rate, self.onset)
+            return
+        own = np.zeros((self.rows.size, frames.shape[1]), frames.dtype)
+        self.pulses.add_to_frames(own, sampling_rate, self.onset)
+        if self.ratio is not None:
+            own *= self.ratio.astype(frames.dtype)[:, None]
+        frames[self.rows] += own

@@ -1,0 +1,590 @@
+"""Taps, second hits, clipping, randomised rigs, thin plates and variations of a scene, each against another way."""
+
+import json
+import warnings
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy import stats
+
+from cgid.cli.main import run
+from cgid.errors import BadData, InvalidValue
+from cgid.impact import Elastic, HalfSpace, HuntCrossley, Impact, Sphere, ThinPlate, ThinPlateWarning
+from cgid.materials import Material
+from cgid.scene import generate, load_scene, parse_scene, synthesise, varied
+from cgid.scene.distributions import Constant, Uniform
+from cgid.scene.population import PARAMETER_UNITS, draw
+from cgid.scene.randomness import BLOCK
+from cgid.shipped import SCENES, scene_path
+from cgid.store import Dataset
+
+RATE = 200e3
+STEEL = {"youngs_modulus": "210 GPa", "poisson_ratio": 0.3}
+#: Force over peak against time over duration, written down again.
+SHAPES = {
+    "half-sine": lambda u: np.sin(np.pi * u),
+    "square": lambda u: 1.0 + 0 * u,
+    "triangle": lambda u: np.minimum(2 * u, 2 - 2 * u),
+    "haversine": lambda u: (1 - np.cos(2 * np.pi * u)) / 2,
+}
+EXTRAS = ("second_hit_delay", "second_hit_ratio", "clipped_at")
+
+
+def uniform(lowest, highest):
+    return {"distribution": "uniform", "lowest": lowest, "highest": highest}
+
+
+ROCK = {
+    "density": uniform(1300, 2500),
+    "youngs_modulus": uniform("2 GPa", "8 GPa"),
+    "poisson_ratio": 0.3,
+    "radius": uniform("15 mm", "40 mm"),
+    "velocity": uniform(2, 8),
+    "restitution": uniform(0.2, 0.9),
+}
+SECOND = {"delay": uniform("50 us", "2 ms"), "ratio": uniform(0.3, 1.5)}
+
+
+def tap(shape, **more):
+    force, time = uniform("1 kN", "20 kN"), uniform("0.1 ms", "2 ms")
+    return {"label": shape, "shape": shape, "peak_force": force, "contact_duration": time, **more}
+
+
+TAPS = [tap(shape) for shape in SHAPES]
+
+
+def scene_of(populations=(), taps=(), **sections):
+    return parse_scene(
+        {
+            "name": "strangers",
+            "impact": {"stiffness": "hertz", "dissipation": "hunt-crossley", "target": "rigid"},
+            "sampling": {"sampling_rate": RATE, "samples": 1024, "pre_trigger": 32},
+            "populations": [{"label": f"rock {k}", **ROCK, **more} for k, more in enumerate(populations)],
+            "taps": list(taps),
+            **sections,
+        }
+    )
+
+
+def batch_of(scene, n_signals=BLOCK, seed=3, **options):
+    (batch,) = synthesise(scene, n_signals, seed, **options)
+    return batch
+
+
+# ---- taps ------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("dtype", "tolerance"), [("float32", 1e-7), ("float64", 1e-12)])
+@pytest.mark.parametrize("jitter", [0.0, 1.0])
+def test_taps_are_their_closed_form(dtype, tolerance, jitter):
+    sampling = {"sampling_rate": RATE, "samples": 1024, "pre_trigger": 32, "jitter": jitter}
+    batch = batch_of(scene_of(taps=TAPS, sampling=sampling), dtype=dtype)
+    p = batch.parameters
+    assert set(batch.labels) == set(SHAPES)
+    share = (np.arange(1024) / RATE - p["onset"][:, None]) / p["contact_duration"][:, None]
+    edge = np.minimum(np.abs(share), np.abs(share - 1)) < 1e-9
+    for shape, function in SHAPES.items():
+        own = batch.labels == shape
+        expected = np.where((share > 0) & (share < 1), function(share), 0.0) * p["peak_force"][:, None]
+        error = np.abs(batch.signals - expected)[own] / p["peak_force"][own, None]
+        assert error[~edge[own]].max() < tolerance
+    # A sample on touch itself holds no force, as in an impact.
+    assert (batch.signals[:, :33] == 0).all()
+
+
+def test_taps_draw_from_their_distributions_and_have_nothing_else():
+    draws = [draw(scene_of(taps=TAPS[:1]), 5, block) for block in range(20)]
+    values = {name: np.concatenate([d.parameters[name] for d in draws]) for name in PARAMETER_UNITS}
+    assert stats.kstest(values["peak_force"], stats.uniform(1e3, 19e3).cdf).pvalue > 1e-3
+    assert stats.kstest(values["contact_duration"], stats.uniform(1e-4, 1.9e-3).cdf).pvalue > 1e-3
+    assert abs(stats.spearmanr(values["peak_force"], values["contact_duration"]).statistic) < 4.5 / np.sqrt(20 * 256)
+    assert np.isfinite(values["onset"]).all()
+    for name in PARAMETER_UNITS.keys() - {"peak_force", "contact_duration", "onset"}:
+        assert np.isnan(values[name]).all()
+
+
+def test_taps_and_populations_share_a_scene_by_their_weights():
+    scene = scene_of([{"weight": 2}], [{**TAPS[0], "weight": 6}])
+    batches = list(synthesise(scene, 16 * BLOCK, 1))
+    labels = np.concatenate([batch.labels for batch in batches])
+    assert abs(np.mean(labels == "half-sine") - 0.75) < 4 * np.sqrt(0.75 * 0.25 / labels.size)
+    assert scene.labels == ("half-sine", "rock 0")
+    for batch in batches:
+        tapped = batch.labels == "half-sine"
+        assert np.isnan(batch.parameters["radius"][tapped]).all()
+        assert np.isfinite(batch.parameters["radius"][~tapped]).all()
+        assert np.isfinite(batch.parameters["peak_force"]).all()
+
+
+@pytest.mark.parametrize("sensor", [{}, {"relative_noise": 0.02}], ids=str)
+def test_a_tap_changes_no_impact(sensor):
+    alone = batch_of(scene_of([{}, {}], sensor=sensor), dtype="float64")
+    # The second population's place is taken by a tap.
+    mixed = batch_of(scene_of([{}], [TAPS[0]], sensor=sensor), dtype="float64")
+    rock = mixed.labels == "rock 0"
+    assert 0.3 < rock.mean() < 0.7
+    np.testing.assert_array_equal(rock, alone.labels == "rock 0")
+    np.testing.assert_array_equal(mixed.specimen[rock], alone.specimen[rock])
+    for name in PARAMETER_UNITS:
+        np.testing.assert_array_equal(mixed.parameters[name][rock], alone.parameters[name][rock])
+    peak = alone.parameters["peak_force"][rock, None]
+    np.testing.assert_allclose(mixed.signals[rock] / peak, alone.signals[rock] / peak, atol=1e-14)
+
+
+def test_a_specimen_is_a_shape_with_its_peak_and_duration():
+    fixed = {"peak_force": "2 kN", "contact_duration": "1 ms"}
+    same = batch_of(scene_of(taps=[{**tap(shape), **fixed} for shape in SHAPES]))
+    assert np.unique(same.specimen).size == 4
+    assert all(np.unique(same.specimen[same.labels == shape]).size == 1 for shape in SHAPES)
+    assert np.unique(batch_of(scene_of(taps=TAPS)).specimen).size == BLOCK
+
+
+@pytest.mark.parametrize(("samples", "duration"), [(40, "1 ms"), (64, "1 us"), (64, "5 us")])
+def test_taps_beyond_the_frame_and_between_its_samples(samples, duration):
+    sampling = {"sampling_rate": RATE, "samples": samples, "pre_trigger": 16}
+    batch = batch_of(scene_of(taps=[{**TAPS[1], "contact_duration": duration}], sampling=sampling), dtype="float64")
+    inside = np.arange(samples) / RATE - batch.parameters["onset"][:, None]
+    inside = (inside > 0) & (inside < batch.parameters["contact_duration"][:, None])
+    np.testing.assert_array_equal(batch.signals, inside * batch.parameters["peak_force"][:, None])
+
+
+# ---- second hits -----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("kind", ["impact", "tap"])
+@pytest.mark.parametrize(("dtype", "tolerance"), [("float32", 3e-7), ("float64", 1e-12)])
+def test_a_second_hit_is_the_same_pulse_later_and_scaled(kind, dtype, tolerance):
+    first = scene_of([{}]) if kind == "impact" else scene_of(taps=[tap("triangle")])
+    both = batch_of(varied(first, second_hit=SECOND), dtype=dtype)
+    p = both.parameters
+    once = batch_of(first, dtype=dtype)
+    for name in PARAMETER_UNITS:
+        np.testing.assert_array_equal(p[name], once.parameters[name])
+    times = np.arange(1024) / RATE - p["onset"][:, None]
+    later = times - p["second_hit_delay"][:, None]
+    pulse = _impact_of(p).force if kind == "impact" else lambda t: _triangle(t, p)
+    expected = pulse(times) + p["second_hit_ratio"][:, None] * pulse(later)
+    error = np.abs(both.signals - expected).max(axis=1) / p["peak_force"]
+    assert error.max() < tolerance
+    overlapping = p["second_hit_delay"] < p["contact_duration"]
+    assert 0.05 < overlapping.mean() < 0.95
+
+
+def _triangle(times, p):
+    share = times / p["contact_duration"][:, None]
+    return p["peak_force"][:, None] * np.maximum(0, 1 - np.abs(2 * share - 1))
+
+
+def _impact_of(p, target=None):
+    from cgid.impact import RIGID
+
+    material = Material(density=p["density"], youngs_modulus=p["youngs_modulus"], poisson_ratio=p["poisson_ratio"])
+    return Impact(
+        sphere=Sphere(material=material, radius=p["radius"]),
+        target=RIGID if target is None else target,
+        velocity=p["velocity"],
+        stiffness="hertz",
+        dissipation=HuntCrossley(restitution=p["restitution"]),
+    )
+
+
+def test_second_hits_follow_their_distributions_and_belong_to_their_population():
+    draws = [draw(scene_of([{"second_hit": SECOND}, {}]), 5, block) for block in range(20)]
+    labels = np.concatenate([d.labels for d in draws])
+    delay, ratio = (np.concatenate([d.parameters[name] for d in draws]) for name in EXTRAS[:2])
+    second = labels == "rock 0"
+    assert np.isnan(delay[~second]).all()
+    assert np.isnan(ratio[~second]).all()
+    assert stats.kstest(delay[second], stats.uniform(5e-5, 1.95e-3).cdf).pvalue > 1e-3
+    assert stats.kstest(ratio[second], stats.uniform(0.3, 1.2).cdf).pvalue > 1e-3
+    assert abs(stats.spearmanr(delay[second], ratio[second]).statistic) < 4.5 / np.sqrt(second.sum())
+
+
+# ---- clipping --------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("dtype", ["float32", "float64"])
+@pytest.mark.parametrize("noise", [0.0, 0.05])
+def test_a_clipped_pulse_is_flat_at_its_share_of_the_peak_and_unchanged_below(dtype, noise):
+    free_scene = scene_of([{}], [tap("haversine")], sensor={"relative_noise": noise})
+    free = batch_of(free_scene, dtype=dtype)
+    clipped = batch_of(varied(free_scene, clipped_at=uniform(0.3, 0.8)), dtype=dtype)
+    share = clipped.parameters["clipped_at"]
+    assert stats.kstest(share, stats.uniform(0.3, 0.5).cdf).pvalue > 1e-3
+    level = (share * free.parameters["peak_force"]).astype(dtype)[:, None]
+    np.testing.assert_array_equal(clipped.signals, np.minimum(np.maximum(free.signals, -level), level))
+    np.testing.assert_array_equal(clipped.signals.max(axis=1), level[:, 0])
+    assert ((clipped.signals == level).sum(axis=1) > 3).all()
+
+
+def test_only_its_own_population_is_clipped_and_the_range_comes_after_it():
+    scene = scene_of([{"clipped_at": 0.5}, {}], sensor={"relative_noise": 0.02, "range": "5 kN", "bits": 12})
+    analogue = varied(scene, range=None, bits=None)
+    digital, clipped = batch_of(scene, dtype="float64"), batch_of(analogue, dtype="float64")
+    own = clipped.labels == "rock 0"
+    highest = clipped.signals.max(axis=1) / clipped.parameters["peak_force"]
+    np.testing.assert_allclose(highest[own], 0.5, rtol=1e-12)
+    assert highest[~own].min() > 0.9
+    assert np.isnan(clipped.parameters["clipped_at"][~own]).all()
+    step = 5000 / 2**11
+    expected = np.clip(np.rint(clipped.signals / step) * step, -5000, 5000 - step)
+    np.testing.assert_array_equal(digital.signals, expected)
+
+
+# ---- randomised rigs -------------------------------------------------------------------------------------------------
+
+LOG_RATE = {"distribution": "log-uniform", "lowest": "25 kHz", "highest": "1 MHz"}
+LOG_NOISE = {"distribution": "log-uniform", "lowest": 0.003, "highest": 0.3}
+
+
+def test_a_block_is_the_scene_fixed_at_what_it_drew():
+    randomise = {"sampling_rate": LOG_RATE, "relative_noise": LOG_NOISE, "bandwidth": uniform("5 kHz", "400 kHz")}
+    scene = scene_of([{}], [TAPS[0]], randomise=randomise)
+    unlimited = 0
+    for block, batch in enumerate(synthesise(scene, 12 * BLOCK, 3)):
+        noise, bandwidth = (batch.parameters[name] for name in ("relative_noise", "bandwidth"))
+        assert np.unique(noise).size == np.unique(bandwidth).size == 1
+        assert batch.source == scene.sha256
+        edge = None if np.isnan(bandwidth[0]) else float(bandwidth[0])
+        unlimited += edge is None
+        assert edge is None or edge <= 0.45 * batch.sampling_rate
+        fixed = varied(scene, sampling_rate=batch.sampling_rate, relative_noise=float(noise[0]), bandwidth=edge)
+        assert fixed.randomise is None
+        (alone,) = synthesise(fixed, BLOCK, 3, first=block * BLOCK)
+        assert alone.sampling_rate == batch.sampling_rate
+        np.testing.assert_array_equal(alone.signals, batch.signals)
+        np.testing.assert_array_equal(batch.parameters["onset"] * batch.sampling_rate // 1, 32)
+    assert 0 < unlimited < 12
+
+
+def test_rigs_follow_their_distributions():
+    scene = scene_of(
+        taps=TAPS[:1],
+        sampling={"sampling_rate": RATE, "samples": 64, "pre_trigger": 16},
+        randomise={"sampling_rate": LOG_RATE, "relative_noise": LOG_NOISE},
+    )
+    draws = [draw(scene, 8, block) for block in range(400)]
+    rates = [d.scene.sampling.sampling_rate for d in draws]
+    noises = [d.parameters["relative_noise"][0] for d in draws]
+    assert stats.kstest(rates, stats.loguniform(25e3, 1e6).cdf).pvalue > 1e-3
+    assert stats.kstest(noises, stats.loguniform(0.003, 0.3).cdf).pvalue > 1e-3
+    assert abs(stats.spearmanr(rates, noises).statistic) < 4.5 / np.sqrt(400)
+
+
+def test_a_fixed_bandwidth_is_off_where_the_drawn_rate_is_too_low_for_it():
+    sensor = {"bandwidth": "40 kHz"}
+    scene = scene_of([{}], sensor=sensor, randomise={"sampling_rate": LOG_RATE})
+    for block in range(12):
+        here = draw(scene, 3, block).scene
+        assert here.sensor.bandwidth == (40e3 if 0.45 * here.sampling.sampling_rate >= 40e3 else None)
+
+
+def test_the_draws_of_the_rest_do_not_depend_on_randomisation():
+    plain, randomised = scene_of([{}], TAPS), scene_of([{}], TAPS, randomise={"sampling_rate": LOG_RATE})
+    one, other = batch_of(plain), batch_of(randomised)
+    assert one.sampling_rate != other.sampling_rate
+    for name in PARAMETER_UNITS.keys() - {"onset"}:
+        np.testing.assert_array_equal(one.parameters[name], other.parameters[name])
+
+
+def test_a_dataset_has_one_sampling_rate_but_many_noises(tmp_path):
+    randomise = {"relative_noise": LOG_NOISE, "bandwidth": uniform("10 kHz", "50 kHz")}
+    scene = scene_of([{"second_hit": SECOND}], [tap("square", clipped_at=0.5)], randomise=randomise)
+    generate(scene, tmp_path / "data.h5", 700, 7)
+    stored = list(Dataset(tmp_path / "data.h5").batches(BLOCK))
+    for batch, made in zip(stored, synthesise(scene, 700, 7), strict=True):
+        np.testing.assert_array_equal(batch.signals, made.signals)
+        assert set(batch.parameters) == {*PARAMETER_UNITS, *EXTRAS, "relative_noise", "bandwidth"}
+        for name, values in made.parameters.items():
+            np.testing.assert_array_equal(batch.parameters[name], values)
+    rates = scene_of([{}], randomise={"sampling_rate": uniform("50 kHz", "90 kHz")})
+    with pytest.raises(InvalidValue, match=r"randomise\.sampling_rate must be left out .* 50000 to 90000 Hz; train"):
+        generate(rates, tmp_path / "rates.h5", 10)
+    assert not (tmp_path / "rates.h5").exists()
+
+
+# ---- addresses -------------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def everything():
+    scene = scene_of(
+        [{"second_hit": SECOND}, {"clipped_at": uniform(0.3, 0.8)}],
+        [TAPS[0], tap("square", second_hit=SECOND)],
+        sampling={"sampling_rate": RATE, "samples": 128, "pre_trigger": 16},
+        sensor={"absolute_noise": "20 N"},
+        randomise={"sampling_rate": LOG_RATE, "relative_noise": LOG_NOISE},
+    )
+    return scene, list(synthesise(scene, 4 * BLOCK, 3))
+
+
+def _joined(batches):
+    names = batches[0].parameters
+    return {
+        "signals": np.concatenate([batch.signals for batch in batches]),
+        "labels": np.concatenate([batch.labels for batch in batches]),
+        "specimen": np.concatenate([batch.specimen for batch in batches]),
+        "rate": np.concatenate([np.full(len(batch), batch.sampling_rate) for batch in batches]),
+    } | {name: np.concatenate([batch.parameters[name] for batch in batches]) for name in names}
+
+
+@settings(max_examples=25, deadline=None)
+@given(first=st.integers(0, 3 * BLOCK), count=st.integers(1, BLOCK + 9))
+def test_a_signal_is_the_same_wherever_the_run_is_cut(everything, first, count):
+    scene, whole = everything
+    expected = _joined(whole)
+    for name, values in _joined(list(synthesise(scene, count, 3, first=first))).items():
+        np.testing.assert_array_equal(values, expected[name][first : first + count])
+
+
+def test_blocks_and_seeds_differ(everything):
+    scene, whole = everything
+    found = _joined(whole)
+    assert np.unique(found["rate"]).size == 4
+    other = next(synthesise(scene, BLOCK, 4))
+    for name in EXTRAS:
+        values = found[name][np.isfinite(found[name])]
+        assert np.unique(values).size == values.size
+        assert not np.isin(other.parameters[name], values).any()
+
+
+def test_scenes_without_them_have_no_more_parameters_than_before():
+    assert set(batch_of(scene_of([{}])).parameters) == set(PARAMETER_UNITS)
+
+
+# ---- thin plates -----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("dissipation", ["elastic", "hunt-crossley"])
+def test_a_target_with_a_thickness_is_a_thin_plate(dissipation):
+    elastic = dissipation == "elastic"
+    rock = {"restitution": None} if elastic else {}
+    section = {"stiffness": "hertz", "dissipation": dissipation, "target": {**STEEL, "thickness": "20 mm"}}
+    scene = scene_of([rock], impact=section)
+    batch = batch_of(scene, 24, dtype="float64")
+    asked = batch_of(varied(scene, target="rigid"), 24).parameters["restitution"]
+    p = batch.parameters
+    steel = Material(density=7850.0, youngs_modulus=210e9, poisson_ratio=0.3)
+    for row in range(24):
+        one = {name: float(p[name][row]) for name in ("density", "youngs_modulus", "poisson_ratio")}
+        impact = Impact(
+            sphere=Sphere(material=Material(**one), radius=p["radius"][row]),
+            target=ThinPlate(material=steel, thickness=0.02),
+            velocity=p["velocity"][row],
+            stiffness="hertz",
+            dissipation=Elastic() if elastic else HuntCrossley(restitution=asked[row]),
+        )
+        assert p["restitution"][row] == pytest.approx(float(impact.restitution), rel=1e-10)
+        assert p["restitution"][row] < asked[row]
+        assert p["peak_force"][row] == pytest.approx(float(impact.peak_force), rel=1e-10)
+        times = np.arange(1024) / RATE - p["onset"][row]
+        np.testing.assert_allclose(batch.signals[row], impact.force(times), atol=1e-9 * p["peak_force"][row])
+
+
+def test_a_thick_plate_is_nearly_a_half_space():
+    half_space = scene_of([{}], impact={"stiffness": "hertz", "dissipation": "hunt-crossley", "target": STEEL})
+    thick = varied(half_space, target={**STEEL, "thickness": "3 m"})
+    assert isinstance(thick.impact.body, ThinPlate)
+    assert isinstance(half_space.impact.body, HalfSpace)
+    one, other = batch_of(half_space, 32, dtype="float64"), batch_of(thick, 32, dtype="float64")
+    # It takes about lambda / 2 < 1e-5 of the speed.
+    peak = one.parameters["peak_force"][:, None]
+    np.testing.assert_allclose(other.signals / peak, one.signals / peak, atol=1e-4)
+    assert not np.array_equal(other.signals, one.signals)
+
+
+def test_a_scene_does_not_warn_of_plates_and_check_says_how_many(tmp_path, capsys):
+    scene = varied(
+        scene_of([{}]), target={**STEEL, "thickness": "4 mm"}, youngs_modulus="10 GPa", density=2400, radius="40 mm"
+    )
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", ThinPlateWarning)
+        batch_of(scene, 4)
+    (tmp_path / "scene.toml").write_text(_toml(json.loads(scene.text)))
+    assert run(["check", str(tmp_path / "scene.toml")]) == 0
+    assert "pass the range of the thin plate (lambda above 1.5)" in capsys.readouterr().err
+
+
+def _toml(content):
+    """Write a scene as TOML, whose values are JSON's but for the mappings."""
+
+    def value(item):
+        if isinstance(item, dict):
+            return "{ " + ", ".join(f"{key} = {value(part)}" for key, part in item.items()) + " }"
+        if isinstance(item, list):
+            return "[" + ", ".join(map(value, item)) + "]"
+        return json.dumps(item)
+
+    return "".join(f"{key} = {value(part)}\n" for key, part in content.items())
+
+
+@pytest.mark.filterwarnings("ignore::cgid.impact.ThinPlateWarning")
+@pytest.mark.parametrize("restitution", [0.05, 1.0])
+@pytest.mark.parametrize("law", ["exact", "lankarani-nikravesh"])
+def test_the_hardest_impact_allowed_on_a_plate_can_be_followed(restitution, law):
+    plate = {"stiffness": "hertz", "dissipation": "hunt-crossley", "law": law}
+    fixed = {"density": 2400, "youngs_modulus": "10 GPa", "velocity": 8, "radius": "40 mm", "restitution": restitution}
+    low, high = 1e-3, 1e-2  # too thin, and not
+    for _ in range(12):
+        middle = (low * high) ** 0.5
+        try:
+            scene = scene_of([fixed], impact={**plate, "target": {**STEEL, "thickness": middle}})
+            high = middle
+        except BadData:
+            low = middle
+    batch = batch_of(scene, 1)
+    assert draw(scene, 0, 0).impact.inelasticity.max() == pytest.approx(30, rel=0.01)
+    assert np.isfinite(batch.signals).all()
+
+
+# ---- variations ------------------------------------------------------------------------------------------------------
+
+
+def test_a_variation_is_the_scene_written_with_these_settings():
+    scene = load_scene(scene_path("reference"))
+    changed = varied(
+        scene,
+        stiffness="series",
+        target="rigid",
+        sampling_rate="100 kHz",
+        samples=1024,
+        pre_trigger=100,
+        relative_noise="3 %",
+        bandwidth="20 kHz",
+        range="50 kN",
+        bits=12,
+        radius=Uniform(distribution="uniform", lowest=0.02, highest=0.03),
+        density=Constant(value=1500),
+        velocity="5 m/s",
+    )
+    assert (changed.impact.stiffness, changed.impact.target) == ("series", "rigid")
+    assert (changed.sampling.sampling_rate, changed.sampling.samples, changed.sampling.pre_trigger) == (1e5, 1024, 100)
+    assert changed.sensor.model_dump() == {
+        "relative_noise": 0.03,
+        "absolute_noise": 0.0,
+        "bandwidth": 2e4,
+        "range": 5e4,
+        "bits": 12,
+    }
+    for population, old in zip(changed.populations, scene.populations, strict=True):
+        assert population.radius.extremes == pytest.approx((0.02, 0.03))
+        assert population.density.extremes == (1500, 1500)
+        assert population.velocity.extremes == (5, 5)
+        assert population.drop_height is None
+        assert (population.youngs_modulus, population.label) == (old.youngs_modulus, old.label)
+    assert changed.sha256 != scene.sha256
+    assert parse_scene(json.loads(changed.text)) == changed
+    assert varied(scene) == scene
+    assert varied(scene).sha256 == scene.sha256
+    assert varied(changed, range=None, bits=None).sensor.range is None
+    assert varied(scene, restitution=None, dissipation="elastic").impact.dissipation == "elastic"
+
+
+@pytest.mark.parametrize(
+    ("rate", "samples", "pre_trigger"), [("400 kHz", 4096, 400), (100e3, 1024, 100), ("20 kHz", 249, 64)]
+)
+def test_a_frame_keeps_its_seconds(rate, samples, pre_trigger):
+    scene = load_scene(scene_path("reference"))
+    changed = varied(scene, keep_frame=True, sampling_rate=rate).sampling
+    assert (changed.samples, changed.pre_trigger) == (samples, pre_trigger)
+    after = (changed.samples - changed.pre_trigger) / changed.sampling_rate
+    assert after == pytest.approx((2048 - 200) / 200e3, abs=0.5 / changed.sampling_rate)
+
+
+def test_what_is_given_is_no_longer_randomised():
+    scene = load_scene(scene_path("randomised"))
+    assert varied(scene, sampling_rate=1e5).randomise.sampling_rate is None
+    assert varied(scene, sampling_rate=1e5, relative_noise=0).randomise is None
+    assert varied(scene, radius="30 mm").randomise == scene.randomise
+
+
+@pytest.mark.parametrize(
+    ("changes", "error", "says"),
+    [
+        ({"colour": "red"}, InvalidValue, "colour must be a setting of scene reference"),
+        ({"label": "coal"}, InvalidValue, "label must be a setting"),
+        ({"peak_force": "1 kN"}, InvalidValue, "peak_force must be a setting"),
+        ({"radius": "-1 mm"}, BadData, r"variation of reference: populations\.0\.radius: must be above 0"),
+        ({"sampling_rate": "1 N"}, BadData, r"sampling\.sampling_rate"),
+        ({"restitution": None}, BadData, r"populations\.0\.restitution: is missing"),
+        ({"keep_frame": True}, InvalidValue, "keep_frame must come with sampling_rate .* got nothing"),
+        ({"keep_frame": True, "sampling_rate": 1e5, "samples": 9}, InvalidValue, "got samples, sampling_rate"),
+        ({"keep_frame": True, "sampling_rate": "1 N"}, BadData, r"sampling\.sampling_rate"),
+    ],
+    ids=lambda value: str(value) if isinstance(value, dict) else "",
+)
+def test_variations_that_cannot_be(changes, error, says):
+    with pytest.raises(error, match=says):
+        varied(load_scene(scene_path("reference")), **changes)
+
+
+# ---- the shipped scenes ----------------------------------------------------------------------------------------------
+
+LABELS = {
+    "strangers": (
+        "clipped coal",
+        "clipped gangue",
+        "double coal",
+        "double gangue",
+        "half-sine tap",
+        "rubber ball",
+        "square tap",
+        "steel ball",
+    ),
+    "lookalikes": ("concrete lump", "ice lump", "wooden ball"),
+    "randomised": ("coal", "gangue"),
+}
+
+
+@pytest.mark.filterwarnings("ignore::cgid.impact.HertzRangeWarning")  # rubber
+@pytest.mark.parametrize("name", LABELS)
+def test_shipped_strangers_are_sound_and_fit_their_frames(name):
+    scene = load_scene(scene_path(name))
+    assert name in SCENES
+    assert (scene.name, scene.labels) == (name, LABELS[name])
+    for block in range(40):
+        drawn = draw(scene, 0, block)
+        p = drawn.parameters
+        end = p["onset"] + np.nan_to_num(p.get("second_hit_delay", 0.0)) + p["contact_duration"]
+        assert (end * drawn.scene.sampling.sampling_rate).max() < scene.sampling.samples - 100
+
+
+@pytest.mark.parametrize("name", ["strangers", "lookalikes"])
+def test_strangers_stand_on_the_rig_of_the_reference_scene(name, reference_scene):
+    scene = load_scene(scene_path(name))
+    assert (scene.sampling, scene.sensor, scene.impact) == (
+        reference_scene.sampling,
+        reference_scene.sensor,
+        reference_scene.impact,
+    )
+
+
+@pytest.mark.parametrize(("name", "prefix"), [("strangers", "double "), ("strangers", "clipped "), ("randomised", "")])
+def test_rocks_of_the_other_scenes_are_those_of_the_reference_scene(name, prefix, reference_scene):
+    own = {population.label: population for population in load_scene(scene_path(name)).populations}
+    for rock in reference_scene.populations:
+        stripped = own[prefix + rock.label].model_copy(
+            update={"label": rock.label, "second_hit": None, "clipped_at": None}
+        )
+        assert stripped == rock
+
+
+def test_check_says_what_is_randomised(capsys):
+    assert run(["check", "randomised"]) == 0
+    out = capsys.readouterr().out
+    assert "4096 samples at a drawn rate" in out
+    assert "drawn for each block of 256 signals: sampling_rate [Hz] 25000 to 1e+06" in out
+    assert run(["check", "randomised", "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["randomised"]["relative_noise [1]"] == pytest.approx([0.003, 0.3])
+    assert run(["check", "strangers", "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["randomised"] == {}
+    assert {"clipped_at [1]", "second_hit_delay [s]", "radius [m]"} <= found["quantiles_5_50_95"].keys()
+
+
+def test_a_model_trains_on_the_randomised_scene_directly(tmp_path, capsys):
+    assert run(["train", "randomised", "-n", "1500", "-o", str(tmp_path / "m.npz"), "--family", "discriminant"]) == 0
+    assert "accuracy" in capsys.readouterr().out
