@@ -24,6 +24,10 @@ from cgid.validation import Floats
 
 #: Rows transformed at once: so many spectra stay in the processor's cache.
 _ROWS = 32
+#: Width of the edge of a scene's sensor over its frequency.
+SENSOR_TAPER = 0.5
+#: An impulse response is followed for this many periods of its edge, and down to this share of its largest value.
+_RESPONSE_PERIODS, _RESPONSE_FLOOR = 64, 1e-5
 
 
 def fft_filter(
@@ -109,3 +113,33 @@ def _below(frequency: Floats, edge: float, taper: float) -> Floats:
         return np.asarray(frequency <= edge, np.float64)
     place = np.clip((frequency - edge) / (taper * edge), -0.5, 0.5)
     return np.asarray(0.5 - 0.5 * np.sin(np.pi * place))
+
+
+def low_pass_response(sampling_rate: float, edge: float, taper: float = SENSOR_TAPER) -> Floats:
+    """Return the impulse response of `fft_filter`'s low-pass from lag 0 on, (n_lags,); it is symmetric.
+
+    Parameters
+    ----------
+    sampling_rate, edge : float
+        [Hz].
+    taper : float
+        That of a scene's sensor if not given.
+
+    Examples
+    --------
+    >>> response = low_pass_response(1e5, 1e4)
+    >>> round(float(response[0] + 2 * response[1:].sum()), 6)  # gain at 0 Hz
+    1.0
+    """
+    n = int(2 ** np.ceil(np.log2(_RESPONSE_PERIODS * sampling_rate / edge)))
+    gain = filter_gain(np.asarray(np.fft.rfftfreq(n, 1 / sampling_rate), np.float64), sampling_rate, None, edge, taper)
+    response = np.fft.irfft(gain, n=n)[: n // 2]
+    # What rings on below a hundred thousandth of the gain is left out.
+    kept = np.flatnonzero(np.abs(response) > _RESPONSE_FLOOR * response[0])
+    return np.asarray(response[: kept[-1] + 1])
+
+
+def mixing_matrix(response: Floats, n_samples: int) -> Floats:
+    """Return the matrix (n_samples, n_samples) that applies a symmetric impulse response to rows of samples."""
+    lag = np.abs(np.subtract.outer(np.arange(n_samples), np.arange(n_samples)))
+    return np.where(lag < len(response), response[np.minimum(lag, len(response) - 1)], 0.0)

@@ -13,18 +13,30 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cgid.errors import BadData
+from cgid.estimation import PulseFit, Start, fit_pulses
+from cgid.estimation.start import strongest_run
 from cgid.validation import Floats
 
 #: A pulse must pass this many standard deviations of the noise.
 DETECTION_LIMIT = 5.0
 #: Fewest samples between the 10 % crossings that can tell a width.
 MINIMUM_SAMPLES = 4
+#: The narrowest fitted pulse (impulse over peak, in samples) that can tell anything.
+MINIMUM_WIDTH = 1.5
 #: How many samples there should be on a contact, for the cure in the message.
 WANTED_SAMPLES = 20
 #: The lower of the two levels from which contact is carried on to zero: over the noise, and its bounds
 #: over the peak. Without noise a damped pulse of restitution .5 comes out .2 % short, .4 1.2 %, .3 9 %:
 #: the tail of a strongly damped pulse lies below any level.
 FOOT_OVER_NOISE, FOOT_LEVELS = 4.0, (0.01, 0.1)
+#: Below this many standard deviations of the noise the largest sample does not say where the pulse is.
+FAINT = 12.0
+#: Width (impulse over peak) of a usual pulse over its width at half the peak.
+_WIDTH_OVER_HALF_WIDTH = 1.08
+#: Samples at the top in a row, equal to the last bit, that mean a sensor at its limit.
+_FLAT_TOP = 3
+#: What a pulse must explain of the samples, over the variance of the noise: a chance run of samples explains less.
+EVIDENCE = 40.0
 #: Spectra are taken up to this number over the contact duration: a clean pulse has nothing above
 #: (a low-pass there moves the peak by less than 1 %), noise has.
 SPECTRUM_LIMIT = 4.0
@@ -96,6 +108,13 @@ class PulseBatch:
         foot = np.where(low, columns, 0).max(axis=1)
         return np.asarray(np.maximum(foot - (place - foot) // 5 - 1, 0))
 
+    @cached_property
+    def n_quiet(self) -> Floats:
+        """Number of samples before touch that baseline and noise are of."""
+        if self.pre_trigger is not None:
+            return np.full(len(self.samples), float(max(self.pre_trigger, 1)))
+        return np.asarray(np.maximum(self._foot, 1), np.float64)
+
     @property
     def baseline(self) -> Floats:
         """Mean before touch, 0 where nothing is before touch."""
@@ -114,13 +133,14 @@ class PulseBatch:
         return place, self.samples[np.arange(len(place)), place].astype(np.float64)
 
     @cached_property
-    def _offset(self) -> Floats:
+    def offset(self) -> Floats:
+        """What is taken off the samples."""
         return self.baseline if self.remove_baseline else np.zeros(len(self.samples))
 
     @cached_property
     def peak(self) -> Floats:
         """The largest sample above the baseline."""
-        return self._highest[1] - self._offset
+        return self._highest[1] - self.offset
 
     # -- the window around contact --------------------------------------------------------------------
 
@@ -129,7 +149,7 @@ class PulseBatch:
         """First and last sample of the run around the peak that is above 10 % of the peak."""
         n_rows, n_samples = self.samples.shape
         # Never above the largest sample: where nothing rises above the baseline it is a run by itself.
-        level = np.minimum(0.1 * self.peak + self._offset, self._highest[1]).astype(self.samples.dtype)
+        level = np.minimum(0.1 * self.peak + self.offset, self._highest[1]).astype(self.samples.dtype)
         # Few samples are high: their flat places fall into runs, broken by gaps and by the ends of rows.
         high = np.flatnonzero(self.samples >= level[:, None])
         breaks = np.flatnonzero((np.diff(high) > 1) | (high[1:] % n_samples == 0)) + 1
@@ -151,7 +171,7 @@ class PulseBatch:
         columns = start[:, None] + offset
         inside = (offset <= (stop - start)[:, None]) & (columns >= 0) & (columns < self.samples.shape[1])
         taken = np.take_along_axis(self.samples, np.clip(columns, 0, self.samples.shape[1] - 1), axis=1)
-        return np.where(inside, taken - self._offset[:, None], 0.0), start
+        return np.where(inside, taken - self.offset[:, None], 0.0), start
 
     @cached_property
     def _peak_column(self) -> NDArray[np.intp]:
@@ -252,6 +272,84 @@ class PulseBatch:
         """Integral of the square during contact [unit^2 s]."""
         return np.asarray(np.sum(self._during_contact**2, axis=1) / self.sampling_rate)
 
+    # -- the fitted pulse -----------------------------------------------------------------------------
+
+    @cached_property
+    def fit(self) -> PulseFit:
+        """The most likely damped-Hertz pulse, times in samples of the frame; nan where nothing rises."""
+        alive = np.flatnonzero((self.peak > 0) & (np.ptp(self.samples, axis=1) > 0))
+        found = fit_pulses(
+            self.samples[alive],
+            self.fit_start.rows(alive),
+            self.noise[alive],
+            offset=self.offset[alive],
+            clip_level=None if self.clip_level is None else self.clip_level[alive],
+        )
+        return found if alive.size == len(self.samples) else found.spread(alive, len(self.samples))
+
+    @cached_property
+    def fit_start(self) -> Start:
+        """Where the fit begins: at the largest sample, or at the strongest run of samples where noise is as large."""
+        faint = np.flatnonzero(self.peak < FAINT * self.noise)
+        peak, place = self.peak.copy(), self._highest[0].astype(np.float64)
+        width = np.empty(len(peak))
+        clear = np.flatnonzero(self.peak >= FAINT * self.noise)
+        if clear.size == len(peak):
+            width = _WIDTH_OVER_HALF_WIDTH * self.width(0.5) * self.sampling_rate
+        elif clear.size:
+            own = PulseBatch(self.samples[clear], self.sampling_rate, self.pre_trigger, self.remove_baseline)
+            width[clear] = _WIDTH_OVER_HALF_WIDTH * own.width(0.5) * self.sampling_rate
+        if faint.size:
+            peak[faint], width[faint], place[faint] = strongest_run(self.samples[faint], self.offset[faint])
+        tiny = 1e-12 + 1e-9 * np.abs(self._highest[1])
+        return Start(np.maximum(peak, tiny), np.maximum(width, 1.0), place)
+
+    @cached_property
+    def clip_level(self) -> Floats | None:
+        """Level above the baseline at which a sensor was at its limit, infinite where it was not."""
+        place, highest = self._highest
+        rows, flat = np.arange(len(place)), np.ones(len(place), bool)
+        for step in range(1, _FLAT_TOP):
+            flat &= self.samples[rows, np.minimum(place + step, self.samples.shape[1] - 1)] == highest
+        return np.where(flat, highest - self.offset, np.inf) if flat.any() else None
+
+    @cached_property
+    def overload(self) -> Floats:
+        """Fitted peak over the level at which the samples are cut off, minus 1; 0 where they are not."""
+        if self.clip_level is None:
+            return np.zeros(len(self.samples))
+        return np.maximum(self.fit.peak / self.clip_level - 1, 0.0)
+
+    def fit_problems(self) -> dict[int, str]:
+        """Return, for each row that cannot be fitted, the rule it breaks, its value and the cure."""
+        found: dict[int, str] = {}
+        last = self.samples.shape[1] - 1
+        for row in np.flatnonzero(~(self.fit.evidence > EVIDENCE) | ~(self.fit.peak > 0)):
+            explained = np.nan_to_num(self.fit.evidence[row])
+            found[int(row)] = (
+                f"no impact: a pulse must explain {EVIDENCE:g} times the variance of the noise, the best one explains "
+                f"{explained:.3g} times; if the pulse points downwards, invert the signal"
+            )
+            if np.ptp(self.samples[row]) == 0:
+                found[int(row)] = f"no impact: all samples are {self.samples[row, 0]:g}; check the sensor and its cable"
+        middle = self.fit.onset + 0.5 * self.fit.duration
+        for row in np.flatnonzero((self.fit.onset < -0.5) | (middle > last)):
+            end, column = ("start", 0) if self.fit.onset[row] < -0.5 else ("end", last)
+            found.setdefault(
+                int(row),
+                f"the pulse must lie inside the frame, it is cut off by its {end} (sample {column}): record a "
+                "longer frame",
+            )
+        for row in np.flatnonzero(self.fit.width < MINIMUM_WIDTH):
+            span = self.fit.width[row] / self.sampling_rate
+            found.setdefault(
+                int(row),
+                f"sampling_rate {self.sampling_rate:g} Hz gives this {span * 1e3:.3g} ms pulse "
+                f"{self.fit.width[row]:.3g} samples of width; {MINIMUM_WIDTH:g} are needed and "
+                f"{WANTED_SAMPLES / 2:g} wanted: use {WANTED_SAMPLES / 2 / span:.3g} Hz or more",
+            )
+        return found
+
     # -- the spectrum ---------------------------------------------------------------------------------
 
     @cached_property
@@ -332,9 +430,8 @@ class PulseBatch:
             )
         return found
 
-    def require_sound(self, first_row: int = 0, n_signals: int | None = None) -> None:
+    def require_sound(self, found: dict[int, str], first_row: int = 0, n_signals: int | None = None) -> None:
         """Raise `BadData` for the first row that cannot be measured; rows are counted from `first_row`."""
-        found = self.problems()
         if found:
             row, last_row = min(found), first_row + len(self.samples) - 1
             where = f"signal {first_row + row}: " if (n_signals or len(self.samples)) > 1 else ""

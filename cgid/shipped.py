@@ -12,6 +12,7 @@ from cgid.errors import NoInput
 
 _PACKAGE = Path(__file__).parent
 DEFAULT_MODEL = "default.npz"
+DROP_HEIGHT_MODEL = "default-drop-height.npz"
 SAMPLE = "sample.csv"
 SCENES = ("reference", "peers", "yang2018", "strangers", "lookalikes", "randomised")
 

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import json
 import shutil
 import tempfile
 from collections.abc import Callable
@@ -15,7 +16,8 @@ import numpy as np
 
 from cgid import shipped
 from cgid.identification.model import Model
-from cgid.scene import generate, parse_scene
+from cgid.identification.training import train
+from cgid.scene import generate, load_scene, parse_scene, synthesise
 
 ROOT = Path(__file__).parents[1]
 RATE = 2e5
@@ -71,6 +73,12 @@ def make_files(folder: Path) -> None:
     shutil.copy(shipped.path_of("models", shipped.DEFAULT_MODEL), folder / "model.npz")
     default = Model.load(folder / "model.npz")
     (folder / "acceleration.npz").write_bytes(replace(default, unit="m/s^2").to_bytes())
+    _old_model(folder / "old.npz", default)
+    scene = load_scene(ROOT / "datasets" / "reference.toml")
+    knowing = train(synthesise(scene, 600), features=["peak_force", "width_50"], known=["drop_height"])
+    (folder / "height.npz").write_bytes(knowing.model.to_bytes())
+    few = train(synthesise(scene, 200), features=["peak_force", "width_50"])
+    (folder / "uncalibrated.npz").write_bytes(few.model.to_bytes())
     _scene(folder / "reference.toml", lambda text: text)
     _scene(
         folder / "zero.toml", lambda text: text.replace("lowest = 0.1, highest = 0.8", "lowest = 0.0, highest = 0.8")
@@ -88,6 +96,9 @@ def make_files(folder: Path) -> None:
     _scene(folder / "nothing.toml", lambda text: text.replace("[sensor]", "[randomise]\n[sensor]"))
     _scene(folder / "rates.toml", lambda text: text.replace("[sensor]", f"[randomise]\n{_RATES}\n[sensor]"))
     _scene(folder / "sheet.toml", lambda text: text.replace("= 0.30 }", '= 0.30, thickness = "5 mm" }'))
+    _scene(folder / "plate.toml", lambda text: text.replace("= 0.30 }", '= 0.30, thickness = "80 mm" }'))
+    _scene(folder / "silent.toml", lambda text: text.replace("relative_noise = 0.01", "relative_noise = 0.0"))
+    (folder / "old.png").write_bytes(b"mine")
     _scene(folder / "toml.toml", lambda text: text.replace("[impact]", "[impact"))
     _scene(
         folder / "three.toml",
@@ -105,6 +116,11 @@ def make_files(folder: Path) -> None:
 
 _TAP = 'label = "tap"\nshape = "square"\npeak_force = "1 kN"\ncontact_duration = "2 ms"\n'
 _RATES = 'sampling_rate = { distribution = "uniform", lowest = "50 kHz", highest = "90 kHz" }'
+
+
+def _old_model(path: Path, model: Model) -> None:
+    header = json.dumps(model.header | {"schema_version": 1}).encode()
+    np.savez(path, header=np.frombuffer(header, np.uint8), **model.arrays)
 
 
 def _one_label() -> dict:
@@ -161,6 +177,50 @@ CASES = (
     Case("model of junk", ("predict", "good.csv", "--model", "text.npz"), 65, ("text.npz", "no sound model")),
     Case("unknown label in costs", ("predict", "good.csv", "--cost", "granite=2"), 65, ("granite",)),
     Case("cost that is no number", ("predict", "good.csv", "--cost", "coal=much"), 2, ("LABEL=COST",)),
+    Case(
+        "model of an older version", ("predict", "good.csv", "--model", "old.npz"), 65, ("old.npz", "2, got 1", "again")
+    ),
+    Case(
+        "drop height of no use",
+        ("predict", "good.csv", "--model", "model.npz", "--drop-height", "1.5"),
+        65,
+        ("drop_height", "left out", "cgid train --drop-height"),
+    ),
+    Case(
+        "no drop height", ("predict", "good.csv", "--model", "height.npz"), 2, ("drop_height", "--drop-height METRES")
+    ),
+    Case(
+        "drop height zero",
+        ("predict", "good.csv", "--model", "height.npz", "--drop-height", "0"),
+        65,
+        ("drop_height", "above 0", "0 m"),
+    ),
+    Case(
+        "drop height of a dataset that stores it",
+        ("predict", "two.h5", "--model", "height.npz", "--drop-height", "1"),
+        65,
+        ("two.h5", "--drop-height", "stores"),
+    ),
+    Case("coverage 1", ("predict", "good.csv", "--coverage", "1"), 65, ("coverage", "between 0 and 1", "got 1")),
+    Case(
+        "coverage beyond the calibration",
+        ("predict", "good.csv", "--model", "height.npz", "--coverage", "0.99"),
+        65,
+        ("at most 0.98", "60 calibration impacts", "ask for less"),
+    ),
+    Case(
+        "coverage without calibration",
+        ("predict", "good.csv", "--model", "uncalibrated.npz", "--coverage", "0.9"),
+        65,
+        ("coverage", "no calibration impacts"),
+    ),
+    Case(
+        "coverage and costs",
+        ("predict", "good.csv", "--coverage", "0.9", "--cost", "coal=2"),
+        65,
+        ("costs and coverage", "leave one out"),
+    ),
+    Case("no coverage to hold for each label", ("predict", "good.csv", "--class-conditional"), 65, ("--coverage",)),
     Case("unknown channel", ("predict", "good.csv", "--channel", "7"), 65, ("7",)),
     Case("index out of range", ("predict", "two.h5", "--index", "64"), 65, ("index", "63")),
     Case("index of a recording", ("predict", "good.csv", "--index", "0"), 65, ("--index",)),
@@ -169,6 +229,12 @@ CASES = (
     Case("sampling rate absurd", ("predict", "whole.npy", "--rate", "1e300", "--unit", "N"), 65, ("sampling_rate",)),
     Case("unknown feature", ("features", "good.csv", "--features", "nose"), 65, ("nose", "peak_force")),
     Case("dataset of one class", ("train", "one.h5", "-o", "new.npz"), 65, ("at least 2 labels", "coal")),
+    Case(
+        "shares that leave nothing to train on",
+        ("train", "reference.toml", "-n", "600", "--calibration-share", "0.9", "-o", "new.npz"),
+        65,
+        ("test and calibration share", "0.9"),
+    ),
     Case("model name without .npz", ("train", "two.h5", "-o", "new.txt"), 73, ("new.txt", ".npz")),
     Case("model exists", ("train", "two.h5", "-o", "model.npz"), 73, ("model.npz", "--overwrite")),
     Case("folder of the model is missing", ("train", "two.h5", "-o", "no/new.npz"), 73, ("no",)),
@@ -199,6 +265,15 @@ CASES = (
     Case("one file too large", ("generate", "reference.toml", "-o", "new.h5", "-n", "999999"), 65, ("2 GiB", ".h5")),
     Case("disk too small", ("generate", "reference.toml", "-o", "new", "-n", "999999999"), 73, ("GB", "room")),
     Case("too many signals", ("generate", "reference.toml", "-o", "new", "-n", "9999999999999"), 65, ("n_signals",)),
+    Case("ceiling of no scene", ("ceiling", "none.toml"), 66, ("none.toml",)),
+    Case("ceiling of no signals", ("ceiling", "reference", "-n", "0"), 65, ("n_signals", "got 0")),
+    Case("ceiling of taps", ("ceiling", "strangers"), 65, ("strangers", "taps")),
+    Case("ceiling on a plate", ("ceiling", "plate.toml"), 65, ("half space", "plate")),
+    Case("ceiling without noise", ("ceiling", "silent.toml"), 65, ("noise", "told exactly")),
+    Case("learner of few signals", ("ceiling", "reference", "--learner", "20"), 65, ("learner", "at least 100", "20")),
+    Case("picture that is no PNG", ("ceiling", "reference", "--plot", "rig.pdf"), 73, ("rig.pdf", ".png")),
+    Case("picture exists", ("ceiling", "reference", "--plot", "old.png"), 73, ("old.png", "--overwrite")),
+    Case("folder of the picture", ("ceiling", "reference", "--plot", "no/rig.png"), 73, ("no",)),
     Case("unknown command", ("foretell",), 2, ("foretell",)),
     Case("no file given", ("predict",), 2, ("FILE",)),
 )

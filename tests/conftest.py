@@ -10,6 +10,7 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import pytest
 
+from cgid.identification.classifier import FAMILIES
 from cgid.identification.training import Training, train
 from cgid.scene import Scene, load_scene, synthesise
 
@@ -25,10 +26,7 @@ def reference_scene() -> Scene:
 @pytest.fixture(scope="session")
 def trained(reference_scene: Scene) -> dict[str, Training]:
     """One small model of each family."""
-    return {
-        family: train(synthesise(reference_scene, 3000, seed=5), family=family)
-        for family in ("logistic", "boosting", "discriminant")
-    }
+    return {family: train(synthesise(reference_scene, 3000, seed=5), family=family) for family in FAMILIES}
 
 
 @pytest.fixture(scope="session")

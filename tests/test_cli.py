@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 
 from cgid.cli.main import run
+from cgid.errors import NoInput
 from tests.bad_input import CASES, Case, make_files
 
 ROOT = Path(__file__).parents[1]
@@ -108,6 +109,52 @@ def test_info_says_what_is_there(made: Path, capsys: pytest.CaptureFixture[str])
     assert model["training"]["sources"] == [dataset["scene_sha256"]]
     assert run(["info", str(made / "m.npz")]) == 0
     assert "family: logistic" in capsys.readouterr().out
+
+
+def test_drop_height_is_known_by_dataset_index_and_option(made: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    model = str(made / "h.npz")
+    assert run(["train", str(made / "data"), "-o", model, "--drop-height"]) == 0
+    capsys.readouterr()
+    assert run(["info", model]) == 0
+    assert "known: ['drop_height']" in capsys.readouterr().out
+    arguments = ["predict", str(made / "new.h5"), "--model", model, "--json"]
+    assert run(arguments) == 0
+    whole = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    assert np.mean([max(row["probabilities"], key=row["probabilities"].get) == row["truth"] for row in whole]) > 0.87
+    assert run([*arguments, "--index", "17"]) == 0
+    (one,) = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    assert one["probabilities"] == pytest.approx(whole[17]["probabilities"], abs=1e-12)
+    answers = []
+    for height in ("0.5", "3"):
+        assert run(["predict", "--sample", "--model", model, "--drop-height", height, "--json"]) == 0
+        answers.append([json.loads(line)["probabilities"]["coal"] for line in capsys.readouterr().out.splitlines()])
+    assert np.max(np.abs(np.subtract(*answers))) > 0.1
+
+
+def test_drop_height_takes_the_default_model_that_knows_it(
+    made: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    from cgid import shipped
+
+    assert run(["train", "reference", "-n", "800", "-o", str(made / "sister.npz"), "--drop-height"]) == 0
+    path_of = shipped.path_of
+    asked = []
+
+    def here(kind: str, name: str) -> Path:
+        asked.append(name)
+        if name != shipped.DROP_HEIGHT_MODEL:
+            return path_of(kind, name)
+        if not (made / "sister.npz").exists():
+            raise NoInput("missing")
+        return made / "sister.npz"
+
+    monkeypatch.setattr(shipped, "path_of", here)
+    assert run(["predict", "--sample", "--drop-height", "1.5"]) == 0
+    assert shipped.DROP_HEIGHT_MODEL in asked
+    assert shipped.DEFAULT_MODEL not in asked
+    (made / "sister.npz").unlink()
+    assert run(["predict", "--sample", "--drop-height", "1.5"]) == 65
+    assert "cgid train --drop-height" in capsys.readouterr().err
 
 
 def test_check_previews_a_scene(capsys: pytest.CaptureFixture[str]) -> None:

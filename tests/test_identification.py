@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+import os
 import subprocess
 import sys
 import zipfile
@@ -14,21 +15,26 @@ import numpy as np
 import pytest
 from scipy import stats
 from sklearn import metrics as reference_metrics
+from sklearn.neural_network import MLPClassifier
 from sklearn.utils.estimator_checks import check_estimator
 
-from cgid.errors import BadData, CgidError, InvalidValue, NoInput
+from cgid.errors import BadData, CgidError, InvalidValue, MissingOption, NoInput
 from cgid.features import extract_array
-from cgid.identification.answers import identify, suited
+from cgid.identification.answers import identify, identify_frames, suited
 from cgid.identification.card import write_card
 from cgid.identification.classifier import FAMILIES, ImpactClassifier
+from cgid.identification.families import BY_NAME
+from cgid.identification.known import drop_heights
 from cgid.identification.metrics import evaluate
 from cgid.identification.model import Model
 from cgid.identification.output import check_model_output, write_model
 from cgid.identification.training import Training, hold_out, measure, train
+from cgid.identification.transform import softmax
 from cgid.scene import Scene, parse_scene, synthesise
-from cgid.signals import Signal
+from cgid.signals import STANDARD_GRAVITY, Signal
 
 Trained = dict[str, Training]
+SCENE = Path(__file__).parents[1] / "datasets" / "reference.toml"
 
 
 def held_out(scene: Scene, training: Training, n: int = 600) -> tuple[np.ndarray, np.ndarray]:
@@ -82,7 +88,8 @@ def test_file_gives_scikit_learns_probabilities(
     np.testing.assert_allclose(
         loaded.probabilities(features), training.classifier.predict_proba(features), rtol=0, atol=1e-12
     )
-    np.testing.assert_allclose(loaded.novelty(features), training.classifier.novelty(features), rtol=1e-12)
+    sound = np.zeros((len(features), len(loaded.guards)))
+    np.testing.assert_allclose(loaded.novelty(features, sound), training.classifier.novelty(features), rtol=1e-12)
 
 
 @pytest.mark.parametrize("family", FAMILIES)
@@ -102,8 +109,41 @@ def test_three_labels_are_exported_too(family: str) -> None:
     assert (model.decide(model.probabilities(features)) == classifier.predict(features)).all()
 
 
+@pytest.mark.parametrize("n_labels", [2, 3])
+def test_network_scores_are_those_behind_scikit_learns_probabilities(n_labels: int) -> None:
+    generator = np.random.default_rng(5)
+    labels = np.arange(600) % n_labels
+    features = generator.normal(size=(600, 4)) + 0.5 * labels[:, None]
+    classifier = ImpactClassifier("network", linear=(0, 1, 2, 3)).fit(features, labels)
+    standardised = classifier.standardiser_.apply(features)
+    scores = BY_NAME["network"](BY_NAME["network"].export(classifier.estimator_), 4, n_labels).scores(standardised)
+    theirs = MLPClassifier.predict_proba(classifier.estimator_, standardised)
+    np.testing.assert_allclose(softmax(scores), theirs, rtol=0, atol=1e-12)
+
+
 def test_model_file_is_the_same_every_time(trained: Trained) -> None:
     assert trained["boosting"].model.to_bytes() == trained["boosting"].model.to_bytes()
+
+
+def test_models_are_the_same_with_one_thread_and_with_two() -> None:
+    """To the last digit, metrics included; of so few impacts, two threads would change logistic and network."""
+    code = (
+        "import hashlib, threadpoolctl; from cgid.identification.classifier import FAMILIES; "
+        "from cgid.identification.training import train; from cgid.scene import load_scene, synthesise; "
+        f"batches = list(synthesise(load_scene({str(SCENE)!r}), 1200, seed=6)); "
+        "models = {family: train(batches, family=family).model.to_bytes() for family in FAMILIES}; "
+        "print({family: hashlib.sha256(model).hexdigest() for family, model in models.items()}); "
+        "print(max(pool['num_threads'] for pool in threadpoolctl.threadpool_info()))"
+    )
+    names = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+    runs = []
+    for threads in ("1", "2"):
+        environment = os.environ | dict.fromkeys(names, threads)
+        done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, env=environment)
+        models, allowed = done.stdout.splitlines()
+        assert allowed == threads, "the limit must end with the training, and two threads be there for the second"
+        runs.append(models)
+    assert runs[0] == runs[1]
 
 
 def test_prediction_needs_numpy_alone(trained: Trained, tmp_path: Path) -> None:
@@ -127,9 +167,11 @@ def test_prediction_needs_numpy_alone(trained: Trained, tmp_path: Path) -> None:
 def test_novelty_keeps_the_training_inside_and_throws_strangers_out(trained: Trained, reference_scene: Scene) -> None:
     training = trained["logistic"]
     features, _ = held_out(reference_scene, training, 2000)
-    assert np.mean(training.model.novelty(features) > 1) < 0.01
-    stranger = features * np.where(np.array(training.model.features) == "contact_duration", 30.0, 1.0)
-    assert (training.model.novelty(stranger) > 1).all()
+    sound = np.zeros((len(features), len(training.model.guards)))
+    assert np.mean(training.model.novelty(features, sound) > 1) < 0.01
+    stranger = features * np.where(np.array(training.model.features) == "fitted_width", 30.0, 1.0)
+    assert (training.model.novelty(stranger, sound) > 1).all()
+    assert (training.model.novelty(features, sound + 1e3) > 1).all()
 
 
 def test_stranger_is_answered_with_unknown(trained: Trained) -> None:
@@ -167,6 +209,117 @@ def test_acceleration_needs_the_mass_of_the_striker(trained: Trained) -> None:
         suited(Signal(samples=np.zeros(3), sampling_rate=1e5), model)
     kilonewton = Signal(samples=np.array([0.0, 1.5]), sampling_rate=1e5, unit="kN")
     assert suited(kilonewton, model).samples.tolist() == [0.0, 1500.0]
+
+
+# -- what guards and what is known ------------------------------------------------------------------------
+
+
+def test_guard_flags_what_is_larger_than_the_training_and_tells_no_labels_apart(reference_scene: Scene) -> None:
+    features = ("peak_force", "width_50", "tilt")
+    training = train(synthesise(reference_scene, 2000), features=features, guards=("tilt",))
+    model = training.model
+    assert (model.features, model.guards, model.measured) == (features[:2], ("tilt",), features)
+    without = train(synthesise(reference_scene, 2000), features=features[:2], guards=())
+    np.testing.assert_array_equal(training.test_probabilities, without.test_probabilities)
+
+    (batch,) = synthesise(reference_scene, 256, seed=50)
+    measured = extract_array(batch.signals, batch.sampling_rate, model.measured, pre_trigger=batch.pre_trigger)
+    inputs, tilt = measured[:, :2], measured[:, 2:]
+    distance = without.model.novelty(inputs)
+    (limit,) = model.guard_limits
+    by_hand = np.maximum(distance, tilt[:, 0] / limit)
+    np.testing.assert_allclose(model.novelty(inputs, tilt), by_hand, rtol=1e-12)
+    assert (model.novelty(inputs, np.full_like(tilt, 1.5 * limit)) >= 1.5).all()
+    np.testing.assert_array_equal(model.novelty(inputs, np.full_like(tilt, -100 * limit)), distance)
+    answers = identify_frames(batch.signals, batch.sampling_rate, model, pre_trigger=batch.pre_trigger)
+    np.testing.assert_allclose([answer.novelty for answer in answers], by_hand, rtol=1e-12)
+
+
+def test_guard_keeps_999_of_1000_of_the_training_and_survives_the_file(reference_scene: Scene, tmp_path: Path) -> None:
+    batches = list(synthesise(reference_scene, 4000))
+    model = train(batches, features=["peak_force", "width_50"], guards=("rise_time", "tilt")).model
+    tilts = measure(batches, ["rise_time", "tilt"]).features
+    assert 0.997 < np.mean(tilts[:, 0] <= model.guard_limits[0]) < 1
+    assert 0.997 < np.mean(tilts[:, 1] <= model.guard_limits[1]) < 1
+    (tmp_path / "m.npz").write_bytes(model.to_bytes())
+    loaded = Model.load(tmp_path / "m.npz")
+    assert (loaded.guards, loaded.guard_limits) == (model.guards, model.guard_limits)
+    assert "rise_time (edge" in write_card(loaded, "m.npz")
+    inputs = np.array([[9e3, 2e-4]])
+    for guards in (None, np.ones((1, 1)), np.array([[1.0, np.nan]])):
+        with pytest.raises(InvalidValue, match=r"guards must be finite rows of 2 \(rise_time, tilt\)"):
+            loaded.novelty(inputs, guards)
+
+
+def test_guard_that_is_never_positive_is_refused(reference_scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
+    from dataclasses import replace
+
+    from cgid import features
+
+    fall = replace(features.FEATURES["tilt"], measure=lambda pulses: -pulses.peak)
+    monkeypatch.setitem(features.FEATURES, "tilt", fall)
+    with pytest.raises(InvalidValue, match="guard tilt must be above 0"):
+        train(synthesise(reference_scene, 300), features=["peak_force"], guards=("tilt",))
+
+
+@pytest.fixture(scope="module")
+def knowing(reference_scene: Scene) -> Training:
+    return train(synthesise(reference_scene, 3000, seed=5), known=("drop_height",))
+
+
+def test_drop_height_tells_more(knowing: Training, trained: Trained) -> None:
+    assert knowing.model.known == ("drop_height",)
+    assert knowing.model.header["known"] == ["drop_height"]
+    assert "drop_height [m]" in write_card(knowing.model, "m.npz")
+    assert knowing.metrics["brier_score"] < 0.9 * trained["logistic"].metrics["brier_score"]
+
+
+def test_drop_height_is_used_impact_by_impact(knowing: Training, reference_scene: Scene) -> None:
+    (batch,) = synthesise(reference_scene, 100, seed=60)
+    heights = batch.parameters["drop_height"]
+    arguments = (batch.signals, batch.sampling_rate, knowing.model)
+    answers = identify_frames(*arguments, pre_trigger=batch.pre_trigger, drop_height=heights)
+    for row in (0, 17):
+        frame = Signal(samples=batch.signals[row], sampling_rate=2e5, unit="N", pre_trigger=batch.pre_trigger)
+        (one,) = identify(frame, knowing.model, drop_height=float(heights[row]))
+        assert one.probabilities == pytest.approx(answers[row].probabilities, abs=1e-9)
+    same = identify_frames(*arguments, pre_trigger=batch.pre_trigger, drop_height=float(heights[0]))
+    assert same[0].probabilities == pytest.approx(answers[0].probabilities)
+    moved = [a.probabilities["coal"] - b.probabilities["coal"] for a, b in zip(same, answers, strict=True)]
+    assert np.max(np.abs(moved)) > 0.05
+    fallen_far = identify_frames(*arguments, pre_trigger=batch.pre_trigger, drop_height=300.0)
+    assert all(answer.label == "unknown" for answer in fallen_far)
+
+
+def test_drop_height_is_asked_for_and_only_where_it_is_used(knowing: Training, trained: Trained) -> None:
+    frames, rate = np.zeros((3, 500)), 2e5
+    with pytest.raises(MissingOption, match="--drop-height METRES"):
+        identify_frames(frames, rate, knowing.model, pre_trigger=50)
+    with pytest.raises(InvalidValue, match="cgid train --drop-height"):
+        identify_frames(frames, rate, trained["logistic"].model, pre_trigger=50, drop_height=1.5)
+    for wrong in (0.0, -1.0, float("nan"), [1.0, 2.0]):
+        with pytest.raises(InvalidValue, match="drop_height"):
+            identify_frames(frames, rate, knowing.model, pre_trigger=50, drop_height=wrong)
+
+
+def test_velocity_stands_for_the_drop_height(reference_scene: Scene) -> None:
+    from dataclasses import replace
+
+    (batch,) = synthesise(reference_scene, 100)
+    height, velocity = batch.parameters["drop_height"], batch.parameters["velocity"]
+    np.testing.assert_array_equal(drop_heights(batch), height)
+    by_velocity = drop_heights(replace(batch, parameters={"velocity": velocity}))
+    np.testing.assert_allclose(by_velocity, velocity**2 / (2 * STANDARD_GRAVITY), rtol=1e-15)
+    np.testing.assert_allclose(by_velocity, height, rtol=1e-9)
+    unsaid = replace(batch, parameters={"radius": height})
+    assert drop_heights(unsaid) is None
+    with pytest.raises(BadData, match="drop_height or velocity"):
+        measure([unsaid], ["peak_force"], known=("drop_height",))
+    partly = np.where(np.arange(100) == 7, np.nan, height)
+    with pytest.raises(BadData, match="impact 7 has nan m and nan m/s"):
+        drop_heights(replace(batch, parameters={"drop_height": partly}))
+    with pytest.raises(InvalidValue, match="known must be one of"):
+        measure([batch], ["peak_force"], known=("colour",))
 
 
 # -- files that mean harm ---------------------------------------------------------------------------------
@@ -213,7 +366,7 @@ def test_harmful_trees_are_refused(harm: str, trained: Trained, tmp_path: Path) 
 
 HEADER_HARM: dict[str, dict[str, Any]] = {
     "another format": {"format": "pickle"},
-    "another version": {"schema_version": 2},
+    "another version": {"schema_version": 1},
     "unknown family": {"family": "svm"},
     "one label": {"labels": ["coal"]},
     "labels twice": {"labels": ["coal", "coal"]},
@@ -224,6 +377,14 @@ HEADER_HARM: dict[str, dict[str, Any]] = {
     "unknown unit": {"unit": "stone"},
     "rates in the wrong order": {"sampling_rates": [2e5, 1e5]},
     "rates as text": {"sampling_rates": ["a", "b"]},
+    "something unheard of must be known": {"known": ["colour"]},
+    "more must be known than it was trained with": {"known": ["drop_height"]},
+    "guard without a limit": {"guards": ["band_energy_0_500_hz"]},
+    "limit without a guard": {"guard_limits": [1.0]},
+    "guard limit zero": {"guards": ["band_energy_0_500_hz"], "guard_limits": [0]},
+    "guard limit a text": {"guards": ["band_energy_0_500_hz"], "guard_limits": ["high"]},
+    "unknown guard": {"guards": ["nose_length"], "guard_limits": [1.0]},
+    "guard that is a feature": {"guards": ["fitted_peak"], "guard_limits": [1.0]},
 }
 
 
@@ -232,6 +393,36 @@ def test_harmful_headers_are_refused(harm: str, trained: Trained, tmp_path: Path
     model = trained["logistic"].model
     (tmp_path / "m.npz").write_bytes(rewritten(model, header=header_with(model, **HEADER_HARM[harm])))
     with pytest.raises(BadData, match="no sound model"):
+        Model.load(tmp_path / "m.npz")
+
+
+ARRAY_HARM: dict[str, tuple[str, str, Any]] = {
+    "layers that do not fit": ("network", "family.weights_2", lambda a: a[:-1]),
+    "biases that do not fit": ("network", "family.biases_1", lambda a: a[:-1]),
+    "too many scores": ("network", "family.biases_3", lambda a: np.repeat(a, 2)),
+    "another number of axes": ("network", "family.weights_1", lambda a: a[0]),
+    "weights not finite": ("network", "family.weights_3", lambda a: np.full_like(a, np.inf)),
+    "weights as objects": ("network", "family.weights_3", lambda a: a.astype(bool)),
+    "calibration out of range": ("logistic", "conformal.scores", lambda a: a + 1),
+    "calibration too short": ("logistic", "conformal.scores", lambda a: a[:-1]),
+    "calibration of labels that do not exist": ("logistic", "conformal.labels", lambda a: a + 1),
+    "calibration of nobody": ("logistic", "conformal.scores", lambda a: a[:0]),
+}
+
+
+@pytest.mark.parametrize("harm", ARRAY_HARM)
+def test_harmful_arrays_are_refused(harm: str, trained: Trained, tmp_path: Path) -> None:
+    family, name, change = ARRAY_HARM[harm]
+    model = trained[family].model
+    (tmp_path / "m.npz").write_bytes(rewritten(model, **{name: change(model.arrays[name])}))
+    with pytest.raises(BadData, match="no sound model"):
+        Model.load(tmp_path / "m.npz")
+
+
+def test_old_models_are_refused_by_their_version(trained: Trained, tmp_path: Path) -> None:
+    model = trained["logistic"].model
+    (tmp_path / "m.npz").write_bytes(rewritten(model, header=header_with(model, schema_version=1)))
+    with pytest.raises(BadData, match="schema_version must be 2, got 1; train it again"):
         Model.load(tmp_path / "m.npz")
 
 

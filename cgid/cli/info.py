@@ -70,14 +70,18 @@ def _dataset(file: str) -> dict[str, Any]:
 def _model(file: str) -> dict[str, Any]:
     from cgid.identification.model import Model
 
-    header = Model.load(file).header
+    model = Model.load(file)
+    header = model.header
     training = header.pop("training")
     metrics = training.pop("metrics", {})
+    for table in ("selection", "domain_shift"):  # the card prints them
+        training.pop(table, None)
     shown = ("accuracy", "accuracy_interval_95", "recall", "brier_score", "expected_calibration_error")
     return {
         "kind": "model",
         "file": file,
         **header,
+        "calibration_impacts": 0 if model.conformal is None else len(model.conformal.scores),
         "training": training,
         "metrics": {name: metrics[name] for name in shown if name in metrics},
     }

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator
+from contextlib import suppress
+from dataclasses import dataclass, field
 from itertools import count
 from typing import Any
 
@@ -18,44 +20,75 @@ from cgid.cli.options import (
 )
 
 
+@dataclass(frozen=True)
+class _Asked:
+    """What is asked of every file."""
+
+    model: Any
+    decision: Any
+    drop_height: float | None
+    mass: float | None
+    dead_time: float
+    as_json: bool
+
+    @property
+    def how(self) -> dict[str, Any]:
+        """Return the arguments that `identify` and `identify_frames` share."""
+        return {name: getattr(self.decision, name) for name in ("costs", "coverage", "class_conditional")}
+
+
 @click.command(short_help="Identify the material of the impacts in recordings.")
 @click.argument("files", nargs=-1, metavar="FILE...")
 @click.option("--model", "model_path", help="Model file; the default model if not given.")
 @click.option("--sample", is_flag=True, help="Use the recording that comes with cgid.")
 @click.option("--mass", type=float, help="Mass of the accelerated striker [kg]: force = mass x acceleration.")
+@click.option("--drop-height", type=float, help="How far the rocks fell [m], for a model that needs to know.")
 @click.option(
     "--cost", "costs", multiple=True, metavar="LABEL=COST", help="What missing this label costs, 1 by default."
 )
+@click.option(
+    "--coverage", type=float, help="Reject impacts whose prediction set at this coverage (0.9) is not a single label."
+)
+@click.option("--class-conditional", is_flag=True, help="The coverage holds for each label, not only for their mix.")
 @recording_options
 def predict(
     files: tuple[str, ...],
     model_path: str | None,
     sample: bool,
     mass: float | None,
+    drop_height: float | None,
     costs: tuple[str, ...],
+    coverage: float | None,
+    class_conditional: bool,
     as_json: bool,
     dead_time: float,
     **reading: Any,
 ) -> int:
     """Identify the material of every impact in FILEs: CSV or TXT, NPY, WAV, or a dataset; - is stdin.
 
-    The label is "unknown" when the impact lies outside of what the model was trained on (novelty above 1).
+    The label is "unknown" when the impact lies outside of what the model was trained on (novelty above 1), or with
+    --coverage when several labels, or none, are left.
     """
     from cgid import shipped
-    from cgid.identification.model import Model
+    from cgid.identification.answers import Decision
+    from cgid.identification.known import known_columns
 
     if sample:
         files = (*files, str(shipped.path_of("datasets", shipped.SAMPLE)))
     if not files:
         raise click.UsageError("give at least one FILE, or --sample for the one that comes with cgid")
-    model = Model.load(model_path or shipped.path_of("models", shipped.DEFAULT_MODEL))
+    model = _load(model_path, drop_height)
     weights = dict(_parse_cost(text) for text in costs)
-    model.decide(_no_rows(model), weights)
+    decision = Decision(costs=weights, coverage=coverage, class_conditional=class_conditional)
+    decision.check(model)
+    if drop_height is not None:
+        known_columns(model.known, 1, drop_height)
     check_dead_time(dead_time)
+    asked = _Asked(model, decision, drop_height, mass, dead_time * 1e-3, as_json)
     titles = iter([] if as_json else [_ROW.format("time [s]", "label", "probability", "novelty", "source")])
 
     def treat(path: str) -> None:
-        _treat(path, model, weights, mass, dead_time * 1e-3, titles, as_json, reading)
+        _treat(path, asked, titles, reading)
 
     return each_file(files, treat)
 
@@ -63,69 +96,121 @@ def predict(
 _ROW = "{:>12}  {:<12} {:>11}  {:>8}  {}"
 
 
-def _treat(
-    path: str,
-    model: Any,
-    costs: Mapping[str, float],
-    mass: float | None,
-    dead_time: float,
-    titles: Iterator[str],
-    as_json: bool,
-    reading: dict[str, Any],
-) -> None:
+def _load(path: str | None, drop_height: float | None) -> Any:
+    """Return the model asked for; else the default one, or its sister that knows the drop height."""
+    from cgid import shipped
+    from cgid.errors import NoInput
+    from cgid.identification.model import Model
+
+    if path is None and drop_height is not None:
+        with suppress(NoInput):
+            return Model.load(shipped.path_of("models", shipped.DROP_HEIGHT_MODEL))
+    return Model.load(path or shipped.path_of("models", shipped.DEFAULT_MODEL))
+
+
+def _treat(path: str, asked: _Asked, titles: Iterator[str], reading: dict[str, Any]) -> None:
     from cgid.errors import BadData
     from cgid.identification.answers import identify, suited
+    from cgid.recordings import is_dataset
 
-    if asks_for_whole_dataset(path, mass=mass, **reading):
-        _treat_dataset(path, model, costs, titles, as_json, reading["invert"])
+    if asks_for_whole_dataset(path, mass=asked.mass, **reading):
+        _treat_dataset(path, asked, titles, reading["invert"])
         return
     for signal in read_signals(path, **reading):
-        fitting = suited(signal, model, mass)
-        _warn_of_rate(fitting.name, fitting.sampling_rate, model)
-        answers = identify(fitting, model, costs=costs, dead_time=dead_time)
+        fitting = suited(signal, asked.model, asked.mass)
+        _warn_of_rate(fitting.name, fitting.sampling_rate, asked.model)
+        height = asked.drop_height
+        if is_dataset(path):
+            from cgid.store import Dataset
+
+            height = _heights(path, Dataset(path).impact(reading["index"]), asked)
+        answers = identify(fitting, asked.model, drop_height=height, dead_time=asked.dead_time, **asked.how)
         if not any(answer.probabilities for answer in answers):
             more = f" (and so for all {len(answers)} impacts)" if len(answers) > 1 else ""
             raise BadData(f"{fitting.name}: {answers[0].problem}{more}")
-        _print(fitting.name, answers, titles, as_json)
+        _print(fitting.name, answers, titles, asked.as_json)
 
 
-def _treat_dataset(
-    path: str, model: Any, costs: Mapping[str, float], titles: Iterator[str], as_json: bool, invert: bool
-) -> None:
+def _treat_dataset(path: str, asked: _Asked, titles: Iterator[str], invert: bool) -> None:
     """Answer for every signal of a dataset, batch by batch, and count the right answers."""
     from cgid.errors import BadData
     from cgid.identification.answers import identify_frames
-    from cgid.identification.interval import wilson_interval
     from cgid.store import Dataset
 
     dataset = Dataset(path)
-    if dataset.unit != model.unit:
+    if dataset.unit != asked.model.unit:
         raise BadData(
-            f"{path}: the unit must be the model's, {model.unit}, got {dataset.unit}; train a model on such signals"
+            f"{path}: the unit must be the model's, {asked.model.unit}, got {dataset.unit}; "
+            "train a model on such signals"
         )
-    _warn_of_rate(path, dataset.sampling_rate, model)
-    number, right, measured, unknown = count(), 0, 0, 0
-    specimens: set[int] = set()
+    _warn_of_rate(path, dataset.sampling_rate, asked.model)
+    number, tally = count(), _Tally()
     for batch in dataset.batches():
-        frames = -batch.signals if invert else batch.signals
-        answers = identify_frames(frames, batch.sampling_rate, model, pre_trigger=batch.pre_trigger, costs=costs)
-        specimens.update(batch.specimen.tolist())
-        for answer, truth in zip(answers, batch.labels.tolist(), strict=True):
-            _print(f"{path} index {next(number)}", [answer], titles, as_json, truth)
-            unknown += answer.label == "unknown"
-            # Judged by the most probable label, so that the figure is that of the model card.
-            if answer.probabilities:
-                measured += 1
-                right += max(answer.probabilities, key=lambda label: answer.probabilities[label]) == truth
-    if measured:
-        # Impacts of one specimen are no independent trials.
-        low, high = wilson_interval(right / measured, min(measured, len(specimens)))
-        click.echo(
-            f"{path}: accuracy of the most probable label {right / measured:.4f} "
-            f"(95 % interval {low:.4f} to {high:.4f}) on {measured} of {len(dataset)} labelled impacts; "
-            f"{unknown} answered unknown",
-            err=True,
+        answers = identify_frames(
+            -batch.signals if invert else batch.signals,
+            batch.sampling_rate,
+            asked.model,
+            pre_trigger=batch.pre_trigger,
+            drop_height=_heights(path, batch, asked),
+            **asked.how,
         )
+        for answer, truth, specimen in zip(answers, batch.labels.tolist(), batch.specimen.tolist(), strict=True):
+            _print(f"{path} index {next(number)}", [answer], titles, asked.as_json, truth)
+            tally.add(answer, truth, specimen)
+    if tally.measured:
+        click.echo(f"{path}: {tally.summary(len(dataset))}", err=True)
+
+
+def _heights(path: str, batch: Any, asked: _Asked) -> Any:
+    """Return the drop heights that a batch stores, for a model that needs them; else the one given."""
+    from cgid.errors import InvalidValue
+    from cgid.identification.known import drop_heights
+
+    stored = drop_heights(batch) if "drop_height" in asked.model.known else None
+    if stored is not None and asked.drop_height is not None:
+        raise InvalidValue(f"{path}: --drop-height must be left out, this dataset stores that of each impact")
+    return asked.drop_height if stored is None else stored
+
+
+@dataclass
+class _Tally:
+    """How many of the labelled impacts of a dataset were answered how."""
+
+    measured: int = 0
+    right: int = 0
+    unknown: int = 0
+    answered_right: int = 0
+    covered: int | None = None
+    specimens: set[int] = field(default_factory=set)
+
+    def add(self, answer: Any, truth: str, specimen: int) -> None:
+        self.specimens.add(specimen)
+        self.unknown += answer.label == "unknown"
+        self.answered_right += answer.label == truth
+        if not answer.probabilities:
+            return
+        self.measured += 1
+        # Judged by the most probable label, so that the figure is that of the model card.
+        self.right += max(answer.probabilities, key=lambda label: answer.probabilities[label]) == truth
+        if answer.prediction_set is not None:
+            self.covered = (self.covered or 0) + (truth in answer.prediction_set)
+
+    def summary(self, n_impacts: int) -> str:
+        """Return the figures in one line."""
+        from cgid.identification.interval import wilson_interval
+
+        share = self.right / self.measured
+        # Impacts of one specimen are no independent trials.
+        low, high = wilson_interval(share, min(self.measured, len(self.specimens)))
+        text = (
+            f"accuracy of the most probable label {share:.4f} (95 % interval {low:.4f} to {high:.4f}) "
+            f"on {self.measured} of {n_impacts} labelled impacts; {self.unknown} answered unknown"
+        )
+        if self.covered is None:
+            return text
+        answered = n_impacts - self.unknown
+        right = f", {self.answered_right / answered:.4f} of the {answered} other answers are right" if answered else ""
+        return f"{text}{right}; prediction sets hold the truth in {self.covered / self.measured:.4f}"
 
 
 def _print(source: str, answers: Iterable[Any], titles: Iterator[str], as_json: bool, truth: str | None = None) -> None:
@@ -143,6 +228,7 @@ def _print(source: str, answers: Iterable[Any], titles: Iterator[str], as_json: 
                 "novelty": answer.novelty,
                 "in_training_range": answer.in_training_range,
                 "problem": answer.problem or None,
+                "prediction_set": None if answer.prediction_set is None else list(answer.prediction_set),
             }
             print_json(content | ({} if truth is None else {"truth": truth}))
             continue
@@ -162,12 +248,6 @@ def _parse_cost(text: str) -> tuple[str, float]:
         return label, float(cost)
     except ValueError:
         raise click.UsageError(f"--cost must be LABEL=COST such as gangue=3, got {text!r}") from None
-
-
-def _no_rows(model: Any) -> Any:
-    import numpy as np
-
-    return np.empty((0, len(model.labels)))
 
 
 def _warn_of_rate(name: str, rate: float, model: Any) -> None:

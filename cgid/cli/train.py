@@ -16,13 +16,21 @@ from cgid.cli.options import print_json, progress_bar
 @click.option("-o", "--output", required=True, help="Model file, ending in .npz; the card goes beside it as .md.")
 @click.option(
     "--family",
-    type=click.Choice(["logistic", "boosting", "discriminant"]),
+    type=click.Choice(["logistic", "boosting", "discriminant", "network"]),
     default="logistic",
     show_default=True,
     help="Kind of classifier.",
 )
 @click.option("--features", "names", help="Only these features, with commas between them.")
 @click.option("--test-share", type=float, default=0.25, show_default=True, help="Share of specimens that only judge.")
+@click.option(
+    "--calibration-share",
+    type=float,
+    default=0.1,
+    show_default=True,
+    help="Share that only calibrates prediction sets.",
+)
+@click.option("--drop-height", is_flag=True, help="The model is told how far each rock fell, as the data say.")
 @click.option("-n", "--signals", "n_signals", type=int, default=50_000, show_default=True, help="From a scene.")
 @click.option("--seed", type=int, default=0, show_default=True, help="Of the split, and of the signals of a scene.")
 @click.option("--shuffle-labels", is_flag=True, help="Check of the method: accuracy must be that of guessing.")
@@ -35,6 +43,8 @@ def train(
     family: str,
     names: str | None,
     test_share: float,
+    calibration_share: float,
+    drop_height: bool,
     n_signals: int,
     seed: int,
     shuffle_labels: bool,
@@ -58,6 +68,8 @@ def train(
             features=chosen,
             family=family,
             test_share=test_share,
+            calibration_share=calibration_share,
+            known=("drop_height",) if drop_height else (),
             seed=seed,
             shuffle_labels=shuffle_labels,
             progress=progress,
@@ -71,7 +83,8 @@ def train(
     click.echo(f"accuracy {metrics['accuracy']:.4f} (95 % interval {low:.4f} to {high:.4f})")
     click.echo("recall " + ", ".join(f"{label} {value:.4f}" for label, value in metrics["recall"].items()))
     click.echo(f"Brier score {metrics['brier_score']:.4f}")
-    click.echo(f"expected calibration error {metrics['expected_calibration_error']:.4f}")
+    chance = metrics["calibration_error_by_chance"]
+    click.echo(f"expected calibration error {metrics['expected_calibration_error']:.4f} (by chance alone {chance:.4f})")
     left_out = training.model.training["n_left_out"]
     if left_out:
         click.echo(f"cgid: warning: {left_out} impacts could not be measured and were left out", err=True)

@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from itertools import compress
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
-from cgid.errors import BadData, MissingOption
-from cgid.features import MINIMUM_FRAME, extract_array
+from cgid.errors import BadData, InvalidValue, MissingOption
+from cgid.features import MINIMUM_FRAME, extract_array, problems_of
 from cgid.identification.events import DEAD_TIME, find_impacts
+from cgid.identification.known import known_columns
 from cgid.identification.model import UNKNOWN, Model
 from cgid.pulses import DETECTION_LIMIT, PulseBatch
 from cgid.signals import UNITS, Signal
+from cgid.validation import Floats
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -25,7 +28,8 @@ class Answer:
     time : float
         Of the impact in its recording [s].
     label : str
-        The decision; "unknown" when the impact is outside of what was trained, or could not be measured.
+        The decision; "unknown" when the impact is outside of what was trained, could not be measured, or is rejected
+        because its prediction set is not a single label.
     probabilities : dict
         Of each label of the model; empty when the impact could not be measured.
     novelty : float
@@ -34,6 +38,8 @@ class Answer:
         Whether the novelty is at most 1 and the sampling rate one that the model was trained at.
     problem : str
         Why there is no known label, or why to doubt it; else empty.
+    prediction_set : tuple of str or None
+        The labels that cannot be ruled out at the coverage asked for; None when none was, or nothing was measured.
     """
 
     time: float
@@ -42,6 +48,7 @@ class Answer:
     novelty: float
     in_training_range: bool = False
     problem: str = ""
+    prediction_set: tuple[str, ...] | None = None
 
     @property
     def probability(self) -> float:
@@ -89,8 +96,67 @@ def suited(signal: Signal, model: Model, mass: float | None = None) -> Signal:
     return replace(signal, samples=signal.in_si().samples / factor, unit=model.unit)
 
 
+@dataclass(frozen=True, kw_only=True)
+class Decision:
+    """How probabilities become a label.
+
+    Attributes
+    ----------
+    costs : dict
+        See `Model.decide`.
+    coverage : float or None
+        Share of the prediction sets that hold the truth; an impact whose set is not a single label is rejected.
+        None rejects nothing.
+    class_conditional : bool
+        Whether each label by itself is covered so often: `Model.prediction_set`.
+
+    Raises
+    ------
+    InvalidValue
+        Both costs and a coverage are given: a set of a single label leaves nothing to decide.
+    """
+
+    costs: Mapping[str, float] = field(default_factory=dict)
+    coverage: float | None = None
+    class_conditional: bool = False
+
+    def __post_init__(self) -> None:
+        if self.costs and self.coverage is not None:
+            raise InvalidValue("costs and coverage must not be given together, each decides by itself; leave one out")
+        if self.class_conditional and self.coverage is None:
+            raise InvalidValue("class_conditional must come with a coverage; give --coverage, such as --coverage 0.9")
+
+    def check(self, model: Model) -> None:
+        """Raise `InvalidValue` if the model knows no such label or can promise no such coverage."""
+        self.labels(model, np.empty((0, len(model.labels))))
+
+    def labels(self, model: Model, probabilities: Floats) -> tuple[list[str], list[tuple[str, ...] | None]]:
+        """Return the label and the prediction set of each row of probabilities."""
+        if self.coverage is None:
+            return model.decide(probabilities, self.costs).tolist(), [None] * len(probabilities)
+        held = model.prediction_set(probabilities, self.coverage, class_conditional=self.class_conditional)
+        sets = [tuple(compress(model.labels, row)) for row in held.tolist()]
+        return [one[0] if len(one) == 1 else UNKNOWN for one in sets], [*sets]
+
+    def doubt(self, labels: tuple[str, ...] | None) -> str:
+        """Return what is wrong with a prediction set; empty when nothing is."""
+        if labels is None or len(labels) == 1:
+            return ""
+        if not labels:
+            return f"no label is probable enough: the prediction set at coverage {self.coverage:g} is empty"
+        held = "both" if len(labels) == 2 else f"these {len(labels)}"
+        return f"{' or '.join(labels)}: the prediction set at coverage {self.coverage:g} holds {held}"
+
+
 def identify(
-    signal: Signal, model: Model, *, costs: Mapping[str, float] | None = None, dead_time: float = DEAD_TIME
+    signal: Signal,
+    model: Model,
+    *,
+    costs: Mapping[str, float] | None = None,
+    coverage: float | None = None,
+    class_conditional: bool = False,
+    drop_height: float | None = None,
+    dead_time: float = DEAD_TIME,
 ) -> list[Answer]:
     """Return one answer for each impact in a recording.
 
@@ -99,8 +165,10 @@ def identify(
     signal : Signal
         In the quantity and unit of the model (`suited`).
     model : Model
-    costs : dict, optional
-        See `Model.decide`.
+    costs, coverage, class_conditional : optional
+        See `Decision`.
+    drop_height : float, optional
+        How far the rocks fell [m], for a model that needs to know.
     dead_time : float
         See `find_impacts` [s].
 
@@ -108,6 +176,10 @@ def identify(
     ------
     BadData
         There is no impact at all.
+    MissingOption
+        The model needs the drop height.
+    InvalidValue
+        The model has no use for the drop height, or a choice is one that it cannot serve.
     """
     answers = []
     for event in find_impacts(signal, dead_time=dead_time):
@@ -118,6 +190,9 @@ def identify(
             model,
             pre_trigger=part.pre_trigger,
             costs=costs,
+            coverage=coverage,
+            class_conditional=class_conditional,
+            drop_height=drop_height,
             detection_limit=event.detection_limit,
         )
         answers[-1] = replace(answers[-1], time=event.time)
@@ -131,52 +206,60 @@ def identify_frames(
     *,
     pre_trigger: int | None,
     costs: Mapping[str, float] | None = None,
+    coverage: float | None = None,
+    class_conditional: bool = False,
+    drop_height: ArrayLike | None = None,
     detection_limit: float = DETECTION_LIMIT,
 ) -> list[Answer]:
-    """Return one answer for each frame (n_signals, n_samples) of a single impact."""
+    """Return one answer for each frame (n_signals, n_samples) of a single impact; as `identify`.
+
+    The drop height is one number or one for each frame.
+    """
+    decision = Decision(costs=costs or {}, coverage=coverage, class_conditional=class_conditional)
+    known = known_columns(model.known, len(frames), drop_height)
     if frames.shape[1] < MINIMUM_FRAME:
         short = f"a frame must hold at least {MINIMUM_FRAME} samples, got {frames.shape[1]}"
         return [_unmeasured(short)] * len(frames)
-    features = extract_array(
+    measured = extract_array(
         frames,
         sampling_rate,
-        model.features,
+        model.measured,
         pre_trigger=pre_trigger,
         invalid="nan",
         detection_limit=detection_limit,
     )
-    sound = np.asarray(np.isfinite(features).all(axis=1))
+    sound = np.asarray(np.isfinite(measured).all(axis=1))
     time = 0.0 if pre_trigger is None else pre_trigger / sampling_rate
-    known = _known_answers(features[sound], model, costs, time, sampling_rate)
-    problems = {} if sound.all() else PulseBatch(frames, sampling_rate, pre_trigger, True, detection_limit).problems()
+    features, guards = np.split(measured[sound], [len(model.features)], axis=1)
+    answers = _known_answers(np.hstack([features, known[sound]]), guards, model, decision, time, sampling_rate)
+    problems = {}
+    if not sound.all():
+        pulses = PulseBatch(frames, sampling_rate, pre_trigger, True, detection_limit)
+        problems = problems_of(pulses, model.measured)
     return [
-        next(known) if sound[row] else _unmeasured(problems.get(row, "a feature has no finite value"), time)
+        next(answers) if sound[row] else _unmeasured(problems.get(row, "a feature has no finite value"), time)
         for row in range(len(frames))
     ]
 
 
 def _known_answers(
-    features: NDArray[np.float64],
-    model: Model,
-    costs: Mapping[str, float] | None,
-    time: float,
-    sampling_rate: float,
+    inputs: Floats, guards: Floats, model: Model, decision: Decision, time: float, sampling_rate: float
 ) -> Iterator[Answer]:
-    if not len(features):
+    if not len(inputs):
         return
-    probabilities, novelties = model.probabilities(features), model.novelty(features)
-    for row, label in enumerate(model.decide(probabilities, costs).tolist()):
+    probabilities, novelties = model.probabilities(inputs), model.novelty(inputs, guards)
+    untrained = "" if model.covers(sampling_rate) else f"not trained at {sampling_rate:g} Hz"
+    for row, (label, labels) in enumerate(zip(*decision.labels(model, probabilities), strict=True)):
         novelty = float(novelties[row])
-        problem = "" if model.covers(sampling_rate) else f"not trained at {sampling_rate:g} Hz"
-        if novelty > 1:
-            problem = f"outside of the training (novelty {novelty:.3g}, 1 is the edge)"
+        outside = f"outside of the training (novelty {novelty:.3g}, 1 is the edge)" if novelty > 1 else ""
         yield Answer(
             time=time,
-            label=label if novelty <= 1 else UNKNOWN,
+            label=UNKNOWN if outside else label,
             probabilities=dict(zip(model.labels, probabilities[row].tolist(), strict=True)),
             novelty=novelty,
-            in_training_range=not problem,
-            problem=problem,
+            in_training_range=not (outside or untrained),
+            problem=outside or decision.doubt(labels) or untrained,
+            prediction_set=labels,
         )
 
 

@@ -2,7 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
+
+from cgid.identification.known import KNOWN
 from cgid.identification.model import Model
+
+Rows = Sequence[Mapping[str, Any]]
 
 
 def write_card(model: Model, name: str, pictures: tuple[str, ...] = ()) -> str:
@@ -16,56 +22,155 @@ def write_card(model: Model, name: str, pictures: tuple[str, ...] = ()) -> str:
     pictures : tuple of str
         File names, relative to the card.
     """
-    training, metrics = model.training, model.training["metrics"]
-    low, high = metrics["accuracy_interval_95"]
+    training = model.training
+    lines = [f"# Model card: {name}", ""]
+    if training["labels_shuffled"]:
+        lines += ["**Trained on shuffled labels: a check of the method, of no other use.**", ""]
+    lines += [f"Identifies {', '.join(model.labels)} from the {model.quantity} of one impact.", ""]
+    lines += table(("", ""), _identity(model))
+    lines += ["", "## On impacts it has not seen", "", *_judgement(model)]
+    lines += [f"![{picture}]({picture})" for picture in pictures] + [""] * bool(pictures)
+    lines += ["## Calibration and reject option", "", *_calibration(model)]
+    if "domain_shift" in training:
+        lines += ["## Domain shift", "", *domain_shift_table(training["domain_shift"]), ""]
+    if "selection" in training:
+        lines += ["## Selection", "", *selection_table(training["selection"]), ""]
+    return "\n".join([*lines, *_LIMITS])
+
+
+def table(titles: Sequence[str], rows: Iterable[Sequence[object]]) -> list[str]:
+    """Return the lines of a Markdown table."""
+    return [
+        f"| {' | '.join(titles)} |" if any(titles) else "|" + " |" * len(titles),
+        "|" + "---|" * len(titles),
+        *(f"| {' | '.join(map(str, row))} |" for row in rows),
+    ]
+
+
+def domain_shift_table(rows: Rows) -> list[str]:
+    """Return how a model does elsewhere as Markdown: dicts of name, n, accuracy (None: strangers) and flagged_share."""
+    return table(
+        ("impacts of", "number", "accuracy", "flagged as strange"),
+        [
+            (
+                row["name"],
+                row["n"],
+                "-" if row["accuracy"] is None else f"{row['accuracy']:.4f}",
+                f"{row['flagged_share']:.2%}",
+            )
+            for row in rows
+        ],
+    )
+
+
+def selection_table(rows: Rows) -> list[str]:
+    """Return what `cgid.identification.selection.select` found as Markdown."""
+    titles = ("family", "exportable", "accuracy", "difference", "Brier", "calibration error", "trained on")
+    return table(
+        (*titles, "fit [s]", "one impact [us]", "size [kB]"),
+        [
+            (
+                f"**{row['name']}**" if row["chosen"] else row["name"],
+                "yes" if row["exportable"] else "no",
+                f"{row['accuracy']:.4f}",
+                f"{row['difference']:+.4f} ± {row['standard_error']:.4f}",
+                f"{row['brier_score']:.4f}",
+                f"{row['expected_calibration_error']:.4f}",
+                row["n_train"],
+                f"{row['fit_s']:.1f}",
+                f"{row['predict_us']:.0f}",
+                f"{row['size_bytes'] / 1e3:.1f}",
+            )
+            for row in rows
+        ],
+    )
+
+
+def _identity(model: Model) -> list[tuple[str, str]]:
+    training = model.training
     rates = " to ".join(f"{rate / 1e3:g}" for rate in dict.fromkeys(model.sampling_rates))
-    lines = [
-        f"# Model card: {name}",
-        "",
-        f"Identifies {', '.join(model.labels)} from the {model.quantity} of one impact.",
-        "",
-        "| | |",
-        "|---|---|",
-        f"| family | {model.family}, probabilities calibrated by temperature {model.temperature:.4g} |",
-        f"| expects | {model.quantity} [{model.unit}], positive pulses, trained at {rates} kHz |",
-        f"| features | {', '.join(model.features)} |",
-        f"| trained on | {training['n_train']} impacts of {training['n_train_specimens']} specimens |",
-        f"| judged on | {metrics['n_impacts']} impacts of {training['n_test_specimens']} other specimens |",
-        f"| left out | {training['n_left_out']} impacts that could not be measured |",
-        f"| data (SHA-256 of the scene) | {', '.join(s or 'unknown' for s in training['sources'])} |",
-        f"| seed | {training['seed']} |",
-        f"| versions | {', '.join(f'{k} {v}' for k, v in training['versions'].items())} |",
-        "",
-        "## On impacts it has not seen",
-        "",
-        "| | |",
-        "|---|---|",
-        f"| accuracy | {metrics['accuracy']:.4f} (95 % interval {low:.4f} to {high:.4f}) |",
-        *(f"| recall of {label} | {value:.4f} |" for label, value in metrics["recall"].items()),
-        f"| Brier score (sum over the labels) | {metrics['brier_score']:.4f} |",
-        f"| log loss | {metrics['log_loss']:.4f} |",
-        f"| expected calibration error | {metrics['expected_calibration_error']:.4f} |",
-        *(f"| area under the ROC curve, {label} | {value:.4f} |" for label, value in metrics["roc_area"].items()),
+    guards = zip(model.guards, model.guard_limits, strict=True)
+    return [
+        ("family", f"{model.family}, probabilities calibrated by temperature {model.temperature:.4g}"),
+        ("expects", f"{model.quantity} [{model.unit}], positive pulses, trained at {rates} kHz"),
+        ("must be known, too", ", ".join(f"{name} [{KNOWN[name]}]" for name in model.known) or "nothing"),
+        ("features", ", ".join(model.features)),
+        ("novelty only", ", ".join(f"{name} (edge {limit:.4g})" for name, limit in guards) or "none"),
+        ("trained on", f"{training['n_train']} impacts of {training['n_train_specimens']} specimens"),
+        ("calibrated on", f"one impact of each of {training['n_calibration_specimens']} other specimens"),
+        (
+            "judged on",
+            f"{training['metrics']['n_impacts']} impacts of {training['n_test_specimens']} other specimens",
+        ),
+        ("left out", f"{training['n_left_out']} impacts that could not be measured"),
+        ("data (SHA-256 of the scene)", ", ".join(source or "unknown" for source in training["sources"])),
+        ("seed", str(training["seed"])),
+        ("versions", ", ".join(f"{name} {version}" for name, version in training["versions"].items())),
+    ]
+
+
+def _judgement(model: Model) -> list[str]:
+    metrics = model.training["metrics"]
+    low, high = metrics["accuracy_interval_95"]
+    rows = [
+        ("accuracy", f"{metrics['accuracy']:.4f} (95 % interval {low:.4f} to {high:.4f})"),
+        *((f"recall of {label}", f"{value:.4f}") for label, value in metrics["recall"].items()),
+        ("Brier score (sum over the labels)", f"{metrics['brier_score']:.4f}"),
+        ("log loss", f"{metrics['log_loss']:.4f}"),
+        *((f"area under the ROC curve, {label}", f"{value:.4f}") for label, value in metrics["roc_area"].items()),
+    ]
+    confusion = zip(model.labels, metrics["confusion"], strict=True)
+    return [
+        *table(("", ""), rows),
         "",
         "Confusion (rows: truth, columns: answer):",
         "",
-        "| | " + " | ".join(model.labels) + " |",
-        "|---|" + "---|" * len(model.labels),
-        *(
-            f"| {label} | " + " | ".join(map(str, row)) + " |"
-            for label, row in zip(model.labels, metrics["confusion"], strict=True)
-        ),
-        "",
-        *(f"![{picture}]({picture})" for picture in pictures),
-        *([""] if pictures else []),
-        "## Limits",
-        "",
-        "It knows the impacts of its training data and no others. An impact whose novelty passes 1 (the distance",
-        "that 99.9 % of the training impacts keep) is answered with *unknown*; at another sampling rate it is less",
-        "often right than it says. The interval counts specimens, not impacts.",
-        "Data that was synthesised says how good the method can be, not how good it is in a mine.",
+        *table(("", *model.labels), [(label, *row) for label, row in confusion]),
         "",
     ]
-    if training["labels_shuffled"]:
-        lines[1:1] = ["", "**Trained on shuffled labels: a check of the method, of no other use.**"]
-    return "\n".join(lines)
+
+
+def _calibration(model: Model) -> list[str]:
+    metrics = model.training["metrics"]
+    error, chance = metrics["expected_calibration_error"], metrics["calibration_error_by_chance"]
+    lines = [
+        f"The expected calibration error is {error:.4f}; perfectly calibrated probabilities would show {chance:.4f} "
+        "by chance.",
+        "",
+    ]
+    if not metrics["prediction_sets"]:
+        return [*lines, "There were too few specimens to calibrate prediction sets: nothing can be rejected.", ""]
+    rows = [
+        (
+            f"{row['coverage']:g}",
+            "each label" if row["class_conditional"] else "the mix",
+            f"{row['achieved']:.4f}",
+            *(f"{row['achieved_of'][label]:.4f}" for label in model.labels),
+            f"{row['single']:.4f}",
+            f"{row['several']:.4f}",
+            f"{row['empty']:.4f}",
+            "-" if row["accuracy_of_single"] is None else f"{row['accuracy_of_single']:.4f}",
+        )
+        for row in metrics["prediction_sets"]
+    ]
+    titles = ("coverage asked", "of", "achieved", *(f"of {label}" for label in model.labels))
+    return [
+        *lines,
+        "Prediction sets (split conformal) hold the truth as often as asked, over the mix of the training or for each",
+        "label by itself. With `--coverage` an impact whose set is not a single label is answered with *unknown*:",
+        "",
+        *table((*titles, "single label", "several", "empty", "accuracy of single"), rows),
+        "",
+    ]
+
+
+_LIMITS = (
+    "## Limits",
+    "",
+    "It knows the impacts of its training data and no others. An impact whose novelty passes 1 (the distance",
+    "that 99.9 % of the training impacts keep) is answered with *unknown*; at another sampling rate it is less",
+    "often right than it says. Coverage is promised for impacts like those of the training, not for strangers.",
+    "The interval counts specimens, not impacts.",
+    "Data that was synthesised says how good the method can be, not how good it is in a mine.",
+    "",
+)

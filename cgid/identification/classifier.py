@@ -1,8 +1,10 @@
-"""The scikit-learn estimator: standardise, one of three families, calibrate by temperature, know its limits."""
+"""The scikit-learn estimator: standardise, one of the families, calibrate by temperature, know its limits."""
 
 from __future__ import annotations
 
-from typing import Any
+import warnings
+from collections.abc import Callable, Mapping
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -10,17 +12,64 @@ from scipy.optimize import minimize_scalar
 from sklearn.base import BaseEstimator, ClassifierMixin
 from sklearn.discriminant_analysis import QuadraticDiscriminantAnalysis
 from sklearn.ensemble import HistGradientBoostingClassifier
+from sklearn.exceptions import ConvergenceWarning
 from sklearn.linear_model import LogisticRegression
 from sklearn.model_selection import StratifiedGroupKFold, StratifiedKFold, cross_val_predict
+from sklearn.neural_network import MLPClassifier
 from sklearn.utils.multiclass import check_classification_targets
 from sklearn.utils.validation import check_is_fitted, validate_data
+from threadpoolctl import threadpool_limits
 
 from cgid import validation
+from cgid.identification.families import Network
 from cgid.identification.transform import Neighbourhood, Standardiser, softmax, squares
 from cgid.validation import Floats
 
-#: The families a model may be of, each exportable as plain numbers.
-FAMILIES = ("logistic", "boosting", "discriminant")
+
+class _Perceptron(MLPClassifier):  # type: ignore[misc]
+    """A scikit-learn network that also tells its scores before they become probabilities."""
+
+    def fit(self, X: Floats, y: NDArray[Any]) -> _Perceptron:
+        with warnings.catch_warnings():
+            # So many iterations are what was asked for, converged or not.
+            warnings.simplefilter("ignore", ConvergenceWarning)
+            super().fit(X, y)
+        return self
+
+    def decision_function(self, X: Floats) -> Floats:
+        arrays = Network.export(self)
+        return Network(arrays, X.shape[1], len(self.classes_)).scores(X)
+
+
+def _logistic(_: ImpactClassifier) -> Any:
+    return LogisticRegression(C=10.0, solver="newton-cholesky", max_iter=100)
+
+
+def _boosting(settings: ImpactClassifier) -> Any:
+    return HistGradientBoostingClassifier(
+        max_iter=settings.n_trees,
+        max_leaf_nodes=settings.n_leaves,
+        learning_rate=settings.learning_rate,
+        l2_regularization=1.0,
+        early_stopping=False,
+        random_state=settings.random_state,
+    )
+
+
+def _discriminant(_: ImpactClassifier) -> Any:
+    return QuadraticDiscriminantAnalysis(reg_param=2e-4)
+
+
+def _network(settings: ImpactClassifier) -> Any:
+    # L-BFGS on all impacts at once: of equal time, better and steadier than Adam on batches.
+    return _Perceptron(
+        (settings.n_units, settings.n_units),
+        activation="tanh",
+        solver="lbfgs",
+        alpha=1.0,
+        max_iter=settings.n_iterations,
+        random_state=settings.random_state,
+    )
 
 
 class ImpactClassifier(ClassifierMixin, BaseEstimator):  # type: ignore[misc]
@@ -28,9 +77,9 @@ class ImpactClassifier(ClassifierMixin, BaseEstimator):  # type: ignore[misc]
 
     Parameters
     ----------
-    family : {"logistic", "boosting", "discriminant"}
+    family : {"logistic", "boosting", "discriminant", "network"}
         Logistic regression on the features and their products; histogram gradient boosting; quadratic
-        discriminant analysis.
+        discriminant analysis; a network of two hidden layers.
     linear : tuple of int
         Columns that never get a logarithm; the others do where all training values are above 0.
     n_trees : int
@@ -39,11 +88,15 @@ class ImpactClassifier(ClassifierMixin, BaseEstimator):  # type: ignore[misc]
         Largest number of leaves of a tree.
     learning_rate : float
         Of boosting.
+    n_units : int
+        Of each hidden layer of the network.
+    n_iterations : int
+        At most so many steps of the network's optimiser.
     calibration_folds : int
         Probabilities are calibrated on predictions for folds left out (Guo et al. 2017, temperature scaling);
         0 leaves them as they are.
     random_state : int
-        Of the folds.
+        Of the folds and of the network's first weights.
 
     Attributes
     ----------
@@ -55,6 +108,14 @@ class ImpactClassifier(ClassifierMixin, BaseEstimator):  # type: ignore[misc]
     neighbourhood_ : Neighbourhood
     """
 
+    #: A family's name -> its estimator with the settings of a classifier.
+    ESTIMATORS: ClassVar[Mapping[str, Callable[[Any], Any]]] = {
+        "logistic": _logistic,
+        "boosting": _boosting,
+        "discriminant": _discriminant,
+        "network": _network,
+    }
+
     def __init__(
         self,
         family: str = "logistic",
@@ -63,6 +124,8 @@ class ImpactClassifier(ClassifierMixin, BaseEstimator):  # type: ignore[misc]
         n_trees: int = 200,
         n_leaves: int = 15,
         learning_rate: float = 0.08,
+        n_units: int = 32,
+        n_iterations: int = 200,
         calibration_folds: int = 3,
         random_state: int = 0,
     ) -> None:
@@ -71,26 +134,30 @@ class ImpactClassifier(ClassifierMixin, BaseEstimator):  # type: ignore[misc]
         self.n_trees = n_trees
         self.n_leaves = n_leaves
         self.learning_rate = learning_rate
+        self.n_units = n_units
+        self.n_iterations = n_iterations
         self.calibration_folds = calibration_folds
         self.random_state = random_state
 
     def fit(self, X: ArrayLike, y: ArrayLike, groups: ArrayLike | None = None) -> ImpactClassifier:
         """Fit to features (n_impacts, n_features) and labels (n_impacts,).
 
-        Impacts of the same of `groups` (n_impacts,), their specimens, are never on both sides of a fold.
+        Impacts of the same of `groups` (n_impacts,), their specimens, are never on both sides of a fold. One thread
+        does it all: sums made by several would differ in their last digits.
         """
-        validation.choice("family", self.family, FAMILIES)
+        validation.choice("family", self.family, tuple(self.ESTIMATORS))
         features, labels = validate_data(self, X, y, dtype=np.float64, ensure_min_samples=2)
         check_classification_targets(labels)
         self.classes_, encoded = np.unique(labels, return_inverse=True)
         if len(self.classes_) < 2:
             raise ValueError(f"classifier needs at least 2 classes, got 1 class: {self.classes_[0]!r}")
-        self.standardiser_ = Standardiser.fit(features, self.linear)
-        standardised = self.standardiser_.apply(features)
-        self.neighbourhood_ = Neighbourhood.fit(standardised, encoded)
-        inputs = self._inputs(standardised)
-        self.estimator_ = self._new_estimator().fit(inputs, encoded)
-        self.temperature_ = self._temperature(inputs, encoded, None if groups is None else np.asarray(groups))
+        with threadpool_limits(1):
+            self.standardiser_ = Standardiser.fit(features, self.linear)
+            standardised = self.standardiser_.apply(features)
+            self.neighbourhood_ = Neighbourhood.fit(standardised, encoded)
+            inputs = self._inputs(standardised)
+            self.estimator_ = self._new_estimator().fit(inputs, encoded)
+            self.temperature_ = self._temperature(inputs, encoded, None if groups is None else np.asarray(groups))
         return self
 
     def predict_proba(self, X: ArrayLike) -> Floats:
@@ -118,18 +185,7 @@ class ImpactClassifier(ClassifierMixin, BaseEstimator):  # type: ignore[misc]
         return squares(standardised) if self.family == "logistic" else standardised
 
     def _new_estimator(self) -> Any:
-        if self.family == "logistic":
-            return LogisticRegression(C=10.0, solver="newton-cholesky", max_iter=100)
-        if self.family == "discriminant":
-            return QuadraticDiscriminantAnalysis(reg_param=2e-4)
-        return HistGradientBoostingClassifier(
-            max_iter=self.n_trees,
-            max_leaf_nodes=self.n_leaves,
-            learning_rate=self.learning_rate,
-            l2_regularization=1.0,
-            early_stopping=False,
-            random_state=self.random_state,
-        )
+        return self.ESTIMATORS[self.family](self)
 
     def _temperature(self, inputs: Floats, encoded: NDArray[np.intp], groups: NDArray[Any] | None) -> float:
         if groups is None or len(np.unique(groups)) == len(groups):
@@ -153,3 +209,7 @@ class ImpactClassifier(ClassifierMixin, BaseEstimator):  # type: ignore[misc]
             return float(-np.mean(np.log(np.maximum(chosen, 1e-300))))
 
         return float(np.exp(minimize_scalar(loss, bounds=(-3.0, 3.0), method="bounded").x))
+
+
+#: The families a model may be of, each exportable as plain numbers.
+FAMILIES = tuple(ImpactClassifier.ESTIMATORS)

@@ -1,4 +1,4 @@
-"""The three families of classifiers as plain arrays: scores from arrays, and what makes such arrays sound.
+"""The families of classifiers as plain arrays: scores from arrays, and what makes such arrays sound.
 
 Every family is one class with `scores(standardised) -> (n,) or (n, n_classes)`; `arrays` is what a model file holds.
 """
@@ -200,9 +200,47 @@ class Boosting(Family):
             node = child
 
 
+class Network(Family):
+    """Two hidden layers of hyperbolic tangents."""
+
+    AXES: ClassVar[Mapping[str, int]] = {
+        "weights_1": 2,
+        "biases_1": 1,
+        "weights_2": 2,
+        "biases_2": 1,
+        "weights_3": 2,
+        "biases_3": 1,
+    }
+
+    @staticmethod
+    def export(estimator: Any) -> dict[str, NDArray[Any]]:
+        """Return the arrays of a fitted scikit-learn MLPClassifier with two hidden layers of tanh."""
+        layers = enumerate(zip(estimator.coefs_, estimator.intercepts_, strict=True), start=1)
+        return {
+            f"{name}_{k}": array for k, pair in layers for name, array in zip(("weights", "biases"), pair, strict=True)
+        }
+
+    def check(self) -> None:
+        """Each layer takes what the one before gives."""
+        n_inputs = self.n_features
+        for layer, n_units in enumerate((len(self.arrays["biases_1"]), len(self.arrays["biases_2"]), self.n_scores), 1):
+            self._require(f"weights_{layer}", (n_inputs, n_units))
+            self._require(f"biases_{layer}", (n_units,))
+            n_inputs = n_units
+
+    def scores(self, standardised: Floats) -> Floats:
+        """Return what the last layer adds up, before scikit-learn makes probabilities of it."""
+        a = self.arrays
+        hidden = np.tanh(standardised @ a["weights_1"] + a["biases_1"])
+        hidden = np.tanh(hidden @ a["weights_2"] + a["biases_2"])
+        scores = hidden @ a["weights_3"] + a["biases_3"]
+        return np.asarray(scores[:, 0] if self.n_scores == 1 else scores)
+
+
 #: By the name that the model file gives.
-BY_NAME: Mapping[str, type[Boosting] | type[Discriminant] | type[Logistic]] = {
+BY_NAME: Mapping[str, type[Boosting] | type[Discriminant] | type[Logistic] | type[Network]] = {
     "boosting": Boosting,
     "discriminant": Discriminant,
     "logistic": Logistic,
+    "network": Network,
 }

@@ -8,6 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 from sklearn import metrics
 
+from cgid.errors import InvalidValue
+from cgid.identification.conformal import COVERAGES, Conformal
 from cgid.identification.interval import wilson_interval
 from cgid.validation import Floats
 
@@ -33,8 +35,9 @@ def evaluate(
     -------
     dict
         accuracy and its 95 % interval (Wilson), recall of each class, Brier score (sum over the classes, so 0 to
-        2), log loss, expected calibration error, area under the ROC curve, confusion (rows are the truth),
-        reliability (mean confidence, accuracy and count of each bin).
+        2), log loss, expected calibration error, what perfectly calibrated probabilities would show of it by chance,
+        area under the ROC curve, confusion (rows are the truth), reliability (mean confidence, accuracy and count of
+        each bin).
     """
     names = np.array(classes)
     predicted = names[np.argmax(probabilities, axis=1)]
@@ -43,7 +46,8 @@ def evaluate(
     counted = len(hits) if n_independent is None else n_independent
     interval = wilson_interval(round(float(hits.mean()) * counted) / counted, counted)
     confusion = metrics.confusion_matrix(labels, predicted, labels=names)
-    bins = reliability(probabilities.max(axis=1), hits)
+    confidence = probabilities.max(axis=1)
+    bins = reliability(confidence, hits)
     return {
         "n_impacts": len(labels),
         "accuracy": float(hits.mean()),
@@ -52,6 +56,7 @@ def evaluate(
         "brier_score": float(np.mean(np.sum((probabilities - truth) ** 2, axis=1))),
         "log_loss": float(-np.mean(np.log(np.maximum(probabilities[truth > 0], 1e-300)))),
         "expected_calibration_error": float(sum(n * abs(c - a) for c, a, n in bins) / len(labels)),
+        "calibration_error_by_chance": calibration_error_by_chance(confidence),
         "roc_area": {c: float(metrics.roc_auc_score(truth[:, k], probabilities[:, k])) for k, c in enumerate(classes)},
         "confusion": confusion.tolist(),
         "reliability": bins,
@@ -60,10 +65,63 @@ def evaluate(
 
 def reliability(confidence: Floats, hits: NDArray[np.bool_]) -> list[list[float]]:
     """Return mean confidence, accuracy and count of each bin of confidence that is not empty."""
-    place = np.minimum((confidence * _BINS).astype(int), _BINS - 1)
+    place = _place(confidence)
     rows = []
     for k in range(_BINS):
         inside = place == k
         if inside.any():
             rows.append([float(confidence[inside].mean()), float(hits[inside].mean()), int(inside.sum())])
     return rows
+
+
+def calibration_error_by_chance(confidence: Floats) -> float:
+    """Return the expected calibration error of answers that are right exactly as often as they say.
+
+    Of n such answers in a bin the number of right ones is normal about its mean with variance sum p (1 - p), and
+    the mean of its distance from there is sqrt(2 / pi) standard deviations: an error of this size is no error.
+    """
+    variances = np.bincount(_place(confidence), confidence * (1 - confidence), _BINS)
+    return float(np.sqrt(2 / np.pi * variances).sum() / len(confidence))
+
+
+def evaluate_sets(
+    labels: NDArray[np.str_],
+    probabilities: Floats,
+    classes: tuple[str, ...],
+    conformal: Conformal,
+    coverages: tuple[float, ...] = COVERAGES,
+) -> list[dict[str, Any]]:
+    """Return how prediction sets did, one row for each coverage that can be promised, as plain numbers for JSON.
+
+    Returns
+    -------
+    list of dict
+        coverage asked, class_conditional, coverage achieved in all and of each label, shares of sets of a single
+        label, of several and of none, and the accuracy among those of a single label (None when there are none).
+    """
+    truth = labels[:, None] == np.array(classes)[None]
+    rows: list[dict[str, Any]] = []
+    for class_conditional in (False, True):
+        for coverage in coverages:
+            try:
+                sets = conformal.prediction_set(probabilities, coverage, class_conditional=class_conditional)
+            except InvalidValue:  # too few calibration impacts for so much
+                continue
+            held, size = (sets & truth).any(axis=1), sets.sum(axis=1)
+            rows.append(
+                {
+                    "coverage": coverage,
+                    "class_conditional": class_conditional,
+                    "achieved": float(held.mean()),
+                    "achieved_of": {c: float(held[truth[:, k]].mean()) for k, c in enumerate(classes)},
+                    "single": float((size == 1).mean()),
+                    "several": float((size > 1).mean()),
+                    "empty": float((size == 0).mean()),
+                    "accuracy_of_single": float(held[size == 1].mean()) if (size == 1).any() else None,
+                }
+            )
+    return rows
+
+
+def _place(confidence: Floats) -> NDArray[np.int_]:
+    return np.asarray(np.minimum((confidence * _BINS).astype(int), _BINS - 1))

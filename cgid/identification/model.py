@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import io
 import json
-import zipfile
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
@@ -19,8 +18,17 @@ from numpy.typing import NDArray
 
 from cgid import validation
 from cgid.errors import BadData, InvalidValue, NoInput
-from cgid.features import FEATURES
+from cgid.identification.conformal import Conformal
 from cgid.identification.families import BY_NAME, Family
+from cgid.identification.soundness import (
+    FORMAT,
+    SCHEMA_VERSION,
+    SHARED,
+    check_names,
+    check_numbers,
+    read_arrays,
+    read_header,
+)
 from cgid.identification.transform import Neighbourhood, Standardiser, softmax
 from cgid.signals import quantity_of
 from cgid.validation import Floats
@@ -28,18 +36,10 @@ from cgid.validation import Floats
 if TYPE_CHECKING:
     from cgid.identification.classifier import ImpactClassifier
 
-FORMAT = "cgid-model"
-SCHEMA_VERSION = 1
 #: A larger file is no model of ours.
 LARGEST_FILE = 64 << 20
 #: The answer for an impact that lies outside of what the model was trained on.
 UNKNOWN = "unknown"
-_SHARED = {
-    "standardiser.logarithmic": ("logarithmic", 1),
-    "standardiser.floor": ("floor", 1),
-    "standardiser.mean": ("mean", 1),
-    "standardiser.scale": ("scale", 1),
-}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,11 +48,11 @@ class Model:
 
     Attributes
     ----------
-    family : {"boosting", "discriminant", "logistic"}
+    family : {"boosting", "discriminant", "logistic", "network"}
     labels : tuple of str
         In the order of the probabilities.
     features : tuple of str
-        What it needs to know of a pulse, out of `cgid.features.FEATURES`.
+        What tells the labels apart, out of `cgid.features.FEATURES`.
     unit : str
         Of the signals it was trained on.
     sampling_rates : tuple of float
@@ -61,6 +61,13 @@ class Model:
     arrays : dict of ndarray
     training : dict
         How it was made and how good it is: the content of the model card.
+    known : tuple of str
+        What must be known beside the signal, out of `cgid.identification.known.KNOWN`.
+    guards : tuple of str
+        Features that say only whether an impact is like those of the training: the larger, the stranger. The
+        labels are not told apart by them.
+    guard_limits : tuple of float
+        What 99.9 % of the training impacts stay below.
     """
 
     family: str
@@ -72,48 +79,109 @@ class Model:
     neighbourhood_limit: float
     arrays: Mapping[str, NDArray[Any]]
     training: Mapping[str, Any]
+    known: tuple[str, ...] = ()
+    guards: tuple[str, ...] = ()
+    guard_limits: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
-        _check_names(self)
-        _check_numbers(self)
-        _ = self._classifier  # checks the arrays of the family
+        check_names(self)
+        check_numbers(self)
+        _ = self._classifier, self.conformal  # check their arrays
 
     @property
     def quantity(self) -> str:
         """Quantity of the signals it was trained on."""
         return quantity_of(self.unit)
 
+    @property
+    def measured(self) -> tuple[str, ...]:
+        """What to measure on a pulse: the features, then the guards."""
+        return self.features + self.guards
+
+    @property
+    def inputs(self) -> tuple[str, ...]:
+        """What the probabilities follow from: the features, then what is known."""
+        return self.features + self.known
+
+    @cached_property
+    def conformal(self) -> Conformal | None:
+        """The calibration of prediction sets; None when there were too few specimens for one."""
+        if not self.arrays.keys() & {"conformal.scores", "conformal.labels"}:
+            return None
+        return Conformal(self.arrays["conformal.scores"], self.arrays["conformal.labels"], len(self.labels))
+
     @cached_property
     def _classifier(self) -> Family:
         own = {name.removeprefix("family."): a for name, a in self.arrays.items() if name.startswith("family.")}
-        return BY_NAME[self.family](own, len(self.features), len(self.labels))
+        return BY_NAME[self.family](own, len(self.inputs), len(self.labels))
 
     @cached_property
     def _standardiser(self) -> Standardiser:
-        return Standardiser(**{key: self.arrays[name] for name, (key, _) in _SHARED.items()})
+        return Standardiser(**{key: self.arrays[name] for name, (key, _) in SHARED.items()})
 
     @cached_property
     def _neighbourhood(self) -> Neighbourhood:
         names = ("neighbourhood.centres", "neighbourhood.whitening")
         return Neighbourhood(self.arrays[names[0]], self.arrays[names[1]], self.neighbourhood_limit)
 
-    def probabilities(self, features: Floats) -> Floats:
+    def probabilities(self, inputs: Floats) -> Floats:
         """Return the probability of each label, (n_impacts, n_labels).
 
         Parameters
         ----------
-        features : ndarray, (n_impacts, n_features)
-            In the order of `self.features`.
+        inputs : ndarray, (n_impacts, n_inputs)
+            In the order of `self.inputs`.
         """
-        return softmax(self._classifier.scores(self._standardised(features)) / self.temperature)
+        return softmax(self._classifier.scores(self._standardised(inputs)) / self.temperature)
 
-    def novelty(self, features: Floats) -> Floats:
+    def novelty(self, inputs: Floats, guards: Floats | None = None) -> Floats:
         """Return how far each impact lies from the training, (n_impacts,): above 1 is outside.
 
-        The distance is Mahalanobis' to the nearest class over the standardised features; 1 is the distance
-        that 99.9 % of the training impacts keep.
+        It is the largest of the distance (Mahalanobis' to the nearest class over the standardised inputs) and the
+        guards, each over what 99.9 % of the training impacts keep.
+
+        Parameters
+        ----------
+        inputs : ndarray, (n_impacts, n_inputs)
+            In the order of `self.inputs`.
+        guards : ndarray, (n_impacts, n_guards), optional
+            In the order of `self.guards`; needed where the model has any.
         """
-        return self._neighbourhood.novelty(self._standardised(features))
+        distance = self._neighbourhood.novelty(self._standardised(inputs))
+        if guards is None and not self.guards:
+            return distance
+        rows = len(inputs), len(self.guards)
+        if guards is None or guards.shape != rows or not np.isfinite(guards).all():
+            raise InvalidValue(
+                f"guards must be finite rows of {len(self.guards)} ({', '.join(self.guards)}), "
+                f"got {'none' if guards is None else f'shape {guards.shape}'}"
+            )
+        return np.asarray(np.maximum(distance, np.max(guards / np.array(self.guard_limits), axis=1, initial=0.0)))
+
+    def prediction_set(
+        self, probabilities: Floats, coverage: float, *, class_conditional: bool = False
+    ) -> NDArray[np.bool_]:
+        """Return which labels cannot be ruled out for each impact, (n_impacts, n_labels).
+
+        Sets hold the truth as often as `coverage` says, for impacts like those of the training, however good the
+        probabilities are. A set may hold several labels or none.
+
+        Parameters
+        ----------
+        probabilities, coverage, class_conditional
+            See `Conformal.prediction_set`.
+
+        Raises
+        ------
+        InvalidValue
+            The model was not calibrated for it, or not on enough impacts.
+        """
+        if self.conformal is None:
+            raise InvalidValue(
+                "coverage must be left out, this model has no calibration impacts to promise one; "
+                "train on more specimens of each label"
+            )
+        return self.conformal.prediction_set(probabilities, coverage, class_conditional=class_conditional)
 
     def covers(self, sampling_rate: float) -> bool:
         """Return whether the model was trained at this sampling rate [Hz], within 1 %."""
@@ -140,13 +208,13 @@ class Model:
             weights[self.labels.index(label)] = validation.positive(f"cost of {label}", cost)
         return np.asarray(np.array(self.labels)[np.argmax(probabilities * weights, axis=1)])
 
-    def _standardised(self, features: Floats) -> Floats:
-        if features.ndim != 2 or features.shape[1] != len(self.features) or not np.isfinite(features).all():
+    def _standardised(self, inputs: Floats) -> Floats:
+        if inputs.ndim != 2 or inputs.shape[1] != len(self.inputs) or not np.isfinite(inputs).all():
             raise InvalidValue(
-                f"features must be finite rows of {len(self.features)} ({', '.join(self.features)}), "
-                f"got shape {features.shape}"
+                f"features must be finite rows of {len(self.inputs)} ({', '.join(self.inputs)}), "
+                f"got shape {inputs.shape}"
             )
-        return self._standardiser.apply(np.asarray(features, np.float64))
+        return self._standardiser.apply(np.asarray(inputs, np.float64))
 
     # -- the file -------------------------------------------------------------------------------------
 
@@ -159,13 +227,19 @@ class Model:
         unit: str,
         sampling_rates: tuple[float, float],
         training: Mapping[str, Any],
+        known: tuple[str, ...] = (),
+        guards: Mapping[str, float] | None = None,
+        conformal: Conformal | None = None,
     ) -> Model:
-        """Return the model of a fitted classifier."""
+        """Return the model of a classifier fitted to `features` and `known`; `guards` have their limits."""
+        guards = guards or {}
         standardiser, neighbourhood = classifier.standardiser_, classifier.neighbourhood_
         own = BY_NAME[classifier.family].export(classifier.estimator_)
-        arrays: dict[str, NDArray[Any]] = {name: getattr(standardiser, key) for name, (key, _) in _SHARED.items()}
+        arrays: dict[str, NDArray[Any]] = {name: getattr(standardiser, key) for name, (key, _) in SHARED.items()}
         arrays |= {"neighbourhood.centres": neighbourhood.centres, "neighbourhood.whitening": neighbourhood.whitening}
         arrays |= {f"family.{name}": array for name, array in own.items()}
+        if conformal is not None:
+            arrays |= {"conformal.scores": conformal.scores, "conformal.labels": conformal.labels}
         return cls(
             family=classifier.family,
             labels=tuple(str(label) for label in classifier.classes_),
@@ -176,6 +250,9 @@ class Model:
             neighbourhood_limit=neighbourhood.limit,
             arrays=arrays,
             training=training,
+            known=known,
+            guards=tuple(guards),
+            guard_limits=tuple(guards.values()),
         )
 
     @property
@@ -187,6 +264,9 @@ class Model:
             "family": self.family,
             "labels": list(self.labels),
             "features": list(self.features),
+            "known": list(self.known),
+            "guards": list(self.guards),
+            "guard_limits": list(self.guard_limits),
             "quantity": self.quantity,
             "unit": self.unit,
             "sampling_rates": list(self.sampling_rates),
@@ -221,88 +301,9 @@ class Model:
                 f"{path}: the model cannot be read ({error.strerror}); give a file made by cgid train"
             ) from None
         try:
-            return cls._parse(content)
+            if len(content) > LARGEST_FILE:
+                raise BadData(f"it must be at most {LARGEST_FILE >> 20} MiB, it is larger")
+            arrays = read_arrays(content)
+            return cls(**read_header(arrays), arrays=arrays)
         except (BadData, InvalidValue) as error:
             raise BadData(f"{path}: no sound model: {error}; train it again") from None
-
-    @classmethod
-    def _parse(cls, content: bytes) -> Model:
-        arrays = _read_arrays(content)
-        try:
-            header = json.loads(arrays.pop("header").tobytes())
-        except (KeyError, ValueError):
-            raise BadData("it must have a header of JSON") from None
-        if not isinstance(header, dict) or header.get("format") != FORMAT:
-            raise BadData(f"format must be {FORMAT!r}")
-        if header.get("schema_version") != SCHEMA_VERSION:
-            raise BadData(f"schema_version must be {SCHEMA_VERSION}, got {header.get('schema_version')}")
-        kinds: dict[str, type | tuple[type, ...]] = {
-            "family": str,
-            "labels": list,
-            "features": list,
-            "unit": str,
-            "sampling_rates": list,
-            "temperature": (int, float),
-            "neighbourhood_limit": (int, float),
-            "training": dict,
-        }
-        for name, kind in kinds.items():
-            if not isinstance(header.get(name), kind):
-                raise BadData(f"{name} is missing or of a wrong kind in the header")
-        values: dict[str, Any] = {
-            name: tuple(header[name]) if kind is list else header[name] for name, kind in kinds.items()
-        }
-        return cls(arrays=arrays, **values)
-
-
-def _read_arrays(content: bytes) -> dict[str, NDArray[Any]]:
-    if len(content) > LARGEST_FILE:
-        raise BadData(f"it must be at most {LARGEST_FILE >> 20} MiB, it is larger")
-    try:
-        with zipfile.ZipFile(io.BytesIO(content)) as archive:
-            entries = archive.infolist()
-        # Stored, not deflated: what is declared cannot be larger than the file.
-        if (
-            any(e.compress_type != zipfile.ZIP_STORED or e.file_size > len(content) for e in entries)
-            or len(entries) > 64
-        ):
-            raise BadData("its arrays must be stored uncompressed")
-        with np.load(io.BytesIO(content), allow_pickle=False) as stored:
-            return {name: stored[name] for name in stored.files}
-    except BadData:
-        raise
-    except Exception as error:  # zipfile and numpy raise many kinds on damaged archives; all mean the same here
-        raise BadData(f"it must be an .npz archive of numbers ({type(error).__name__})") from None
-
-
-def _check_names(model: Model) -> None:
-    validation.choice("family", model.family, tuple(BY_NAME))
-    for name, values, least in (("labels", model.labels, 2), ("features", model.features, 1)):
-        if len(values) < least or not all(isinstance(v, str) and v for v in values) or len(set(values)) != len(values):
-            raise BadData(f"{name} must be at least {least} different words")
-    for feature in model.features:
-        validation.choice("feature", feature, FEATURES)
-    quantity_of(model.unit)
-
-
-def _check_numbers(model: Model) -> None:
-    lowest_highest = validation.positive("sampling_rates", model.sampling_rates, "Hz")
-    if lowest_highest.shape != (2,) or lowest_highest[0] > lowest_highest[1]:
-        raise BadData("sampling_rates must be the lowest and the highest")
-    validation.positive("temperature", model.temperature)
-    validation.positive("neighbourhood_limit", model.neighbourhood_limit)
-    n_features, n_classes = len(model.features), len(model.labels)
-    shapes = {name: (n_features,) * axes for name, (_, axes) in _SHARED.items()}
-    shapes |= {
-        "neighbourhood.centres": (n_classes, n_features),
-        "neighbourhood.whitening": (n_classes, n_features, n_features),
-    }
-    for name, shape in shapes.items():
-        if name not in model.arrays or model.arrays[name].shape != shape:
-            raise BadData(f"array {name} must have shape {shape}")
-    for name, array in model.arrays.items():
-        kinds = "b" if name == "standardiser.logarithmic" else "fi"
-        if array.dtype.kind not in kinds or not np.isfinite(array).all():
-            raise BadData(f"array {name} must hold finite numbers, got {array.dtype}")
-    if not (model.arrays["standardiser.scale"] > 0).all() or not (model.arrays["standardiser.floor"] > 0).all():
-        raise BadData("arrays standardiser.scale and standardiser.floor must be above 0")

@@ -1,55 +1,37 @@
-"""From labelled batches to a model: measure, split by specimen, fit, judge."""
+"""From labelled batches to a model: measure, split by specimen, fit, calibrate, judge."""
 
 from __future__ import annotations
 
 import platform
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from importlib.metadata import version
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from threadpoolctl import threadpool_limits
 
 from cgid import __version__
 from cgid.errors import BadData, InvalidValue
-from cgid.features import FEATURES, choose, extract_array
+from cgid.features import FEATURES, choose
 from cgid.identification.classifier import ImpactClassifier
-from cgid.identification.metrics import evaluate
+from cgid.identification.conformal import Conformal
+from cgid.identification.measuring import DEFAULT_FEATURES, DEFAULT_GUARDS, Measured, measure
+from cgid.identification.metrics import evaluate, evaluate_sets
 from cgid.identification.model import Model
+from cgid.identification.transform import Neighbourhood
 from cgid.signals import Batch, quantity_of
 from cgid.validation import Floats
 
-#: What a model looks at by default: everything but the band energies, whose bands are in Hz and not in 1/T
-#: and which bring nothing that the other spectral features do not say.
-DEFAULT_FEATURES = tuple(name for name in FEATURES if not name.startswith("band_energy"))
 #: Share of the specimens that only judge.
 TEST_SHARE = 0.25
-
-
-@dataclass(frozen=True)
-class Measured:
-    """The features of all labelled impacts.
-
-    Attributes
-    ----------
-    features : ndarray, (n_impacts, n_features)
-    labels : ndarray of str, (n_impacts,)
-    specimen : ndarray of uint64, (n_impacts,)
-    unit : str
-    sampling_rates : tuple of float
-    sources : tuple of str
-    left_out : int
-        Impacts that could not be measured.
-    """
-
-    features: Floats
-    labels: NDArray[np.str_]
-    specimen: NDArray[np.uint64]
-    unit: str
-    sampling_rates: tuple[float, float]
-    sources: tuple[str, ...]
-    left_out: int
+#: Share of the specimens that only calibrate the prediction sets.
+CALIBRATION_SHARE = 0.1
+#: Guards that may be 0 in all of the training have a limit all the same: a pulse cut off by 5 % is taken.
+LEAST_LIMITS = {"overload": 0.05}
+#: With fewer specimens of a label to calibrate on, all of them train: a promise of .95 takes 19.
+FEWEST_CALIBRATION_SPECIMENS = 20
 
 
 @dataclass(frozen=True)
@@ -60,7 +42,7 @@ class Training:
     ----------
     model : Model
     metrics : dict
-        See `cgid.identification.metrics.evaluate`.
+        See `cgid.identification.metrics.evaluate` and `evaluate_sets` (under "prediction_sets").
     test_labels : ndarray of str
     test_probabilities : ndarray, (n_test, n_labels)
     classifier : ImpactClassifier
@@ -72,49 +54,6 @@ class Training:
     test_labels: NDArray[np.str_]
     test_probabilities: Floats
     classifier: ImpactClassifier
-
-
-def measure(
-    batches: Iterable[Batch], features: Iterable[str] | None = None, progress: Callable[[int], object] | None = None
-) -> Measured:
-    """Return the features of labelled batches; memory holds one batch of signals at a time.
-
-    Raises
-    ------
-    BadData
-        There is no signal, or batches are of different quantities.
-    """
-    names = choose(DEFAULT_FEATURES if features is None else features)
-    rows, labels, specimen, rates, sources = [], [], [], set(), []
-    unit = ""
-    for batch in batches:
-        if unit and batch.unit != unit:
-            raise BadData(f"all signals must be in one unit, got {unit} and {batch.unit}; convert or train apart")
-        unit = batch.unit
-        rows.append(
-            extract_array(
-                batch.signals, batch.sampling_rate, names, pre_trigger=batch.pre_trigger or None, invalid="nan"
-            )
-        )
-        labels.append(batch.labels)
-        sources += [batch.source] if batch.source not in sources else []
-        specimen.append(batch.specimen)
-        rates.add(batch.sampling_rate)
-        if progress is not None:
-            progress(len(batch))
-    if not rows:
-        raise BadData("there must be signals to train on; there are none")
-    table = np.concatenate(rows)
-    sound = np.isfinite(table).all(axis=1)
-    return Measured(
-        features=table[sound],
-        labels=np.concatenate(labels)[sound],
-        specimen=np.concatenate(specimen)[sound],
-        unit=unit,
-        sampling_rates=(min(rates), max(rates)),
-        sources=tuple(sources),
-        left_out=int((~sound).sum()),
-    )
 
 
 def hold_out(
@@ -142,17 +81,53 @@ def hold_out(
     return np.isin(specimen, np.concatenate(held))
 
 
+def set_apart(
+    labels: NDArray[np.str_],
+    specimen: NDArray[np.uint64],
+    test: NDArray[np.bool_],
+    share: float = CALIBRATION_SHARE,
+    seed: int = 0,
+) -> NDArray[np.bool_]:
+    """Return which impacts that do not judge calibrate: whole specimens, the same share of each label.
+
+    No impact does when the share is 0, or is fewer than `FEWEST_CALIBRATION_SPECIMENS` of a label.
+
+    Raises
+    ------
+    InvalidValue
+        The share is not between 0 and 1, or nothing is left to train on.
+    """
+    if not 0 <= share < 1:
+        raise InvalidValue(f"calibration share must lie between 0 and 1, got {share:g}")
+    apart = np.zeros(len(labels), bool)
+    counts = [len(np.unique(specimen[labels == label])) for label in np.unique(labels)]
+    if share * min(counts) < FEWEST_CALIBRATION_SPECIMENS:
+        return apart
+    left = 1 - len(np.unique(specimen[test])) / sum(counts)
+    if share >= left:
+        raise InvalidValue(f"test and calibration share must leave some to train on, got {1 - left:.3g} and {share:g}")
+    # Another seed than that of the test, or the same ranks of the same specimens would be drawn.
+    apart[~test] = hold_out(labels[~test], specimen[~test], share / left, seed + 1)
+    return apart
+
+
 def train(
     batches: Iterable[Batch],
     *,
     features: Iterable[str] | None = None,
+    guards: Iterable[str] = DEFAULT_GUARDS,
+    known: Iterable[str] = (),
     family: str = "logistic",
     test_share: float = TEST_SHARE,
+    calibration_share: float = CALIBRATION_SHARE,
     seed: int = 0,
     shuffle_labels: bool = False,
+    selection: Sequence[Mapping[str, Any]] | None = None,
     progress: Callable[[int], object] | None = None,
 ) -> Training:
     """Train a model on labelled impacts and judge it on specimens it has not seen.
+
+    One thread does it all, so that the same data give the same model to the last digit wherever many are allowed.
 
     Parameters
     ----------
@@ -160,61 +135,132 @@ def train(
         A dataset's, or a scene's as it is synthesised.
     features : iterable of str, optional
         Out of `cgid.features.FEATURES`; `DEFAULT_FEATURES` if not given.
-    family : {"boosting", "discriminant", "logistic"}
+    guards : iterable of str
+        Features that only say how strange an impact is: the larger, the stranger. They are left out of `features`.
+    known : iterable of str
+        What the model is told beside the signal, out of `cgid.identification.known.KNOWN`.
+    family : {"boosting", "discriminant", "logistic", "network"}
     test_share : float
         Share of the specimens held out, in (0, 1).
+    calibration_share : float
+        Share of the specimens that only calibrate the prediction sets, in [0, 1); 0 for none.
     seed : int
-        Of the split and the folds.
+        Of the splits, the folds and the network.
     shuffle_labels : bool
         A check of the method: labels are shuffled first, so the accuracy must be that of guessing.
+    selection : sequence of dict, optional
+        How the family was chosen (`cgid.identification.selection.select`), for the model card.
     progress : callable, optional
         Called with the number of signals measured.
 
     Raises
     ------
     BadData
-        There are fewer than two labels, or nothing to train on.
+        There are fewer than two labels, nothing to train on, or nobody says what has to be known.
     InvalidValue
-        A choice is unknown, or a label has a single specimen.
+        A choice is unknown, a label has a single specimen, or a guard is no positive number.
     """
-    names = choose(DEFAULT_FEATURES if features is None else features)
-    measured = measure(batches, names, progress)
-    labels, specimen = measured.labels, measured.specimen
+    guards = choose(guards) if (guards := tuple(guards)) else ()
+    names = tuple(name for name in choose(DEFAULT_FEATURES if features is None else features) if name not in guards)
+    known = tuple(known)
+    with threadpool_limits(1):
+        measured = measure(batches, names + guards, progress, known=known)
+        labels, specimen = measured.labels, measured.specimen
+        _require_two(labels)
+        if shuffle_labels:
+            # Among the specimens, so that the split that is checked is the one that is used.
+            _, first, own = np.unique(specimen, return_index=True, return_inverse=True)
+            labels = np.random.default_rng(seed).permutation(labels[first])[own]
+        test = hold_out(labels, specimen, test_share, seed)
+        calibration = set_apart(labels, specimen, test, calibration_share, seed)
+        training = ~(test | calibration)
+        inputs = np.hstack([measured.features[:, : len(names)], measured.known])
+        classifier = ImpactClassifier(family=family, linear=linear_columns(names), random_state=seed)
+        classifier.fit(inputs[training], labels[training], specimen[training])
+        conformal = _calibrated(classifier, inputs[calibration], labels[calibration], specimen[calibration], seed)
+        probabilities = classifier.predict_proba(inputs[test])
+    metrics = _judged(labels[test], probabilities, classifier, conformal, len(np.unique(specimen[test])))
+    parts = {"train": training, "calibration": calibration, "test": test}
+    model = Model.from_classifier(
+        classifier,
+        features=names,
+        known=known,
+        guards=_guard_limits(guards, measured.features[training, len(names) :]),
+        conformal=conformal,
+        unit=measured.unit,
+        sampling_rates=measured.sampling_rates,
+        training={
+            **_origin(measured),
+            **{f"n_{part}_specimens": len(np.unique(specimen[rows])) for part, rows in parts.items()},
+            "n_train": int(training.sum()),
+            "seed": seed,
+            "test_share": test_share,
+            "calibration_share": calibration_share,
+            "labels_shuffled": shuffle_labels,
+            "metrics": metrics,
+            **({} if selection is None else {"selection": [dict(row) for row in selection]}),
+        },
+    )
+    return Training(model, metrics, labels[test], probabilities, classifier)
+
+
+def linear_columns(features: Sequence[str]) -> tuple[int, ...]:
+    """Return the columns that never get a logarithm: features without a unit may be of either sign."""
+    return tuple(
+        column for column, name in enumerate(features) if FEATURES[name].unit == "1" and not FEATURES[name].positive
+    )
+
+
+def _require_two(labels: NDArray[np.str_]) -> None:
     if len(np.unique(labels)) < 2:
         raise BadData(
             f"data must have at least 2 labels to tell apart, got {', '.join(np.unique(labels)) or 'none'}; "
             "add data of another material"
         )
-    if shuffle_labels:
-        # Among the specimens, so that the split that is checked is the one that is used.
-        _, first, own = np.unique(specimen, return_index=True, return_inverse=True)
-        labels = np.random.default_rng(seed).permutation(labels[first])[own]
-    test = hold_out(labels, specimen, test_share, seed)
-    # Features without a unit may be of either sign: no logarithm for them.
-    linear = tuple(column for column, name in enumerate(names) if FEATURES[name].unit == "1")
-    classifier = ImpactClassifier(family=family, linear=linear, random_state=seed)
-    classifier.fit(measured.features[~test], labels[~test], specimen[~test])
-    probabilities = classifier.predict_proba(measured.features[test])
+
+
+def _calibrated(
+    classifier: ImpactClassifier, inputs: Floats, labels: NDArray[np.str_], specimen: NDArray[np.uint64], seed: int
+) -> Conformal | None:
+    """Return the calibration by one impact of each specimen: those of one specimen are no independent trials."""
+    if not len(labels):
+        return None
+    order = np.random.default_rng(seed).permutation(len(labels))
+    one = order[np.unique(specimen[order], return_index=True)[1]]
+    return Conformal.fit(classifier.predict_proba(inputs[one]), np.searchsorted(classifier.classes_, labels[one]))
+
+
+def _judged(
+    labels: NDArray[np.str_],
+    probabilities: Floats,
+    classifier: ImpactClassifier,
+    conformal: Conformal | None,
+    n_independent: int,
+) -> dict[str, Any]:
     classes = tuple(str(label) for label in classifier.classes_)
-    metrics = evaluate(labels[test], probabilities, classes, n_independent=len(np.unique(specimen[test])))
-    model = Model.from_classifier(
-        classifier,
-        features=names,
-        unit=measured.unit,
-        sampling_rates=measured.sampling_rates,
-        training={
-            "sources": list(measured.sources),
-            "quantity": quantity_of(measured.unit),
-            "seed": seed,
-            "test_share": test_share,
-            "n_train": int((~test).sum()),
-            "n_train_specimens": len(np.unique(specimen[~test])),
-            "n_test_specimens": len(np.unique(specimen[test])),
-            "n_left_out": measured.left_out,
-            "labels_shuffled": shuffle_labels,
-            "versions": {"cgid": __version__, "python": platform.python_version()}
-            | {name: version(name) for name in ("numpy", "scikit-learn")},
-            "metrics": metrics,
-        },
-    )
-    return Training(model, metrics, labels[test], probabilities, classifier)
+    sets = [] if conformal is None else evaluate_sets(labels, probabilities, classes, conformal)
+    return evaluate(labels, probabilities, classes, n_independent) | {"prediction_sets": sets}
+
+
+def _guard_limits(guards: tuple[str, ...], values: Floats) -> dict[str, float]:
+    limits = {
+        name: max(float(np.quantile(column, Neighbourhood.INSIDE)), LEAST_LIMITS.get(name, 0.0))
+        for name, column in zip(guards, values.T, strict=True)
+    }
+    for name, limit in limits.items():
+        if limit <= 0:
+            raise InvalidValue(
+                f"guard {name} must be above 0 for strange impacts, {Neighbourhood.INSIDE:.1%} of the training "
+                f"have at most {limit:g}; use it as a feature"
+            )
+    return limits
+
+
+def _origin(measured: Measured) -> dict[str, Any]:
+    return {
+        "sources": list(measured.sources),
+        "quantity": quantity_of(measured.unit),
+        "n_left_out": measured.left_out,
+        "versions": {"cgid": __version__, "python": platform.python_version()}
+        | {name: version(name) for name in ("numpy", "scikit-learn")},
+    }

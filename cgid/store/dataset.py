@@ -156,8 +156,8 @@ class Dataset:
             source=self.source,
         )
 
-    def signal(self, index: int) -> Signal:
-        """Return one signal.
+    def impact(self, index: int) -> Batch:
+        """Return one signal with all that is stored of it.
 
         Raises
         ------
@@ -170,16 +170,19 @@ class Dataset:
         for shard, count in zip(self._shards, self._counts, strict=True):
             if index < first + count:
                 with _opened(shard) as file:
-                    batch = self._batch(file, shard, slice(index - first, index - first + 1))
-                return Signal(
-                    samples=batch.signals[0],
-                    sampling_rate=self.sampling_rate,
-                    unit=self.unit,
-                    source=f"{self.path} index {index}",
-                    pre_trigger=self.pre_trigger,
-                )
+                    return self._batch(file, shard, slice(index - first, index - first + 1))
             first += count
         raise AssertionError("unreachable: the index was checked")
+
+    def signal(self, index: int) -> Signal:
+        """Return one signal; raises as `impact`."""
+        return Signal(
+            samples=self.impact(index).signals[0],
+            sampling_rate=self.sampling_rate,
+            unit=self.unit,
+            source=f"{self.path} index {index}",
+            pre_trigger=self.pre_trigger,
+        )
 
     def damaged_shards(self) -> list[str]:
         """Return the shards whose SHA-256 is not that of the manifest (none for a single file: it has no manifest)."""

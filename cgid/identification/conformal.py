@@ -1,0 +1,108 @@
+"""Prediction sets that hold the truth as often as asked, whatever the model: split conformal prediction.
+
+Vovk, Gammerman & Shafer 2005; Lei et al. 2018. The score of a label is 1 minus its probability. A label belongs to the
+set of an impact when its score is at most the ceil((n + 1) coverage)-th smallest among the scores of the true
+labels of n calibration impacts, which neither trained the model nor judge it.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cgid.errors import BadData, InvalidValue
+from cgid.validation import Floats
+
+#: What model cards report.
+COVERAGES = (0.80, 0.85, 0.90, 0.95, 0.99)
+
+
+@dataclass(frozen=True, eq=False)
+class Conformal:
+    """The scores of the true labels of the calibration impacts.
+
+    Attributes
+    ----------
+    scores : ndarray, (n_calibration,)
+        Within [0, 1], rising within each label.
+    labels : ndarray of int, (n_calibration,)
+        Number of the true label, rising.
+    n_labels : int
+    """
+
+    scores: Floats
+    labels: NDArray[np.int_]
+    n_labels: int
+
+    def __post_init__(self) -> None:
+        scores, labels = self.scores, self.labels
+        if scores.ndim != 1 or scores.shape != labels.shape or not len(scores):
+            raise BadData(f"calibration scores and labels must be two rows, got shapes {scores.shape}, {labels.shape}")
+        if labels.dtype.kind != "i" or (labels < 0).any() or (labels >= self.n_labels).any():
+            raise BadData(f"calibration labels must be whole numbers between 0 and {self.n_labels - 1}")
+        if scores.dtype.kind != "f" or not ((scores >= 0) & (scores <= 1)).all():
+            raise BadData("calibration scores must lie between 0 and 1")
+
+    @classmethod
+    def fit(cls, probabilities: Floats, truth: NDArray[np.intp]) -> Conformal:
+        """Return the calibration by impacts that can be exchanged for those to come.
+
+        Parameters
+        ----------
+        probabilities : ndarray, (n_calibration, n_labels)
+        truth : ndarray of int, (n_calibration,)
+            Number of the true label.
+        """
+        scores = 1.0 - probabilities[np.arange(len(truth)), truth]
+        order = np.lexsort((scores, truth))
+        return cls(scores[order], truth[order].astype(np.int32), probabilities.shape[1])
+
+    def thresholds(self, coverage: float, *, class_conditional: bool = False) -> Floats:
+        """Return the largest score of each label that belongs to a set, (n_labels,).
+
+        Raises
+        ------
+        InvalidValue
+            The coverage is not above 0 or more than so many calibration impacts can promise.
+        """
+        if not 0 < coverage < 1:
+            raise InvalidValue(f"coverage must lie between 0 and 1 (exclusive), got {coverage:g}")
+        if not class_conditional:
+            return np.full(self.n_labels, _threshold(self.scores, coverage))
+        return np.array([_threshold(self.scores[self.labels == k], coverage) for k in range(self.n_labels)])
+
+    def prediction_set(
+        self, probabilities: Floats, coverage: float, *, class_conditional: bool = False
+    ) -> NDArray[np.bool_]:
+        """Return which labels belong to the set of each impact, (n_impacts, n_labels).
+
+        Parameters
+        ----------
+        probabilities : ndarray, (n_impacts, n_labels)
+        coverage : float
+            Share of the sets that hold the truth, in (0, 1).
+        class_conditional : bool
+            Whether that holds for every label by itself (Mondrian), and so for any mix of them; else it holds for
+            the mix of the calibration.
+
+        Raises
+        ------
+        InvalidValue
+            See `thresholds`.
+        """
+        return np.asarray(1.0 - probabilities <= self.thresholds(coverage, class_conditional=class_conditional))
+
+
+def _threshold(scores: Floats, coverage: float) -> float:
+    n = len(scores)
+    # Rounded first: 100 x 0.07 is 7 and a last binary digit, and must not become 8.
+    rank = math.ceil(round((n + 1) * coverage, 9))
+    if rank > n:
+        raise InvalidValue(
+            f"coverage must be at most {n / (n + 1):.4g} with {n} calibration impacts (of a label, if it is to hold "
+            f"for each), got {coverage:g}; ask for less, or train on more specimens"
+        )
+    return float(np.partition(scores, rank - 1)[rank - 1])

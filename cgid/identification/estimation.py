@@ -1,0 +1,302 @@
+"""A pulse's parameters by maximum likelihood, their statistical bound, and what a prior adds where pulses are short.
+
+The restitution that is found is the shape of the pulse: how much sooner it rises than it falls. For an impact of a
+sphere on a half space that is the restitution. On recordings of real shocks it moves between .77 and 1 with the part
+that is fitted, the baseline and the mounting's resonance: there it describes the pulse, and is no constant of a material.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from cgid import validation
+from cgid.errors import BadData, InvalidValue
+from cgid.estimation.bound import Bound, cramer_rao_bound
+from cgid.estimation.fit import PulseFit, fit_pulses
+from cgid.estimation.prior import Prior
+from cgid.estimation.profile import profile
+from cgid.filters import low_pass_response
+from cgid.pulses import PulseBatch
+from cgid.validation import Floats
+
+__all__ = ["Bound", "Estimates", "Posterior", "Prior", "cramer_rao_bound", "estimate", "posterior"]
+
+#: Rows treated at once.
+_ROWS = 512
+#: A squared residual this many times that of the noise is no chance: the pulse is not of the family.
+FAMILY_LIMIT = 2.5
+#: Fewest samples of a frame.
+_FEWEST = 6
+
+
+@dataclass(frozen=True)
+class Estimates:
+    """Fitted damped-Hertz pulses, one a row, in the unit of the signal and seconds.
+
+    Attributes
+    ----------
+    peak, contact_duration, onset, restitution, baseline : ndarray, (n,)
+        The onset is the time of touch after the first sample. Above 1 the restitution is that of a pulse which rises
+        more slowly than it falls.
+    covariance : ndarray, (n, 5, 5)
+        Of ln(peak), ln(contact duration), onset [s], ln(restitution), baseline; zero where a parameter was given.
+    misfit : ndarray, (n,)
+        Goodness of fit: the squared residual over that of the noise, about 1 for a pulse of the family.
+    overload : ndarray, (n,)
+        Peak over the level at which the samples are cut off, minus 1; 0 where they are not.
+    converged : ndarray of bool, (n,)
+    """
+
+    peak: Floats
+    contact_duration: Floats
+    onset: Floats
+    restitution: Floats
+    baseline: Floats
+    covariance: Floats
+    misfit: Floats
+    overload: Floats
+    converged: NDArray[np.bool_]
+
+    @property
+    def restitution_deviation(self) -> Floats:
+        """Standard deviation of the restitution."""
+        return np.asarray(self.restitution * np.sqrt(self.covariance[:, 3, 3]))
+
+    @property
+    def of_family(self) -> NDArray[np.bool_]:
+        """Whether the pulse may be a damped-Hertz one: `misfit` at most `FAMILY_LIMIT`."""
+        return np.asarray(self.misfit <= FAMILY_LIMIT)
+
+
+@dataclass(frozen=True)
+class Posterior:
+    """What a pulse and a prior say of the restitution.
+
+    Attributes
+    ----------
+    restitution : ndarray, (n, n_nodes)
+        Nodes, rising.
+    weight : ndarray, (n, n_nodes)
+        Probability of each; they add up to 1.
+    peak, contact_duration : ndarray, (n,)
+        Posterior means, in the unit of the signal and seconds.
+    """
+
+    restitution: Floats
+    weight: Floats
+    peak: Floats
+    contact_duration: Floats
+
+    @property
+    def mean(self) -> Floats:
+        """Posterior mean of the restitution, (n,)."""
+        return np.asarray(np.sum(self.weight * self.restitution, axis=1))
+
+    @property
+    def deviation(self) -> Floats:
+        """Posterior standard deviation of the restitution, (n,)."""
+        return np.asarray(np.sqrt(np.sum(self.weight * (self.restitution - self.mean[:, None]) ** 2, axis=1)))
+
+    def quantile(self, share: float) -> Floats:
+        """Return the restitution below which this share of the probability lies, (n,).
+
+        Raises
+        ------
+        InvalidValue
+            The share is not between 0 and 1.
+        """
+        if not 0 < share < 1:
+            raise InvalidValue(f"share must lie between 0 and 1 (exclusive), got {share:g}")
+        # Half of a node's probability lies on either side of it.
+        below = np.cumsum(self.weight, axis=1) - 0.5 * self.weight
+        rows = np.arange(len(below))
+        after = np.clip(np.sum(below < share, axis=1), 1, below.shape[1] - 1)
+        low, high = below[rows, after - 1], below[rows, after]
+        part = np.clip((share - low) / np.maximum(high - low, 1e-300), 0.0, 1.0)
+        start, stop = self.restitution[rows, after - 1], self.restitution[rows, after]
+        return np.asarray(start + part * (stop - start))
+
+    def interval(self, coverage: float = 0.9) -> tuple[Floats, Floats]:
+        """Return the interval that holds the restitution with this probability, as much beyond either end."""
+        return self.quantile(0.5 - 0.5 * coverage), self.quantile(0.5 + 0.5 * coverage)
+
+
+def estimate(
+    samples: ArrayLike,
+    sampling_rate: float,
+    *,
+    pre_trigger: int | None = None,
+    noise: ArrayLike | None = None,
+    fit_baseline: bool = False,
+    remove_baseline: bool = True,
+    onset: ArrayLike | None = None,
+    clip_level: ArrayLike | None = None,
+    bandwidth: float | None = None,
+) -> Estimates:
+    """Return the most likely damped-Hertz pulse of each signal.
+
+    Least squares under white noise, with Firth's penalty on the shape. Samples at the sensor's limit count as "at least
+    that much".
+
+    Parameters
+    ----------
+    samples : array_like, (n_samples,) or (n_signals, n_samples)
+        One positive pulse a row.
+    sampling_rate : float
+        [Hz].
+    pre_trigger : int, optional
+        Samples before touch: baseline and noise are their mean and standard deviation. By default every sample up to
+        the foot of the pulse.
+    noise : float or array_like, (n_signals,), optional
+        Standard deviation of the noise, where it is known.
+    fit_baseline : bool
+        Whether a constant beside the pulse is fitted with it (after the removal).
+    remove_baseline : bool
+        Whether the mean before touch is taken off first.
+    onset : float or array_like, (n_signals,), optional
+        Time of touch after the first sample [s], where it is known.
+    clip_level : float or array_like, (n_signals,), optional
+        The sensor's limit; by default it is where three samples or more stand level at the top.
+    bandwidth : float, optional
+        Edge of the sensor's low-pass [Hz], as in `cgid.scene.Sensor`: the pulse is fitted as seen through it.
+
+    Raises
+    ------
+    BadData
+        Samples are not finite rows of numbers.
+    InvalidValue
+        A number breaks its rule.
+
+    Examples
+    --------
+    >>> t = np.arange(400) / 2e5
+    >>> pulse = 800 * np.sin(np.pi * np.clip((t - 6e-4) / 5e-4, 0, 1)) ** 1.5
+    >>> found = estimate(pulse, 2e5)
+    >>> [round(float(x[0]), 3) for x in (found.peak, found.contact_duration * 1e3, found.restitution)]
+    [805.24, 0.509, 1.0]
+    """
+    frames = _frames(samples)
+    rate = float(validation.positive("sampling_rate", sampling_rate, "Hz"))
+    n = len(frames)
+    given_noise = None if noise is None else np.broadcast_to(validation.not_negative("noise", noise), (n,))
+    touch = None if onset is None else np.broadcast_to(validation.real("onset", onset, "s") * rate, (n,))
+    limit = None if clip_level is None else np.broadcast_to(validation.positive("clip_level", clip_level), (n,))
+    response = None if bandwidth is None else low_pass_response(rate, bandwidth)
+    parts, overloads = [], []
+    for first in range(0, n, _ROWS):
+        block = slice(first, first + _ROWS)
+        pulses = PulseBatch(frames[block], rate, pre_trigger, remove_baseline)
+        level = pulses.clip_level if limit is None else limit[block] - pulses.offset
+        parts.append(
+            fit_pulses(
+                pulses.samples,
+                pulses.fit_start,
+                pulses.noise if given_noise is None else given_noise[block],
+                offset=pulses.offset,
+                fit_baseline=fit_baseline,
+                onset=None if touch is None else touch[block],
+                clip_level=level,
+                response=response,
+            )
+        )
+        cut = parts[-1].clipped > 0
+        overloads.append(np.where(cut, parts[-1].peak / (level if level is not None else 1.0) - 1, 0.0).clip(0.0))
+    return _in_seconds(PulseFit.joined(parts), np.concatenate(overloads), rate)
+
+
+def posterior(
+    samples: ArrayLike,
+    sampling_rate: float,
+    prior: Prior,
+    *,
+    pre_trigger: int | None = None,
+    noise: ArrayLike | None = None,
+    bandwidth: float | None = None,
+    n_nodes: int = 65,
+) -> Posterior:
+    """Return what each pulse and a prior together say of its restitution.
+
+    Parameters
+    ----------
+    samples, sampling_rate, pre_trigger, noise, bandwidth
+        As in `estimate`.
+    prior : Prior
+        Such as `Prior.from_draws` of the impacts that are expected.
+    n_nodes : int
+        Of the quadrature along the restitution.
+
+    Raises
+    ------
+    BadData, InvalidValue
+        As `estimate`; or there is no noise.
+    """
+    frames = _frames(samples)
+    rate = float(validation.positive("sampling_rate", sampling_rate, "Hz"))
+    given = None if noise is None else np.broadcast_to(validation.positive("noise", noise), (len(frames),))
+    response = None if bandwidth is None else low_pass_response(rate, bandwidth)
+    lowest, highest = prior.shape_bounds
+    parts = []
+    for first in range(0, len(frames), _ROWS):
+        block = slice(first, first + _ROWS)
+        pulses = PulseBatch(frames[block], rate, pre_trigger)
+        level = pulses.noise if given is None else given[block]
+        if not (level > 0).all():
+            raise InvalidValue(
+                f"noise must be above 0 for a posterior, got 0 in signal {first + int(np.argmin(level > 0))}; "
+                "record some samples before touch, or say what the noise is"
+            )
+        fit = fit_pulses(
+            pulses.samples,
+            pulses.fit_start,
+            level,
+            offset=pulses.offset,
+            clip_level=pulses.clip_level,
+            response=response,
+        )
+        along = profile(
+            pulses.samples,
+            fit,
+            level,
+            lowest=lowest,
+            highest=highest,
+            n_nodes=n_nodes,
+            offset=pulses.offset,
+            n_quiet=pulses.n_quiet,
+            clip_level=pulses.clip_level,
+            response=response,
+        )
+        weight = np.exp(prior.log_posterior(along, -np.log(rate)))
+        peak = np.sum(weight * np.exp(along.log_peak), axis=1)
+        duration = np.sum(weight * np.exp(along.log_duration), axis=1) / rate
+        parts.append((np.exp(along.shape), weight, peak, duration))
+    return Posterior(*(np.concatenate(column) for column in zip(*parts, strict=True)))
+
+
+def _frames(samples: ArrayLike) -> NDArray[np.floating]:
+    frames = validation.real("samples", samples)
+    frames = frames[None] if frames.ndim == 1 else frames
+    if frames.ndim != 2 or frames.shape[1] < _FEWEST:
+        raise BadData(
+            f"samples must be rows of at least {_FEWEST} samples, got shape {np.shape(samples)}: record longer"
+        )
+    return frames
+
+
+def _in_seconds(fit: PulseFit, overload: Floats, rate: float) -> Estimates:
+    covariance = fit.covariance.copy()
+    covariance[:, 2] /= rate
+    covariance[:, :, 2] /= rate
+    return Estimates(
+        peak=fit.peak,
+        contact_duration=fit.duration / rate,
+        onset=fit.onset / rate,
+        restitution=fit.restitution,
+        baseline=fit.baseline,
+        covariance=covariance,
+        misfit=fit.misfit,
+        overload=overload,
+        converged=fit.converged,
+    )

@@ -1,0 +1,119 @@
+"""From labelled batches to a table of features, one batch of signals in memory at a time."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cgid import validation
+from cgid.errors import BadData
+from cgid.features import choose, extract_array
+from cgid.identification.known import KNOWN, drop_heights
+from cgid.signals import Batch
+from cgid.validation import Floats
+
+#: How ill a pulse fits what a pulse should be: of use to know strangers by, and never to tell labels apart.
+#: These guard a model by default.
+DEFAULT_GUARDS = ("misfit", "overload")
+#: What a model looks at by default: the fitted pulse, with how well its shape is told.
+DEFAULT_FEATURES = ("fitted_peak", "fitted_width", "shrunken_restitution", "shrunken_restitution_deviation")
+
+
+@dataclass(frozen=True)
+class Measured:
+    """The features of all labelled impacts.
+
+    Attributes
+    ----------
+    names, known_names : tuple of str
+        Of the columns of the features and of what is known.
+    features : ndarray, (n_impacts, n_features)
+    known : ndarray, (n_impacts, n_known)
+        What was asked of it beside the signals.
+    labels : ndarray of str, (n_impacts,)
+    specimen : ndarray of uint64, (n_impacts,)
+    unit : str
+    sampling_rates : tuple of float
+    sources : tuple of str
+    left_out : int
+        Impacts that could not be measured.
+    """
+
+    names: tuple[str, ...]
+    known_names: tuple[str, ...]
+    features: Floats
+    known: Floats
+    labels: NDArray[np.str_]
+    specimen: NDArray[np.uint64]
+    unit: str
+    sampling_rates: tuple[float, float]
+    sources: tuple[str, ...]
+    left_out: int
+
+
+def measure(
+    batches: Iterable[Batch],
+    features: Iterable[str] | None = None,
+    progress: Callable[[int], object] | None = None,
+    *,
+    known: tuple[str, ...] = (),
+) -> Measured:
+    """Return the features of labelled batches; memory holds one batch of signals at a time.
+
+    Raises
+    ------
+    BadData
+        There is no signal, batches are of different quantities, or they do not say what has to be known.
+    InvalidValue
+        A feature or something known is unknown.
+    """
+    names = choose(DEFAULT_FEATURES if features is None else features)
+    for name in known:
+        validation.choice("known", name, dict(KNOWN))
+    rows, beside, labels, specimen, rates, sources = [], [], [], [], set(), []
+    unit = ""
+    for batch in batches:
+        if unit and batch.unit != unit:
+            raise BadData(f"all signals must be in one unit, got {unit} and {batch.unit}; convert or train apart")
+        unit = batch.unit
+        rows.append(
+            extract_array(
+                batch.signals, batch.sampling_rate, names, pre_trigger=batch.pre_trigger or None, invalid="nan"
+            )
+        )
+        beside.append(_known_of(batch) if known else np.empty((len(batch), 0)))
+        labels.append(batch.labels)
+        sources += [batch.source] if batch.source not in sources else []
+        specimen.append(batch.specimen)
+        rates.add(batch.sampling_rate)
+        if progress is not None:
+            progress(len(batch))
+    if not rows:
+        raise BadData("there must be signals to train on; there are none")
+    table = np.concatenate(rows)
+    sound = np.isfinite(table).all(axis=1)
+    return Measured(
+        names=names,
+        known_names=known,
+        features=table[sound],
+        known=np.concatenate(beside)[sound],
+        labels=np.concatenate(labels)[sound],
+        specimen=np.concatenate(specimen)[sound],
+        unit=unit,
+        sampling_rates=(min(rates), max(rates)),
+        sources=tuple(sources),
+        left_out=int((~sound).sum()),
+    )
+
+
+def _known_of(batch: Batch) -> Floats:
+    heights = drop_heights(batch)
+    if heights is None:
+        raise BadData(
+            "the data must hold drop_height or velocity among its parameters, it has "
+            f"{', '.join(batch.parameters) or 'none'}; train without --drop-height"
+        )
+    return heights[:, None]

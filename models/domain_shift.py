@@ -1,0 +1,80 @@
+"""How a model does on impacts that differ from its training: another rig, another seam, another theory, strangers.
+
+python models/domain_shift.py [MODEL] [-n 5120]   # prints Markdown; the shipped default model if none is given
+"""
+
+import argparse
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+
+from cgid import shipped
+from cgid.identification.answers import identify_frames
+from cgid.identification.card import domain_shift_table
+from cgid.identification.known import drop_heights
+from cgid.identification.model import Model
+from cgid.scene import Scene, load_scene, synthesise, varied
+
+#: No training uses it.
+SEED = 2_000_003
+
+
+def shifted_scenes() -> Iterator[tuple[str, Scene]]:
+    """Yield what to judge on, each with its name."""
+    reference = load_scene(shipped.scene_path("reference"))
+    yield "the reference scene", reference
+    for rate in ("1 MHz", "100 kHz", "50 kHz", "20 kHz"):
+        yield f"... sampled at {rate}", varied(reference, sampling_rate=rate, keep_frame=True)
+    for noise, decibel in ((0.03, 30), (0.1, 20), (0.3, 10)):
+        yield f"... at a noise of {noise:.0%} ({decibel} dB)", varied(reference, relative_noise=noise)
+    yield "... behind a low-pass at 20 kHz", varied(reference, bandwidth="20 kHz")
+    yield "... with clipped peaks (at .7)", varied(reference, clipped_at=0.7)
+    plate = {"density": 7850, "youngs_modulus": "210 GPa", "poisson_ratio": 0.3, "thickness": "30 mm"}
+    yield "... on a steel plate of 30 mm", varied(reference, target=plate)
+    yield "... if the series theory were true", varied(reference, stiffness="series")
+    yield "another population (scene peers)", load_scene(shipped.scene_path("peers"))
+    yield "strangers (scene strangers)", load_scene(shipped.scene_path("strangers"))
+    yield "strangers with pulses like the classes' (scene lookalikes)", load_scene(shipped.scene_path("lookalikes"))
+
+
+def domain_shift(model: Model, n_impacts: int = 5120) -> list[dict[str, Any]]:
+    """Return, for each shifted scene, accuracy among the measured (None for strangers) and the share flagged."""
+    rows = []
+    for name, scene in shifted_scenes():
+        answers, truth = [], []
+        for batch in synthesise(scene, n_impacts, SEED):
+            heights = drop_heights(batch) if model.known else None
+            if model.known and heights is None:
+                heights = np.ones(len(batch))  # taps do not fall; any height will do
+            answers += identify_frames(
+                batch.signals, batch.sampling_rate, model, pre_trigger=batch.pre_trigger, drop_height=heights
+            )
+            truth += batch.labels.tolist()
+        hits = [
+            max(answer.probabilities, key=answer.probabilities.__getitem__) == label
+            for answer, label in zip(answers, truth, strict=True)
+            if answer.probabilities
+        ]
+        rows.append(
+            {
+                "name": name,
+                "n": len(answers),
+                "accuracy": float(np.mean(hits)) if hits and set(truth) <= set(model.labels) else None,
+                "flagged_share": float(np.mean([not answer.in_training_range for answer in answers])),
+            }
+        )
+    return rows
+
+
+def main() -> None:
+    """Print the table of one model."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("model", nargs="?", default=shipped.path_of("models", shipped.DEFAULT_MODEL))
+    parser.add_argument("-n", "--signals", type=int, default=5120)
+    arguments = parser.parse_args()
+    print("\n".join(domain_shift_table(domain_shift(Model.load(arguments.model), arguments.signals))))
+
+
+if __name__ == "__main__":
+    main()

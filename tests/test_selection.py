@@ -1,0 +1,140 @@
+"""The comparison of families: the same folds for all, nothing leaks into them, and the rule that decides."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import Any, ClassVar
+
+import numpy as np
+import pytest
+
+from cgid.errors import InvalidValue
+from cgid.identification.card import domain_shift_table, selection_table, write_card
+from cgid.identification.classifier import FAMILIES, ImpactClassifier
+from cgid.identification.measuring import Measured, measure
+from cgid.identification.selection import CANDIDATES, MARGIN, Candidate, paired_difference, preferred, select
+from cgid.identification.training import train
+from cgid.scene import Scene, synthesise
+
+FEATURES = ("peak_force", "width_50", "tilt")
+
+
+def made(features: np.ndarray, labels: np.ndarray, specimen: np.ndarray) -> Measured:
+    return Measured(
+        names=FEATURES,
+        known_names=(),
+        features=features,
+        known=np.empty((len(features), 0)),
+        labels=labels,
+        specimen=specimen.astype(np.uint64),
+        unit="N",
+        sampling_rates=(2e5, 2e5),
+        sources=("made",),
+        left_out=0,
+    )
+
+
+@pytest.fixture(scope="module")
+def measured(reference_scene: Scene) -> Measured:
+    return measure(synthesise(reference_scene, 500, seed=3), FEATURES, known=("drop_height",))
+
+
+def test_every_candidate_is_compared_and_a_card_can_print_it(measured: Measured, reference_scene: Scene) -> None:
+    rows = select(measured, n_folds=3)
+    assert [row["name"] for row in rows] == [candidate.name for candidate in CANDIDATES]
+    assert [row["exportable"] for row in rows] == [True] * len(FAMILIES) + [False] * 3
+    assert all(0.75 < row["accuracy"] < 0.97 for row in rows)
+    assert all(row[name] > 0 for row in rows for name in ("fit_s", "predict_us", "size_bytes"))
+    assert sum(row["chosen"] for row in rows) == 1
+    lines = selection_table(rows)
+    assert len(lines) == 2 + len(rows)
+    training = train(synthesise(reference_scene, 400), features=FEATURES, selection=rows)
+    assert training.model.training["selection"] == rows
+    card = write_card(training.model, "m.npz")
+    assert "## Selection" in card
+    assert all(line in card for line in lines)
+
+
+class Watched(ImpactClassifier):
+    """A classifier that says whose impacts it was fitted to; which classifier it is stands in the number of trees."""
+
+    SEEN: ClassVar[dict[int, list[set[int]]]] = {}
+
+    def fit(self, X: Any, y: Any, groups: Any = None) -> ImpactClassifier:
+        self.SEEN.setdefault(self.n_trees, []).append(set(np.asarray(groups).tolist()))
+        return super().fit(X, y, groups)
+
+
+def test_all_see_the_same_folds_and_specimens_stay_together(measured: Measured) -> None:
+    names = ("features", "known", "labels", "specimen")
+    twice = replace(measured, **{name: np.repeat(getattr(measured, name), 2, axis=0) for name in names})
+    candidates = tuple(
+        Candidate(str(k), lambda linear, seed, k=k: Watched("discriminant", n_trees=k), False) for k in (1, 2)
+    )
+    select(twice, candidates=candidates, n_folds=4)
+    first, second = Watched.SEEN.values()
+    assert first == second
+    assert len(first) == 4
+    everything = set(measured.specimen.tolist())
+    # Each specimen is missing from one fold; were its two impacts on both sides, it would be missing from none.
+    assert sum(len(everything - fold) for fold in first) == len(everything)
+
+
+def test_who_knows_the_specimens_by_heart_gains_nothing() -> None:
+    generator = np.random.default_rng(6)
+    specimen = np.repeat(np.arange(60), 20)
+    features = np.exp(np.repeat(generator.normal(size=(60, 3)), 20, axis=0) + generator.normal(0, 1e-3, (1200, 3)))
+    labels = np.where(specimen % 2, "a", "b")
+    rows = select(made(features, labels, specimen), candidates=CANDIDATES[2:3], n_folds=3)
+    assert rows[0]["accuracy"] < 0.75
+
+
+def test_a_candidate_may_be_trained_on_fewer(measured: Measured) -> None:
+    thinned = replace(CANDIDATES[1], most=100)
+    rows = select(measured, candidates=(CANDIDATES[1], thinned), n_folds=3)
+    assert [row["n_train"] for row in rows] == [333, 100] or [row["n_train"] for row in rows] == [334, 100]
+
+
+def test_paired_difference_is_that_of_specimens() -> None:
+    generator = np.random.default_rng(1)
+    first, second = generator.random((2, 400)) < [[0.9], [0.8]]
+    specimen = np.arange(400, dtype=np.uint64)
+    mean, error = paired_difference(first, second, specimen)
+    own = first.astype(int) - second
+    assert mean == pytest.approx(own.mean())
+    assert error == pytest.approx(own.std(ddof=1) / math.sqrt(400))
+    # Every impact five times over says no more than once.
+    five = paired_difference(*(np.repeat(a, 5) for a in (first, second, specimen)))
+    assert five == pytest.approx((mean, error))
+    assert paired_difference(first, first, specimen) == (0.0, 0.0)
+
+
+@pytest.mark.parametrize(
+    ("accuracies", "best"),
+    [
+        ([0.88, 0.882, 0.8829], 0),
+        ([0.88, 0.884], 1),
+        ([0.88, 0.884, 0.886], 1),
+        ([0.88, 0.86, 0.89, 0.8940], 3),
+        ([0.88], 0),
+    ],
+)
+def test_a_later_one_wins_only_by_the_margin(accuracies: list[float], best: int) -> None:
+    assert MARGIN == 0.003
+    assert preferred(accuracies) == best
+
+
+@pytest.mark.parametrize("n_folds", [1, 400])
+def test_impossible_numbers_of_folds_are_refused(n_folds: int, measured: Measured) -> None:
+    with pytest.raises(InvalidValue, match="n_folds must lie between 2 and"):
+        select(measured, n_folds=n_folds)
+
+
+def test_domain_shift_is_a_section_of_the_card(reference_scene: Scene) -> None:
+    model = train(synthesise(reference_scene, 300), features=FEATURES).model
+    assert "## Domain shift" not in write_card(model, "m.npz")
+    shift = [{"name": "strangers", "accuracy": 0.61, "n": 1000, "flagged_share": 0.25}]
+    shifted = replace(model, training={**model.training, "domain_shift": shift})
+    assert domain_shift_table(shift)[-1] == "| strangers | 1000 | 0.6100 | 25.00% |"
+    assert domain_shift_table(shift)[-1] in write_card(shifted, "m.npz")
