@@ -22,8 +22,8 @@ from cgid.validation import Floats
 if TYPE_CHECKING:
     import pandas
 
-#: Rows measured at once: enough to share the overhead, few enough to stay in the cache.
-_ROWS = 512
+#: Rows measured at once: enough to share the overhead of the fit, few enough for the memory to stay flat.
+_ROWS = 1024
 #: A frame must hold the fewest samples of a pulse and one on either side.
 MINIMUM_FRAME = 6
 

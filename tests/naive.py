@@ -1,13 +1,17 @@
-"""Slow, obvious twins of the fast routines: plain loops, one signal at a time, nothing shared with the package."""
+"""Slow, obvious twins of the fast routines: plain loops, one signal at a time, nothing shared with the package
+(but the table of pulses, which `tests/test_family.py` measures against an integration of the equation)."""
 
 from __future__ import annotations
 
 import cmath
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from scipy.integrate import solve_ivp
+from scipy.optimize import least_squares
+
+from cgid import family
 
 
 def peak(samples: Sequence[float]) -> tuple[int, float]:
@@ -237,3 +241,74 @@ class Contact:
         """Return displacement and force at times within the contact."""
         x, y, _, _ = self._solved.sol(times)
         return x, self._force(x, y)
+
+
+def damped_pulse(times: np.ndarray, peak: float, duration: float, onset: float, restitution: float) -> np.ndarray:
+    """Sample the damped-Hertz pulse of a peak, a contact duration and a time of touch; above 1 it is turned round."""
+    lossy = min(restitution, 1 / restitution)
+    contact, top, _ = (float(time) for time in family.times(lossy))
+    share = (np.asarray(times) - onset) / duration
+    if restitution > 1:
+        share = 1 - share
+    return peak * family.force(contact * share, lossy) / family.force(np.array([top]), lossy)
+
+
+def fitted_pulse(
+    samples: np.ndarray,
+    start: Sequence[float],
+    *,
+    onset: float | None = None,
+    baseline: bool = False,
+    clip_level: float = math.inf,
+    seen: Callable[[np.ndarray], np.ndarray] = lambda force: force,
+) -> tuple[np.ndarray, float]:
+    """Fit (peak, duration, onset, restitution, baseline) by scipy, all samples of the frame; the squared residual.
+
+    `seen` is what the sensor makes of the force. A sample at the limit costs nothing where the curve is above it.
+    """
+    times = np.arange(len(samples), dtype=float)
+    free = [0, 1, *([] if onset is not None else [2]), 3, *([4] if baseline else [])]
+    whole = np.array([*start, 0.0])
+    whole[3] = math.log(whole[3])
+    if onset is not None:
+        whole[2] = onset
+
+    def residual(chosen: np.ndarray) -> np.ndarray:
+        values = whole.copy()
+        values[free] = chosen
+        curve = seen(damped_pulse(times, *values[:3], math.exp(values[3]))) + values[4]
+        left = np.asarray(samples - curve, float)
+        return np.where((samples >= clip_level) & (left < 0), 0.0, left)
+
+    scale = np.array([whole[0], whole[1], whole[1], 1.0, whole[0]])[free]
+    widest = np.array([[0, 1, -np.inf, math.log(0.05), -np.inf], [np.inf, np.inf, np.inf, math.log(20), np.inf]])[
+        :, free
+    ]
+    found = least_squares(residual, whole[free], x_scale=scale, bounds=widest, xtol=1e-11, ftol=1e-13, gtol=1e-13)
+    whole[free] = found.x
+    whole[3] = math.exp(whole[3])
+    return whole, 2 * found.cost
+
+
+def pulse_covariance(times: np.ndarray, duration: float, onset: float, restitution: float, free: Sequence[int],
+                     seen: Callable[[np.ndarray], np.ndarray] = lambda force: force) -> np.ndarray:  # fmt: skip
+    """Invert Fisher's information of (ln peak, ln duration, onset, ln restitution, baseline), peak and noise 1."""
+
+    def curve(values: np.ndarray) -> np.ndarray:
+        peak, length, shape = np.exp(values[[0, 1, 3]])
+        return seen(damped_pulse(times, peak, length, values[2], shape)) + values[4]
+
+    at = np.array([0.0, math.log(duration), onset, math.log(restitution), 0.0])
+    slopes = []
+    for column in free:
+        step = np.zeros(5)
+        step[column] = 1e-5
+        slopes.append((curve(at + step) - curve(at - step)) / 2e-5)
+    return np.linalg.inv(np.array(slopes) @ np.array(slopes).T)
+
+
+def log_evidence(samples: np.ndarray, noise: float, draws: np.ndarray) -> tuple[float, float]:
+    """Average the likelihood of a signal over drawn pulses: its logarithm, and the standard error of that."""
+    terms = -0.5 * np.sum((draws - samples) ** 2, axis=1, dtype=float) / noise**2
+    shares = np.exp(terms - terms.max())
+    return float(terms.max() + np.log(shares.mean())), float(shares.std() / shares.mean() / math.sqrt(len(draws)))

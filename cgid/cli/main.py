@@ -11,6 +11,7 @@ from typing import Any
 import click
 
 from cgid import __version__
+from cgid.cli.ceiling import ceiling
 from cgid.cli.check import check
 from cgid.cli.features import features
 from cgid.cli.generate import generate
@@ -31,7 +32,7 @@ def cli() -> None:
     """Tell coal from gangue by how a falling rock hits steel."""
 
 
-for command in (generate, check, train, predict, features, info, reproduce):
+for command in (generate, check, ceiling, train, predict, features, info, reproduce):
     cli.add_command(command)
 
 

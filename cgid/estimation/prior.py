@@ -139,7 +139,7 @@ def _smoothed(counts: Floats, axis: int) -> Floats:
 
 def _log_density(counts: Floats, cell: float) -> Floats:
     density = counts / counts.sum() / cell
-    return np.log(np.maximum(density, _FLOOR * density.max()))
+    return np.asarray(np.log(np.maximum(density, _FLOOR * density.max())))
 
 
 def _cell(place: Floats) -> tuple[NDArray[np.intp], Floats]:

@@ -7,6 +7,7 @@ and the rest Laplace's approximation at each node.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import cache
 
@@ -66,6 +67,7 @@ def profile(
     offset: Floats | None = None,
     n_quiet: Floats | None = None,
     onset: Floats | None = None,
+    onset_between: tuple[float, float] | None = None,
     clip_level: Floats | None = None,
     response: Floats | None = None,
 ) -> Profile:
@@ -86,7 +88,9 @@ def profile(
     n_quiet : ndarray, (n,), optional
         Of how many samples the offset is the mean: it is uncertain by so much. None where it is certain.
     onset : ndarray, (n,), optional
-        Time of touch [samples], where it is known; else every one is as likely.
+        Time of touch [samples], where it is known.
+    onset_between : tuple of float, optional
+        Between what times [samples] every time of touch is as likely, and no other; everywhere if not given.
     """
     shapes = _grid(fit, noise, lowest, highest, n_nodes)
     out = Profile(shapes, *(np.empty(shapes.shape) for _ in range(3)))
@@ -95,13 +99,16 @@ def profile(
         guess = parameters_of(fit.peak[block], fit.width[block], fit.onset[block], fit.shape[block])
         own_offset = None if offset is None else offset[block]
         own_limit = None if clip_level is None else clip_level[block]
-        for window in windows(samples[block], guess, own_offset, own_limit, averaged=response is None):
+        # As long as the pulse would be at the lowest shape: a tail that is cut off says nothing against it.
+        longest = guess.copy()
+        longest[:, 3] = shapes[block, 0]
+        for window in windows(samples[block], longest, own_offset, own_limit, averaged=response is None):
             rows = first + window.rows
             problem = Problem(window, n_quiet is not None, None if onset is None else onset[rows], response)
             sigma = noise[rows] / np.sqrt(window.averaged)
             hold = None if n_quiet is None else n_quiet[rows] / window.averaged
             for node in range(n_nodes):
-                found = _at(problem, guess[window.rows], shapes[rows, node], sigma, hold)
+                found = _at(problem, guess[window.rows], shapes[rows, node], sigma, hold, onset_between)
                 for held, value in zip((out.log_weight, out.log_peak, out.log_duration), found, strict=True):
                     held[rows, node] = value
     widths = np.gradient(shapes, axis=1) if n_nodes > 1 else np.ones_like(shapes)
@@ -127,7 +134,12 @@ def _grid(fit: PulseFit, noise: Floats, lowest: float, highest: float, n_nodes: 
 
 
 def _at(
-    problem: Problem, guess: Floats, shape: Floats, sigma: Floats, hold: Floats | None
+    problem: Problem,
+    guess: Floats,
+    shape: Floats,
+    sigma: Floats,
+    hold: Floats | None,
+    onset_between: tuple[float, float] | None,
 ) -> tuple[Floats, Floats, Floats]:
     """Return log of the integrated likelihood, ln peak and ln duration at given shapes.
 
@@ -160,10 +172,32 @@ def _at(
         if hold is not None:
             parameters[:, 4] += step[:, -1]
         parameters = problem.tied(parameters)
-    duration, _, _, _ = relative_times(shape)
+    duration, lead, _, _ = relative_times(shape)
     log_peak = np.log(parameters[:, 0])
     # In ln(peak), ln(duration) and, at this shape, the place, whose step is that of the onset.
-    _, determinant = np.linalg.slogdet(information / sigma[:, None, None] ** 2)
+    sign, determinant = np.linalg.slogdet(information / sigma[:, None, None] ** 2)
     squared = np.sum(residual**2, axis=1) + (0.0 if hold is None else hold * parameters[:, 4] ** 2)
     log_likelihood = -0.5 * squared / sigma**2 - 0.5 * (determinant + 2 * log_peak)
+    if onset_between is not None:
+        log_likelihood += _log_inside(parameters, lead, information / sigma[:, None, None] ** 2, onset_between)
+    # Where the samples do not tell all parameters the fit lies beside the pulse.
+    log_likelihood = np.where((sign > 0) & np.isfinite(log_likelihood), log_likelihood, -np.inf)
     return log_likelihood, log_peak, parameters[:, 1] + np.log(duration)
+
+
+def _log_inside(parameters: Floats, lead: Floats, information: Floats, between: tuple[float, float]) -> Floats:
+    """Return the logarithm of the probability that touch lies between two times, its likelihood being Gaussian."""
+    width = np.exp(parameters[:, 1])
+    onset = parameters[:, 2] - lead * width
+    # Of (peak, ln width, place, ...): touch moves with the width and the place.
+    slope = np.zeros(information.shape[:2])
+    slope[:, 1], slope[:, 2] = -lead * width, 1.0
+    scale = np.sqrt(np.maximum(np.einsum("nii->ni", information), 1e-300))
+    unit = information / (scale[:, :, None] * scale[:, None, :]) + 1e-12 * np.eye(information.shape[1])
+    spread = np.linalg.solve(unit, (slope / scale)[..., None])[..., 0] / scale
+    deviation = np.sqrt(np.maximum(np.sum(slope * spread, axis=1), 1e-300))
+    low, high = ((bound - onset) / deviation for bound in between)
+    return np.asarray(np.log(np.maximum(0.5 * (_erf(high / np.sqrt(2)) - _erf(low / np.sqrt(2))), 1e-300)))
+
+
+_erf = np.vectorize(math.erf, otypes=[np.float64])

@@ -21,7 +21,7 @@ BEFORE, BEHIND = 1.5, 3.0
 #: second number: there less than 0.2 % of the peak is left at any restitution.
 _MARGIN, _FURTHEST = 0.35, 4.5
 #: Lengths are powers of this number.
-_STEP = 1.3
+_STEP = 1.5
 #: Longer windows are averaged over equal runs of samples: hundreds of points say all about a smooth curve.
 _LONGEST = 320
 #: Points of a coarse window.
@@ -46,6 +46,8 @@ class Window:
     clipped : ndarray of bool, (n, n_points), or None
     beside : ndarray, (n,)
         The largest magnitude of the samples that are not looked at.
+    run : int
+        Samples in one point where all rows have as many by design; else 1.
     """
 
     rows: NDArray[np.intp]
@@ -55,6 +57,7 @@ class Window:
     outside: NDArray[np.bool_] | None
     clipped: NDArray[np.bool_] | None
     beside: Floats
+    run: int
 
     def part(self, rows: NDArray[np.intp] | slice) -> Window:
         """Return some of its rows."""
@@ -66,6 +69,7 @@ class Window:
             None if self.outside is None else self.outside[rows],
             None if self.clipped is None else self.clipped[rows],
             self.beside[rows],
+            self.run,
         )
 
 
@@ -117,7 +121,7 @@ def coarse_window(
     values /= start.peak[:, None]
     times = 0.5 * (edges[:, :-1] + edges[:, 1:] - 1.0)
     rows = np.arange(n)
-    return Window(rows, values, times, run.astype(np.float64), outside, clipped, np.zeros(n))
+    return Window(rows, values, times, run.astype(np.float64), outside, clipped, np.zeros(n), 1)
 
 
 def _window(
@@ -153,7 +157,7 @@ def _window(
         values, times = values.reshape(shape).mean(axis=2), times.reshape(shape).mean(axis=2)
         outside = None if outside is None else outside.reshape(shape).any(axis=2)
         clipped = None if clipped is None else clipped.reshape(shape).any(axis=2)
-    return Window(rows, values, times, np.full(len(rows), float(run)), outside, clipped, beside)
+    return Window(rows, values, times, np.full(len(rows), float(run)), outside, clipped, beside, run)
 
 
 def _largest_beside(

@@ -2,7 +2,8 @@
 
 The restitution that is found is the shape of the pulse: how much sooner it rises than it falls. For an impact of a
 sphere on a half space that is the restitution. On recordings of real shocks it moves between .77 and 1 with the part
-that is fitted, the baseline and the mounting's resonance: there it describes the pulse, and is no constant of a material.
+that is fitted, the baseline and the mounting's resonance: there it describes the pulse, and is no constant of a
+material.
 """
 
 from __future__ import annotations

@@ -38,6 +38,8 @@ class Measured:
     unit : str
     sampling_rates : tuple of float
     sources : tuple of str
+    source : ndarray of int, (n_impacts,)
+        Which of the sources each is from.
     left_out : int
         Impacts that could not be measured.
     """
@@ -51,6 +53,7 @@ class Measured:
     unit: str
     sampling_rates: tuple[float, float]
     sources: tuple[str, ...]
+    source: NDArray[np.intp]
     left_out: int
 
 
@@ -73,7 +76,7 @@ def measure(
     names = choose(DEFAULT_FEATURES if features is None else features)
     for name in known:
         validation.choice("known", name, dict(KNOWN))
-    rows, beside, labels, specimen, rates, sources = [], [], [], [], set(), []
+    rows, beside, labels, specimen, rates, sources, source = [], [], [], [], set(), [], []
     unit = ""
     for batch in batches:
         if unit and batch.unit != unit:
@@ -87,6 +90,7 @@ def measure(
         beside.append(_known_of(batch) if known else np.empty((len(batch), 0)))
         labels.append(batch.labels)
         sources += [batch.source] if batch.source not in sources else []
+        source.append(np.full(len(batch), sources.index(batch.source)))
         specimen.append(batch.specimen)
         rates.add(batch.sampling_rate)
         if progress is not None:
@@ -105,6 +109,7 @@ def measure(
         unit=unit,
         sampling_rates=(min(rates), max(rates)),
         sources=tuple(sources),
+        source=np.concatenate(source)[sound],
         left_out=int((~sound).sum()),
     )
 

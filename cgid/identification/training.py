@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
-from cgid import __version__
+from cgid import __version__, validation
 from cgid.errors import BadData, InvalidValue
 from cgid.features import FEATURES, choose
 from cgid.identification.classifier import ImpactClassifier
@@ -121,6 +121,7 @@ def train(
     test_share: float = TEST_SHARE,
     calibration_share: float = CALIBRATION_SHARE,
     seed: int = 0,
+    judged_on: str | None = None,
     shuffle_labels: bool = False,
     selection: Sequence[Mapping[str, Any]] | None = None,
     progress: Callable[[int], object] | None = None,
@@ -146,6 +147,9 @@ def train(
         Share of the specimens that only calibrate the prediction sets, in [0, 1); 0 for none.
     seed : int
         Of the splits, the folds and the network.
+    judged_on : str, optional
+        The `source` of the batches that judge and calibrate the prediction sets; all others only train. By default
+        every source does all.
     shuffle_labels : bool
         A check of the method: labels are shuffled first, so the accuracy must be that of guessing.
     selection : sequence of dict, optional
@@ -171,9 +175,12 @@ def train(
             # Among the specimens, so that the split that is checked is the one that is used.
             _, first, own = np.unique(specimen, return_index=True, return_inverse=True)
             labels = np.random.default_rng(seed).permutation(labels[first])[own]
-        test = hold_out(labels, specimen, test_share, seed)
-        calibration = set_apart(labels, specimen, test, calibration_share, seed)
-        training = ~(test | calibration)
+        home = _home(measured, judged_on)
+        test, calibration = np.zeros_like(home), np.zeros_like(home)
+        test[home] = hold_out(labels[home], specimen[home], test_share, seed)
+        calibration[home] = set_apart(labels[home], specimen[home], test[home], calibration_share, seed)
+        # A particle that judges trains nowhere, not even as it fell in another source.
+        training = ~np.isin(specimen, specimen[test | calibration])
         inputs = np.hstack([measured.features[:, : len(names)], measured.known])
         classifier = ImpactClassifier(family=family, linear=linear_columns(names), random_state=seed)
         classifier.fit(inputs[training], labels[training], specimen[training])
@@ -197,6 +204,7 @@ def train(
             "test_share": test_share,
             "calibration_share": calibration_share,
             "labels_shuffled": shuffle_labels,
+            "judged_on": judged_on,
             "metrics": metrics,
             **({} if selection is None else {"selection": [dict(row) for row in selection]}),
         },
@@ -209,6 +217,14 @@ def linear_columns(features: Sequence[str]) -> tuple[int, ...]:
     return tuple(
         column for column, name in enumerate(features) if FEATURES[name].unit == "1" and not FEATURES[name].positive
     )
+
+
+def _home(measured: Measured, judged_on: str | None) -> NDArray[np.bool_]:
+    """Return which impacts may judge."""
+    if judged_on is None:
+        return np.ones(len(measured.labels), bool)
+    validation.choice("judged_on", judged_on, measured.sources)
+    return np.asarray(measured.source == measured.sources.index(judged_on))
 
 
 def _require_two(labels: NDArray[np.str_]) -> None:

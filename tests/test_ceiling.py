@@ -1,0 +1,242 @@
+"""The ceiling of a scene against brute force: the likelihood of a signal averaged over very many pulses."""
+
+import json
+from functools import cache
+
+import numpy as np
+import pytest
+
+from cgid.ceiling import Ceiling, ceiling
+from cgid.errors import InvalidValue
+from cgid.scene import parse_scene, synthesise
+from tests import naive
+from tests.test_scene import content
+
+#: Two rocks of 10 to 16 mm whose pulses overlap: contacts of 10 to 40 samples.
+ROCKS = {
+    "coal": {"youngs_modulus": {"distribution": "lognormal", "median": 3.5e9, "sigma": 0.3}, "density": 1400,
+             "restitution": {"distribution": "uniform", "lowest": 0.3, "highest": 0.6}},
+    "gangue": {"youngs_modulus": {"distribution": "lognormal", "median": 6e9, "sigma": 0.4}, "density": 2000,
+               "restitution": {"distribution": "uniform", "lowest": 0.45, "highest": 0.75}},
+}  # fmt: skip
+FALL = {
+    "poisson_ratio": 0.3,
+    "radius": {"distribution": "log-uniform", "lowest": 0.010, "highest": 0.016},
+    "velocity": {"distribution": "uniform", "lowest": 3.0, "highest": 5.0},
+}
+
+
+def rocks(*labels, **changes):
+    """A scene of these rocks, each given by its label and whose ranges it has."""
+    populations = [{"label": label, **ROCKS[rock], **FALL} for label, rock in labels]
+    return parse_scene(
+        content(populations=populations, **{"sensor": {"relative_noise": 0.15}, "sampling__jitter": 0.0, **changes})
+    )
+
+
+PAIR = (("coal", "coal"), ("gangue", "gangue"))
+
+
+def collected(scene, n_signals, seed):
+    batches = list(synthesise(scene, n_signals, seed))
+    signals = np.concatenate([batch.signals for batch in batches])
+    return signals, np.concatenate([batch.parameters["peak_force"] for batch in batches])
+
+
+@pytest.fixture(autouse=True, scope="module")
+def _few_draws():
+    """An eighth of the draws that the density of a population is made of: enough for overlapping rocks, and quick."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("cgid.ceiling.bayes.PRIOR_DRAWS", 1 << 15)
+        yield
+
+
+@cache
+def drawn_pulses(text, index, n=40_000):
+    """Very many pulses of one population as the sensor sees them, without noise."""
+    scene = parse_scene(json.loads(text))
+    sensor = scene.sensor.model_copy(update={"relative_noise": 0.0, "absolute_noise": 0.0})
+    quiet = scene.model_copy(update={"populations": (scene.populations[index],), "sensor": sensor})
+    return collected(quiet, n, seed=41)[0]
+
+
+def by_brute_force(scene, n_signals, seed):
+    """Probability of the first label for each signal, and its standard error."""
+    signals, peak = collected(scene, n_signals, seed)
+    first, second = (population.weight for population in scene.populations)
+    out = []
+    for samples, noise in zip(signals, scene.sensor.noise_level(peak), strict=True):
+        logs, errors = zip(
+            *(naive.log_evidence(samples, float(noise), drawn_pulses(scene.text, index)) for index in (0, 1)),
+            strict=True,
+        )
+        expected = 1 / (1 + second / first * np.exp(logs[1] - logs[0]))
+        out.append((expected, expected * (1 - expected) * np.hypot(*errors)))
+    return np.array(out).T
+
+
+@pytest.mark.parametrize(
+    ("changes", "limit"),
+    [
+        ({}, 0.035),
+        # Here, at 16 dB and some 20 samples in contact, touch is told to a sample: far from a Gaussian in a window.
+        ({"sampling__jitter": 1.0}, 0.06),
+        ({"sensor": {"relative_noise": 0.15, "bandwidth": "15 kHz"}}, 0.04),
+    ],
+    ids=["touch known", "touch within a sample", "low-pass"],
+)
+def test_ceiling_is_brute_force(changes, limit, monkeypatch):
+    monkeypatch.setattr("cgid.ceiling.bayes.PRIOR_DRAWS", 1 << 18)
+    scene = rocks(*PAIR, **changes)
+    expected, error = by_brute_force(scene, 16, seed=42)
+    apart = np.abs(ceiling(scene, 16, seed=42).probabilities[:, 0] - expected)
+    assert np.sqrt(np.mean(apart**2)) < limit
+    assert (apart < 4 * error + 2 * limit).all()
+
+
+def test_populations_of_one_restitution_each_are_told_apart():
+    def always(e):
+        return {"distribution": "constant", "value": e}
+
+    populations = [
+        {"label": label, **ROCKS["coal"], **FALL, "restitution": always(e)} for label, e in (("a", 0.3), ("b", 0.8))
+    ]
+    scene = parse_scene(content(populations=populations, sensor={"relative_noise": 0.01}, sampling__jitter=0.0))
+    assert ceiling(scene, 256).accuracy > 0.9999
+
+
+def test_weights_of_the_populations_count():
+    scene = rocks(*PAIR)
+    heavy = scene.model_copy(
+        update={"populations": (scene.populations[0].model_copy(update={"weight": 5.0}), scene.populations[1])}
+    )
+    signals = ceiling(heavy, 512, seed=43)
+    assert np.mean(signals.truth == "coal") == pytest.approx(5 / 6, abs=0.05)
+    assert signals.probabilities[:, 0].mean() == pytest.approx(5 / 6, abs=0.05)
+    assert signals.accuracy >= 5 / 6 - 0.02  # always saying coal is right so often
+
+
+# -- what must hold whatever the scene ----------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def found():
+    return ceiling(rocks(*PAIR, sensor={"relative_noise": 0.05}), 512, seed=44)
+
+
+def test_accuracy_is_the_share_of_hits(found):
+    """Both estimate the same: within three standard errors of the difference."""
+    difference = found.hits - found.probabilities.max(axis=1)
+    assert abs(difference.mean()) < 3 * difference.std() / np.sqrt(len(difference))
+    assert found.accuracy_error == pytest.approx(found.probabilities.max(axis=1).std(ddof=1) / np.sqrt(512), rel=1e-12)
+
+
+def test_probabilities_are_calibrated(found):
+    """Among signals that are given a probability, the label is right as often: within three standard errors."""
+    assert found.probabilities.sum(axis=1) == pytest.approx(np.ones(512))
+    coal = found.truth == "coal"
+    given = found.probabilities[:, found.labels.index("coal")]
+    for low, high in ((0, 0.2), (0.2, 0.4), (0.4, 0.6), (0.6, 0.8), (0.8, 1.01)):
+        some = (low <= given) & (given < high)
+        assert some.sum() > 10
+        spread = np.sqrt(np.mean(given[some] * (1 - given[some])) / some.sum())
+        assert abs(coal[some].mean() - given[some].mean()) < 3 * spread
+
+
+def test_scores_are_those_of_their_definitions(found):
+    coal = found.truth == "coal"
+    given = found.probabilities[:, found.labels.index("coal")]
+    assert found.brier_score == pytest.approx(2 * np.mean((given - coal) ** 2))
+    # The area under the curve is the share of pairs in the right order.
+    pairs = given[coal][:, None] > given[~coal][None]
+    assert found.roc_area("coal") == pytest.approx(pairs.mean(), abs=1e-6)
+    assert found.roc_area("gangue") == pytest.approx(pairs.mean(), abs=1e-6)
+
+
+def test_a_known_drop_height_never_hurts(found):
+    known = ceiling(rocks(*PAIR, sensor={"relative_noise": 0.05}), 512, seed=44, drop_height_known=True)
+    assert (known.truth == found.truth).all()
+    gain = known.probabilities.max(axis=1) - found.probabilities.max(axis=1)
+    assert gain.mean() > -2 * gain.std() / np.sqrt(len(gain))
+    difference = known.hits - known.probabilities.max(axis=1)
+    assert abs(difference.mean()) < 3 * difference.std() / np.sqrt(len(difference))
+
+
+def test_more_noise_is_never_better(found):
+    worse = ceiling(rocks(*PAIR, sensor={"relative_noise": 0.2}), 512, seed=44)
+    assert worse.accuracy < found.accuracy - 0.02
+
+
+@pytest.mark.parametrize("known", [False, True])
+def test_two_names_of_one_rock_cannot_be_told_apart(known):
+    same = ceiling(rocks(("coal", "coal"), ("culm", "coal")), 256, seed=45, drop_height_known=known)
+    assert same.probabilities == pytest.approx(np.full((256, 2), 0.5), abs=1e-12)
+    assert same.accuracy == pytest.approx(0.5)
+
+
+def test_rocks_without_anything_in_common_are_always_told_apart():
+    low, high = ({"distribution": "uniform", "lowest": e, "highest": e + 0.1} for e in (0.3, 0.8))
+    scene = content(populations__0__restitution=low, populations__1__restitution=high, sensor__relative_noise=0.01)
+    apart = ceiling(parse_scene(scene), 256, seed=46)
+    assert apart.accuracy == pytest.approx(1, abs=1e-6)
+    assert apart.hits.all()
+
+
+def test_two_populations_of_one_label_add_up():
+    """Coal and gangue, or three equal populations of which two are one label."""
+    thirds = ceiling(rocks(("coal", "coal"), ("coal", "coal"), ("culm", "coal")), 256, seed=47)
+    assert thirds.labels == ("coal", "culm")
+    assert thirds.probabilities == pytest.approx(np.tile([2 / 3, 1 / 3], (256, 1)), abs=1e-12)
+
+
+# -- what it does not cover ---------------------------------------------------------------------------------------
+
+
+def tapped():
+    return {**content(sensor__relative_noise=0.01),
+            "taps": [{"label": "tap", "shape": "square", "peak_force": 100, "contact_duration": 1e-3}]}  # fmt: skip
+
+
+THIN = {"density": 7850, "youngs_modulus": "210 GPa", "poisson_ratio": 0.3, "thickness": "30 mm"}
+
+
+@pytest.mark.parametrize(
+    ("scene", "said"),
+    [
+        (tapped(), "a scene of impacts alone, this one has taps"),
+        (
+            content(randomise={"relative_noise": {"distribution": "uniform", "lowest": 0.01, "highest": 0.02}}),
+            "randomise",
+        ),
+        (content(), "noise: without it every pulse is told exactly"),
+        (content(populations__1__label="coal", sensor__relative_noise=0.01), "at least 2 labels, got coal"),
+        (content(impact__target=THIN, sensor__relative_noise=0.01), "a half space or a rigid wall"),
+        (content(impact__dissipation="elastic", populations__0__restitution=None, populations__1__restitution=None,
+                 sensor__relative_noise=0.01), "elastic pulses have no shape to be told"),
+        (content(populations__0__clipped_at=0.5, sensor__relative_noise=0.01), "single hits that no sensor cuts off"),
+        (content(populations__0__second_hit={"delay": 1e-3, "ratio": 0.5}, sensor__relative_noise=0.01),
+         "single hits that no sensor cuts off"),
+    ],
+    ids=["taps", "randomised", "no noise", "one label", "thin plate", "elastic", "clipped", "second hit"],
+)  # fmt: skip
+def test_what_is_not_covered_is_refused_with_the_reason(scene, said):
+    with pytest.raises(InvalidValue, match="scene small: the ceiling needs") as caught:
+        ceiling(parse_scene(scene), 8)
+    assert said in str(caught.value)
+
+
+def test_roc_wants_a_label(found):
+    with pytest.raises(InvalidValue, match="label"):
+        found.roc("slate")
+
+
+def test_progress_is_told():
+    told = []
+    ceiling(rocks(*PAIR), 300, seed=48, progress=told.append)
+    assert sum(told) == 300
+
+
+def test_ceiling_is_of_its_seed():
+    one, other = (ceiling(rocks(*PAIR), 64, seed=49) for _ in range(2))
+    assert isinstance(one, Ceiling)
+    assert (one.probabilities == other.probabilities).all()

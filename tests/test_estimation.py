@@ -1,0 +1,771 @@
+"""Fitted pulses, their bound and their posterior against exact pulses, scipy's least squares, and many noisy draws."""
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from cgid import family
+from cgid.errors import BadData, InvalidValue
+from cgid.estimation import Start, fit_pulses
+from cgid.estimation.model import shape_deviation
+from cgid.estimation.start import strongest_run
+from cgid.estimation.template import curve, relative_times
+from cgid.features import extract_array
+from cgid.filters import fft_filter
+from cgid.identification.estimation import Prior, cramer_rao_bound, estimate, posterior
+from cgid.pulses import PulseBatch
+from cgid.scene import load_scene, parse_scene, synthesise
+from tests import naive
+from tests.conftest import ROOT
+
+BEFORE = 40
+FITTED = ["fitted_peak", "misfit"]
+
+
+def shape_of(e):
+    return np.array([np.log(e)])
+
+
+def exact(share, e):
+    """The pulse of peak 1 at shares of its contact."""
+    return naive.damped_pulse(np.asarray(share), 1.0, 1.0, 0.0, e)
+
+
+def frames_of(e, contact, noise=0.0, n=1, seed=0, after=1.5):
+    """Pulses of peak 1, touch up to a sample behind `BEFORE`, in white noise: samples, times of touch."""
+    rng = np.random.default_rng(seed)
+    touch = BEFORE + rng.uniform(size=n)
+    times = np.arange(BEFORE + int(after * contact) + 10)
+    clean = np.stack([naive.damped_pulse(times, 1.0, contact, start, e) for start in touch])
+    return clean + noise * rng.normal(size=clean.shape), touch
+
+
+def fitted(frames, noise, rate=1.0, **options):
+    return estimate(frames, rate, pre_trigger=BEFORE - 4, noise=noise, remove_baseline=False, **options)
+
+
+def squared(found, row, frame, baseline=0.0, seen=lambda force: force):
+    """The squared residual of a found pulse, worked out anew."""
+    times = np.arange(len(frame))
+    force = naive.damped_pulse(
+        times, found.peak[row], found.contact_duration[row], found.onset[row], found.restitution[row]
+    )
+    return float(np.sum((frame - seen(force) - baseline) ** 2))
+
+
+# -- the template -------------------------------------------------------------------------------------------------
+
+#: Restitution up to which (and its inverse from which) the template errs by so much of the peak, and in its slope in s.
+TEMPLATE_ERRORS = [(0.05, 1.3e-4, 8e-3), (0.1, 5e-5, 4e-3), (0.3, 1.2e-5, 2e-3),
+                   (0.35, 1.2e-5, 2e-3), (0.5, 1.2e-5, 2e-3),
+                   (0.8, 1.2e-5, 2e-3), (0.95, 1.2e-5, 2e-3), (0.999, 1.2e-5, 2e-3)]  # fmt: skip
+
+
+@pytest.mark.parametrize(("e", "error", "slope_error"), TEMPLATE_ERRORS)
+@pytest.mark.parametrize("turned", [False, True])
+def test_template_is_the_exact_pulse(e, error, slope_error, turned):
+    share = np.linspace(-0.1, 1.1, 2401)
+    for near in e * np.exp(np.linspace(0, 0.023, 7)):  # one step of the grid
+        near = 1 / near if turned else near
+        value, _, in_shape = curve(share[None], shape_of(near))
+        assert np.abs(value[0] - exact(share, near)).max() < error
+        h = 1e-5
+        if abs(np.log(near)) > h and near * np.exp(h) < 20 and near * np.exp(-h) > 0.05:
+            slope = (exact(share, near * np.exp(h)) - exact(share, near * np.exp(-h))) / (2 * h)
+            assert np.abs(in_shape[0] - slope).max() < slope_error
+    assert (value[0, (share <= 0) | (share >= 1)] == 0).all()
+
+
+@pytest.mark.parametrize("e", [0.1, 0.35, 0.65, 1.0, 2.0, 10.0])
+def test_slope_of_the_template_in_time_is_that_of_the_pulse(e):
+    share, h = np.linspace(0.01, 0.99, 981), 1e-6
+    slope = (exact(share + h, e) - exact(share - h, e)) / (2 * h)
+    _, in_share, _ = curve(share[None], shape_of(e))
+    assert np.abs(in_share[0] - slope).max() < (3e-3 if e in (0.1, 10.0) else 1e-3) * np.abs(slope).max()
+
+
+def test_template_goes_on_smoothly_beyond_1():
+    share = np.linspace(0, 1, 1001)
+    below, at, above = (curve(share[None], np.array([s])) for s in (-1e-7, 0.0, 1e-7))
+    for held, size in zip(range(3), (1e-6, 3e-5, 2e-5), strict=True):
+        assert np.abs(below[held] - at[held]).max() < size
+        assert np.abs(above[held] - at[held]).max() < size
+
+
+@pytest.mark.parametrize("e", [0.05, 0.07, 0.2, 0.35, 0.65, 0.9, 1.0])
+def test_times_of_the_template_are_those_of_the_pulse(e):
+    """The impulse is the change of momentum, m x' from 1 to -e."""
+    contact, top, _ = (float(time) for time in family.times(e))
+    width = (1 + e) / float(family.force(np.array([top]), e)[0])
+    share = (np.arange(200_000) + 0.5) / 200_000
+    assert exact(share, e).mean() * contact == pytest.approx(width, rel=1e-8)  # the same by quadrature
+    duration, lead, _, _ = relative_times(shape_of(e))
+    assert duration[0] == pytest.approx(contact / width, rel=1e-6)
+    assert lead[0] == pytest.approx(top / width, abs=1e-6)
+    duration, lead, _, _ = relative_times(shape_of(1 / e))
+    assert duration[0] == pytest.approx(contact / width, rel=1e-6)
+    assert lead[0] == pytest.approx((contact - top) / width, abs=2e-5)
+
+
+@pytest.mark.parametrize("s", [-2.5, -1.0, -0.3, -0.01, 0.01, 0.3, 1.0, 2.5])
+def test_slopes_of_the_times_are_their_slopes(s):
+    """Within one cell of the grid, and by differences over ten thousand times what rounding leaves."""
+    ahead, behind = (relative_times(np.array([s + h])) for h in (1e-4, -1e-4))
+    _, _, *slopes = relative_times(np.array([s]))
+    for held in (0, 1):
+        assert slopes[held][0] == pytest.approx((ahead[held] - behind[held])[0] / 2e-4, rel=2e-3, abs=2e-3)
+
+
+# -- the fit against scipy ----------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def _no_penalty(monkeypatch):
+    monkeypatch.setattr("cgid.estimation.fit._FIRTH", 0.0)
+
+
+CASES = [(0.45, 60, 0.01), (0.5, 30, 0.01), (0.65, 30, 0.02), (0.8, 100, 0.02), (0.95, 200, 0.02), (1.2, 60, 0.01)]
+
+
+@pytest.mark.parametrize(("e", "contact", "noise"), CASES)
+@pytest.mark.parametrize("known", [False, True])
+@pytest.mark.usefixtures("_no_penalty")
+def test_fit_is_that_of_scipy(e, contact, noise, known):
+    """No less likely than scipy's by a fiftieth of a standard deviation squared; so within a seventh of one."""
+    frames, touch = frames_of(e, contact, noise, n=12, seed=3)
+    found = fitted(frames, noise, onset=touch if known else None)
+    apart = []
+    for row, frame in enumerate(frames):
+        twin, cost = naive.fitted_pulse(frame, (1.0, contact, touch[row], e), onset=touch[row] if known else None)
+        assert squared(found, row, frame) - cost < 0.02 * noise**2
+        apart.append((found.restitution[row] - twin[3]) / found.restitution_deviation[row])
+        assert found.peak[row] == pytest.approx(twin[0], abs=0.15 * noise / np.sqrt(contact / 3))
+    assert np.abs(apart).max() < 0.15
+    if known:
+        assert found.onset == pytest.approx(touch, abs=1e-9)
+        assert (found.covariance[:, 2] == 0).all()
+
+
+@pytest.mark.parametrize("e", [0.5, 0.65, 0.95])
+@pytest.mark.usefixtures("_no_penalty")
+def test_fit_with_a_baseline_is_that_of_scipy(e):
+    """The frame is shorter than the window around the pulse: both fits look at the same samples."""
+    frames, touch = frames_of(e, 60, 0.01, n=10, seed=4)
+    frames = frames[:, BEFORE - 4 : BEFORE + 66] + 0.3
+    start = Start(np.ones(10), np.full(10, 30.0), frames.argmax(axis=1).astype(float))
+    found = fit_pulses(frames, start, np.full(10, 0.01), fit_baseline=True)
+    for row, frame in enumerate(frames):
+        twin, _ = naive.fitted_pulse(frame, (1.0, 60, touch[row] - BEFORE + 4, e), baseline=True)
+        deviation = np.sqrt(found.covariance[row].diagonal())
+        assert abs(found.shape[row] - np.log(twin[3])) < 0.25 * deviation[3]
+        assert abs(found.baseline[row] - twin[4]) < 0.25 * deviation[4]
+        assert abs(found.onset[row] - twin[2]) < 0.25 * deviation[2]
+        assert abs(np.log(found.peak[row] / twin[0])) < 0.25 * deviation[0]
+        assert found.baseline[row] == pytest.approx(0.3, abs=4 * deviation[4])
+
+
+@pytest.mark.parametrize("e", [0.5, 0.8])
+@pytest.mark.usefixtures("_no_penalty")
+def test_fit_through_a_low_pass_is_that_of_scipy(e):
+    rate, contact, noise = 200e3, 60, 0.01
+    frames, touch = frames_of(e, contact, n=8, seed=5, after=4)
+
+    def seen(force):
+        return fft_filter(force, rate, high=12e3, taper=0.5)
+
+    frames = seen(frames) + noise * np.random.default_rng(6).normal(size=frames.shape)
+    found = fitted(frames, noise, rate, bandwidth=12e3)
+    for row, frame in enumerate(frames):
+        twin, _ = naive.fitted_pulse(frame, (1.0, contact, touch[row], e), seen=seen)
+        assert abs(found.restitution[row] - twin[3]) < 0.2 * found.restitution_deviation[row]
+        assert found.peak[row] == pytest.approx(twin[0], abs=0.15 * noise)
+    blind = fitted(frames, noise, rate)
+    assert blind.misfit.mean() > found.misfit.mean() + 0.1  # the low-pass is seen where it is not told
+
+
+@pytest.mark.parametrize("e", [0.5, 0.65, 0.95])
+@pytest.mark.usefixtures("_no_penalty")
+def test_fit_of_a_clipped_pulse_is_that_of_scipy(e):
+    frames, touch = frames_of(e, 60, 0.01, n=10, seed=7)
+    frames = np.minimum(frames, 0.6)
+    found = fitted(frames, 0.01)
+    for row, frame in enumerate(frames):
+        twin, _ = naive.fitted_pulse(frame, (1.0, 60, touch[row], e), clip_level=0.6)
+        assert abs(found.restitution[row] - twin[3]) < 0.2 * found.restitution_deviation[row]
+        assert found.peak[row] == pytest.approx(twin[0], rel=0.2 * np.sqrt(found.covariance[row, 0, 0]))
+
+
+@pytest.mark.parametrize("e", [0.5, 0.65, 0.95])
+def test_clipping_takes_no_side(e):
+    """Half the samples of the top are gone, and peak and restitution still come out on either side of the truth."""
+    frames, _ = frames_of(e, 60, 0.01, n=600, seed=8)
+    found = fitted(np.minimum(frames, 0.6), 0.01)
+    for error, deviation in (
+        (np.log(found.peak), np.sqrt(found.covariance[:, 0, 0])),
+        (np.log(found.restitution / e), np.sqrt(found.covariance[:, 3, 3])),
+    ):
+        assert abs(np.mean(error / deviation)) < 0.15
+        assert 0.85 < np.std(error / deviation) < 1.15
+    assert found.overload == pytest.approx(found.peak / 0.6 - 1, rel=1e-12)
+    assert np.mean(found.overload) == pytest.approx(1 / 0.6 - 1, abs=0.01)
+
+
+#: What is found errs without noise, by restitution: of the peak, the restitution, the duration, relatively. Windows of
+#: more than 320 samples are averaged before they are fitted, which flattens the top.
+EXACT = [(0.1, 1e-4, 1e-3, 1e-3), (0.2, 1e-5, 2e-4, 2e-4), (0.35, 1e-5, 2e-5, 2e-5), (0.5, 1e-5, 2e-5, 2e-5),
+         (0.65, 1e-5, 2e-5, 2e-5), (0.95, 1e-5, 2e-5, 2e-5), (1.0, 1e-5, 2e-5, 2e-5), (1.5, 1e-5, 2e-5, 2e-5),
+         (5.0, 1e-5, 3e-4, 3e-4)]  # fmt: skip
+
+
+@pytest.mark.parametrize(("e", "peak", "restitution", "duration"), EXACT)
+@pytest.mark.parametrize("contact", [30, 100])
+def test_without_noise_the_pulse_is_found(e, peak, restitution, duration, contact):
+    frames, touch = frames_of(e, contact, n=6, seed=9)
+    found = fitted(frames, 0.0)
+    assert found.peak == pytest.approx(np.ones(6), rel=peak)
+    assert found.restitution == pytest.approx(np.full(6, e), rel=restitution)
+    assert found.contact_duration == pytest.approx(np.full(6, contact), rel=duration)
+    assert found.onset == pytest.approx(touch, abs=duration * contact)
+
+
+@pytest.mark.parametrize(("e", "restitution"), [(0.2, 6e-3), (0.35, 4e-4), (0.5, 3e-4), (0.65, 2e-4), (1.0, 2e-5)])
+@pytest.mark.parametrize("contact", [310, 700, 2000])
+def test_without_noise_a_long_pulse_is_found_nearly(e, restitution, contact):
+    found = fitted(frames_of(e, contact, n=6, seed=9)[0], 0.0)
+    assert found.peak == pytest.approx(np.ones(6), rel=4e-4)
+    assert found.restitution == pytest.approx(np.full(6, e), rel=restitution)
+
+
+@pytest.mark.parametrize("e", [0.5, 0.8])
+def test_long_pulses_reach_the_bound(e):
+    """2000 samples in contact at 1 MHz, averaged before they are fitted: nothing is lost."""
+    frames, _ = frames_of(e, 2000.0, 0.05, n=200, seed=10, after=1.2)
+    found = fitted(frames.astype(np.float32), 0.05, 1e6)
+    bound = cramer_rao_bound(2e-3, e, 0.05, 1e6).restitution_deviation
+    assert np.std(found.restitution) / bound == pytest.approx(1, abs=0.15)
+    assert abs(np.mean(found.restitution) - e) < 0.25 * bound
+    assert found.restitution_deviation == pytest.approx(np.full(200, bound), rel=0.15)
+
+
+# -- what must not matter -----------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def noisy():
+    """Pulses of several shapes and lengths in frames of equal length."""
+    parts = [frames_of(e, contact, 0.01, n=6, seed=11)[0] for e in (0.4, 0.65, 0.95) for contact in (30, 40, 80)]
+    long = max(part.shape[1] for part in parts)
+    return np.concatenate([np.pad(part, ((0, 0), (0, long - part.shape[1]))) for part in parts])
+
+
+def same(found, other, relative=1e-6, rows=slice(None)):
+    for name in ("peak", "contact_duration", "onset", "restitution"):
+        assert getattr(found, name)[rows] == pytest.approx(getattr(other, name), rel=relative), name
+
+
+@pytest.mark.parametrize("scale", [1e-3, 1e6])
+def test_unit_of_the_samples_does_not_matter(noisy, scale):
+    found, other = fitted(noisy, 0.01), fitted(noisy * scale, 0.01 * scale)
+    assert other.peak == pytest.approx(scale * found.peak, rel=1e-6)
+    for name in ("contact_duration", "onset", "restitution", "misfit"):
+        assert getattr(other, name) == pytest.approx(getattr(found, name), rel=1e-6)
+
+
+def test_whole_samples_shift_the_onset_alone(noisy):
+    found, other = fitted(noisy, 0.01), fitted(np.pad(noisy, ((0, 0), (13, 0))), 0.01)
+    assert other.onset == pytest.approx(found.onset + 13, abs=1e-5)
+    assert other.restitution == pytest.approx(found.restitution, rel=1e-6)
+    assert other.peak == pytest.approx(found.peak, rel=1e-6)
+
+
+def test_turned_round_in_time_the_restitution_is_its_inverse():
+    for e in (0.5, 0.65, 0.95):
+        frames, _ = frames_of(e, 60, 0.01, n=10, seed=12)
+        found, other = fitted(frames, 0.01), fitted(frames[:, ::-1], 0.01)
+        deviation = np.sqrt(found.covariance[:, 3, 3])
+        assert np.abs(np.log(found.restitution * other.restitution) / deviation).max() < 0.2
+        end = frames.shape[1] - 1 - (found.onset + found.contact_duration)
+        assert other.onset == pytest.approx(end, abs=0.5)
+
+
+def test_single_precision_is_enough(noisy):
+    found, other = fitted(noisy, 0.01), fitted(noisy.astype(np.float32), 0.01)
+    assert other.restitution == pytest.approx(found.restitution, rel=1e-4)
+    assert other.peak == pytest.approx(found.peak, rel=1e-5)
+
+
+@pytest.mark.parametrize("options", [{}, {"bandwidth": 0.3}, {"fit_baseline": True}, {"clip_level": 0.7}])
+def test_a_row_does_not_depend_on_its_neighbours(noisy, options):
+    found = fitted(noisy, 0.01, **options)
+    for row in (0, 7, 20, 35):
+        alone = fitted(noisy[row], 0.01, **options)
+        same(found, alone, rows=slice(row, row + 1))
+        assert found.misfit[row] == pytest.approx(alone.misfit[0], rel=1e-6)
+
+
+def test_a_long_row_does_not_depend_on_its_neighbours():
+    """Nor on how many samples are averaged for others."""
+    parts = [frames_of(0.65, contact, 0.02, n=2, seed=33)[0] for contact in (200, 260, 340, 500)]
+    long = max(part.shape[1] for part in parts)
+    frames = np.concatenate([np.pad(part, ((0, 0), (0, long - part.shape[1]))) for part in parts])
+    found = fitted(frames, 0.02)
+    for row, frame in enumerate(frames):
+        same(found, fitted(frame, 0.02), rows=slice(row, row + 1))
+
+
+def test_order_of_rows_is_kept(noisy):
+    order = np.random.default_rng(13).permutation(len(noisy))
+    same(fitted(noisy, 0.01), fitted(noisy[order], 0.01), relative=1e-9, rows=order)
+
+
+def test_sampling_rate_only_scales_times(noisy):
+    found, other = fitted(noisy, 0.01), fitted(noisy, 0.01, 2e5)
+    assert other.onset * 2e5 == pytest.approx(found.onset, rel=1e-9)
+    assert other.contact_duration * 2e5 == pytest.approx(found.contact_duration, rel=1e-9)
+    assert other.restitution == pytest.approx(found.restitution, rel=1e-9)
+    assert other.covariance[:, 2, 2] * 4e10 == pytest.approx(found.covariance[:, 2, 2], rel=1e-8)
+
+
+def test_a_single_signal_is_one_row():
+    frames, _ = frames_of(0.65, 60, 0.01)
+    assert fitted(frames[0], 0.01).peak.shape == (1,)
+    assert (fitted(frames[0], 0.01).restitution == fitted(frames, 0.01).restitution).all()
+
+
+@pytest.mark.parametrize("shape", [(), (5,), (2, 5), (2, 3, 20)])
+def test_estimate_wants_rows_of_six_samples(shape):
+    with pytest.raises(BadData, match="rows of at least 6 samples"):
+        estimate(np.zeros(shape), 1e5)
+
+
+@pytest.mark.parametrize(
+    ("options", "name"), [({"noise": -1.0}, "noise"), ({"clip_level": 0.0}, "clip_level"), ({"bandwidth": 2e5}, "high")]
+)
+def test_estimate_names_the_number_that_breaks_its_rule(options, name):
+    with pytest.raises(InvalidValue, match=name):
+        estimate(frames_of(0.65, 60)[0], 2e5, **options)
+
+
+# -- the bound ----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("e", [0.2, 0.35, 0.65, 0.95, 1.5])
+@pytest.mark.parametrize("contact", [12.3, 30.0, 200.4])
+@pytest.mark.parametrize(
+    ("options", "free"),
+    [({}, (0, 1, 2, 3)), ({"onset_known": True}, (0, 1, 3)), ({"fit_baseline": True}, (0, 1, 2, 3, 4))],
+)
+def test_bound_is_the_inverse_of_numerical_information(e, contact, options, free):
+    found = cramer_rao_bound(contact, e, 1.0, 1.0, onset=0.37, **options).covariance[np.ix_(free, free)]
+    times = np.arange(1, np.ceil(0.37 + contact))
+    expected = naive.pulse_covariance(times, contact, 0.37, e, free)
+    size = np.sqrt(np.outer(expected.diagonal(), expected.diagonal()))
+    assert np.abs(found - expected).max() / size.max() < 0.02
+    assert np.abs((found - expected) / size).max() < (0.02 if e > 0.3 else 0.05)
+
+
+@pytest.mark.parametrize("e", [0.5, 0.8])
+def test_bound_through_a_low_pass_is_the_inverse_of_numerical_information(e):
+    def seen(force):
+        return fft_filter(force, 1.0, high=0.06, taper=0.5)
+
+    found = cramer_rao_bound(60, e, 1.0, 1.0, bandwidth=0.06).restitution_deviation
+    # The same pulse in a frame so long that nothing comes round its ends.
+    covariance = naive.pulse_covariance(np.arange(-500.0, 500.0), 60, 0.5, e, (0, 1, 2, 3), seen)
+    assert found == pytest.approx(e * np.sqrt(covariance[3, 3]), rel=0.01)
+    assert found > cramer_rao_bound(60, e, 1.0, 1.0).restitution_deviation
+
+
+def test_bound_is_as_published():
+    """2 % noise and 30 samples: .07 at .35, .016 at .65."""
+    found = cramer_rao_bound(150e-6, [0.35, 0.65], 0.02, 200e3).restitution_deviation
+    assert found == pytest.approx([0.07, 0.016], abs=0.0025)
+    assert found == pytest.approx([0.0723, 0.0155], rel=0.005)
+
+
+def test_bound_grows_with_noise_and_falls_with_the_root_of_the_samples():
+    once, twice = (cramer_rao_bound(1e-3, 0.65, noise, 200e3) for noise in (0.01, 0.02))
+    finer = cramer_rao_bound(1e-3, 0.65, 0.01, 800e3)
+    for name in ("peak_deviation", "duration_deviation", "onset_deviation", "restitution_deviation"):
+        assert getattr(twice, name) == pytest.approx(2 * getattr(once, name), rel=1e-9)
+        assert getattr(finer, name) == pytest.approx(getattr(once, name) / 2, rel=0.01)
+
+
+@pytest.mark.parametrize("e", [0.35, 0.65, 0.95])
+def test_what_is_known_lowers_the_bound_and_what_is_not_raises_it(e):
+    known, usual, more = (
+        cramer_rao_bound(60, e, 0.01, 1.0, **options).restitution_deviation
+        for options in ({"onset_known": True}, {}, {"fit_baseline": True})
+    )
+    assert known < 0.99 * usual
+    assert usual < 0.997 * more
+    assert cramer_rao_bound(60, e, 0.01, 1.0, onset_known=True).onset_deviation == 0
+
+
+@pytest.mark.parametrize("e", [0.35, 0.65, 0.95])
+def test_a_wide_band_costs_nothing(e):
+    wide, none = (cramer_rao_bound(400, e, 0.01, 1.0, bandwidth=b).restitution_deviation for b in (0.35, None))
+    assert wide == pytest.approx(none, rel=2e-3)
+
+
+def test_too_few_samples_tell_nothing():
+    assert np.isinf(cramer_rao_bound(3.2, 0.65, 0.01, 1.0).restitution_deviation)
+    assert np.isfinite(cramer_rao_bound(4.2, 0.65, 0.01, 1.0).restitution_deviation)
+    assert np.isinf(cramer_rao_bound(4.2, 0.65, 0.01, 1.0, fit_baseline=True).restitution_deviation)
+
+
+def test_bound_of_many_is_the_bound_of_each():
+    contact, e = np.meshgrid(np.linspace(10, 300, 23), np.linspace(0.2, 0.95, 5))
+    found = cramer_rao_bound(contact, e, 0.01, 1.0).restitution_deviation
+    assert found.shape == contact.shape
+    for place in [(0, 0), (2, 11), (4, 22)]:
+        alone = cramer_rao_bound(contact[place], e[place], 0.01, 1.0).restitution_deviation
+        assert found[place] == pytest.approx(float(alone), rel=1e-9)
+
+
+@pytest.mark.parametrize("e", [0.04, 21.0])
+def test_bound_has_a_range(e):
+    with pytest.raises(InvalidValue, match="restitution must lie between"):
+        cramer_rao_bound(1e-4, e, 0.02, 2e5)
+
+
+def test_bound_through_a_low_pass_has_one_sampling_rate():
+    with pytest.raises(InvalidValue, match="sampling_rate must be one number"):
+        cramer_rao_bound(1e-4, 0.5, 0.02, [1e5, 2e5], bandwidth=1e4)
+
+
+def test_the_shape_is_told_the_worse_the_more_is_lost():
+    """What Firth's penalty leans on is the bound: the same up to a constant."""
+    e = np.array([0.3, 0.5, 0.8, 1.0])
+    bound = cramer_rao_bound(2000.0, e, 1.0, 1.0)
+    width = 2000 / relative_times(np.log(e))[0]
+    stated = np.exp(shape_deviation(np.log(e))[0])
+    assert np.sqrt(bound.covariance[:, 3, 3] * width) == pytest.approx(stated, rel=0.02)
+
+
+# -- many noisy pulses --------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("e", "contact", "noise"), [(0.5, 60, 0.01), (0.65, 30, 0.01), (0.8, 100, 0.02), (0.95, 60, 0.02)]
+)
+def test_estimates_are_unbiased_and_reach_the_bound(e, contact, noise):
+    """Of 1200 pulses: the mean is known to .029 standard deviations, the standard deviation to 2 %."""
+    frames, _ = frames_of(e, contact, noise, n=1200, seed=14)
+    found = fitted(frames, noise)
+    bound = cramer_rao_bound(contact, e, noise, 1.0).restitution_deviation
+    error = found.restitution - e
+    assert abs(error.mean()) < 0.1 * error.std()
+    assert 0.95 < error.std() / bound < 1.1
+    assert np.sqrt(np.mean((error / found.restitution_deviation) ** 2)) == pytest.approx(1, abs=0.08)
+    assert found.misfit.mean() == pytest.approx(1, abs=0.02)
+    assert found.of_family.all()
+
+
+@pytest.fixture(scope="module")
+def peers():
+    return load_scene(ROOT / "datasets" / "peers.toml")
+
+
+@pytest.fixture(scope="module")
+def peers_estimates(peers):
+    batches = list(synthesise(peers, 2048, seed=15))
+    drawn = {name: np.concatenate([b.parameters[name] for b in batches]) for name in batches[0].parameters}
+    signals = np.concatenate([b.signals[:, :1024] for b in batches])
+    found = estimate(signals, 2e5, pre_trigger=100)
+    bound = cramer_rao_bound(drawn["contact_duration"], drawn["restitution"], 0.02, 2e5, onset=0.0)
+    return drawn, found, bound
+
+
+def test_over_a_population_estimates_are_unbiased_and_reach_the_bound(peers_estimates):
+    drawn, found, bound = peers_estimates
+    told = bound.restitution_deviation <= 0.03
+    assert told.sum() > 1000
+    error = ((found.restitution - drawn["restitution"]) / bound.restitution_deviation)[told]
+    assert abs(error.mean()) < 0.1 * error.std()
+    assert error.std() < 1.15
+    for name, value, deviation in (
+        ("peak_force", found.peak, bound.peak_deviation),
+        ("contact_duration", found.contact_duration, bound.duration_deviation),
+    ):
+        relative = (np.log(value / drawn[name]) / deviation)[told]
+        assert abs(relative.mean()) < 0.1, name
+        assert relative.std() < 1.2, name
+
+
+def test_of_a_population_all_fit(peers_estimates):
+    _, found, _ = peers_estimates
+    assert found.misfit.mean() == pytest.approx(1, abs=0.02)
+    assert found.of_family.all()
+
+
+# -- the prior and the posterior ----------------------------------------------------------------------------------
+
+
+def toy(n=250_000, seed=16):
+    """Independent scales and shape: ln P0 - 2 ln T0 and ln T0 normal, s = ln e uniform."""
+    rng = np.random.default_rng(seed)
+    size_free, time, s = rng.normal(3, 0.4, n), rng.normal(-8, 0.3, n), rng.uniform(np.log(0.3), np.log(0.7), n)
+    contact, top = logarithms(s)
+    return size_free + 2 * time + top, time + contact, s
+
+
+def logarithms(s):
+    """Of contact duration and peak of the dimensionless pulse, straight between shapes a thousandth apart."""
+    grid = np.linspace(np.log(0.2), np.log(0.8), 1400)
+    contact, top, _ = family.times(np.exp(grid))
+    peak = family.force(top[:, None], np.exp(grid))[:, 0]
+    return np.interp(s, grid, np.log(contact)), np.interp(s, grid, np.log(peak))
+
+
+@pytest.fixture(scope="module")
+def toy_prior():
+    log_peak, log_duration, s = toy()
+    return Prior.from_draws(log_peak, log_duration, np.exp(s))
+
+
+def test_prior_is_the_density_of_its_draws(toy_prior):
+    """In the bulk to a few parts in a hundred: 250 000 draws in 240 x 240 cells, smoothed."""
+    log_peak, log_duration, s = toy(4000, seed=17)
+    contact, top = logarithms(s)
+    time = log_duration - contact
+    expected = (
+        stats.norm(3, 0.4).logpdf(log_peak - top - 2 * time)
+        + stats.norm(-8, 0.3).logpdf(time)
+        + stats.uniform(np.log(0.3), np.log(7 / 3)).logpdf(s)
+    )
+    error = toy_prior.log_density(log_peak, log_duration, s) - expected
+    bulk = expected > expected.max() - 3
+    inner = (s > np.log(0.31)) & (s < np.log(0.68))
+    assert abs(error[bulk & inner].mean()) < 0.01
+    assert error[bulk & inner].std() < 0.1
+
+
+def test_prior_integrates_to_1(toy_prior):
+    """By the rule of midpoints in (ln peak, ln duration, s)."""
+    log_peak, log_duration, s = toy(20_000, seed=18)
+    axes, cell = [], 1.0
+    for values, points, margin in ((log_peak, 160, 0.3), (log_duration, 80, 0.3), (s, 90, 0.05)):
+        low, high = values.min() - margin, values.max() + margin
+        step = (high - low) / points
+        axes.append(low + step * (np.arange(points) + 0.5))
+        cell *= step
+    points = np.meshgrid(*axes, indexing="ij")
+    assert np.exp(toy_prior.log_density(*points)).sum() * cell == pytest.approx(1, abs=0.01)
+
+
+def test_prior_ends_where_its_draws_do(toy_prior):
+    low, high = toy_prior.shape_bounds
+    assert low == pytest.approx(np.log(0.3), abs=0.025)
+    assert high == pytest.approx(np.log(0.7), abs=0.025)
+    log_peak, log_duration, s = (np.array([values.mean()]) for values in toy(1000))
+    assert toy_prior.log_density(log_peak, log_duration, s) > 0
+    for moved in ((log_peak + 9, log_duration, s), (log_peak, log_duration + 3, s), (log_peak, log_duration, s - 1)):
+        assert toy_prior.log_density(*moved) < -15
+
+
+@pytest.fixture(scope="module")
+def small_coal(peers):
+    """Coal lumps of 10 to 20 mm: contacts of 15 to 40 samples, which tell little; their draws as a prior."""
+    lumps = {"distribution": "log-uniform", "lowest": 0.01, "highest": 0.02}
+    changed = peers.model_dump(mode="json", exclude_none=True)
+    changed["populations"] = [changed["populations"][0] | {"radius": lumps}]
+    changed["sampling"] |= {"samples": 256, "jitter": 1.0}
+    return parse_scene(changed)
+
+
+@pytest.fixture(scope="module")
+def coal_prior(small_coal):
+    drawn = parameters(synthesise(small_coal, 60_000, seed=19))
+    return Prior.from_draws(np.log(drawn["peak_force"]), np.log(drawn["contact_duration"]), drawn["restitution"])
+
+
+def parameters(batches):
+    batches = [batch.parameters for batch in batches]
+    return {name: np.concatenate([held[name] for held in batches]) for name in batches[0]}
+
+
+@pytest.mark.parametrize("noise", [0.02, 0.06])
+def test_intervals_hold_the_restitution_as_often_as_they_say(small_coal, coal_prior, noise):
+    scene = small_coal.model_copy(update={"sensor": small_coal.sensor.model_copy(update={"relative_noise": noise})})
+    batches = list(synthesise(scene, 1536, seed=20))
+    drawn, signals = parameters(batches), np.concatenate([batch.signals for batch in batches])
+    found = posterior(signals, 2e5, coal_prior, pre_trigger=100, noise=noise * drawn["peak_force"], n_nodes=33)
+    assert found.weight.sum(axis=1) == pytest.approx(np.ones(len(signals)))
+    assert (np.diff(found.restitution, axis=1) > 0).all()
+    e = drawn["restitution"]
+    for coverage in (0.5, 0.8, 0.9, 0.95):
+        low, high = found.interval(coverage)
+        held = np.mean((low <= e) & (e <= high))
+        assert held == pytest.approx(coverage, abs=0.02 + 2 * np.sqrt(coverage * (1 - coverage) / len(e)))
+    error = found.mean - e
+    assert np.mean(found.deviation**2) == pytest.approx(np.mean(error**2), rel=0.12)
+    assert abs(error.mean()) < 0.1 * error.std()
+    # The prior pays: the error is below what the population itself is wide.
+    assert error.std() < 0.95 * e.std()
+
+
+def test_posterior_of_a_clear_pulse_is_the_likelihood(toy_prior):
+    """Where the samples, and those before touch, say far more than the prior: mean and deviation of the estimate."""
+    contact = 60
+    frames, _ = frames_of(0.5, contact, 0.002, n=20, seed=21)
+    quiet = 0.002 * np.random.default_rng(34).normal(size=(20, 4000))
+    frames = np.concatenate([quiet, frames], axis=1)
+    rate = contact / np.exp(-8 + logarithms(np.log(0.5))[0])
+    peak = np.exp(3 - 16 + logarithms(np.log(0.5))[1])
+    found = posterior(peak * frames, rate, toy_prior, pre_trigger=4036, noise=0.002 * peak, n_nodes=33)
+    alone = estimate(peak * frames, rate, pre_trigger=4036, noise=0.002 * peak)
+    assert np.abs((found.mean - alone.restitution) / alone.restitution_deviation).max() < 0.15
+    assert found.deviation == pytest.approx(alone.restitution_deviation, rel=0.1)
+    assert found.peak == pytest.approx(alone.peak, rel=1e-3)
+    assert found.contact_duration == pytest.approx(alone.contact_duration, rel=0.01)
+
+
+def test_posterior_wants_noise(toy_prior):
+    frames, _ = frames_of(0.5, 60)
+    with pytest.raises(InvalidValue, match="noise must be above 0 for a posterior, got 0 in signal 0"):
+        posterior(frames, 2e5, toy_prior, pre_trigger=30)
+
+
+@pytest.mark.parametrize("share", [0.0, 1.0, -0.1, 1.5])
+def test_quantiles_are_between_0_and_1(toy_prior, share):
+    found = posterior(frames_of(0.5, 60, 0.01)[0], 2e5, toy_prior, pre_trigger=36, n_nodes=9)
+    with pytest.raises(InvalidValue, match="share must lie between 0 and 1"):
+        found.quantile(share)
+
+
+# -- where the search begins --------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("contact", [20, 60, 200])
+def test_the_strongest_run_is_the_pulse(contact):
+    """10 dB: the peak is three times the noise, and single samples of 2000 are as high."""
+    noise = 10**-0.5
+    frames, touch = frames_of(0.5, contact, noise, n=200, seed=22, after=8)
+    peak, width, place = strongest_run(frames, np.zeros(200))
+    lead, length = relative_times(shape_of(0.5))[1][0], relative_times(shape_of(0.5))[0][0]
+    true_width = contact / length
+    near = np.abs(place - touch - lead * true_width) < true_width
+    assert near.mean() >= (0.97 if contact > 20 else 0.9)
+    assert np.median(width[near]) == pytest.approx(true_width, rel=0.25)
+    assert np.median(peak[near]) == pytest.approx(1, rel=0.15)
+
+
+def test_the_strongest_run_is_taken_above_the_offset():
+    frames, _ = frames_of(0.5, 60, 0.1, n=5, seed=23)
+    for found, moved in zip(
+        strongest_run(frames, np.zeros(5)), strongest_run(frames - 7, np.full(5, -7.0)), strict=True
+    ):
+        assert moved == pytest.approx(found, rel=1e-9)
+
+
+@pytest.mark.parametrize("contact", [60, 200])
+@pytest.mark.parametrize("e", [0.5, 0.8])
+def test_in_much_noise_the_search_ends_where_it_does_from_the_truth(contact, e):
+    """10 dB. Two pulses are one where their curves are closer than a standard deviation of the noise in all."""
+    noise = 10**-0.5
+    frames, touch = frames_of(e, contact, noise, n=300, seed=24, after=6)
+    pulses = PulseBatch(frames, 1.0, BEFORE - 4, remove_baseline=False)
+    length, lead, _, _ = relative_times(shape_of(e))
+    width = contact / length[0]
+    truth = Start(np.ones(300), np.full(300, width), touch + lead[0] * width)
+    found, best = (fit_pulses(frames, start, np.full(300, noise)) for start in (pulses.fit_start, truth))
+    times = np.arange(frames.shape[1])
+    apart = np.array([
+        np.sum((naive.damped_pulse(times, a.peak[k], a.duration[k], a.onset[k], a.restitution[k])
+                - naive.damped_pulse(times, b.peak[k], b.duration[k], b.onset[k], b.restitution[k])) ** 2)
+        for a, b in ((found, best),) for k in range(300)
+    ])  # fmt: skip
+    assert np.mean(apart < noise**2) >= 0.94  # the rest are flat bottoms: where 8 iterations end depends on the start
+    top = found.onset + relative_times(found.shape)[1] * found.width
+    assert np.mean(np.abs(top - touch - lead[0] * width) < width) >= 0.99
+
+
+# -- what is no such pulse ----------------------------------------------------------------------------------------
+
+
+def reason(samples, rate=1e5, pre_trigger=BEFORE - 4):
+    with pytest.raises(BadData) as caught:
+        extract_array(samples, rate, FITTED, pre_trigger=pre_trigger)
+    return str(caught.value)
+
+
+def test_noise_alone_explains_nothing():
+    noise = np.random.default_rng(25).normal(size=(400, 400))
+    found = PulseBatch(noise, 1e5, 36).fit_problems()
+    assert len(found) >= 396  # a chance run is taken for a pulse at most once in a hundred
+    assert "a pulse must explain 40 times the variance of the noise" in found[min(found)]
+
+
+def test_a_faint_pulse_is_fitted_where_its_samples_tell_nothing():
+    frames, _ = frames_of(0.5, 200, 0.3, n=20, seed=26, after=4)
+    found = extract_array(frames, 1e5, FITTED, pre_trigger=36)
+    assert np.abs(found[:, 0] - 1).max() < 0.5
+    with pytest.raises(BadData, match="no impact"):
+        extract_array(frames, 1e5, ["peak_force"], pre_trigger=36)
+
+
+@pytest.mark.parametrize("end", ["start", "end"])
+def test_a_pulse_cut_off_is_named(end):
+    frames, touch = frames_of(0.8, 60, 0.001, seed=27)
+    cut = frames[:, : BEFORE + 28] if end == "end" else frames[:, int(touch[0]) + 12 :]
+    said = reason(cut, pre_trigger=36 if end == "end" else 0)
+    assert f"it is cut off by its {end}" in said
+    assert "record a longer frame" in said
+
+
+def test_too_narrow_a_pulse_and_the_cure_works():
+    said = reason(frames_of(0.8, 2.2, 0.001, seed=28, after=20)[0])
+    assert "samples of width; 1.5 are needed" in said
+    wanted = float(said.split(" use ")[1].split(" Hz")[0])
+    finer = frames_of(0.8, 2.2 * wanted / 1e5, 0.001, seed=28)[0]
+    assert extract_array(finer, wanted, FITTED, pre_trigger=36)[0, 0] == pytest.approx(1, abs=0.01)
+
+
+def test_a_negative_pulse_is_told_to_be_inverted():
+    frames, _ = frames_of(0.8, 60, 0.01, seed=29)
+    assert "if the pulse points downwards, invert the signal" in reason(-frames)
+
+
+def test_a_constant_frame_is_no_impact():
+    assert "no impact: all samples are 3; check the sensor" in reason(np.full((1, 300), 3.0))
+
+
+@pytest.mark.parametrize("contact", [30, 100, 700])
+def test_misfit_of_impacts_is_1(contact):
+    frames, _ = frames_of(0.5, contact, 0.02, n=500, seed=30)
+    found = fitted(frames, 0.02)
+    assert found.misfit.mean() == pytest.approx(1, abs=0.02)
+    assert found.misfit.max() < 2.5
+
+
+def taps():
+    share = (np.arange(400) - 60.3) / 100
+    inside = (share > 0) & (share < 1)
+    lump = exact(share, 0.5)
+    return {
+        "half-sine": np.where(inside, np.sin(np.pi * share), 0.0),
+        "square": np.where(inside, 1.0, 0.0),
+        "double hit": lump + 0.6 * exact(share - 0.7, 0.5),
+        "second hit apart": lump + 0.5 * exact(share - 1.8, 0.5),
+        "ringing": lump + 0.1 * np.sin(0.8 * np.arange(400)) * (share > 0),
+    }
+
+
+@pytest.mark.parametrize("name", taps())
+def test_misfit_of_what_is_no_impact_is_large(name):
+    clean = taps()[name]
+    frames = clean + 0.01 * np.random.default_rng(31).normal(size=(20, 400))
+    found = estimate(frames, 1e5, pre_trigger=50)
+    assert found.misfit.min() > 2.5
+    assert not found.of_family.any()
+
+
+def test_overload_is_the_part_of_the_peak_that_was_cut_off():
+    frames, _ = frames_of(0.65, 60, 0.005, n=40, seed=32)
+    for level in (0.5, 0.7, 0.9):
+        cut = np.minimum(frames, level)
+        found = extract_array(cut, 1e5, ["overload", "fitted_peak"], pre_trigger=36)
+        assert found[:, 0].mean() == pytest.approx(1 / level - 1, abs=0.01)
+        assert estimate(cut, 1e5, pre_trigger=36).overload == pytest.approx(found[:, 0])
+    assert (extract_array(frames, 1e5, ["overload"], pre_trigger=36) == 0).all()
