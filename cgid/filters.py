@@ -128,7 +128,7 @@ def low_pass_response(sampling_rate: float, edge: float, taper: float = SENSOR_T
     Examples
     --------
     >>> response = low_pass_response(1e5, 1e4)
-    >>> round(float(response[0] + 2 * response[1:].sum()), 6)  # gain at 0 Hz
+    >>> round(float(response[0] + 2 * response[1:].sum()), 4)  # gain at 0 Hz
     1.0
     """
     n = int(2 ** np.ceil(np.log2(_RESPONSE_PERIODS * sampling_rate / edge)))
