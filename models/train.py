@@ -36,9 +36,7 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--family", default="network")
     parser.add_argument("--drop-height", action="store_true", help="the model is told how far each rock fell")
-    parser.add_argument(
-        "--selection", type=int, default=10_000, help="impacts of each scene to compare families on; 0: none"
-    )
+    parser.add_argument("--selection", type=int, default=30_000, help="of each scene, to compare families on; 0: none")
     arguments = parser.parse_args()
     name = shipped.DROP_HEIGHT_MODEL if arguments.drop_height else shipped.DEFAULT_MODEL
     output = check_model_output(arguments.output or HERE / name, plots=True, overwrite=True)
@@ -47,7 +45,7 @@ def main() -> None:
     # Each scene with a seed of its own: the same seed would draw the same rocks.
     seeded = [(scene, arguments.seed + number) for number, scene in enumerate(scenes)]
     selection = None
-    if arguments.selection:
+    if arguments.selection and not known:
         few = chain.from_iterable(synthesise(scene, arguments.selection, seed) for scene, seed in seeded)
         selection = select(measure(few, known=known), n_folds=3, seed=arguments.seed)
     batches = chain.from_iterable(synthesise(scene, arguments.signals, seed) for scene, seed in seeded)

@@ -30,7 +30,7 @@ from cgid.identification.model import Model
 from cgid.identification.output import check_model_output, write_model
 from cgid.identification.training import Training, hold_out, measure, train
 from cgid.identification.transform import softmax
-from cgid.scene import Scene, parse_scene, synthesise
+from cgid.scene import Scene, parse_scene, synthesise, varied
 from cgid.signals import STANDARD_GRAVITY, Signal
 
 Trained = dict[str, Training]
@@ -159,6 +159,19 @@ def test_prediction_needs_numpy_alone(trained: Trained, tmp_path: Path) -> None:
     lines = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.split("\n")
     assert lines[0] in ("coal", "gangue", "unknown")
     assert lines[1] == "[]"
+
+
+def test_one_source_judges_and_no_particle_of_its_judges_trains(reference_scene: Scene) -> None:
+    # The same seed draws the same rocks in both scenes.
+    other = varied(reference_scene, relative_noise=0.05)
+    batches = [*synthesise(reference_scene, 1000, seed=3), *synthesise(other, 1000, seed=3)]
+    training = train(batches, judged_on=reference_scene.sha256)
+    told = training.model.training
+    assert len(training.test_labels) == told["n_test_specimens"] == 250
+    assert told["n_calibration_specimens"] == 100
+    assert told["n_train"] == 2 * told["n_train_specimens"] == 1300
+    with pytest.raises(InvalidValue, match="judged_on must be one of"):
+        train(batches, judged_on="elsewhere")
 
 
 # -- answers one can trust --------------------------------------------------------------------------------

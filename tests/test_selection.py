@@ -31,6 +31,7 @@ def made(features: np.ndarray, labels: np.ndarray, specimen: np.ndarray) -> Meas
         unit="N",
         sampling_rates=(2e5, 2e5),
         sources=("made",),
+        source=np.zeros(len(features), np.intp),
         left_out=0,
     )
 
