@@ -36,7 +36,7 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--family", default="network")
     parser.add_argument("--drop-height", action="store_true", help="the model is told how far each rock fell")
-    parser.add_argument("--selection", type=int, default=30_000, help="of each scene, to compare families on; 0: none")
+    parser.add_argument("--selection", type=int, default=10_000, help="of each scene, to compare families on; 0: none")
     arguments = parser.parse_args()
     name = shipped.DROP_HEIGHT_MODEL if arguments.drop_height else shipped.DEFAULT_MODEL
     output = check_model_output(arguments.output or HERE / name, plots=True, overwrite=True)
