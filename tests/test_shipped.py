@@ -43,9 +43,12 @@ def test_files_are_found_in_the_layout_of_a_wheel(tmp_path: Path) -> None:
     assert str(tmp_path / "cgid" / "shipped" / "datasets" / "sample.csv") in run.stdout
 
 
-def test_default_model_belongs_to_the_shipped_scene(reference_scene: Scene) -> None:
-    model = Model.load(shipped.path_of("models", shipped.DEFAULT_MODEL))
-    assert list(model.training["sources"]) == [reference_scene.sha256]
+@pytest.mark.parametrize("name", [shipped.DEFAULT_MODEL, shipped.DROP_HEIGHT_MODEL])
+def test_default_models_belong_to_the_shipped_scenes(name: str, reference_scene: Scene) -> None:
+    training = Model.load(shipped.path_of("models", name)).training
+    randomised = load_scene(shipped.scene_path("randomised"))
+    assert list(training["sources"]) == [reference_scene.sha256, randomised.sha256]
+    assert training["judged_on"] == reference_scene.sha256
 
 
 def test_sample_holds_six_impacts_and_the_model_knows_them() -> None:
