@@ -35,6 +35,12 @@ def write_card(model: Model, name: str, pictures: tuple[str, ...] = ()) -> str:
         lines += ["## Domain shift", "", *domain_shift_table(training["domain_shift"]), ""]
     if "selection" in training:
         lines += ["## Selection", "", *selection_table(training["selection"]), ""]
+        chosen = [row["name"] for row in training["selection"] if row["chosen"]]
+        if model.family not in chosen:
+            lines += [
+                f"Bold is the choice of this comparison; the family of this model, {model.family}, was asked for.",
+                "",
+            ]
     return "\n".join([*lines, *_LIMITS])
 
 
