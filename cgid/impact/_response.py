@@ -2,8 +2,8 @@
 
 A pole p with state z obeys z' = p z + P. Over a step h in which P is straight, z moves exactly to
 E z + g0 P_n + g1 P_(n+1), E = exp(p h). With z = u + g1 P this is u_(n+1) = E u_n + b P_n, b = g0 + E g1: one input.
-Over the M steps of a sample u moves to E^M u + b sum E^(M-1-j) P_j. As functions of j these powers are smooth, and a few
-polynomials serve all poles: the sum over steps is made once for each polynomial, and each pole adds up polynomials.
+Over the M steps of a sample u moves to E^M u + b sum E^(M-1-j) P_j. As functions of j these powers are smooth, and a
+few polynomials serve all poles: the sum over steps is made once for each polynomial, and each pole adds up polynomials.
 Once P is zero, u rings as exp(p t), which is a table of so many samples, turned on by exp(p) of their number.
 No `fastmath`: loops run over poles or over samples, each of which keeps its own order of sums.
 """

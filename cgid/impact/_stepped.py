@@ -11,7 +11,6 @@ import math
 from typing import Any
 
 import numba
-import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[Any]
@@ -71,7 +70,7 @@ def add_to_frames(
         x, y, tau = 0.0, 1.0, 0.0
         for k in range(here, end):
             left = (k - onset[i]) * step[i] - tau
-            for m in range(max(int(math.ceil(left / finest)), 1), 0, -1):
+            for m in range(max(math.ceil(left / finest), 1), 0, -1):
                 h = left / m
                 x, y = _step(x, y, h, numbers)
                 left -= h

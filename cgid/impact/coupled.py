@@ -1,3 +1,6 @@
 """stub until merged"""
+
+
 class ModalImpact:
-    def __init__(self, **k): raise NotImplementedError
+    def __init__(self, **k):
+        raise NotImplementedError

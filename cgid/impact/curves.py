@@ -254,7 +254,6 @@ class Curves:
             run = kernel(_taylor, "add_to_frames", *frames.shape)
             _in_threads(run, (frames, onset, step, self._parameters, amplitude, _taylor.ORDER), rest, threads)
 
-
     def _add_stepped(
         self,
         rows: NDArray[np.intp],

@@ -89,7 +89,7 @@ class LowPass:
         """The poles of the upper half-plane and the real axis [rad/s]."""
         angles = np.pi * (2 * np.arange((self.order + 1) // 2) + self.order + 1) / (2 * self.order)
         poles = 2 * np.pi * self.frequency * np.exp(1j * angles)
-        return np.where(np.abs(poles.imag) < 1e-9 * np.abs(poles), poles.real + 0j, poles)
+        return np.asarray(np.where(np.abs(poles.imag) < 1e-9 * np.abs(poles), poles.real + 0j, poles))
 
 
 class Resonators(Protocol):
@@ -201,9 +201,8 @@ class Response:
     @cached_property
     def _mode_poles(self) -> Complex:
         assert self.modes is not None
-        poles = resonator_poles(self.modes.frequency, self.modes.damping_ratio)
-        # Degenerate modes (of a square plate) are no trouble: each has a residue of its own.
-        return poles
+        # Equal ones (of a square plate) are no trouble: each has a residue of its own.
+        return resonator_poles(self.modes.frequency, self.modes.damping_ratio)
 
     @property
     def _filter_poles(self) -> Complex:
@@ -361,15 +360,13 @@ class Response:
 
         order = np.lexsort((start, rows))
         begin = np.searchsorted(rows[order], np.arange(len(frames) + 1))
-        # The filters' poles may be loud and cancel each other: what is silent is told by the modes, where there are any.
+        # The filters' poles may be loud and cancel each other: what is silent is told by the modes, if there are any.
         heard = (chosen < self.n_modes) | (self.n_modes == 0)
         loudest = np.zeros(len(frames))
         np.maximum.at(loudest, rows, np.hypot(ringing[:, 0], ringing[:, 1])[:, heard].max(axis=1))
         silence = self.tolerance * loudest / chosen.size
-        grown = np.exp(np.outer(self.poles[chosen] / self.sampling_rate, np.arange(_TABLE + 1)))
-        table = np.stack([grown.real, grown.imag])
-        hop = np.ascontiguousarray(table[:, :, _TABLE])
-        table = np.ascontiguousarray(table[:, :, :_TABLE], dtype=frames.dtype)
+        hop = np.ascontiguousarray(self._rung[:, chosen, _TABLE])
+        table = self._rung[:, chosen, :_TABLE].astype(frames.dtype)
 
         def run(part: NDArray[np.intp]) -> int:
             some = slice(part[0], part[-1] + 1)
@@ -392,6 +389,12 @@ class Response:
             polynomials[level, :stride] = levels[level].polynomials
         shares = np.stack([level.shares[:, :, chosen] for level in levels])
         return polynomials, shares, np.stack([level.edge[:, chosen] for level in levels])
+
+    @cached_property
+    def _rung(self) -> Floats:
+        """Ringing of every pole over the samples of a table and one more, (2, n_poles, `_TABLE` + 1)."""
+        grown = np.exp(np.outer(self.poles / self.sampling_rate, np.arange(_TABLE + 1)))
+        return np.stack([grown.real, grown.imag])
 
     @cached_property
     def _n_polynomials(self) -> int:

@@ -15,7 +15,6 @@ from cgid.materials import Material
 from cgid.scene.distributions import Distribution, measured, within
 from cgid.scene.sections import Section
 from cgid.scene.units import LIMITS, Frequency, Length, Mass, Number, Ratio, Whole
-from cgid.validation import Floats
 
 _PLACE = within(0.0, LIMITS["length"][1], f"must lie between 0 and {LIMITS['length'][1]:g} m", "m")
 _Place = Annotated[Distribution, measured("length"), _PLACE]

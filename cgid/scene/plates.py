@@ -38,5 +38,6 @@ def problem_on_plate(target: Target, theory: str, population: Population) -> str
         return None
     return (
         f"lambda of the thin plate must be at most {HIGHEST_INELASTICITY:g}, it can be drawn as {inelasticity:.3g}; "
-        "raise the thickness of the target or of the tail beam, or give radius, density, youngs_modulus and speed a lower highest value"
+        "raise the thickness of the target or of the tail beam, or give radius, density, youngs_modulus and speed a "
+        "lower highest value"
     )

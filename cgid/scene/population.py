@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from cgid.impact import Impact, free_fall_velocity
 from cgid.impact.coupled import ModalImpact
-from cgid.scene.randomisation import settled
 from cgid.scene.impacts import PARTICLE, impact_of, impacts_by_coupling
+from cgid.scene.randomisation import settled
 from cgid.scene.randomness import BLOCK, CLIPPING, IMPACT_POINTS, SECOND_HITS, TAPS, uniforms
 from cgid.scene.scene import Scene
 from cgid.scene.strike import Strike

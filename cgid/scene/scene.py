@@ -75,7 +75,9 @@ class Scene(Section):
         if self.tail_beam is None:
             if self.sensor.quantity == "force":
                 return []
-            return [f"tail_beam: is missing, a sensor of {self.sensor.quantity} sits on one; or take quantity = 'force'"]
+            return [
+                f"tail_beam: is missing, a sensor of {self.sensor.quantity} sits on one; or take quantity = 'force'"
+            ]
         target = self.impact.target
         if isinstance(target, str):
             return ["impact.target: must be the material of the tail beam, got 'rigid', which no beam is"]

@@ -46,7 +46,8 @@ def synthesise(
     Yields
     ------
     Batch
-        Forces [N] or motions (`Sensor.unit`), labels, parameters, specimens. Where the scene randomises its sampling rate each batch has its own.
+        Forces [N] or motions of the beam (`Sensor.unit`), labels, parameters, specimens. Where the scene randomises
+        its sampling rate each batch has its own.
 
     Raises
     ------
