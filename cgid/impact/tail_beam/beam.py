@@ -26,7 +26,7 @@ EDGES: dict[str, tuple[str, str] | None] = {
     "cantilever": ("start", "none"),
 }
 #: Modes that are worked out at most: simply supported by a formula, else by an eigenproblem.
-MOST_MODES, MOST_RITZ_MODES = 20_000, 1_500
+MOST_MODES, MOST_RITZ_MODES = 20_000, 1_000
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -74,7 +74,7 @@ class TailBeam:
     ...     damping_ratio=0.01,
     ... )
     >>> plate.modes(1000.0).frequency.round(1).tolist()
-    [245.4, 554.7, 672.3, 981.6]
+    [245.4, 526.2, 700.7, 981.5, 994.2]
     """
 
     material: Material
@@ -190,12 +190,13 @@ class TailBeam:
         """Return all modes up to a frequency [Hz]; asked again, the same ones.
 
         Simply supported panels have a closed form; for clamped and cantilever ones see `cgid.impact.tail_beam.ritz`:
-        every frequency is above the exact one, by at most 3e-5 of it.
+        every frequency is above the exact one, by at most 3e-5 of it. Two hundred modes take a second or less, a
+        thousand of a cantilever some twenty.
 
         Raises
         ------
         InvalidValue
-            There would be more than 20,000 modes (1,500 unless simply supported).
+            There would be more than 20,000 modes (1,000 unless simply supported).
         """
         highest = single("highest_frequency", highest_frequency, "Hz")
         expected, most = self.modal_density * highest, MOST_RITZ_MODES if EDGES[self.edges] else MOST_MODES

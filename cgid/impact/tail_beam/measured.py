@@ -80,9 +80,14 @@ class MeasuredModes:
         return np.asarray(impact * sensor / mass)
 
     def up_to(self, frequency: float) -> MeasuredModes:
-        """Return only the modes up to a frequency [Hz]."""
-        kept = np.asarray(self.frequency) <= validation.positive("frequency", frequency, "Hz")
-        return MeasuredModes(**{name: np.asarray(getattr(self, name))[kept] for name in COLUMNS})
+        """Return only the modes up to a frequency [Hz], of which there must be one."""
+        highest, natural = validation.positive("frequency", frequency, "Hz"), np.asarray(self.frequency)
+        if natural[0] > highest:
+            raise InvalidValue(
+                f"frequency must reach the lowest measured mode at {natural[0]:g} Hz, got {highest:g} Hz; "
+                "raise it or measure lower modes"
+            )
+        return MeasuredModes(**{name: np.asarray(getattr(self, name))[natural <= highest] for name in COLUMNS})
 
 
 def read_measured_modes(path: str | Path) -> MeasuredModes:

@@ -163,17 +163,15 @@ def ritz_modes(
         coarse = [panel.frequencies() for panel in panels()]
         while True:
             numbers = [number + _RISE for number in numbers]
-            finer = panels()
-            fine = [panel.frequencies() for panel in finer]
-            if all(_settled(*pair, highest) for pair in zip(coarse, fine, strict=True)):
+            found = [panel.modes(highest) for panel in panels()]
+            fine = [part for part, _ in found]
+            if all(_settled(*pair) for pair in zip(coarse, fine, strict=True)):
                 break
             coarse = fine
-        found = [panel.modes(highest) for panel in finer]
-    frequencies = np.concatenate([part for part, _ in found])
+    frequencies = np.concatenate(fine)
     order = np.argsort(frequencies, kind="stable")
     return frequencies[order], PolynomialShapes.of([shapes for _, shapes in found], order)
 
 
-def _settled(coarse: Floats, fine: Floats, highest: float) -> bool:
-    wanted = np.searchsorted(fine, highest)
-    return bool(wanted <= coarse.size and np.all(coarse[:wanted] - fine[:wanted] <= TOLERANCE * fine[:wanted]))
+def _settled(coarse: Floats, fine: Floats) -> bool:
+    return bool(fine.size <= coarse.size and np.all(coarse[: fine.size] - fine <= TOLERANCE * fine))

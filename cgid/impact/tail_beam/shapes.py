@@ -12,8 +12,8 @@ from cgid.validation import Floats
 
 Indices = NDArray[np.intp]
 
-#: A term that adds less than this to every mode (a shape's mean square is 1/4) is left out; together some 1e-6.
-_NEGLIGIBLE = 1e-6
+#: A term that adds less than this to every mode (a shape's mean square is 1/4) is left out; together at most 1e-6.
+_NEGLIGIBLE = 1e-7
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,7 +92,7 @@ class PolynomialShapes:
             modes = place[start : start + cube.shape[2]]
             start += cube.shape[2]
             along, across = (index.ravel() for index in np.indices(cube.shape[:2]))
-            table = cube.reshape(-1, cube.shape[2])
+            table = cube.reshape(along.size, modes.size)
             # Of a shape and its negative, the one whose largest coefficient is positive.
             table = table * np.sign(table[np.abs(table).argmax(axis=0), np.arange(modes.size)])
             symmetries.append(_Symmetry(modes, along, across, table).kept(np.arange(modes.size), modes))
