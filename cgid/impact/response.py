@@ -29,8 +29,9 @@ Complex = NDArray[np.complex128]
 DERIVATIVES = {"displacement": 0, "velocity": 1, "acceleration": 2}
 Quantity = Literal["force", "displacement", "velocity", "acceleration"]
 
-#: Two poles nearer to each other than this, over their size, are told apart by moving one: their residues would cancel.
-_APART = 1e-6
+#: A filter's pole nearer to another one than this, over its size, is moved aside by as much: their residues would be
+#: large and cancel. So a mounting resonance may be taken up to .2 % beside its place, if a mode lies right there.
+_APART = 1e-3
 #: Samples of the table of exponentials: it then stays in the cache with a hundred poles.
 _TABLE = 256
 #: Steps of a contact, see `steps_for`: so many for an error of 1, at least, and a sample at most.
@@ -194,7 +195,7 @@ class Response:
             taken = np.concatenate(found)
             for number, pole in enumerate(own):
                 while taken.size and np.abs(taken - own[number]).min() < _APART * abs(pole):
-                    own[number] *= 1 + 2 * _APART
+                    own[number] *= 1 + 1.01 * _APART
             found.append(own)
         return np.concatenate(found)
 
@@ -237,6 +238,18 @@ class Response:
         s = self._filter_poles[None, :]
         at_filters = after * s**k / (s**2 + 2 * (zeta * w)[:, None] * s + (w**2)[:, None])
         return fold[: self.n_modes] * at_modes, fold[None, self.n_modes :] * at_filters
+
+    @cached_property
+    def _loudness(self) -> Floats:
+        """How loud each mode is in the band after a blow, for a participation of 1.
+
+        The filters' gain is that for a steady tone: at the poles themselves it may be as large as it likes, where one
+        of the filters' own is near.
+        """
+        assert self.modes is not None
+        tone = 1j * np.abs(self._mode_poles)
+        k = DERIVATIVES[self.quantity]
+        return np.abs(self._mode_poles) ** (k - 1) * np.abs(self._filtered(tone))
 
     def amplitudes(self, participation: Floats | None = None) -> tuple[Complex, Floats]:
         """Return how strongly a force drives each pole, and how much of it passes at once.
@@ -282,10 +295,11 @@ class Response:
         Left out are the quietest ones of the modes, as long as all that is left out together stays below the
         tolerance, over the loudest one, for every pulse.
         """
-        loudness = np.abs(self.amplitudes(participation)[0])
-        loudest = loudness[:, : self.n_modes].max(axis=1, initial=1e-300)
-        share = (loudness / loudest[:, None]).max(axis=0)
-        share[self.n_modes :] = np.inf  # the filters' poles carry what all modes leave in the band
+        share = np.full(self.poles.size, np.inf)  # the filters' poles carry what all modes leave in the band
+        if participation is not None:
+            loudness = np.abs(participation) * self._loudness
+            loudest = np.maximum(loudness.max(axis=1, keepdims=True), 1e-300)
+            share[: self.n_modes] = (loudness / loudest).max(axis=0)
         quiet_first = np.argsort(share, kind="stable")
         kept = quiet_first[np.searchsorted(np.cumsum(share[quiet_first]), self.tolerance, side="right") :]
         return np.asarray(kept[np.argsort(-self.poles[kept].real, kind="stable")])
@@ -360,19 +374,16 @@ class Response:
 
         order = np.lexsort((start, rows))
         begin = np.searchsorted(rows[order], np.arange(len(frames) + 1))
-        # The filters' poles may be loud and cancel each other: what is silent is told by the modes, if there are any.
-        heard = (chosen < self.n_modes) | (self.n_modes == 0)
-        loudest = np.zeros(len(frames))
-        np.maximum.at(loudest, rows, np.hypot(ringing[:, 0], ringing[:, 1])[:, heard].max(axis=1))
-        silence = self.tolerance * loudest / chosen.size
         hop = np.ascontiguousarray(self._rung[:, chosen, _TABLE])
         table = self._rung[:, chosen, :_TABLE].astype(frames.dtype)
+
+        silence = self.tolerance / chosen.size
 
         def run(part: NDArray[np.intp]) -> int:
             some = slice(part[0], part[-1] + 1)
             return int(
                 _response.ring(
-                    frames[some], begin[part[0] : part[-1] + 2], order, start, ringing, table, hop, silence[some]
+                    frames[some], begin[part[0] : part[-1] + 2], order, start, ringing, table, hop, silence
                 )
             )
 
