@@ -382,9 +382,7 @@ class Response:
         def run(part: NDArray[np.intp]) -> int:
             some = slice(part[0], part[-1] + 1)
             return int(
-                _response.ring(
-                    frames[some], begin[part[0] : part[-1] + 2], order, start, ringing, table, hop, silence
-                )
+                _response.ring(frames[some], begin[part[0] : part[-1] + 2], order, start, ringing, table, hop, silence)
             )
 
         count("mode_samples", sum(_in_threads(run, np.array_split(np.arange(len(frames)), threads))))
