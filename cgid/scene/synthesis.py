@@ -12,8 +12,9 @@ from numpy.typing import DTypeLike, NDArray
 from cgid import validation
 from cgid.errors import InvalidValue
 from cgid.impact import HertzRangeWarning, ThinPlateWarning
+from cgid.scene.noise import add_noise
 from cgid.scene.population import Draw, draw
-from cgid.scene.randomness import BLOCK, NOISE, generator
+from cgid.scene.randomness import BLOCK
 from cgid.scene.scene import Scene
 from cgid.scene.sensor import clip
 from cgid.signals import Batch
@@ -85,31 +86,15 @@ def make_frames(scene: Scene, drawn: Draw, seed: int, block: int, dtype: DTypeLi
     The scene is that of the block: `drawn.scene`.
     """
     sensor = scene.sensor
-    shape = (len(drawn.labels), scene.sampling.samples)
-    if sensor.bandwidth is None:
-        # Pulses are added to the noise where they are, which saves a pass over the frames.
-        frames = _noise(scene, drawn, seed, block, dtype) if sensor.noisy else np.zeros(shape, dtype)
-        add_pulses(frames, scene, drawn)
-    else:
-        frames = np.zeros(shape, dtype)
-        add_pulses(frames, scene, drawn)
-        frames = sensor.limit_band(frames, scene.sampling.sampling_rate)
-        if sensor.noisy:
-            frames += _noise(scene, drawn, seed, block, dtype)
+    frames: NDArray[Any] = np.zeros((len(drawn.labels), scene.sampling.samples), dtype)
+    add_pulses(frames, scene, drawn)
+    frames = sensor.limit_band(frames, scene.sampling.sampling_rate)
+    if sensor.noisy:
+        add_noise(frames, sensor.noise_level(drawn.parameters["peak_force"]), seed, block)
     if "clipped_at" in drawn.parameters:
         clip(frames, drawn.parameters["clipped_at"] * drawn.parameters["peak_force"])
     sensor.digitise(frames)
     return frames
-
-
-def _noise(scene: Scene, drawn: Draw, seed: int, block: int, dtype: DTypeLike) -> NDArray[Any]:
-    noise = np.empty((len(drawn.labels), scene.sampling.samples), np.float32)
-    generator(seed, NOISE, block).standard_normal(dtype=np.float32, out=noise)
-    level = scene.sensor.noise_level(drawn.parameters["peak_force"])[:, None]
-    if noise.dtype == dtype:
-        noise *= level.astype(np.float32)
-        return noise
-    return noise.astype(np.float64) * level
 
 
 def add_pulses(frames: NDArray[Any], scene: Scene, drawn: Draw) -> None:
