@@ -38,6 +38,8 @@ class MemoryFile(io.RawIOBase):
 
     def write(self, content: Any) -> int:
         """Write bytes at this place."""
+        if not len(content):
+            return 0  # nothing written past the end is nothing
         end = self._position + len(content)
         self._require(end)
         self._memory[self._position : end] = np.frombuffer(content, np.uint8)
