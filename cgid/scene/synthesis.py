@@ -15,6 +15,7 @@ from cgid.impact import HertzRangeWarning, ThinPlateWarning
 from cgid.scene.noise import add_noise
 from cgid.scene.population import Draw, draw
 from cgid.scene.randomness import BLOCK
+from cgid.scene.response import hearing
 from cgid.scene.scene import Scene
 from cgid.scene.sensor import clip
 from cgid.signals import Batch
@@ -45,7 +46,8 @@ def synthesise(
     Yields
     ------
     Batch
-        Forces [N], labels, parameters, specimens. Where the scene randomises its sampling rate each batch has its own.
+        Forces [N] or motions of the beam (`Sensor.unit`), labels, parameters, specimens. Where the scene randomises
+        its sampling rate each batch has its own.
 
     Raises
     ------
@@ -72,7 +74,7 @@ def _block(scene: Scene, seed: int, block: int, part: slice, dtype: DTypeLike) -
         signals=frames[part],
         labels=drawn.labels[part],
         sampling_rate=drawn.scene.sampling.sampling_rate,
-        unit="N",
+        unit=scene.sensor.unit,
         pre_trigger=scene.sampling.pre_trigger,
         specimen=drawn.specimen[part],
         parameters={name: values[part] for name, values in drawn.parameters.items()},
@@ -89,15 +91,22 @@ def make_frames(scene: Scene, drawn: Draw, seed: int, block: int, dtype: DTypeLi
     frames: NDArray[Any] = np.zeros((len(drawn.labels), scene.sampling.samples), dtype)
     add_pulses(frames, scene, drawn)
     frames = sensor.limit_band(frames, scene.sampling.sampling_rate)
+    peak = drawn.parameters["peak_force"]
+    if sensor.quantity != "force":
+        peak = np.abs(frames).max(axis=1).astype(np.float64)
     if sensor.noisy:
-        add_noise(frames, sensor.noise_level(drawn.parameters["peak_force"]), seed, block)
+        add_noise(frames, sensor.noise_level(peak, scene.sampling.sampling_rate), seed, block)
     if "clipped_at" in drawn.parameters:
-        clip(frames, drawn.parameters["clipped_at"] * drawn.parameters["peak_force"])
-    sensor.digitise(frames)
+        clip(frames, drawn.parameters["clipped_at"] * peak)
+    sensor.digitise(frames, scene.sampling.sampling_rate)
     return frames
 
 
 def add_pulses(frames: NDArray[Any], scene: Scene, drawn: Draw) -> None:
-    """Add the force pulses of each signal to its frame, in place."""
+    """Add to each frame what the recorder hears of its blows, in place: their forces, or the motion of the beam."""
+    heard = hearing(scene)
     for strike in drawn.strikes:
-        strike.add_to_frames(frames, scene.sampling.sampling_rate)
+        if heard is None:
+            strike.add_to_frames(frames, scene.sampling.sampling_rate)
+        else:
+            strike.add_response(frames, heard, drawn.parameters)
