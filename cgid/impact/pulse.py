@@ -21,8 +21,8 @@ HERTZ_LIMIT = 0.1
 INELASTICITY_LIMIT = 1.5
 #: What that means.
 BEYOND_THIN_PLATE = (
-    "the plate takes nearly all of the speed, the contact outlasts its waves' way to the edges, and force and rebound are "
-    "not to be trusted; use a thicker plate, or couple the impact through the modes of the beam"
+    "the plate takes nearly all of the speed, the contact outlasts its waves' way to the edges, and force and rebound "
+    "are not to be trusted; use a thicker plate, or couple the impact through the modes of the beam"
 )
 
 
