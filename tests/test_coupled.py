@@ -26,6 +26,7 @@ HALF = HuntCrossley(restitution=0.5)
 
 
 def rigid(dissipation=HALF, **changed):
+    """Return the impact on a half space."""
     return Impact(**{**ON_STEEL, "target": HalfSpace(material=STEEL), "dissipation": dissipation, **changed})
 
 
@@ -61,9 +62,9 @@ CASES = {
     "light": ([3, 20], [0.01, 0.02], [30, 10], HALF),
     "strongly damped modes": ([0.3, 4, 9], [0.9, 0.5, 0.3], [1, 2, 3], Elastic()),
     "released": ([1, 6, 15], [0.01, 0.02, 0.01], [0.3, 0.5, 0.4], HuntCrossley(restitution=0.1)),
-    "hit again": ([0.9, 3.6, 8.1, 20], [0.01] * 4, [4, 6, 4, 6], Elastic()),
-    "hit again, damped": ([0.9, 3.6, 8.1, 20], [0.01] * 4, [4, 6, 4, 6], HuntCrossley(restitution=0.8)),
-    "heavy": ([0.4, 1.6, 3.6, 6.4, 10], [0.005] * 5, [9, 12, 9, 12, 9], HuntCrossley(restitution=0.9)),
+    "hit again": ([0.5, 6], [0.01, 0.02], [4, 4], Elastic()),
+    "hit again, damped": ([0.5, 6], [0.01, 0.02], [4, 4], HuntCrossley(restitution=0.8)),
+    "heavy": ([0.6, 2.4, 5.4, 9.6], [0.005] * 4, [4, 4, 4, 4], HuntCrossley(restitution=0.9)),
 }
 
 
@@ -206,14 +207,14 @@ def test_gravity_pulls_in_contact_and_between():
 @pytest.mark.parametrize("dissipation", [Elastic(), HALF, HuntCrossley(restitution=0.1)])
 @pytest.mark.parametrize("modes", [([], 0.01, []), ([300.0, 2000.0], 0.01, [0.0, 0.0])])
 def test_without_modes_or_at_their_nodes_it_is_the_half_space(dissipation, modes):
-    plain, impact = rigid(dissipation), modal(*modes, dissipation)
+    plain, impact = rigid(dissipation), modal(*modes, dissipation, tolerance=1e-12)
     for name in ("restitution", "peak_force", "contact_duration", "time_of_peak", "peak_displacement",
                  "compression_time", "impulse", "dissipated_energy"):  # fmt: skip
-        tolerance = 1e-10 if name in ("time_of_peak", "compression_time") else 1e-12
+        tolerance = 1e-10 if name in ("time_of_peak", "compression_time") else 1e-12  # a top is flat
         assert getattr(impact, name) == pytest.approx(getattr(plain, name), rel=tolerance, abs=1e-15)
-    assert impact.radiated_energy == 0
+    assert abs(impact.radiated_energy) < 1e-15 * impact.reduced_mass * impact._velocity**2
     times = np.linspace(0, 1.1 * plain.contact_duration, 300)
-    assert np.abs(impact.force(times) - plain.force(times)).max() < 1e-10 * plain.peak_force
+    assert np.abs(impact.force(times) - plain.force(times)).max() < 1e-12 * plain.peak_force
 
 
 def test_a_very_stiff_mode_is_the_half_space():
@@ -227,12 +228,12 @@ def test_a_very_stiff_mode_is_the_half_space():
 @pytest.mark.parametrize("share", [0.01, 1.0, 40.0])
 def test_a_heavy_or_light_free_mode_is_a_second_body(share):
     """A mode that hardly begins to swing is a body of mass m / share at rest: e, T and P_max of the reduced mass."""
-    impact, plain = dimensionless([1e-7], 0.01, [share], Elastic()), rigid(Elastic())
+    impact, plain = dimensionless([1e-12], 0.01, [share], Elastic()), rigid(Elastic())
     reduced = 1 / (1 + share)
     assert impact.contact_duration == pytest.approx(plain.contact_duration * reduced**0.4, rel=1e-12)
-    assert impact.peak_force == pytest.approx(plain.peak_force * reduced**0.6, rel=1e-12)
+    assert impact.peak_force == pytest.approx(plain.peak_force * reduced**0.6, rel=1e-11)
     assert impact.restitution == pytest.approx((1 - share) / (1 + share), abs=1e-12)
-    damped = dimensionless([1e-7], 0.01, [share])
+    damped = dimensionless([1e-12], 0.01, [share])
     assert damped.restitution == pytest.approx((0.5 - share) / (1 + share), abs=1e-12)
     assert damped.contacts == 1
 
@@ -267,7 +268,7 @@ def test_a_large_plate_by_its_modes_becomes_zeners_thin_plate(radius, dissipatio
         impact = modal(modes[0], 1e-6, modes[1], dissipation, **given)
         assert abs(impact.restitution - zener.restitution) < first / turns
         assert abs(impact.peak_force / zener.peak_force - 1) < of_peak / turns
-        assert abs(impact.radiated_energy / zener.radiated_energy - 1) < 2 * first / turns
+        assert abs(impact.radiated_energy / zener.radiated_energy - 1) < of_peak / turns
         assert impact.contacts == 1
         errors.append(abs(float(impact.restitution - zener.restitution)))
     assert np.array(errors[:-1]) / errors[1:] == pytest.approx(2, abs=0.2)
@@ -311,10 +312,9 @@ def test_momentum_is_kept(many):
 def test_more_nodes_shorter_steps_and_a_smaller_tail_give_the_same(many, monkeypatch):
     monkeypatch.setattr(modal_curves, "N_NODES", 20)
     monkeypatch.setattr(modal_curves, "N_TIMES", 36)
-    monkeypatch.setattr(modal_curves, "TOLERANCE", 1e-11)
     monkeypatch.setattr(modal_curves, "_LARGEST_PHASE", 9.0)
     given = {name: getattr(many, name) for name in many.__dataclass_fields__}
-    finer = ModalImpact(**given)
+    finer = ModalImpact(**{**given, "tolerance": 1e-12})
     assert (finer.contacts == many.contacts).all()
     for name, tolerance in (("restitution", 1e-11), ("peak_force", 1e-10), ("contact_duration", 1e-11),
                             ("end_of_contact", 1e-9), ("modal_energy", 1e-10)):  # fmt: skip
@@ -362,7 +362,8 @@ def test_shapes_broadcast():
 
 def test_a_window_ends_what_is_followed():
     long = dimensionless(*CASES["hit again"])
-    short = dimensionless(*CASES["hit again"], window=0.0)
+    given = {name: getattr(long, name) for name in long.__dataclass_fields__}
+    short = ModalImpact(**{**given, "window": 0.0})
     assert (short.contacts, long.contacts > 1) == (1, True)
     assert short.contact_duration == long.contact_duration
     assert short.restitution != long.restitution
@@ -388,6 +389,7 @@ def test_it_warns_beyond_hertz():
     ({"damping_ratio": [0.1, 0.2, 0.3]}, "one number for each of the 2 frequencies"),
     ({"compliance": np.ones((3, 2)), "velocity": np.ones(2)}, "do not broadcast"),
     ({"window": -1.0}, "window must be 0 or more"),
+    ({"tolerance": 0.0}, "tolerance must be one number from 1e-12 to 1e-4"),
     ({"target": ThinPlate(material=STEEL, thickness=0.01)}, "target must be a HalfSpace"),
     ({"dissipation": Viscoelastic(time_constant=1e-6)}, "dissipation must be an Elastic or HuntCrossley"),
     ({"gravity": 1e6}, "its weight holds it"),

@@ -15,9 +15,8 @@ from cgid.impact.curves import Curves, Quantity, in_threads
 from cgid.impact.dispatch import kernel
 from cgid.validation import Floats
 
-#: Gauss nodes and Chebyshev times of a step, and what the series of the force may leave out over the largest force:
-#: samples of the force are then right to 1e-10 of it, energies, speeds and times of contact to rounding.
-N_NODES, N_TIMES, TOLERANCE = 16, 32, 1e-9
+#: Gauss nodes and Chebyshev times of a step.
+N_NODES, N_TIMES = 16, 32
 #: Phase [rad] of the fastest mode in a step: `J_32(8)` is 1e-16. Duration of a step over T0.
 _LARGEST_PHASE, _LONGEST_STEP = 16.0, 1.2
 #: Steps of an impact for which there is room at first, and steps that are kept in one piece.
@@ -122,6 +121,7 @@ def solve(
     window: Floats,
     mass: Floats,
     time_scale: Floats,
+    tolerance: float,
 ) -> ModalCurves:
     """Solve contact and modes together, impact by impact.
 
@@ -139,6 +139,8 @@ def solve(
         Time from touch within which a new contact may begin, over T0.
     mass, time_scale : ndarray, (n,)
         Of the sphere [kg], and T0 [s].
+    tolerance : float
+        What the series of the force may leave out in a step, over the largest force.
     """
     from cgid.impact import _coupled
 
@@ -158,7 +160,7 @@ def solve(
         first = np.zeros(left.size + 1, np.intp)
         follow(
             collocation(N_NODES, N_TIMES), damping_ratio * angular, angular * root, damping_ratio / root,
-            participation, parameters, TOLERANCE, left, course, first, results,
+            participation, parameters, tolerance, left, course, first, results,
         )  # fmt: skip
         done = np.flatnonzero(first).size
         bounds[:, left[:done]] = total + first[:done], total + first[1 : done + 1]
