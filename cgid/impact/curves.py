@@ -9,9 +9,8 @@ else is integrated. This is where it is decided what runs.
 from __future__ import annotations
 
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from functools import cache, cached_property
+from functools import cached_property
 from typing import Any, Literal
 
 import numpy as np
@@ -22,6 +21,7 @@ from cgid.errors import InvalidValue
 from cgid.impact.closed_forms import peak_displacement, peak_force
 from cgid.impact.dispatch import FEW_SAMPLES, kernel
 from cgid.impact.restitution import damping_number
+from cgid.impact.threads import in_threads
 from cgid.validation import Floats
 
 Quantity = Literal["force", "displacement"]
@@ -30,8 +30,6 @@ LOWEST_RESTITUTION, LOWEST_ON_A_PLATE = 1e-30, 1e-14
 #: Stepping in time: the smallest error over the peak that it is asked for, how many steps a contact takes for an error
 #: of 1, and up to which D the method is stable with them.
 FINEST_STEPPED, _STEPS_FOR_ONE, _MOST_STEPPED_DAMPING = 1e-7, 4.0, 100.0
-#: Rows below which another thread does not pay.
-_LEAST = 200
 
 
 @dataclass(frozen=True)
@@ -270,19 +268,4 @@ class Curves:
 
         run = kernel(_stepped, "add_to_frames", *frames.shape)
         numbers = (frames, onset, step, self._parameters, amplitude, self.times[0], n_steps)
-        _in_threads(run, numbers, rows, threads)
-
-
-def in_threads(run: Callable[..., None], arguments: tuple[Any, ...], rows: NDArray[np.intp], threads: int) -> None:
-    """Call a kernel, which lets go of the interpreter's lock, for parts of the rows in threads."""
-    threads = min(threads, -(-rows.size // _LEAST))
-    if threads <= 1:
-        run(*arguments, rows)
-        return
-    list(_pool(threads).map(lambda part: run(*arguments, part), np.array_split(rows, threads)))
-
-
-@cache
-def _pool(threads: int) -> ThreadPoolExecutor:
-    """Return threads that are kept: starting them anew takes as long as a hundred pulses."""
-    return ThreadPoolExecutor(threads, thread_name_prefix="cgid")
+        in_threads(run, numbers, rows, threads)
