@@ -13,13 +13,15 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any, Self
 
-from pydantic import Field, ValidationError, model_validator
+from pydantic import Field, PrivateAttr, ValidationError, model_validator
 
 from cgid.errors import BadData, NoInput
+from cgid.scene.background import BackgroundSection
 from cgid.scene.distributions import DISTRIBUTION_NAMES
 from cgid.scene.plates import problem_on_plate
 from cgid.scene.sections import ImpactSection, Population, RandomiseSection, SamplingSection, Section, Tap
 from cgid.scene.sensor import Sensor
+from cgid.scene.stream.sections import StreamSection
 from cgid.scene.units import shown
 
 #: No scene is longer.
@@ -37,6 +39,14 @@ class Scene(Section):
     randomise: RandomiseSection | None = None
     populations: tuple[Population, ...] = Field(default=(), max_length=64)
     taps: tuple[Tap, ...] = Field(default=(), max_length=64)
+    stream: StreamSection | None = None
+    background: BackgroundSection | None = None
+    _folder: Path = PrivateAttr(default=Path())
+
+    @property
+    def folder(self) -> Path:
+        """Where the scene file lies: files that it names are looked for there."""
+        return self._folder
 
     @model_validator(mode="after")
     def _parts_fit(self) -> Self:
@@ -57,9 +67,36 @@ class Scene(Section):
                 f"sensor.bandwidth: must be below half the sampling rate, {nyquist:g} Hz, got "
                 f"{self.sensor.bandwidth:g} Hz; leave it out for an unlimited sensor"
             )
+        problems += self.sampling.frame_problems(self.stream is not None)
+        if self.stream is not None:
+            problems += self._problems_of_stream(self.stream)
+        if self.background is not None:
+            drawn = None if self.randomise is None else self.randomise.sampling_rate
+            lowest_rate = self.sampling.sampling_rate if drawn is None else drawn.extremes[0]
+            problems += self.background.problems(self.sensor, lowest_rate)
         if problems:
             raise ValueError("\n".join(problems))
         return self
+
+    def _problems_of_stream(self, stream: StreamSection) -> list[str]:
+        """Return what does not go with a stream: all of its rocks share one time axis and one sensor."""
+        labels = tuple(sorted({population.label for population in self.populations}))
+        problems = [] if stream.mixture is None or not labels else stream.mixture.problems(labels)
+        if self.taps:
+            problems.append("taps: must be left out of a stream, in which rocks fall")
+        if self.randomise is not None:
+            problems.append("randomise: must be left out of a stream, which has no blocks of signals")
+        if self.sensor.relative_noise > 0:
+            problems.append(
+                "sensor.relative_noise: must be left out of a stream, whose impacts share one noise; "
+                "give absolute_noise"
+            )
+        for index, population in enumerate(self.populations):
+            for name in ("second_hit", "clipped_at"):
+                if getattr(population, name) is not None:
+                    cure = "stream.rebounds makes further hits" if name == "second_hit" else "sensor.range clips"
+                    problems.append(f"populations.{index}.{name}: must be left out of a stream; {cure}")
+        return problems
 
     @property
     def sources(self) -> tuple[Population | Tap, ...]:
@@ -113,13 +150,18 @@ def load_scene(path: str | Path) -> Scene:
         content = tomllib.loads(text)
     except (ValueError, RecursionError) as error:  # also integers of thousands of digits, and nesting without end
         raise BadData(f"{path}: a scene file must be valid TOML: {error}") from None
-    return parse_scene(content, source=str(path))
+    return parse_scene(content, source=str(path), folder=Path(path).parent)
 
 
-def parse_scene(content: dict[str, Any], source: str = "scene") -> Scene:
-    """Return the scene of a mapping with the structure of the file; raises `BadData` as `load_scene`."""
+def parse_scene(content: dict[str, Any], source: str = "scene", folder: Path | None = None) -> Scene:
+    """Return the scene of a mapping with the structure of the file; raises `BadData` as `load_scene`.
+
+    Files that it names lie in `folder`, or else where the process runs.
+    """
     try:
-        return Scene.model_validate(content)
+        scene = Scene.model_validate(content)
+        scene._folder = Path() if folder is None else folder
+        return scene
     except ValidationError as error:
         entries = [entry for entry in error.errors(include_url=False) if not _besides(entry)]
         problems = [line for entry in entries for line in _lines(entry)]

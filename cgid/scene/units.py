@@ -9,6 +9,8 @@ from typing import Annotated, Any
 
 from pydantic import BeforeValidator, Field, Strict
 
+from cgid.signals import STANDARD_GRAVITY
+
 #: Dimension -> unit -> factor to the SI unit, which comes first.
 DIMENSIONS: dict[str, dict[str, float]] = {
     "density": {"kg/m^3": 1.0, "kg/m3": 1.0, "g/cm^3": 1e3, "g/cm3": 1e3, "t/m^3": 1e3},
@@ -17,8 +19,11 @@ DIMENSIONS: dict[str, dict[str, float]] = {
     "speed": {"m/s": 1.0, "cm/s": 1e-2, "mm/s": 1e-3, "km/h": 1 / 3.6},
     "frequency": {"Hz": 1.0, "kHz": 1e3, "MHz": 1e6},
     "force": {"N": 1.0, "kN": 1e3, "MN": 1e6},
-    "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6},
+    "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "min": 60.0, "h": 3600.0},
     "ratio": {"": 1.0, "%": 1e-2},
+    "acceleration": {"m/s^2": 1.0, "m/s2": 1.0, "g": STANDARD_GRAVITY},
+    "angle": {"rad": 1.0, "deg": math.pi / 180},
+    "decibel": {"dB": 1.0},
 }
 
 #: Dimension -> lowest and highest value in SI units: wider than anything that falls, and within them no formula
@@ -99,6 +104,15 @@ Length = Annotated[float, BeforeValidator(_reader("length")), _limits("length")]
 Frequency = Annotated[float, BeforeValidator(_reader("frequency")), _limits("frequency")]
 Force = Annotated[float, BeforeValidator(_reader("force")), _limits("force")]
 Level = Annotated[float, BeforeValidator(_reader("force")), Field(ge=0, le=LIMITS["force"][1])]
+#: A place on the time axis of a recording, and its length: at most a day.
+Moment = Annotated[float, BeforeValidator(_reader("time")), Field(ge=0, le=86_400)]
+Duration = Annotated[float, BeforeValidator(_reader("time")), Field(ge=1e-3, le=86_400)]
+#: From the horizontal: on a wall nothing falls.
+Inclination = Annotated[float, BeforeValidator(_reader("angle")), Field(ge=0, le=1.5)]
+Speed = Annotated[float, BeforeValidator(_reader("speed")), _limits("speed")]
+Decibel = Annotated[float, BeforeValidator(_reader("decibel")), Field(ge=-200, le=200)]
+#: How often something happens, which may be never.
+Rate = Annotated[float, BeforeValidator(_reader("frequency")), Field(ge=0, le=LIMITS["frequency"][1])]
 #: Without a dimension: a number as it stands, neither a string nor true or false.
 Number = Annotated[float, Strict()]
 Whole = Annotated[int, Strict()]
