@@ -42,13 +42,16 @@ class Background:
     sampling_rate : float
         [Hz].
     recorded : ndarray, (n,), optional
-        The recording that is mixed in, at this rate and level.
+        The recording that is mixed in, at this rate, with mean 0 and root mean square 1,
+    recorded_level : float
+        and what it is multiplied by.
     """
 
     section: BackgroundSection
     quantity: str
     sampling_rate: float
     recorded: Floats | None
+    recorded_level: float = 0.0
 
     def in_frames(self, seed: int, block: int, n_samples: int) -> Floats:
         """Return the background of the frames of one block, (`BLOCK`, n_samples), each with its own."""
@@ -63,7 +66,7 @@ class Background:
             out += self._coloured(generator(seed, COLOURED, block), (BLOCK,), length)[:, :n_samples]
         if self.recorded is not None:
             starts = (uniforms(seed, block, 1, RECORDED)[0] * self.recorded.size).astype(np.intp)
-            out += self.recorded[(starts[:, None] + np.arange(n_samples)) % self.recorded.size]
+            out += self.recorded_level * self.recorded[(starts[:, None] + np.arange(n_samples)) % self.recorded.size]
         return out
 
     def in_recording(self, seed: int, recording: int, chunk: int) -> Floats:
@@ -77,14 +80,13 @@ class Background:
             out += self._segment(seed, recording, chunk)[CHUNK:] + self._segment(seed, recording, chunk + 1)[:CHUNK]
         if self.recorded is not None:
             start = int(uniforms(seed, 0, 1, RECORDED, recording)[0, 0] * self.recorded.size)
-            out += self.recorded[(start + samples) % self.recorded.size]
+            out += self.recorded_level * self.recorded[(start + samples) % self.recorded.size]
         return out
 
     @cached_property
     def rms(self) -> float:
         """Root mean square of the whole background, in SI units."""
-        power = 0.0 if self.recorded is None else float(np.mean(self.recorded**2))
-        return float(np.sqrt(self.section.known_power(self.quantity) + power))
+        return float(np.sqrt(self.section.known_power(self.quantity) + self.recorded_level**2))
 
     @cached_property
     def _amplitudes(self) -> Floats:
@@ -159,13 +161,13 @@ def background_of(scene: Scene) -> Background | None:
     section, sampling_rate = scene.background, scene.sampling.sampling_rate
     if section is None:
         return None
-    recorded = None
+    recorded, level = None, 0.0
     if section.recorded is not None:
         asked = section.recorded
         path = scene.folder / asked.path
-        unscaled = _unit_recording(path, _age(path), asked.sampling_rate, asked.channel, sampling_rate)
-        recorded = unscaled * (reference_peak(scene) / 10 ** (asked.signal_to_noise / 20))
-    return Background(section, sensed_quantity(scene.sensor), sampling_rate, recorded)
+        recorded = _unit_recording(path, _age(path), asked.sampling_rate, asked.channel, sampling_rate)
+        level = reference_peak(scene) / 10 ** (asked.signal_to_noise / 20)
+    return Background(section, sensed_quantity(scene.sensor), sampling_rate, recorded, level)
 
 
 def _age(path: Path) -> int:

@@ -13,7 +13,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any, Self
 
-from pydantic import Field, PrivateAttr, ValidationError, model_validator
+from pydantic import Field, ValidationError, model_validator
 
 from cgid.errors import BadData, NoInput
 from cgid.scene.background import BackgroundSection
@@ -41,12 +41,6 @@ class Scene(Section):
     taps: tuple[Tap, ...] = Field(default=(), max_length=64)
     stream: StreamSection | None = None
     background: BackgroundSection | None = None
-    _folder: Path = PrivateAttr(default=Path())
-
-    @property
-    def folder(self) -> Path:
-        """Where the scene file lies: files that it names are looked for there."""
-        return self._folder
 
     @model_validator(mode="after")
     def _parts_fit(self) -> Self:
@@ -115,6 +109,11 @@ class Scene(Section):
         # What a scene does not use leaves no trace, so that a new kind of part gives no old scene another identity.
         return json.dumps({key: part for key, part in content.items() if part != []}, sort_keys=True)
 
+    @cached_property  # set by `parse_scene`; no field, for where a scene lies does not make it another
+    def folder(self) -> Path:
+        """Where the scene file lies: files that it names are looked for there."""
+        return Path()
+
     @cached_property  # every batch of signals bears it
     def sha256(self) -> str:
         """Identity of the scene: the hash of `text`, whatever the layout of the file."""
@@ -160,7 +159,8 @@ def parse_scene(content: dict[str, Any], source: str = "scene", folder: Path | N
     """
     try:
         scene = Scene.model_validate(content)
-        scene._folder = Path() if folder is None else folder
+        if folder is not None:
+            scene.__dict__["folder"] = folder
         return scene
     except ValidationError as error:
         entries = [entry for entry in error.errors(include_url=False) if not _besides(entry)]

@@ -23,22 +23,23 @@ class TimeAxis:
         self.first = 0
         self.samples: Floats = np.zeros(0)
 
-    def add(self, first: NDArray[np.int64], windows: NDArray[np.floating]) -> None:
-        """Add windows (n, width), each from its own sample on; what lies before the axis is lost."""
-        width = windows.shape[1]
-        self._reach(int(first.max()) + width)
-        for start, window in zip((first - self.first).tolist(), windows, strict=True):
-            lost = max(-start, 0)
-            self.samples[start + lost : start + width] += window[lost:]
-
-    def taken(self, stop: int) -> Floats:
-        """Take the samples before number `stop` off the axis and return them."""
-        self._reach(stop)
-        count = stop - self.first
-        part, self.samples, self.first = self.samples[:count].copy(), self.samples[count:], stop
-        return part
-
-    def _reach(self, stop: int) -> None:
+    def until(self, stop: int) -> Floats:
+        """Return the samples from the first one to number `stop`, to be added to in place."""
         missing = stop - self.first - self.samples.size
         if missing > 0:
             self.samples = np.concatenate([self.samples, np.zeros(missing)])
+        return self.samples[: stop - self.first]
+
+    def add(self, first: NDArray[np.int64], windows: NDArray[np.floating]) -> None:
+        """Add windows (n, width), each from its own sample on; what lies before the axis is lost."""
+        width = windows.shape[1]
+        samples = self.until(int(first.max()) + width)
+        for start, window in zip((first - self.first).tolist(), windows, strict=True):
+            lost = max(-start, 0)
+            samples[start + lost : start + width] += window[lost:]
+
+    def taken(self, stop: int) -> Floats:
+        """Take the samples before number `stop` off the axis and return them."""
+        part = self.until(stop).copy()
+        self.samples, self.first = self.samples[part.size :], stop
+        return part

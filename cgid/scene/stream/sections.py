@@ -6,7 +6,7 @@ from itertools import pairwise
 from typing import Annotated, Any, Self
 
 import numpy as np
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, model_validator
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, model_validator
 
 from cgid.scene.sections import Section
 from cgid.scene.units import Duration, Inclination, Moment, Rate, Ratio, Speed, Whole, parse
@@ -18,7 +18,13 @@ _MOST_ROWS = 100_000
 _SHARE_TOLERANCE = 1e-9
 
 
-_Times = Annotated[tuple[Moment, ...], Field(min_length=1, max_length=_MOST_ROWS)]
+def _not_empty(times: tuple[float, ...]) -> tuple[float, ...]:
+    if not times:
+        raise ValueError("must hold at least 1 time, got none")
+    return times
+
+
+_Times = Annotated[tuple[Moment, ...], Field(max_length=_MOST_ROWS), AfterValidator(_not_empty)]
 
 
 def _require_ascending(times: tuple[float, ...]) -> None:

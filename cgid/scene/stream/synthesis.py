@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from cgid import validation
 from cgid.errors import InvalidValue
 from cgid.impact import HertzRangeWarning, Impact, ThinPlateWarning
+from cgid.scene.background import sensed_quantity
 from cgid.scene.background_noise import CHUNK, Background, background_of
 from cgid.scene.population import impact_of
 from cgid.scene.randomness import NOISE, generator
@@ -23,8 +24,7 @@ from cgid.scene.stream.axis import TimeAxis
 from cgid.scene.stream.places import beam_of
 from cgid.scene.stream.rocks import Rocks, arriving, thrown_back
 from cgid.scene.stream.truth import empty_truth, joined, truth_of
-from cgid.signals import Signal
-from cgid.validation import Floats
+from cgid.signals import UNITS, Signal
 
 #: The low-pass of a pulse is followed for so many periods of its edge to either side; what is left of it there is
 #: under 1e-5 of the peak (`tests/test_stream.py`).
@@ -77,7 +77,7 @@ def record(
     signal = Signal(
         samples=np.concatenate([part.samples for part in parts]),
         sampling_rate=scene.sampling.sampling_rate,
-        unit="N",
+        unit=unit_of(scene),
         source=f"{scene.name} {number}",
     )
     return signal, joined(scene, [part.truth for part in parts])
@@ -107,7 +107,7 @@ def parts_of_recording(scene: Scene, seed: int, number: int, *, dtype: Literal["
             waiting.append(coming.taken(late))
             now = coming.taken(~late)
             impact = _impact(scene, now)
-            add_impacts(axis, scene, impact, now["time"], guard)
+            add_impacts(axis, scene, impact, now, guard)
             truth.append(truth_of(scene, now, impact))
             loud = impact.peak_force > audible
             coming = thrown_back(scene, beam, now, impact.restitution, impact.contact_duration, loud)
@@ -128,12 +128,22 @@ def samples_of(scene: Scene) -> int:
     return max(round(scene.stream.duration * scene.sampling.sampling_rate), 1)
 
 
+def unit_of(scene: Scene) -> str:
+    """Return the unit of the samples of a recording: the SI unit of what the sensor measures."""
+    return next(iter(UNITS[sensed_quantity(scene.sensor)]))
+
+
 def hearing_limit(scene: Scene, background: Background | None) -> float:
-    """Return the peak force below which an impact drowns in noise and background [N], and its rock is let go."""
+    """Return the peak force below which an impact drowns in noise and background [N], and its rock is let go.
+
+    0 where the sensor measures another quantity, of which no force alone says how large it is.
+    """
+    if sensed_quantity(scene.sensor) != "force":
+        return 0.0
     return float(np.hypot(scene.sensor.absolute_noise, 0.0 if background is None else background.rms))
 
 
-def add_impacts(axis: TimeAxis, scene: Scene, impact: Impact, times: Floats, guard: int) -> None:
+def add_impacts(axis: TimeAxis, scene: Scene, impact: Impact, rocks: Rocks, guard: int) -> None:
     """Add what the sensor gives of some impacts to the time axis, noise apart; what overlaps adds up.
 
     Parameters
@@ -142,14 +152,14 @@ def add_impacts(axis: TimeAxis, scene: Scene, impact: Impact, times: Floats, gua
     scene : Scene
     impact : Impact
         n of them.
-    times : ndarray, (n,)
-        Of touch [s].
+    rocks : Rocks
+        The same, with time of touch and place.
     guard : int
         Samples that the low-pass of the sensor takes to either side.
     """
-    if not times.size:
+    if not len(rocks):
         return
-    rate = scene.sampling.sampling_rate
+    rate, times = scene.sampling.sampling_rate, rocks["time"]
     first = np.floor(times * rate).astype(np.int64) - guard
     width = int(np.ceil(impact.contact_duration.max() * rate)) + 2 + 2 * guard
     windows = np.zeros((times.size, width))
