@@ -11,12 +11,12 @@ from cgid.errors import BadData, InvalidValue
 from cgid.impact import HalfSpace, HuntCrossley, Impact, Sphere
 from cgid.materials import Material
 from cgid.scene import parse_scene, synthesise, varied
-from cgid.scene.distributions import Uniform
+from cgid.scene.impacts import impact_of
 from cgid.scene.randomness import BLOCK, generator
-from cgid.scene.stream import rocks, synthesis, truth
+from cgid.scene.response import hearing
+from cgid.scene.stream import rocks, synthesis
 from cgid.scene.stream.arrivals import PoissonTimes, arrivals_of, population_shares
 from cgid.scene.stream.capacity import most_impacts, require_capacity
-from cgid.scene.stream.places import Beam
 from cgid.scene.stream.sections import RateTable
 from cgid.scene.stream.synthesis import record
 
@@ -37,7 +37,7 @@ def population(label, **changes):
     }
 
 
-def content(populations=None, sensor=None, target=None, background=None, **stream):
+def content(populations=None, sensor=None, target=None, background=None, tail_beam=None, **stream):
     """Return a scene of coal and gangue that come down for 20 s."""
     found = {
         "name": "stream",
@@ -54,11 +54,33 @@ def content(populations=None, sensor=None, target=None, background=None, **strea
         found["sensor"] = sensor
     if background:
         found["background"] = background
+    if tail_beam:
+        found["tail_beam"] = tail_beam
     return found
 
 
 def scene_of(**changes):
     return parse_scene(content(**changes))
+
+
+def on_beam(x, length="20 m", **changes):
+    """Return the changes that put a stream on a beam as stiff as a half space: thick, and without its edges' echo."""
+    return {
+        "tail_beam": {
+            "length": length,
+            "width": "1 m",
+            "thickness": "0.9 m",
+            "edges": "cantilever",
+            "damping_ratio": 0.02,
+            "impact_point": {
+                "x": x if isinstance(x, dict) else {"distribution": "uniform", "lowest": x, "highest": x + 0.1},
+                "y": {"distribution": "uniform", "lowest": 0.4, "highest": 0.5},
+            },
+            "sensor_point": {"x": 0.5, "y": 0.45},
+            "coupling": "impedance",
+            **changes,
+        }
+    }
 
 
 def arrivals(scene, seed=0, recording=0):
@@ -206,18 +228,11 @@ def flown(normal, slip, slope):
 
 
 @pytest.mark.parametrize("slope", [0.0, 0.35, 1.2])
-def test_bounces_against_the_fall_integrated_in_time(slope, monkeypatch):
-    everywhere = Beam(
-        1e6,
-        1.0,
-        Uniform(distribution="uniform", lowest=0.2, highest=0.3),
-        Uniform(distribution="uniform", lowest=0.4, highest=0.5),
-    )
-    for module in (synthesis, truth):
-        monkeypatch.setattr(module, "beam_of", lambda scene: everywhere)
-    found = record(one_rock(inclination=slope, rebounds={"most": 4}))[1]
+def test_bounces_against_the_fall_integrated_in_time(slope):
+    found = record(one_rock(inclination=slope, rebounds={"most": 4}, **on_beam(0.2)))[1]
     assert (found["bounce"] == np.arange(5)).all()
     assert 0.2 <= found["impact_x"][0] <= 0.3 and (found["impact_y"] == found["impact_y"][0]).all()
+    assert 0.4 <= found["impact_y"][0] <= 0.5
     normal, slip = 4 * np.cos(slope), 4 * np.sin(slope)
     time, x = 0.25, found["impact_x"][0]
     for row in range(5):
@@ -227,22 +242,17 @@ def test_bounces_against_the_fall_integrated_in_time(slope, monkeypatch):
         contact = found["contact_duration"][row]
         in_contact = slip * contact + GRAVITY * np.sin(slope) * contact**2 / 2
         slip += GRAVITY * np.sin(slope) * contact
-        flight, way, normal, slip = flown(0.6 * normal, slip, slope)
+        flight, way, normal, slip = flown(found["restitution"][row] * normal, slip, slope)
         time, x = time + contact + flight, x + in_contact + way
 
 
-def test_a_rock_that_slides_off_the_beam_is_gone(monkeypatch):
-    short = Beam(
-        2.0,
-        1.0,
-        Uniform(distribution="uniform", lowest=0.5, highest=0.6),
-        Uniform(distribution="uniform", lowest=0.4, highest=0.5),
-    )
-    for module in (synthesis, truth):
-        monkeypatch.setattr(module, "beam_of", lambda scene: short)
-    found = record(one_rock(inclination="10 deg", rebounds={"most": 50, "least_speed": "1 mm/s"}))[1]
-    assert 1 < found["time"].size < 10
-    assert (found["impact_x"] <= 2).all() and (np.diff(found["impact_x"]) > 0).all()
+def test_a_rock_that_slides_off_the_beam_is_gone():
+    rebounds = {"most": 50, "least_speed": "1 mm/s"}
+    found = record(one_rock(inclination="10 deg", rebounds=rebounds, **on_beam(0.5, "2 m")))[1]
+    longer = record(one_rock(inclination="10 deg", rebounds=rebounds, **on_beam(0.5, "20 m")))[1]
+    assert 1 < found["time"].size < longer["time"].size
+    assert found["impact_x"][-1] <= 2 < longer["impact_x"][found["time"].size]
+    np.testing.assert_array_equal(found["time"], longer["time"][: found["time"].size])
 
 
 def test_when_a_rock_is_followed_no_further():
@@ -353,6 +363,44 @@ def test_bandwidth_filters_every_pulse():
     assert np.abs(found - wanted)[1000:-1000].max() < 1e-5 * clean.max()
 
 
+ACCELERATION = {"quantity": "acceleration", "anti_alias": {"frequency": "8 kHz", "order": 6}}
+
+
+def beam(**changes):
+    """Return a thin beam that rings, and the coarse way to reckon with it."""
+    x = {"distribution": "uniform", "lowest": 0.2, "highest": 1.1}
+    return on_beam(x, "1.2 m", thickness="40 mm", **changes)
+
+
+@pytest.mark.parametrize("sensor", [ACCELERATION, {"quantity": "velocity"}, {"mounting": {"frequency": "3 kHz"}}])
+def test_the_ringing_of_every_impact_goes_on_through_the_recording(sensor):
+    # Over several stretches, of which each ringing passes the end.
+    scene = scene_of(duration="6 s", arrivals={"rate": "60 Hz"}, sensor=sensor, rebounds={"most": 1}, **beam())
+    signal, found = record(scene, dtype="float64")
+    assert signal.unit == scene.sensor.unit and len(set(found["time"] // (128 / 60))) == 3
+    heard = hearing(scene)
+    wanted = np.zeros((1, signal.samples.size))
+    for row in range(found["time"].size):
+        one = {name: column[row : row + 1] for name, column in found.items()}
+        # What was asked, of which the beam has left less.
+        impact = impact_of(scene, {**one, "restitution": np.array([0.5])}, np.arange(1))
+        heard.response.add_to_frames(wanted, impact, one["time"], heard.participation(one))
+    np.testing.assert_allclose(signal.samples, wanted[0], atol=1e-4 * np.abs(wanted).max())
+    alone = 0.5 * 128 / 60
+    assert np.abs(signal.samples[: int(alone * RATE)]).max() > 0
+
+
+def test_drift_and_noise_density_run_through_the_chunks():
+    scene = scene_of(
+        arrivals={"times": [19.9]}, sensor={"drift": "3 N/s", "offset": "-5 N", "noise_density": "0.1 N/sqrt(Hz)"}
+    )
+    samples = record(scene, dtype="float64")[0].samples[: int(19 * RATE)]
+    slope, offset = np.polyfit(np.arange(samples.size) / RATE, samples, 1)
+    assert slope == pytest.approx(3, rel=0.01) and offset == pytest.approx(-5, abs=0.2)
+    rest = samples - np.polyval([3, -5], np.arange(samples.size) / RATE)
+    assert rest.std() == pytest.approx(0.1 * np.sqrt(RATE / 2), rel=0.01)
+
+
 def test_noise_range_and_bits_close_the_chain():
     sensor = {"absolute_noise": "50 N", "range": "5 kN", "bits": 12}
     scene = scene_of(sensor=sensor, arrivals={"rate": "2 Hz"})
@@ -454,6 +502,11 @@ def test_the_text_of_a_scene_is_the_scene_again():
         ({"inclination": "-1 deg"}, "stream.inclination", "greater than or equal to 0"),
         ({"bounces": 3}, "stream.bounces", "unknown key"),
         ({"sensor": {"relative_noise": 0.01}}, "sensor.relative_noise", "absolute_noise"),
+        (
+            {"sensor": {"mounting": {"frequency": "5 kHz"}, "bandwidth": "2 kHz"}},
+            "sensor.bandwidth",
+            "give anti_alias",
+        ),
         (
             {"populations": [population("coal", clipped_at=0.5)]},
             "populations.0.clipped_at",

@@ -112,7 +112,8 @@ def _check_stream(scene: Any, as_json: bool) -> None:
     from cgid.scene.background_noise import background_of
     from cgid.scene.stream.arrivals import arrivals_of
     from cgid.scene.stream.capacity import require_capacity
-    from cgid.scene.stream.synthesis import hearing_limit, samples_of
+    from cgid.scene.stream.sound import hearing_limit
+    from cgid.scene.stream.synthesis import samples_of
 
     require_capacity(scene, "float32")
     stream, background = scene.stream, background_of(scene)

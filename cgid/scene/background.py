@@ -12,21 +12,12 @@ from itertools import pairwise
 from typing import Annotated, Any, Self
 
 import numpy as np
-from pydantic import AfterValidator, BaseModel, Field, model_validator
+from pydantic import AfterValidator, Field, model_validator
 
 from cgid.scene.sections import Section
-from cgid.scene.sensor import Sensor
+from cgid.scene.sensor import QUANTITIES, Sensor
 from cgid.scene.units import Decibel, Frequency, parse
-from cgid.signals import UNITS
 from cgid.validation import Floats
-
-#: Quantity of a sensor -> the dimension of its numbers in a scene file.
-DIMENSION_OF = {"force": "force", "acceleration": "acceleration", "velocity": "speed", "displacement": "length"}
-
-
-def sensed_quantity(sensor: BaseModel) -> str:
-    """Return what a sensor measures."""
-    return str(getattr(sensor, "quantity", "force"))
 
 
 def _number_or_text(value: Any) -> Any:
@@ -39,33 +30,12 @@ def _number_or_text(value: Any) -> Any:
 Sensed = Annotated[Any, AfterValidator(_number_or_text)]
 
 
-def _sensed(value: float | str, quantity: str) -> float:
-    """Return an amplitude in the SI unit of a quantity; raises `ValueError` for another unit or a negative one."""
-    number = parse(value, DIMENSION_OF[quantity])
+def _level(value: float | str, quantity: str, kind: str = "") -> float:
+    """Return a level in the SI unit of a quantity; raises `ValueError` for another unit, or what is not above 0."""
+    number = parse(value, QUANTITIES[quantity][0] + kind)
     if not 0 < number <= 1e15:
-        raise ValueError(f"must be above 0 and at most 1e15 {next(iter(UNITS[quantity]))}, got {number:g}")
+        raise ValueError(f"must be above 0 and at most 1e15 {QUANTITIES[quantity][1]}, got {number:g}")
     return number
-
-
-def _density(value: float | str, quantity: str) -> float:
-    """Return a power spectral density in the SI unit of a quantity, squared, per Hz.
-
-    Written with a unit, it is that of an amplitude density, "0.5 N/sqrt(Hz)", or of a power, "0.25 (N)^2/Hz".
-    """
-    return _positive(_read_density(value, quantity))
-
-
-def _read_density(value: float | str, quantity: str) -> float:
-    amplitude, power = "/sqrt(Hz)", ")^2/Hz"
-    if isinstance(value, str) and value.strip().endswith(amplitude):
-        return _sensed(value.strip().removesuffix(amplitude), quantity) ** 2
-    if isinstance(value, str) and value.strip().endswith(power) and value.count("(") == 1:
-        number, unit = value.strip().removesuffix(power).split("(")
-        return parse(number, "ratio") * _sensed(f"1 {unit}", quantity) ** 2
-    if isinstance(value, str):
-        si = next(iter(UNITS[quantity]))
-        raise ValueError(f"must be a density such as '1 {si}/sqrt(Hz)' or '1 ({si})^2/Hz', got {value!r}")
-    return parse(value, "ratio")
 
 
 class HumLine(Section):
@@ -76,9 +46,9 @@ class HumLine(Section):
 
 
 class ColouredNoise(Section):
-    """Gaussian noise of a one-sided spectral density, straight between its points on logarithmic axes, 0 beyond.
+    """Gaussian noise of a one-sided amplitude density, straight between its points on logarithmic axes, 0 beyond.
 
-    A bare number is a power density: the SI unit of the sensor's quantity squared, per Hz.
+    As a sensor's noise density it is what a band of 1 Hz has: "0.1 N/sqrt(Hz)", or a number in the SI unit.
     """
 
     frequencies: tuple[Frequency, ...] = Field(min_length=2, max_length=100_000)
@@ -96,8 +66,8 @@ class ColouredNoise(Section):
         return self
 
     def densities(self, quantity: str) -> Floats:
-        """Return the power densities at the frequencies, in SI units."""
-        return np.array([_density(value, quantity) for value in self.density])
+        """Return the power densities at the frequencies: the squares of what is asked, in SI units per Hz."""
+        return np.array([_level(value, quantity, " noise density") for value in self.density]) ** 2
 
     def at(self, frequency: Floats, quantity: str) -> Floats:
         """Return the one-sided power spectral density at frequencies [Hz], in SI units."""
@@ -147,7 +117,7 @@ class BackgroundSection(Section):
 
     def problems(self, sensor: Sensor, sampling_rate: float) -> list[str]:
         """Return what is wrong with this background for a sensor and a sampling rate [Hz]."""
-        quantity, nyquist = sensed_quantity(sensor), sampling_rate / 2
+        quantity, nyquist = sensor.quantity, sampling_rate / 2
         found = []
         for index, line in enumerate(self.hum):
             if line.frequency >= nyquist:
@@ -156,7 +126,7 @@ class BackgroundSection(Section):
                     f"{line.frequency:g} Hz"
                 )
             found += _complaints(
-                f"background.hum.{index}.amplitude", partial(_sensed, quantity=quantity), [line.amplitude]
+                f"background.hum.{index}.amplitude", partial(_level, quantity=quantity), [line.amplitude]
             )
         if self.coloured is not None:
             highest = self.coloured.frequencies[-1]
@@ -165,24 +135,18 @@ class BackgroundSection(Section):
                     f"background.coloured.frequencies: must lie up to half the sampling rate, {nyquist:g} Hz, got "
                     f"{highest:g} Hz; cut the table there"
                 )
-            read = partial(_density, quantity=quantity)
+            read = partial(_level, quantity=quantity, kind=" noise density")
             found += _complaints("background.coloured.density", read, self.coloured.density)
         return found
 
     def known_power(self, quantity: str) -> float:
         """Return the mean square of hum and coloured noise, in SI units; a recording's depends on the impacts."""
-        lines = sum(_sensed(line.amplitude, quantity) ** 2 / 2 for line in self.hum)
+        lines = sum(_level(line.amplitude, quantity) ** 2 / 2 for line in self.hum)
         return lines + (0.0 if self.coloured is None else self.coloured.power(quantity))
 
     def amplitudes(self, quantity: str) -> Floats:
         """Return the amplitudes of the hum lines in SI units."""
-        return np.array([_sensed(line.amplitude, quantity) for line in self.hum])
-
-
-def _positive(density: float) -> float:
-    if not 0 < density <= 1e30:
-        raise ValueError(f"must be above 0 and at most 1e30, got {density:g}")
-    return density
+        return np.array([_level(line.amplitude, quantity) for line in self.hum])
 
 
 def _complaints(path: str, read: Callable[[Any], float], values: Iterable[Any]) -> list[str]:

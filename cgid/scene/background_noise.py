@@ -16,9 +16,10 @@ from scipy import fft, signal
 from cgid.errors import BadData
 from cgid.impact import HertzRangeWarning, ThinPlateWarning
 from cgid.recordings import read_recording
-from cgid.scene.background import BackgroundSection, sensed_quantity
-from cgid.scene.population import draw
+from cgid.scene.background import BackgroundSection
+from cgid.scene.population import Draw, draw
 from cgid.scene.randomness import BLOCK, COLOURED, HUM, RECORDED, generator, uniforms
+from cgid.scene.response import hearing
 from cgid.scene.scene import Scene
 from cgid.validation import Floats
 
@@ -27,7 +28,9 @@ CHUNK = 1 << 16
 #: No closer fraction is sought for the ratio of two sampling rates.
 _LARGEST_TERM = 10_000
 #: Blocks of 256 rocks that tell a scene's median peak.
-_REFERENCE_BLOCKS = 8
+_REFERENCE_BLOCKS = 4
+#: In so many samples a blow has passed its peak.
+_REFERENCE_SAMPLES = 2048
 
 
 @dataclass(frozen=True)
@@ -136,16 +139,26 @@ def add_to_frames(frames: NDArray[Any], scene: Scene, seed: int, block: int) -> 
 def reference_peak(scene: Scene) -> float:
     """Return the median peak of the first hits of a scene's rocks, drawn by the weights of their populations.
 
-    What the level of a recorded background is measured by. It is a number of the scene, and so the same for all
-    its signals.
+    What the level of a recorded background is measured by, in the SI unit of what the sensor feels. It is a number of
+    the scene, and so the same for all its signals.
     """
     with warnings.catch_warnings():
         for beyond in (HertzRangeWarning, ThinPlateWarning):
             warnings.simplefilter("ignore", beyond)
-        peaks = [draw(scene, 0, block).parameters["peak_force"] for block in range(_REFERENCE_BLOCKS)]
+        peaks = [_peaks(scene, draw(scene, 0, block)) for block in range(_REFERENCE_BLOCKS)]
     slope = 0.0 if scene.stream is None else scene.stream.inclination
     # The normal velocity of a vertical fall is v cos(alpha), and the peak of a Hertz impact goes with its power 6/5.
     return float(np.median(peaks) * np.cos(slope) ** 1.2)
+
+
+def _peaks(scene: Scene, drawn: Draw) -> Floats:
+    heard = hearing(scene)
+    if heard is None:
+        return drawn.parameters["peak_force"]
+    frames = np.zeros((BLOCK, scene.sampling.samples or _REFERENCE_SAMPLES))
+    for strike in drawn.strikes:
+        strike.add_response(frames, heard, drawn.parameters)
+    return np.asarray(np.abs(frames).max(axis=1))
 
 
 def background_of(scene: Scene) -> Background | None:
@@ -167,7 +180,7 @@ def background_of(scene: Scene) -> Background | None:
         path = scene.folder / asked.path
         recorded = _unit_recording(path, _age(path), asked.sampling_rate, asked.channel, sampling_rate)
         level = reference_peak(scene) / 10 ** (asked.signal_to_noise / 20)
-    return Background(section, sensed_quantity(scene.sensor), sampling_rate, recorded, level)
+    return Background(section, scene.sensor.quantity, sampling_rate, recorded, level)
 
 
 def _age(path: Path) -> int:

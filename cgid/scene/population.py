@@ -9,10 +9,11 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from cgid.impact import Elastic, HuntCrossley, Impact, Sphere, free_fall_velocity
-from cgid.materials import Material
+from cgid.impact import Impact, free_fall_velocity
+from cgid.impact.coupled import ModalImpact
+from cgid.scene.impacts import PARTICLE, impact_of, impacts_by_coupling
 from cgid.scene.randomisation import settled
-from cgid.scene.randomness import BLOCK, CLIPPING, SECOND_HITS, TAPS, uniforms
+from cgid.scene.randomness import BLOCK, CLIPPING, IMPACT_POINTS, SECOND_HITS, TAPS, uniforms
 from cgid.scene.scene import Scene
 from cgid.scene.strike import Strike
 from cgid.scene.taps import SHAPES, TapPulses
@@ -33,9 +34,8 @@ PARAMETER_UNITS = {
 }
 #: Those of what only some scenes have; the sampling rate, where it is randomised, is said by the batch.
 _MORE_UNITS = {"second_hit_delay": "s", "second_hit_ratio": "1", "clipped_at": "1"}
+_POINT_UNITS = {"impact_x": "m", "impact_y": "m"}
 _RANDOMISED_UNITS = {"relative_noise": "1", "bandwidth": "Hz"}
-#: What makes a particle, in the order in which it is drawn and hashed.
-PARTICLE = ("density", "youngs_modulus", "poisson_ratio", "radius")
 #: What the numbers of an address are for, in their order. A fall has one number, whether it is a height or a speed.
 FALL = (*PARTICLE, "restitution", "drop_height")
 _LATER = {
@@ -49,6 +49,8 @@ def parameter_units(scene: Scene) -> dict[str, str]:
     """Return the stored parameters of a scene and their units: `PARAMETER_UNITS`, and those of the parts it has."""
     drawn = {name for source in scene.sources for name in source.laws}
     units = PARAMETER_UNITS | {name: unit for name, unit in _MORE_UNITS.items() if name in drawn}
+    if scene.panel is not None:
+        units |= _POINT_UNITS
     if scene.randomise is not None:
         units |= {name: unit for name, unit in _RANDOMISED_UNITS.items() if name in scene.randomise.laws}
     return units
@@ -95,13 +97,13 @@ def draw(scene: Scene, seed: int, block: int) -> Draw:
     shapes = np.array([-1] * len(scene.populations) + [list(SHAPES).index(tap.shape) for tap in scene.taps])[which]
     fallen, tapped = np.flatnonzero(shapes < 0), np.flatnonzero(shapes >= 0)
     impact = impact_of(scene, values, fallen)
-    strikes = [
-        *_strikes(impact, partial(impact_of, scene, values), fallen, values),
-        *_strikes(_taps(shapes, values, tapped), partial(_taps, shapes, values), tapped, values),
-    ]
-    # What a law delivers is what the pulse shows, and what was asked may differ from it.
-    for name in ("restitution", "peak_force", "contact_duration"):
-        values[name][fallen] = getattr(impact, name)
+    strikes: list[Strike] = []
+    for rows, pulses, alike in impacts_by_coupling(scene, impact, values, fallen):
+        strikes += _strikes(pulses, alike, rows, values)
+        # What a law delivers is what the pulse shows, and what was asked may differ from it.
+        for name in ("restitution", "peak_force", "contact_duration"):
+            values[name][rows] = getattr(pulses, name)
+    strikes += _strikes(_taps(shapes, values, tapped), partial(_taps, shapes, values), tapped, values)
     specimen = np.empty(BLOCK, np.uint64)
     specimen[fallen] = specimen_of([values[name][fallen] for name in PARTICLE])
     specimen[tapped] = specimen_of([shapes[tapped].astype(float), *(values[name][tapped] for name in _LATER[TAPS])])
@@ -129,14 +131,19 @@ def _values(scene: Scene, seed: int, block: int, which: NDArray[np.intp], falls:
         rows = np.flatnonzero(which == index)
         for name, law in source.laws.items():
             values[name][rows] = law.quantile(columns[name][rows])
+    if scene.panel is not None:
+        assert scene.tail_beam is not None and scene.tail_beam.impact_point is not None
+        along, across = uniforms(seed, block, 2, IMPACT_POINTS)
+        values["impact_x"] = scene.tail_beam.impact_point.x.quantile(along)
+        values["impact_y"] = scene.tail_beam.impact_point.y.quantile(across)
     fell = np.isfinite(values["drop_height"])
     values["velocity"][fell] = free_fall_velocity(values["drop_height"][fell])
     return values
 
 
 def _strikes(
-    first: Impact | TapPulses,
-    pulses_of: Callable[[NDArray[np.intp]], Impact | TapPulses],
+    first: Impact | ModalImpact | TapPulses,
+    pulses_of: Callable[[NDArray[np.intp]], Impact | ModalImpact | TapPulses],
     rows: NDArray[np.intp],
     values: Mapping[str, Floats],
 ) -> Iterator[Strike]:
@@ -149,22 +156,6 @@ def _strikes(
     if again.size:
         onset = values["onset"][again] + values["second_hit_delay"][again]
         yield Strike(again, pulses_of(again), onset, values["second_hit_ratio"][again])
-
-
-def impact_of(scene: Scene, values: Mapping[str, Floats], rows: NDArray[np.intp]) -> Impact:
-    """Return the impacts of these rows on the target of the scene, with the restitutions and speeds asked for."""
-    asked = {name: values[name][rows] for name in (*PARTICLE, "restitution", "velocity")}
-    material = Material(
-        density=asked["density"], youngs_modulus=asked["youngs_modulus"], poisson_ratio=asked["poisson_ratio"]
-    )
-    elastic = scene.impact.dissipation == "elastic"
-    return Impact(
-        sphere=Sphere(material=material, radius=asked["radius"]),
-        target=scene.impact.body,
-        velocity=asked["velocity"],
-        stiffness=scene.impact.stiffness,
-        dissipation=Elastic() if elastic else HuntCrossley(restitution=asked["restitution"], law=scene.impact.law),
-    )
 
 
 def _taps(shapes: NDArray[np.intp], values: Mapping[str, Floats], rows: NDArray[np.intp]) -> TapPulses:

@@ -15,7 +15,7 @@ from cgid.validation import Floats
 BLOCK = 256
 #: What numbers are drawn for; a new purpose is a new number.
 PARAMETERS, NOISE, TAPS, SECOND_HITS, CLIPPING, RANDOMISED = 1, 2, 3, 4, 5, 6
-ARRIVALS, PLACES, HUM, COLOURED, RECORDED = 16, 17, 18, 19, 20
+IMPACT_POINTS, ARRIVALS, HUM, COLOURED, RECORDED = 16, 17, 18, 19, 20
 
 
 def generator(seed: int, purpose: int, block: int, recording: int = 0) -> np.random.Generator:

@@ -15,9 +15,11 @@ from cgid.impact import HertzRangeWarning, ThinPlateWarning
 from cgid.scene.background_noise import add_to_frames
 from cgid.scene.population import Draw, draw
 from cgid.scene.randomness import BLOCK, NOISE, generator
+from cgid.scene.response import hearing
 from cgid.scene.scene import Scene
 from cgid.scene.sensor import clip
 from cgid.signals import Batch
+from cgid.validation import Floats
 
 
 def synthesise(
@@ -45,7 +47,8 @@ def synthesise(
     Yields
     ------
     Batch
-        Forces [N], labels, parameters, specimens. Where the scene randomises its sampling rate each batch has its own.
+        Forces [N] or motions of the beam (`Sensor.unit`), labels, parameters, specimens. Where the scene randomises
+        its sampling rate each batch has its own.
 
     Raises
     ------
@@ -77,7 +80,7 @@ def _block(scene: Scene, seed: int, block: int, part: slice, dtype: DTypeLike) -
         signals=frames[part],
         labels=drawn.labels[part],
         sampling_rate=drawn.scene.sampling.sampling_rate,
-        unit="N",
+        unit=scene.sensor.unit,
         pre_trigger=scene.sampling.pre_trigger,
         specimen=drawn.specimen[part],
         parameters={name: values[part] for name, values in drawn.parameters.items()},
@@ -93,29 +96,34 @@ def make_frames(scene: Scene, drawn: Draw, seed: int, block: int, dtype: DTypeLi
     The scene is that of the block: `drawn.scene`.
     """
     sensor = scene.sensor
-    shape = (len(drawn.labels), scene.sampling.samples)
-    if sensor.bandwidth is None:
+    peak = drawn.parameters["peak_force"]
+    if sensor.bandwidth is None and sensor.quantity == "force":
         # Pulses are added to the noise where they are, which saves a pass over the frames.
-        frames = _noise(scene, drawn, seed, block, dtype) if sensor.noisy else np.zeros(shape, dtype)
+        frames = _noise(scene, drawn, seed, block, dtype, peak)
         add_pulses(frames, scene, drawn)
     else:
-        frames = np.zeros(shape, dtype)
+        frames = np.zeros((len(drawn.labels), scene.sampling.samples), dtype)
         add_pulses(frames, scene, drawn)
         frames = sensor.limit_band(frames, scene.sampling.sampling_rate)
+        if sensor.quantity != "force":
+            peak = np.abs(frames).max(axis=1).astype(np.float64)
         if sensor.noisy:
-            frames += _noise(scene, drawn, seed, block, dtype)
+            frames += _noise(scene, drawn, seed, block, dtype, peak)
     if scene.background is not None:
         add_to_frames(frames, scene, seed, block)
     if "clipped_at" in drawn.parameters:
-        clip(frames, drawn.parameters["clipped_at"] * drawn.parameters["peak_force"])
-    sensor.digitise(frames)
+        clip(frames, drawn.parameters["clipped_at"] * peak)
+    sensor.digitise(frames, scene.sampling.sampling_rate)
     return frames
 
 
-def _noise(scene: Scene, drawn: Draw, seed: int, block: int, dtype: DTypeLike) -> NDArray[Any]:
-    noise = np.empty((len(drawn.labels), scene.sampling.samples), np.float32)
+def _noise(scene: Scene, drawn: Draw, seed: int, block: int, dtype: DTypeLike, peak: Floats) -> NDArray[Any]:
+    shape = (len(drawn.labels), scene.sampling.samples)
+    if not scene.sensor.noisy:
+        return np.zeros(shape, dtype)
+    noise = np.empty(shape, np.float32)
     generator(seed, NOISE, block).standard_normal(dtype=np.float32, out=noise)
-    level = scene.sensor.noise_level(drawn.parameters["peak_force"])[:, None]
+    level = scene.sensor.noise_level(peak, scene.sampling.sampling_rate)[:, None]
     if noise.dtype == dtype:
         noise *= level.astype(np.float32)
         return noise
@@ -123,6 +131,10 @@ def _noise(scene: Scene, drawn: Draw, seed: int, block: int, dtype: DTypeLike) -
 
 
 def add_pulses(frames: NDArray[Any], scene: Scene, drawn: Draw) -> None:
-    """Add the force pulses of each signal to its frame, in place."""
+    """Add to each frame what the recorder hears of its blows, in place: their forces, or the motion of the beam."""
+    heard = hearing(scene)
     for strike in drawn.strikes:
-        strike.add_to_frames(frames, scene.sampling.sampling_rate)
+        if heard is None:
+            strike.add_to_frames(frames, scene.sampling.sampling_rate)
+        else:
+            strike.add_response(frames, heard, drawn.parameters)

@@ -14,7 +14,7 @@ from cgid.scene.generation import attributes_of
 from cgid.scene.randomness import generator
 from cgid.scene.scene import Scene
 from cgid.scene.stream.capacity import require_capacity
-from cgid.scene.stream.synthesis import parts_of_recording, samples_of, unit_of
+from cgid.scene.stream.synthesis import parts_of_recording, samples_of
 from cgid.scene.stream.truth import impact_units, joined
 from cgid.store import check_output
 from cgid.store.recording import OURS, RecordingPlan, writing
@@ -82,7 +82,7 @@ def generate_recordings(
         n_samples=samples_of(scene),
         dtype=dtype,
         sampling_rate=scene.sampling.sampling_rate,
-        unit=unit_of(scene),
+        unit=scene.sensor.unit,
         attributes={**_attributes(scene, seed), "recording": 0},
     )
     plan.require_room(path.parent, n_recordings)

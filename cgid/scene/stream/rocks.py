@@ -14,11 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cgid.impact import free_fall_velocity
-from cgid.scene.population import FALL, PARTICLE, specimen_of
-from cgid.scene.randomness import PLACES, uniforms
+from cgid.scene.impacts import PARTICLE
+from cgid.scene.population import FALL, specimen_of
+from cgid.scene.randomness import uniforms
 from cgid.scene.scene import Scene
 from cgid.scene.stream.arrivals import Stretch, populations_of
-from cgid.scene.stream.places import Beam
+from cgid.scene.stream.places import impact_points, on_beam
 from cgid.signals import STANDARD_GRAVITY
 from cgid.validation import Floats
 
@@ -31,8 +32,8 @@ COLUMNS = {
     "specimen": np.uint64,
     **dict.fromkeys((*PARTICLE, "restitution", "drop_height", "velocity"), np.float64),
     "slip": np.float64,  # speed down the slope [m/s]
-    "x": np.float64,
-    "y": np.float64,
+    "impact_x": np.float64,  # where it hits the beam [m]
+    "impact_y": np.float64,
 }
 
 
@@ -44,7 +45,7 @@ class Rocks:
     ----------
     columns : dict of ndarray, each (n,)
         `COLUMNS`. The restitution is the one asked for, the velocity the normal one, drop_height is nan but for
-        a first fall from a height, x and y are nan where there is no beam.
+        a first fall from a height, impact_x and impact_y are nan where a beam has no points.
     """
 
     columns: Mapping[str, NDArray[Any]]
@@ -71,7 +72,7 @@ class Rocks:
         )
 
 
-def arriving(scene: Scene, beam: Beam | None, stretch: Stretch, first: int, seed: int, recording: int) -> Rocks:
+def arriving(scene: Scene, stretch: Stretch, first: int, seed: int, recording: int) -> Rocks:
     """Return the rocks that arrive in a stretch, before their first impact; `first` is the number of the first one."""
     assert scene.stream is not None
     rows, count = stretch.rows, len(stretch.rows)
@@ -87,9 +88,8 @@ def arriving(scene: Scene, beam: Beam | None, stretch: Stretch, first: int, seed
     fell = np.isfinite(values["drop_height"])
     values["velocity"][fell] = free_fall_velocity(values["drop_height"][fell])
     slope = scene.stream.inclination
-    x, y = (np.full(count, np.nan),) * 2
-    if beam is not None:
-        x, y = beam.points(uniforms(seed, stretch.block, 2, PLACES, recording)[:, rows])
+    points = impact_points(scene, seed, stretch.block, recording)
+    x, y = (np.full(count, np.nan),) * 2 if points is None else (points[0][rows], points[1][rows])
     columns = {
         **values,
         "time": stretch.times,
@@ -99,14 +99,14 @@ def arriving(scene: Scene, beam: Beam | None, stretch: Stretch, first: int, seed
         "specimen": specimen_of([values[name] for name in PARTICLE]),
         "slip": values["velocity"] * np.sin(slope),
         "velocity": values["velocity"] * np.cos(slope),
-        "x": x,
-        "y": y,
+        "impact_x": x,
+        "impact_y": y,
     }
     return Rocks({name: columns[name].astype(kind, copy=False) for name, kind in COLUMNS.items()})
 
 
 def thrown_back(
-    scene: Scene, beam: Beam | None, rocks: Rocks, delivered: Floats, contact_duration: Floats, audible: NDArray[Any]
+    scene: Scene, rocks: Rocks, delivered: Floats, contact_duration: Floats, audible: NDArray[Any]
 ) -> Rocks:
     """Return the rocks as they come back from an impact, before the next one.
 
@@ -116,7 +116,6 @@ def thrown_back(
     Parameters
     ----------
     scene : Scene
-    beam : Beam or None
     rocks : Rocks
         n of them, before the impact.
     delivered : ndarray, (n,)
@@ -146,10 +145,8 @@ def thrown_back(
             "velocity": velocity,
             "drop_height": np.full(len(rocks), np.nan),
             "slip": rocks["slip"] + pull * between,
-            "x": rocks["x"] + rocks["slip"] * between + pull * between**2 / 2,
+            "impact_x": rocks["impact_x"] + rocks["slip"] * between + pull * between**2 / 2,
         }
     )
     followed = audible & (after["bounce"] <= rebounds.most) & (velocity >= rebounds.least_speed)
-    if beam is not None:
-        followed &= beam.holds(after["x"], after["y"])
-    return after.taken(followed)
+    return after.taken(followed & on_beam(scene, after["impact_x"], after["impact_y"]))

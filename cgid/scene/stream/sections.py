@@ -8,7 +8,8 @@ from typing import Annotated, Any, Self
 import numpy as np
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, model_validator
 
-from cgid.scene.sections import Section
+from cgid.scene.sections import Population, Section
+from cgid.scene.sensor import Sensor
 from cgid.scene.units import Duration, Inclination, Moment, Rate, Ratio, Speed, Whole, parse
 from cgid.validation import Floats
 
@@ -148,3 +149,25 @@ class StreamSection(Section):
                 f"arrivals.times must lie before the end of the recording at {self.duration:g} s, got {times[-1]:g} s"
             )
         return self
+
+    def problems(self, populations: tuple[Population, ...], sensor: Sensor) -> list[str]:
+        """Return what does not go with this stream, whose rocks share one time axis and one sensor."""
+        labels = tuple(sorted({population.label for population in populations}))
+        found = [] if self.mixture is None or not labels else self.mixture.problems(labels)
+        if sensor.relative_noise > 0:
+            found.append(
+                "sensor.relative_noise: must be left out of a stream, whose impacts share one noise; "
+                "give absolute_noise or noise_density"
+            )
+        if sensor.bandwidth is not None and (sensor.quantity != "force" or sensor.filters):
+            found.append(
+                "sensor.bandwidth: must be left out of a stream where something rings before it; give anti_alias"
+            )
+        for index, population in enumerate(populations):
+            for name, cure in (
+                ("second_hit", "stream.rebounds makes further hits"),
+                ("clipped_at", "sensor.range clips"),
+            ):
+                if getattr(population, name) is not None:
+                    found.append(f"populations.{index}.{name}: must be left out of a stream; {cure}")
+        return found

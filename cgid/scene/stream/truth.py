@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cgid.impact import Impact
 from cgid.scene.scene import Scene
-from cgid.scene.stream.places import beam_of
 from cgid.scene.stream.rocks import Rocks
+from cgid.validation import Floats
 
 #: Columns in the order in which they are stored, and their units.
 _UNITS = {
@@ -27,6 +27,8 @@ _UNITS = {
     "peak_force": "N",
     "contact_duration": "s",
 }
+#: What only the impact itself tells.
+DELIVERED = ("restitution", "peak_force", "contact_duration")
 _PLACE_UNITS = {"impact_x": "m", "impact_y": "m"}
 _NEIGHBOUR_UNITS = {"next_impact": "s", "overlapping": "1"}
 
@@ -37,25 +39,23 @@ def impact_units(scene: Scene) -> dict[str, str]:
     time: of touch, from the first sample. rock: its number in the recording, by arrival. bounce: how many impacts it
     has behind it. restitution: as delivered, target and all. drop_height: nan but for a first fall from a height.
     velocity: the normal one. next_impact: time to the next touch of any rock, nan for the last. overlapping: 1 where
-    the contact has a part in common with another. impact_x, impact_y: where there is a beam.
+    the contact has a part in common with another. impact_x, impact_y: on a beam of known size.
     """
-    place = {} if beam_of(scene) is None else _PLACE_UNITS
+    place = {} if scene.panel is None else _PLACE_UNITS
     return {**_UNITS, **place, **_NEIGHBOUR_UNITS}
 
 
-def truth_of(scene: Scene, rocks: Rocks, impact: Impact) -> dict[str, NDArray[Any]]:
-    """Return what is known of some impacts, their neighbours apart."""
+def truth_of(scene: Scene, rocks: Rocks, delivered: Mapping[str, Floats]) -> dict[str, NDArray[Any]]:
+    """Return what is known of some impacts, their neighbours apart; delivered is of `DELIVERED`."""
     labels = np.array([population.label for population in scene.populations])
     truth = {
         **{name: rocks[name] for name in _UNITS.keys() & rocks.columns.keys()},
-        "restitution": impact.restitution,
-        "peak_force": impact.peak_force,
-        "contact_duration": impact.contact_duration,
+        **delivered,
         "label": labels[rocks["population"]],
         "specimen": rocks["specimen"],
     }
-    if beam_of(scene) is not None:
-        truth |= {"impact_x": rocks["x"], "impact_y": rocks["y"]}
+    if scene.panel is not None:
+        truth |= {"impact_x": rocks["impact_x"], "impact_y": rocks["impact_y"]}
     return truth
 
 
