@@ -10,6 +10,7 @@ No `fastmath`: loops run over poles or over samples, each of which keeps its own
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numba
@@ -111,13 +112,13 @@ def _add_ring(samples: Array, weights: Array, n_alive: int, table: Array, skippe
 
 @_jit
 def ring(
-    frames: Array, begin: Array, order: Array, start: Array, ringing: Array, table: Array, hop: Array, silence: Array
+    frames: Array, begin: Array, order: Array, start: Array, ringing: Array, table: Array, hop: Array, silence: float
 ) -> int:
     """Add free ringing to frames (n_rows, n_samples); return how many samples of poles were computed.
 
     Of row i the pulses order[begin[i]:begin[i + 1]], sorted by start, begin to ring at sample start of the frame.
     table (2, n_poles, length), hop (2, n_poles) is exp(p length). Poles are sorted by how long they ring: from the end
-    of the list those quieter than silence[i] are left out.
+    of the list those are left out that together are quieter than silence times the largest sample so far.
     """
     length, n_poles = table.shape[2], table.shape[1]
     kind = table[0, 0, :1]
@@ -129,7 +130,7 @@ def ring(
         if following == last:
             continue
         state[:] = 0.0
-        alive = 0
+        alive, loudest, left_out = 0, 0.0, 0.0
         here, samples = start[order[following]], frames[row]
         while here < samples.size and (alive > 0 or following < last):
             if alive == 0:
@@ -161,9 +162,17 @@ def ring(
                         state[0, r], state[1, r] = 0.0, 0.0
                     state[0, r] += new[0, r] * re - new[1, r] * im
                     state[1, r] += new[0, r] * im + new[1, r] * re
-                alive = n_poles
+                alive, left_out = n_poles, 0.0
                 following += 1
-            while alive > 0 and state[0, alive - 1] ** 2 + state[1, alive - 1] ** 2 < silence[row] ** 2:
+            for k in range(max(here, 0), end):
+                loudest = max(loudest, abs(samples[k]))
+            if alive < n_poles:
+                left_out *= math.hypot(hop[0, alive], hop[1, alive])  # the slowest of them
+            while alive > 0:
+                more = math.hypot(state[0, alive - 1], state[1, alive - 1])
+                if left_out + more > silence * loudest:
+                    break
+                left_out += more
                 alive -= 1
             here += length
     return computed

@@ -13,13 +13,13 @@ from cgid import validation
 from cgid.errors import InvalidValue
 from cgid.impact import HertzRangeWarning, ThinPlateWarning
 from cgid.scene.background_noise import add_to_frames
+from cgid.scene.noise import add_noise
 from cgid.scene.population import Draw, draw
-from cgid.scene.randomness import BLOCK, NOISE, generator
+from cgid.scene.randomness import BLOCK
 from cgid.scene.response import hearing
 from cgid.scene.scene import Scene
 from cgid.scene.sensor import clip
 from cgid.signals import Batch
-from cgid.validation import Floats
 
 
 def synthesise(
@@ -96,38 +96,20 @@ def make_frames(scene: Scene, drawn: Draw, seed: int, block: int, dtype: DTypeLi
     The scene is that of the block: `drawn.scene`.
     """
     sensor = scene.sensor
+    frames: NDArray[Any] = np.zeros((len(drawn.labels), scene.sampling.samples), dtype)
+    add_pulses(frames, scene, drawn)
+    frames = sensor.limit_band(frames, scene.sampling.sampling_rate)
     peak = drawn.parameters["peak_force"]
-    if sensor.bandwidth is None and sensor.quantity == "force":
-        # Pulses are added to the noise where they are, which saves a pass over the frames.
-        frames = _noise(scene, drawn, seed, block, dtype, peak)
-        add_pulses(frames, scene, drawn)
-    else:
-        frames = np.zeros((len(drawn.labels), scene.sampling.samples), dtype)
-        add_pulses(frames, scene, drawn)
-        frames = sensor.limit_band(frames, scene.sampling.sampling_rate)
-        if sensor.quantity != "force":
-            peak = np.abs(frames).max(axis=1).astype(np.float64)
-        if sensor.noisy:
-            frames += _noise(scene, drawn, seed, block, dtype, peak)
+    if sensor.quantity != "force":
+        peak = np.abs(frames).max(axis=1).astype(np.float64)
+    if sensor.noisy:
+        add_noise(frames, sensor.noise_level(peak, scene.sampling.sampling_rate), seed, block)
     if scene.background is not None:
         add_to_frames(frames, scene, seed, block)
     if "clipped_at" in drawn.parameters:
         clip(frames, drawn.parameters["clipped_at"] * peak)
     sensor.digitise(frames, scene.sampling.sampling_rate)
     return frames
-
-
-def _noise(scene: Scene, drawn: Draw, seed: int, block: int, dtype: DTypeLike, peak: Floats) -> NDArray[Any]:
-    shape = (len(drawn.labels), scene.sampling.samples)
-    if not scene.sensor.noisy:
-        return np.zeros(shape, dtype)
-    noise = np.empty(shape, np.float32)
-    generator(seed, NOISE, block).standard_normal(dtype=np.float32, out=noise)
-    level = scene.sensor.noise_level(peak, scene.sampling.sampling_rate)[:, None]
-    if noise.dtype == dtype:
-        noise *= level.astype(np.float32)
-        return noise
-    return noise.astype(np.float64) * level
 
 
 def add_pulses(frames: NDArray[Any], scene: Scene, drawn: Draw) -> None:

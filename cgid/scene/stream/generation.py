@@ -11,7 +11,7 @@ from cgid import validation
 from cgid.errors import CannotCreate, InvalidValue
 from cgid.scene.background_noise import background_of
 from cgid.scene.generation import attributes_of
-from cgid.scene.randomness import generator
+from cgid.scene.randomness import require_seed
 from cgid.scene.scene import Scene
 from cgid.scene.stream.capacity import require_capacity
 from cgid.scene.stream.synthesis import parts_of_recording, samples_of
@@ -74,7 +74,7 @@ def generate_recordings(
             "for a folder"
         )
     validation.choice("dtype", dtype, ("float32", "float64"))
-    generator(seed, 0, 0)  # says what is wrong with a seed
+    require_seed(seed)
     require_capacity(scene, dtype)
     background_of(scene)
     path = check_output(path, overwrite, ours=OURS)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from cgid import validation
 from cgid.errors import InvalidValue
 from cgid.scene.background_noise import CHUNK, Background, background_of
-from cgid.scene.randomness import NOISE, generator
+from cgid.scene.noise import add_noise
 from cgid.scene.scene import Scene
 from cgid.scene.sensor import Sensor
 from cgid.scene.stream.arrivals import arrivals_of
@@ -142,9 +142,8 @@ class _Chain:
         """Take the next chunk off the axis and return it as it is recorded."""
         samples = axis.taken((chunk + 1) * CHUNK)
         if self.sensor.noisy:
-            draws = generator(self.seed, NOISE, chunk, self.number)
-            level = float(self.sensor.noise_level(np.zeros(()), self.sampling_rate))
-            samples += level * draws.standard_normal(CHUNK, dtype=np.float32).astype(np.float64)
+            level = self.sensor.noise_level(np.zeros(1), self.sampling_rate)
+            add_noise(samples[None], level, self.seed, self.number, first_sample=chunk * CHUNK)
         if self.background is not None:
             samples += self.background.in_recording(self.seed, self.number, chunk)
         self.sensor.digitise(samples, self.sampling_rate, first=chunk * CHUNK)
