@@ -164,8 +164,9 @@ def _cardinal(rule: Collocation, at: float, out: Array) -> None:
             return
         out[k] = rule.barycentric[k] / distance
         total += out[k]
+    total = 1.0 / total
     for k in range(out.size):
-        out[k] /= total
+        out[k] *= total
 
 
 @_jit
@@ -805,7 +806,10 @@ def _quantity(step: Array, first: int, last: int, tau: float) -> float:
     """Return force or displacement, zero between two contacts."""
     share = (tau - step[START]) / step[LENGTH]
     if share >= 1.0:
-        return 0.0
+        # By rounding a time just before the next step may be the end of this one.
+        if step[KIND] == TO_SEPARATION or share > 1.0 + 1e-12:
+            return 0.0
+        share = 1.0
     if step[KIND] == FROM_TOUCH:
         share = math.sqrt(share)
     elif step[KIND] == TO_SEPARATION:
