@@ -34,6 +34,8 @@ QUIET_MARGIN = 1e-3
 EARLY_TIME = 2e-3
 #: Levels end so far below the whole energy: what is less is rounding, not vibration.
 LOWEST_SHARE = 1e-12
+#: What is smaller has no fourth power that is a number.
+SMALLEST_PEAK = 1e-75
 #: The strong part of an event holds this share of its energy.
 STRONG_SHARE = 0.9
 
@@ -325,7 +327,7 @@ class VibrationBatch:
         found: dict[int, str] = {}
         for row in np.flatnonzero(np.ptp(self.samples, axis=1) == 0):
             found[int(row)] = f"no impact: all samples are {self.samples[row, 0]:g}; check the sensor and its cable"
-        for row in np.flatnonzero(~(self.peak > self.detection_limit * self.noise) | ~(self.peak > 0)):
+        for row in np.flatnonzero(~(self.peak > self.detection_limit * self.noise) | ~(self.peak > SMALLEST_PEAK)):
             found.setdefault(
                 int(row),
                 f"no impact: the signal must leave its baseline by {self.detection_limit:g} times the noise, it does "

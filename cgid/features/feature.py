@@ -50,7 +50,8 @@ class Feature:
 
     def unit_for(self, signal_unit: str) -> str:
         """Return the unit when the signal is in `signal_unit`."""
-        return self.unit.replace("U", signal_unit)
+        compound = self.unit != "U" and not signal_unit.isalpha()
+        return self.unit.replace("U", f"({signal_unit})" if compound else signal_unit)
 
     @property
     def linear(self) -> bool:
