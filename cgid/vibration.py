@@ -178,16 +178,22 @@ class VibrationBatch:
         sums = np.append(0.0, np.cumsum(self._window**2))
         return np.asarray(self.noise**2 * sums[self.n_event] / self.sampling_rate)
 
-    @cached_property
-    def _clean_square(self) -> Floats:
-        """Square of the event, that of the noise taken off."""
-        inside = np.arange(self.event.shape[1]) < self.n_event[:, None]
-        return np.asarray(self.event**2 - np.where(inside, (self.noise**2)[:, None], 0.0))
+    def _running_energy(self, weight: Floats) -> Floats:
+        """Return the energy of the event up to each sample under a weight [unit^2 s], that of the noise taken off.
+
+        At most half of the energy is taken off: before touch, the blow before may still have rung.
+        """
+        square = self.event**2 * weight
+        share = np.append(0.0, np.cumsum(weight))[self.n_event]
+        noise = np.minimum(self.noise**2, 0.5 * square.sum(axis=1) / share)
+        inside = np.arange(square.shape[1]) < self.n_event[:, None]
+        square -= np.where(inside, noise[:, None] * weight, 0.0)
+        return np.asarray(np.cumsum(square, axis=1, out=square)) / self.sampling_rate
 
     @cached_property
     def _growth(self) -> Floats:
-        """Energy of the windowed event up to each sample, that of the noise taken off [unit^2 s]."""
-        return np.cumsum(self._clean_square * self._window**2, axis=1) / self.sampling_rate
+        """Energy of the windowed event up to each sample, (n_signals, n_samples)."""
+        return self._running_energy(self._window**2)
 
     def rise(self, share: float) -> Floats:
         """Return the time from the onset until a share of the windowed energy has come [s]."""
@@ -254,7 +260,7 @@ class VibrationBatch:
         Schroeder's backward integral of the event without window, the noise taken off. It ends with the frame: a
         vibration that goes on behind it comes out too short.
         """
-        running = np.cumsum(self._clean_square, axis=1)
+        running = self._running_energy(np.ones(self.event.shape[1]))
         five, fifteen = (_passage(running, 1 - 10**-fall) for fall in (0.5, 1.5))
         return np.asarray(6 * np.maximum(fifteen - five, 1.0) / self.sampling_rate)
 

@@ -237,6 +237,18 @@ def test_decay_is_measured_through_noise():
     assert found.std() < 0.05 * found.mean()
 
 
+def test_ringing_before_touch_is_no_reason_for_nonsense():
+    """What is before touch may be as strong as the blow: half the energy is left at least."""
+    samples = damped_sinusoid(1000, 0.02, amplitude=3.0) + np.random.default_rng(9).normal(0, 1.0, (50, N_SAMPLES))
+    louder = samples.copy()
+    louder[:, :PRE_TRIGGER] *= 3
+    names = ["decay_time", "energy_rise_50", "energy_rise_90", "strong_rms"]
+    found = extract_array(louder, RATE, names, pre_trigger=PRE_TRIGGER, detection_limit=1.0)
+    assert (found[:, 0] > 0.01).all()
+    assert (found[:, 2] > found[:, 1]).all()
+    assert found[:, 3] == pytest.approx(np.full(50, 2.0), rel=0.4)
+
+
 # -- gain, sign, length ---------------------------------------------------------------------------------------
 
 
