@@ -69,11 +69,9 @@ def main() -> None:
         judged_on=scenes[0].sha256,
         selection=selection,
     )
+    told = training.model.training | {"domain_shift": domain_shift(training.model)}
     if arguments.acceleration:
-        more = {"beside_force": beside_force(training.model, scenes[0])}
-    else:
-        more = {"domain_shift": domain_shift(training.model)}
-    told = training.model.training | more
+        told |= {"beside_force": beside_force(training.model, scenes[0])}
     for path in write_model(replace(training, model=replace(training.model, training=told)), output, plots=True):
         print(path)
     low, high = training.metrics["accuracy_interval_95"]
