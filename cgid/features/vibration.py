@@ -10,7 +10,7 @@ from cgid.features.feature import Feature
 from cgid.validation import Floats
 from cgid.vibration import EARLY_TIME, WINDOW_TIME, VibrationBatch
 
-#: Nominal mid-band frequencies of the third-octave bands [Hz] (IEC 61260-1:2014, table E.1), as in their names.
+#: Nominal mid-band frequencies of the third-octave bands [Hz] (IEC 61260-1:2014), as in their names.
 THIRD_OCTAVES = (
     *("31.5", "40", "50", "63", "80", "100", "125", "160", "200", "250", "315", "400", "500"),
     *("630", "800", "1000", "1250", "1600", "2000", "2500", "3150", "4000", "5000", "6300", "8000", "10000"),
@@ -25,7 +25,7 @@ _LEAST_BANDWIDTH = 1000.0
 
 _IEC = "IEC 61260-1:2014 (exact mid-band frequencies, base ten, ideal edges)"
 _PEETERS = "Peeters 2004, CUIDADO report (spectral shape)"
-_SCHROEDER = "Schroeder 1965 (backward integral); ISO 3382-1 (fall from -5 to -15 dB, times 6)"
+_SCHROEDER = "Schroeder 1965 (backward integral); as T20 of ISO 3382-1, but from -5 to -15 dB, times 6"
 _WINDOWED = f"event x exp(-t/{WINDOW_TIME * 1e3:g} ms), the exponential window of impact testing (Fladung & Rost 1997)"
 
 
@@ -100,7 +100,7 @@ def _bands() -> list[Feature]:
     absolute, relative = [], []
     for number, middle in enumerate(THIRD_OCTAVES):
         name, edges = f"level_{middle}_hz", band_edges(number)
-        definition = f"log10 of the energy in the third octave at {middle} Hz, noise taken off, of the {_WINDOWED}"
+        definition = f"log10 of the energy in the third octave at {middle} Hz, windowed as for level_total"
         absolute.append(_band(name, "log10(U^2 s)", definition, number, _level(*edges)))
         definition = f"{name} minus level_total: the gain of the sensor cancels"
         relative.append(_band(f"relative_{name}", "1", definition, number, _relative_level(*edges)))
@@ -163,7 +163,7 @@ VIBRATION_FEATURES = (
     _vibration(
         "level_total",
         "log10(U^2 s)",
-        f"log10 of the energy of the {_WINDOWED}",
+        f"log10 of the energy, noise taken off, of the {_WINDOWED}",
         "signal energy",
         lambda v: v.total_level,
     ),
