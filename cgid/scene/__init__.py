@@ -1,9 +1,21 @@
 """Many impacts and what senses them: a scene file, its populations, its signals."""
 
+from cgid.scene.calibration import Blow, Calibration, calibrated
 from cgid.scene.generation import generate
 from cgid.scene.scene import Scene, load_scene, parse_scene
 from cgid.scene.sensor import Sensor
 from cgid.scene.synthesis import synthesise
 from cgid.scene.variation import varied
 
-__all__ = ["Scene", "Sensor", "generate", "load_scene", "parse_scene", "synthesise", "varied"]
+__all__ = [
+    "Blow",
+    "Calibration",
+    "Scene",
+    "Sensor",
+    "calibrated",
+    "generate",
+    "load_scene",
+    "parse_scene",
+    "synthesise",
+    "varied",
+]
