@@ -1,5 +1,6 @@
 """Many impacts and what senses them: a scene file, its populations, its signals."""
 
+from cgid.scene.calibration import Blow, Calibration, calibrated
 from cgid.scene.generation import generate
 from cgid.scene.scene import Scene, load_scene, parse_scene
 from cgid.scene.sensor import Sensor
@@ -9,8 +10,11 @@ from cgid.scene.synthesis import synthesise
 from cgid.scene.variation import varied
 
 __all__ = [
+    "Blow",
+    "Calibration",
     "Scene",
     "Sensor",
+    "calibrated",
     "generate",
     "generate_recordings",
     "load_scene",

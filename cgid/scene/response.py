@@ -64,14 +64,18 @@ class BeamModes:
 
 @dataclass(frozen=True)
 class Hearing:
-    """The response of a scene's recorder; `modes` is None for a force."""
+    """The response of a scene's recorder; `modes` is None for a force, which has no gain either."""
 
     response: Response
     modes: BeamModes | None
+    gain: float | None = None
 
     def participation(self, parameters: Mapping[str, Floats]) -> Floats | None:
-        """Return how strongly each blow drives each mode as the sensor sees it, (n, n_modes) [1/kg]."""
-        return None if self.modes is None else self.modes.participation(parameters)
+        """Return how strongly each blow drives each mode as the recorder shows it, (n, n_modes) [1/kg]."""
+        if self.modes is None:
+            return None
+        participation = self.modes.participation(parameters)
+        return participation if self.gain is None else self.gain * participation
 
 
 @lru_cache(maxsize=16)
@@ -88,7 +92,7 @@ def hearing(scene: Scene) -> Hearing | None:
         filters=sensor.filters,
         tolerance=TOLERANCE,
     )
-    return Hearing(response, modes)
+    return Hearing(response, modes, sensor.gain)
 
 
 def beam_modes(scene: Scene) -> BeamModes:

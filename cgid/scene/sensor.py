@@ -45,8 +45,9 @@ class AntiAlias(_Part):
 class Sensor(_Part):
     """A sensor and its recorder.
 
-    The order is that of a measuring chain: mounting, anti-alias filter or bandwidth, noise, offset and drift, range,
-    bits. Each stage is off when left out. Levels are in the unit of the quantity, as numbers or strings with a unit.
+    The order is that of a measuring chain: mounting, anti-alias filter or bandwidth, gain, noise, offset and drift,
+    range, bits. Each stage is off when left out. Levels are in the unit of the quantity, as numbers or strings with a
+    unit.
 
     Parameters
     ----------
@@ -59,6 +60,9 @@ class Sensor(_Part):
     bandwidth : float, optional
         Edge of a zero-phase low-pass [Hz], gain 1/2 there, with a raised-cosine edge half as wide; in place of an
         anti-alias filter.
+    gain : float, optional
+        What a motion of the beam is multiplied by, below 0 for a sensor the other way up: what `calibrated` finds
+        between recordings and a beam known by its sizes. It changes nothing of how the beam gives way to a rock.
     relative_noise : float
         Standard deviation of the white noise over the largest sample of each signal; for a force over the true peak.
     absolute_noise : float
@@ -81,6 +85,7 @@ class Sensor(_Part):
     absolute_noise: Level = 0.0
     noise_density: Level | None = None
     bandwidth: Frequency | None = None
+    gain: Number | None = Field(default=None, ge=-1e9, le=1e9)
     offset: Number | None = Field(default=None, ge=-1e15, le=1e15)
     drift: Number | None = Field(default=None, ge=-1e15, le=1e15)
     range: Level | None = Field(default=None, ge=1e-9)
@@ -100,6 +105,10 @@ class Sensor(_Part):
             raise ValueError("bits must come with range: without a full scale there is no step")
         if self.bandwidth is not None and self.anti_alias is not None:
             raise ValueError("must have either bandwidth (zero phase) or anti_alias (causal), and not both")
+        if self.gain is not None and self.quantity == "force":
+            raise ValueError("gain must be left out for a force, it is that of a motion of the beam")
+        if self.gain == 0:
+            raise ValueError("gain must not be 0, where nothing is heard; leave it out for a gain of 1")
         return self
 
     @property

@@ -1,0 +1,274 @@
+"""One blow of a calibration: what was recorded of it, and what made it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cgid import validation
+from cgid.errors import BadData, InvalidValue
+from cgid.impact import Impact
+from cgid.impact.response import LowPass, Pulses, Resonance
+from cgid.scene.scene import Scene
+from cgid.signals import STANDARD_GRAVITY, Signal
+from cgid.validation import Floats
+
+#: A blow is cut out of its recording with so many samples before it and, at most, behind it.
+_BEFORE, _BEHIND = 32, 1 << 15
+#: Samples that must be there before a blow: its noise and the offset are seen there.
+_QUIET = 8
+#: A hammer's force is taken from where it first passes this share of its peak, or so many times its noise, to where
+#: it last does, with so many samples beside it, on the outer ones of which it is brought to zero.
+_FORCE_FLOOR, _NOISE_FLOOR, _MARGIN, _TAPER = 1e-3, 4.0, 8, 3
+#: Below so many times the noise no peak is a blow.
+_STANDS_OUT = 8.0
+#: Samples between the hammer's channel and the sensor's, at most.
+_CHANNELS_APART = 4.0
+#: A drop may have touched so many samples, and this share of its contact, before its motion is first seen.
+_UNSEEN, _UNSEEN_SHARE = 8.0, 0.5
+#: What is kept of the flight after a drop: the sphere falls again.
+_FLIGHT = 0.8
+#: A filter has calmed down after so many of its time constants.
+_CALM = 3.0
+#: Points of the interpolated force for each recorded one.
+_FINER = 8
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Blow:
+    """One blow on a tail beam: the recorded motion, and the force that made it or the drop that did.
+
+    Parameters
+    ----------
+    motion : Signal
+        Of the scene's sensor, with a quiet stretch before the blow.
+    force : Signal, optional
+        Recorded beside it by the hammer, on the same clock and equally long, above 0 where it pushes.
+    impact : Impact, optional
+        In place of it a drop of known mass: one impact, as on `scene.body`, from `free_fall_velocity` of its height.
+    impact_point : tuple of float, optional
+        Where it fell, x and y [m]; that of the scene by default, if it is one place.
+    force_filtered : bool
+        Whether the force went through an anti-alias filter (or bandwidth) like the motion's, as both channels of one
+        recorder do. Then it is the same on both sides and leaves the balance.
+
+    Raises
+    ------
+    InvalidValue
+        Force and impact both or neither, a force that is none or has other samples, more than one impact.
+    """
+
+    motion: Signal
+    force: Signal | None = None
+    impact: Impact | None = None
+    impact_point: tuple[float, float] | None = None
+    force_filtered: bool = True
+
+    def __post_init__(self) -> None:
+        validation.instance("motion", self.motion, Signal)
+        if (self.force is None) == (self.impact is None):
+            raise InvalidValue("a blow must have either force or impact, what made the motion, and not both")
+        if self.impact_point is not None and validation.real("impact_point", self.impact_point, "m").shape != (2,):
+            raise InvalidValue(f"impact_point must be x and y [m], got {self.impact_point!r}")
+        if self.force is not None:
+            self._require_force(self.force)
+        if self.impact is not None:
+            validation.instance("impact", self.impact, Impact)
+            if self.impact.contact_duration.size != 1:
+                raise InvalidValue(f"impact must be one, got {self.impact.contact_duration.size}; give each its Blow")
+
+    def _require_force(self, force: Signal) -> None:
+        validation.instance("force", force, Signal)
+        if force.quantity != "force":
+            raise InvalidValue(f"{force.name}: force must be in N or another unit of force, got {force.unit!r}")
+        if force.sampling_rate != self.motion.sampling_rate or len(force.samples) != len(self.motion.samples):
+            raise InvalidValue(
+                f"{force.name}: force must have the samples of its motion, {len(self.motion.samples)} at "
+                f"{self.motion.sampling_rate:g} Hz, got {len(force.samples)} at {force.sampling_rate:g} Hz"
+            )
+
+
+@dataclass(frozen=True)
+class Struck:
+    """A blow made ready: cut out, over its largest sample and without its mean.
+
+    Attributes
+    ----------
+    samples : ndarray, (n_samples,)
+    first : int
+        Sample of the recording on which the cut begins.
+    level : float
+        What they were divided by, in the SI unit of the sensor.
+    pulse : Pulses
+        The force, one row or as many as are asked.
+    onset : float
+        Sample of the cut on which it begins, as far as one can see; it may be off by one of `shifts`.
+    shifts : ndarray, (n_shifts,)
+        [samples].
+    decay : int
+        From this sample on the beam rings freely.
+    filters : tuple of Resonance and LowPass
+        What is between this force and the recorded motion beside the beam.
+    limited : bool
+        Whether the sensor's zero-phase low-pass is, too.
+    """
+
+    samples: Floats
+    first: int
+    level: float
+    pulse: Pulses
+    onset: float
+    shifts: Floats
+    decay: int
+    filters: tuple[Resonance | LowPass, ...]
+    limited: bool
+
+
+def made_ready(scene: Scene, blow: Blow) -> Struck:
+    """Return a blow cut out of its recording.
+
+    Raises
+    ------
+    InvalidValue
+        Quantity or rate are not those of the scene.
+    BadData
+        The recording is clipped, begins too late, or no blow stands out of it.
+    """
+    motion, sensor, rate = blow.motion, scene.sensor, scene.sampling.sampling_rate
+    if motion.quantity != sensor.quantity:
+        raise InvalidValue(
+            f"{motion.name}: motion must be {sensor.quantity} in {sensor.unit} or alike, as the sensor of scene "
+            f"{scene.name}, got {motion.quantity or 'no unit'}"
+        )
+    if abs(motion.sampling_rate / rate - 1) > 1e-9:
+        raise InvalidValue(
+            f"{motion.name}: sampling_rate must be that of scene {scene.name}, {rate:g} Hz, got "
+            f"{motion.sampling_rate:g} Hz; change the scene with varied(scene, sampling_rate=...) or resample"
+        )
+    samples = np.asarray(motion.in_si().samples, np.float64)
+    highest = np.abs(samples).max()
+    if sensor.range is not None and highest >= 0.999 * sensor.range:
+        raise BadData(
+            f"{motion.name}: motion must stay within the range of {sensor.range:g} {sensor.unit}; tap lighter"
+        )
+    filters = sensor.filters
+    if blow.force is not None:
+        start, stop, pulse = _hammered(blow.force, rate)
+        onset, shifts = float(start), np.arange(-_CHANNELS_APART, _CHANNELS_APART + 0.25, 0.5)
+        last = len(samples)
+        if blow.force_filtered:
+            filters = tuple(part for part in filters if isinstance(part, Resonance))
+    else:
+        assert blow.impact is not None
+        onset, lasts = float(_first_motion(samples, motion.name)), blow.impact.contact_duration.item() * rate
+        shifts = np.arange(-_UNSEEN - _UNSEEN_SHARE * lasts, _CHANNELS_APART, 0.5)
+        pulse, stop = _Repeated(blow.impact), int(np.ceil(onset + lasts))
+        flight = 2 * blow.impact.rebound_velocity.item() / STANDARD_GRAVITY
+        last = stop + int(_FLIGHT * flight * rate)
+    first = max(int(onset) - _BEFORE, 0)
+    calm = max((float(-_CALM * rate / part.poles.real.max()) for part in filters), default=0.0)
+    cut = samples[first : min(last, int(onset) + _BEHIND)]
+    level = float(np.abs(cut).max())
+    _require_noise_below(cut[: int(onset) - first], level, motion.name)
+    return Struck(
+        samples=(cut - cut.mean()) / level,
+        first=first,
+        level=level,
+        pulse=pulse,
+        onset=onset - first,
+        shifts=shifts,
+        decay=stop + int(np.ceil(calm)) - first,
+        filters=filters,
+        limited=sensor.bandwidth is not None and not (blow.force is not None and blow.force_filtered),
+    )
+
+
+def _require_noise_below(before: Floats, level: float, name: str) -> None:
+    noise = float(before.std()) if before.size >= 2 else 0.0
+    if not level > _STANDS_OUT * noise:
+        raise BadData(
+            f"{name}: motion must stand out of its noise {_STANDS_OUT:g} times, its peak is {level:.3g} over a noise "
+            f"of {noise:.3g} before the blow; tap harder, or cut the recording to one blow"
+        )
+
+
+def _first_motion(samples: Floats, name: str) -> int:
+    """Return the sample before which there is noise and from which there is motion, up to the largest one.
+
+    Where two stretches of white noise, each with its own variance, are likeliest to meet: Maeda (1985), Zisin 38, 365.
+    """
+    peak = int(np.argmax(np.abs(samples)))
+    if peak < 2 * _QUIET:
+        raise BadData(
+            f"{name}: motion must begin {2 * _QUIET} samples or more before its peak, got {peak}; leave a quiet "
+            "stretch before the blow"
+        )
+    squares = np.cumsum(np.square(samples[: peak + 1] - np.median(samples[: peak // 2 + 1])))
+    k = np.arange(_QUIET, peak)
+    floor = 1e-12 * squares[-1]
+    before, behind = squares[k - 1] + floor, squares[-1] - squares[k - 1] + floor
+    return int(k[np.argmin(k * np.log(before / k) + (peak + 1 - k) * np.log(behind / (peak + 1 - k)))])
+
+
+def _hammered(force: Signal, rate: float) -> tuple[int, int, Pulses]:
+    """Return the first sample of a hammer's force, the one behind it, and the force itself."""
+    samples = np.asarray(force.in_si().samples, np.float64)
+    samples = samples - np.median(samples)
+    peak, lowest = float(samples.max()), float(-samples.min())
+    # Most of a recording is without force: its median is no part of the blow.
+    noise = 1.4826 * float(np.median(np.abs(samples)))
+    if not max(peak, lowest) > _STANDS_OUT * noise:
+        raise BadData(
+            f"{force.name}: force must rise {_STANDS_OUT:g} times above its noise of {noise:.3g} N, its peak is "
+            f"{peak:.3g} N; check the hammer's channel"
+        )
+    if lowest > peak:
+        raise BadData(f"{force.name}: force must be above 0 where it pushes, its peak is below; use Signal.inverted()")
+    strong = np.flatnonzero(np.abs(samples) > max(_NOISE_FLOOR * noise, _FORCE_FLOOR * peak))
+    # Noise passes its floor now and then, far from the blow: what is a stretch of quiet away from the rest is left out.
+    at = int(np.searchsorted(strong, np.argmax(samples)))
+    gaps = np.diff(strong) > 2 * _MARGIN
+    begins = np.flatnonzero(gaps[:at])
+    ends = np.flatnonzero(gaps[at:])
+    start = int(strong[begins[-1] + 1 if begins.size else 0]) - _MARGIN
+    stop = int(strong[at + ends[0] if ends.size else -1]) + _MARGIN + 1
+    if start < 0 or stop > len(samples):
+        raise BadData(f"{force.name}: force must rise and fall within the recording, {_MARGIN} samples off its ends")
+    rise = 0.5 - 0.5 * np.cos(np.pi * (np.arange(_TAPER) + 0.5) / _TAPER)
+    window = np.concatenate([rise, np.ones(stop - start - 2 * _TAPER), rise[::-1]])
+    return start, stop, _RecordedForce(window * samples[start:stop], rate)
+
+
+class _Repeated:
+    """One impact as often as there are frames."""
+
+    def __init__(self, impact: Impact) -> None:
+        self._impact = impact
+        self.contact_duration = impact.contact_duration.reshape(1)
+
+    def add_to_frames(self, frames: NDArray[Any], sampling_rate: Any, onset: Any, *, tolerance: float) -> None:
+        """Add the force to each frame."""
+        self._impact.add_to_frames(frames, sampling_rate, onset, tolerance=tolerance)
+
+
+class _RecordedForce:
+    """The force of a hammer between its samples: it has no more in it than they hold."""
+
+    def __init__(self, samples: Floats, rate: float) -> None:
+        from scipy.interpolate import CubicSpline
+        from scipy.signal import resample
+
+        self.contact_duration = np.array([(samples.size - 1) / rate])
+        # Zero on both sides, so that the transform sees no jump where the end meets the beginning.
+        padded = np.concatenate([samples, np.zeros(samples.size)])
+        finer = resample(padded, _FINER * padded.size)[: _FINER * (samples.size - 1) + 1]
+        self._force = CubicSpline(np.arange(finer.size) / (_FINER * rate), finer)
+
+    def add_to_frames(self, frames: NDArray[Any], sampling_rate: Any, onset: Any, *, tolerance: float) -> None:
+        """Add the force to each frame, from its own onset on."""
+        times = np.arange(frames.shape[1]) / np.reshape(sampling_rate, (-1, 1)) - np.reshape(onset, (-1, 1))
+        inside = (times > 0) & (times < self.contact_duration[0])
+        frames[inside] += self._force(times[inside])

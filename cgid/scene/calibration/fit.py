@@ -1,0 +1,226 @@
+"""Least squares of blows by the response of a beam and its sensor.
+
+What is linear, the participation of the modes or the gain, is solved for; what is not, frequencies, damping ratios and
+delays, is found by Gauss-Newton steps on what then remains (variable projection, Golub & Pereyra 1973, with the
+derivative of Kaufman 1975, BIT 15, 49).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from cgid.impact.response import Quantity, Resonators, Response
+from cgid.scene.calibration.blow import Struck
+from cgid.scene.calibration.free_decay import Ringing
+from cgid.scene.sensor import Sensor
+from cgid.validation import Floats
+
+#: Error of the response.
+_TOLERANCE = 1e-6
+#: Samples of a blow that its delay is looked for in.
+_ALIGNED = 2048
+#: Steps of the derivatives: frequency in half-widths of the mode, log of the damping ratio, samples.
+_STEP = 1e-3
+#: How far from its beginning a fit may go: in half-widths, in logs of the damping ratio, in samples.
+_FAR, _FAR_DAMPING, _FAR_DELAY = 3.0, 1.5, 2.0
+
+
+@dataclass(frozen=True)
+class Fit:
+    """What has been found.
+
+    Attributes
+    ----------
+    modes : Resonators
+    amounts : ndarray, (n_columns,)
+        Of the rows of participation.
+    delays : ndarray, (n_blows,)
+        [samples], from where the blow was seen to begin.
+    remains : list of ndarray
+        What is left of each blow, over its largest sample.
+    """
+
+    modes: Resonators
+    amounts: Floats
+    delays: Floats
+    remains: list[Floats]
+
+
+def columns(
+    blow: Struck, sensor: Sensor, rate: float, modes: Resonators, participation: Floats, shifts: Floats
+) -> Floats:
+    """Return what rows of participation (n_columns, n_modes) sound like, (n_shifts, n_columns, n_samples)."""
+    assert sensor.quantity != "force"
+    quantity: Quantity = sensor.quantity
+    response = Response(sampling_rate=rate, quantity=quantity, modes=modes, filters=blow.filters, tolerance=_TOLERANCE)
+    n = shifts.size * len(participation)
+    frames = np.zeros((n, blow.samples.size))
+    onset = np.repeat((blow.onset + shifts) / rate, len(participation))
+    response.add_to_frames(frames, _Rows(blow, n), onset, np.tile(participation, (shifts.size, 1)))
+    heard = sensor.limit_band(frames, rate) if blow.limited else frames
+    heard = (heard - heard.mean(axis=1, keepdims=True)) / blow.level
+    return np.asarray(heard.reshape(shifts.size, len(participation), -1), np.float64)
+
+
+class _Rows:
+    """The force of a blow as often as there are frames."""
+
+    def __init__(self, blow: Struck, n: int) -> None:
+        self.contact_duration = np.broadcast_to(blow.pulse.contact_duration, (n,))
+        self.add_to_frames = blow.pulse.add_to_frames
+
+
+def aligned(
+    blows: Sequence[Struck], sensor: Sensor, rate: float, modes: Resonators, participation: Sequence[Floats]
+) -> Floats:
+    """Return by how many samples each blow begins elsewhere, (n_blows,): the best of its shifts."""
+    squares, products, energies = [], [], []
+    for blow, rows in zip(blows, participation, strict=True):
+        short = _shortened(blow)
+        sound = columns(short, sensor, rate, modes, rows, short.shifts)
+        squares.append(np.einsum("sit,sjt->sij", sound, sound))
+        products.append(np.einsum("sit,t->si", sound, short.samples))
+        energies.append(float((short.samples**2).sum()))
+    explained = [np.einsum("si,si->s", h, _solved(g, h)) for g, h in zip(squares, products, strict=True)]
+    clearest = int(np.argmax([part.max() / energy for part, energy in zip(explained, energies, strict=True)]))
+    best = int(np.argmax(explained[clearest]))
+    amounts = _solved(squares[clearest][best], products[clearest][best])
+    # Half a period later with the other sign looks much alike: the others follow the clearest one's sign.
+    for _ in range(3):
+        places = [
+            int(np.argmin(np.einsum("i,sij,j->s", amounts, g, amounts) - 2 * h @ amounts))
+            for g, h in zip(squares, products, strict=True)
+        ]
+        amounts = _solved(
+            sum(g[place] for g, place in zip(squares, places, strict=True)),
+            sum(h[place] for h, place in zip(products, places, strict=True)),
+        )
+    return np.array([blow.shifts[place] for blow, place in zip(blows, places, strict=True)])
+
+
+def _shortened(blow: Struck) -> Struck:
+    samples = blow.samples[:_ALIGNED]
+    return replace(blow, samples=samples - samples.mean())
+
+
+def _solved(squares: Floats, products: Floats) -> Floats:
+    """Return the amounts of least squares; two columns that are one share theirs."""
+    return np.asarray((np.linalg.pinv(squares, rcond=1e-12, hermitian=True) @ products[..., None])[..., 0])
+
+
+@dataclass(frozen=True)
+class _Model:
+    """All blows by modes that may move; see `refined`."""
+
+    blows: Sequence[Struck]
+    sensor: Sensor
+    rate: float
+    modes: Resonators
+    participation: Sequence[Floats]
+    free: bool
+
+    @property
+    def n_moved(self) -> int:
+        return self.modes.frequency.size if self.free else 0
+
+    def at(self, unknowns: Floats) -> Resonators:
+        """Return the modes for unknowns: frequencies, damping ratios, delays."""
+        if not self.free:
+            return self.modes
+        n, f, zeta = self.n_moved, self.modes.frequency, self.modes.damping_ratio
+        return Ringing(f * (1 + zeta * unknowns[:n]), zeta * np.exp(unknowns[n : 2 * n]))
+
+    def sound(self, unknowns: Floats) -> Floats:
+        """Return all columns one blow behind the other, (n_samples, n_columns)."""
+        modes, delays = self.at(unknowns), unknowns[2 * self.n_moved :]
+        parts = [
+            columns(blow, self.sensor, self.rate, modes, rows, delay)[0]
+            for blow, rows, delay in zip(self.blows, self.participation, delays[:, None], strict=True)
+        ]
+        return np.concatenate(parts, axis=1).T
+
+    @property
+    def samples(self) -> Floats:
+        return np.concatenate([blow.samples for blow in self.blows])
+
+    def amounts(self, unknowns: Floats) -> tuple[Floats, Floats]:
+        """Return the amounts of the columns, and what remains."""
+        sound = self.sound(unknowns)
+        amounts = np.asarray(np.linalg.lstsq(sound, self.samples, rcond=None)[0], np.float64)
+        return amounts, self.samples - sound @ amounts
+
+    def derivative(self, unknowns: Floats) -> Floats:
+        """Return how what remains changes with each unknown, (n_samples, n_unknowns)."""
+        sound = self.sound(unknowns)
+        basis, triangle = np.linalg.qr(sound)
+        amounts = np.linalg.lstsq(triangle, basis.T @ self.samples, rcond=None)[0]
+        slopes = []
+        n = self.n_moved
+        # A column hangs on its own mode alone, and a blow on its own delay: all of a kind are moved together.
+        for first in (0, n) if self.free else ():
+            slopes.append((self.sound(_moved(unknowns, first, first + n)) - sound) / _STEP * amounts)
+        late = (self.sound(_moved(unknowns, 2 * n, unknowns.size)) - sound) @ amounts / _STEP
+        edges = np.cumsum([0, *(blow.samples.size for blow in self.blows)])
+        delays = np.zeros((late.size, len(self.blows)))
+        for number in range(len(self.blows)):
+            part = slice(edges[number], edges[number + 1])
+            delays[part, number] = late[part]
+        slope = np.concatenate([*slopes, delays], axis=1)
+        return np.asarray(basis @ (basis.T @ slope) - slope)
+
+
+def _moved(unknowns: Floats, first: int, last: int) -> Floats:
+    moved = unknowns.copy()
+    moved[first:last] += _STEP
+    return moved
+
+
+def refined(
+    blows: Sequence[Struck],
+    sensor: Sensor,
+    rate: float,
+    modes: Resonators,
+    participation: Sequence[Floats],
+    delays: Floats,
+    *,
+    free: bool,
+) -> Fit:
+    """Return the least squares of all blows from a first guess.
+
+    Parameters
+    ----------
+    blows : sequence of Struck
+    sensor, rate
+        Of the scene.
+    modes : Resonators
+        First guess, or what is known.
+    participation : sequence of ndarray, (n_columns, n_modes)
+        For each blow, of what amounts are looked for: the unit matrix for each mode by itself.
+    delays : ndarray, (n_blows,)
+        First guess [samples].
+    free : bool
+        Whether frequencies and damping ratios are looked for, too.
+    """
+    from scipy.optimize import least_squares
+
+    model = _Model(blows, sensor, rate, modes, participation, free)
+    n = model.n_moved
+    damped = np.minimum(_FAR_DAMPING, np.log(0.95 / modes.damping_ratio[:n]))
+    far = np.concatenate([np.full(n, _FAR), damped, np.full(delays.size, _FAR_DELAY)])
+    lowest = np.concatenate([np.full(n, -_FAR), np.full(n, -_FAR_DAMPING), np.full(delays.size, -_FAR_DELAY)])
+    start = np.concatenate([np.zeros(2 * n), delays])
+    found = least_squares(
+        lambda unknowns: model.amounts(unknowns)[1],
+        start,
+        model.derivative,
+        bounds=(start + lowest, start + far),
+        xtol=1e-8,
+        ftol=1e-8,
+        max_nfev=60,
+    ).x
+    amounts, rest = model.amounts(found)
+    edges = np.cumsum([blow.samples.size for blow in blows])[:-1]
+    return Fit(model.at(found), amounts, found[2 * n :], np.split(rest, edges))

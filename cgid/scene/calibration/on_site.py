@@ -1,0 +1,297 @@
+"""A scene as blows on the real beam say it is."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from cgid import validation
+from cgid.errors import BadData, InvalidValue
+from cgid.impact.response import Resonators
+from cgid.scene.beam import TailBeamSection
+from cgid.scene.calibration.blow import Blow, Struck, made_ready
+from cgid.scene.calibration.fit import Fit, aligned, columns, refined
+from cgid.scene.calibration.free_decay import Ringing, ringing_modes
+from cgid.scene.response import beam_modes
+from cgid.scene.scene import Scene, parse_scene
+from cgid.validation import Floats
+
+#: Without an anti-alias filter or a bandwidth modes are looked for up to this share of the sampling rate.
+_HEARD = 0.45
+#: Samples of free ringing for each mode, and in any case.
+_SAMPLES_A_MODE, _LEAST_SAMPLES = 8, 64
+#: A blow that is explained less than this has been made by something else.
+_LEAST_EXPLAINED = 0.02
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Calibration:
+    """A calibrated scene, and how well it explains the blows.
+
+    Attributes
+    ----------
+    scene : Scene
+        With `sensor.gain`, or with the modes found in `tail_beam.modes`.
+    gain : float
+        Recorded over synthesised; 1 where modes were looked for, whose participation holds it.
+    explained : ndarray, (n_blows,)
+        Share of each recording's energy about its mean that the scene explains.
+    delays : ndarray, (n_blows,)
+        [s] For a hammer by how much the motion's channel is behind the force's; for a drop the time of touch in the
+        recording.
+    """
+
+    scene: Scene
+    gain: float
+    explained: Floats
+    delays: Floats
+
+
+def calibrated(
+    scene: Scene, blows: Sequence[Blow], *, modes: int | None = None, band: tuple[float, float] | None = None
+) -> Calibration:
+    """Return a scene whose gain or modes are those of recorded blows: a tap test, or drops of known mass.
+
+    With neither `modes` nor `band` the beam of the scene stays as it is, and `sensor.gain` becomes the factor between
+    recordings and what the scene makes of the same blows, by least squares over all samples. Every recording counts
+    the same, over its largest sample; its own offset and delay are found and left out. Noise in a hammer's channel
+    goes into the gain: some .7 % a blow where it is 1 % of the peak of a contact of 5 to 10 samples.
+
+    With `modes` or `band` the beam is measured. Poles come from the free ringing of all blows together, then
+    frequencies, damping ratios, delays and real participations from least squares over the whole recordings, contact
+    and sensor chain included. All blows must fall on one place.
+
+    Participation is `shape_impact shape_sensor / modal_mass`, and all that such blows can say. It is written with
+    `shape_impact` 1, `shape_sensor` 1 or -1 and `modal_mass` one over its size, so that signals of taps do not hang on
+    how it is split. How far the beam gives way under a rock does: by `shape_impact^2 / modal_mass`, which is then the
+    size of the participation. That is right for blows beside the sensor itself. Elsewhere it takes the beam to be as
+    yielding there as at the sensor, on average over modes as good a guess as any; where a mode has a node near the
+    sensor it is too stiff. Who has blows at both places takes the masses of those at the impact point, and keeps the
+    participation by `shape_sensor`. A recorder whose scale is off shifts the masses with it.
+
+    Parameters
+    ----------
+    scene : Scene
+        Of a motion, with a beam: its sensor is that of the recordings but for the gain.
+    blows : sequence of Blow
+    modes : int, optional
+        How many modes to look for, the loudest ones. Too few leave the others in the recordings, which shifts those
+        that are near to them.
+    band : tuple of float, optional
+        Modes from here to there are kept [Hz]; without `modes` all that stand out of the noise.
+
+    Returns
+    -------
+    Calibration
+
+    Raises
+    ------
+    InvalidValue
+        No blows, blows on several places for modes, a quantity, rate or band that is not the scene's.
+    BadData
+        A recording is too short or too noisy, clipped or begins too late; the blows do not explain what was recorded.
+
+    Examples
+    --------
+    A tap test with an instrumented hammer. Here the scene of a beam with two modes is the beam itself, and its
+    sensor of force the hammer:
+
+    >>> from cgid.scene import Blow, calibrated, parse_scene, synthesise, varied
+    >>> from cgid.signals import Signal
+    >>> mode = {"damping_ratio": 0.02, "modal_mass": "300 kg", "shape_impact": 0.8, "shape_sensor": 0.6}
+    >>> beam = parse_scene(
+    ...     {
+    ...         "name": "beam",
+    ...         "impact": {"stiffness": "hertz", "dissipation": "elastic", "target": {"youngs_modulus": "210 GPa"}
+    ...             | {"poisson_ratio": 0.3}},
+    ...         "tail_beam": {"modes": [mode | {"frequency": "150 Hz"}, mode | {"frequency": "410 Hz"}]},
+    ...         "sampling": {"sampling_rate": "10 kHz", "samples": 1500, "pre_trigger": 100},
+    ...         "sensor": {"quantity": "acceleration", "anti_alias": {"frequency": "4 kHz"}, "relative_noise": "1 %"},
+    ...         "taps": [{"label": "hammer", "shape": "haversine", "peak_force": "2 kN", "contact_duration": "1 ms"}],
+    ...     }
+    ... )
+    >>> taps = {}
+    >>> for unit, rig in {"m/s^2": beam, "N": varied(beam, quantity="force")}.items():
+    ...     batch = next(synthesise(rig, 3, seed=1))
+    ...     taps[unit] = [Signal(samples=row, sampling_rate=10e3, unit=unit) for row in batch.signals]
+    >>> blows = [Blow(motion=motion, force=force) for motion, force in zip(taps["m/s^2"], taps["N"])]
+    >>> found = calibrated(beam, blows, modes=2)
+    >>> for row in found.scene.tail_beam.modes:
+    ...     print(f"{row.frequency:.0f} Hz, {row.damping_ratio:.3f}, {1e3 * row.shape_sensor / row.modal_mass:.2f}/t")
+    150 Hz, 0.020, 1.60/t
+    410 Hz, 0.020, 1.60/t
+    >>> bool((found.explained > 0.98).all())
+    True
+    """
+    blows = _checked(scene, blows)
+    if modes is not None:
+        validation.count("modes", modes)
+    _require_band(scene, band)
+    struck = [made_ready(scene, blow) for blow in blows]
+    if modes is None and band is None:
+        return _with_gain(scene, blows, struck)
+    return _with_modes(scene, blows, struck, modes, band)
+
+
+def _checked(scene: Scene, blows: Sequence[Blow]) -> list[Blow]:
+    validation.instance("scene", scene, Scene)
+    blows = list(blows)
+    if not blows:
+        raise InvalidValue("blows must be at least 1, got none")
+    for blow in blows:
+        if not isinstance(blow, Blow):
+            raise InvalidValue(f"blows must be of Blow, got {type(blow).__name__}")
+    if scene.sensor.quantity == "force":
+        raise InvalidValue(
+            f"scene {scene.name} must have a sensor of motion on a tail beam to be calibrated, its sensor feels force"
+        )
+    return blows
+
+
+def _highest(scene: Scene) -> float:
+    """Return up to which frequency the recorder hears [Hz]."""
+    sensor = scene.sensor
+    edges = [_HEARD * scene.sampling.sampling_rate]
+    edges += [] if sensor.anti_alias is None else [sensor.anti_alias.frequency]
+    edges += [] if sensor.bandwidth is None else [sensor.bandwidth]
+    return min(edges)
+
+
+def _require_band(scene: Scene, band: tuple[float, float] | None) -> None:
+    if band is None:
+        return
+    edges = validation.not_negative("band", band, "Hz")
+    if edges.shape != (2,) or not edges[0] < min(edges[1], _highest(scene)):
+        raise InvalidValue(
+            f"band must be a lower and a higher frequency and begin below {_highest(scene):g} Hz, up to where the "
+            f"recorder of scene {scene.name} hears, got {band!r}"
+        )
+
+
+def _with_gain(scene: Scene, blows: list[Blow], struck: list[Struck]) -> Calibration:
+    assert scene.tail_beam is not None
+    points = np.array([_point(scene.tail_beam, blow) for blow in blows])
+    heard = beam_modes(scene)
+    rows = heard.participation({"impact_x": points[:, 0], "impact_y": points[:, 1]})
+    fit = _fit(scene, struck, heard, list(rows[:, None]), free=False)
+    gain = float(fit.amounts[0])
+    found = _changed(scene, {"gain": gain}, None)
+    return _calibration(found, gain, blows, struck, fit.delays, fit.remains)
+
+
+def _fit(scene: Scene, struck: list[Struck], modes: Resonators, participation: list[Floats], *, free: bool) -> Fit:
+    sensor, rate = scene.sensor, scene.sampling.sampling_rate
+    delays = aligned(struck, sensor, rate, modes, participation)
+    return refined(struck, sensor, rate, modes, participation, delays, free=free)
+
+
+def _point(beam: TailBeamSection, blow: Blow) -> tuple[float, float]:
+    """Return where a blow fell; measured modes have but one place."""
+    if blow.impact_point is not None:
+        place = blow.impact_point
+        for axis, at, size in (("x", place[0], beam.length), ("y", place[1], beam.width)):
+            if size is not None and not 0 <= at <= size:
+                raise InvalidValue(f"impact_point must lie on the beam, {axis} between 0 and {size:g} m, got {at:g} m")
+        return place
+    if beam.impact_point is None:
+        return (0.0, 0.0)
+    extremes = [getattr(beam.impact_point, axis).extremes for axis in ("x", "y")]
+    if any(low != high for low, high in extremes):
+        raise InvalidValue(
+            f"{blow.motion.name}: impact_point must be given, the scene's rocks fall on more than one place"
+        )
+    return extremes[0][0], extremes[1][0]
+
+
+def _with_modes(
+    scene: Scene, blows: list[Blow], struck: list[Struck], n_modes: int | None, band: tuple[float, float] | None
+) -> Calibration:
+    if len({blow.impact_point for blow in blows}) > 1:
+        raise InvalidValue("impact_point must be the same for all blows where modes are measured; calibrate each place")
+    rate, sensor = scene.sampling.sampling_rate, scene.sensor
+    first = _ringing(scene, struck, n_modes, band)
+    each = np.eye(first.frequency.size)
+    fit = _fit(scene, struck, first, [each] * len(struck), free=True)
+    kept = _kept(fit, n_modes, band)
+    remains = [
+        blow.samples - fit.amounts[kept] @ columns(blow, sensor, rate, fit.modes, each[kept], np.array([delay]))[0]
+        for blow, delay in zip(struck, fit.delays, strict=True)
+    ]
+    rows = [
+        {
+            "frequency": float(fit.modes.frequency[mode]),
+            "damping_ratio": float(fit.modes.damping_ratio[mode]),
+            "modal_mass": float(1 / abs(fit.amounts[mode])),
+            "shape_impact": 1.0,
+            "shape_sensor": float(np.sign(fit.amounts[mode])),
+        }
+        for mode in kept
+    ]
+    return _calibration(_changed(scene, {"gain": None}, rows), 1.0, blows, struck, fit.delays, remains)
+
+
+def _ringing(scene: Scene, struck: list[Struck], n_modes: int | None, band: tuple[float, float] | None) -> Ringing:
+    """Return the first guess of the modes."""
+    rate = scene.sampling.sampling_rate
+    decays = [blow.samples[blow.decay :] for blow in struck]
+    shortest = min(decay.size for decay in decays)
+    needed = max(_LEAST_SAMPLES, _SAMPLES_A_MODE * (n_modes or 1))
+    if shortest < needed:
+        raise BadData(
+            f"recordings must ring freely for {needed} samples after the blow, {1e3 * needed / rate:.3g} ms, for so "
+            f"many modes, got {shortest}; record longer, or ask for fewer modes"
+        )
+    filters = np.concatenate([np.empty(0, complex), *(part.poles for part in scene.sensor.filters)])
+    # With a band those beside it are found, too, so that they do not stay in the recordings.
+    first = ringing_modes(decays, rate, n_modes if band is None else None, _highest(scene), filters)
+    if first.frequency.size < (1 if n_modes is None or band is not None else n_modes):
+        asked = "at least 1" if n_modes is None else n_modes
+        raise BadData(
+            f"recordings must be quiet and long enough for the modes, asked for {asked}, only {first.frequency.size} "
+            "stand out of the noise; ask for fewer, tap harder or more often"
+        )
+    return first
+
+
+def _kept(fit: Fit, n_modes: int | None, band: tuple[float, float] | None) -> list[int]:
+    """Return which modes are kept, by frequency; they come by how loud they are."""
+    low, high = band or (0.0, np.inf)
+    inside = np.flatnonzero((fit.modes.frequency >= low) & (fit.modes.frequency <= high) & (fit.amounts != 0))
+    if inside.size < (n_modes or 1):
+        raise BadData(
+            f"recordings must have {n_modes or 1} modes from {low:g} to {high:g} Hz that stand out of the noise, "
+            f"found {inside.size}; widen the band, ask for fewer, tap harder or more often"
+        )
+    inside = inside[:n_modes]
+    return [int(mode) for mode in inside[np.argsort(fit.modes.frequency[inside])]]
+
+
+def _changed(scene: Scene, sensor: dict[str, Any], modes: list[dict[str, float]] | None) -> Scene:
+    content = json.loads(scene.text)
+    content["sensor"] = {key: value for key, value in (content["sensor"] | sensor).items() if value is not None}
+    if modes is not None:
+        coupling = content["tail_beam"].get("coupling", "auto")
+        content["tail_beam"] = {"modes": modes, "coupling": "auto" if coupling == "impedance" else coupling}
+    return parse_scene(content, source=f"calibration of {scene.name}")
+
+
+def _calibration(
+    scene: Scene, gain: float, blows: list[Blow], struck: list[Struck], delays: Floats, remains: list[Floats]
+) -> Calibration:
+    energies = [
+        (float((rest**2).sum()), float((blow.samples**2).sum())) for rest, blow in zip(remains, struck, strict=True)
+    ]
+    explained = np.array([1 - rest / whole for rest, whole in energies])
+    worst = int(np.argmin(explained))
+    if explained[worst] < _LEAST_EXPLAINED:
+        raise BadData(
+            f"{blows[worst].motion.name}: motion must come from the blow, which explains "
+            f"{100 * explained[worst]:.1f} % of it; check that force and motion are of one blow, and where it fell"
+        )
+    seen = [0.0 if blow.force is not None else cut.first + cut.onset for blow, cut in zip(blows, struck, strict=True)]
+    delays = (delays + seen) / scene.sampling.sampling_rate
+    return Calibration(scene=scene, gain=gain, explained=explained, delays=delays)

@@ -1,0 +1,395 @@
+"""On-site calibration against a beam in state space, run step by step at a fine rate, which knows nothing of poles."""
+
+import numpy as np
+import pytest
+from scipy import signal
+
+from cgid.errors import BadData, CgidError, InvalidValue
+from cgid.impact import HalfSpace, HuntCrossley, Impact, Sphere, free_fall_velocity
+from cgid.materials import STEEL, YANG2018_SPHERES
+from cgid.scene import Blow, calibrated, parse_scene, synthesise, varied
+from cgid.signals import STANDARD_GRAVITY, Signal
+
+RATE, FINER, N_SAMPLES = 25_600.0, 16, 2560
+FREQUENCY = np.array([118.0, 187.0, 402.0, 911.0, 1930.0, 2075.0, 4320.0])
+DAMPING_RATIO = np.array([0.03, 0.02, 0.025, 0.012, 0.015, 0.01, 0.008])
+MASS = np.array([210.0, 180.0, 260.0, 150.0, 320.0, 240.0, 200.0])
+AT_IMPACT = np.array([0.9, 0.6, 0.8, -0.9, 0.8, 0.5, 0.9])
+AT_SENSOR = np.array([0.7, -0.7, 0.5, 0.6, 0.9, 0.7, -0.4])
+PARTICIPATION = AT_IMPACT * AT_SENSOR / MASS
+MOUNTING = (22e3, 0.04)
+EDGE, ORDER = 10e3, 8
+#: [m/s^2] of the recorder.
+OFFSET = 3.0
+
+
+def scene_of(modes=slice(None), **sensor):
+    rows = np.stack([FREQUENCY, DAMPING_RATIO, MASS, AT_IMPACT, AT_SENSOR], axis=1)[modes]
+    names = ("frequency", "damping_ratio", "modal_mass", "shape_impact", "shape_sensor")
+    return parse_scene(
+        {
+            "name": "beam",
+            "impact": {
+                "stiffness": "hertz",
+                "dissipation": "hunt-crossley",
+                "target": {"youngs_modulus": "210 GPa", "poisson_ratio": 0.3},
+            },
+            "tail_beam": {"modes": [dict(zip(names, row, strict=True)) for row in rows.tolist()]},
+            "sampling": {"sampling_rate": RATE, "samples": N_SAMPLES, "pre_trigger": 128},
+            "sensor": {
+                "quantity": "acceleration",
+                "mounting": {"frequency": MOUNTING[0], "damping_ratio": MOUNTING[1]},
+                "anti_alias": {"frequency": EDGE, "order": ORDER},
+            }
+            | sensor,
+            "taps": [
+                {"label": "hammer", "shape": "half-sine", "peak_force": "4 kN", "contact_duration": "0.4 ms"},
+                {"label": "hammer", "shape": "haversine", "peak_force": "2 kN", "contact_duration": "0.9 ms"},
+            ],
+        }
+    )
+
+
+#: What is known before: a beam of one mode, which is not even one of the beam's.
+BEFORE = scene_of(slice(1, 2))
+
+
+def chained(system, sections):
+    for w, zeta in sections:
+        after = signal.StateSpace([[0, w], [-w, -2 * zeta * w]], [[0], [w]], [[1, 0]], [[0]])
+        a = np.block([[system.A, np.zeros((len(system.A), 2))], [after.B @ system.C, after.A]])
+        system = signal.StateSpace(
+            a, np.vstack([system.B, after.B @ system.D]), np.hstack([after.D @ system.C, after.C]), [[0.0]]
+        )
+    return system
+
+
+def the_beam():
+    """Both channels of a recorder, acceleration and force, from the force."""
+    n, w = FREQUENCY.size, 2 * np.pi * FREQUENCY
+    a = np.block([[np.zeros((n, n)), np.diag(w)], [-np.diag(w), -np.diag(2 * DAMPING_RATIO * w)]])
+    b = np.concatenate([np.zeros(n), np.ones(n)])[:, None]
+    beam = signal.StateSpace(a, b, (PARTICIPATION @ a[n:])[None], [[PARTICIPATION.sum()]])
+    poles = signal.butter(ORDER, 2 * np.pi * EDGE, analog=True, output="zpk")[1]
+    recorder = [(abs(pole), -pole.real / abs(pole)) for pole in poles if pole.imag > 0]
+    motion = chained(beam, [(2 * np.pi * MOUNTING[0], MOUNTING[1]), *recorder])
+    hammer = chained(signal.StateSpace([[-1.0]], [[0.0]], [[0.0]], [[1.0]]), recorder)
+    a = np.block(
+        [[motion.A, np.zeros((len(motion.A), len(hammer.A)))], [np.zeros((len(hammer.A), len(motion.A))), hammer.A]]
+    )
+    c = np.zeros((2, len(a)))
+    c[0, : len(motion.A)], c[1, len(motion.A) :] = motion.C[0], hammer.C[0]
+    return signal.StateSpace(a, np.vstack([motion.B, hammer.B]), c, np.zeros((2, 1)))
+
+
+def recorded(force, noise=0.01, seed=0):
+    """Motion and force as a recorder has them, from the force (n_samples * FINER) at the fine rate."""
+    time = np.arange(N_SAMPLES * FINER) / (RATE * FINER)
+    both = signal.lsim(the_beam(), force(time), time)[1][::FINER].T
+    rng = np.random.default_rng(seed)
+    both += noise * np.abs(both).max(axis=1, keepdims=True) * rng.normal(size=both.shape)
+    in_g = (both[0] + OFFSET) / STANDARD_GRAVITY
+    motion = Signal(samples=in_g, sampling_rate=RATE, unit="g", source=f"motion {seed}")
+    return motion, Signal(samples=both[1] / 1e3, sampling_rate=RATE, unit="kN", source=f"force {seed}")
+
+
+def hammer(onset, peak, lasts):
+    def force(time):
+        share = (time - onset) / lasts
+        return np.where((share > 0) & (share < 1), peak * np.sin(np.pi * np.clip(share, 0, 1)) ** 1.5, 0.0)
+
+    return force
+
+
+def tap(number, **how):
+    """A hammer's blow, between two samples."""
+    onset, peak = (150.3 + 7.7 * number) / RATE, 1500.0 + 900 * number
+    motion, force = recorded(hammer(onset, peak, (0.20 + 0.04 * number) * 1e-3), seed=number, **how)
+    return Blow(motion=motion, force=force)
+
+
+def sphere_from(height, radius=0.03):
+    return Impact(
+        sphere=Sphere(material=YANG2018_SPHERES[3], radius=radius),
+        target=HalfSpace(material=STEEL),
+        velocity=float(free_fall_velocity(height)),
+        stiffness="hertz",
+        dissipation=HuntCrossley(restitution=0.6),
+    )
+
+
+def drop(number, **how):
+    onset, impact = (190.6 - 11.3 * number) / RATE, sphere_from(0.5 + 0.4 * number)
+    motion, _ = recorded(lambda time: impact.force(time - onset), seed=100 + number, **how)
+    return Blow(motion=motion, impact=impact), onset
+
+
+@pytest.fixture(scope="module")
+def taps():
+    return [tap(number) for number in range(3)]
+
+
+@pytest.fixture(scope="module")
+def drops():
+    return [drop(number) for number in range(3)]
+
+
+@pytest.fixture(scope="module")
+def tapped(taps):
+    return calibrated(BEFORE, taps, modes=7)
+
+
+def table(scene):
+    modes = scene.tail_beam.measured
+    return np.asarray(modes.frequency), np.asarray(modes.damping_ratio), modes.participation()
+
+
+def assert_modes(scene, frequency=2e-3, damping_ratio=0.05, participation=0.04):
+    f, zeta, p = table(scene)
+    np.testing.assert_allclose(f, FREQUENCY, rtol=frequency)
+    np.testing.assert_allclose(zeta, DAMPING_RATIO, rtol=damping_ratio)
+    np.testing.assert_allclose(p, PARTICIPATION, rtol=participation)
+
+
+# ---- modes -----------------------------------------------------------------------------------------------------------
+
+
+def test_tap_test_finds_the_modes(taps, tapped):
+    assert_modes(tapped.scene)
+    for blow, explained in zip(taps, tapped.explained, strict=True):
+        motion = blow.motion.samples
+        noise = (0.01 * np.abs(motion - OFFSET / STANDARD_GRAVITY).max()) ** 2 / motion.var()
+        assert 1 - explained == pytest.approx(noise, rel=0.1)
+    assert (np.abs(tapped.delays) < 0.05 / RATE).all()
+    assert tapped.gain == 1
+
+
+def test_drops_of_known_mass_find_the_modes_and_the_time_of_touch(drops):
+    found = calibrated(BEFORE, [blow for blow, _ in drops], modes=7)
+    assert_modes(found.scene)
+    np.testing.assert_allclose(found.delays, [onset for _, onset in drops], atol=0.05 / RATE)
+
+
+def test_a_band_keeps_what_is_in_it_and_counts_by_itself(taps):
+    f, zeta, p = table(calibrated(BEFORE, taps, band=(300.0, 3000.0)).scene)
+    inside = slice(2, 6)
+    np.testing.assert_allclose(f, FREQUENCY[inside], rtol=2e-3)
+    np.testing.assert_allclose(zeta, DAMPING_RATIO[inside], rtol=0.05)
+    np.testing.assert_allclose(p, PARTICIPATION[inside], rtol=0.04)
+
+
+@pytest.mark.parametrize(
+    "sensor",
+    [
+        {"relative_noise": "1 %"},
+        {"quantity": "velocity", "relative_noise": "1 %", "mounting": None},
+        {"quantity": "displacement", "anti_alias": None, "bandwidth": "8 kHz", "mounting": None},
+    ],
+)
+def test_modes_of_a_scene_come_back_from_its_own_signals(sensor):
+    truth = scene_of(**sensor)
+    batches = [next(synthesise(rig, 3, seed=5)) for rig in (truth, varied(truth, quantity="force", mounting=None))]
+    motions, forces = (
+        [Signal(samples=row, sampling_rate=RATE, unit=batch.unit) for row in batch.signals] for batch in batches
+    )
+    blows = [Blow(motion=motion, force=force) for motion, force in zip(motions, forces, strict=True)]
+    n_heard = 7 if truth.sensor.quantity == "acceleration" else 4  # high modes hardly move
+    found = calibrated(varied(truth, relative_noise=None), blows, modes=n_heard)
+    f, zeta, p = table(found.scene)
+    np.testing.assert_allclose(f, FREQUENCY[:n_heard], rtol=2e-3)
+    np.testing.assert_allclose(zeta, DAMPING_RATIO[:n_heard], rtol=0.05)
+    np.testing.assert_allclose(p, PARTICIPATION[:n_heard], rtol=0.04)
+
+
+def test_what_is_found_sounds_like_the_beam(tapped):
+    """The found scene through the whole of the synthesis, against the recorded beam's own scene."""
+    found, truth = tapped.scene, scene_of()
+    assert found.tail_beam.coupling == "auto" and {row.shape_impact for row in found.tail_beam.modes} == {1.0}
+    heard, expected = (next(synthesise(scene, 4, seed=2, dtype="float64")).signals for scene in (found, truth))
+    assert np.abs(heard - expected).max() < 0.02 * np.abs(expected).max()
+
+
+# ---- gain ------------------------------------------------------------------------------------------------------------
+
+
+def off_by(gain):
+    """A scene that is too quiet by a factor, or upside down."""
+    content = scene_of().model_dump(mode="json", exclude_none=True)
+    for row in content["tail_beam"]["modes"]:
+        row["modal_mass"] *= abs(gain)
+        row["shape_sensor"] *= np.sign(gain)
+    return parse_scene(content)
+
+
+@pytest.mark.parametrize("gain", [1.3, -0.04])
+def test_gain_of_taps_and_drops(taps, drops, gain):
+    blows = [taps[0], drops[1][0]]
+    found = calibrated(off_by(gain), blows)
+    assert found.gain == pytest.approx(gain, rel=0.01)
+    assert found.scene.sensor.gain == found.gain
+    assert (found.explained > 0.95).all()
+    np.testing.assert_allclose(found.delays, [0.0, drops[1][1]], atol=0.05 / RATE)
+    # Calibrated once more it stays as it is: what is found is the whole gain.
+    assert calibrated(found.scene, blows).gain == pytest.approx(gain, rel=0.01)
+
+
+def test_without_noise_the_gain_is_that_of_the_beam():
+    blows = [tap(0, noise=0.0), drop(0, noise=0.0)[0]]
+    assert calibrated(scene_of(), blows).gain == pytest.approx(1.0, rel=3e-4)
+
+
+def test_force_that_went_through_no_filter():
+    force = hammer(150.4 / RATE, 2e3, 0.6e-3)
+    motion, _ = recorded(force)
+    raw = Signal(samples=force(np.arange(N_SAMPLES) / RATE), sampling_rate=RATE, unit="N")
+    found = calibrated(scene_of(), [Blow(motion=motion, force=raw, force_filtered=False)])
+    assert found.gain == pytest.approx(1.0, rel=0.005)
+    assert abs(found.delays[0]) < 0.05 / RATE
+
+
+PANEL = {
+    "length": "1.2 m",
+    "width": "0.8 m",
+    "thickness": "30 mm",
+    "edges": "simply-supported",
+    "damping_ratio": "2 %",
+    "sensor_point": {"x": "0.3 m", "y": "0.25 m"},
+    "impact_point": {axis: {"distribution": "uniform", "lowest": 0.2, "highest": 0.7} for axis in "xy"},
+}
+
+
+def panel_scene():
+    content = scene_of(relative_noise="1 %").model_dump(mode="json", exclude_none=True)
+    content["impact"]["target"]["density"] = 7850
+    return parse_scene(content | {"tail_beam": PANEL})
+
+
+def panel_blows(n, factor=1.0, points=True):
+    truth = panel_scene()
+    heard, felt = (next(synthesise(rig, n, seed=3)) for rig in (truth, varied(truth, quantity="force", mounting=None)))
+    places = zip(heard.parameters["impact_x"], heard.parameters["impact_y"], strict=True)
+    return [
+        Blow(
+            motion=Signal(samples=factor * motion, sampling_rate=RATE, unit="m/s^2"),
+            force=Signal(samples=force, sampling_rate=RATE, unit="N"),
+            impact_point=place if points else None,
+        )
+        for motion, force, place in zip(heard.signals, felt.signals, places, strict=True)
+    ]
+
+
+def test_gain_of_a_panel_hit_here_and_there():
+    assert calibrated(panel_scene(), panel_blows(4, 0.7)).gain == pytest.approx(0.7, rel=0.01)
+
+
+def test_gain_is_a_factor_on_the_motion_alone():
+    plain = scene_of(absolute_noise=0.0)
+    louder = varied(plain, gain=-2.5)
+    one, other = (next(synthesise(scene, 5, seed=1, dtype="float64")) for scene in (plain, louder))
+    np.testing.assert_allclose(other.signals, -2.5 * one.signals, rtol=0, atol=1e-9 * np.abs(one.signals).max())
+    assert np.array_equal(one.parameters["peak_force"], other.parameters["peak_force"])
+    # The noise comes after it.
+    noisy = [
+        next(synthesise(varied(scene, absolute_noise=1.0), 5, seed=1, dtype="float64")) for scene in (plain, louder)
+    ]
+    np.testing.assert_allclose(noisy[1].signals - other.signals, noisy[0].signals - one.signals, atol=1e-6)
+
+
+def test_a_scene_without_gain_keeps_its_identity():
+    plain = scene_of()
+    assert "gain" not in plain.text
+    assert varied(varied(plain, gain=2.0), gain=None).sha256 == plain.sha256 != varied(plain, gain=2.0).sha256
+
+
+# ---- bad input -------------------------------------------------------------------------------------------------------
+
+
+def rebuilt(blow, motion=None, force=None):
+    """A blow with samples put through functions."""
+    parts = {"motion": (blow.motion, motion), "force": (blow.force, force)}
+    return Blow(
+        **{
+            name: Signal(
+                samples=part.samples if change is None else change(part.samples),
+                sampling_rate=part.sampling_rate,
+                unit=part.unit,
+                source=name,
+            )
+            for name, (part, change) in parts.items()
+        }
+    )
+
+
+def noise(samples):
+    return np.random.default_rng(7).normal(size=samples.size)
+
+
+def of(signal_, **changes):
+    given = {"samples": signal_.samples, "sampling_rate": signal_.sampling_rate, "unit": signal_.unit}
+    return Signal(**given | changes)
+
+
+BAD = {
+    "blows must be at least 1, got none": lambda tap: calibrated(BEFORE, []),
+    "blows must be of Blow, got Signal": lambda tap: calibrated(BEFORE, [tap.motion]),
+    "either force or impact": lambda tap: Blow(motion=tap.motion),
+    "and not both": lambda tap: Blow(motion=tap.motion, force=tap.force, impact=sphere_from(1.0)),
+    "impact must be one, got 2": lambda tap: Blow(motion=tap.motion, impact=sphere_from(1.0, np.array([0.02, 0.03]))),
+    "must be in N or another unit of force, got 'g'": lambda tap: Blow(motion=tap.motion, force=tap.motion),
+    "must have the samples of its motion": lambda tap: Blow(
+        motion=tap.motion, force=of(tap.force, samples=tap.force.samples[:-1])
+    ),
+    "motion must be acceleration in m/s\\^2 or alike.*got velocity": lambda tap: calibrated(
+        BEFORE, [Blow(motion=of(tap.motion, unit="mm/s"), force=tap.force)]
+    ),
+    "got no unit": lambda tap: calibrated(BEFORE, [Blow(motion=of(tap.motion, unit=None), force=tap.force)]),
+    "sampling_rate must be that of scene beam, 25600 Hz, got 51200 Hz": lambda tap: calibrated(
+        BEFORE, [Blow(motion=of(tap.motion, sampling_rate=2 * RATE), force=of(tap.force, sampling_rate=2 * RATE))]
+    ),
+    "must have a sensor of motion": lambda tap: calibrated(varied(BEFORE, quantity="force"), [tap]),
+    "modes must be a whole number": lambda tap: calibrated(BEFORE, [tap], modes=0),
+    "only [0-9]+ stand out of the noise": lambda tap: calibrated(BEFORE, [tap], modes=15),
+    "must ring freely for 64 samples": lambda tap: calibrated(
+        BEFORE, [rebuilt(tap, lambda samples: samples[:220], lambda samples: samples[:220])], modes=3
+    ),
+    "band must be a lower and a higher frequency": lambda tap: calibrated(BEFORE, [tap], band=(5e3, 1e3)),
+    "begin below 10000 Hz": lambda tap: calibrated(BEFORE, [tap], band=(11e3, 12e3)),
+    "must have 1 modes from 6000 to 9000 Hz": lambda tap: calibrated(BEFORE, [tap], band=(6e3, 9e3)),
+    "motion must stand out of its noise": lambda tap: calibrated(BEFORE, [rebuilt(tap, noise)]),
+    "force must rise 8 times above its noise": lambda tap: calibrated(BEFORE, [rebuilt(tap, None, noise)]),
+    "force must rise 8 times above its noise of 0 N, its peak is 0 N": lambda tap: calibrated(
+        BEFORE, [rebuilt(tap, None, np.zeros_like)]
+    ),
+    "above 0 where it pushes": lambda tap: calibrated(BEFORE, [rebuilt(tap, None, np.negative)]),
+    "force must rise and fall within the recording": lambda tap: calibrated(
+        BEFORE, [rebuilt(tap, lambda samples: samples[156:], lambda samples: samples[156:])]
+    ),
+    "motion must begin 16 samples or more before its peak": lambda tap: calibrated(
+        BEFORE,
+        [
+            Blow(
+                motion=of(tap.motion, samples=tap.motion.samples[np.argmax(np.abs(tap.motion.samples)) - 5 :]),
+                impact=sphere_from(1.0),
+            )
+        ],
+    ),
+    "motion must stay within the range": lambda tap: calibrated(varied(BEFORE, range="1 g"), [tap]),
+    "motion must come from the blow": lambda tap: calibrated(
+        scene_of(slice(0, 1)), [rebuilt(tap, lambda samples: np.roll(samples, 900))]
+    ),
+    "impact_point must be x and y": lambda tap: Blow(motion=tap.motion, force=tap.force, impact_point=(1.0,)),
+    "impact_point must be given": lambda tap: calibrated(panel_scene(), panel_blows(1, points=False)),
+    "impact_point must lie on the beam, y between 0 and 0.8 m, got 0.9": lambda tap: calibrated(
+        panel_scene(), [Blow(motion=tap.motion, force=tap.force, impact_point=(0.5, 0.9))]
+    ),
+    "impact_point must be the same": lambda tap: calibrated(panel_scene(), panel_blows(2), modes=3),
+    "gain must be left out for a force": lambda tap: varied(BEFORE, quantity="force", gain=2.0),
+    "gain must not be 0": lambda tap: varied(BEFORE, gain=0.0),
+}
+
+
+@pytest.mark.parametrize("message", BAD)
+def test_bad_input_is_named(message, taps):
+    with pytest.raises(CgidError, match=message) as caught:
+        BAD[message](taps[1])
+    assert isinstance(caught.value, (BadData, InvalidValue)) and "\n" not in str(caught.value)
