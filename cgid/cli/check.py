@@ -160,7 +160,7 @@ def _stream(scene: Any) -> dict[str, Any]:
     times = (np.arange(1000) + 0.5) / 1000 * duration
     expected = arrivals_of(scene.stream).expected(np.linspace(0, duration, 1001))
     shares = population_shares(scene, times) @ np.diff(expected) / max(expected[-1], 1e-300)
-    labels = {label: 0.0 for label in scene.labels}
+    labels = dict.fromkeys(scene.labels, 0.0)
     for population, share in zip(scene.populations, shares.tolist(), strict=True):
         labels[population.label] += share
     return {
