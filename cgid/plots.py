@@ -171,7 +171,7 @@ def _spectrogram(axes: Any, recording: Signal) -> None:
     floor, top = np.quantile(level, [0.02, 0.999])
     mesh = axes.pcolormesh(times, frequency[1:], level, vmin=floor, vmax=top, cmap="magma", rasterized=True)
     axes.set(yscale="log", ylabel="frequency [Hz]")
-    axes.figure.colorbar(mesh, ax=axes, label=f"dB re {recording.unit or '1'}²/Hz", pad=0.01)
+    axes.figure.colorbar(mesh, ax=axes, label=f"dB re ({recording.unit or '1'})²/Hz", pad=0.01)
 
 
 def _shares(

@@ -271,7 +271,7 @@ def test_overwriting_takes_the_old_recordings_away(made, tmp_path):
 
 def test_memory_does_not_grow_with_the_length(tmp_path):
     peaks = []
-    for seconds in (240, 720):
+    for seconds in (240, 480):
         scene = parse_scene(content(duration=seconds, arrivals={"rate": "0.2 Hz"}))
         tracemalloc.start()
         generate_recordings(scene, tmp_path / f"{seconds}.h5")

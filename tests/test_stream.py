@@ -11,7 +11,7 @@ from cgid.errors import BadData, InvalidValue
 from cgid.impact import HalfSpace, HuntCrossley, Impact, Sphere
 from cgid.materials import Material
 from cgid.scene import parse_scene, synthesise, varied
-from cgid.scene.impacts import impact_of
+from cgid.scene.impacts import impact_of, impacts_by_coupling
 from cgid.scene.randomness import BLOCK, generator
 from cgid.scene.response import hearing
 from cgid.scene.stream import rocks, synthesis
@@ -385,6 +385,19 @@ def test_the_ringing_of_every_impact_goes_on_through_the_recording(sensor):
     wanted, rows = np.zeros((1, signal.samples.size)), np.zeros(found["time"].size, int)
     heard.response.add_to_frames(wanted, impact, found["time"], heard.participation(found), rows=rows)
     np.testing.assert_allclose(signal.samples, wanted[0], atol=1e-4 * np.abs(wanted).max())
+
+
+def test_rocks_that_feel_the_modes_of_the_beam_bounce_by_what_these_leave():
+    changes = {"sensor": ACCELERATION, "rebounds": {"most": 1}, **beam(coupling="modes")}
+    scene = scene_of(duration="2 s", arrivals={"rate": "20 Hz"}, **changes)
+    signal, found = record(scene)
+    assert np.abs(signal.samples).max() > 0 and found["bounce"].max() == 1
+    asked = {**found, "restitution": np.full(found["time"].size, 0.5)}
+    for row in (0, found["time"].size - 1):
+        alone = {name: column[row : row + 1] for name, column in asked.items()}
+        ((_, impact, _),) = impacts_by_coupling(scene, impact_of(scene, alone, np.arange(1)), alone, np.arange(1))
+        assert found["restitution"][row] == pytest.approx(float(impact.restitution[0]), rel=1e-9)
+        assert found["restitution"][row] != pytest.approx(0.5, rel=1e-3)
 
 
 def test_drift_and_noise_density_run_through_the_chunks():

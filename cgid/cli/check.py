@@ -22,10 +22,9 @@ def check(scene: str, seed: int, as_json: bool) -> None:
     from cgid.scene import load_scene
 
     loaded = load_scene(shipped.scene_path(scene))
-    if loaded.stream is not None:
-        _check_stream(loaded, as_json)
-        return
     preview = _preview(loaded, seed)
+    if loaded.stream is not None:
+        preview |= _stream(loaded)
     if as_json:
         print_json(preview)
         return
@@ -34,7 +33,11 @@ def check(scene: str, seed: int, as_json: bool) -> None:
     drawn = preview["randomised"]
     rate = "a drawn rate" if "sampling_rate [Hz]" in drawn else f"{loaded.sampling.sampling_rate:g} Hz"
     samples = loaded.sampling.samples
-    click.echo(f"frames: {samples} samples at {rate}, {samples * 4} bytes a signal in float32")
+    if loaded.stream is None:
+        click.echo(f"frames: {samples} samples at {rate}, {samples * 4} bytes a signal in float32")
+    else:
+        told = ", ".join(f"{name} {value:.6g}" for name, value in preview["stream"].items())
+        click.echo(f"recording at {rate}: {told}")
     if preview["tail_beam"]:
         click.echo("tail beam: " + ", ".join(f"{name} {value:.4g}" for name, value in preview["tail_beam"].items()))
     for name, (low, high) in drawn.items():
@@ -60,6 +63,8 @@ def _preview(scene: Any, seed: int) -> dict[str, Any]:
             warnings.simplefilter("ignore", beyond)
         draws = [draw(scene, seed, block) for block in range(_BLOCKS)]
     units = parameter_units(scene)
+    if scene.stream is not None:
+        del units["onset"]  # of a frame
     values = {name: np.concatenate([d.parameters[name] for d in draws]) for name in units}
     sampling_rate = np.repeat([d.scene.sampling.sampling_rate for d in draws], BLOCK)
     labels, counts = np.unique(np.concatenate([d.labels for d in draws]), return_counts=True)
@@ -114,7 +119,7 @@ def _shares(impacts: list[Any], values: dict[str, Any], sampling_rate: Any, scen
 
     strain = np.concatenate([impact.peak_displacement / impact.reduced_radius for impact in impacts])
     inelasticity = np.concatenate([impact.inelasticity for impact in impacts])
-    end = values["onset"] + np.nan_to_num(values.get("second_hit_delay", 0.0)) + values["contact_duration"]
+    end = values.get("onset", 0.0) + np.nan_to_num(values.get("second_hit_delay", 0.0)) + values["contact_duration"]
     beyond = {
         f"pass Hertz's range (displacement over radius above {HERTZ_LIMIT:g})": strain > HERTZ_LIMIT,
         f"pass the range of the thin plate (lambda above {INELASTICITY_LIMIT:g}): {BEYOND_THIN_PLATE}": (
@@ -123,8 +128,9 @@ def _shares(impacts: list[Any], values: dict[str, Any], sampling_rate: Any, scen
         f"have fewer than {WANTED_SAMPLES} samples on the contact; raise sampling_rate": (
             (values["contact_duration"] * sampling_rate < WANTED_SAMPLES) & (scene.sensor.quantity == "force")
         ),
-        "last beyond the end of the frame and are cut off; raise samples": end * sampling_rate
-        > scene.sampling.samples - 1,
+        "last beyond the end of the frame and are cut off; raise samples": (
+            (end * sampling_rate > scene.sampling.samples - 1) & (scene.stream is None)
+        ),
     }
     if scene.panel is not None and scene.panel.ribs is not None:
         limit = scene.panel.highest_smeared_frequency
@@ -135,28 +141,35 @@ def _shares(impacts: list[Any], values: dict[str, Any], sampling_rate: Any, scen
     return {text: float(np.sum(passed) / end.size) for text, passed in beyond.items()}
 
 
-def _check_stream(scene: Any, as_json: bool) -> None:
-    """Say what a scene with a stream would make."""
+def _stream(scene: Any) -> dict[str, Any]:
+    """Return what a scene with a stream makes, and the shares of its labels over the recording.
+
+    Raises what `generate` would raise of a recording that is too long or a background that cannot be read.
+    """
+    import numpy as np
+
     from cgid.scene.background_noise import background_of
-    from cgid.scene.stream.arrivals import arrivals_of
+    from cgid.scene.stream.arrivals import arrivals_of, population_shares
     from cgid.scene.stream.capacity import require_capacity
-    from cgid.scene.stream.sound import hearing_limit
     from cgid.scene.stream.synthesis import samples_of
 
     require_capacity(scene, "float32")
-    stream, background = scene.stream, background_of(scene)
-    preview = {
-        "name": scene.name,
-        "description": scene.description,
-        "scene_sha256": scene.sha256,
-        "duration_s": stream.duration,
-        "sampling_rate_hz": scene.sampling.sampling_rate,
-        "samples": samples_of(scene),
-        "rocks_expected": float(arrivals_of(stream).expected(stream.duration)),
-        "noise_and_background_rms": hearing_limit(scene, background),
+    background, duration = background_of(scene), scene.stream.duration
+    noise = scene.sensor.noise_level(np.zeros(()), scene.sampling.sampling_rate)
+    # The mixture at every time, weighed by how many rocks come then.
+    times = (np.arange(1000) + 0.5) / 1000 * duration
+    expected = arrivals_of(scene.stream).expected(np.linspace(0, duration, 1001))
+    shares = population_shares(scene, times) @ np.diff(expected) / max(expected[-1], 1e-300)
+    labels = dict.fromkeys(scene.labels, 0.0)
+    for population, share in zip(scene.populations, shares.tolist(), strict=True):
+        labels[population.label] += share
+    return {
+        "labels": labels,
+        "stream": {
+            "duration [s]": duration,
+            "samples": samples_of(scene),
+            "rocks expected": float(expected[-1]),
+            f"noise [{scene.sensor.unit}]": float(noise),
+            f"background [{scene.sensor.unit}]": 0.0 if background is None else background.rms,
+        },
     }
-    if as_json:
-        print_json(preview)
-        return
-    for name, value in preview.items():
-        click.echo(f"{name}: {f'{value:.8g}' if isinstance(value, float) else value}")
