@@ -126,7 +126,7 @@ def _shares(impacts: list[Any], values: dict[str, Any], sampling_rate: Any, scen
     if scene.panel is not None and scene.panel.ribs is not None:
         limit = scene.panel.highest_smeared_frequency
         beyond[
-            f"are so short (over 1/{limit:.4g} Hz) that ribs may not be smeared: between two of them the skin gives way "
-            "more than this beam does, on one less"
+            f"are so short (over 1/{limit:.4g} Hz) that ribs may not be smeared: between two the skin gives way more "
+            "than this beam does, on one less"
         ] = values["contact_duration"] * limit < 1
     return {text: float(np.sum(passed) / end.size) for text, passed in beyond.items()}

@@ -9,9 +9,8 @@ else is integrated. This is where it is decided what runs.
 from __future__ import annotations
 
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from functools import cache, cached_property
+from functools import cached_property
 from typing import Any, Literal
 
 import numpy as np
@@ -22,6 +21,7 @@ from cgid.errors import InvalidValue
 from cgid.impact.closed_forms import peak_displacement, peak_force
 from cgid.impact.dispatch import FEW_SAMPLES, kernel
 from cgid.impact.restitution import damping_number
+from cgid.impact.threads import in_threads
 from cgid.validation import Floats
 
 Quantity = Literal["force", "displacement"]
@@ -30,8 +30,6 @@ LOWEST_RESTITUTION, LOWEST_ON_A_PLATE = 1e-30, 1e-14
 #: Stepping in time: the smallest error over the peak that it is asked for, how many steps a contact takes for an error
 #: of 1, and up to which D the method is stable with them.
 FINEST_STEPPED, _STEPS_FOR_ONE, _MOST_STEPPED_DAMPING = 1e-7, 4.0, 100.0
-#: Rows below which another thread does not pay.
-_LEAST = 200
 
 
 @dataclass(frozen=True)
@@ -203,13 +201,13 @@ class Curves:
 
             columns, place = getattr(family.table(), quantity), family.coordinate(self.material_restitution)
             cubic = quantity == "force"
-            _in_threads(_kernels.at_times, (times, place, time_scale, amplitude, columns, cubic, out), rows, threads)
+            in_threads(_kernels.at_times, (times, place, time_scale, amplitude, columns, cubic, out), rows, threads)
         if rest.size:
             from cgid.impact import _taylor
 
             row = _taylor.FORCE if quantity == "force" else _taylor.DISPLACEMENT
             numbers = (times, self._parameters, time_scale, amplitude, row, _taylor.ORDER, out)
-            _in_threads(kernel(_taylor, "at_times", *times.shape), numbers, rest, threads)
+            in_threads(kernel(_taylor, "at_times", *times.shape), numbers, rest, threads)
         return out
 
     def add_to_frames(
@@ -247,12 +245,12 @@ class Curves:
 
             place, columns = family.coordinate(self.material_restitution), family.table().force
             run = kernel(_kernels, "add_to_frames", *frames.shape)
-            _in_threads(run, (frames, onset, step, place, amplitude, columns), rows, threads)
+            in_threads(run, (frames, onset, step, place, amplitude, columns), rows, threads)
         if rest.size:
             from cgid.impact import _taylor
 
             run = kernel(_taylor, "add_to_frames", *frames.shape)
-            _in_threads(run, (frames, onset, step, self._parameters, amplitude, _taylor.ORDER), rest, threads)
+            in_threads(run, (frames, onset, step, self._parameters, amplitude, _taylor.ORDER), rest, threads)
 
     def _add_stepped(
         self,
@@ -270,19 +268,4 @@ class Curves:
 
         run = kernel(_stepped, "add_to_frames", *frames.shape)
         numbers = (frames, onset, step, self._parameters, amplitude, self.times[0], n_steps)
-        _in_threads(run, numbers, rows, threads)
-
-
-def _in_threads(run: Callable[..., None], arguments: tuple[Any, ...], rows: NDArray[np.intp], threads: int) -> None:
-    """Call a kernel, which lets go of the interpreter's lock, for parts of the rows in threads."""
-    threads = min(threads, -(-rows.size // _LEAST))
-    if threads <= 1:
-        run(*arguments, rows)
-        return
-    list(_pool(threads).map(lambda part: run(*arguments, part), np.array_split(rows, threads)))
-
-
-@cache
-def _pool(threads: int) -> ThreadPoolExecutor:
-    """Return threads that are kept: starting them anew takes as long as a hundred pulses."""
-    return ThreadPoolExecutor(threads, thread_name_prefix="cgid")
+        in_threads(run, numbers, rows, threads)

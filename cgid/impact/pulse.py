@@ -21,8 +21,8 @@ HERTZ_LIMIT = 0.1
 INELASTICITY_LIMIT = 1.5
 #: What that means.
 BEYOND_THIN_PLATE = (
-    "the plate takes nearly all of the speed, the contact outlasts its waves' way to the edges, and force and rebound are "
-    "not to be trusted; use a thicker plate, or couple the impact through the modes of the beam"
+    "the plate takes nearly all of the speed, the contact outlasts its waves' way to the edges, and force and rebound "
+    "are not to be trusted; use a thicker plate, or couple the impact through the modes of the beam"
 )
 
 
@@ -129,6 +129,11 @@ class Impact(Collision):
     def contact_duration(self) -> Floats:
         """Time from touch to separation [s]."""
         return self.time_scale * self._shaped(self.curves.times[0])
+
+    @property
+    def end_of_contact(self) -> Floats:
+        """Time from the first touch to the last separation [s], one contact later on a structure that swings back."""
+        return self.contact_duration
 
     @property
     def time_of_peak(self) -> Floats:
