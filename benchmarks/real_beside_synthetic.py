@@ -1,14 +1,14 @@
 """Scenes with a beam beside real recordings of things that hit metal: spectra, and how the ringing dies.
 
-    python benchmarks/real_beside_synthetic.py [--signals 256] [-o FILE.png]
+    python benchmarks/real_beside_synthetic.py [--real FOLDER] [--signals 256] [-o FILE.png]
 
 Real are the recordings of ../shared/realdata (its README says where they are from): small bodies sliding down an
 aluminium ramp (`bulk_ramp`, hundreds of overlapping blows in each) and a board shocked in a drop tower
 (`shock/acc_pcb_*`). Without them there is nothing to show. None of them is coal or gangue, and none a tail beam.
 
-Spectrum: power in sixth-octave bands over the whole (Welch). Decay: the envelope behind a blow (Hilbert, its square
-averaged over `SMOOTHING`) over its highest value, the median over blows. In a recording of many, a blow is a peak that is
-the highest from `BEFORE` it to `ALONE` behind it, and only the quarter is taken behind which least follows: what
+Spectrum: power in third-octave bands over the whole (Welch). Decay: the envelope behind a blow (Hilbert, its square
+averaged over `SMOOTHING`) over its highest value, the median over blows. In a recording of many, a blow is a peak that
+is the highest from `BEFORE` it to `ALONE` behind it, and only the tenth is taken behind which least follows: what
 follows still makes the decay look slower than it is. Crest factors are those of pieces of `PIECE`, the median. Prints
 the figures as Markdown and writes the picture.
 """
@@ -37,11 +37,11 @@ BULK = {
     "screws": "screws",
     "plastic_spheres": "plastic spheres",
 }
-SCENES = ("tail_beam", "plate")
-#: Frequencies compared, those that all recorders have [Hz]; a third of the lowest is resolved.
-BAND = (60.0, 20e3)
+SCENES = {"tail_beam": "k", "plate": "C9"}  # and their colours
+#: Frequencies compared [Hz], in so many bands; the lowest band is twice as wide as what is resolved.
+BAND, N_BANDS = (100.0, 20e3), 23
 #: Of the envelope [s]; what is shown before a blow and behind it; how long nothing louder follows a blow.
-SMOOTHING, BEFORE, BEHIND, ALONE = 0.5e-3, 5e-3, 60e-3, 40e-3
+SMOOTHING, BEFORE, BEHIND, ALONE = 1e-3, 5e-3, 60e-3, 30e-3
 #: Of which crest factors are made [s]: a frame of the scenes.
 PIECE = 80e-3
 
@@ -56,13 +56,13 @@ class Kind:
     many_blows: bool = False
 
 
-def recorded() -> Iterator[Kind]:
+def recorded(folder: Path) -> Iterator[Kind]:
     """Yield the real kinds."""
     for stem, name in BULK.items():
-        files = sorted((REAL / "bulk_ramp").glob(f"{stem}_*.wav"))
+        files = sorted((folder / "bulk_ramp").glob(f"{stem}_*.wav"))
         heard = [read_recording(file, channel=1)[0] for file in files]
         yield Kind(name, [one.samples for one in heard], heard[0].sampling_rate, many_blows=True)
-    heard = [read_recording(file)[0] for file in sorted((REAL / "shock").glob("acc_pcb_*.txt"))]
+    heard = [read_recording(file)[0] for file in sorted((folder / "shock").glob("acc_pcb_*.txt"))]
     yield Kind("board in a drop tower", [one.samples for one in heard], heard[0].sampling_rate)
 
 
@@ -78,7 +78,7 @@ def synthetic(n: int) -> Iterator[Kind]:
 
 def spectrum(kind: Kind) -> tuple[Floats, Floats]:
     """Return frequencies [Hz] and power density over the whole within `BAND`, the mean over the signals."""
-    length = 2 ** round(np.log2(3 * kind.sampling_rate / BAND[0]))
+    length = 2 ** round(np.log2(9 * kind.sampling_rate / BAND[0]))
     total = np.zeros(length // 2 + 1)
     for samples in kind.signals:
         padded = np.pad(samples - np.median(samples), (0, max(length - samples.size, 0)))
@@ -90,13 +90,10 @@ def spectrum(kind: Kind) -> tuple[Floats, Floats]:
 
 
 def bands(frequencies: Floats, power: Floats) -> tuple[Floats, Floats]:
-    """Return the middles of sixth-octave bands [Hz] and the power in each [dB], nan where there is no frequency."""
-    edges = np.geomspace(*BAND, round(6 * np.log2(BAND[1] / BAND[0])) + 1)
+    """Return the middles of third-octave bands [Hz] and the power in each [dB], nan above the recorder's."""
+    edges = np.geomspace(*BAND, N_BANDS + 1)
     inside = np.histogram(frequencies, edges, weights=power)[0]
-    counts = np.histogram(frequencies, edges)[0]
-    with np.errstate(divide="ignore"):
-        level = np.where(counts > 0, 10 * np.log10(inside), np.nan)
-    return np.sqrt(edges[1:] * edges[:-1]), level
+    return np.sqrt(edges[1:] * edges[:-1]), 10 * np.log10(np.where(inside > 0, inside, np.nan))
 
 
 def decay(kind: Kind) -> tuple[Floats, Floats, int]:
@@ -116,7 +113,7 @@ def decay(kind: Kind) -> tuple[Floats, Floats, int]:
     levels = np.array(found)
     if kind.many_blows:
         last = levels[:, before : before + round(ALONE * rate)].mean(axis=1)
-        levels = levels[last <= np.quantile(last, 0.25)]
+        levels = levels[last <= np.quantile(last, 0.1)]
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)  # before the first sample there is nothing
         return np.arange(-before, behind) / rate, np.nanmedian(levels, axis=0), len(levels)
@@ -162,9 +159,9 @@ def look(kind: Kind) -> Look:
 
 
 def _time_to(level: float, times: Floats, envelope: Floats) -> str:
-    """Return when an envelope is below a level for good [ms]."""
-    above = np.flatnonzero(envelope > level)[-1]
-    return f"{1e3 * times[above]:.1f}" if above + 1 < times.size and np.isfinite(envelope[above + 1]) else "-"
+    """Return when an envelope first is below a level behind its highest point [ms]."""
+    below = np.flatnonzero((times > 0) & (envelope < level))
+    return f"{1e3 * times[below[0]]:.1f}" if below.size else "-"
 
 
 def _crests(samples: Floats, rate: float) -> Floats:
@@ -180,14 +177,15 @@ def picture(rows: dict[str, list[Look]]) -> bytes:
     figure = plots.require_matplotlib()(figsize=(11, 6.6), layout="constrained")
     grid = figure.subplots(len(rows), 2, sharex="col", sharey="col")
     for (left, right), (title, looks) in zip(grid, rows.items(), strict=True):
-        for one in looks:
-            style = {"lw": 1.8, "ls": "--" if one.kind.name.endswith("gangue") else "-"}
-            (drawn,) = left.plot(one.frequencies / 1e3, one.levels, label=one.kind.name, **style)
-            right.plot(1e3 * one.times, one.envelope, color=drawn.get_color(), **style)
+        for number, one in enumerate(looks):
+            colour = SCENES.get(one.kind.name.split(",")[0], f"C{number}")
+            style = {"color": colour, "lw": 1.8, "ls": "--" if one.kind.name.endswith("gangue") else "-"}
+            left.plot(one.frequencies / 1e3, one.levels, label=one.kind.name, **style)
+            right.plot(1e3 * one.times, one.envelope, **style)
         left.set(xscale="log", xlim=(BAND[0] / 1e3, BAND[1] / 1e3), ylim=(-50, 0), title=f"{title}: spectrum")
-        left.set(ylabel="power in a sixth of an octave\nover the whole [dB]")
-        right.set(xlim=(-1e3 * BEFORE, 1e3 * BEHIND), ylim=(-50, 3), title=f"{title}: decay", ylabel="envelope [dB]")
-        figure.legend(*left.get_legend_handles_labels(), loc="outside right upper")
+        left.set(ylabel="power in a third-octave\nover the whole [dB]")
+        right.set(xlim=(-1e3 * BEFORE, 1e3 * BEHIND), ylim=(-40, 2), title=f"{title}: decay", ylabel="envelope [dB]")
+        right.legend(*left.get_legend_handles_labels(), loc="upper left", bbox_to_anchor=(1.02, 1))
         for axes in (left, right):
             axes.grid(alpha=0.3)
     left.set(xlabel="frequency [kHz]", xticks=[0.1, 0.3, 1, 3, 10], xticklabels=["0.1", "0.3", "1", "3", "10"])
@@ -198,13 +196,14 @@ def picture(rows: dict[str, list[Look]]) -> bytes:
 def main() -> None:
     """Read, synthesise, print, draw."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--real", type=Path, default=REAL, help="the folder of the real recordings")
     parser.add_argument("--signals", type=int, default=256, help="of each scene")
     parser.add_argument("-o", "--output", type=Path, default=HERE / "real_beside_synthetic.png")
     arguments = parser.parse_args()
-    if not REAL.is_dir():
-        raise SystemExit(f"the real recordings must stand beside this checkout and do not: {REAL}")
+    if not (arguments.real / "bulk_ramp").is_dir():
+        raise SystemExit(f"{arguments.real} must be the folder of the real recordings and is not there; give --real")
     rows = {
-        "real": [look(kind) for kind in recorded()],
+        "real": [look(kind) for kind in recorded(arguments.real)],
         "synthetic": [look(kind) for kind in synthetic(arguments.signals)],
     }
     print(f"| | | {' | '.join(COLUMNS)} |\n|---|---|{'---|' * len(COLUMNS)}")
