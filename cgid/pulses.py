@@ -12,7 +12,6 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from cgid.errors import BadData
 from cgid.estimation import PulseFit, Start, fit_pulses
 from cgid.estimation.start import strongest_run
 from cgid.validation import Floats
@@ -429,11 +428,3 @@ class PulseBatch:
                 f"use {WANTED_SAMPLES / span:.3g} Hz or more",
             )
         return found
-
-    def require_sound(self, found: dict[int, str], first_row: int = 0, n_signals: int | None = None) -> None:
-        """Raise `BadData` for the first row that cannot be measured; rows are counted from `first_row`."""
-        if found:
-            row, last_row = min(found), first_row + len(self.samples) - 1
-            where = f"signal {first_row + row}: " if (n_signals or len(self.samples)) > 1 else ""
-            more = f" ({len(found)} of signals {first_row} to {last_row} cannot be measured)" if len(found) > 1 else ""
-            raise BadData(f"{where}{found[row]}{more}")

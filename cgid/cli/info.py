@@ -74,7 +74,7 @@ def _model(file: str) -> dict[str, Any]:
     header = model.header
     training = header.pop("training")
     metrics = training.pop("metrics", {})
-    for table in ("selection", "domain_shift"):  # the card prints them
+    for table in ("selection", "domain_shift", "beside_force"):  # the card prints them
         training.pop(table, None)
     shown = ("accuracy", "accuracy_interval_95", "recall", "brier_score", "expected_calibration_error")
     return {
@@ -91,6 +91,7 @@ def _recording(file: str, sampling_rate: float | None, unit: str | None) -> dict
     import numpy as np
 
     from cgid.errors import BadData
+    from cgid.features import kind_for
     from cgid.identification.events import find_impacts
     from cgid.recordings import read_recording
 
@@ -98,7 +99,7 @@ def _recording(file: str, sampling_rate: float | None, unit: str | None) -> dict
     for signal in read_recording(file, sampling_rate=sampling_rate, unit=unit):
         samples = signal.samples
         try:
-            impacts = len(find_impacts(signal))
+            impacts = len(find_impacts(signal, kind=kind_for(signal.quantity)))
         except BadData:
             impacts = 0
         channels[f"channel {signal.channel}"] = {
@@ -113,4 +114,26 @@ def _recording(file: str, sampling_rate: float | None, unit: str | None) -> dict
             "highest": float(samples.max()),
             "impacts": impacts,
         }
-    return {"kind": "recording", "file": file, **channels}
+    return {"kind": "recording", "file": file, **channels, **_made(file)}
+
+
+def _made(file: str) -> dict[str, Any]:
+    """Return what a recording that cgid has made says about itself; nothing for any other."""
+    from collections import Counter
+
+    from cgid.store.recording import Recording, is_recording
+
+    if not is_recording(file):
+        return {}
+    recording = Recording(file)
+    truth = recording.impacts()
+    names = ("scene_name", "scene_sha256", "seed", "recording", "background_sha256", "versions")
+    return {
+        "truth": {
+            "impacts": recording.n_impacts,
+            "rocks": int((truth["bounce"] == 0).sum()),
+            "labels": dict(sorted(Counter(truth["label"].tolist()).items())),
+            "columns": dict(recording.impact_units),
+        },
+        **{name: recording.attributes[name] for name in names if name in recording.attributes},
+    }

@@ -164,8 +164,9 @@ def _cardinal(rule: Collocation, at: float, out: Array) -> None:
             return
         out[k] = rule.barycentric[k] / distance
         total += out[k]
+    total = 1.0 / total
     for k in range(out.size):
-        out[k] /= total
+        out[k] *= total
 
 
 @_jit
@@ -334,7 +335,8 @@ def _tail(s: Scratch, scale: float) -> float:
     n = s.force.size
     for i in range(n):
         scale = max(scale, abs(s.force[i]))
-    return (abs(s.coefficients[n - 1]) + abs(s.coefficients[n - 2]) + abs(s.coefficients[n - 3])) / scale
+    left: float = abs(s.coefficients[n - 1]) + abs(s.coefficients[n - 2]) + abs(s.coefficients[n - 3])
+    return left / scale
 
 
 @_jit
@@ -414,16 +416,16 @@ def _to_release(
 
 @_jit
 def _pressed(s: Scratch) -> bool:
-    """Tell if the spheres are in contact all through the step."""
+    """Tell if the sphere is in contact all through the step."""
     for i in range(s.depth.size):
         if s.depth[i] <= 0.0:
             return False
-    return s.ends[0] > 0.0
+    return bool(s.ends[0] > 0.0)
 
 
 @_jit
 def _guess(rule: Collocation, kind: int, h: float, damping: float, state: Array, s: Scratch) -> None:
-    """Start Newton from the force of a sphere that the force of this moment brakes, on a beam that goes on as it does."""
+    """Start Newton from a sphere that is braked by the force of this moment, on a beam that goes on as it does."""
     rate = state[_Y] - s.free[0]
     start = max(state[_X], 0.0) ** 1.5 * (1.0 + damping * rate)
     for i in range(s.force.size):
@@ -442,7 +444,8 @@ def _parting(damping: float, state: Array, s: Scratch) -> float:
     if away <= 0.0:
         return math.inf
     push = 2.0 / 7.0 * max(state[_X], 0.0) ** 1.5 * max(1.0 - damping * away, 0.0)
-    return 2.0 * state[_X] / (away + math.sqrt(away * away + 4.0 * push * state[_X]))
+    parting: float = 2.0 * state[_X] / (away + math.sqrt(away * away + 4.0 * push * state[_X]))
+    return parting
 
 
 @_jit
@@ -760,9 +763,9 @@ def follow(
 ) -> int:
     """Solve some impacts, in this order, until all are done or the course has no more room; return how many are.
 
-    Parameters: see `cgid.impact.coupled`. decay, angular and loss (modes,): z w [1/s], w_d [1/s], z / sqrt(1 - z^2);
-    participation (impacts, modes) [1/kg]; parameters (impacts, 6): D, gamma, window over T0, mass, T0, longest step [s].
-    course (steps, 3 + 2 n) holds the steps one after the other, those of rows[i] from first_step[i] to first_step[i + 1].
+    decay, angular and loss (modes,) are z w [1/s], w_d [1/s] and z / sqrt(1 - z^2), participation (impacts, modes) is
+    in 1/kg, parameters (impacts, 6) are D, gamma, window over T0, mass [kg], T0 [s] and longest step [s]. course
+    (steps, 3 + 2 n) holds the steps one after the other, those of rows[i] from first_step[i] to first_step[i + 1].
     """
     n_modes, k_times = angular.size, rule.times.size
     s = _scratch(n_modes, rule.place.shape[1], k_times)
@@ -803,7 +806,10 @@ def _quantity(step: Array, first: int, last: int, tau: float) -> float:
     """Return force or displacement, zero between two contacts."""
     share = (tau - step[START]) / step[LENGTH]
     if share >= 1.0:
-        return 0.0
+        # By rounding a time just before the next step may be the end of this one.
+        if step[KIND] == TO_SEPARATION or share > 1.0 + 1e-12:
+            return 0.0
+        share = 1.0
     if step[KIND] == FROM_TOUCH:
         share = math.sqrt(share)
     elif step[KIND] == TO_SEPARATION:

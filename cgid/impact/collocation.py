@@ -14,8 +14,9 @@ from functools import cache
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
-from cgid.validation import Floats
+Floats = NDArray[np.float64]
 
 #: Kinds of a step, the first index of many arrays.
 WITHIN, FROM_TOUCH, TO_SEPARATION = 0, 1, 2
@@ -68,7 +69,7 @@ def collocation(n_nodes: int, n_times: int) -> Collocation:
     """Return the weights for n Gauss nodes and k Chebyshev times."""
     nodes, weights = _gauss(n_nodes)
     times = np.sin(np.pi / 2 * np.arange(n_times) / (n_times - 1)) ** 2
-    barycentric = (-1.0) ** np.arange(n_times)
+    barycentric: Floats = (-1.0) ** np.arange(n_times, dtype=np.float64)
     barycentric[[0, -1]] /= 2
     # Exact for the product of all polynomials, whose variable m is of degree 2.
     fine, fine_weights = _gauss(n_times + n_nodes // 2 + 2)
@@ -117,4 +118,4 @@ def _cardinal(times: Floats, barycentric: Floats, at: Floats) -> Floats:
     with np.errstate(divide="ignore", invalid="ignore"):
         terms = barycentric / distance
         values = terms / terms.sum(axis=-1, keepdims=True)
-    return np.where(hit.any(axis=-1, keepdims=True), hit.astype(float), values)
+    return np.asarray(np.where(hit.any(axis=-1, keepdims=True), hit.astype(float), values))

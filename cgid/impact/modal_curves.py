@@ -12,7 +12,7 @@ from numpy.typing import DTypeLike, NDArray
 from cgid.errors import InvalidValue
 from cgid.impact.collocation import collocation
 from cgid.impact.curves import Curves, Quantity
-from cgid.impact.dispatch import kernel
+from cgid.impact.dispatch import FEW_SAMPLES, kernel
 from cgid.impact.threads import in_threads
 from cgid.validation import Floats
 
@@ -20,6 +20,8 @@ from cgid.validation import Floats
 N_NODES, N_TIMES = 16, 32
 #: Phase [rad] of the fastest mode in a step: `J_32(8)` is 1e-16. Duration of a step over T0.
 _LARGEST_PHASE, _LONGEST_STEP = 16.0, 1.2
+#: Modes up to which an impact or two are not worth compiling.
+_FEW_MODES = 256
 #: Steps of an impact for which there is room at first, and steps that are kept in one piece.
 _USUAL_STEPS, _PIECE = 64, 16384
 
@@ -162,7 +164,8 @@ def solve(
     left = np.argsort(longest, kind="stable")
     bounds = np.zeros((2, len(mass)), np.intp)
     pieces, total = [], 0
-    follow = kernel(_coupled, "follow", len(mass))
+    # Interpreted, an impact takes a tenth of a second, and a second with some hundred modes.
+    follow = kernel(_coupled, "follow", len(mass), FEW_SAMPLES // _FEW_MODES * angular.size)
     columns = _coupled.COEFFICIENTS + 2 * N_NODES
     while left.size:
         course = np.empty((_coupled.MOST_STEPS + min(_USUAL_STEPS * left.size, _PIECE), columns))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Mapping
 from functools import partial
 from typing import Any
@@ -67,9 +68,19 @@ def _modal_impact_of(scene: Scene, values: Mapping[str, Floats], rows: NDArray[n
         frequency=modes.frequency,
         damping_ratio=modes.damping_ratio,
         compliance=shape**2 / modes.modal_mass,
+        residual_compliance=_residual_compliance(scene, modes.frequency[-1]),
         tolerance=0.1 * TOLERANCE,
         **_collision(scene, values, rows),
     )
+
+
+def _residual_compliance(scene: Scene, highest: float) -> float:
+    """Return how far a panel gives way by the modes above a frequency [Hz], which follow a blow at once [m/N].
+
+    The real part of its mobility is 1/Z at every frequency, so the static compliance above w is `2 / (pi Z w)`. Of a
+    beam that was measured nothing is known above the last mode of its table.
+    """
+    return 0.0 if scene.panel is None else 1 / (math.pi**2 * scene.panel.impedance * highest)
 
 
 def _collision(scene: Scene, values: Mapping[str, Floats], rows: NDArray[np.intp]) -> dict[str, Any]:

@@ -12,6 +12,7 @@ from numpy.typing import DTypeLike, NDArray
 from cgid import validation
 from cgid.errors import InvalidValue
 from cgid.impact import HertzRangeWarning, ThinPlateWarning
+from cgid.scene.background_noise import add_to_frames
 from cgid.scene.noise import add_noise
 from cgid.scene.population import Draw, draw
 from cgid.scene.randomness import BLOCK
@@ -57,6 +58,11 @@ def synthesise(
     if n_signals < 1 or first < 0:
         raise InvalidValue(f"n_signals must be 1 or more and first 0 or more, got {n_signals} and {first}")
     validation.choice("dtype", dtype, ("float32", "float64"))
+    if scene.stream is not None:
+        raise InvalidValue(
+            f"scene {scene.name}: stream must be left out of a scene that frames are made of; make recordings of it "
+            "(cgid generate SCENE -o RECORDING.h5)"
+        )
     last = first + n_signals
     for block in range(first // BLOCK, (last - 1) // BLOCK + 1):
         part = slice(max(first - block * BLOCK, 0), min(last - block * BLOCK, BLOCK))
@@ -83,7 +89,9 @@ def _block(scene: Scene, seed: int, block: int, part: slice, dtype: DTypeLike) -
 
 
 def make_frames(scene: Scene, drawn: Draw, seed: int, block: int, dtype: DTypeLike) -> NDArray[Any]:
-    """Return the frames of one block: pulses, bandwidth, noise, clipping, range, bits, each only where it is on.
+    """Return the frames of one block, with each part of the chain only where it is on.
+
+    Pulses, bandwidth, noise, background, clipping, range, bits.
 
     The scene is that of the block: `drawn.scene`.
     """
@@ -96,6 +104,8 @@ def make_frames(scene: Scene, drawn: Draw, seed: int, block: int, dtype: DTypeLi
         peak = np.abs(frames).max(axis=1).astype(np.float64)
     if sensor.noisy:
         add_noise(frames, sensor.noise_level(peak, scene.sampling.sampling_rate), seed, block)
+    if scene.background is not None:
+        add_to_frames(frames, scene, seed, block)
     if "clipped_at" in drawn.parameters:
         clip(frames, drawn.parameters["clipped_at"] * peak)
     sensor.digitise(frames, scene.sampling.sampling_rate)

@@ -1,63 +1,15 @@
-"""The table of features, and their extraction: only what is asked is computed.
-
-Every feature is one entry of `FEATURES`: name, unit, definition, source, and the measurement it needs. The
-measurements themselves are in `cgid.pulses`, each made at most once. Columns, units and documentation all
-come from this table.
-"""
+"""The features of a positive pulse, such as a contact force."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Literal
+from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
-from cgid import validation
-from cgid.errors import BadData, InvalidValue
-from cgid.pulses import DETECTION_LIMIT, PulseBatch
+from cgid.features.feature import Feature
+from cgid.pulses import PulseBatch
 from cgid.validation import Floats
-
-if TYPE_CHECKING:
-    import pandas
-
-#: Rows measured at once: enough to share the overhead of the fit, few enough for the memory to stay flat.
-_ROWS = 1024
-#: A frame must hold the fewest samples of a pulse and one on either side.
-MINIMUM_FRAME = 6
-
-
-@dataclass(frozen=True)
-class Feature:
-    """One feature of a pulse.
-
-    Attributes
-    ----------
-    name : str
-    unit : str
-        `U` stands for the unit of the signal.
-    definition : str
-    source : str
-    measure : callable
-        From a `PulseBatch` to one number a row.
-    fitted : bool
-        Whether it is read from the fitted pulse, which can be had where samples alone tell nothing.
-    positive : bool
-        Whether, without a unit, it is always above 0 and its ratios are what counts.
-    """
-
-    name: str
-    unit: str
-    definition: str
-    source: str
-    measure: Callable[[PulseBatch], Floats]
-    fitted: bool = False
-    positive: bool = False
-
-    def unit_for(self, signal_unit: str) -> str:
-        """Return the unit when the signal is in `signal_unit`."""
-        return self.unit.replace("U", signal_unit)
 
 
 def _rise_time(pulses: PulseBatch) -> Floats:
@@ -148,7 +100,7 @@ _PEETERS = "Peeters 2004, CUIDADO report (spectral shape), on the power spectrum
 _FIT = "cgid.estimation: least squares with Firth's penalty (1993)"
 _YANG = "Yang, Zeng & Wan 2018"
 
-_TABLE = (
+PULSE_FEATURES = (
     Feature("peak_force", "U", "largest sample, baseline removed", _YANG, lambda p: p.peak),
     Feature(
         "contact_duration",
@@ -249,151 +201,3 @@ _TABLE = (
         True,
     ),
 )
-#: Every feature by name, in the order of the columns.
-FEATURES: dict[str, Feature] = {feature.name: feature for feature in _TABLE}
-
-
-def choose(features: Iterable[str] | None) -> tuple[str, ...]:
-    """Return the names of the asked features in their order, all for None.
-
-    Raises
-    ------
-    InvalidValue
-        A name is unknown, given twice, or there is none.
-    """
-    if features is None:
-        return tuple(FEATURES)
-    names = (features,) if isinstance(features, str) else tuple(features)
-    for name in names:
-        validation.choice("feature", name, FEATURES)
-    if not names or len(set(names)) != len(names):
-        raise InvalidValue(f"features must be named once each, and at least one, got {', '.join(names) or 'none'}")
-    return names
-
-
-def extract_array(
-    samples: ArrayLike,
-    sampling_rate: float,
-    features: Iterable[str] | None = None,
-    *,
-    pre_trigger: int | None = None,
-    remove_baseline: bool = True,
-    invalid: Literal["raise", "nan"] = "raise",
-    detection_limit: float = DETECTION_LIMIT,
-) -> Floats:
-    """Return features as plain numbers, without pandas; as `extract`.
-
-    Parameters
-    ----------
-    samples, sampling_rate, features, pre_trigger, remove_baseline, invalid
-        As in `extract`.
-    detection_limit : float
-        A peak must pass this many standard deviations of the noise before touch; an impact that was found in a
-        recording by other means may ask for less.
-
-    Returns
-    -------
-    ndarray, (n_signals, n_features)
-        In the order of `features`.
-    """
-    names = choose(features)
-    frames, rate = _frames(samples), float(validation.positive("sampling_rate", sampling_rate, "Hz"))
-    if pre_trigger is not None and not 0 <= pre_trigger < frames.shape[1]:
-        raise InvalidValue(
-            f"pre_trigger must lie between 0 and the {frames.shape[1]} samples of the frame, got {pre_trigger}"
-        )
-    validation.choice("invalid", invalid, ("raise", "nan"))
-    out = np.full((len(frames), len(names)), np.nan)
-    for first in range(0, len(frames), _ROWS):
-        pulses = PulseBatch(frames[first : first + _ROWS], rate, pre_trigger, remove_baseline, detection_limit)
-        sound = np.ones(len(pulses.samples), bool)
-        found = problems_of(pulses, names)
-        if found and invalid == "raise":
-            pulses.require_sound(found, first, len(frames))
-        if found:
-            sound[list(found)] = False
-            pulses = PulseBatch(pulses.samples[sound], rate, pre_trigger, remove_baseline, detection_limit)
-        if sound.any():
-            rows = first + np.flatnonzero(sound)
-            for column, name in enumerate(names):
-                out[rows, column] = FEATURES[name].measure(pulses)
-    return out
-
-
-def problems_of(pulses: PulseBatch, names: Iterable[str]) -> dict[int, str]:
-    """Return why rows cannot be measured: a fit needs less of a pulse than what is read off the samples."""
-    kinds = {FEATURES[name].fitted for name in names}
-    found = pulses.problems() if False in kinds else {}
-    return (pulses.fit_problems() if True in kinds else {}) | found
-
-
-def extract(
-    samples: ArrayLike,
-    sampling_rate: float,
-    features: Iterable[str] | None = None,
-    *,
-    pre_trigger: int | None = None,
-    remove_baseline: bool = True,
-    invalid: Literal["raise", "nan"] = "raise",
-) -> pandas.DataFrame:
-    """Return the features of single pulses, one row a signal.
-
-    Parameters
-    ----------
-    samples : array_like, (n_samples,) or (n_signals, n_samples)
-        One positive pulse a row.
-    sampling_rate : float
-        [Hz].
-    features : iterable of str, optional
-        Names out of `FEATURES`; all of them by default. Only these, and what they need, are computed.
-    pre_trigger : int, optional
-        Samples before touch; baseline and noise are their mean and standard deviation. By default every
-        sample up to the foot of the pulse (1 % of the way from the first samples to the largest).
-    remove_baseline : bool
-        Whether the baseline is subtracted before anything is measured.
-    invalid : {"raise", "nan"}
-        What happens to a signal that cannot be measured; a sample that is not finite is always an error.
-
-    Returns
-    -------
-    pandas.DataFrame, (n_signals, n_features)
-        The units are in `FEATURES`.
-
-    Raises
-    ------
-    BadData
-        A signal has no impact, is cut off, has too few samples on the pulse, or is not finite.
-    InvalidValue
-        A feature is unknown, or a number breaks its rule.
-
-    Examples
-    --------
-    >>> t = np.arange(300) / 1e5
-    >>> pulse = 800 * np.sin(np.pi * np.clip((t - 1e-3) / 1e-3, 0, 1)) ** 1.5
-    >>> extract(pulse, 1e5, ["peak_force", "contact_duration"]).round(5).values.tolist()
-    [[800.0, 0.001]]
-    """
-    import pandas
-
-    names = choose(features)
-    values = extract_array(
-        samples, sampling_rate, names, pre_trigger=pre_trigger, remove_baseline=remove_baseline, invalid=invalid
-    )
-    return pandas.DataFrame(values, columns=list(names))
-
-
-def _frames(samples: ArrayLike) -> NDArray[Any]:
-    frames = np.asarray(samples)
-    if frames.dtype not in (np.float32, np.float64):
-        frames = validation.real("samples", frames)
-    frames = frames[None] if frames.ndim == 1 else frames
-    if frames.ndim != 2 or frames.shape[1] < MINIMUM_FRAME:
-        raise BadData(
-            f"samples must be rows of at least {MINIMUM_FRAME} samples, got shape {np.shape(samples)}: record longer"
-        )
-    finite = np.isfinite(frames)
-    if not finite.all():
-        row, column = np.argwhere(~finite)[0]
-        where = f"signal {row} sample {column}" if len(frames) > 1 else f"sample {column}"
-        raise BadData(f"samples must be finite, {where} is {frames[row, column]}: cut or repair the recording there")
-    return frames
