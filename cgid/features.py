@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cgid import validation
+from cgid.counting import count
 from cgid.errors import BadData, InvalidValue
 from cgid.pulses import DETECTION_LIMIT, PulseBatch
 from cgid.validation import Floats
@@ -45,6 +46,8 @@ class Feature:
         Whether it is read from the fitted pulse, which can be had where samples alone tell nothing.
     positive : bool
         Whether, without a unit, it is always above 0 and its ratios are what counts.
+    whole_frame : bool
+        Whether it looks at samples far from the pulse.
     """
 
     name: str
@@ -54,6 +57,7 @@ class Feature:
     measure: Callable[[PulseBatch], Floats]
     fitted: bool = False
     positive: bool = False
+    whole_frame: bool = False
 
     def unit_for(self, signal_unit: str) -> str:
         """Return the unit when the signal is in `signal_unit`."""
@@ -239,6 +243,7 @@ _TABLE = (
         lambda p: p.fit.misfit,
         True,
         positive=True,
+        whole_frame=True,
     ),
     Feature(
         "overload",
@@ -306,18 +311,37 @@ def extract_array(
     out = np.full((len(frames), len(names)), np.nan)
     for first in range(0, len(frames), _ROWS):
         pulses = PulseBatch(frames[first : first + _ROWS], rate, pre_trigger, remove_baseline, detection_limit)
-        sound = np.ones(len(pulses.samples), bool)
         found = problems_of(pulses, names)
         if found and invalid == "raise":
             pulses.require_sound(found, first, len(frames))
-        if found:
-            sound[list(found)] = False
-            pulses = PulseBatch(pulses.samples[sound], rate, pre_trigger, remove_baseline, detection_limit)
-        if sound.any():
-            rows = first + np.flatnonzero(sound)
-            for column, name in enumerate(names):
-                out[rows, column] = FEATURES[name].measure(pulses)
+        sound, pulses = pulses_without(pulses, found)
+        out[first + sound] = measured(pulses, names)
     return out
+
+
+def pulses_without(pulses: PulseBatch, found: Iterable[int]) -> tuple[NDArray[np.intp], PulseBatch]:
+    """Return the rows in which no problem was found, and their pulses."""
+    sound = np.ones(len(pulses.samples), bool)
+    sound[list(found)] = False
+    if sound.all():
+        return np.arange(sound.size), pulses
+    rest = PulseBatch(
+        pulses.samples[sound],
+        pulses.sampling_rate,
+        pulses.pre_trigger,
+        pulses.remove_baseline,
+        pulses.detection_limit,
+    )
+    return np.flatnonzero(sound), rest
+
+
+def measured(pulses: PulseBatch, names: Iterable[str]) -> Floats:
+    """Return the features of pulses that can be measured, (n_signals, n_features)."""
+    chosen = [FEATURES[name] for name in names]
+    count("features", len(pulses.samples) * len(chosen))
+    if not len(pulses.samples):
+        return np.empty((0, len(chosen)))
+    return np.stack([feature.measure(pulses) for feature in chosen], axis=1)
 
 
 def problems_of(pulses: PulseBatch, names: Iterable[str]) -> dict[int, str]:

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
 from cgid import family
+from cgid.counting import count, counting
 from cgid.errors import InvalidValue
 from cgid.impact.closed_forms import peak_displacement, peak_force
 from cgid.impact.dispatch import FEW_SAMPLES, kernel
@@ -64,8 +65,12 @@ class Curves:
 
     @cached_property
     def damping(self) -> Floats:
-        """D of the Hunt-Crossley loss."""
-        return damping_number(self.material_restitution)
+        """D of the Hunt-Crossley loss; where there is none nothing is solved for."""
+        damped = self.material_restitution < 1
+        count("damping_solves", np.count_nonzero(damped))
+        damping = np.zeros(self.material_restitution.shape)
+        damping[damped] = damping_number(self.material_restitution[damped])
+        return damping
 
     @cached_property
     def _parameters(self) -> Floats:
@@ -114,6 +119,7 @@ class Curves:
     def times(self) -> tuple[Floats, Floats, Floats]:
         """Contact time, time of the peak force, time of the largest displacement."""
         out = np.empty((3, self.plain.size))
+        count("tabulated_times", np.count_nonzero(self.tabulated))
         if self.tabulated.any():
             out[:, self.tabulated] = family.times(self.material_restitution[self.tabulated])
         if not self.tabulated.all():
@@ -123,6 +129,7 @@ class Curves:
         return out[0], out[1], out[2]
 
     def _closed_or_integrated(self, closed: Callable[[NDArray[np.bool_]], Floats], name: str) -> Floats:
+        count(f"closed_forms_of_{name}", np.count_nonzero(self.plain))
         out = np.empty(self.plain.size)
         out[self.plain] = closed(self.plain)
         if not self.plain.all():
@@ -135,6 +142,7 @@ class Curves:
         from cgid.impact import _taylor
 
         found = np.full((self.plain.size, len(_taylor.RESULTS)), np.nan)
+        count("integrated_impacts", np.count_nonzero(~self.tabulated))
         summaries = kernel(_taylor, "summaries", self.plain.size)
         summaries(self._parameters, _taylor.ORDER, 0.0, found, np.flatnonzero(~self.tabulated))
         return dict(zip(_taylor.RESULTS, found.T, strict=True))
@@ -190,6 +198,8 @@ class Curves:
         """Return force or displacement at times (n, k) [s], shape (n, k), zero outside contact."""
         out = np.empty(times.shape, dtype)
         rows, rest = np.flatnonzero(self.tabulated), np.flatnonzero(~self.tabulated)
+        count("table_pulses", rows.size)
+        count("integrated_pulses", rest.size)
         if rows.size * times.shape[1] <= FEW_SAMPLES:
             restitution = self.material_restitution[rows]
             with np.errstate(over="ignore"):  # long past separation
@@ -224,6 +234,10 @@ class Curves:
         threads : int
         """
         rows, rest = np.flatnonzero(self.tabulated), np.flatnonzero(~self.tabulated)
+        count("table_pulses", rows.size)
+        count("integrated_pulses", rest.size)
+        if counting():
+            count("pulse_samples", _samples_in_contact(onset, onset + self.times[0] / step, frames.shape[1]))
         if rows.size:
             from cgid.impact import _kernels
 
@@ -235,6 +249,12 @@ class Curves:
 
             run = kernel(_taylor, "add_to_frames", *frames.shape)
             _in_threads(run, (frames, onset, step, self._parameters, amplitude, _taylor.ORDER), rest, threads)
+
+
+def _samples_in_contact(touch: Floats, separation: Floats, n_samples: int) -> int:
+    """Return how many samples of frames lie between touch and separation, both in samples."""
+    first = np.clip(np.floor(touch) + 1, 0, n_samples)
+    return int(np.sum(np.clip(np.ceil(separation), first, n_samples) - first))
 
 
 def _in_threads(run: Callable[..., None], arguments: tuple[Any, ...], rows: NDArray[np.intp], threads: int) -> None:

@@ -14,6 +14,7 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
+from cgid.counting import count
 from cgid.errors import BadData
 from cgid.signals import UNITS, Batch, quantity_of
 
@@ -79,6 +80,7 @@ class ShardBuilder:
 
     def add(self, batch: Batch) -> None:
         """Append the signals of a batch."""
+        count("stored_signals", len(batch))
         rows = slice(self._filled, self._filled + len(batch))
         signals = self._file["signals"]
         if not self._filled:

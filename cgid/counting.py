@@ -1,0 +1,61 @@
+"""How often what has run: counters at the places where work is handed out, for tests and benchmarks.
+
+Nobody counts unless asked: `with counted() as counts:` collects, everywhere else `count` looks once and returns.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections import Counter
+from collections.abc import Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
+
+_counts: ContextVar[Counter[str] | None] = ContextVar("cgid_counts", default=None)
+_lock = threading.Lock()
+
+
+@contextmanager
+def counted() -> Iterator[Counter[str]]:
+    """Collect what runs inside, by name.
+
+    It holds for this thread and for those that are given its context; counts inside another `counted` are added to
+    the outer one's at the end.
+
+    Examples
+    --------
+    >>> with counted() as counts:
+    ...     count("frames", 256)
+    ...     count("frames", 44)
+    >>> counts["frames"], counts["spectra"]
+    (300, 0)
+    """
+    counts: Counter[str] = Counter()
+    token = _counts.set(counts)
+    try:
+        yield counts
+    finally:
+        _counts.reset(token)
+        for name, number in counts.items():
+            count(name, number)
+
+
+def counting() -> bool:
+    """Return whether anybody counts: what is only made to be counted is made only then."""
+    return _counts.get() is not None
+
+
+def count(name: str, number: int = 1) -> None:
+    """Add to a counter; once for a whole batch, never for each sample.
+
+    Parameters
+    ----------
+    name : str
+        What ran, in the plural.
+    number : int
+        How many of them.
+    """
+    counts = _counts.get()
+    if counts is not None and number:
+        with _lock:
+            counts[name] += int(number)
