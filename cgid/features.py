@@ -46,6 +46,8 @@ class Feature:
         Whether it is read from the fitted pulse, which can be had where samples alone tell nothing.
     positive : bool
         Whether, without a unit, it is always above 0 and its ratios are what counts.
+    spectral : bool
+        Whether it is read from the spectrum.
     whole_frame : bool
         Whether it looks at samples far from the pulse.
     """
@@ -57,6 +59,7 @@ class Feature:
     measure: Callable[[PulseBatch], Floats]
     fitted: bool = False
     positive: bool = False
+    spectral: bool = False
     whole_frame: bool = False
 
     def unit_for(self, signal_unit: str) -> str:
@@ -184,10 +187,10 @@ _TABLE = (
         "Hertz scaling",
         lambda p: p.peak / p.duration**2,
     ),
-    Feature("spectral_centroid", "Hz", "mean frequency, weighted by power", _PEETERS, _centroid),
-    Feature("spectral_bandwidth", "Hz", "standard deviation about the centroid", _PEETERS, _bandwidth),
-    Feature("spectral_rolloff", "Hz", "85 % of the energy lies below", _PEETERS, _rolloff),
-    Feature("cutoff_10db", "Hz", "where the spectrum first is 10 dB below its value at 0 Hz", _PEETERS, _cutoff),
+    Feature("spectral_centroid", "Hz", "mean frequency, weighted by power", _PEETERS, _centroid, spectral=True),
+    Feature("spectral_bandwidth", "Hz", "standard deviation about the centroid", _PEETERS, _bandwidth, spectral=True),
+    Feature("spectral_rolloff", "Hz", "85 % of the energy lies below", _PEETERS, _rolloff, spectral=True),
+    Feature("cutoff_10db", "Hz", "where the spectrum first is 10 dB below its value at 0 Hz", _PEETERS, _cutoff, spectral=True),
     *(
         Feature(
             f"band_energy_{low}_{high}_hz",
@@ -195,6 +198,7 @@ _TABLE = (
             f"share of the spectrum's energy between {low} and {high} Hz",
             _PEETERS,
             _band(float(low), float(high)),
+            spectral=True,
         )
         for low, high in _BANDS
     ),

@@ -21,6 +21,7 @@ from cgid.scene.plates import problem_on_plate
 from cgid.scene.sections import ImpactSection, Population, RandomiseSection, SamplingSection, Section, Tap
 from cgid.scene.sensor import Sensor
 from cgid.scene.units import shown
+from cgid.scene.weight import problem_of_weight
 
 #: No scene is longer.
 _LARGEST_FILE = 8 << 20
@@ -51,6 +52,10 @@ class Scene(Section):
                 problems.append(f"populations.{index}.restitution: is missing, hunt-crossley dissipation needs it")
             if (problem := problem_on_plate(self.impact, population)) is not None:
                 problems.append(f"populations.{index}: {problem}")
+            elif (problem := problem_of_weight(self.impact, population)) is not None:
+                problems.append(f"populations.{index}: {problem}")
+        if self.impact.gravity_tolerance is not None and self.impact.gravity is None:
+            problems.append("impact.gravity_tolerance: must come with impact.gravity; give that, too, or leave it out")
         nyquist = self.sampling.sampling_rate / 2
         if self.sensor.bandwidth is not None and self.sensor.bandwidth >= nyquist:
             problems.append(

@@ -18,6 +18,7 @@ DIMENSIONS: dict[str, dict[str, float]] = {
     "frequency": {"Hz": 1.0, "kHz": 1e3, "MHz": 1e6},
     "force": {"N": 1.0, "kN": 1e3, "MN": 1e6},
     "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6},
+    "acceleration": {"m/s^2": 1.0, "m/s2": 1.0},
     "ratio": {"": 1.0, "%": 1e-2},
 }
 
@@ -31,6 +32,7 @@ LIMITS: dict[str, tuple[float, float]] = {
     "frequency": (1e-3, 1e9),
     "force": (1e-9, 1e15),
     "time": (1e-9, 1e4),
+    "acceleration": (1e-3, 1e4),
 }
 
 _NUMBER = re.compile(r"([-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+))(?:[eE]([-+]?[0-9]{1,9}))?\s*(.*)")
@@ -98,6 +100,7 @@ Modulus = Annotated[float, BeforeValidator(_reader("modulus")), _limits("modulus
 Length = Annotated[float, BeforeValidator(_reader("length")), _limits("length")]
 Frequency = Annotated[float, BeforeValidator(_reader("frequency")), _limits("frequency")]
 Force = Annotated[float, BeforeValidator(_reader("force")), _limits("force")]
+Acceleration = Annotated[float, BeforeValidator(_reader("acceleration")), _limits("acceleration")]
 Level = Annotated[float, BeforeValidator(_reader("force")), Field(ge=0, le=LIMITS["force"][1])]
 #: Without a dimension: a number as it stands, neither a string nor true or false.
 Number = Annotated[float, Strict()]
