@@ -14,12 +14,14 @@ from cgid import validation
 from cgid.counting import count
 from cgid.errors import InvalidValue
 from cgid.impact import HertzRangeWarning, ThinPlateWarning
+from cgid.scene.noise import HIGHEST_NOISE, add_noise
 from cgid.scene.plan import Plan, plan
 from cgid.scene.population import Draw, draw
-from cgid.scene.randomness import BLOCK, NOISE, generator
+from cgid.scene.randomness import BLOCK
 from cgid.scene.scene import Scene
 from cgid.scene.sensor import clip
 from cgid.signals import Batch
+from cgid.validation import Floats
 
 
 def synthesise(
@@ -105,10 +107,8 @@ def unwarned() -> Iterator[None]:
         yield
 
 
-def make_frames(
-    asked: Plan, drawn: Draw, seed: int, block: int, dtype: DTypeLike, n_samples: int | None = None
-) -> NDArray[Any]:
-    """Return the frames of one block: pulses, bandwidth, noise, clipping, range, bits, each only where the plan says so.
+def make_frames(asked: Plan, drawn: Draw, seed: int, block: int, dtype: DTypeLike) -> NDArray[Any]:
+    """Return the frames of one block: pulses, bandwidth, noise, clipping, range, bits, each if the plan says so.
 
     Parameters
     ----------
@@ -117,45 +117,50 @@ def make_frames(
     drawn : Draw
     seed, block : int
     dtype : {"float32", "float64"}
-    n_samples : int, optional
-        Only so much of the beginning of each frame; equal to that of the whole frames to the last bit.
     """
-    scene, n_signals = drawn.scene, len(drawn.labels)
-    length = scene.sampling.samples if n_samples is None else min(n_samples, scene.sampling.samples)
-    if asked.runs("bandwidth"):
-        # The transform goes round the whole frame.
-        frames = np.zeros((n_signals, scene.sampling.samples), dtype)
-        add_pulses(frames, scene, drawn)
-        limited = scene.sensor.limit_band(frames, scene.sampling.sampling_rate)
-        frames = np.ascontiguousarray(limited[:, :length])
-        if asked.runs("noise"):
-            frames += _noise(scene, drawn, seed, block, dtype, length)
-    else:
-        # Pulses are added to the noise where they are, which saves a pass over the frames.
-        shape = (n_signals, length)
-        frames = _noise(scene, drawn, seed, block, dtype, length) if asked.runs("noise") else np.zeros(shape, dtype)
-        add_pulses(frames, scene, drawn)
+    return make_beginnings(asked, drawn, seed, block, dtype, drawn.scene.sampling.samples)[0]
+
+
+def make_beginnings(
+    asked: Plan, drawn: Draw, seed: int, block: int, dtype: DTypeLike, n_samples: int
+) -> tuple[NDArray[Any], Floats]:
+    """Return the first samples of the frames of one block, and what no sample behind them passes.
+
+    They are those of the whole frames to the last bit. All contacts must end within them or lie behind the frame.
+    Other parameters as in `make_frames`.
+
+    Returns
+    -------
+    ndarray, (n_signals, n_samples)
+    ndarray, (n_signals,)
+        Above every sample of the rest of the frame, in the unit of the signals.
+    """
+    scene, sensor = drawn.scene, drawn.scene.sensor
+    n_signals, whole = len(drawn.labels), scene.sampling.samples
+    highest_behind = np.zeros(n_signals)
+    # The transform of a low-pass goes round the whole frame.
+    filtered = asked.runs("bandwidth")
+    frames: NDArray[Any] = np.zeros((n_signals, whole if filtered else n_samples), dtype)
+    add_pulses(frames, scene, drawn)
+    if filtered:
+        frames = sensor.limit_band(frames, scene.sampling.sampling_rate)
+        highest_behind = frames[:, n_samples:].max(axis=1, initial=0.0).astype(np.float64)
+        frames = np.ascontiguousarray(frames[:, :n_samples])
+    if asked.runs("noise"):
+        level = sensor.noise_level(drawn.parameters["peak_force"])
+        add_noise(frames, level, seed, block)
+        highest_behind += HIGHEST_NOISE * level
     count("frames", n_signals)
     count("frame_samples", frames.size)
     if asked.runs("clipping"):
-        clip(frames, drawn.parameters["clipped_at"] * drawn.parameters["peak_force"])
         count("clipped_frames", n_signals)
+        clip(frames, drawn.parameters["clipped_at"] * drawn.parameters["peak_force"])
     if asked.runs("range and bits"):
-        scene.sensor.digitise(frames)
         count("digitised_frames", n_signals)
-    return frames
-
-
-def _noise(scene: Scene, drawn: Draw, seed: int, block: int, dtype: DTypeLike, n_samples: int) -> NDArray[Any]:
-    noise = np.empty((len(drawn.labels), scene.sampling.samples), np.float32)
-    generator(seed, NOISE, block).standard_normal(dtype=np.float32, out=noise)
-    count("noise_samples", noise.size)
-    noise = np.ascontiguousarray(noise[:, :n_samples])
-    level = scene.sensor.noise_level(drawn.parameters["peak_force"])[:, None]
-    if noise.dtype == dtype:
-        noise *= level.astype(np.float32)
-        return noise
-    return noise.astype(np.float64) * level
+        sensor.digitise(frames)
+        if sensor.range is not None and sensor.bits is not None:
+            highest_behind += sensor.range / 2**sensor.bits  # half a step
+    return frames, highest_behind
 
 
 def add_pulses(frames: NDArray[Any], scene: Scene, drawn: Draw) -> None:
