@@ -190,7 +190,14 @@ _TABLE = (
     Feature("spectral_centroid", "Hz", "mean frequency, weighted by power", _PEETERS, _centroid, spectral=True),
     Feature("spectral_bandwidth", "Hz", "standard deviation about the centroid", _PEETERS, _bandwidth, spectral=True),
     Feature("spectral_rolloff", "Hz", "85 % of the energy lies below", _PEETERS, _rolloff, spectral=True),
-    Feature("cutoff_10db", "Hz", "where the spectrum first is 10 dB below its value at 0 Hz", _PEETERS, _cutoff, spectral=True),
+    Feature(
+        "cutoff_10db",
+        "Hz",
+        "where the spectrum first is 10 dB below its value at 0 Hz",
+        _PEETERS,
+        _cutoff,
+        spectral=True,
+    ),
     *(
         Feature(
             f"band_energy_{low}_{high}_hz",

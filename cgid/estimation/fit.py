@@ -112,7 +112,9 @@ class PulseFit:
     def nothing(cls) -> PulseFit:
         """Return no rows at all."""
         none = np.empty(0)
-        return cls(*(none,) * 6, np.empty((0, 5, 5)), none, np.empty(0, np.intp), none, np.empty(0, bool), np.empty(0, np.intp))
+        return cls(
+            *(none,) * 6, np.empty((0, 5, 5)), none, np.empty(0, np.intp), none, np.empty(0, bool), np.empty(0, np.intp)
+        )
 
     def spread(self, places: NDArray[np.intp], n: int) -> PulseFit:
         """Return n rows with these at their places, the others nan, nothing clipped and not converged."""

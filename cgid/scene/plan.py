@@ -80,10 +80,14 @@ class Plan:
         )
 
     @property
+    def kind(self) -> str:
+        """What comes out, in a word: the last of what is asked on the way of the data."""
+        return max(self.request.outputs, key=OUTPUTS.index)
+
+    @property
     def microseconds(self) -> float:
         """Estimated cost of a signal."""
         return sum(stage.microseconds for stage in self.stages)
-
 
 
 def plan(

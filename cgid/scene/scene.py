@@ -50,9 +50,8 @@ class Scene(Section):
                 problems.append(f"populations.{index}.restitution: must be left out when dissipation is elastic")
             if not elastic and population.restitution is None:
                 problems.append(f"populations.{index}.restitution: is missing, hunt-crossley dissipation needs it")
-            if (problem := problem_on_plate(self.impact, population)) is not None:
-                problems.append(f"populations.{index}: {problem}")
-            elif (problem := problem_of_weight(self.impact, population)) is not None:
+            problem = problem_on_plate(self.impact, population) or problem_of_weight(self.impact, population)
+            if problem is not None:
                 problems.append(f"populations.{index}: {problem}")
         if self.impact.gravity_tolerance is not None and self.impact.gravity is None:
             problems.append("impact.gravity_tolerance: must come with impact.gravity; give that, too, or leave it out")

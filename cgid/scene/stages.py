@@ -259,9 +259,7 @@ def _clipping(request: Request) -> Decision:
         return Decision(runs=False, why="off")
     if not request.sensed:
         return _NO_SENSOR
-    return Decision(
-        runs=True, why="clipped_at is drawn", cost=lambda work: UNIT_COSTS["clipped sample"] * work.samples
-    )
+    return Decision(runs=True, why="clipped_at is drawn", cost=lambda work: UNIT_COSTS["clipped sample"] * work.samples)
 
 
 def _digitising(request: Request) -> Decision:

@@ -100,7 +100,7 @@ def _block(asked: Plan, seed: int, block: int, part: slice, dtype: DTypeLike) ->
 
 @contextmanager
 def unwarned() -> Iterator[None]:
-    """Draw in silence: a population reaches past Hertz's or Zener's range here and there; `cgid check` says how often."""
+    """Draw in silence where a population reaches past Hertz's or Zener's range; `cgid check` says how often."""
     with warnings.catch_warnings():
         for beyond in (HertzRangeWarning, ThinPlateWarning):
             warnings.simplefilter("ignore", beyond)

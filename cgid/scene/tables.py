@@ -90,7 +90,9 @@ def columns_of(asked: Plan, n_signals: int, seed: int = 0, *, first: int = 0) ->
     """
     require_count(n_signals, first)
     if asked.request.kept:
-        raise InvalidValue("columns are of parameters, closed forms or features, the plan keeps signals; use synthesise")
+        raise InvalidValue(
+            "columns are of parameters, closed forms or features, the plan keeps signals; use synthesise"
+        )
     if "features" in asked.request.outputs:
         return _measured(asked, n_signals, seed, first)
     return (_untimed(asked, seed, block, part) for block, part in blocks(n_signals, first))
@@ -179,9 +181,7 @@ def _features(asked: Plan, seed: int, drawn: list[_Drawn]) -> Columns:
     )
 
 
-def _from_whole_frames(
-    names: tuple[str, ...], seed: int, drawn: list[_Drawn], wanted: NDArray[np.bool_]
-) -> Floats:
+def _from_whole_frames(names: tuple[str, ...], seed: int, drawn: list[_Drawn], wanted: NDArray[np.bool_]) -> Floats:
     """Return the features of the wanted signals, whose beginnings did not do, (n_wanted, n_features)."""
     sampling, rows, place = drawn[0].draw.scene.sampling, [], 0
     for one in drawn:

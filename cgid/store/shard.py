@@ -129,22 +129,22 @@ def read_header(file: h5py.File, path: str) -> ShardHeader:
     BadData
         It is no cgid dataset, of another version, incomplete, or holds what a dataset must not hold.
     """
-    attributes = _attributes(file)
+    attributes = attributes_of(file)
     if attributes.get("format") != FORMAT:
         raise BadData(f"{path}: this HDF5 file must be a cgid dataset (attribute format = {FORMAT!r}); it is not")
     version = attributes.get("schema_version")
     if version != SCHEMA_VERSION:
         raise BadData(f"{path}: schema_version must be {SCHEMA_VERSION}, got {version}: use the cgid that wrote it")
-    signals = _plain_dataset(file, "signals", path)
+    signals = plain_dataset(file, "signals", path)
     if signals.ndim != 2 or signals.dtype not in (np.float32, np.float64) or not all(signals.shape):
         raise BadData(f"{path}: signals must be rows of floats, got shape {signals.shape} of {signals.dtype}")
     for name, kind in (("labels", "S"), ("specimen", "u")):
-        dataset = _plain_dataset(file, name, path)
+        dataset = plain_dataset(file, name, path)
         if dataset.shape != signals.shape[:1] or dataset.dtype.kind != kind:
             raise BadData(f"{path}: {name} must be one value a signal, got shape {dataset.shape} of {dataset.dtype}")
     units = _parameter_units(file, path, signals.shape[0])
     n_signals, n_samples = signals.shape
-    about = _attributes(signals)
+    about = attributes_of(signals)
     rate, before, unit = (about.get(name) for name in ("sampling_rate", "pre_trigger", "unit"))
     for name, value, holds in (
         ("sampling_rate", rate, isinstance(rate, float) and 0 < rate < np.inf),
@@ -172,14 +172,14 @@ def _parameter_units(file: h5py.File, path: str, n_signals: int) -> dict[str, st
         raise BadData(f"{path}: parameters must be a group of the file itself; it is a link or a dataset")
     units = {}
     for name in file["parameters"]:
-        dataset = _plain_dataset(file, f"parameters/{name}", path)
+        dataset = plain_dataset(file, f"parameters/{name}", path)
         if dataset.shape != (n_signals,) or dataset.dtype.kind != "f":
             raise BadData(f"{path}: parameters/{name} must be one number a signal, got shape {dataset.shape}")
-        units[name] = str(_attributes(dataset).get("unit", ""))
+        units[name] = str(attributes_of(dataset).get("unit", ""))
     return units
 
 
-def _plain_dataset(file: h5py.File, name: str, path: str) -> h5py.Dataset:
+def plain_dataset(file: h5py.File, name: str, path: str) -> h5py.Dataset:
     """Return a dataset that lies in this very file; links elsewhere could read other files."""
     for part in (name.split("/")[0], name):
         if not _is_inside(file, part):
@@ -199,7 +199,7 @@ def _is_inside(file: h5py.File, name: str) -> bool:
     return bool(links.exists(name.encode()) and links.get_info(name.encode()).type == h5py.h5l.TYPE_HARD)
 
 
-def _attributes(item: h5py.HLObject) -> dict[str, Any]:
+def attributes_of(item: h5py.HLObject) -> dict[str, Any]:
     """Return the attributes that are one number or one string of fixed length; no others are written, or even read."""
     found = {}
     for name in item.attrs:
