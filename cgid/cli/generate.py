@@ -39,7 +39,7 @@ _OF_SIGNALS = ("dtype", "shard_signals", "compression", "jobs")
 @click.option("--explain", is_flag=True, help="Print the plan: what would run, what not, why, and the cost.")
 @click.option("--json", "as_json", is_flag=True, help="The plan as one JSON object.")
 @click.pass_context
-def generate(context: click.Context, scene: str, **options: Any) -> None:
+def generate(context: click.Context, /, scene: str, **options: Any) -> None:
     """Make a dataset of signals from SCENE: a .toml file, or the name of a shipped one such as reference.
 
     With --features-only, --closed-form-only or --parameters-only no signals are kept: a table is written.
@@ -167,11 +167,11 @@ def _explain(asked: Any, n_signals: int, as_json: bool) -> None:
             }
         )
         return
-    click.echo(f"# {asked.request.scene.name}: {asked.kind}; costs are estimates for one thread")
-    click.echo("\t".join(["stage", "runs", "us per signal", "error bound", "why"]))
+    click.echo(f"{asked.request.scene.name}: {asked.kind}; costs are estimates for one thread")
+    click.echo(f"{'stage':<19}{'':<9}{'us/signal':>9}{'error':>9}  why")
     for stage in stages:
         cost, runs = (f"{stage.microseconds:.2f}", "run") if stage.runs else ("-", "skipped")
-        click.echo("\t".join([stage.name, runs, cost, f"{stage.error_bound:g}", stage.why]))
-    click.echo(f"sum\t\t{microseconds:.2f}\t\t{size} bytes a signal")
-    total = f"{microseconds * n_signals * 1e-6:.3g} s, {size * n_signals / 1e6:.4g} MB"
-    click.echo(f"# {n_signals} signals: {total}")
+        click.echo(f"{stage.name:<19}{runs:<9}{cost:>9}{stage.error_bound:>9.2g}  {stage.why}")
+    click.echo(f"{'sum':<28}{microseconds:>9.2f}{'':>9}  {size} bytes a signal")
+    seconds, megabytes = microseconds * n_signals * 1e-6, size * n_signals / 1e6
+    click.echo(f"{n_signals} signals: {seconds:.3g} s, {megabytes:.4g} MB")

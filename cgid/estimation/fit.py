@@ -212,8 +212,8 @@ def _fit_block(
             found = _search(problem, guess[rows], sigma[rows] / np.sqrt(window.averaged), _ITERATIONS, 1e-6)
             parts.append((rows, _report(problem, *found, sigma[rows], unit[rows])))
     rows = np.concatenate([rows for rows, _ in parts])
-    found = PulseFit.joined([part for _, part in parts]).rows(np.argsort(rows, kind="stable"))
-    return replace(found, reach=np.maximum(found.reach, coarse.reach))
+    joined = PulseFit.joined([part for _, part in parts]).rows(np.argsort(rows, kind="stable"))
+    return replace(joined, reach=np.maximum(joined.reach, coarse.reach))
 
 
 def _coarse(window: Window, guess: Floats, sigma: Floats, fit_baseline: bool, onset: Floats | None) -> Floats:

@@ -69,7 +69,8 @@ class Curves:
         damped = self.material_restitution < 1
         count("damping_solves", np.count_nonzero(damped))
         damping = np.zeros(self.material_restitution.shape)
-        damping[damped] = damping_number(self.material_restitution[damped])
+        if damped.any():
+            damping[damped] = damping_number(self.material_restitution[damped])
         return damping
 
     @cached_property
@@ -132,7 +133,8 @@ class Curves:
 
     def _closed_or_integrated(self, closed: Callable[[NDArray[np.bool_]], Floats], name: str) -> Floats:
         out = np.empty(self.plain.size)
-        out[self.plain] = closed(self.plain)
+        if self.plain.any():
+            out[self.plain] = closed(self.plain)
         if not self.plain.all():
             out[~self.plain] = self._integrated[name][~self.plain]
         return out

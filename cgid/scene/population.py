@@ -16,7 +16,7 @@ from cgid.scene.randomness import BLOCK, CLIPPING, SECOND_HITS, TAPS, uniforms
 from cgid.scene.scene import Scene
 from cgid.scene.strike import Strike
 from cgid.scene.taps import SHAPES, TapPulses
-from cgid.scene.weight import with_weight
+from cgid.scene.weight import weighed
 from cgid.validation import Floats
 
 #: The stored parameters of every scene and their units.
@@ -217,14 +217,14 @@ def _impact(scene: Scene, values: Mapping[str, Floats], rows: NDArray[np.intp]) 
         density=asked["density"], youngs_modulus=asked["youngs_modulus"], poisson_ratio=asked["poisson_ratio"]
     )
     elastic = scene.impact.dissipation == "elastic"
-    weightless = Impact(
+    return weighed(
+        scene.impact,
         sphere=Sphere(material=material, radius=asked["radius"]),
         target=scene.impact.body,
         velocity=asked["velocity"],
         stiffness=scene.impact.stiffness,
         dissipation=Elastic() if elastic else HuntCrossley(restitution=asked["restitution"], law=scene.impact.law),
     )
-    return with_weight(weightless, scene.impact)
 
 
 def _taps(shapes: NDArray[np.intp], values: Mapping[str, Floats], rows: NDArray[np.intp]) -> TapPulses:

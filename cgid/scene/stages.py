@@ -18,7 +18,7 @@ from cgid.pulses import FAINT
 from cgid.scene.costs import UNIT_COSTS, Workload
 from cgid.scene.quantities import DAMPED, QUANTITIES, drawn_units, measured_units
 from cgid.scene.scene import Scene
-from cgid.scene.weight import error_without_weight, heaviest_impact, tolerance_of
+from cgid.scene.weight import largest_error, tolerance_of
 
 #: What can be asked of a scene.
 OUTPUTS = ("parameters", "closed-form", "pulses", "frames", "features")
@@ -142,7 +142,7 @@ def _closed_forms(request: Request) -> Decision:
     return Decision(
         runs=True,
         why=", ".join(request.quantities),
-        cost=lambda work: UNIT_COSTS["closed form"] * number * work.impacts,
+        cost=lambda work: (UNIT_COSTS["impact"] + UNIT_COSTS["closed form"] * number) * work.impacts,
     )
 
 
@@ -161,7 +161,7 @@ def _time_stepping(request: Request) -> Decision:
 
     if _on_plate(scene):
         return Decision(runs=True, why="a thin plate has no closed form", cost=cost)
-    if _weight_error(scene) > tolerance_of(scene.impact):
+    if largest_error(scene.impact, scene.populations) > tolerance_of(scene.impact):
         return Decision(runs=True, why="for the impacts that feel gravity", cost=cost)
     return Decision(runs=True, why=f"law {scene.impact.law} damps beyond the table of pulses", cost=cost)
 
@@ -174,7 +174,7 @@ def _gravity(request: Request) -> Decision:
         return _NO_IMPACTS
     if not request.quantities and not request.signals:
         return Decision(runs=False, why="only what is drawn is asked for")
-    bound, limit = _weight_error(request.scene), tolerance_of(section)
+    bound, limit = largest_error(section, request.scene.populations), tolerance_of(section)
     if bound <= limit:
         why = f"2.4 g L / (v^2 e) is at most {bound:.2g}, the tolerance {limit:g}"
         return Decision(runs=False, why=why, error_bound=bound)
@@ -316,16 +316,11 @@ def _on_plate(scene: Scene) -> bool:
 
 def _integrates(scene: Scene) -> bool:
     """Return whether some impacts may have to be integrated."""
-    return _on_plate(scene) or _weight_error(scene) > tolerance_of(scene.impact) or _damps_beyond(scene)
-
-
-def _weight_error(scene: Scene) -> float:
-    """Return the bound on the error of leaving gravity out of any impact that can be drawn; 0 where it is off."""
-    gravity = scene.impact.gravity
-    if gravity is None:
-        return 0.0
-    heaviest = (heaviest_impact(scene.impact, population) for population in scene.populations)
-    return max((float(error_without_weight(impact, gravity)) for impact in heaviest), default=0.0)
+    return (
+        _on_plate(scene)
+        or largest_error(scene.impact, scene.populations) > tolerance_of(scene.impact)
+        or _damps_beyond(scene)
+    )
 
 
 def _damps_beyond(scene: Scene) -> bool:

@@ -10,7 +10,8 @@ restitution without weight. The coefficient is measured against the integrated i
 from __future__ import annotations
 
 import warnings
-from dataclasses import replace
+from collections.abc import Iterable
+from typing import Any
 
 import numpy as np
 
@@ -41,28 +42,39 @@ def tolerance_of(section: ImpactSection) -> float:
 
 
 def error_without_weight(impact: Impact, gravity: float) -> Floats:
-    """Return the bound on the relative error of weightless impacts, of their shape; infinite on a thin plate.
+    """Return the bound on the relative error of weightless impacts, of their shape.
 
-    For a plate, which takes from the rebound what the weight acts on, no bound has been found.
+    It is not one for a thin plate, which takes from the rebound what the weight acts on: there weight always counts.
     """
-    if isinstance(impact.target, ThinPlate):
-        return np.full(impact.reduced_mass.shape, np.inf)
     speed = impact.length_scale / impact.time_scale
     return np.asarray(_ERROR * gravity * impact.length_scale / speed**2 / impact.restitution)
 
 
-def with_weight(weightless: Impact, section: ImpactSection) -> Impact:
-    """Return the impacts with gravity where its effect passes the tolerance; each is judged by itself."""
+def largest_error(section: ImpactSection, populations: Iterable[Population]) -> float:
+    """Return the bound on the error of leaving gravity out of any impact of these; 0 where a scene has no gravity."""
     if section.gravity is None:
-        return weightless
+        return 0.0
+    if isinstance(section.body, ThinPlate):
+        return np.inf
+    heaviest = (heaviest_impact(section, population) for population in populations)
+    return max((float(error_without_weight(impact, section.gravity)) for impact in heaviest), default=0.0)
+
+
+def weighed(section: ImpactSection, **parts: Any) -> Impact:
+    """Return impacts with gravity where its effect passes the tolerance; each is judged by itself."""
+    if section.gravity is None:
+        return Impact(**parts)
+    if isinstance(section.body, ThinPlate):
+        return Impact(**parts, gravity=section.gravity)
+    weightless = Impact(**parts)
     felt = error_without_weight(weightless, section.gravity) > tolerance_of(section)
     if not felt.any():
         return weightless
-    return replace(weightless, gravity=np.where(felt, section.gravity, 0.0))
+    return Impact(**parts, gravity=np.where(felt, section.gravity, 0.0))
 
 
-def heaviest_impact(section: ImpactSection, population: Population) -> Impact:
-    """Return the impact of a population in which weight counts most, without weight: every number at its extreme.
+def heaviest_impact(section: ImpactSection, population: Population, *, with_weight: bool = False) -> Impact:
+    """Return the impact of a population in which weight counts most: every number at its extreme.
 
     `gamma = g L / v^2` with `L = (m v^2 / K)^(2/5)` grows with mass, falls with stiffness and with speed.
     """
@@ -88,9 +100,13 @@ def heaviest_impact(section: ImpactSection, population: Population) -> Impact:
     with warnings.catch_warnings():
         for beyond in (HertzRangeWarning, ThinPlateWarning):
             warnings.simplefilter("ignore", beyond)  # no impact that is drawn need be so
-        return Impact(
-            sphere=sphere, target=section.body, velocity=velocity, stiffness=section.stiffness, dissipation=loss
-        )
+        parts: dict[str, Any] = {
+            "sphere": sphere,
+            "target": section.body,
+            "velocity": velocity,
+            "stiffness": section.stiffness,
+        }
+        return weighed(section, **parts, dissipation=loss) if with_weight else Impact(**parts, dissipation=loss)
 
 
 def problem_of_weight(section: ImpactSection, population: Population) -> str | None:
@@ -98,7 +114,7 @@ def problem_of_weight(section: ImpactSection, population: Population) -> str | N
     if section.gravity is None:
         return None
     try:
-        with_weight(heaviest_impact(section, population), section)
+        heaviest_impact(section, population, with_weight=True)
     except InvalidValue as error:
         return (
             f"the slowest, largest and softest impact that can be drawn must be one that gravity leaves a rebound: "

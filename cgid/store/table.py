@@ -18,12 +18,13 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
+from cgid.counting import count
 from cgid.errors import CannotCreate, InvalidValue, MissingExtra
 from cgid.files import whole_file
 
 TABLE_FORMAT, TABLE_VERSION = "cgid-table", 1
-#: Rows that are gathered before they are written: a chunk of HDF5, a row group of Parquet.
-_ROWS = 16384
+#: Rows that are gathered before they are written, whole chunks of HDF5 or a row group of Parquet; and rows of a chunk.
+_ROWS, _CHUNK = 16384, 4096
 #: File names end in one of these.
 TABLE_SUFFIXES = (".h5", ".hdf5", ".parquet", ".csv")
 
@@ -120,6 +121,7 @@ class TableWriter:
 
     def add(self, rows: Rows) -> None:
         """Append rows, which must have all columns of the header."""
+        count("stored_rows", len(rows))
         self._waiting.append(rows)
         self._n_waiting += len(rows)
         if self._n_waiting >= _ROWS:
@@ -197,11 +199,11 @@ class _Hdf5Writer(TableWriter):
             self._file[f"columns/{name}"].attrs["unit"] = np.bytes_(unit.encode())
 
     def _create(self, name: str, dtype: str) -> None:
-        self._file.create_dataset(name, (0,), dtype, maxshape=(None,), chunks=(_ROWS,), fletcher32=True)
+        self._file.create_dataset(name, (0,), dtype, maxshape=(None,), chunks=(_CHUNK,), fletcher32=True)
 
     def _write(self, rows: Rows) -> None:
         place = slice(self._filled, self._filled + len(rows))
-        values = {f"columns/{name}": rows.columns[name] for name in self._header.units}
+        values: dict[str, Any] = {f"columns/{name}": rows.columns[name] for name in self._header.units}
         values |= {"labels": np.char.encode(rows.labels, "utf-8"), "specimen": rows.specimen}
         with _as_os_error():
             for name, column in values.items():

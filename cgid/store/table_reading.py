@@ -125,5 +125,9 @@ def _checked(
 ) -> Table:
     if set(columns) != set(header.units) or {len(c) for c in (labels, specimen, *columns.values())} != {len(labels)}:
         raise BadData(f"{path}: must hold all columns that it names, all of one length; make it again")
+    if header.attributes.get("n_signals", len(labels)) != len(labels):
+        raise BadData(
+            f"{path}: must hold {header.attributes['n_signals']} rows as it says, it has {len(labels)}; make it again"
+        )
     numbers = {name: np.asarray(columns[name], np.float64) for name in header.units}
     return Table(header=header, labels=labels, specimen=np.asarray(specimen, np.uint64), columns=numbers)
