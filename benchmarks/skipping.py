@@ -131,7 +131,7 @@ def print_unit_costs() -> None:
     costs["filtered sample"] = best(lambda: fft_filter(frames, rate, high=40e3, taper=0.5), frames.size)
     costs["clipped sample"] = best(lambda: clip(frames, level), frames.size)
     sensor = Sensor(range=1e5, bits=16)
-    costs["digitised sample"] = best(lambda: sensor.digitise(frames), frames.size)
+    costs["digitised sample"] = best(lambda: sensor.digitise(frames, rate), frames.size)
     signals = np.concatenate([batch.signals for batch in synthesise(scene, 1024)])[:, :700]
     kinds = {"features in time": tuple(FEATURES)[:13], "fit": DEFAULT_FEATURES}
     for name, features in kinds.items():

@@ -65,7 +65,7 @@ def by_brute_force(scene, n_signals, seed):
     signals, peak = collected(scene, n_signals, seed)
     first, second = (population.weight for population in scene.populations)
     out = []
-    for samples, noise in zip(signals, scene.sensor.noise_level(peak), strict=True):
+    for samples, noise in zip(signals, scene.sensor.noise_level(peak, scene.sampling.sampling_rate), strict=True):
         logs, errors = zip(
             *(naive.log_evidence(samples, float(noise), drawn_pulses(scene.text, index)) for index in (0, 1)),
             strict=True,

@@ -162,7 +162,7 @@ WORKERS = {
     "bandwidth": [(Sensor, "limit_band")],
     "noise": [(synthesis, "add_noise")],
     "clipping": [(synthesis, "clip")],
-    "range and bits": [(Sensor, "digitise")],
+    "offset, range and bits": [(Sensor, "digitise")],
     "spectra": [(PulseBatch, "spectrum")],
     "fits": [(PulseBatch, "fit")],
 }

@@ -277,7 +277,7 @@ def _profiles(scene: Scene, batch: Batch, knowledge: list[_Knowledge], n_nodes: 
     They share one unless the restitution of a population hardly varies: its own nodes must lie where it has any.
     """
     sensor, sampling = scene.sensor, scene.sampling
-    noise = sensor.noise_level(batch.parameters["peak_force"])
+    noise = sensor.noise_level(batch.parameters["peak_force"], batch.sampling_rate)
     if sensor.bits is not None and sensor.range is not None:
         noise = np.hypot(noise, sensor.range / 2 ** (sensor.bits - 1) / np.sqrt(12))
     limit = None if sensor.range is None else np.full(len(batch), 0.999 * sensor.range)

@@ -191,7 +191,7 @@ def _contacts(scene: Scene) -> tuple[Floats, Floats]:
 
 
 def _decibels(scene: Scene, peak: Floats) -> Floats:
-    return np.asarray(20 * np.log10(peak / scene.sensor.noise_level(peak)))
+    return np.asarray(20 * np.log10(peak / scene.sensor.noise_level(peak, scene.sampling.sampling_rate)))
 
 
 def _present(scene: Scene) -> dict[str, float]:

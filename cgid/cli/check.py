@@ -32,6 +32,8 @@ def check(scene: str, seed: int, as_json: bool) -> None:
     rate = "a drawn rate" if "sampling_rate [Hz]" in drawn else f"{loaded.sampling.sampling_rate:g} Hz"
     samples = loaded.sampling.samples
     click.echo(f"frames: {samples} samples at {rate}, {samples * 4} bytes a signal in float32")
+    if preview["tail_beam"]:
+        click.echo("tail beam: " + ", ".join(f"{name} {value:.4g}" for name, value in preview["tail_beam"].items()))
     for name, (low, high) in drawn.items():
         click.echo(f"drawn for each block of 256 signals: {name} {low:g} to {high:g}")
     click.echo("share of the labels: " + ", ".join(f"{k} {v:.3f}" for k, v in preview["labels"].items()))
@@ -61,18 +63,35 @@ def _preview(scene: Any, seed: int) -> dict[str, Any]:
     rows = {f"{name} [{unit}]": values[name] for name, unit in units.items()}
     rows["samples on the contact"] = values["contact_duration"] * sampling_rate
     known = {name: column[np.isfinite(column)] for name, column in rows.items()}
-    shares = _shares([d.impact for d in draws], values, sampling_rate, scene.sampling.samples)
+    shares = _shares([d.impact for d in draws], values, sampling_rate, scene)
     return {
         "name": scene.name,
         "description": scene.description,
         "scene_sha256": scene.sha256,
         "randomised": _randomised(scene),
+        "tail_beam": _tail_beam(scene),
         "labels": dict(zip(labels.tolist(), (counts / counts.sum()).tolist(), strict=True)),
         "quantiles_5_50_95": {
             name: np.quantile(column, [0.05, 0.5, 0.95]).tolist() for name, column in known.items() if column.size
         },
         "warnings": {text: share for text, share in shares.items() if share > 0},
     }
+
+
+def _tail_beam(scene: Any) -> dict[str, float]:
+    """Return what is to be known of a scene's tail beam; nothing if it has none."""
+    from cgid.scene.response import beam_modes
+
+    if scene.tail_beam is None:
+        return {}
+    frequency = beam_modes(scene).frequency
+    told = {"modes": float(frequency.size), "lowest [Hz]": frequency[0], "highest [Hz]": frequency[-1]}
+    if scene.panel is None:
+        return told
+    told |= {"mass [kg]": scene.panel.mass, "impedance [kg/s]": scene.panel.impedance}
+    if scene.panel.ribs is not None:
+        told["ribs may be smeared up to [Hz]"] = scene.panel.highest_smeared_frequency
+    return told
 
 
 def _randomised(scene: Any) -> dict[str, tuple[float, float]]:
@@ -83,11 +102,11 @@ def _randomised(scene: Any) -> dict[str, tuple[float, float]]:
     return {f"{name} [{units[name]}]": law.extremes for name, law in scene.randomise.laws.items()}
 
 
-def _shares(impacts: list[Any], values: dict[str, Any], sampling_rate: Any, n_samples: int) -> dict[str, float]:
+def _shares(impacts: list[Any], values: dict[str, Any], sampling_rate: Any, scene: Any) -> dict[str, float]:
     """Return the share of the pulses that something is to be said of, by what it is."""
     import numpy as np
 
-    from cgid.impact.pulse import HERTZ_LIMIT, INELASTICITY_LIMIT
+    from cgid.impact.pulse import BEYOND_THIN_PLATE, HERTZ_LIMIT, INELASTICITY_LIMIT
     from cgid.pulses import WANTED_SAMPLES
 
     strain = np.concatenate([impact.peak_displacement / impact.reduced_radius for impact in impacts])
@@ -95,10 +114,19 @@ def _shares(impacts: list[Any], values: dict[str, Any], sampling_rate: Any, n_sa
     end = values["onset"] + np.nan_to_num(values.get("second_hit_delay", 0.0)) + values["contact_duration"]
     beyond = {
         f"pass Hertz's range (displacement over radius above {HERTZ_LIMIT:g})": strain > HERTZ_LIMIT,
-        f"pass the range of the thin plate (lambda above {INELASTICITY_LIMIT:g})": inelasticity > INELASTICITY_LIMIT,
-        f"have fewer than {WANTED_SAMPLES} samples on the contact; raise sampling_rate": (
-            values["contact_duration"] * sampling_rate < WANTED_SAMPLES
+        f"pass the range of the thin plate (lambda above {INELASTICITY_LIMIT:g}): {BEYOND_THIN_PLATE}": (
+            inelasticity > INELASTICITY_LIMIT
         ),
-        "last beyond the end of the frame and are cut off; raise samples": end * sampling_rate > n_samples - 1,
+        f"have fewer than {WANTED_SAMPLES} samples on the contact; raise sampling_rate": (
+            (values["contact_duration"] * sampling_rate < WANTED_SAMPLES) & (scene.sensor.quantity == "force")
+        ),
+        "last beyond the end of the frame and are cut off; raise samples": end * sampling_rate
+        > scene.sampling.samples - 1,
     }
+    if scene.panel is not None and scene.panel.ribs is not None:
+        limit = scene.panel.highest_smeared_frequency
+        beyond[
+            f"are so short (over 1/{limit:.4g} Hz) that ribs may not be smeared: between two the skin gives way more "
+            "than this beam does, on one less"
+        ] = values["contact_duration"] * limit < 1
     return {text: float(np.sum(passed) / end.size) for text, passed in beyond.items()}

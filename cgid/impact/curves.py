@@ -28,6 +28,9 @@ from cgid.validation import Floats
 Quantity = Literal["force", "displacement"]
 #: Below it the time scales of braking and of leaving lie too far apart for double precision.
 LOWEST_RESTITUTION, LOWEST_ON_A_PLATE = 1e-30, 1e-14
+#: Stepping in time: the smallest error over the peak that it is asked for, how many steps a contact takes for an error
+#: of 1, and up to which D the method is stable with them.
+FINEST_STEPPED, _STEPS_FOR_ONE, _MOST_STEPPED_DAMPING = 1e-7, 4.0, 100.0
 #: Rows below which another thread does not pay.
 _LEAST = 200
 
@@ -222,7 +225,15 @@ class Curves:
             _in_threads(kernel(_taylor, "at_times", *times.shape), numbers, rest, threads)
         return out
 
-    def add_to_frames(self, frames: NDArray[Any], onset: Floats, step: Floats, amplitude: Floats, threads: int) -> None:
+    def add_to_frames(
+        self,
+        frames: NDArray[Any],
+        onset: Floats,
+        step: Floats,
+        amplitude: Floats,
+        threads: int,
+        tolerance: float = 0.0,
+    ) -> None:
         """Add a force pulse to each of the frames, in place.
 
         Parameters
@@ -235,12 +246,19 @@ class Curves:
         amplitude : ndarray, (n,)
             [N].
         threads : int
+        tolerance : float
+            Error allowed over the peak for what no table holds, which is then stepped in time; 0 for none.
         """
         rows, rest = np.flatnonzero(self.tabulated), np.flatnonzero(~self.tabulated)
         count("table_pulses", rows.size)
         count("integrated_pulses", rest.size)
         if counting():
             count("pulse_samples", _samples_in_contact(onset, onset + self.times[0] / step, frames.shape[1]))
+        if tolerance >= FINEST_STEPPED:
+            steps = int(np.ceil(_STEPS_FOR_ONE * tolerance**-0.4))
+            stepped = rest[self.damping[rest] < _MOST_STEPPED_DAMPING]
+            self._add_stepped(stepped, frames, onset, step, amplitude, threads, steps)
+            rest = np.setdiff1d(rest, stepped)
         if rows.size:
             from cgid.impact import _kernels
 
@@ -252,6 +270,24 @@ class Curves:
 
             run = kernel(_taylor, "add_to_frames", *frames.shape)
             _in_threads(run, (frames, onset, step, self._parameters, amplitude, _taylor.ORDER), rest, threads)
+
+    def _add_stepped(
+        self,
+        rows: NDArray[np.intp],
+        frames: NDArray[Any],
+        onset: Floats,
+        step: Floats,
+        amplitude: Floats,
+        threads: int,
+        n_steps: int,
+    ) -> None:
+        if not rows.size:
+            return
+        from cgid.impact import _stepped
+
+        run = kernel(_stepped, "add_to_frames", *frames.shape)
+        numbers = (frames, onset, step, self._parameters, amplitude, self.times[0], n_steps)
+        _in_threads(run, numbers, rows, threads)
 
 
 def _samples_in_contact(touch: Floats, separation: Floats, n_samples: int) -> int:

@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 from cgid.impact import Sphere, ThinPlate, contact_stiffness, free_fall_velocity
-from cgid.impact.bodies import reduced_modulus, reduced_radius
+from cgid.impact.bodies import Target, reduced_modulus, reduced_radius
 from cgid.materials import Material
-from cgid.scene.sections import ImpactSection, Population
+from cgid.scene.sections import Population
 
 #: Zener's lambda up to which every restitution of a scene can be followed (from 49 on some cannot). His theory holds
 #: to 1.5: up to there the plate takes some 80 % of the speed, here all but a few parts in 1e8.
 HIGHEST_INELASTICITY = 30.0
 
 
-def problem_on_plate(section: ImpactSection, population: Population) -> str | None:
+def problem_on_plate(target: Target, theory: str, population: Population) -> str | None:
     """Return what is wrong with this population on this target; None for any target but a plate too thin."""
-    target = section.body
     if not isinstance(target, ThinPlate):
         return None
     lowest, highest = population.poisson_ratio.extremes
@@ -33,11 +32,12 @@ def problem_on_plate(section: ImpactSection, population: Population) -> str | No
         velocity = float(free_fall_velocity(population.drop_height.extremes[1]))
     # lambda = m / (Z T0) with T0 = (m / K)^(2/5) v^(-1/5) grows with all of these.
     mass = float(sphere.mass)
-    stiffness = contact_stiffness(reduced_radius(sphere, target), reduced_modulus(sphere, target), section.stiffness)
+    stiffness = contact_stiffness(reduced_radius(sphere, target), reduced_modulus(sphere, target), theory)
     inelasticity = float(mass**0.6 * stiffness**0.4 * velocity**0.2 / target.impedance)
     if inelasticity <= HIGHEST_INELASTICITY:
         return None
     return (
         f"lambda of the thin plate must be at most {HIGHEST_INELASTICITY:g}, it can be drawn as {inelasticity:.3g}; "
-        "raise impact.target.thickness, or give radius, density, youngs_modulus and speed a lower highest value"
+        "raise the thickness of the target or of the tail beam, or give radius, density, youngs_modulus and speed a "
+        "lower highest value"
     )

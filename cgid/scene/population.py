@@ -9,14 +9,14 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from cgid.impact import Elastic, HuntCrossley, Impact, Sphere, free_fall_velocity
-from cgid.materials import Material
+from cgid.impact import Impact, free_fall_velocity
+from cgid.impact.coupled import ModalImpact
+from cgid.scene.impacts import PARTICLE, impact_of, impacts_by_coupling
 from cgid.scene.randomisation import settled
-from cgid.scene.randomness import BLOCK, CLIPPING, SECOND_HITS, TAPS, uniforms
+from cgid.scene.randomness import BLOCK, CLIPPING, IMPACT_POINTS, SECOND_HITS, TAPS, uniforms
 from cgid.scene.scene import Scene
 from cgid.scene.strike import Strike
 from cgid.scene.taps import SHAPES, TapPulses
-from cgid.scene.weight import weighed
 from cgid.validation import Floats
 
 #: The stored parameters of every scene and their units.
@@ -34,10 +34,10 @@ PARAMETER_UNITS = {
 }
 #: Those of what only some scenes have; the sampling rate, where it is randomised, is said by the batch.
 _MORE_UNITS = {"second_hit_delay": "s", "second_hit_ratio": "1", "clipped_at": "1"}
+_POINT_UNITS = {"impact_x": "m", "impact_y": "m"}
 _RANDOMISED_UNITS = {"relative_noise": "1", "bandwidth": "Hz"}
-_PARTICLE = ("density", "youngs_modulus", "poisson_ratio", "radius")
 #: What the numbers of an address are for, in their order. A fall has one number, whether it is a height or a speed.
-_FALL = (*_PARTICLE, "restitution", "drop_height")
+_FALL = (*PARTICLE, "restitution", "drop_height")
 _LATER = {
     TAPS: ("peak_force", "contact_duration"),
     SECOND_HITS: ("second_hit_delay", "second_hit_ratio"),
@@ -49,6 +49,8 @@ def parameter_units(scene: Scene) -> dict[str, str]:
     """Return the stored parameters of a scene and their units: `PARAMETER_UNITS`, and those of the parts it has."""
     drawn = {name for source in scene.sources for name in source.laws}
     units = PARAMETER_UNITS | {name: unit for name, unit in _MORE_UNITS.items() if name in drawn}
+    if scene.panel is not None:
+        units |= _POINT_UNITS
     if scene.randomise is not None:
         units |= {name: unit for name, unit in _RANDOMISED_UNITS.items() if name in scene.randomise.laws}
     return units
@@ -117,7 +119,7 @@ class Given:
     @property
     def impact(self) -> Impact:
         """All impacts of the block."""
-        return _impact(self.scene, self.values, self.fallen)
+        return impact_of(self.scene, self.values, self.fallen)
 
 
 def given(scene: Scene, seed: int, block: int) -> Given:
@@ -133,7 +135,7 @@ def given(scene: Scene, seed: int, block: int) -> Given:
     shapes = np.array([-1] * len(scene.populations) + [list(SHAPES).index(tap.shape) for tap in scene.taps])[which]
     fallen, tapped = np.flatnonzero(shapes < 0), np.flatnonzero(shapes >= 0)
     specimen = np.empty(BLOCK, np.uint64)
-    specimen[fallen] = _specimen([values[name][fallen] for name in _PARTICLE])
+    specimen[fallen] = _specimen([values[name][fallen] for name in PARTICLE])
     specimen[tapped] = _specimen([shapes[tapped].astype(float), *(values[name][tapped] for name in _LATER[TAPS])])
     labels = np.array([source.label for source in scene.sources])[which]
     return Given(labels, values, specimen, shapes, here)
@@ -147,6 +149,10 @@ def given_at(scene: Scene, size: float) -> Given:
         for name, law in source.laws.items():
             share = size if name in ("radius", "contact_duration") else 0.5
             values[name][row] = law.quantile(np.array([share]))[0]
+    if scene.panel is not None:
+        assert scene.tail_beam is not None and scene.tail_beam.impact_point is not None
+        values["impact_x"] = scene.tail_beam.impact_point.x.quantile(np.full(count, 0.5))
+        values["impact_y"] = scene.tail_beam.impact_point.y.quantile(np.full(count, 0.5))
     fell = np.isfinite(values["drop_height"])
     values["velocity"][fell] = free_fall_velocity(values["drop_height"][fell])
     shapes = np.array([-1] * len(scene.populations) + [list(SHAPES).index(tap.shape) for tap in scene.taps])
@@ -159,13 +165,13 @@ def draw(scene: Scene, seed: int, block: int) -> Draw:
     drawn = given(scene, seed, block)
     values, shapes, fallen, tapped = drawn.values, drawn.shapes, drawn.fallen, drawn.tapped
     impact = drawn.impact
-    strikes = [
-        *_strikes(impact, partial(_impact, scene, values), fallen, values),
-        *_strikes(_taps(shapes, values, tapped), partial(_taps, shapes, values), tapped, values),
-    ]
-    # What a law delivers is what the pulse shows, and what was asked may differ from it.
-    for name in ("restitution", "peak_force", "contact_duration"):
-        values[name][fallen] = getattr(impact, name)
+    strikes: list[Strike] = []
+    for rows, pulses, alike in impacts_by_coupling(scene, impact, values, fallen):
+        strikes += _strikes(pulses, alike, rows, values)
+        # What a law delivers is what the pulse shows, and what was asked may differ from it.
+        for name in ("restitution", "peak_force", "contact_duration"):
+            values[name][rows] = getattr(pulses, name)
+    strikes += _strikes(_taps(shapes, values, tapped), partial(_taps, shapes, values), tapped, values)
     return Draw(drawn.labels, values, drawn.specimen, impact, tuple(strikes), drawn.scene)
 
 
@@ -189,14 +195,19 @@ def _values(scene: Scene, seed: int, block: int, which: NDArray[np.intp], falls:
         rows = np.flatnonzero(which == index)
         for name, law in source.laws.items():
             values[name][rows] = law.quantile(columns[name][rows])
+    if scene.panel is not None:
+        assert scene.tail_beam is not None and scene.tail_beam.impact_point is not None
+        along, across = uniforms(seed, block, 2, IMPACT_POINTS)
+        values["impact_x"] = scene.tail_beam.impact_point.x.quantile(along)
+        values["impact_y"] = scene.tail_beam.impact_point.y.quantile(across)
     fell = np.isfinite(values["drop_height"])
     values["velocity"][fell] = free_fall_velocity(values["drop_height"][fell])
     return values
 
 
 def _strikes(
-    first: Impact | TapPulses,
-    pulses_of: Callable[[NDArray[np.intp]], Impact | TapPulses],
+    first: Impact | ModalImpact | TapPulses,
+    pulses_of: Callable[[NDArray[np.intp]], Impact | ModalImpact | TapPulses],
     rows: NDArray[np.intp],
     values: Mapping[str, Floats],
 ) -> Iterator[Strike]:
@@ -209,22 +220,6 @@ def _strikes(
     if again.size:
         onset = values["onset"][again] + values["second_hit_delay"][again]
         yield Strike(again, pulses_of(again), onset, values["second_hit_ratio"][again])
-
-
-def _impact(scene: Scene, values: Mapping[str, Floats], rows: NDArray[np.intp]) -> Impact:
-    asked = {name: values[name][rows] for name in (*_PARTICLE, "restitution", "velocity")}
-    material = Material(
-        density=asked["density"], youngs_modulus=asked["youngs_modulus"], poisson_ratio=asked["poisson_ratio"]
-    )
-    elastic = scene.impact.dissipation == "elastic"
-    return weighed(
-        scene.impact,
-        sphere=Sphere(material=material, radius=asked["radius"]),
-        target=scene.impact.body,
-        velocity=asked["velocity"],
-        stiffness=scene.impact.stiffness,
-        dissipation=Elastic() if elastic else HuntCrossley(restitution=asked["restitution"], law=scene.impact.law),
-    )
 
 
 def _taps(shapes: NDArray[np.intp], values: Mapping[str, Floats], rows: NDArray[np.intp]) -> TapPulses:

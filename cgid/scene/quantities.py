@@ -65,7 +65,7 @@ def drawn_units(scene: Scene) -> dict[str, str]:
 
 def measured_units(scene: Scene, features: Iterable[str]) -> dict[str, str]:
     """Return features and the true numbers beside them, and their units."""
-    measured = {name: FEATURES[name].unit_for("N") for name in features}
+    measured = {name: FEATURES[name].unit_for(scene.sensor.unit) for name in features}
     true = {f"{TRUE}{name}": unit for name, unit in parameter_units(scene).items()}
     return measured | true | _sampling_rate(scene)
 

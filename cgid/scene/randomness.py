@@ -16,6 +16,7 @@ from cgid.validation import Floats
 BLOCK = 256
 #: What numbers are drawn for; a new purpose is a new number.
 PARAMETERS, NOISE, TAPS, SECOND_HITS, CLIPPING, RANDOMISED = 1, 2, 3, 4, 5, 6
+IMPACT_POINTS = 16
 
 
 def require_seed(seed: int) -> None:

@@ -15,10 +15,21 @@ from typing import Any, Self
 
 from pydantic import Field, ValidationError, model_validator
 
-from cgid.errors import BadData, NoInput
+from cgid.errors import BadData, InvalidValue, NoInput
+from cgid.impact.bodies import Target
+from cgid.impact.tail_beam import TailBeam
+from cgid.scene.beam import TailBeamSection, with_table
 from cgid.scene.distributions import DISTRIBUTION_NAMES
 from cgid.scene.plates import problem_on_plate
-from cgid.scene.sections import ImpactSection, Population, RandomiseSection, SamplingSection, Section, Tap
+from cgid.scene.sections import (
+    ImpactSection,
+    Population,
+    RandomiseSection,
+    SamplingSection,
+    Section,
+    Tap,
+    TargetSection,
+)
 from cgid.scene.sensor import Sensor
 from cgid.scene.units import shown
 from cgid.scene.weight import problem_of_weight
@@ -35,6 +46,7 @@ class Scene(Section):
     impact: ImpactSection
     sampling: SamplingSection
     sensor: Sensor = Sensor()
+    tail_beam: TailBeamSection | None = None
     randomise: RandomiseSection | None = None
     populations: tuple[Population, ...] = Field(default=(), max_length=64)
     taps: tuple[Tap, ...] = Field(default=(), max_length=64)
@@ -50,20 +62,66 @@ class Scene(Section):
                 problems.append(f"populations.{index}.restitution: must be left out when dissipation is elastic")
             if not elastic and population.restitution is None:
                 problems.append(f"populations.{index}.restitution: is missing, hunt-crossley dissipation needs it")
-            problem = problem_on_plate(self.impact, population) or problem_of_weight(self.impact, population)
-            if problem is not None:
-                problems.append(f"populations.{index}: {problem}")
+        problems += self._problems_of_beam()
+        if not problems:  # a beam that breaks rules is no target
+            for index, population in enumerate(self.populations):
+                problem = problem_on_plate(self.body, self.impact.stiffness, population) or problem_of_weight(
+                    self.impact, self.body, population
+                )
+                if problem is not None:
+                    problems.append(f"populations.{index}: {problem}")
         if self.impact.gravity_tolerance is not None and self.impact.gravity is None:
             problems.append("impact.gravity_tolerance: must come with impact.gravity; give that, too, or leave it out")
-        nyquist = self.sampling.sampling_rate / 2
-        if self.sensor.bandwidth is not None and self.sensor.bandwidth >= nyquist:
-            problems.append(
-                f"sensor.bandwidth: must be below half the sampling rate, {nyquist:g} Hz, got "
-                f"{self.sensor.bandwidth:g} Hz; leave it out for an unlimited sensor"
-            )
+        if self.impact.gravity is not None and self.tail_beam is not None:
+            problems.append("impact.gravity: must be left out, an impact on a tail beam has no weight")
+        problems += self._problems_of_band()
         if problems:
             raise ValueError("\n".join(problems))
         return self
+
+    def _problems_of_beam(self) -> list[str]:
+        if self.tail_beam is None:
+            if self.sensor.quantity == "force":
+                return []
+            return [
+                f"tail_beam: is missing, a sensor of {self.sensor.quantity} sits on one; or take quantity = 'force'"
+            ]
+        target = self.impact.target
+        if isinstance(target, str):
+            return ["impact.target: must be the material of the tail beam, got 'rigid', which no beam is"]
+        if target.thickness is not None:
+            return ["impact.target.thickness: must be left out, the tail beam has its own"]
+        try:
+            _ = self.panel
+        except InvalidValue as error:
+            return [f"tail_beam: {error}"]
+        return []
+
+    def _problems_of_band(self) -> list[str]:
+        nyquist = self.sampling.sampling_rate / 2
+        limits = {"sensor.bandwidth": self.sensor.bandwidth}
+        if self.sensor.anti_alias is not None:
+            limits["sensor.anti_alias.frequency"] = self.sensor.anti_alias.frequency
+        return [
+            f"{name}: must be below half the sampling rate, {nyquist:g} Hz, got {limit:g} Hz; leave it out for an "
+            "unlimited sensor"
+            for name, limit in limits.items()
+            if limit is not None and limit >= nyquist
+        ]
+
+    @cached_property
+    def panel(self) -> TailBeam | None:
+        """The tail beam, as far as it is given by its sizes."""
+        if self.tail_beam is None or not isinstance(self.impact.target, TargetSection):
+            return None
+        return self.tail_beam.panel(self.impact.target.material)
+
+    @cached_property
+    def body(self) -> Target:
+        """The target of every impact: a beam gives way as an endless plate does, if its sizes are known."""
+        if self.panel is not None:
+            return self.panel.plate
+        return self.impact.body
 
     @property
     def sources(self) -> tuple[Population | Tap, ...]:
@@ -80,6 +138,8 @@ class Scene(Section):
         """The whole scene as JSON with sorted keys: what is stored in a dataset, and hashed."""
         content = self.model_dump(mode="json", exclude_none=True)
         # What a scene does not use leaves no trace, so that a new kind of part gives no old scene another identity.
+        if self.sensor.quantity == "force":
+            del content["sensor"]["quantity"]
         return json.dumps({key: part for key, part in content.items() if part != []}, sort_keys=True)
 
     @cached_property  # every batch of signals bears it
@@ -117,7 +177,7 @@ def load_scene(path: str | Path) -> Scene:
         content = tomllib.loads(text)
     except (ValueError, RecursionError) as error:  # also integers of thousands of digits, and nesting without end
         raise BadData(f"{path}: a scene file must be valid TOML: {error}") from None
-    return parse_scene(content, source=str(path))
+    return parse_scene(with_table(content, Path(path).parent), source=str(path))
 
 
 def parse_scene(content: dict[str, Any], source: str = "scene") -> Scene:

@@ -108,13 +108,17 @@ class TargetSection(Section):
     thickness: Length | None = None
 
     @property
+    def material(self) -> Material:
+        """What the target is of."""
+        return Material(**self.model_dump(exclude={"thickness"}))
+
+    @property
     def body(self) -> HalfSpace | ThinPlate:
         """The target itself."""
-        material = Material(**self.model_dump(exclude={"thickness"}))
         return (
-            HalfSpace(material=material)
+            HalfSpace(material=self.material)
             if self.thickness is None
-            else ThinPlate(material=material, thickness=self.thickness)
+            else ThinPlate(material=self.material, thickness=self.thickness)
         )
 
 

@@ -1,68 +1,147 @@
-"""The sensor: what becomes of the true force on its way into the frame."""
+"""The sensor: what becomes of the true force, or of the motion of the beam, on its way into the frame."""
 
 from __future__ import annotations
 
-from typing import Self
+from typing import Any, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
 from cgid.filters import fft_filter
-from cgid.scene.units import Force, Frequency, Level, Ratio, Whole
+from cgid.impact.poles import LowPass, Resonance
+from cgid.scene.units import Frequency, Level, Number, Ratio, Whole, parse
 from cgid.validation import Floats
 
+#: What a sensor may feel -> the dimension of its levels, and its SI unit.
+QUANTITIES = {
+    "force": ("force", "N"),
+    "acceleration": ("acceleration", "m/s^2"),
+    "velocity": ("speed", "m/s"),
+    "displacement": ("length", "m"),
+}
+#: The keys in the unit of the quantity, and what is behind its dimension.
+_LEVELS = {"absolute_noise": "", "noise_density": " noise density", "range": "", "offset": "", "drift": " per time"}
 
-class Sensor(BaseModel):
-    """A force sensor.
 
-    The order is that of a measuring chain: bandwidth, noise, range, bits. Each stage is off when left out.
+class _Part(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+
+class Mounting(_Part):
+    """The resonance of a sensor on its mounting: a stud at 30 kHz, a magnet at 7 kHz."""
+
+    frequency: Frequency
+    damping_ratio: Ratio = Field(default=0.05, gt=0, lt=1)
+
+
+class AntiAlias(_Part):
+    """The low-pass before the converter, a Butterworth filter: `frequency` is where it is 3 dB down."""
+
+    frequency: Frequency
+    order: Whole = Field(default=8, ge=1, le=12)
+
+
+class Sensor(_Part):
+    """A sensor and its recorder.
+
+    The order is that of a measuring chain: mounting, anti-alias filter or bandwidth, noise, offset and drift, range,
+    bits. Each stage is off when left out. Levels are in the unit of the quantity, as numbers or strings with a unit.
 
     Parameters
     ----------
-    relative_noise : float
-        Standard deviation of the white noise over the peak of each pulse.
-    absolute_noise : float
-        Standard deviation of the white noise [N]. Both together add in power.
+    quantity : {"force", "acceleration", "velocity", "displacement"}
+        The contact force itself, or the motion of the tail beam at the sensor.
+    mounting : Mounting, optional
+        Its resonance amplifies what is near to it.
+    anti_alias : AntiAlias, optional
+        Causal: it delays the signal.
     bandwidth : float, optional
-        Edge of a zero-phase low-pass [Hz], gain 1/2 there, with a raised-cosine edge half as wide.
+        Edge of a zero-phase low-pass [Hz], gain 1/2 there, with a raised-cosine edge half as wide; in place of an
+        anti-alias filter.
+    relative_noise : float
+        Standard deviation of the white noise over the largest sample of each signal; for a force over the true peak.
+    absolute_noise : float
+        Standard deviation of the white noise.
+    noise_density : float
+        White noise in a band of 1 Hz; over sqrt(half the sampling rate) its standard deviation. All noises together
+        add in power.
+    offset, drift : float
+        What is added to every sample, and by how much that changes in a second, from the first sample on.
     range : float, optional
-        Full scale [N]: what lies beyond +- this is clipped.
+        Full scale: what lies beyond +- this is clipped.
     bits : int, optional
         Of the converter over its full scale; needs `range`.
     """
 
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
-
+    quantity: Literal["force", "acceleration", "velocity", "displacement"] = "force"
+    mounting: Mounting | None = None
+    anti_alias: AntiAlias | None = None
     relative_noise: Ratio = Field(default=0.0, ge=0, le=1e6)
     absolute_noise: Level = 0.0
+    noise_density: Level | None = None
     bandwidth: Frequency | None = None
-    range: Force | None = None
+    offset: Number | None = Field(default=None, ge=-1e15, le=1e15)
+    drift: Number | None = Field(default=None, ge=-1e15, le=1e15)
+    range: Level | None = Field(default=None, ge=1e-9)
     bits: Whole | None = Field(default=None, ge=2, le=32)
 
+    @field_validator(*_LEVELS, mode="before")
+    @classmethod
+    def _in_si(cls, value: Any, info: Any) -> Any:
+        quantity = info.data.get("quantity")
+        if value is None or quantity is None:  # a quantity that is wrong is said to be by itself
+            return value
+        return parse(value, QUANTITIES[quantity][0] + _LEVELS[info.field_name])
+
     @model_validator(mode="after")
-    def _bits_need_a_range(self) -> Self:
+    def _parts_fit(self) -> Self:
         if self.bits is not None and self.range is None:
             raise ValueError("bits must come with range: without a full scale there is no step")
+        if self.bandwidth is not None and self.anti_alias is not None:
+            raise ValueError("must have either bandwidth (zero phase) or anti_alias (causal), and not both")
         return self
+
+    @property
+    def unit(self) -> str:
+        """The SI unit of what it feels."""
+        return QUANTITIES[self.quantity][1]
+
+    @property
+    def filters(self) -> tuple[Resonance | LowPass, ...]:
+        """What has poles of its own: mounting and anti-alias filter."""
+        parts: list[Resonance | LowPass] = []
+        if self.mounting is not None:
+            parts.append(Resonance(**self.mounting.model_dump()))
+        if self.anti_alias is not None:
+            parts.append(LowPass(**self.anti_alias.model_dump()))
+        return tuple(parts)
 
     @property
     def noisy(self) -> bool:
         """Whether there is any noise to draw."""
-        return self.relative_noise > 0 or self.absolute_noise > 0
+        return self.relative_noise > 0 or self.absolute_noise > 0 or bool(self.noise_density)
 
-    def noise_level(self, peak_force: Floats) -> Floats:
-        """Return the standard deviation of the noise [N] for pulses of these peaks [N]."""
-        return np.hypot(self.relative_noise * peak_force, self.absolute_noise)
+    def noise_level(self, peak: Floats, sampling_rate: float) -> Floats:
+        """Return the standard deviation of the noise for signals of these peaks."""
+        steady = np.hypot(self.absolute_noise, (self.noise_density or 0.0) * np.sqrt(sampling_rate / 2))
+        return np.asarray(np.hypot(self.relative_noise * peak, steady))
 
     def limit_band(self, frames: NDArray[np.floating], sampling_rate: float) -> NDArray[np.floating]:
-        """Return the frames after the sensor's low-pass."""
+        """Return the frames after the sensor's zero-phase low-pass."""
         if self.bandwidth is None:
             return frames
         return fft_filter(frames, sampling_rate, high=self.bandwidth, taper=0.5)
 
-    def digitise(self, frames: NDArray[np.floating]) -> None:
-        """Clip and round the frames in place, as far as the sensor has a range and bits."""
+    def digitise(self, frames: NDArray[np.floating], sampling_rate: float, first: int = 0) -> None:
+        """Shift, clip and round the frames in place, as far as the sensor has offset, drift, range and bits.
+
+        first is the number of the first sample since the sensor was switched on.
+        """
+        if self.drift:
+            frames += (self.drift / sampling_rate * np.arange(first, first + frames.shape[-1])).astype(frames.dtype)
+        if self.offset:
+            frames += frames.dtype.type(self.offset)
         if self.range is None:
             return
         highest = self.range

@@ -137,7 +137,7 @@ def _closed_forms(request: Request) -> Decision:
     if not request.quantities:
         return Decision(runs=False, why="only what is drawn is asked for")
     if _on_plate(request.scene):
-        return Decision(runs=False, why="a thin plate leaves none: the impacts are integrated")
+        return Decision(runs=False, why="a plate or beam that gives way leaves none: the impacts are integrated")
     number = len(request.quantities)
     return Decision(
         runs=True,
@@ -160,8 +160,8 @@ def _time_stepping(request: Request) -> Decision:
         return UNIT_COSTS["integrated impact"] * work.impacts + pulses
 
     if _on_plate(scene):
-        return Decision(runs=True, why="a thin plate has no closed form", cost=cost)
-    if largest_error(scene.impact, scene.populations) > tolerance_of(scene.impact):
+        return Decision(runs=True, why="a plate or beam that gives way has no closed form", cost=cost)
+    if largest_error(scene.impact, scene.body, scene.populations) > tolerance_of(scene.impact):
         return Decision(runs=True, why="for the impacts that feel gravity", cost=cost)
     return Decision(runs=True, why=f"law {scene.impact.law} damps beyond the table of pulses", cost=cost)
 
@@ -174,7 +174,7 @@ def _gravity(request: Request) -> Decision:
         return _NO_IMPACTS
     if not request.quantities and not request.signals:
         return Decision(runs=False, why="only what is drawn is asked for")
-    bound, limit = largest_error(section, request.scene.populations), tolerance_of(section)
+    bound, limit = largest_error(section, request.scene.body, request.scene.populations), tolerance_of(section)
     if bound <= limit:
         why = f"2.4 g L / (v^2 e) is at most {bound:.2g}, the tolerance {limit:g}"
         return Decision(runs=False, why=why, error_bound=bound)
@@ -185,7 +185,7 @@ def _gravity(request: Request) -> Decision:
 
 def _thin_plate(request: Request) -> Decision:
     if not _on_plate(request.scene):
-        return Decision(runs=False, why="the target is no plate")
+        return Decision(runs=False, why="the target does not give way")
     if not request.scene.populations:
         return _NO_IMPACTS
     if not request.quantities and not request.signals:
@@ -225,6 +225,8 @@ def _rest_of_frames(request: Request) -> Decision:
     if not look_at_the_beginning(request.features):
         everywhere = [name for name in request.features if FEATURES[name].whole_frame]
         return whole(f"{', '.join(everywhere)} looks at samples far from the pulse")
+    if request.scene.sensor.quantity != "force" or request.scene.sensor.filters:
+        return whole("what is heard of a blow through a beam or a filter rings on")
     if request.scene.sensor.relative_noise * FAINT > 1 and not request.drawn("relative_noise"):
         return whole(f"a pulse below {FAINT:g} times the noise is looked for in all the frame")
     return Decision(runs=False, why="no asked feature looks there; made for the signals where that is not certain")
@@ -264,13 +266,15 @@ def _clipping(request: Request) -> Decision:
 
 def _digitising(request: Request) -> Decision:
     sensor = request.scene.sensor
-    if sensor.range is None:
+    parts = {"offset": sensor.offset, "drift": sensor.drift, "range": sensor.range, "bits": sensor.bits}
+    on = [f"{name} {value:g}" for name, value in parts.items() if value]
+    if not on:
         return Decision(runs=False, why="off")
     if not request.sensed:
         return _NO_SENSOR
     return Decision(
         runs=True,
-        why=f"range {sensor.range:g} N" + (f", {sensor.bits} bits" if sensor.bits else ""),
+        why=", ".join(on),
         cost=lambda work: UNIT_COSTS["digitised sample"] * work.samples,
     )
 
@@ -311,14 +315,14 @@ def _storing_columns(request: Request) -> Decision:
 
 
 def _on_plate(scene: Scene) -> bool:
-    return isinstance(scene.impact.body, ThinPlate)
+    return isinstance(scene.body, ThinPlate) or scene.tail_beam is not None
 
 
 def _integrates(scene: Scene) -> bool:
     """Return whether some impacts may have to be integrated."""
     return (
         _on_plate(scene)
-        or largest_error(scene.impact, scene.populations) > tolerance_of(scene.impact)
+        or largest_error(scene.impact, scene.body, scene.populations) > tolerance_of(scene.impact)
         or _damps_beyond(scene)
     )
 
@@ -347,7 +351,7 @@ STAGES: Mapping[str, Callable[[Request], Decision]] = {
     "bandwidth": _bandwidth,
     "noise": _noise,
     "clipping": _clipping,
-    "range and bits": _digitising,
+    "offset, range and bits": _digitising,
     "features in time": _measuring("features in time"),
     "spectra": _measuring("spectrum"),
     "fits": _measuring("fit"),

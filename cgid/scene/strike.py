@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -9,6 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cgid.impact import Impact
+from cgid.impact.coupled import ModalImpact
+from cgid.scene.response import Hearing
 from cgid.scene.taps import TapPulses
 from cgid.validation import Floats
 
@@ -21,7 +24,7 @@ class Strike:
     ----------
     rows : ndarray of int, (n,)
         Signals of the block that they belong to.
-    pulses : Impact or TapPulses
+    pulses : Impact, ModalImpact or TapPulses
         n of them.
     onset : ndarray, (n,)
         Time of touch in the frame [s].
@@ -30,7 +33,7 @@ class Strike:
     """
 
     rows: NDArray[np.intp]
-    pulses: Impact | TapPulses
+    pulses: Impact | ModalImpact | TapPulses
     onset: Floats
     ratio: Floats | None = None
 
@@ -44,3 +47,10 @@ class Strike:
         if self.ratio is not None:
             own *= self.ratio.astype(frames.dtype)[:, None]
         frames[self.rows] += own
+
+    def add_response(self, frames: NDArray[Any], hearing: Hearing, parameters: Mapping[str, Floats]) -> None:
+        """Add what a recorder hears of the pulses to the frames of the block, in place."""
+        own = {name: values[self.rows] for name, values in parameters.items()}
+        hearing.response.add_to_frames(
+            frames, self.pulses, self.onset, hearing.participation(own), rows=self.rows, ratio=self.ratio
+        )

@@ -18,8 +18,9 @@ from cgid.scene.noise import HIGHEST_NOISE, add_noise
 from cgid.scene.plan import Plan, plan
 from cgid.scene.population import Draw, draw
 from cgid.scene.randomness import BLOCK
+from cgid.scene.response import hearing
 from cgid.scene.scene import Scene
-from cgid.scene.sensor import clip
+from cgid.scene.sensor import Sensor, clip
 from cgid.signals import Batch
 from cgid.validation import Floats
 
@@ -52,7 +53,8 @@ def synthesise(
     Yields
     ------
     Batch
-        Forces [N], labels, parameters, specimens. Where the scene randomises its sampling rate each batch has its own.
+        Forces [N] or motions of the beam (`Sensor.unit`), labels, parameters, specimens. Where the scene randomises
+        its sampling rate each batch has its own.
 
     Raises
     ------
@@ -90,7 +92,7 @@ def _block(asked: Plan, seed: int, block: int, part: slice, dtype: DTypeLike) ->
         signals=frames[part],
         labels=drawn.labels[part],
         sampling_rate=drawn.scene.sampling.sampling_rate,
-        unit="N",
+        unit=scene.sensor.unit,
         pre_trigger=scene.sampling.pre_trigger,
         specimen=drawn.specimen[part],
         parameters={name: values[part] for name, values in drawn.parameters.items()},
@@ -136,34 +138,48 @@ def make_beginnings(
         Above every sample of the rest of the frame, in the unit of the signals.
     """
     scene, sensor = drawn.scene, drawn.scene.sensor
-    n_signals, whole = len(drawn.labels), scene.sampling.samples
+    n_signals, whole, rate = len(drawn.labels), scene.sampling.samples, scene.sampling.sampling_rate
     highest_behind = np.zeros(n_signals)
     # The transform of a low-pass goes round the whole frame.
     filtered = asked.runs("bandwidth")
     frames: NDArray[Any] = np.zeros((n_signals, whole if filtered else n_samples), dtype)
     add_pulses(frames, scene, drawn)
+    peak = drawn.parameters["peak_force"]
     if filtered:
-        frames = sensor.limit_band(frames, scene.sampling.sampling_rate)
+        frames = sensor.limit_band(frames, rate)
         highest_behind = frames[:, n_samples:].max(axis=1, initial=0.0).astype(np.float64)
         frames = np.ascontiguousarray(frames[:, :n_samples])
+    if sensor.quantity != "force":
+        peak = np.abs(frames).max(axis=1).astype(np.float64)
     if asked.runs("noise"):
-        level = sensor.noise_level(drawn.parameters["peak_force"])
+        level = sensor.noise_level(peak, rate)
         add_noise(frames, level, seed, block)
         highest_behind += HIGHEST_NOISE * level
     count("frames", n_signals)
     count("frame_samples", frames.size)
     if asked.runs("clipping"):
         count("clipped_frames", n_signals)
-        clip(frames, drawn.parameters["clipped_at"] * drawn.parameters["peak_force"])
-    if asked.runs("range and bits"):
+        clip(frames, drawn.parameters["clipped_at"] * peak)
+    if asked.runs("offset, range and bits"):
         count("digitised_frames", n_signals)
-        sensor.digitise(frames)
-        if sensor.range is not None and sensor.bits is not None:
-            highest_behind += sensor.range / 2**sensor.bits  # half a step
+        sensor.digitise(frames, rate)
+        highest_behind += _digitised_by(sensor, rate, n_samples, whole)
     return frames, highest_behind
 
 
+def _digitised_by(sensor: Sensor, sampling_rate: float, first: int, n_samples: int) -> float:
+    """Return by how much offset, drift and rounding may raise a sample from a first one on."""
+    drift, step = (sensor.drift or 0.0) / sampling_rate, 0.0
+    if sensor.range is not None and sensor.bits is not None:
+        step = sensor.range / 2**sensor.bits  # half of one
+    return (sensor.offset or 0.0) + max(drift * first, drift * n_samples) + step
+
+
 def add_pulses(frames: NDArray[Any], scene: Scene, drawn: Draw) -> None:
-    """Add the force pulses of each signal to its frame, in place."""
+    """Add to each frame what the recorder hears of its blows, in place: their forces, or the motion of the beam."""
+    heard = hearing(scene)
     for strike in drawn.strikes:
-        strike.add_to_frames(frames, scene.sampling.sampling_rate)
+        if heard is None:
+            strike.add_to_frames(frames, scene.sampling.sampling_rate)
+        else:
+            strike.add_response(frames, heard, drawn.parameters)

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from cgid.beginnings import measure_beginnings, samples_needed
 from cgid.errors import InvalidValue
 from cgid.features import extract_array
+from cgid.scene.impacts import impacts_by_coupling
 from cgid.scene.plan import Plan, plan
 from cgid.scene.population import Draw, draw, given, parameter_units
 from cgid.scene.quantities import OF_TAPS, TRUE
@@ -106,9 +107,9 @@ def _untimed(asked: Plan, seed: int, block: int, part: slice) -> Columns:
         values[name] = drawn.values[name].copy() if name in OF_TAPS else np.full(BLOCK, np.nan)
     if asked.request.quantities and drawn.fallen.size:
         with unwarned():
-            impact = drawn.impact
-            for name in asked.request.quantities:
-                values[name][drawn.fallen] = getattr(impact, name)
+            for rows, impacts, _ in impacts_by_coupling(drawn.scene, drawn.impact, drawn.values, drawn.fallen):
+                for name in asked.request.quantities:
+                    values[name][rows] = getattr(impacts, name)
     return Columns(
         labels=drawn.labels[part],
         specimen=drawn.specimen[part],

@@ -39,8 +39,10 @@ class TapPulses:
     peak_force: Floats
     contact_duration: Floats
 
-    def add_to_frames(self, frames: NDArray[Any], sampling_rate: float, onset: Floats) -> None:
-        """Add the pulses to frames (n, n_samples) in place, each from its time of touch [s] on."""
+    def add_to_frames(
+        self, frames: NDArray[Any], sampling_rate: float | Floats, onset: Floats, *, tolerance: float = 0.0
+    ) -> None:
+        """Add the pulses to frames (n, n_samples) in place, each from its time of touch [s] on; without any error."""
         shapes = tuple(SHAPES.values())
         count("tap_pulses", len(frames))
         place, length = onset * sampling_rate, self.contact_duration * sampling_rate

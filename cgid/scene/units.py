@@ -9,6 +9,8 @@ from typing import Annotated, Any
 
 from pydantic import BeforeValidator, Field, Strict
 
+from cgid.signals import STANDARD_GRAVITY
+
 #: Dimension -> unit -> factor to the SI unit, which comes first.
 DIMENSIONS: dict[str, dict[str, float]] = {
     "density": {"kg/m^3": 1.0, "kg/m3": 1.0, "g/cm^3": 1e3, "g/cm3": 1e3, "t/m^3": 1e3},
@@ -18,9 +20,16 @@ DIMENSIONS: dict[str, dict[str, float]] = {
     "frequency": {"Hz": 1.0, "kHz": 1e3, "MHz": 1e6},
     "force": {"N": 1.0, "kN": 1e3, "MN": 1e6},
     "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6},
-    "acceleration": {"m/s^2": 1.0, "m/s2": 1.0},
     "ratio": {"": 1.0, "%": 1e-2},
+    "mass": {"kg": 1.0, "g": 1e-3, "t": 1e3},
+    "acceleration": {"m/s^2": 1.0, "mm/s^2": 1e-3, "g": STANDARD_GRAVITY, "mg": 1e-3 * STANDARD_GRAVITY},
 }
+#: Of every quantity that a sensor may feel: what noise has in a band of 1 Hz, and how it drifts in time.
+for _quantity in ("force", "acceleration", "speed", "length"):
+    _units = DIMENSIONS[_quantity]
+    DIMENSIONS[f"{_quantity} noise density"] = {f"{unit}/sqrt(Hz)": factor for unit, factor in _units.items()}
+    DIMENSIONS[f"{_quantity} per time"] = {f"{unit}/s": factor for unit, factor in _units.items()}
+DIMENSIONS["acceleration noise density"] |= {"ug/sqrt(Hz)": 1e-6 * STANDARD_GRAVITY}
 
 #: Dimension -> lowest and highest value in SI units: wider than anything that falls, and within them no formula
 #: of an impact overflows.
@@ -33,6 +42,7 @@ LIMITS: dict[str, tuple[float, float]] = {
     "force": (1e-9, 1e15),
     "time": (1e-9, 1e4),
     "acceleration": (1e-3, 1e4),
+    "mass": (1e-6, 1e9),
 }
 
 _NUMBER = re.compile(r"([-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+))(?:[eE]([-+]?[0-9]{1,9}))?\s*(.*)")
@@ -99,9 +109,10 @@ Density = Annotated[float, BeforeValidator(_reader("density")), _limits("density
 Modulus = Annotated[float, BeforeValidator(_reader("modulus")), _limits("modulus")]
 Length = Annotated[float, BeforeValidator(_reader("length")), _limits("length")]
 Frequency = Annotated[float, BeforeValidator(_reader("frequency")), _limits("frequency")]
-Force = Annotated[float, BeforeValidator(_reader("force")), _limits("force")]
+Mass = Annotated[float, BeforeValidator(_reader("mass")), _limits("mass")]
+#: A level in the unit of what the sensor feels, which it reads itself (`cgid.scene.sensor`).
+Level = Annotated[float, Field(ge=0, le=LIMITS["force"][1])]
 Acceleration = Annotated[float, BeforeValidator(_reader("acceleration")), _limits("acceleration")]
-Level = Annotated[float, BeforeValidator(_reader("force")), Field(ge=0, le=LIMITS["force"][1])]
 #: Without a dimension: a number as it stands, neither a string nor true or false.
 Number = Annotated[float, Strict()]
 Whole = Annotated[int, Strict()]

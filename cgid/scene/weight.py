@@ -26,6 +26,7 @@ from cgid.impact import (
     ThinPlateWarning,
     free_fall_velocity,
 )
+from cgid.impact.bodies import Target
 from cgid.materials import Material
 from cgid.scene.sections import ImpactSection, Population
 from cgid.validation import Floats
@@ -50,13 +51,13 @@ def error_without_weight(impact: Impact, gravity: float) -> Floats:
     return np.asarray(_ERROR * gravity * impact.length_scale / speed**2 / impact.restitution)
 
 
-def largest_error(section: ImpactSection, populations: Iterable[Population]) -> float:
+def largest_error(section: ImpactSection, target: Target, populations: Iterable[Population]) -> float:
     """Return the bound on the error of leaving gravity out of any impact of these; 0 where a scene has no gravity."""
     if section.gravity is None:
         return 0.0
-    if isinstance(section.body, ThinPlate):
+    if isinstance(target, ThinPlate):
         return np.inf
-    heaviest = (heaviest_impact(section, population) for population in populations)
+    heaviest = (heaviest_impact(section, target, population) for population in populations)
     return max((float(error_without_weight(impact, section.gravity)) for impact in heaviest), default=0.0)
 
 
@@ -64,7 +65,7 @@ def weighed(section: ImpactSection, **parts: Any) -> Impact:
     """Return impacts with gravity where its effect passes the tolerance; each is judged by itself."""
     if section.gravity is None:
         return Impact(**parts)
-    if isinstance(section.body, ThinPlate):
+    if isinstance(parts["target"], ThinPlate):
         return Impact(**parts, gravity=section.gravity)
     weightless = Impact(**parts)
     felt = error_without_weight(weightless, section.gravity) > tolerance_of(section)
@@ -73,7 +74,9 @@ def weighed(section: ImpactSection, **parts: Any) -> Impact:
     return Impact(**parts, gravity=np.where(felt, section.gravity, 0.0))
 
 
-def heaviest_impact(section: ImpactSection, population: Population, *, with_weight: bool = False) -> Impact:
+def heaviest_impact(
+    section: ImpactSection, target: Target, population: Population, *, with_weight: bool = False
+) -> Impact:
     """Return the impact of a population in which weight counts most: every number at its extreme.
 
     `gamma = g L / v^2` with `L = (m v^2 / K)^(2/5)` grows with mass, falls with stiffness and with speed.
@@ -102,19 +105,19 @@ def heaviest_impact(section: ImpactSection, population: Population, *, with_weig
             warnings.simplefilter("ignore", beyond)  # no impact that is drawn need be so
         parts: dict[str, Any] = {
             "sphere": sphere,
-            "target": section.body,
+            "target": target,
             "velocity": velocity,
             "stiffness": section.stiffness,
         }
         return weighed(section, **parts, dissipation=loss) if with_weight else Impact(**parts, dissipation=loss)
 
 
-def problem_of_weight(section: ImpactSection, population: Population) -> str | None:
+def problem_of_weight(section: ImpactSection, target: Target, population: Population) -> str | None:
     """Return what is wrong with the gravity of this scene for this population; None where all of it rebounds."""
     if section.gravity is None:
         return None
     try:
-        heaviest_impact(section, population, with_weight=True)
+        heaviest_impact(section, target, population, with_weight=True)
     except InvalidValue as error:
         return (
             f"the slowest, largest and softest impact that can be drawn must be one that gravity leaves a rebound: "

@@ -44,7 +44,7 @@ class BuiltShard:
     number: int
     first: int
     n_signals: int
-    content: bytes
+    content: memoryview
     labels: dict[str, int]
 
 

@@ -1,0 +1,178 @@
+"""Numba kernels of the response: damped resonators driven by a contact force, then left to ring.
+
+A pole p with state z obeys z' = p z + P. Over a step h in which P is straight, z moves exactly to
+E z + g0 P_n + g1 P_(n+1), E = exp(p h). With z = u + g1 P this is u_(n+1) = E u_n + b P_n, b = g0 + E g1: one input.
+Over the M steps of a sample u moves to E^M u + b sum E^(M-1-j) P_j. As functions of j these powers are smooth, and a
+few polynomials serve all poles: the sum over steps is made once for each polynomial, and each pole adds up polynomials.
+Once P is zero, u rings as exp(p t), which is a table of so many samples, turned on by exp(p) of their number.
+No `fastmath`: loops run over poles or over samples, each of which keeps its own order of sums.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[Any]
+
+_jit = numba.njit(cache=True, nogil=True, error_model="numpy")
+
+
+@_jit
+def _advance(state: Array, turn: Array, polynomials: Array, shares: Array, drive: Array, moments: Array) -> None:
+    """Move the states (2, n_poles) by one sample; turn (2, n_poles) is exp(p) of it.
+
+    polynomials (n_steps or more, n_polynomials), shares (2, n_polynomials, n_poles): what each brings to each pole.
+    """
+    moments[:] = 0.0
+    for j in range(drive.size):
+        force, row = drive[j], polynomials[j]
+        for n in range(moments.size):
+            moments[n] += row[n] * force
+    real, imaginary, cosine, sine = state[0], state[1], turn[0], turn[1]
+    for r in range(real.size):
+        re, im = real[r], imaginary[r]
+        real[r] = cosine[r] * re - sine[r] * im
+        imaginary[r] = cosine[r] * im + sine[r] * re
+    for n in range(moments.size):
+        moment, to_real, to_imaginary = moments[n], shares[0, n], shares[1, n]
+        for r in range(real.size):
+            real[r] += to_real[r] * moment
+            imaginary[r] += to_imaginary[r] * moment
+
+
+@_jit
+def _output(state: Array, edge: Array, amplitude: Array, force: float) -> float:
+    """Return the sum over poles of the real part of amplitude times z; edge is g1."""
+    total = 0.0
+    for r in range(state.shape[1]):
+        total += amplitude[0, r] * (state[0, r] + edge[0, r] * force)
+        total -= amplitude[1, r] * (state[1, r] + edge[1, r] * force)
+    return total
+
+
+@_jit
+def strike(
+    frames: Array,
+    row: Array,
+    first: Array,
+    stride: Array,
+    count: Array,
+    level: Array,
+    turn: Array,
+    polynomials: Array,
+    shares: Array,
+    edge: Array,
+    force: Array,
+    drive: Array,
+    amplitude: Array,
+    direct: Array,
+    ringing: Array,
+    chosen: Array,
+) -> None:
+    """Add what is heard during contact to frames (n_rows, n_samples), and leave what rings on behind it.
+
+    Pulse i falls on row[i]. force (n, k) holds it on a grid of stride[i] steps a sample that begins on sample first[i]
+    and has count[i] samples, at the end of which there is none; drive is the same made ready for straight lines.
+    polynomials, shares and edge have a leading axis for level[i]; amplitude (n, 2, n_poles); direct (n) is what passes
+    at once.
+    ringing (n, 2, n_poles) becomes amplitude times state at the sample first + count.
+    """
+    n_samples, n_poles = frames.shape[1], amplitude.shape[2]
+    state, moments = np.empty((2, n_poles)), np.empty(polynomials.shape[2])
+    for i in chosen:
+        state[:] = 0.0
+        k, heard = level[i], frames[row[i]]
+        for number in range(1, count[i] + 1):
+            sample, n = first[i] + number, number * stride[i]
+            _advance(state, turn, polynomials[k], shares[k], drive[i, n - stride[i] : n], moments)
+            if 0 <= sample < n_samples and number < count[i]:
+                heard[sample] += _output(state, edge[k], amplitude[i], drive[i, n]) + direct[i] * force[i, n]
+        for r in range(n_poles):
+            ringing[i, 0, r] = amplitude[i, 0, r] * state[0, r] - amplitude[i, 1, r] * state[1, r]
+            ringing[i, 1, r] = amplitude[i, 0, r] * state[1, r] + amplitude[i, 1, r] * state[0, r]
+
+
+@_jit
+def _add_ring(samples: Array, weights: Array, n_alive: int, table: Array, skipped: int) -> None:
+    """Add the ringing of some poles to samples; table (2, n_poles, length) holds exp(p t), real and imaginary part.
+
+    One pole after the other over all samples: that is the loop which the compiler turns into vector instructions.
+    """
+    for r in range(n_alive):
+        re, im = weights[0, r], weights[1, r]
+        cosine, sine = table[0, r, skipped:], table[1, r, skipped:]
+        for k in range(samples.size):
+            samples[k] += re * cosine[k] - im * sine[k]
+
+
+@_jit
+def ring(
+    frames: Array, begin: Array, order: Array, start: Array, ringing: Array, table: Array, hop: Array, silence: float
+) -> int:
+    """Add free ringing to frames (n_rows, n_samples); return how many samples of poles were computed.
+
+    Of row i the pulses order[begin[i]:begin[i + 1]], sorted by start, begin to ring at sample start of the frame.
+    table (2, n_poles, length), hop (2, n_poles) is exp(p length). Poles are sorted by how long they ring: from the end
+    of the list those are left out that together are quieter than silence times the largest sample so far.
+    """
+    length, n_poles = table.shape[2], table.shape[1]
+    kind = table[0, 0, :1]
+    state = np.empty((2, n_poles))
+    quiet = np.empty((2, n_poles), kind.dtype)
+    computed = 0
+    for row in range(frames.shape[0]):
+        following, last = begin[row], begin[row + 1]
+        if following == last:
+            continue
+        state[:] = 0.0
+        alive, loudest, left_out = 0, 0.0, 0.0
+        here, samples = start[order[following]], frames[row]
+        while here < samples.size and (alive > 0 or following < last):
+            if alive == 0:
+                here = start[order[following]]
+            end = min(here + length, samples.size)
+            if alive > 0 and end > 0:
+                skipped = max(-here, 0)
+                quiet[:] = state
+                _add_ring(samples[here + skipped : end], quiet, alive, table, skipped)
+                computed += alive * (end - here)
+            for r in range(alive):
+                re = state[0, r] * hop[0, r] - state[1, r] * hop[1, r]
+                state[1, r] = state[0, r] * hop[1, r] + state[1, r] * hop[0, r]
+                state[0, r] = re
+            while following < last and start[order[following]] < here + length:
+                new, at = ringing[order[following]], start[order[following]]
+                skipped = max(-at, 0)
+                if end > at + skipped:
+                    quiet[:] = new
+                    _add_ring(samples[at + skipped : end], quiet, n_poles, table, skipped)
+                    computed += n_poles * (end - at)
+                left = here + length - at
+                for r in range(n_poles):
+                    if left == length:
+                        re, im = hop[0, r], hop[1, r]
+                    else:
+                        re, im = table[0, r, left], table[1, r, left]
+                    if r >= alive:
+                        state[0, r], state[1, r] = 0.0, 0.0
+                    state[0, r] += new[0, r] * re - new[1, r] * im
+                    state[1, r] += new[0, r] * im + new[1, r] * re
+                alive, left_out = n_poles, 0.0
+                following += 1
+            for k in range(max(here, 0), end):
+                loudest = max(loudest, abs(samples[k]))
+            if alive < n_poles:
+                left_out *= math.hypot(hop[0, alive], hop[1, alive])  # the slowest of them
+            while alive > 0:
+                more = math.hypot(state[0, alive - 1], state[1, alive - 1])
+                if left_out + more > silence * loudest:
+                    break
+                left_out += more
+                alive -= 1
+            here += length
+    return computed

@@ -1,0 +1,177 @@
+"""Modes of clamped and cantilever panels by Rayleigh and Ritz, in polynomials.
+
+A shape is a sum of products of one-dimensional functions, integrals of Legendre polynomials that keep to the held
+edges; free edges follow from the energy. In these the frequencies fall towards the true ones as the degree rises,
+at first exponentially, at last as the corner where a held edge meets a free one allows (Leissa 1973, J. Sound Vib.
+31, 257, has the cases). The degree is raised until that changes no frequency by more than `TOLERANCE`, which
+leaves them within 3e-5 of the exact ones (1e-8 where all edges are held), and a cantilever's shapes within .002.
+
+Two things keep the digits where polynomials of degree 60 would lose them. In each direction the functions are
+first turned into those that diagonalise mass and bending both, so that the stiffness, scaled to a unit diagonal, is
+well conditioned. And what is solved for is `1 / omega^2`: rounding is relative to the largest, the first mode's.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.polynomial import legendre
+from scipy.linalg import eigh
+from threadpoolctl import threadpool_limits
+
+from cgid.impact.tail_beam.rigidities import Rigidities
+from cgid.impact.tail_beam.shapes import PolynomialShapes
+from cgid.validation import Floats
+
+#: Relative change of any frequency, when both degrees are raised by `_RISE`, at which the basis is taken as enough.
+TOLERANCE = 1e-5
+_RISE = 4
+#: Polynomials for each half wave that fits in, and some more for what happens at the edges.
+_PER_HALF_WAVE, _FOR_EDGES = math.pi / 2, 8
+
+
+@dataclass(frozen=True, eq=False)
+class _Line:
+    """Functions of one coordinate u in [-1, 1] and the integrals of their products.
+
+    Parameters
+    ----------
+    functions : ndarray, (n_degrees, n_functions)
+        Their coefficients in Legendre polynomials.
+    """
+
+    functions: Floats
+
+    def integrals(self) -> tuple[Floats, Floats, Floats, Floats]:
+        """Return the integrals of f f, f' f', f'' f'' and f'' f over [-1, 1], each (n_functions, n_functions).
+
+        Gauss's rule with as many nodes as degrees is exact for these.
+        """
+        nodes, weights = legendre.leggauss(len(self.functions))
+        value, slope, bend = (
+            legendre.legvander(nodes, len(part) - 1) @ part
+            for part in (self.functions, legendre.legder(self.functions), legendre.legder(self.functions, 2))
+        )
+        pairs = ((value, value), (slope, slope), (bend, bend), (bend, value))
+        mass, slopes, bending, mixed = (first.T @ (weights[:, None] * second) for first, second in pairs)
+        return mass, slopes, bending, mixed
+
+
+def _line(number: int, held: str) -> list[_Line]:
+    """Return `number` functions, even and odd ones apart where the line is symmetric.
+
+    `held` says where value and slope are zero: at "both" ends, the "start", or "none". The second derivatives are
+    Legendre polynomials, turned so that the integrals of f f are diagonal as well.
+    """
+    # Integrals of P_n from -1 vanish at +1 as well from the second degree on.
+    degrees = np.arange(number) + (2 if held == "both" else 0)
+    bends = np.zeros((degrees[-1] + 1, number))
+    bends[degrees, np.arange(number)] = np.sqrt(degrees + 0.5)
+    functions: Floats = np.asarray(legendre.legint(bends, m=2, lbnd=-1), dtype=np.float64)
+    if held == "none":
+        functions[:2] = 0.0  # what is left bends; the motions of a rigid body are functions of their own
+    parts = [functions] if held == "start" else [functions[:, 0::2], functions[:, 1::2]]
+    for parity, part in enumerate(parts):
+        parts[parity] = part @ eigh(_Line(part).integrals()[0])[1]
+        if held == "none":
+            rigid = np.zeros((len(part), 1))
+            rigid[parity] = math.sqrt(parity + 0.5)
+            parts[parity] = np.hstack([rigid, parts[parity]])
+    return [_Line(part) for part in parts]
+
+
+@dataclass(frozen=True, eq=False)
+class _Panel:
+    """One symmetry of a panel: stiffness over mass per area, and mass, in products of the functions of two lines.
+
+    Parameters
+    ----------
+    stiffness, mass : ndarray, (n_products, n_products)
+        In [rad^2/s^2] and [1], over the square [-1, 1] x [-1, 1].
+    """
+
+    along: _Line
+    across: _Line
+    stiffness: Floats
+    mass: Floats
+
+    @classmethod
+    def of(cls, along: _Line, across: _Line, rigidities: Rigidities, length: float, width: float) -> _Panel:
+        """Return the panel whose shapes are products of a function along and one across."""
+        a, b = (2 / length) ** 2, (2 / width) ** 2
+        mass_x, slope_x, bending_x, mixed_x = along.integrals()
+        mass_y, slope_y, bending_y, mixed_y = across.integrals()
+        stiffness = rigidities.along * a**2 * np.kron(bending_x, mass_y)
+        stiffness += rigidities.across * b**2 * np.kron(mass_x, bending_y)
+        stiffness += 4 * rigidities.twist * a * b * np.kron(slope_x, slope_y)
+        coupled = rigidities.coupling * a * b * np.kron(mixed_x, mixed_y.T)
+        stiffness += coupled + coupled.T
+        mass: Floats = np.asarray(np.kron(mass_x, mass_y), dtype=np.float64)
+        return cls(along, across, np.asarray(stiffness / rigidities.mass, dtype=np.float64), mass)
+
+    def _scaled(self) -> tuple[Floats, Floats, Floats]:
+        scale = 1 / np.sqrt(np.diag(self.stiffness))
+        return self.mass * scale * scale[:, None], self.stiffness * scale * scale[:, None], scale
+
+    def frequencies(self) -> Floats:
+        """Return all natural frequencies [rad/s], ascending."""
+        mass, stiffness, _ = self._scaled()
+        inverse = eigh(mass, stiffness, eigvals_only=True, overwrite_a=True, overwrite_b=True, check_finite=False)
+        # Of the highest of all only rounding is left, which may even be negative.
+        return np.asarray(1 / np.sqrt(np.maximum(inverse[::-1], 1e-300)))
+
+    def modes(self, highest: float) -> tuple[Floats, Floats]:
+        """Return the frequencies up to the highest [rad/s] and the shapes, whose mean square is 1/4.
+
+        Of these the coefficients (n_degrees_x, n_degrees_y, n_modes) in products of Legendre polynomials.
+        """
+        mass, stiffness, scale = self._scaled()
+        wanted = (highest**-2, np.inf)
+        inverse, vectors = eigh(
+            mass, stiffness, subset_by_value=wanted, overwrite_a=True, overwrite_b=True, check_finite=False
+        )
+        vectors = vectors[:, ::-1] * scale[:, None] / np.sqrt(inverse[::-1])
+        cube = vectors.reshape(self.along.functions.shape[1], self.across.functions.shape[1], -1)
+        shapes = np.einsum("ai,ijm,bj->abm", self.along.functions, cube, self.across.functions, optimize=True)
+        return 1 / np.sqrt(inverse[::-1]), np.asarray(shapes)
+
+
+def ritz_modes(
+    rigidities: Rigidities, length: float, width: float, held: tuple[str, str], highest: float
+) -> tuple[Floats, PolynomialShapes]:
+    """Return the natural frequencies up to the highest [rad/s], and the shapes, whose mean square is 1/4.
+
+    Parameters
+    ----------
+    held : tuple of str
+        Along x and along y where value and slope are zero: "both" ends, the "start", or "none".
+    """
+    wave_number = [math.sqrt(highest * math.sqrt(rigidities.mass / d)) for d in (rigidities.along, rigidities.across)]
+    numbers = [
+        math.ceil(_PER_HALF_WAVE * k * extent / math.pi) + _FOR_EDGES
+        for k, extent in zip(wave_number, (length, width), strict=True)
+    ]
+
+    def panels() -> list[_Panel]:
+        lines = [_line(number, where) for number, where in zip(numbers, held, strict=True)]
+        return [_Panel.of(x, y, rigidities, length, width) for x in lines[0] for y in lines[1]]
+
+    # More threads of BLAS would change the last bits.
+    with threadpool_limits(1):
+        coarse = [panel.frequencies() for panel in panels()]
+        while True:
+            numbers = [number + _RISE for number in numbers]
+            found = [panel.modes(highest) for panel in panels()]
+            fine = [part for part, _ in found]
+            if all(_settled(*pair) for pair in zip(coarse, fine, strict=True)):
+                break
+            coarse = fine
+    frequencies = np.concatenate(fine)
+    order = np.argsort(frequencies, kind="stable")
+    return frequencies[order], PolynomialShapes.of([shapes for _, shapes in found], order)
+
+
+def _settled(coarse: Floats, fine: Floats) -> bool:
+    return bool(fine.size <= coarse.size and np.all(coarse[: fine.size] - fine <= TOLERANCE * fine))

@@ -1,0 +1,116 @@
+"""What a scene's recorder hears of a contact force: the way through its tail beam and its sensor."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+
+from cgid.impact.response import Response
+from cgid.impact.tail_beam import MeasuredModes, Modes, TailBeam
+from cgid.scene.beam import TailBeamSection
+from cgid.scene.scene import Scene
+from cgid.validation import Floats
+
+#: Error of the response over its largest sample: how fine a contact is cut, and which modes are too quiet to be run.
+TOLERANCE = 3e-5
+#: Modes are found up to so many times the highest frequency that the recorder passes: they have a tail in its band.
+BEYOND_BAND = 1.25
+#: As long as an anti-alias filter passes this much of it, a frequency is in the band.
+_STILL_HEARD = 0.1
+
+
+@dataclass(frozen=True)
+class BeamModes:
+    """The modes of a scene's tail beam, with their shapes at the sensor.
+
+    Attributes
+    ----------
+    modes : Modes or MeasuredModes
+    at_sensor : ndarray, (n_modes,)
+    """
+
+    modes: Modes | MeasuredModes
+    at_sensor: Floats
+
+    @property
+    def frequency(self) -> Floats:
+        """[Hz], (n_modes,)."""
+        return np.asarray(self.modes.frequency)
+
+    @property
+    def damping_ratio(self) -> Floats:
+        """(n_modes,)."""
+        return np.asarray(self.modes.damping_ratio)
+
+    @property
+    def modal_mass(self) -> Floats:
+        """[kg], (n_modes,)."""
+        return np.asarray(self.modes.modal_mass)
+
+    def shape_at(self, parameters: Mapping[str, Floats]) -> Floats:
+        """Return the shapes where each blow falls, (n, n_modes)."""
+        if isinstance(self.modes, MeasuredModes):
+            n = len(next(iter(parameters.values())))
+            return np.broadcast_to(np.asarray(self.modes.shape_impact), (n, self.at_sensor.size))
+        return self.modes.shape(parameters["impact_x"], parameters["impact_y"])
+
+    def participation(self, parameters: Mapping[str, Floats]) -> Floats:
+        """Return how strongly each blow drives each mode as the sensor sees it, (n, n_modes) [1/kg]."""
+        return self.shape_at(parameters) * (self.at_sensor / self.modal_mass)
+
+
+@dataclass(frozen=True)
+class Hearing:
+    """The response of a scene's recorder; `modes` is None for a force."""
+
+    response: Response
+    modes: BeamModes | None
+
+    def participation(self, parameters: Mapping[str, Floats]) -> Floats | None:
+        """Return how strongly each blow drives each mode as the sensor sees it, (n, n_modes) [1/kg]."""
+        return None if self.modes is None else self.modes.participation(parameters)
+
+
+@lru_cache(maxsize=16)
+def hearing(scene: Scene) -> Hearing | None:
+    """Return the response of a scene's recorder, None where it has the force itself; asked again, the same one."""
+    sensor = scene.sensor
+    if sensor.quantity == "force" and not sensor.filters:
+        return None
+    modes = None if sensor.quantity == "force" else beam_modes(scene)
+    response = Response(
+        sampling_rate=scene.sampling.sampling_rate,
+        quantity=sensor.quantity,
+        modes=modes,
+        filters=sensor.filters,
+        tolerance=TOLERANCE,
+    )
+    return Hearing(response, modes)
+
+
+def beam_modes(scene: Scene) -> BeamModes:
+    """Return the modes of a scene's tail beam as far as its recorder can hear them; asked again, the same ones."""
+    assert scene.tail_beam is not None  # a scene has checked that a motion has a beam
+    return _beam_modes(scene.tail_beam, scene.panel, highest_frequency(scene))
+
+
+def highest_frequency(scene: Scene) -> float:
+    """Return up to which frequency modes are found [Hz]."""
+    anti_alias = scene.sensor.anti_alias
+    if anti_alias is None:
+        return BEYOND_BAND * scene.sampling.sampling_rate / 2
+    # A Butterworth filter passes 1 / sqrt(1 + (f / edge)^(2 order)).
+    return float(BEYOND_BAND * anti_alias.frequency * (_STILL_HEARD**-2 - 1) ** (0.5 / anti_alias.order))
+
+
+@lru_cache(maxsize=16)
+def _beam_modes(section: TailBeamSection, panel: TailBeam | None, highest: float) -> BeamModes:
+    if panel is None:
+        assert section.measured is not None
+        return BeamModes(section.measured, np.asarray(section.measured.shape_sensor))
+    assert section.sensor_point is not None
+    modes = panel.modes(highest)
+    return BeamModes(modes, modes.shape(section.sensor_point.x, section.sensor_point.y))
