@@ -216,13 +216,13 @@ class Curves:
 
             columns, place = getattr(family.table(), quantity), family.coordinate(self.material_restitution)
             cubic = quantity == "force"
-            _in_threads(_kernels.at_times, (times, place, time_scale, amplitude, columns, cubic, out), rows, threads)
+            in_threads(_kernels.at_times, (times, place, time_scale, amplitude, columns, cubic, out), rows, threads)
         if rest.size:
             from cgid.impact import _taylor
 
             row = _taylor.FORCE if quantity == "force" else _taylor.DISPLACEMENT
             numbers = (times, self._parameters, time_scale, amplitude, row, _taylor.ORDER, out)
-            _in_threads(kernel(_taylor, "at_times", *times.shape), numbers, rest, threads)
+            in_threads(kernel(_taylor, "at_times", *times.shape), numbers, rest, threads)
         return out
 
     def add_to_frames(
@@ -264,12 +264,12 @@ class Curves:
 
             place, columns = family.coordinate(self.material_restitution), family.table().force
             run = kernel(_kernels, "add_to_frames", *frames.shape)
-            _in_threads(run, (frames, onset, step, place, amplitude, columns), rows, threads)
+            in_threads(run, (frames, onset, step, place, amplitude, columns), rows, threads)
         if rest.size:
             from cgid.impact import _taylor
 
             run = kernel(_taylor, "add_to_frames", *frames.shape)
-            _in_threads(run, (frames, onset, step, self._parameters, amplitude, _taylor.ORDER), rest, threads)
+            in_threads(run, (frames, onset, step, self._parameters, amplitude, _taylor.ORDER), rest, threads)
 
     def _add_stepped(
         self,
@@ -296,7 +296,7 @@ def _samples_in_contact(touch: Floats, separation: Floats, n_samples: int) -> in
     return int(np.sum(np.clip(np.ceil(separation), first, n_samples) - first))
 
 
-def _in_threads(run: Callable[..., None], arguments: tuple[Any, ...], rows: NDArray[np.intp], threads: int) -> None:
+def in_threads(run: Callable[..., None], arguments: tuple[Any, ...], rows: NDArray[np.intp], threads: int) -> None:
     """Call a kernel, which lets go of the interpreter's lock, for parts of the rows in threads."""
     threads = min(threads, -(-rows.size // _LEAST))
     if threads <= 1:
