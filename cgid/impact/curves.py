@@ -287,7 +287,7 @@ class Curves:
 
         run = kernel(_stepped, "add_to_frames", *frames.shape)
         numbers = (frames, onset, step, self._parameters, amplitude, self.times[0], n_steps)
-        _in_threads(run, numbers, rows, threads)
+        in_threads(run, numbers, rows, threads)
 
 
 def _samples_in_contact(touch: Floats, separation: Floats, n_samples: int) -> int:
