@@ -19,7 +19,7 @@ def write_whole(path: str | Path, content: bytes | memoryview) -> None:
 
 @contextlib.contextmanager
 def whole_file(path: str | Path) -> Iterator[Path]:
-    """Yield the name of an empty file to write to, which takes its place when all is written.
+    """Yield the name of an empty file to be filled and closed, which then bears the name asked for, if all went well.
 
     Raises
     ------

@@ -14,7 +14,7 @@ _PACKAGE = Path(__file__).parent
 DEFAULT_MODEL = "default.npz"
 DROP_HEIGHT_MODEL = "default-drop-height.npz"
 SAMPLE = "sample.csv"
-SCENES = ("reference", "peers", "yang2018", "strangers", "lookalikes", "randomised", "tail_beam", "plate")
+SCENES = ("reference", "peers", "yang2018", "strangers", "lookalikes", "randomised", "tail_beam", "plate", "caving")
 
 
 def path_of(kind: Literal["datasets", "models"], name: str) -> Path:

@@ -22,6 +22,9 @@ def check(scene: str, seed: int, as_json: bool) -> None:
     from cgid.scene import load_scene
 
     loaded = load_scene(shipped.scene_path(scene))
+    if loaded.stream is not None:
+        _check_stream(loaded, as_json)
+        return
     preview = _preview(loaded, seed)
     if as_json:
         print_json(preview)
@@ -130,3 +133,30 @@ def _shares(impacts: list[Any], values: dict[str, Any], sampling_rate: Any, scen
             "than this beam does, on one less"
         ] = values["contact_duration"] * limit < 1
     return {text: float(np.sum(passed) / end.size) for text, passed in beyond.items()}
+
+
+def _check_stream(scene: Any, as_json: bool) -> None:
+    """Say what a scene with a stream would make."""
+    from cgid.scene.background_noise import background_of
+    from cgid.scene.stream.arrivals import arrivals_of
+    from cgid.scene.stream.capacity import require_capacity
+    from cgid.scene.stream.sound import hearing_limit
+    from cgid.scene.stream.synthesis import samples_of
+
+    require_capacity(scene, "float32")
+    stream, background = scene.stream, background_of(scene)
+    preview = {
+        "name": scene.name,
+        "description": scene.description,
+        "scene_sha256": scene.sha256,
+        "duration_s": stream.duration,
+        "sampling_rate_hz": scene.sampling.sampling_rate,
+        "samples": samples_of(scene),
+        "rocks_expected": float(arrivals_of(stream).expected(stream.duration)),
+        "noise_and_background_rms": hearing_limit(scene, background),
+    }
+    if as_json:
+        print_json(preview)
+        return
+    for name, value in preview.items():
+        click.echo(f"{name}: {f'{value:.8g}' if isinstance(value, float) else value}")

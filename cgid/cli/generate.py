@@ -15,6 +15,8 @@ _ONLY = {"features_only": "features", "closed_form_only": "closed-form", "parame
 _WHICH = {"features": "features_only", "quantities": "closed_form_only"}
 #: Options about signals on the disk.
 _OF_SIGNALS = ("dtype", "shard_signals", "compression", "jobs")
+#: What makers of datasets and recordings are told.
+_OF_DATASETS = ("output", "n_signals", "seed", "overwrite", *_OF_SIGNALS)
 
 
 @click.command(short_help="Make a dataset from a scene.")
@@ -24,7 +26,7 @@ _OF_SIGNALS = ("dtype", "shard_signals", "compression", "jobs")
     "--output",
     help="Ending in .h5: one file; else a folder of shards. Without signals: ending in .h5, .parquet or .csv.",
 )
-@click.option("-n", "--signals", "n_signals", type=int, default=10_000, show_default=True, help="How many signals.")
+@click.option("-n", "--signals", "n_signals", type=int, help="How many signals (10000), or recordings of a stream (1).")
 @click.option("--seed", type=int, default=0, show_default=True, help="The same seed gives the same signals.")
 @click.option("--jobs", type=int, default=1, show_default=True, help="Worker processes.")
 @click.option("--dtype", type=click.Choice(["float32", "float64"]), default="float32", show_default=True)
@@ -43,14 +45,27 @@ def generate(context: click.Context, /, scene: str, **options: Any) -> None:
     """Make a dataset of signals from SCENE: a .toml file, or the name of a shipped one such as reference.
 
     With --features-only, --closed-form-only or --parameters-only no signals are kept: a table is written.
-    A scene that randomises its sampling rate makes no dataset: train on it directly, or tabulate its features.
+    A scene that randomises its sampling rate makes no dataset: train on it directly, or tabulate its features. A scene
+    with a stream makes recordings, each with the truth of its impacts.
     """
     output = _checked_output(context)
     from cgid import shipped
     from cgid.scene import load_scene
     from cgid.scene.plan import plan
 
-    asked = plan(load_scene(shipped.scene_path(scene)), [output], dtype=options["dtype"], **_which(output, options))
+    loaded = load_scene(shipped.scene_path(scene))
+    if loaded.stream is not None:
+        if output != "frames" or options["explain"]:
+            raise click.UsageError(
+                f"scene {loaded.name} is a stream of recordings, for which there are neither tables nor a plan; leave "
+                "--explain and every --...-only out",
+                context,
+            )
+        _make_recordings(loaded, **{name: options[name] for name in _OF_DATASETS})
+        return
+    if options["n_signals"] is None:
+        options["n_signals"] = 10_000
+    asked = plan(loaded, [output], dtype=options["dtype"], **_which(output, options))
     if options["explain"]:
         _explain(asked, options["n_signals"], options["as_json"])
     elif output == "frames":
@@ -111,10 +126,9 @@ def _write_dataset(asked: Any, options: dict[str, Any]) -> None:
     from cgid.scene import generate as generate_dataset
 
     scene, n_signals = asked.request.scene, options["n_signals"]
-    taken = ("output", "n_signals", "seed", "jobs", "dtype", "shard_signals", "compression", "overwrite")
     start = time.perf_counter()
     with progress_bar(n_signals, "signals") as progress:
-        path = generate_dataset(scene, progress=progress, **{name: options[name] for name in taken})
+        path = generate_dataset(scene, progress=progress, **{name: options[name] for name in _OF_DATASETS})
     seconds = time.perf_counter() - start
     megabytes = n_signals * asked.request.signal_bytes / 1e6
     click.echo(
@@ -175,3 +189,26 @@ def _explain(asked: Any, n_signals: int, as_json: bool) -> None:
     click.echo(f"{'sum':<28}{microseconds:>9.2f}{'':>9}  {size} bytes a signal")
     seconds, megabytes = microseconds * n_signals * 1e-6, size * n_signals / 1e6
     click.echo(f"{n_signals} signals: {seconds:.3g} s, {megabytes:.4g} MB")
+
+
+def _make_recordings(
+    scene: Any, output: str, n_signals: int | None, jobs: int, shard_signals: int, compression: str, **options: Any
+) -> None:
+    from cgid.errors import InvalidValue
+    from cgid.scene.stream.generation import generate_recordings
+    from cgid.scene.stream.synthesis import samples_of
+
+    for flag, given, default in (
+        ("--jobs", jobs, 1),
+        ("--shard-signals", shard_signals, 4096),
+        ("--compression", compression, "none"),
+    ):
+        if given != default:
+            raise InvalidValue(f"{flag} is for datasets, scene {scene.name} is a stream of recordings; leave it out")
+    count = 1 if n_signals is None else n_signals
+    seconds = scene.stream.duration * count
+    start = time.perf_counter()
+    with progress_bar(count * samples_of(scene), "samples") as progress:
+        path = generate_recordings(scene, output, count, progress=progress, **options)
+    took = time.perf_counter() - start
+    click.echo(f"{path}: {count} recordings, {seconds:g} s in {took:.1f} s", err=True)

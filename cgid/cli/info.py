@@ -136,4 +136,26 @@ def _recording(file: str, sampling_rate: float | None, unit: str | None) -> dict
             "highest": float(samples.max()),
             "impacts": impacts,
         }
-    return {"kind": "recording", "file": file, **channels}
+    return {"kind": "recording", "file": file, **channels, **_made(file)}
+
+
+def _made(file: str) -> dict[str, Any]:
+    """Return what a recording that cgid has made says about itself; nothing for any other."""
+    from collections import Counter
+
+    from cgid.store.recording import Recording, is_recording
+
+    if not is_recording(file):
+        return {}
+    recording = Recording(file)
+    truth = recording.impacts()
+    names = ("scene_name", "scene_sha256", "seed", "recording", "background_sha256", "versions")
+    return {
+        "truth": {
+            "impacts": recording.n_impacts,
+            "rocks": int((truth["bounce"] == 0).sum()),
+            "labels": dict(sorted(Counter(truth["label"].tolist()).items())),
+            "columns": dict(recording.impact_units),
+        },
+        **{name: recording.attributes[name] for name in names if name in recording.attributes},
+    }

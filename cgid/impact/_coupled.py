@@ -683,9 +683,7 @@ def _follow(
     first = _FIRST_STEP * ((1.0 + total) * (1.0 + damping)) ** -0.4
     wish, touch = first, 0.0
     for n in range(MOST_STEPS):
-        kind, h, free_after, wish = _step(
-            rule, wish, longest, damping, weight, tolerance, result[_PEAK], state, s
-        )
+        kind, h, free_after, wish = _step(rule, wish, longest, damping, weight, tolerance, result[_PEAK], state, s)
         if h == 0.0:
             return n
         course[n, KIND], course[n, START], course[n, LENGTH] = kind, state[_T], h

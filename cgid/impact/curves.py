@@ -9,9 +9,8 @@ else is integrated. This is where it is decided what runs.
 from __future__ import annotations
 
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from functools import cache, cached_property
+from functools import cached_property
 from typing import Any, Literal
 
 import numpy as np
@@ -23,6 +22,7 @@ from cgid.errors import InvalidValue
 from cgid.impact.closed_forms import peak_displacement, peak_force
 from cgid.impact.dispatch import FEW_SAMPLES, kernel
 from cgid.impact.restitution import damping_number
+from cgid.impact.threads import in_threads
 from cgid.validation import Floats
 
 Quantity = Literal["force", "displacement"]
@@ -31,8 +31,6 @@ LOWEST_RESTITUTION, LOWEST_ON_A_PLATE = 1e-30, 1e-14
 #: Stepping in time: the smallest error over the peak that it is asked for, how many steps a contact takes for an error
 #: of 1, and up to which D the method is stable with them.
 FINEST_STEPPED, _STEPS_FOR_ONE, _MOST_STEPPED_DAMPING = 1e-7, 4.0, 100.0
-#: Rows below which another thread does not pay.
-_LEAST = 200
 
 
 @dataclass(frozen=True)
@@ -294,18 +292,3 @@ def _samples_in_contact(touch: Floats, separation: Floats, n_samples: int) -> in
     """Return how many samples of frames lie between touch and separation, both in samples."""
     first = np.clip(np.floor(touch) + 1, 0, n_samples)
     return int(np.sum(np.clip(np.ceil(separation), first, n_samples) - first))
-
-
-def in_threads(run: Callable[..., None], arguments: tuple[Any, ...], rows: NDArray[np.intp], threads: int) -> None:
-    """Call a kernel, which lets go of the interpreter's lock, for parts of the rows in threads."""
-    threads = min(threads, -(-rows.size // _LEAST))
-    if threads <= 1:
-        run(*arguments, rows)
-        return
-    list(_pool(threads).map(lambda part: run(*arguments, part), np.array_split(rows, threads)))
-
-
-@cache
-def _pool(threads: int) -> ThreadPoolExecutor:
-    """Return threads that are kept: starting them anew takes as long as a hundred pulses."""
-    return ThreadPoolExecutor(threads, thread_name_prefix="cgid")

@@ -25,7 +25,11 @@ class Pulses(Protocol):
 
     @property
     def contact_duration(self) -> Floats:
-        """[s], (n,)."""
+        """Of the first contact [s], (n,)."""
+
+    @property
+    def end_of_contact(self) -> Floats:
+        """From the first touch to the last separation [s], (n,)."""
 
     def add_to_frames(self, frames: NDArray[Any], sampling_rate: Any, onset: Any, *, tolerance: float) -> None:
         """Add the forces to frames (n, n_samples), each at a sampling rate of its own, to an error over the peak."""
@@ -125,7 +129,7 @@ def windows_of(pulses: Pulses, onset: Floats, sampling_rate: float, tolerance: f
     place = onset * sampling_rate
     first = np.floor(place).astype(np.int64)
     # Two steps of no force behind the contact: the last of them still feels it in the correction below.
-    length = np.floor(place + duration + 2 / stride).astype(np.int64) + 1 - first
+    length = np.floor(place + pulses.end_of_contact * sampling_rate + 2 / stride).astype(np.int64) + 1 - first
     force = np.zeros((len(onset), int((length * stride).max(initial=0)) + 1))
     pulses.add_to_frames(
         force, sampling_rate * stride, (place - first) / sampling_rate, tolerance=_SHARE_OF_FORCE * tolerance

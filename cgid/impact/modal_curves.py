@@ -11,8 +11,9 @@ from numpy.typing import DTypeLike, NDArray
 
 from cgid.errors import InvalidValue
 from cgid.impact.collocation import collocation
-from cgid.impact.curves import Curves, Quantity, in_threads
+from cgid.impact.curves import Curves, Quantity
 from cgid.impact.dispatch import kernel
+from cgid.impact.threads import in_threads
 from cgid.validation import Floats
 
 #: Gauss nodes and Chebyshev times of a step.
@@ -103,7 +104,15 @@ class ModalCurves(Curves):
         in_threads(run, (times, *numbers), np.arange(len(times)), threads)
         return out
 
-    def add_to_frames(self, frames: NDArray[Any], onset: Floats, step: Floats, amplitude: Floats, threads: int) -> None:
+    def add_to_frames(
+        self,
+        frames: NDArray[Any],
+        onset: Floats,
+        step: Floats,
+        amplitude: Floats,
+        threads: int,
+        tolerance: float = 0.0,
+    ) -> None:
         """Add the force of all contacts to each of the frames, in place; see `Curves.add_to_frames`."""
         from cgid.impact import _coupled
 

@@ -131,6 +131,11 @@ class Impact(Collision):
         return self.time_scale * self._shaped(self.curves.times[0])
 
     @property
+    def end_of_contact(self) -> Floats:
+        """Time from the first touch to the last separation [s], one contact later on a structure that swings back."""
+        return self.contact_duration
+
+    @property
     def time_of_peak(self) -> Floats:
         """Time from touch to the largest force [s]."""
         return self.time_scale * self._shaped(self.curves.times[1])

@@ -9,9 +9,8 @@ only the recorder's samples are computed. There is no internal rate to filter an
 from __future__ import annotations
 
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from functools import cache, cached_property
+from functools import cached_property
 from typing import Any, Literal, Protocol
 
 import numpy as np
@@ -22,6 +21,7 @@ from cgid.counting import count
 from cgid.errors import InvalidValue
 from cgid.impact.driving import DrivenSample, Pulses, driven_sample, polynomials_for, windows_of
 from cgid.impact.poles import Complex, LowPass, Resonance, resonator_poles
+from cgid.impact.threads import pool
 from cgid.validation import Floats
 
 #: What a sensor on a beam feels, and how often it is differentiated in time.
@@ -331,9 +331,4 @@ def _in_threads(work: Callable[[NDArray[np.intp]], Any], parts: list[NDArray[np.
     parts = [part for part in parts if part.size]
     if len(parts) <= 1:
         return [work(part) for part in parts]
-    return list(_pool(len(parts)).map(work, parts))
-
-
-@cache
-def _pool(threads: int) -> ThreadPoolExecutor:
-    return ThreadPoolExecutor(threads, thread_name_prefix="cgid-response")
+    return list(pool(len(parts)).map(work, parts))

@@ -3,7 +3,19 @@
 from cgid.scene.generation import generate
 from cgid.scene.scene import Scene, load_scene, parse_scene
 from cgid.scene.sensor import Sensor
+from cgid.scene.stream.generation import generate_recordings
+from cgid.scene.stream.synthesis import record
 from cgid.scene.synthesis import synthesise
 from cgid.scene.variation import varied
 
-__all__ = ["Scene", "Sensor", "generate", "load_scene", "parse_scene", "synthesise", "varied"]
+__all__ = [
+    "Scene",
+    "Sensor",
+    "generate",
+    "generate_recordings",
+    "load_scene",
+    "parse_scene",
+    "record",
+    "synthesise",
+    "varied",
+]

@@ -177,7 +177,7 @@ def _build(
 
 
 def attributes_of(scene: Scene, seed: int) -> dict[str, Any]:
-    """Return what a dataset says of how it was made."""
+    """Return the root attributes of a dataset: how it was made."""
     packages = ", ".join(f"{name} {version(name)}" for name in ("numpy", "scipy", "numba", "h5py"))
     return {
         "seed": seed,

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from cgid.impact import Elastic, HalfSpace, HuntCrossley, Impact, Sphere
 from cgid.impact.coupled import ModalImpact
 from cgid.materials import Material
-from cgid.scene.response import beam_modes
+from cgid.scene.response import TOLERANCE, beam_modes
 from cgid.scene.scene import Scene
 from cgid.scene.sections import TargetSection
 from cgid.scene.weight import weighed
@@ -68,6 +68,7 @@ def _modal_impact_of(scene: Scene, values: Mapping[str, Floats], rows: NDArray[n
         frequency=modes.frequency,
         damping_ratio=modes.damping_ratio,
         compliance=shape**2 / modes.modal_mass,
+        tolerance=0.1 * TOLERANCE,
         **_collision(scene, values, rows),
     )
 

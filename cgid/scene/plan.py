@@ -14,8 +14,9 @@ from cgid.errors import InvalidValue
 from cgid.features import choose
 from cgid.scene.costs import Workload
 from cgid.scene.quantities import STORED, choose_quantities
+from cgid.scene.request import OUTPUTS, Decision, Request
 from cgid.scene.scene import Scene
-from cgid.scene.stages import OUTPUTS, STAGES, Decision, Request
+from cgid.scene.stages import STAGES
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -37,7 +37,7 @@ _MORE_UNITS = {"second_hit_delay": "s", "second_hit_ratio": "1", "clipped_at": "
 _POINT_UNITS = {"impact_x": "m", "impact_y": "m"}
 _RANDOMISED_UNITS = {"relative_noise": "1", "bandwidth": "Hz"}
 #: What the numbers of an address are for, in their order. A fall has one number, whether it is a height or a speed.
-_FALL = (*PARTICLE, "restitution", "drop_height")
+FALL = (*PARTICLE, "restitution", "drop_height")
 _LATER = {
     TAPS: ("peak_force", "contact_duration"),
     SECOND_HITS: ("second_hit_delay", "second_hit_ratio"),
@@ -125,7 +125,7 @@ class Given:
 def given(scene: Scene, seed: int, block: int) -> Given:
     """Return what is drawn for one block of 256."""
     here = settled(scene, seed, block)
-    kinds = uniforms(seed, block, len(_FALL) + 2)
+    kinds = uniforms(seed, block, len(FALL) + 2)
     which = _sources(scene, kinds[0])
     values = _values(scene, seed, block, which, kinds[1:-1])
     values["onset"] = (here.sampling.pre_trigger + here.sampling.jitter * kinds[-1]) / here.sampling.sampling_rate
@@ -135,8 +135,8 @@ def given(scene: Scene, seed: int, block: int) -> Given:
     shapes = np.array([-1] * len(scene.populations) + [list(SHAPES).index(tap.shape) for tap in scene.taps])[which]
     fallen, tapped = np.flatnonzero(shapes < 0), np.flatnonzero(shapes >= 0)
     specimen = np.empty(BLOCK, np.uint64)
-    specimen[fallen] = _specimen([values[name][fallen] for name in PARTICLE])
-    specimen[tapped] = _specimen([shapes[tapped].astype(float), *(values[name][tapped] for name in _LATER[TAPS])])
+    specimen[fallen] = specimen_of([values[name][fallen] for name in PARTICLE])
+    specimen[tapped] = specimen_of([shapes[tapped].astype(float), *(values[name][tapped] for name in _LATER[TAPS])])
     labels = np.array([source.label for source in scene.sources])[which]
     return Given(labels, values, specimen, shapes, here)
 
@@ -185,7 +185,7 @@ def _sources(scene: Scene, uniform: Floats) -> NDArray[np.intp]:
 def _values(scene: Scene, seed: int, block: int, which: NDArray[np.intp], falls: Floats) -> dict[str, Floats]:
     """Return what the populations and taps draw, nan where one has no such parameter."""
     values = {name: np.full(BLOCK, np.nan) for name in parameter_units(scene)}
-    columns = dict(zip(_FALL, falls, strict=True))
+    columns = dict(zip(FALL, falls, strict=True))
     columns["velocity"] = columns["drop_height"]
     drawn = {name for source in scene.sources for name in source.laws}
     for purpose, names in _LATER.items():
@@ -226,7 +226,7 @@ def _taps(shapes: NDArray[np.intp], values: Mapping[str, Floats], rows: NDArray[
     return TapPulses(shapes[rows], values["peak_force"][rows], values["contact_duration"][rows])
 
 
-def _specimen(particle: list[Floats]) -> NDArray[np.uint64]:
+def specimen_of(particle: list[Floats]) -> NDArray[np.uint64]:
     """Mix the numbers of a particle or a tap into one 64-bit number (the finaliser of splitmix64, Steele et al. 2014).
 
     An equal particle has the same number in every population, scene and dataset.

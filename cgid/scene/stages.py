@@ -6,7 +6,6 @@ A stage is one function from the request to a decision, in the order of `STAGES`
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -16,92 +15,10 @@ from cgid.features import FEATURES
 from cgid.impact import HuntCrossley, ThinPlate
 from cgid.pulses import FAINT
 from cgid.scene.costs import UNIT_COSTS, Workload
-from cgid.scene.quantities import DAMPED, QUANTITIES, drawn_units, measured_units
+from cgid.scene.quantities import DAMPED
+from cgid.scene.request import Decision, Request
 from cgid.scene.scene import Scene
 from cgid.scene.weight import largest_error, tolerance_of
-
-#: What can be asked of a scene.
-OUTPUTS = ("parameters", "closed-form", "pulses", "frames", "features")
-
-
-@dataclass(frozen=True, kw_only=True)
-class Request:
-    """What is asked of a scene.
-
-    Attributes
-    ----------
-    scene : Scene
-    outputs : frozenset of str
-        Out of `OUTPUTS`.
-    features : tuple of str
-        Of `cgid.features`; none unless features are asked.
-    quantities : tuple of str
-        Of `cgid.scene.quantities`: those asked, or needed by what is asked.
-    sample_bytes : int
-        Of one sample of signals that are kept.
-    """
-
-    scene: Scene
-    outputs: frozenset[str]
-    features: tuple[str, ...]
-    quantities: tuple[str, ...]
-    sample_bytes: int
-
-    @property
-    def signals(self) -> bool:
-        """Whether there must be signals at all."""
-        return not self.outputs.isdisjoint(("pulses", "frames", "features"))
-
-    @property
-    def sensed(self) -> bool:
-        """Whether there must be signals as the sensor gives them."""
-        return not self.outputs.isdisjoint(("frames", "features"))
-
-    @property
-    def kept(self) -> bool:
-        """Whether the signals themselves are asked, whole."""
-        return not self.outputs.isdisjoint(("pulses", "frames"))
-
-    @property
-    def column_units(self) -> dict[str, str]:
-        """The columns of a table of what is asked, and their units; signals that are kept come without one."""
-        if self.kept:
-            return {}
-        if "features" in self.outputs:
-            return measured_units(self.scene, self.features)
-        return drawn_units(self.scene) | {name: QUANTITIES[name] for name in self.quantities}
-
-    @property
-    def signal_bytes(self) -> int:
-        """Of one signal on disk: its samples, or its columns."""
-        if self.kept:
-            return self.scene.sampling.samples * self.sample_bytes
-        return 8 * len(self.column_units)
-
-    def drawn(self, name: str) -> bool:
-        """Return whether a setting is drawn for each block."""
-        return self.scene.randomise is not None and name in self.scene.randomise.laws
-
-
-@dataclass(frozen=True, kw_only=True)
-class Decision:
-    """Whether a stage runs.
-
-    Attributes
-    ----------
-    runs : bool
-    why : str
-    cost : callable
-        From the workload to microseconds a signal, if it runs.
-    error_bound : float
-        Of what is left out, relative to the peak; 0 where nothing changes.
-    """
-
-    runs: bool
-    why: str
-    cost: Callable[[Workload], float] = lambda work: 0.0
-    error_bound: float = 0.0
-
 
 _NO_IMPACTS = Decision(runs=False, why="no populations: taps have no law of impact")
 _NO_SIGNALS = Decision(runs=False, why="no signals are asked for")
@@ -227,6 +144,8 @@ def _rest_of_frames(request: Request) -> Decision:
         return whole(f"{', '.join(everywhere)} looks at samples far from the pulse")
     if request.scene.sensor.quantity != "force" or request.scene.sensor.filters:
         return whole("what is heard of a blow through a beam or a filter rings on")
+    if request.scene.background is not None:
+        return whole("a background may stand out anywhere")
     if request.scene.sensor.relative_noise * FAINT > 1 and not request.drawn("relative_noise"):
         return whole(f"a pulse below {FAINT:g} times the noise is looked for in all the frame")
     return Decision(runs=False, why="no asked feature looks there; made for the signals where that is not certain")
@@ -254,6 +173,14 @@ def _noise(request: Request) -> Decision:
         why="whole frames" if whole else "up to the last sample that a feature looks at",
         cost=lambda work: UNIT_COSTS["noise sample"] * work.samples,
     )
+
+
+def _background(request: Request) -> Decision:
+    if request.scene.background is None:
+        return Decision(runs=False, why="off")
+    if not request.sensed:
+        return _NO_SENSOR
+    return Decision(runs=True, why="whole frames")
 
 
 def _clipping(request: Request) -> Decision:
@@ -350,6 +277,7 @@ STAGES: Mapping[str, Callable[[Request], Decision]] = {
     "rest of the frames": _rest_of_frames,
     "bandwidth": _bandwidth,
     "noise": _noise,
+    "background": _background,
     "clipping": _clipping,
     "offset, range and bits": _digitising,
     "features in time": _measuring("features in time"),

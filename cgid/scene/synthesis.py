@@ -14,6 +14,7 @@ from cgid import validation
 from cgid.counting import count
 from cgid.errors import InvalidValue
 from cgid.impact import HertzRangeWarning, ThinPlateWarning
+from cgid.scene.background_noise import add_to_frames
 from cgid.scene.noise import HIGHEST_NOISE, add_noise
 from cgid.scene.plan import Plan, plan
 from cgid.scene.population import Draw, draw
@@ -63,6 +64,7 @@ def synthesise(
     """
     require_count(n_signals, first)
     validation.choice("dtype", dtype, ("float32", "float64"))
+    require_frames(scene)
     asked = plan(scene, outputs, dtype=dtype)
     if not asked.request.kept:
         raise InvalidValue(f"outputs must be frames or pulses where signals are wanted, got {', '.join(outputs)}")
@@ -81,6 +83,15 @@ def require_count(n_signals: int, first: int) -> None:
     """Raise `InvalidValue` for less than one signal, or a first one before 0."""
     if n_signals < 1 or first < 0:
         raise InvalidValue(f"n_signals must be 1 or more and first 0 or more, got {n_signals} and {first}")
+
+
+def require_frames(scene: Scene) -> None:
+    """Raise `InvalidValue` for a scene that makes recordings."""
+    if scene.stream is not None:
+        raise InvalidValue(
+            f"scene {scene.name}: stream must be left out of a scene that frames are made of; make recordings of it "
+            "(cgid generate SCENE -o RECORDING.h5)"
+        )
 
 
 def _block(asked: Plan, seed: int, block: int, part: slice, dtype: DTypeLike) -> Batch:
@@ -110,7 +121,7 @@ def unwarned() -> Iterator[None]:
 
 
 def make_frames(asked: Plan, drawn: Draw, seed: int, block: int, dtype: DTypeLike) -> NDArray[Any]:
-    """Return the frames of one block: pulses, bandwidth, noise, clipping, range, bits, each if the plan says so.
+    """Return the frames of one block: pulses, bandwidth, noise, background, clipping, range, bits, if the plan says so.
 
     Parameters
     ----------
@@ -155,6 +166,9 @@ def make_beginnings(
         level = sensor.noise_level(peak, rate)
         add_noise(frames, level, seed, block)
         highest_behind += HIGHEST_NOISE * level
+    if asked.runs("background"):
+        count("background_samples", frames.size)
+        add_to_frames(frames, scene, seed, block)
     count("frames", n_signals)
     count("frame_samples", frames.size)
     if asked.runs("clipping"):

@@ -17,7 +17,7 @@ from cgid.scene.population import Draw, draw, given, parameter_units
 from cgid.scene.quantities import OF_TAPS, TRUE
 from cgid.scene.randomness import BLOCK
 from cgid.scene.scene import Scene
-from cgid.scene.synthesis import blocks, make_beginnings, make_frames, require_count, unwarned
+from cgid.scene.synthesis import blocks, make_beginnings, make_frames, require_count, require_frames, unwarned
 from cgid.validation import Floats
 
 #: Blocks measured at once: the fit shares its overhead among the signals of a batch.
@@ -90,6 +90,7 @@ def columns_of(asked: Plan, n_signals: int, seed: int = 0, *, first: int = 0) ->
         A number breaks its rule, or the plan is one for signals.
     """
     require_count(n_signals, first)
+    require_frames(asked.request.scene)
     if asked.request.kept:
         raise InvalidValue(
             "columns are of parameters, closed forms or features, the plan keeps signals; use synthesise"

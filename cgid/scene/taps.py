@@ -39,6 +39,11 @@ class TapPulses:
     peak_force: Floats
     contact_duration: Floats
 
+    @property
+    def end_of_contact(self) -> Floats:
+        """When the force is over [s], (n,)."""
+        return self.contact_duration
+
     def add_to_frames(
         self, frames: NDArray[Any], sampling_rate: float | Floats, onset: Floats, *, tolerance: float = 0.0
     ) -> None:

@@ -203,7 +203,7 @@ def read_header(file: h5py.File, path: str) -> ShardHeader:
 def _parameter_units(file: h5py.File, path: str, n_signals: int) -> dict[str, str]:
     if not file.id.links.exists(b"parameters"):
         return {}
-    if not _is_inside(file, "parameters") or not isinstance(file["parameters"], h5py.Group):
+    if not is_inside(file, "parameters") or not isinstance(file["parameters"], h5py.Group):
         raise BadData(f"{path}: parameters must be a group of the file itself; it is a link or a dataset")
     units = {}
     for name in file["parameters"]:
@@ -217,7 +217,7 @@ def _parameter_units(file: h5py.File, path: str, n_signals: int) -> dict[str, st
 def plain_dataset(file: h5py.File, name: str, path: str) -> h5py.Dataset:
     """Return a dataset that lies in this very file; links elsewhere could read other files."""
     for part in (name.split("/")[0], name):
-        if not _is_inside(file, part):
+        if not is_inside(file, part):
             raise BadData(f"{path}: {part} must be part of the file itself; it is missing or a link")
     dataset = file[name]
     if not isinstance(dataset, h5py.Dataset) or dataset.external or dataset.is_virtual or dataset.dtype.hasobject:
@@ -228,7 +228,7 @@ def plain_dataset(file: h5py.File, name: str, path: str) -> h5py.Dataset:
     return dataset
 
 
-def _is_inside(file: h5py.File, name: str) -> bool:
+def is_inside(file: h5py.File, name: str) -> bool:
     """Return whether this name is there and no soft or external link, without following it."""
     links = file.id.links
     return bool(links.exists(name.encode()) and links.get_info(name.encode()).type == h5py.h5l.TYPE_HARD)
