@@ -23,6 +23,7 @@ from cgid.identification.model import Model
 from cgid.impact import HertzRangeWarning
 from cgid.scene import generate, load_scene
 from cgid.scene.noise import add_noise
+from cgid.scene.plan import plan
 from cgid.scene.population import draw
 from cgid.scene.randomness import BLOCK
 from cgid.scene.synthesis import add_pulses, make_frames, synthesise
@@ -51,7 +52,7 @@ def main() -> None:
     scene = load_scene(shipped.scene_path(arguments.scene))
     rate, pre_trigger = scene.sampling.sampling_rate, scene.sampling.pre_trigger
     drawn = draw(scene, 0, 0)
-    frames = make_frames(scene, drawn, 0, 0, np.float32)
+    frames = make_frames(plan(scene), drawn, 0, 0, np.float32)
     silence, level = np.zeros_like(frames), scene.sensor.noise_level(drawn.parameters["peak_force"], rate)
     model = Model.load(shipped.path_of("models", shipped.DEFAULT_MODEL))
     table = extract_array(frames, rate, model.measured, pre_trigger=pre_trigger, invalid="nan")

@@ -8,7 +8,7 @@ import secrets
 from collections.abc import Iterator
 from pathlib import Path
 
-from cgid.errors import CannotCreate, WriteFailed
+from cgid.errors import CannotCreate, CgidError, WriteFailed
 
 
 def write_whole(path: str | Path, content: bytes | memoryview) -> None:
@@ -45,10 +45,13 @@ def whole_file(path: str | Path) -> Iterator[Path]:
     except IsADirectoryError:
         _remove(temporary)
         raise CannotCreate(f"{path}: is a folder; choose another name or move it away") from None
+    except CgidError:
+        _remove(temporary)
+        raise
     except OSError as error:
         _remove(temporary)
         raise WriteFailed(
-            f"{path}: writing failed ({error.strerror}); nothing was left behind, free some space"
+            f"{path}: writing failed ({error.strerror or error}); nothing was left behind, free some space"
         ) from None
     except BaseException:
         _remove(temporary)

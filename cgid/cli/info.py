@@ -1,4 +1,4 @@
-"""`cgid info`: what is in this dataset, model or recording."""
+"""`cgid info`: what is in this dataset, table, model or recording."""
 
 from __future__ import annotations
 
@@ -15,10 +15,13 @@ from cgid.cli.options import print_json
 @click.option("--unit", help="Unit of the samples, where a recording does not say it.")
 @click.option("--json", "as_json", is_flag=True, help="One JSON object.")
 def info(file: str, sampling_rate: float | None, unit: str | None, as_json: bool) -> None:
-    """Say what is in FILE: a dataset, a model, or a recording (every channel)."""
+    """Say what is in FILE: a dataset, a table, a model, or a recording (every channel)."""
     from cgid.recordings import is_dataset
+    from cgid.store import is_table
 
-    if is_dataset(file):
+    if is_table(file):
+        content = _table(file)
+    elif is_dataset(file):
         content = _dataset(file)
     elif file.endswith(".npz"):
         content = _model(file)
@@ -63,6 +66,26 @@ def _dataset(file: str) -> dict[str, Any]:
         "parameters": dict(dataset.header.parameter_units),
         "dtype": dataset.header.dtype,
         "damaged_shards": ", ".join(damaged) or "none",
+        **{name: about[name] for name in ("scene_name", "scene_sha256", "seed", "versions") if name in about},
+    }
+
+
+def _table(file: str) -> dict[str, Any]:
+    import numpy as np
+
+    from cgid.store import read_table
+
+    table = read_table(file)
+    labels, counts = np.unique(table.labels, return_counts=True)
+    unknown = {name: int(np.sum(~np.isfinite(column))) for name, column in table.columns.items()}
+    about = table.header.attributes
+    return {
+        "kind": f"table of {table.header.kind}",
+        "file": file,
+        "signals": len(table),
+        "labels": dict(zip(labels.tolist(), counts.tolist(), strict=True)),
+        "columns": dict(table.header.units),
+        "without_a_number": {name: count for name, count in unknown.items() if count} or "none",
         **{name: about[name] for name in ("scene_name", "scene_sha256", "seed", "versions") if name in about},
     }
 

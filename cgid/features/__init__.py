@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cgid import validation
+from cgid.counting import count
 from cgid.errors import BadData, InvalidValue
 from cgid.features.feature import Feature, Kind
 from cgid.features.pulse import PULSE_FEATURES
@@ -103,18 +104,32 @@ def extract_array(
     for first in range(0, len(frames), _ROWS):
         part = frames[first : first + _ROWS]
         batches = _batches(part, rate, names, pre_trigger, remove_baseline, detection_limit)
-        sound = np.ones(len(part), bool)
         found = _problems(batches, names)
         if found and invalid == "raise":
             _raise_first(found, first, len(part), len(frames))
+        sound = np.setdiff1d(np.arange(len(part)), list(found))
         if found:
-            sound[list(found)] = False
             batches = _batches(part[sound], rate, names, pre_trigger, remove_baseline, detection_limit)
-        if sound.any():
-            rows = first + np.flatnonzero(sound)
-            for column, name in enumerate(names):
-                out[rows, column] = FEATURES[name].measure(batches[FEATURES[name].kind])
+        out[first + sound] = _measured(batches, names, sound.size)
     return out
+
+
+def measured_pulses(pulses: PulseBatch, names: tuple[str, ...]) -> tuple[NDArray[np.intp], PulseBatch, Floats]:
+    """Return the rows that can be measured, their pulses and their features, (n_rows, n_features)."""
+    found = _problems({"pulse": pulses}, names)
+    sound = np.setdiff1d(np.arange(len(pulses.samples)), list(found))
+    if found:
+        how = (pulses.sampling_rate, pulses.pre_trigger, pulses.remove_baseline, pulses.detection_limit)
+        pulses = PulseBatch(pulses.samples[sound], *how)
+    return sound, pulses, _measured({"pulse": pulses}, names, sound.size)
+
+
+def _measured(batches: Mapping[Kind, PulseBatch | VibrationBatch], names: tuple[str, ...], n_signals: int) -> Floats:
+    """Return the features of signals that can be measured, (n_signals, n_features)."""
+    count("features", n_signals * len(names))
+    if not n_signals:
+        return np.empty((0, len(names)))
+    return np.stack([FEATURES[name].measure(batches[FEATURES[name].kind]) for name in names], axis=1)
 
 
 def problems_of(

@@ -29,6 +29,10 @@ class Feature:
         Whether it is read from the fitted pulse, which can be had where samples alone tell nothing.
     positive : bool
         Whether, without a unit, it is always above 0 and its ratios are what counts.
+    spectral : bool
+        Whether it is read from the spectrum.
+    whole_frame : bool
+        Whether it looks at samples far from the pulse.
     kind : {"pulse", "vibration"}
         What it can be measured on.
     highest_frequency : float
@@ -44,6 +48,8 @@ class Feature:
     measure: Callable[[Any], Floats]
     fitted: bool = False
     positive: bool = False
+    spectral: bool = False
+    whole_frame: bool = False
     kind: Kind = "pulse"
     highest_frequency: float = 0.0
     shortest_frame: float = 0.0

@@ -132,10 +132,17 @@ PULSE_FEATURES = (
         "Hertz scaling",
         lambda p: p.peak / p.duration**2,
     ),
-    Feature("spectral_centroid", "Hz", "mean frequency, weighted by power", _PEETERS, _centroid),
-    Feature("spectral_bandwidth", "Hz", "standard deviation about the centroid", _PEETERS, _bandwidth),
-    Feature("spectral_rolloff", "Hz", "85 % of the energy lies below", _PEETERS, _rolloff),
-    Feature("cutoff_10db", "Hz", "where the spectrum first is 10 dB below its value at 0 Hz", _PEETERS, _cutoff),
+    Feature("spectral_centroid", "Hz", "mean frequency, weighted by power", _PEETERS, _centroid, spectral=True),
+    Feature("spectral_bandwidth", "Hz", "standard deviation about the centroid", _PEETERS, _bandwidth, spectral=True),
+    Feature("spectral_rolloff", "Hz", "85 % of the energy lies below", _PEETERS, _rolloff, spectral=True),
+    Feature(
+        "cutoff_10db",
+        "Hz",
+        "where the spectrum first is 10 dB below its value at 0 Hz",
+        _PEETERS,
+        _cutoff,
+        spectral=True,
+    ),
     *(
         Feature(
             f"band_energy_{low}_{high}_hz",
@@ -143,6 +150,7 @@ PULSE_FEATURES = (
             f"share of the spectrum's energy between {low} and {high} Hz",
             _PEETERS,
             _band(float(low), float(high)),
+            spectral=True,
         )
         for low, high in _BANDS
     ),
@@ -191,6 +199,7 @@ PULSE_FEATURES = (
         lambda p: p.fit.misfit,
         True,
         positive=True,
+        whole_frame=True,
     ),
     Feature(
         "overload",

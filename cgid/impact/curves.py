@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
 from cgid import family
+from cgid.counting import count, counting
 from cgid.errors import InvalidValue
 from cgid.impact.closed_forms import peak_displacement, peak_force
 from cgid.impact.dispatch import FEW_SAMPLES, kernel
@@ -65,8 +66,13 @@ class Curves:
 
     @cached_property
     def damping(self) -> Floats:
-        """D of the Hunt-Crossley loss."""
-        return damping_number(self.material_restitution)
+        """D of the Hunt-Crossley loss; where there is none nothing is solved for."""
+        damped = self.material_restitution < 1
+        count("damping_solves", np.count_nonzero(damped))
+        damping = np.zeros(self.material_restitution.shape)
+        if damped.any():
+            damping[damped] = damping_number(self.material_restitution[damped])
+        return damping
 
     @cached_property
     def _parameters(self) -> Floats:
@@ -81,11 +87,13 @@ class Curves:
     @cached_property
     def peak_force(self) -> Floats:
         """Largest force."""
+        count("closed_form_peaks", np.count_nonzero(self.plain))
         return self._closed_or_integrated(lambda rows: peak_force(self.damping[rows]), "peak_force")
 
     @cached_property
     def peak_displacement(self) -> Floats:
         """Largest displacement."""
+        count("closed_form_peaks", np.count_nonzero(self.plain))
         return self._closed_or_integrated(lambda rows: peak_displacement(self.damping[rows]), "peak_displacement")
 
     @cached_property
@@ -115,6 +123,7 @@ class Curves:
     def times(self) -> tuple[Floats, Floats, Floats]:
         """Contact time, time of the peak force, time of the largest displacement."""
         out = np.empty((3, self.plain.size))
+        count("tabulated_times", np.count_nonzero(self.tabulated))
         if self.tabulated.any():
             out[:, self.tabulated] = family.times(self.material_restitution[self.tabulated])
         if not self.tabulated.all():
@@ -125,7 +134,8 @@ class Curves:
 
     def _closed_or_integrated(self, closed: Callable[[NDArray[np.bool_]], Floats], name: str) -> Floats:
         out = np.empty(self.plain.size)
-        out[self.plain] = closed(self.plain)
+        if self.plain.any():
+            out[self.plain] = closed(self.plain)
         if not self.plain.all():
             out[~self.plain] = self._integrated[name][~self.plain]
         return out
@@ -136,6 +146,7 @@ class Curves:
         from cgid.impact import _taylor
 
         found = np.full((self.plain.size, len(_taylor.RESULTS)), np.nan)
+        count("integrated_impacts", np.count_nonzero(~self.tabulated))
         summaries = kernel(_taylor, "summaries", self.plain.size)
         summaries(self._parameters, _taylor.ORDER, 0.0, found, np.flatnonzero(~self.tabulated))
         return dict(zip(_taylor.RESULTS, found.T, strict=True))
@@ -191,6 +202,8 @@ class Curves:
         """Return force or displacement at times (n, k) [s], shape (n, k), zero outside contact."""
         out = np.empty(times.shape, dtype)
         rows, rest = np.flatnonzero(self.tabulated), np.flatnonzero(~self.tabulated)
+        count("table_pulses", rows.size)
+        count("integrated_pulses", rest.size)
         if rows.size * times.shape[1] <= FEW_SAMPLES:
             restitution = self.material_restitution[rows]
             with np.errstate(over="ignore"):  # long past separation
@@ -235,6 +248,10 @@ class Curves:
             Error allowed over the peak for what no table holds, which is then stepped in time; 0 for none.
         """
         rows, rest = np.flatnonzero(self.tabulated), np.flatnonzero(~self.tabulated)
+        count("table_pulses", rows.size)
+        count("integrated_pulses", rest.size)
+        if counting():
+            count("pulse_samples", _samples_in_contact(onset, onset + self.times[0] / step, frames.shape[1]))
         if tolerance >= FINEST_STEPPED:
             steps = int(np.ceil(_STEPS_FOR_ONE * tolerance**-0.4))
             stepped = rest[self.damping[rest] < _MOST_STEPPED_DAMPING]
@@ -269,3 +286,9 @@ class Curves:
         run = kernel(_stepped, "add_to_frames", *frames.shape)
         numbers = (frames, onset, step, self._parameters, amplitude, self.times[0], n_steps)
         in_threads(run, numbers, rows, threads)
+
+
+def _samples_in_contact(touch: Floats, separation: Floats, n_samples: int) -> int:
+    """Return how many samples of frames lie between touch and separation, both in samples."""
+    first = np.clip(np.floor(touch) + 1, 0, n_samples)
+    return int(np.sum(np.clip(np.ceil(separation), first, n_samples) - first))

@@ -16,6 +16,7 @@ from cgid.materials import Material
 from cgid.scene.response import TOLERANCE, beam_modes
 from cgid.scene.scene import Scene
 from cgid.scene.sections import TargetSection
+from cgid.scene.weight import weighed
 from cgid.validation import Floats
 
 PARTICLE = ("density", "youngs_modulus", "poisson_ratio", "radius")
@@ -26,7 +27,7 @@ NEGLIGIBLE_ECHO = 0.02
 
 def impact_of(scene: Scene, values: Mapping[str, Floats], rows: NDArray[np.intp]) -> Impact:
     """Return the impacts of some rows; a beam of known size gives way as a plate without edges."""
-    return Impact(target=scene.body, **_collision(scene, values, rows))
+    return weighed(scene.impact, target=scene.body, **_collision(scene, values, rows))
 
 
 def impacts_by_coupling(

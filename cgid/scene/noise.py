@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from cgid.counting import count
 from cgid.errors import InvalidValue
 from cgid.scene._noise import LANES, TILE, add_normal
 from cgid.scene.randomness import NOISE, require_seed
@@ -14,6 +15,8 @@ from cgid.validation import Floats
 
 #: Samples of a signal that have an address: 93 hours at 51.2 kHz.
 MOST_SAMPLES = TILE // LANES << 32
+#: No sample of the noise is higher, in standard deviations: sqrt(2 ln 2^33) = 6.764, and room for rounding.
+HIGHEST_NOISE = 6.77
 
 
 def add_noise(
@@ -55,6 +58,7 @@ def add_noise(
     True
     """
     require_seed(seed)
+    count("noise_samples", frames.size)
     if not 0 <= block < 2**56:
         raise InvalidValue(f"block must lie between 0 and 2^56 - 1, got {block}")
     if first_sample < 0 or first_sample + frames.shape[1] > MOST_SAMPLES:

@@ -34,6 +34,7 @@ from cgid.scene.sections import (
 from cgid.scene.sensor import Sensor
 from cgid.scene.stream.sections import StreamSection
 from cgid.scene.units import shown
+from cgid.scene.weight import problem_of_weight
 
 #: No scene is longer.
 _LARGEST_FILE = 8 << 20
@@ -68,8 +69,15 @@ class Scene(Section):
         problems += self._problems_of_beam()
         if not problems:  # a beam that breaks rules is no target
             for index, population in enumerate(self.populations):
-                if (problem := problem_on_plate(self.body, self.impact.stiffness, population)) is not None:
+                problem = problem_on_plate(self.body, self.impact.stiffness, population) or problem_of_weight(
+                    self.impact, self.body, population
+                )
+                if problem is not None:
                     problems.append(f"populations.{index}: {problem}")
+        if self.impact.gravity_tolerance is not None and self.impact.gravity is None:
+            problems.append("impact.gravity_tolerance: must come with impact.gravity; give that, too, or leave it out")
+        if self.impact.gravity is not None and self.tail_beam is not None:
+            problems.append("impact.gravity: must be left out, an impact on a tail beam has no weight")
         problems += self._problems_of_band()
         problems += self.sampling.frame_problems(self.stream is not None)
         if self.stream is not None:

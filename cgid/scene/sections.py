@@ -18,7 +18,7 @@ from cgid.impact import HUNT_CROSSLEY_LAWS, RIGID, HalfSpace, RigidWall, ThinPla
 from cgid.materials import Material
 from cgid.scene.distributions import Distribution, measured, measured_within, within
 from cgid.scene.taps import SHAPES
-from cgid.scene.units import Density, Frequency, Length, Modulus, Number, Ratio, Whole
+from cgid.scene.units import Acceleration, Density, Frequency, Length, Modulus, Number, Ratio, Whole
 
 
 def _between(lowest: float, highest: float) -> Any:
@@ -136,6 +136,9 @@ class ImpactSection(Section):
     dissipation: Literal["elastic", "hunt-crossley"]
     law: Law = "exact"
     target: TargetSection | Literal["rigid"]
+    # The pull during contact; left out for every impact that it changes by less than the tolerance (`weight`).
+    gravity: Acceleration | None = None
+    gravity_tolerance: Ratio | None = Field(default=None, ge=0, le=0.1)
 
     @property
     def body(self) -> HalfSpace | ThinPlate | RigidWall:

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from cgid.counting import count
 from cgid.validation import Floats
 
 #: Force over its peak against time over the duration, strictly between 0 and 1. Their order numbers them.
@@ -48,6 +49,7 @@ class TapPulses:
     ) -> None:
         """Add the pulses to frames (n, n_samples) in place, each from its time of touch [s] on; without any error."""
         shapes = tuple(SHAPES.values())
+        count("tap_pulses", len(frames))
         place, length = onset * sampling_rate, self.contact_duration * sampling_rate
         # As for an impact, a sample on touch or on the end itself holds no force, not even a square one's.
         first = np.clip(np.floor(place) + 1, 0, frames.shape[1]).astype(np.intp)

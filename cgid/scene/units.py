@@ -43,6 +43,7 @@ LIMITS: dict[str, tuple[float, float]] = {
     "frequency": (1e-3, 1e9),
     "force": (1e-9, 1e15),
     "time": (1e-9, 1e4),
+    "acceleration": (1e-3, 1e4),
     "mass": (1e-6, 1e9),
 }
 
@@ -113,6 +114,7 @@ Frequency = Annotated[float, BeforeValidator(_reader("frequency")), _limits("fre
 Mass = Annotated[float, BeforeValidator(_reader("mass")), _limits("mass")]
 #: A level in the unit of what the sensor feels, which it reads itself (`cgid.scene.sensor`).
 Level = Annotated[float, Field(ge=0, le=LIMITS["force"][1])]
+Acceleration = Annotated[float, BeforeValidator(_reader("acceleration")), _limits("acceleration")]
 #: A place on the time axis of a recording, and its length: at most a day.
 Moment = Annotated[float, BeforeValidator(_reader("time")), Field(ge=0, le=86_400)]
 Duration = Annotated[float, BeforeValidator(_reader("time")), Field(ge=1e-3, le=86_400)]

@@ -15,6 +15,7 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
+from cgid.counting import count
 from cgid.errors import BadData
 from cgid.signals import UNITS, Batch, quantity_of
 from cgid.store.memory import MemoryFile
@@ -92,6 +93,7 @@ class ShardBuilder:
 
     def add(self, batch: Batch) -> None:
         """Append the signals of a batch."""
+        count("stored_signals", len(batch))
         if self._filled + len(batch) > self._n_signals:
             raise BadData(f"a shard of {self._n_signals} signals was given {self._filled + len(batch)}")
         if not self._filled:
@@ -115,15 +117,15 @@ class ShardBuilder:
         """Write the chunk that is full, or the last one."""
         rows = len(self._chunk_signals)
         first = (self._filled - 1) // rows * rows
-        count = self._filled - first
+        filled = self._filled - first
         if self._plan.compression != "none":
-            self._signals[first : self._filled] = self._chunk_signals[:count]
+            self._signals[first : self._filled] = self._chunk_signals[:filled]
             return
         # numba is not for those who only read datasets.
         from cgid.store._fletcher import fletcher32
 
         # What HDF5 would write after four copies and a checksum four times slower.
-        self._chunk_signals[count:] = 0
+        self._chunk_signals[filled:] = 0
         size = self._chunk.size - _CHECKSUM.itemsize
         self._chunk[size:].view(_CHECKSUM)[0] = fletcher32(self._chunk[:size].view("<u2"))
         self._signals.id.write_direct_chunk((first, 0), self._chunk)
