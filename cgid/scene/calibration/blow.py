@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from cgid import validation
 from cgid.errors import BadData, InvalidValue
 from cgid.impact import Impact
-from cgid.impact.response import LowPass, Pulses, Resonance
+from cgid.impact.driving import Pulses
+from cgid.impact.poles import LowPass, Resonance
 from cgid.scene.scene import Scene
 from cgid.signals import STANDARD_GRAVITY, Signal
 from cgid.validation import Floats
