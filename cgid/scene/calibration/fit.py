@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cgid.impact.response import Quantity, Resonators, Response
 from cgid.scene.calibration.blow import Struck
@@ -41,12 +42,26 @@ class Fit:
         [samples], from where the blow was seen to begin.
     remains : list of ndarray
         What is left of each blow, over its largest sample.
+    losses : ndarray, (n_columns,)
+        By how much more energy would be left without each column.
     """
 
     modes: Resonators
     amounts: Floats
     delays: Floats
     remains: list[Floats]
+    losses: Floats
+
+    @property
+    def energy(self) -> float:
+        """Energy of what is left."""
+        return sum(float((rest**2).sum()) for rest in self.remains)
+
+    @property
+    def significant(self) -> NDArray[np.bool_]:
+        """Which columns explain more than chance: amount, frequency and damping ratio are three numbers."""
+        n = sum(rest.size for rest in self.remains)
+        return np.asarray(n * np.log1p(self.losses / max(self.energy, 1e-300)) > 3 * np.log(n))
 
 
 def columns(
@@ -222,5 +237,7 @@ def refined(
         max_nfev=60,
     ).x
     amounts, rest = model.amounts(found)
+    sound = model.sound(found)
+    losses = amounts**2 / np.maximum(np.diag(np.linalg.pinv(sound.T @ sound, hermitian=True)), 1e-300)
     edges = np.cumsum([blow.samples.size for blow in blows])[:-1]
-    return Fit(model.at(found), amounts, found[2 * n :], np.split(rest, edges))
+    return Fit(model.at(found), amounts, found[2 * n :], np.split(rest, edges), losses)
