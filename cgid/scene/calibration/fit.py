@@ -25,6 +25,8 @@ _TOLERANCE = 1e-6
 _ALIGNED = 2048
 #: Steps of the derivatives: frequency in half-widths of the mode, log of the damping ratio, samples.
 _STEP = 1e-3
+#: Steps of a fit: one that needs more has a mode too many, which says nothing of the others.
+_MOST_STEPS = 20
 #: How far from its beginning a fit may go: in half-widths, in logs of the damping ratio, in samples.
 _FAR, _FAR_DAMPING, _FAR_DELAY = 3.0, 1.5, 2.0
 
@@ -232,9 +234,9 @@ def refined(
         start,
         model.derivative,
         bounds=(start + lowest, start + far),
-        xtol=1e-8,
-        ftol=1e-8,
-        max_nfev=60,
+        xtol=1e-6,
+        ftol=1e-6,
+        max_nfev=_MOST_STEPS,
     ).x
     amounts, rest = model.amounts(found)
     sound = model.sound(found)

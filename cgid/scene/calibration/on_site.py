@@ -126,9 +126,9 @@ def calibrated(
     >>> blows = [Blow(motion=motion, force=force) for motion, force in zip(taps["m/s^2"], taps["N"])]
     >>> found = calibrated(beam, blows, modes=2)
     >>> for row in found.scene.tail_beam.modes:
-    ...     print(f"{row.frequency:.0f} Hz, {row.damping_ratio:.3f}, {1e3 * row.shape_sensor / row.modal_mass:.2f}/t")
-    150 Hz, 0.020, 1.60/t
-    410 Hz, 0.020, 1.60/t
+    ...     print(f"{row.frequency:.0f} Hz, {row.damping_ratio:.3f}, {1e3 * row.shape_sensor / row.modal_mass:.1f}/t")
+    150 Hz, 0.020, 1.6/t
+    410 Hz, 0.020, 1.6/t
     >>> bool((found.explained > 0.98).all())
     True
     """
