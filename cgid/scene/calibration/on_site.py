@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from threadpoolctl import threadpool_limits
 
 from cgid import validation
 from cgid.errors import BadData, InvalidValue
@@ -137,9 +138,11 @@ def calibrated(
         validation.count("modes", modes)
     _require_band(scene, band)
     struck = [made_ready(scene, blow) for blow in blows]
-    if modes is None and band is None:
-        return _with_gain(scene, blows, struck)
-    return _with_modes(scene, blows, struck, modes, band)
+    # Many small matrices: threads would wait for each other longer than they work.
+    with threadpool_limits(1):
+        if modes is None and band is None:
+            return _with_gain(scene, blows, struck)
+        return _with_modes(scene, blows, struck, modes, band)
 
 
 def _checked(scene: Scene, blows: Sequence[Blow]) -> list[Blow]:
