@@ -17,14 +17,16 @@ from pathlib import Path
 import numpy as np
 
 from cgid import shipped
-from cgid.features import FEATURES, extract_array
+from cgid.features import FEATURES, choose, extract_array
 from cgid.filters import fft_filter
 from cgid.identification.model import Model
 from cgid.impact import HertzRangeWarning
 from cgid.scene import generate, load_scene
+from cgid.scene.noise import add_noise
+from cgid.scene.plan import plan
 from cgid.scene.population import draw
 from cgid.scene.randomness import BLOCK
-from cgid.scene.synthesis import _noise, add_pulses, make_frames, synthesise
+from cgid.scene.synthesis import add_pulses, make_frames, synthesise
 
 ROUNDS = 7
 
@@ -50,7 +52,8 @@ def main() -> None:
     scene = load_scene(shipped.scene_path(arguments.scene))
     rate, pre_trigger = scene.sampling.sampling_rate, scene.sampling.pre_trigger
     drawn = draw(scene, 0, 0)
-    frames = make_frames(scene, drawn, 0, 0, np.float32)
+    frames = make_frames(plan(scene), drawn, 0, 0, np.float32)
+    silence, level = np.zeros_like(frames), scene.sensor.noise_level(drawn.parameters["peak_force"], rate)
     model = Model.load(shipped.path_of("models", shipped.DEFAULT_MODEL))
     table = extract_array(frames, rate, model.measured, pre_trigger=pre_trigger, invalid="nan")
     table = table[np.isfinite(table).all(axis=1)]
@@ -62,15 +65,15 @@ def main() -> None:
     making = {
         "parameters": lambda: draw(scene, 0, 0),
         "pulse": lambda: add_pulses(frames, scene, drawn),
-        "noise": lambda: _noise(scene, drawn, 0, 0, np.float32),
-        "sensor (range, bits; nothing when off)": lambda: scene.sensor.digitise(frames),
+        "noise": lambda: add_noise(silence, level, 0, 0),
+        "sensor (range, bits; nothing when off)": lambda: scene.sensor.digitise(frames, rate),
     }
     using = {
         "FFT filter": lambda: fft_filter(frames, rate, high=rate / 10),
         "feature: peak_force alone": measured("peak_force"),
         "features read off the samples, in time (13)": measured(*tuple(FEATURES)[:13]),
         "features of the model: the fitted pulse": measured(*model.measured),
-        f"all features ({len(FEATURES)})": measured(),
+        f"all features of a pulse ({len(choose(None))})": measured(),
         "probabilities and novelty": lambda: (model.probabilities(features), model.novelty(features, guards)),
     }
     cost = {name: microseconds(work, BLOCK) for name, work in (making | using).items()}

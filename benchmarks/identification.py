@@ -45,7 +45,7 @@ from cgid.features import FEATURES
 from cgid.files import write_whole
 from cgid.identification.classifier import ImpactClassifier
 from cgid.identification.interval import wilson_interval
-from cgid.identification.training import DEFAULT_FEATURES, measure
+from cgid.identification.measuring import DEFAULT_FEATURES, measure
 from cgid.plots import png, require_matplotlib
 from cgid.signals import Batch
 

@@ -10,6 +10,7 @@ from collections import Counter
 from collections.abc import Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
+from typing import SupportsInt
 
 _counts: ContextVar[Counter[str] | None] = ContextVar("cgid_counts", default=None)
 _lock = threading.Lock()
@@ -45,7 +46,7 @@ def counting() -> bool:
     return _counts.get() is not None
 
 
-def count(name: str, number: int = 1) -> None:
+def count(name: str, number: SupportsInt = 1) -> None:
     """Add to a counter; once for a whole batch, never for each sample.
 
     Parameters
@@ -56,6 +57,6 @@ def count(name: str, number: int = 1) -> None:
         How many of them.
     """
     counts = _counts.get()
-    if counts is not None and number:
+    if counts is not None and int(number):
         with _lock:
             counts[name] += int(number)

@@ -5,13 +5,21 @@ from __future__ import annotations
 import contextlib
 import os
 import secrets
+from collections.abc import Iterator
 from pathlib import Path
 
-from cgid.errors import CannotCreate, WriteFailed
+from cgid.errors import CannotCreate, CgidError, WriteFailed
 
 
 def write_whole(path: str | Path, content: bytes | memoryview) -> None:
-    """Write a file so that its name only ever bears the old content or all of the new.
+    """Write a file so that its name only ever bears the old content or all of the new; raises as `whole_file`."""
+    with whole_file(path) as temporary, temporary.open("wb") as stream:
+        stream.write(content)
+
+
+@contextlib.contextmanager
+def whole_file(path: str | Path) -> Iterator[Path]:
+    """Yield the name of an empty file to be filled and closed, which then bears the name asked for, if all went well.
 
     Raises
     ------
@@ -24,24 +32,26 @@ def write_whole(path: str | Path, content: bytes | memoryview) -> None:
     try:
         # Opened like any new file, so that it gets the permissions the user's umask gives.
         temporary = path.with_name(f".{path.name}.{secrets.token_hex(6)}.part")
-        stream = temporary.open("xb")
+        temporary.open("xb").close()
     except OSError as error:
         raise CannotCreate(
             f"{path}: cannot be created ({error.strerror}); choose an existing folder you may write to"
         ) from None
     try:
-        with stream:
-            stream.write(content)
-            stream.flush()
+        yield temporary
+        with temporary.open("rb+") as stream:
             os.fsync(stream.fileno())
         temporary.replace(path)
     except IsADirectoryError:
         _remove(temporary)
         raise CannotCreate(f"{path}: is a folder; choose another name or move it away") from None
+    except CgidError:
+        _remove(temporary)
+        raise
     except OSError as error:
         _remove(temporary)
         raise WriteFailed(
-            f"{path}: writing failed ({error.strerror}); nothing was left behind, free some space"
+            f"{path}: writing failed ({error.strerror or error}); nothing was left behind, free some space"
         ) from None
     except BaseException:
         _remove(temporary)

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cgid.errors import MissingExtra
+from cgid.signals import Signal
 from cgid.validation import Floats
 
 
@@ -122,6 +123,71 @@ def survey_picture(points: Mapping[str, Sequence[Any]], present: Mapping[str, fl
     figure.axes[0].set(ylabel="highest accuracy possible (2 std. errors)")
     figure.axes[0].legend(fontsize="small")
     return png(figure)
+
+
+def recording_picture(recording: Signal, truth: Mapping[str, NDArray[Any]]) -> bytes:
+    """Return a PNG picture of a long recording: waveform with its impacts, spectrogram, shares of the labels.
+
+    Parameters
+    ----------
+    recording : Signal
+    truth : dict of ndarray, each (n_impacts,)
+        time [s], bounce and label of every impact, as a recording of `cgid generate` holds them.
+    """
+    figure = require_matplotlib()(figsize=(11, 8), layout="constrained")
+    waveform, spectrogram, shares = figure.subplots(3, 1, sharex=True)
+    colours = {label: f"C{k}" for k, label in enumerate(np.unique(truth["label"]))}
+    _waveform(waveform, recording, truth, colours)
+    _spectrogram(spectrogram, recording)
+    _shares(shares, recording.duration, truth, colours)
+    shares.set(xlabel="time [s]", xlim=(0, recording.duration))
+    return png(figure)
+
+
+def _waveform(axes: Any, recording: Signal, truth: Mapping[str, NDArray[Any]], colours: Mapping[str, str]) -> None:
+    """Draw lowest and highest sample of each pixel, and above them a mark for each rock's first hit and its bounces."""
+    step = max(recording.samples.size // 4000, 1)
+    whole = recording.samples[: recording.samples.size // step * step].reshape(-1, step)
+    middle = (np.arange(len(whole)) + 0.5) * step / recording.sampling_rate
+    axes.fill_between(middle, whole.min(axis=1), whole.max(axis=1), color="0.2", lw=0.3)
+    top = float(recording.samples.max()) or 1.0
+    for row, (label, colour) in enumerate(colours.items()):
+        for is_bounce, height, name in ((False, 1.08, label), (True, 1.16, f"{label}, bounces")):
+            times = truth["time"][(truth["label"] == label) & ((truth["bounce"] > 0) == is_bounce)]
+            place = np.full(times.size, top * (height + 0.2 * row))
+            axes.plot(times, place, "|", color=colour, ms=5, alpha=0.35 if is_bounce else 1.0, label=name)
+    axes.set(ylabel=f"{recording.quantity or 'signal'} [{recording.unit or '1'}]")
+    axes.legend(fontsize="x-small", ncols=2 * len(colours), loc="upper right", bbox_to_anchor=(1, 1.16))
+
+
+def _spectrogram(axes: Any, recording: Signal) -> None:
+    from scipy.signal import spectrogram
+
+    n = min(4096, recording.samples.size)
+    frequency, times, density = spectrogram(
+        recording.samples, recording.sampling_rate, nperseg=n, noverlap=n // 2, detrend=False
+    )
+    level = 10 * np.log10(np.maximum(density[1:], np.finfo(np.float32).tiny))
+    floor, top = np.quantile(level, [0.02, 0.999])
+    mesh = axes.pcolormesh(times, frequency[1:], level, vmin=floor, vmax=top, cmap="magma", rasterized=True)
+    axes.set(yscale="log", ylabel="frequency [Hz]")
+    axes.figure.colorbar(mesh, ax=axes, label=f"dB re ({recording.unit or '1'})²/Hz", pad=0.01)
+
+
+def _shares(
+    axes: Any, duration: float, truth: Mapping[str, NDArray[Any]], colours: Mapping[str, str], width: float = 0.05
+) -> None:
+    """Draw the share of each label among the rocks that arrive about a time, within `width` of the duration."""
+    first = truth["bounce"] == 0
+    arrivals, labels = truth["time"][first], truth["label"][first]
+    times = np.linspace(0, duration, 400)
+    weights = np.exp(-0.5 * ((times[:, None] - arrivals) / (width * duration)) ** 2)
+    total = np.maximum(weights.sum(axis=1), np.finfo(np.float64).tiny)
+    for label, colour in colours.items():
+        axes.plot(times, weights[:, labels == label].sum(axis=1) / total, color=colour, label=label)
+    axes.set(ylim=(0, 1), ylabel=f"share of the arriving rocks\n(within {width * duration:g} s)")
+    axes.grid(alpha=0.3)
+    axes.legend(fontsize="small", loc="center left")
 
 
 def frequency_response_picture(frequency: Floats, responses: Mapping[str, NDArray[np.complex128]], unit: str) -> bytes:

@@ -12,7 +12,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from cgid.errors import BadData
+from cgid.counting import count
 from cgid.estimation import PulseFit, Start, fit_pulses
 from cgid.estimation.start import strongest_run
 from cgid.validation import Floats
@@ -159,6 +159,12 @@ class PulseBatch:
         return starts[run] - first_of_row, stops[run] - first_of_row
 
     @cached_property
+    def window_reach(self) -> NDArray[np.intp]:
+        """The last sample that the window around contact asks for, in the frame or beyond it."""
+        first, last = self._edges
+        return np.asarray(last + (last - first + 1) + 2)
+
+    @cached_property
     def _window(self) -> tuple[Floats, NDArray[np.intp]]:
         """Samples around contact (n_signals, width), baseline taken off, and the column of the first.
 
@@ -166,7 +172,7 @@ class PulseBatch:
         tail); beyond that there are zeros, so a row comes out the same whatever else is in the batch.
         """
         first, last = self._edges
-        start, stop = first - (last - first + 1) // 4 - 2, last + (last - first + 1) + 2
+        start, stop = first - (last - first + 1) // 4 - 2, self.window_reach
         offset = np.arange(int((stop - start).max()) + 1)
         columns = start[:, None] + offset
         inside = (offset <= (stop - start)[:, None]) & (columns >= 0) & (columns < self.samples.shape[1])
@@ -278,6 +284,7 @@ class PulseBatch:
     def fit(self) -> PulseFit:
         """The most likely damped-Hertz pulse, times in samples of the frame; nan where nothing rises."""
         alive = np.flatnonzero((self.peak > 0) & (np.ptp(self.samples, axis=1) > 0))
+        count("fits", alive.size)
         found = fit_pulses(
             self.samples[alive],
             self.fit_start.rows(alive),
@@ -374,6 +381,7 @@ class PulseBatch:
         """
         touch, separation = self.contact
         lengths, bins = self._transform_lengths, self.n_bins
+        count("spectra", len(lengths))
         power = np.zeros((len(lengths), int(bins.max())))
         first = np.maximum(np.ceil(touch).astype(np.intp), 0)
         for length in np.unique(lengths):
@@ -382,8 +390,8 @@ class PulseBatch:
             columns = np.minimum(first[rows, None] + np.arange(span), self._window[0].shape[1] - 1)
             last_once = first[rows, None] + np.arange(span) < self._window[0].shape[1]
             force = np.where(last_once, self._during_contact[rows[:, None], columns], 0.0)
-            count = int(bins[rows].max())
-            power[rows, :count] = np.abs(np.fft.rfft(force, n=int(length)))[:, :count] ** 2
+            kept = int(bins[rows].max())
+            power[rows, :kept] = np.abs(np.fft.rfft(force, n=int(length)))[:, :kept] ** 2
         power[np.arange(power.shape[1]) >= bins[:, None]] = 0.0
         return np.arange(power.shape[1]) * (self.sampling_rate / lengths)[:, None], power
 
@@ -429,11 +437,3 @@ class PulseBatch:
                 f"use {WANTED_SAMPLES / span:.3g} Hz or more",
             )
         return found
-
-    def require_sound(self, found: dict[int, str], first_row: int = 0, n_signals: int | None = None) -> None:
-        """Raise `BadData` for the first row that cannot be measured; rows are counted from `first_row`."""
-        if found:
-            row, last_row = min(found), first_row + len(self.samples) - 1
-            where = f"signal {first_row + row}: " if (n_signals or len(self.samples)) > 1 else ""
-            more = f" ({len(found)} of signals {first_row} to {last_row} cannot be measured)" if len(found) > 1 else ""
-            raise BadData(f"{where}{found[row]}{more}")

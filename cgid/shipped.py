@@ -1,4 +1,4 @@
-"""What comes with the package: scenes, a sample, the default model.
+"""What comes with the package: scenes, a sample, the default models.
 
 In an installed wheel they lie inside the package, in a checkout (and so in an editable install) at its top level.
 """
@@ -13,8 +13,9 @@ from cgid.errors import NoInput
 _PACKAGE = Path(__file__).parent
 DEFAULT_MODEL = "default.npz"
 DROP_HEIGHT_MODEL = "default-drop-height.npz"
+ACCELERATION_MODEL = "default-acceleration.npz"
 SAMPLE = "sample.csv"
-SCENES = ("reference", "peers", "yang2018", "strangers", "lookalikes", "randomised", "tail_beam", "plate")
+SCENES = ("reference", "peers", "yang2018", "strangers", "lookalikes", "randomised", "tail_beam", "plate", "caving")
 
 
 def path_of(kind: Literal["datasets", "models"], name: str) -> Path:

@@ -38,10 +38,20 @@ def shifted_scenes() -> Iterator[tuple[str, Scene]]:
     yield "strangers with pulses like the classes' (scene lookalikes)", load_scene(shipped.scene_path("lookalikes"))
 
 
+def shifted_vibrations() -> Iterator[tuple[str, Scene]]:
+    """Yield what to judge a model of acceleration on, each with its name."""
+    beam = load_scene(shipped.scene_path("tail_beam"))
+    yield "the scene tail_beam", beam
+    for rate in ("51.2 kHz", "48 kHz"):
+        yield f"... sampled at {rate}", varied(beam, sampling_rate=rate, keep_frame=True)
+    for noise, decibel in ((0.03, 30), (0.1, 20)):
+        yield f"... at a noise of {noise:.0%} ({decibel} dB)", varied(beam, relative_noise=noise)
+
+
 def domain_shift(model: Model, n_impacts: int = 5120) -> list[dict[str, Any]]:
     """Return, for each shifted scene, accuracy among the measured (None for strangers) and the share flagged."""
     rows = []
-    for name, scene in shifted_scenes():
+    for name, scene in shifted_vibrations() if model.kind == "vibration" else shifted_scenes():
         answers, truth = [], []
         for batch in synthesise(scene, n_impacts, SEED):
             # Taps do not fall: any height will do.

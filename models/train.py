@@ -2,12 +2,16 @@
 
     python models/train.py                        # models/default.npz, default.md and its pictures
     python models/train.py --drop-height          # its sister that is told the drop height: default-drop-height.npz
+    python models/train.py --acceleration         # that of a tail beam's vibration: default-acceleration.npz
     python models/train.py -o mine.npz -n 20000   # elsewhere, smaller
 
 It trains on impacts of two shipped scenes, half of them of `reference`, half of `randomised` (the same rocks at all
 sampling rates and noises), which are synthesised on the fly and never touch the disk. It is judged, and its prediction
 sets are calibrated, on impacts of `reference` that did not train. The card also says why this
 family was chosen (`models/selection.py`) and how the model does elsewhere (`models/domain_shift.py`).
+
+The model of acceleration trains on `tail_beam` alone, and its card says what the way through the beam costs: the model
+of force answers for the force of the same impacts (`models/beside_force.py`).
 """
 
 import argparse
@@ -15,6 +19,7 @@ from dataclasses import replace
 from itertools import chain
 from pathlib import Path
 
+from beside_force import beside_force
 from domain_shift import domain_shift
 
 from cgid import shipped
@@ -26,6 +31,7 @@ from cgid.scene import load_scene, synthesise
 
 HERE = Path(__file__).parent
 SCENES = ("reference", "randomised")
+ACCELERATION_SCENES = ("tail_beam",)
 
 
 def main() -> None:
@@ -36,12 +42,18 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--family", default="network")
     parser.add_argument("--drop-height", action="store_true", help="the model is told how far each rock fell")
+    parser.add_argument("--acceleration", action="store_true", help="the model of a tail beam's vibration")
     parser.add_argument("--selection", type=int, default=10_000, help="of each scene, to compare families on; 0: none")
     arguments = parser.parse_args()
+    if arguments.acceleration and arguments.drop_height:
+        parser.error("--acceleration and --drop-height make two models; give one of them")
     name = shipped.DROP_HEIGHT_MODEL if arguments.drop_height else shipped.DEFAULT_MODEL
+    name = shipped.ACCELERATION_MODEL if arguments.acceleration else name
     output = check_model_output(arguments.output or HERE / name, plots=True, overwrite=True)
     known = ("drop_height",) if arguments.drop_height else ()
-    scenes = [load_scene(shipped.scene_path(scene)) for scene in SCENES]
+    scenes = [
+        load_scene(shipped.scene_path(scene)) for scene in (ACCELERATION_SCENES if arguments.acceleration else SCENES)
+    ]
     # Each scene with a seed of its own: the same seed would draw the same rocks.
     seeded = [(scene, arguments.seed + number) for number, scene in enumerate(scenes)]
     selection = None
@@ -58,6 +70,8 @@ def main() -> None:
         selection=selection,
     )
     told = training.model.training | {"domain_shift": domain_shift(training.model)}
+    if arguments.acceleration:
+        told |= {"beside_force": beside_force(training.model, scenes[0])}
     for path in write_model(replace(training, model=replace(training.model, training=told)), output, plots=True):
         print(path)
     low, high = training.metrics["accuracy_interval_95"]

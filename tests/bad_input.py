@@ -161,7 +161,7 @@ CASES = (
     Case("sampling rate negative", ("features", "whole.npy", "--rate", "-5"), 65, ("sampling_rate", "-5 Hz")),
     Case("no unit", ("predict", "no_unit.csv"), 2, ("--unit",)),
     Case("unknown unit", ("predict", "no_unit.csv", "--unit", "stone"), 65, ("stone", "force: N")),
-    Case("wrong quantity", ("predict", "acceleration.csv"), 65, ("acceleration", "--mass KG")),
+    Case("wrong quantity", ("predict", "acceleration.csv", "--model", "model.npz"), 65, ("acceleration", "--mass KG")),
     Case(
         "model of another quantity",
         ("predict", "good.csv", "--model", "acceleration.npz"),

@@ -13,7 +13,8 @@ from scipy import integrate, optimize, signal, stats
 
 from cgid import family
 from cgid.errors import BadData, CgidError, InvalidValue
-from cgid.features import FEATURES, MINIMUM_FRAME, choose, extract, extract_array
+from cgid.features import FEATURES as ALL_FEATURES
+from cgid.features import MINIMUM_FRAME, choose, extract, extract_array
 from cgid.identification.events import find_impacts
 from cgid.impact import Elastic, HalfSpace, HuntCrossley, Impact, Sphere
 from cgid.materials import STEEL, YANG2018_SPHERES
@@ -23,6 +24,7 @@ from tests import naive
 
 REAL_SHOCK = Path(__file__).parents[2] / "shared" / "realdata" / "shock"
 MEGAHERTZ = 1e6
+FEATURES = {name: feature for name, feature in ALL_FEATURES.items() if feature.kind == "pulse"}
 SPECTRAL = [name for name in FEATURES if name.startswith(("spectral", "cutoff", "band"))]
 TEMPORAL = [name for name in FEATURES if name not in SPECTRAL]
 #: Powers of the amplitude and of time in each unit.

@@ -10,7 +10,9 @@ from scipy.linalg import expm
 from cgid.counting import counted
 from cgid.errors import InvalidValue
 from cgid.impact import Elastic, HalfSpace, HuntCrossley, Impact, Sphere
-from cgid.impact.response import LowPass, Resonance, Response, resonator_poles, steps_for
+from cgid.impact.driving import steps_for
+from cgid.impact.poles import LowPass, Resonance, resonator_poles
+from cgid.impact.response import Response
 from cgid.materials import STEEL, Material
 from cgid.scene.taps import SHAPES, TapPulses
 
@@ -207,7 +209,9 @@ def test_frequency_response_is_that_of_transfer_functions():
     response = Response(sampling_rate=RATE, quantity="acceleration", modes=modes, filters=CHAIN)
     s = 2j * np.pi * frequencies
     w = 2 * np.pi * modes.frequency
-    expected = sum(p * s**2 / (s**2 + 2 * z * a * s + a**2) for p, z, a in zip(participation, modes.damping_ratio, w))
+    expected = sum(
+        p * s**2 / (s**2 + 2 * z * a * s + a**2) for p, z, a in zip(participation, modes.damping_ratio, w, strict=True)
+    )
     mounted = 2 * np.pi * CHAIN[0].frequency
     expected *= mounted**2 / (s**2 + 2 * CHAIN[0].damping_ratio * mounted * s + mounted**2)
     expected *= signal.freqs_zpk(

@@ -265,7 +265,11 @@ NORMAL = {"distribution": "normal", "mean": "1400 kg/m^3", "deviation": "200 kg/
         ({"populations": [], "taps": []}, "populations", "at least 1 where there are no taps"),
         ({"taps": [{**TAP, "shape": "saw"}]}, "taps.0.shape", "'haversine', got 'saw'"),
         ({"taps": [{**TAP, "peak_force": "-1 N"}]}, "taps.0.peak_force", "above 0, within 1e-09 and 1e+15 N, got -1 N"),
-        ({"taps": [{**TAP, "contact_duration": "3 mm"}]}, "taps.0.contact_duration", "a time in s, ms, us, got '3 mm'"),
+        (
+            {"taps": [{**TAP, "contact_duration": "3 mm"}]},
+            "taps.0.contact_duration",
+            "a time in s, ms, us, min, h, got '3 mm'",
+        ),
         ({"taps": [{**TAP, "contact_duration": 0}]}, "taps.0.contact_duration", "got 0 s"),
         ({"taps": [{**TAP, "radius": 1}]}, "taps.0.radius", "unknown key"),
         ({"taps": [{"label": "tap", "shape": "square", "peak_force": 1}]}, "taps.0.contact_duration", "missing"),

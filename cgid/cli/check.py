@@ -23,6 +23,8 @@ def check(scene: str, seed: int, as_json: bool) -> None:
 
     loaded = load_scene(shipped.scene_path(scene))
     preview = _preview(loaded, seed)
+    if loaded.stream is not None:
+        preview |= _stream(loaded)
     if as_json:
         print_json(preview)
         return
@@ -31,7 +33,13 @@ def check(scene: str, seed: int, as_json: bool) -> None:
     drawn = preview["randomised"]
     rate = "a drawn rate" if "sampling_rate [Hz]" in drawn else f"{loaded.sampling.sampling_rate:g} Hz"
     samples = loaded.sampling.samples
-    click.echo(f"frames: {samples} samples at {rate}, {samples * 4} bytes a signal in float32")
+    if loaded.stream is None:
+        click.echo(f"frames: {samples} samples at {rate}, {samples * 4} bytes a signal in float32")
+    else:
+        told = ", ".join(f"{name} {value:.6g}" for name, value in preview["stream"].items())
+        click.echo(f"recording at {rate}: {told}")
+    if preview["tail_beam"]:
+        click.echo("tail beam: " + ", ".join(f"{name} {value:.4g}" for name, value in preview["tail_beam"].items()))
     for name, (low, high) in drawn.items():
         click.echo(f"drawn for each block of 256 signals: {name} {low:g} to {high:g}")
     click.echo("share of the labels: " + ", ".join(f"{k} {v:.3f}" for k, v in preview["labels"].items()))
@@ -55,24 +63,43 @@ def _preview(scene: Any, seed: int) -> dict[str, Any]:
             warnings.simplefilter("ignore", beyond)
         draws = [draw(scene, seed, block) for block in range(_BLOCKS)]
     units = parameter_units(scene)
+    if scene.stream is not None:
+        del units["onset"]  # of a frame
     values = {name: np.concatenate([d.parameters[name] for d in draws]) for name in units}
     sampling_rate = np.repeat([d.scene.sampling.sampling_rate for d in draws], BLOCK)
     labels, counts = np.unique(np.concatenate([d.labels for d in draws]), return_counts=True)
     rows = {f"{name} [{unit}]": values[name] for name, unit in units.items()}
     rows["samples on the contact"] = values["contact_duration"] * sampling_rate
     known = {name: column[np.isfinite(column)] for name, column in rows.items()}
-    shares = _shares([d.impact for d in draws], values, sampling_rate, scene.sampling.samples)
+    shares = _shares([d.impact for d in draws], values, sampling_rate, scene)
     return {
         "name": scene.name,
         "description": scene.description,
         "scene_sha256": scene.sha256,
         "randomised": _randomised(scene),
+        "tail_beam": _tail_beam(scene),
         "labels": dict(zip(labels.tolist(), (counts / counts.sum()).tolist(), strict=True)),
         "quantiles_5_50_95": {
             name: np.quantile(column, [0.05, 0.5, 0.95]).tolist() for name, column in known.items() if column.size
         },
         "warnings": {text: share for text, share in shares.items() if share > 0},
     }
+
+
+def _tail_beam(scene: Any) -> dict[str, float]:
+    """Return what is to be known of a scene's tail beam; nothing if it has none."""
+    from cgid.scene.response import beam_modes
+
+    if scene.tail_beam is None:
+        return {}
+    frequency = beam_modes(scene).frequency
+    told = {"modes": float(frequency.size), "lowest [Hz]": frequency[0], "highest [Hz]": frequency[-1]}
+    if scene.panel is None:
+        return told
+    told |= {"mass [kg]": scene.panel.mass, "impedance [kg/s]": scene.panel.impedance}
+    if scene.panel.ribs is not None:
+        told["ribs may be smeared up to [Hz]"] = scene.panel.highest_smeared_frequency
+    return told
 
 
 def _randomised(scene: Any) -> dict[str, tuple[float, float]]:
@@ -83,22 +110,66 @@ def _randomised(scene: Any) -> dict[str, tuple[float, float]]:
     return {f"{name} [{units[name]}]": law.extremes for name, law in scene.randomise.laws.items()}
 
 
-def _shares(impacts: list[Any], values: dict[str, Any], sampling_rate: Any, n_samples: int) -> dict[str, float]:
+def _shares(impacts: list[Any], values: dict[str, Any], sampling_rate: Any, scene: Any) -> dict[str, float]:
     """Return the share of the pulses that something is to be said of, by what it is."""
     import numpy as np
 
-    from cgid.impact.pulse import HERTZ_LIMIT, INELASTICITY_LIMIT
+    from cgid.impact.pulse import BEYOND_THIN_PLATE, HERTZ_LIMIT, INELASTICITY_LIMIT
     from cgid.pulses import WANTED_SAMPLES
 
     strain = np.concatenate([impact.peak_displacement / impact.reduced_radius for impact in impacts])
     inelasticity = np.concatenate([impact.inelasticity for impact in impacts])
-    end = values["onset"] + np.nan_to_num(values.get("second_hit_delay", 0.0)) + values["contact_duration"]
+    end = values.get("onset", 0.0) + np.nan_to_num(values.get("second_hit_delay", 0.0)) + values["contact_duration"]
     beyond = {
         f"pass Hertz's range (displacement over radius above {HERTZ_LIMIT:g})": strain > HERTZ_LIMIT,
-        f"pass the range of the thin plate (lambda above {INELASTICITY_LIMIT:g})": inelasticity > INELASTICITY_LIMIT,
-        f"have fewer than {WANTED_SAMPLES} samples on the contact; raise sampling_rate": (
-            values["contact_duration"] * sampling_rate < WANTED_SAMPLES
+        f"pass the range of the thin plate (lambda above {INELASTICITY_LIMIT:g}): {BEYOND_THIN_PLATE}": (
+            inelasticity > INELASTICITY_LIMIT
         ),
-        "last beyond the end of the frame and are cut off; raise samples": end * sampling_rate > n_samples - 1,
+        f"have fewer than {WANTED_SAMPLES} samples on the contact; raise sampling_rate": (
+            (values["contact_duration"] * sampling_rate < WANTED_SAMPLES) & (scene.sensor.quantity == "force")
+        ),
+        "last beyond the end of the frame and are cut off; raise samples": (
+            (end * sampling_rate > scene.sampling.samples - 1) & (scene.stream is None)
+        ),
     }
+    if scene.panel is not None and scene.panel.ribs is not None:
+        limit = scene.panel.highest_smeared_frequency
+        beyond[
+            f"are so short (over 1/{limit:.4g} Hz) that ribs may not be smeared: between two the skin gives way more "
+            "than this beam does, on one less"
+        ] = values["contact_duration"] * limit < 1
     return {text: float(np.sum(passed) / end.size) for text, passed in beyond.items()}
+
+
+def _stream(scene: Any) -> dict[str, Any]:
+    """Return what a scene with a stream makes, and the shares of its labels over the recording.
+
+    Raises what `generate` would raise of a recording that is too long or a background that cannot be read.
+    """
+    import numpy as np
+
+    from cgid.scene.background_noise import background_of
+    from cgid.scene.stream.arrivals import arrivals_of, population_shares
+    from cgid.scene.stream.capacity import require_capacity
+    from cgid.scene.stream.synthesis import samples_of
+
+    require_capacity(scene, "float32")
+    background, duration = background_of(scene), scene.stream.duration
+    noise = scene.sensor.noise_level(np.zeros(()), scene.sampling.sampling_rate)
+    # The mixture at every time, weighed by how many rocks come then.
+    times = (np.arange(1000) + 0.5) / 1000 * duration
+    expected = arrivals_of(scene.stream).expected(np.linspace(0, duration, 1001))
+    shares = population_shares(scene, times) @ np.diff(expected) / max(expected[-1], 1e-300)
+    labels = dict.fromkeys(scene.labels, 0.0)
+    for population, share in zip(scene.populations, shares.tolist(), strict=True):
+        labels[population.label] += share
+    return {
+        "labels": labels,
+        "stream": {
+            "duration [s]": duration,
+            "samples": samples_of(scene),
+            "rocks expected": float(expected[-1]),
+            f"noise [{scene.sensor.unit}]": float(noise),
+            f"background [{scene.sensor.unit}]": 0.0 if background is None else background.rms,
+        },
+    }

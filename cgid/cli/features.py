@@ -8,7 +8,7 @@ import click
 
 from cgid.cli.options import (
     asks_for_whole_dataset,
-    check_dead_time,
+    dead_time_in_seconds,
     each_file,
     print_json,
     read_signals,
@@ -18,7 +18,7 @@ from cgid.cli.options import (
 
 @click.command(short_help="Measure the impacts in recordings: one row each.")
 @click.argument("files", nargs=-1, metavar="FILE...")
-@click.option("--list", "as_list", is_flag=True, help="Print the table of features instead: unit, definition, source.")
+@click.option("--list", "as_list", is_flag=True, help="Print the table of features: unit, definition, source, kind.")
 @click.option("--features", "names", help="Only these, with commas between them.")
 @click.option("--keep-baseline", is_flag=True, help="Do not subtract the mean before touch.")
 @recording_options
@@ -28,39 +28,47 @@ def features(
     names: str | None,
     keep_baseline: bool,
     as_json: bool,
-    dead_time: float,
+    dead_time: float | None,
     **reading: Any,
 ) -> int:
-    """Print the features of every impact in FILEs, tab-separated, in the unit of the file; - is stdin."""
+    """Print the features of every impact in FILEs, tab-separated, in the unit of the file; - is stdin.
+
+    Without --features these are the features of a vibration for acceleration, velocity and displacement, those of a
+    pulse for all else.
+    """
     from cgid.features import FEATURES, choose
 
     if as_list:
         for feature in FEATURES.values():
-            click.echo("\t".join([feature.name, feature.unit, feature.definition, feature.source]))
+            click.echo("\t".join([feature.name, feature.unit, feature.definition, feature.source, feature.kind]))
         return 0
     if not files:
         raise click.UsageError("give at least one FILE, or --list for the table of features")
-    chosen = choose(None if names is None else [name.strip() for name in names.split(",")])
-
-    check_dead_time(dead_time)
+    chosen = None if names is None else choose([name.strip() for name in names.split(",")])
+    gap = dead_time_in_seconds(dead_time)
 
     def treat(path: str) -> None:
         if asks_for_whole_dataset(path, **reading):
             _print_dataset(path, chosen, not keep_baseline, as_json, reading["invert"])
             return
         for signal in read_signals(path, **reading):
-            _print(signal, chosen, not keep_baseline, dead_time * 1e-3, as_json)
+            _print(signal, chosen, not keep_baseline, gap, as_json)
 
     return each_file(files, treat)
 
 
-def _print(signal: Any, chosen: tuple[str, ...], remove_baseline: bool, dead_time: float, as_json: bool) -> None:
+def _print(
+    signal: Any, names: tuple[str, ...] | None, remove_baseline: bool, dead_time: float | None, as_json: bool
+) -> None:
     """Print the impacts of one channel; those that cannot be measured have no numbers and say why."""
     from cgid.errors import BadData
-    from cgid.features import extract_array
+    from cgid.features import extract_array, kind_for, kind_of
     from cgid.identification.events import find_impacts
 
-    events = find_impacts(signal, dead_time=dead_time)
+    kind = kind_for(signal.quantity) if names is None else kind_of(names)
+    events = find_impacts(signal, kind=kind, dead_time=dead_time)
+    # All frames of a recording allow the same, but for the first, which may begin later.
+    chosen = _chosen(names, kind, signal.sampling_rate, min(event.signal.samples.size for event in events))
     columns = _Columns(signal.quantity, signal.unit, chosen, as_json)
     columns.title(signal.name, signal.sampling_rate, len(events), remove_baseline)
     problems = []
@@ -88,12 +96,22 @@ def _print(signal: Any, chosen: tuple[str, ...], remove_baseline: bool, dead_tim
         raise BadData(f"{signal.name}: none of its {len(events)} impacts can be measured; the first: {problems[0]}")
 
 
-def _print_dataset(path: str, chosen: tuple[str, ...], remove_baseline: bool, as_json: bool, invert: bool) -> None:
+def _chosen(names: tuple[str, ...] | None, kind: Any, sampling_rate: float, n_samples: int) -> tuple[str, ...]:
+    """Return the features asked for, else all of the kind that rate and frames allow."""
+    from cgid.features import choose, supported
+
+    return supported(choose(None, kind), sampling_rate, n_samples) if names is None else names
+
+
+def _print_dataset(
+    path: str, names: tuple[str, ...] | None, remove_baseline: bool, as_json: bool, invert: bool
+) -> None:
     """Print one row for each signal of a dataset, batch by batch."""
-    from cgid.features import extract_array
+    from cgid.features import extract_array, kind_for
     from cgid.store import Dataset
 
     dataset = Dataset(path)
+    chosen = _chosen(names, kind_for(dataset.quantity), dataset.sampling_rate, dataset.header.n_samples)
     columns = _Columns(dataset.quantity, dataset.unit, chosen, as_json)
     columns.title(path, dataset.sampling_rate, len(dataset), remove_baseline)
     number = unmeasured = 0

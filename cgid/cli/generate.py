@@ -1,44 +1,214 @@
-"""`cgid generate`: a dataset from a scene."""
+"""`cgid generate`: a dataset from a scene, or a table of what is asked of it, or the plan for either."""
 
 from __future__ import annotations
 
 import time
+from pathlib import Path
 from typing import Any
 
 import click
 
-from cgid.cli.options import progress_bar
+from cgid.cli.options import print_json, progress_bar
+
+#: Options that leave signals out, with what they ask for and the option that says which of it.
+_ONLY = {"features_only": "features", "closed_form_only": "closed-form", "parameters_only": "parameters"}
+_WHICH = {"features": "features_only", "quantities": "closed_form_only"}
+#: Options about signals on the disk.
+_OF_SIGNALS = ("dtype", "shard_signals", "compression", "jobs")
+#: What makers of datasets and recordings are told.
+_OF_DATASETS = ("output", "n_signals", "seed", "overwrite", *_OF_SIGNALS)
 
 
 @click.command(short_help="Make a dataset from a scene.")
 @click.argument("scene")
-@click.option("-o", "--output", required=True, help="Ending in .h5: one file; else a folder of shards.")
-@click.option("-n", "--signals", "n_signals", type=int, default=10_000, show_default=True, help="How many signals.")
+@click.option(
+    "-o",
+    "--output",
+    help="Ending in .h5: one file; else a folder of shards. Without signals: ending in .h5, .parquet or .csv.",
+)
+@click.option("-n", "--signals", "n_signals", type=int, help="How many signals (10000), or recordings of a stream (1).")
 @click.option("--seed", type=int, default=0, show_default=True, help="The same seed gives the same signals.")
 @click.option("--jobs", type=int, default=1, show_default=True, help="Worker processes.")
 @click.option("--dtype", type=click.Choice(["float32", "float64"]), default="float32", show_default=True)
 @click.option("--shard-signals", type=int, default=4096, show_default=True, help="Signals in each shard of a folder.")
 @click.option("--compression", type=click.Choice(["none", "gzip"]), default="none", show_default=True)
 @click.option("--overwrite", is_flag=True, help="Replace an old dataset.")
-def generate(scene: str, output: str, **options: Any) -> None:
+@click.option("--features-only", is_flag=True, help="A table of features instead of signals.")
+@click.option("--features", help="Only these, with commas between them; by default those of a model.")
+@click.option("--closed-form-only", is_flag=True, help="A table of what the impacts are without their pulses.")
+@click.option("--quantities", help="Only these, with commas between them; by default all.")
+@click.option("--parameters-only", is_flag=True, help="A table of what is drawn.")
+@click.option("--explain", is_flag=True, help="Print the plan: what would run, what not, why, and the cost.")
+@click.option("--json", "as_json", is_flag=True, help="The plan as one JSON object.")
+@click.pass_context
+def generate(context: click.Context, /, scene: str, **options: Any) -> None:
     """Make a dataset of signals from SCENE: a .toml file, or the name of a shipped one such as reference.
 
-    A scene that randomises its sampling rate makes no dataset: train on it directly.
+    With --features-only, --closed-form-only or --parameters-only no signals are kept: a table is written.
+    A scene that randomises its sampling rate makes no dataset: train on it directly, or tabulate its features. A scene
+    with a stream makes recordings, each with the truth of its impacts.
     """
+    output = _checked_output(context)
     from cgid import shipped
-    from cgid.scene import generate as generate_dataset
     from cgid.scene import load_scene
+    from cgid.scene.plan import plan
 
     loaded = load_scene(shipped.scene_path(scene))
-    n_signals = options["n_signals"]
+    if loaded.stream is not None:
+        if output != "frames" or options["explain"]:
+            raise click.UsageError(
+                f"scene {loaded.name} is a stream of recordings, for which there are neither tables nor a plan; leave "
+                "--explain and every --...-only out",
+                context,
+            )
+        _make_recordings(loaded, **{name: options[name] for name in _OF_DATASETS})
+        return
+    if options["n_signals"] is None:
+        options["n_signals"] = 10_000
+    asked = plan(loaded, [output], dtype=options["dtype"], **_which(output, options))
+    if options["explain"]:
+        _explain(asked, options["n_signals"], options["as_json"])
+    elif output == "frames":
+        _write_dataset(asked, options)
+    else:
+        _write_table(asked, options)
+
+
+def _checked_output(context: click.Context) -> str:
+    """Return what is asked for; refuse options that contradict each other, before any work is done."""
+    options = context.params
+    given = {name for name in options if context.get_parameter_source(name) is click.core.ParameterSource.COMMANDLINE}
+    only = [name for name in _ONLY if options[name]]
+    if len(only) > 1:
+        raise click.UsageError(f"{' and '.join(map(_flag, only))} exclude each other; give one of them", context)
+    for name, needed in _WHICH.items():
+        if name in given and needed not in only:
+            raise click.UsageError(f"{_flag(name)} needs {_flag(needed)}; give both or neither", context)
+    if options["as_json"] and not options["explain"]:
+        raise click.UsageError("--json needs --explain: it prints the plan; give both or neither", context)
+    for name in _OF_SIGNALS:
+        if only and name in given:
+            raise click.UsageError(
+                f"{_flag(name)} is for signals, {_flag(only[0])} keeps none; leave one of them out", context
+            )
+    if not options["explain"]:
+        _require_file(context, bool(only))
+    return _ONLY[only[0]] if only else "frames"
+
+
+def _require_file(context: click.Context, table: bool) -> None:
+    output = context.params["output"]
+    if output is None:
+        raise click.UsageError("Missing option '-o' / '--output'", context)
+    if table and Path(output).suffix.lower() not in (".h5", ".hdf5", ".parquet", ".csv"):
+        raise click.UsageError(
+            f"-o must end in .h5, .hdf5, .parquet or .csv for a table, got {output}; choose such a name", context
+        )
+
+
+def _flag(name: str) -> str:
+    return "--" + name.replace("_", "-")
+
+
+def _which(output: str, options: dict[str, Any]) -> dict[str, Any]:
+    """Return the features or quantities that are asked for."""
+    from cgid.identification.measuring import DEFAULT_FEATURES
+
+    def names(name: str, otherwise: tuple[str, ...] | None) -> Any:
+        return otherwise if options[name] is None else [part.strip() for part in options[name].split(",")]
+
+    if output == "features":
+        return {"features": names("features", DEFAULT_FEATURES)}
+    return {"quantities": names("quantities", None)} if output == "closed-form" else {}
+
+
+def _write_dataset(asked: Any, options: dict[str, Any]) -> None:
+    from cgid.scene import generate as generate_dataset
+
+    scene, n_signals = asked.request.scene, options["n_signals"]
     start = time.perf_counter()
     with progress_bar(n_signals, "signals") as progress:
-        path = generate_dataset(loaded, output, progress=progress, **options)
+        path = generate_dataset(scene, progress=progress, **{name: options[name] for name in _OF_DATASETS})
     seconds = time.perf_counter() - start
-    item = 8 if options["dtype"] == "float64" else 4
-    megabytes = n_signals * loaded.sampling.samples * item / 1e6
+    megabytes = n_signals * asked.request.signal_bytes / 1e6
     click.echo(
-        f"{path}: {n_signals} signals of {loaded.sampling.samples} samples in {seconds:.1f} s: "
+        f"{path}: {n_signals} signals of {scene.sampling.samples} samples in {seconds:.1f} s: "
         f"{n_signals / seconds:.0f} signals/s, {megabytes / seconds:.0f} MB/s",
         err=True,
     )
+
+
+def _write_table(asked: Any, options: dict[str, Any]) -> None:
+    from cgid.scene.tabulation import tabulate
+
+    n_signals, start = options["n_signals"], time.perf_counter()
+    taken = ("output", "n_signals", "seed", "overwrite")
+    with progress_bar(n_signals, "signals") as progress:
+        written = tabulate(asked, progress=progress, **{name: options[name] for name in taken})
+    seconds = time.perf_counter() - start
+    click.echo(
+        f"{written.path}: {asked.kind} of {n_signals} signals in {seconds:.1f} s: {n_signals / seconds:.0f} signals/s",
+        err=True,
+    )
+    if written.n_unmeasured:
+        click.echo(
+            f"cgid: warning: {written.path}: {written.n_unmeasured} of {n_signals} signals cannot be measured "
+            "and are nan",
+            err=True,
+        )
+
+
+def _explain(asked: Any, n_signals: int, as_json: bool) -> None:
+    """Print the plan: a line for each stage, the sum, and what it comes to for all signals."""
+    from dataclasses import asdict
+
+    from cgid.errors import InvalidValue
+
+    if n_signals < 1:
+        raise InvalidValue(f"n_signals must be 1 or more, got {n_signals}")
+    stages, microseconds, size = asked.stages, asked.microseconds, asked.request.signal_bytes
+    if as_json:
+        print_json(
+            {
+                "scene": asked.request.scene.name,
+                "output": asked.kind,
+                "stages": [asdict(stage) for stage in stages],
+                "microseconds_per_signal": microseconds,
+                "bytes_per_signal": size,
+                "signals": n_signals,
+                "seconds": microseconds * n_signals * 1e-6,
+                "bytes": size * n_signals,
+            }
+        )
+        return
+    click.echo(f"{asked.request.scene.name}: {asked.kind}; costs are estimates for one thread")
+    click.echo(f"{'stage':<19}{'':<9}{'us/signal':>9}{'error':>9}  why")
+    for stage in stages:
+        cost, runs = (f"{stage.microseconds:.2f}", "run") if stage.runs else ("-", "skipped")
+        click.echo(f"{stage.name:<19}{runs:<9}{cost:>9}{stage.error_bound:>9.2g}  {stage.why}")
+    click.echo(f"{'sum':<28}{microseconds:>9.2f}{'':>9}  {size} bytes a signal")
+    seconds, megabytes = microseconds * n_signals * 1e-6, size * n_signals / 1e6
+    click.echo(f"{n_signals} signals: {seconds:.3g} s, {megabytes:.4g} MB")
+
+
+def _make_recordings(
+    scene: Any, output: str, n_signals: int | None, jobs: int, shard_signals: int, compression: str, **options: Any
+) -> None:
+    from cgid.errors import InvalidValue
+    from cgid.scene.stream.generation import generate_recordings
+    from cgid.scene.stream.synthesis import samples_of
+
+    for flag, given, default in (
+        ("--jobs", jobs, 1),
+        ("--shard-signals", shard_signals, 4096),
+        ("--compression", compression, "none"),
+    ):
+        if given != default:
+            raise InvalidValue(f"{flag} is for datasets, scene {scene.name} is a stream of recordings; leave it out")
+    count = 1 if n_signals is None else n_signals
+    seconds = scene.stream.duration * count
+    start = time.perf_counter()
+    with progress_bar(count * samples_of(scene), "samples") as progress:
+        path = generate_recordings(scene, output, count, progress=progress, **options)
+    took = time.perf_counter() - start
+    click.echo(f"{path}: {count} recordings, {seconds:g} s in {took:.1f} s", err=True)

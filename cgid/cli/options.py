@@ -29,7 +29,7 @@ def recording_options(command: F) -> F:
         click.option("--channel", help="Only this channel: its name, or its number from 1."),
         click.option("--index", type=int, help="Only this signal of a dataset, from 0; else all of them."),
         click.option("--invert", is_flag=True, help="Turn the signal over: impacts must point upwards."),
-        click.option("--dead-time", type=float, default=2.0, show_default=True, help="Ringing after a blow [ms]."),
+        click.option("--dead-time", type=float, help="Ringing after a blow [ms]; 2 for pulses, 20 for vibrations."),
         click.option("--json", "as_json", is_flag=True, help="One JSON object a line."),
     ]
     for option in reversed(options):
@@ -70,10 +70,13 @@ def asks_for_whole_dataset(path: str, *, index: int | None, **given: Any) -> boo
     return True
 
 
-def check_dead_time(milliseconds: float) -> None:
-    """Refuse a dead time that is no time."""
+def dead_time_in_seconds(milliseconds: float | None) -> float | None:
+    """Return the dead time asked for [s]; refuse one that is no time."""
+    if milliseconds is None:
+        return None
     if not 0 <= milliseconds <= LONGEST_DEAD_TIME:
         raise InvalidValue(f"--dead-time must lie between 0 and {LONGEST_DEAD_TIME:g} ms, got {milliseconds:g} ms")
+    return milliseconds * 1e-3
 
 
 def each_file(files: Iterable[str], treat: Callable[[str], None]) -> int:

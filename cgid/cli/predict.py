@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import count
 from typing import Any
 
@@ -12,7 +12,7 @@ import click
 
 from cgid.cli.options import (
     asks_for_whole_dataset,
-    check_dead_time,
+    dead_time_in_seconds,
     each_file,
     print_json,
     read_signals,
@@ -24,12 +24,17 @@ from cgid.cli.options import (
 class _Asked:
     """What is asked of every file."""
 
-    model: Any
+    models: _Models
     decision: Any
     drop_height: float | None
     mass: float | None
-    dead_time: float
+    dead_time: float | None
     as_json: bool
+    model: Any = None
+
+    def of(self, quantity: str | None) -> _Asked:
+        """Return the same with the model for a quantity."""
+        return replace(self, model=self.models.of(quantity))
 
     @property
     def how(self) -> dict[str, Any]:
@@ -37,9 +42,40 @@ class _Asked:
         return {name: getattr(self.decision, name) for name in ("costs", "coverage", "class_conditional")}
 
 
+class _Models:
+    """The model asked for; else the default model of each quantity, loaded and checked when a signal needs it.
+
+    Whoever gives a mass or a drop height has a force in mind.
+    """
+
+    def __init__(self, path: str | None, mass: float | None, drop_height: float | None, decision: Any) -> None:
+        self.drop_height, self.decision = drop_height, decision
+        self._models: dict[str | None, Any] = {}
+        self._given: Any = None
+        if path is not None or mass is not None or drop_height is not None:
+            self._given = self._checked(_load(path, drop_height))
+
+    def of(self, quantity: str | None) -> Any:
+        """Return the model for signals of a quantity."""
+        if self._given is not None:
+            return self._given
+        if quantity not in self._models:
+            self._models[quantity] = self._checked(_default_for(quantity))
+        return self._models[quantity]
+
+    def _checked(self, model: Any) -> Any:
+        """Return the model if it can decide as asked."""
+        from cgid.identification.known import known_columns
+
+        self.decision.check(model)
+        if self.drop_height is not None:
+            known_columns(model.known, 1, self.drop_height)
+        return model
+
+
 @click.command(short_help="Identify the material of the impacts in recordings.")
 @click.argument("files", nargs=-1, metavar="FILE...")
-@click.option("--model", "model_path", help="Model file; the default model if not given.")
+@click.option("--model", "model_path", help="Model file; the default model of the quantity if not given.")
 @click.option("--sample", is_flag=True, help="Use the recording that comes with cgid.")
 @click.option("--mass", type=float, help="Mass of the accelerated striker [kg]: force = mass x acceleration.")
 @click.option("--drop-height", type=float, help="How far the rocks fell [m], for a model that needs to know.")
@@ -61,30 +97,28 @@ def predict(
     coverage: float | None,
     class_conditional: bool,
     as_json: bool,
-    dead_time: float,
+    dead_time: float | None,
     **reading: Any,
 ) -> int:
     """Identify the material of every impact in FILEs: CSV or TXT, NPY, WAV, or a dataset; - is stdin.
+
+    Without --model a force is answered by the default model of pulses, an acceleration by that of vibrations; with
+    --mass an acceleration is that of the striker, and becomes a force.
 
     The label is "unknown" when the impact lies outside of what the model was trained on (novelty above 1), or with
     --coverage when several labels, or none, are left.
     """
     from cgid import shipped
     from cgid.identification.answers import Decision
-    from cgid.identification.known import known_columns
 
     if sample:
         files = (*files, str(shipped.path_of("datasets", shipped.SAMPLE)))
     if not files:
         raise click.UsageError("give at least one FILE, or --sample for the one that comes with cgid")
-    model = _load(model_path, drop_height)
     weights = dict(_parse_cost(text) for text in costs)
     decision = Decision(costs=weights, coverage=coverage, class_conditional=class_conditional)
-    decision.check(model)
-    if drop_height is not None:
-        known_columns(model.known, 1, drop_height)
-    check_dead_time(dead_time)
-    asked = _Asked(model, decision, drop_height, mass, dead_time * 1e-3, as_json)
+    models = _Models(model_path, mass, drop_height, decision)
+    asked = _Asked(models, decision, drop_height, mass, dead_time_in_seconds(dead_time), as_json)
     titles = iter([] if as_json else [_ROW.format("time [s]", "label", "probability", "novelty", "source")])
 
     def treat(path: str) -> None:
@@ -108,6 +142,23 @@ def _load(path: str | None, drop_height: float | None) -> Any:
     return Model.load(path or shipped.path_of("models", shipped.DEFAULT_MODEL))
 
 
+def _default_for(quantity: str | None) -> Any:
+    """Return the default model for a quantity; what is neither force nor acceleration is told to be a force's."""
+    from cgid import shipped
+    from cgid.errors import NoInput
+    from cgid.identification.model import Model
+
+    if quantity != "acceleration":
+        return Model.load(shipped.path_of("models", shipped.DEFAULT_MODEL))
+    try:
+        return Model.load(shipped.path_of("models", shipped.ACCELERATION_MODEL))
+    except NoInput as error:
+        raise NoInput(
+            f"{error}; or give --model, or --mass KG if the accelerated body is the striker (force = mass x "
+            "acceleration)"
+        ) from None
+
+
 def _treat(path: str, asked: _Asked, titles: Iterator[str], reading: dict[str, Any]) -> None:
     from cgid.errors import BadData
     from cgid.identification.answers import identify, suited
@@ -116,7 +167,9 @@ def _treat(path: str, asked: _Asked, titles: Iterator[str], reading: dict[str, A
     if asks_for_whole_dataset(path, mass=asked.mass, **reading):
         _treat_dataset(path, asked, titles, reading["invert"])
         return
+    everything = asked
     for signal in read_signals(path, **reading):
+        asked = everything.of(signal.quantity)
         fitting = suited(signal, asked.model, asked.mass)
         _warn_of_rate(fitting.name, fitting.sampling_rate, asked.model)
         height = asked.drop_height
@@ -135,19 +188,23 @@ def _treat_dataset(path: str, asked: _Asked, titles: Iterator[str], invert: bool
     """Answer for every signal of a dataset, batch by batch, and count the right answers."""
     from cgid.errors import BadData
     from cgid.identification.answers import identify_frames
+    from cgid.signals import UNITS
     from cgid.store import Dataset
 
     dataset = Dataset(path)
-    if dataset.unit != asked.model.unit:
+    asked = asked.of(dataset.quantity)
+    if dataset.quantity != asked.model.quantity:
         raise BadData(
-            f"{path}: the unit must be the model's, {asked.model.unit}, got {dataset.unit}; "
-            "train a model on such signals"
+            f"{path}: the quantity must be the model's, {asked.model.quantity} [{asked.model.unit}], got "
+            f"{dataset.quantity} [{dataset.unit}]; train a model on such signals"
         )
+    units = UNITS[dataset.quantity]
+    factor = units[dataset.unit] / units[asked.model.unit] * (-1 if invert else 1)
     _warn_of_rate(path, dataset.sampling_rate, asked.model)
     number, tally = count(), _Tally()
     for batch in dataset.batches():
         answers = identify_frames(
-            -batch.signals if invert else batch.signals,
+            batch.signals if factor == 1 else batch.signals * factor,
             batch.sampling_rate,
             asked.model,
             pre_trigger=batch.pre_trigger,

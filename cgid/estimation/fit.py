@@ -5,7 +5,7 @@ Levenberg and Marquardt's damping keeps each signal's steps in bounds; signals t
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -86,6 +86,8 @@ class PulseFit:
     evidence : ndarray, (n,)
         What the pulse explains of the samples, over the variance of the noise.
     converged : ndarray of bool, (n,)
+    reach : ndarray of int, (n,)
+        The last sample that the fit asked for; the misfit alone looks at the whole frame.
     """
 
     peak: Floats
@@ -99,6 +101,7 @@ class PulseFit:
     clipped: NDArray[np.intp]
     evidence: Floats
     converged: NDArray[np.bool_]
+    reach: NDArray[np.intp]
 
     @classmethod
     def joined(cls, parts: list[PulseFit]) -> PulseFit:
@@ -109,7 +112,9 @@ class PulseFit:
     def nothing(cls) -> PulseFit:
         """Return no rows at all."""
         none = np.empty(0)
-        return cls(*(none,) * 6, np.empty((0, 5, 5)), none, np.empty(0, np.intp), none, np.empty(0, bool))
+        return cls(
+            *(none,) * 6, np.empty((0, 5, 5)), none, np.empty(0, np.intp), none, np.empty(0, bool), np.empty(0, np.intp)
+        )
 
     def spread(self, places: NDArray[np.intp], n: int) -> PulseFit:
         """Return n rows with these at their places, the others nan, nothing clipped and not converged."""
@@ -207,7 +212,8 @@ def _fit_block(
             found = _search(problem, guess[rows], sigma[rows] / np.sqrt(window.averaged), _ITERATIONS, 1e-6)
             parts.append((rows, _report(problem, *found, sigma[rows], unit[rows])))
     rows = np.concatenate([rows for rows, _ in parts])
-    return PulseFit.joined([part for _, part in parts]).rows(np.argsort(rows, kind="stable"))
+    joined = PulseFit.joined([part for _, part in parts]).rows(np.argsort(rows, kind="stable"))
+    return replace(joined, reach=np.maximum(joined.reach, coarse.reach))
 
 
 def _coarse(window: Window, guess: Floats, sigma: Floats, fit_baseline: bool, onset: Floats | None) -> Floats:
@@ -396,4 +402,5 @@ def _report(
         clipped=clipped,
         evidence=peak**2 * np.maximum(information[:, 0, 0], 0.0) / variance,
         converged=converged,
+        reach=window.reach,
     )

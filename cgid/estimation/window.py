@@ -48,6 +48,8 @@ class Window:
         The largest magnitude of the samples that are not looked at.
     run : int
         Samples in one point where all rows have as many by design; else 1.
+    reach : ndarray of int, (n,)
+        The last column that was asked for, in the frame or beyond it.
     """
 
     rows: NDArray[np.intp]
@@ -58,6 +60,7 @@ class Window:
     clipped: NDArray[np.bool_] | None
     beside: Floats
     run: int
+    reach: NDArray[np.intp]
 
     def part(self, rows: NDArray[np.intp] | slice) -> Window:
         """Return some of its rows."""
@@ -70,6 +73,7 @@ class Window:
             None if self.clipped is None else self.clipped[rows],
             self.beside[rows],
             self.run,
+            self.reach[rows],
         )
 
 
@@ -121,7 +125,7 @@ def coarse_window(
     values /= start.peak[:, None]
     times = 0.5 * (edges[:, :-1] + edges[:, 1:] - 1.0)
     rows = np.arange(n)
-    return Window(rows, values, times, run.astype(np.float64), outside, clipped, np.zeros(n), 1)
+    return Window(rows, values, times, run.astype(np.float64), outside, clipped, np.zeros(n), 1, edges[:, -1] - 1)
 
 
 def _window(
@@ -151,13 +155,13 @@ def _window(
     if unit is not None:
         values /= unit[rows][:, None]
         beside /= unit[rows]
-    times = columns.astype(np.float64)
+    times, reach = columns.astype(np.float64), first + length - 1
     if run > 1:
         shape = (len(rows), length // run, run)
         values, times = values.reshape(shape).mean(axis=2), times.reshape(shape).mean(axis=2)
         outside = None if outside is None else outside.reshape(shape).any(axis=2)
         clipped = None if clipped is None else clipped.reshape(shape).any(axis=2)
-    return Window(rows, values, times, np.full(len(rows), float(run)), outside, clipped, beside, run)
+    return Window(rows, values, times, np.full(len(rows), float(run)), outside, clipped, beside, run, reach)
 
 
 def _largest_beside(

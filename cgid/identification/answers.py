@@ -11,10 +11,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from cgid.errors import BadData, InvalidValue, MissingOption
 from cgid.features import MINIMUM_FRAME, extract_array, problems_of
-from cgid.identification.events import DEAD_TIME, find_impacts
+from cgid.identification.events import find_impacts
 from cgid.identification.known import known_columns
 from cgid.identification.model import UNKNOWN, Model
-from cgid.pulses import DETECTION_LIMIT, PulseBatch
+from cgid.pulses import DETECTION_LIMIT
 from cgid.signals import UNITS, Signal
 from cgid.validation import Floats
 
@@ -156,7 +156,7 @@ def identify(
     coverage: float | None = None,
     class_conditional: bool = False,
     drop_height: float | None = None,
-    dead_time: float = DEAD_TIME,
+    dead_time: float | None = None,
 ) -> list[Answer]:
     """Return one answer for each impact in a recording.
 
@@ -169,7 +169,7 @@ def identify(
         See `Decision`.
     drop_height : float, optional
         How far the rocks fell [m], for a model that needs to know.
-    dead_time : float
+    dead_time : float, optional
         See `find_impacts` [s].
 
     Raises
@@ -182,7 +182,7 @@ def identify(
         The model has no use for the drop height, or a choice is one that it cannot serve.
     """
     answers = []
-    for event in find_impacts(signal, dead_time=dead_time):
+    for event in find_impacts(signal, kind=model.kind, dead_time=dead_time):
         part = event.signal
         answers += identify_frames(
             part.samples[None],
@@ -234,8 +234,9 @@ def identify_frames(
     answers = _known_answers(np.hstack([features, known[sound]]), guards, model, decision, time, sampling_rate)
     problems = {}
     if not sound.all():
-        pulses = PulseBatch(frames, sampling_rate, pre_trigger, True, detection_limit)
-        problems = problems_of(pulses, model.measured)
+        problems = problems_of(
+            frames, sampling_rate, model.measured, pre_trigger=pre_trigger, detection_limit=detection_limit
+        )
     return [
         next(answers) if sound[row] else _unmeasured(problems.get(row, "a feature has no finite value"), time)
         for row in range(len(frames))

@@ -9,6 +9,7 @@ from cgid.identification.known import KNOWN
 from cgid.identification.model import Model
 
 Rows = Sequence[Mapping[str, Any]]
+_SHAPES = {"pulse": "positive pulses", "vibration": "vibrations of both signs"}
 
 
 def write_card(model: Model, name: str, pictures: tuple[str, ...] = ()) -> str:
@@ -33,6 +34,8 @@ def write_card(model: Model, name: str, pictures: tuple[str, ...] = ()) -> str:
     lines += ["## Calibration and reject option", "", *_calibration(model)]
     if "domain_shift" in training:
         lines += ["## Domain shift", "", *domain_shift_table(training["domain_shift"]), ""]
+    if "beside_force" in training:
+        lines += ["## What is lost against the force", "", *force_table(training["beside_force"]), ""]
     if "selection" in training:
         lines += ["## Selection", "", *selection_table(training["selection"]), ""]
         chosen = [row["name"] for row in training["selection"] if row["chosen"]]
@@ -41,7 +44,7 @@ def write_card(model: Model, name: str, pictures: tuple[str, ...] = ()) -> str:
                 f"Bold is the choice of this comparison; the family of this model, {model.family}, was asked for.",
                 "",
             ]
-    return "\n".join([*lines, *_LIMITS])
+    return "\n".join([*lines, *_LIMITS, *(_LIMITS_OF_VIBRATIONS if model.kind == "vibration" else ())])
 
 
 def table(titles: Sequence[str], rows: Iterable[Sequence[object]]) -> list[str]:
@@ -92,13 +95,26 @@ def selection_table(rows: Rows) -> list[str]:
     )
 
 
+def force_table(row: Mapping[str, Any]) -> list[str]:
+    """Return what a model and one of the contact force make of the same impacts as Markdown.
+
+    A dict of name (of the other), n, accuracy, force_accuracy, difference and standard_error.
+    """
+    rows = [
+        ("this model, on the vibration", row["n"], f"{row['accuracy']:.4f}"),
+        (row["name"], row["n"], f"{row['force_accuracy']:.4f}"),
+    ]
+    lost = f"{row['difference']:.4f} ± {row['standard_error']:.4f} of the accuracy"
+    return [*table(("the same impacts", "number", "accuracy"), rows), "", f"The way through the beam costs {lost}."]
+
+
 def _identity(model: Model) -> list[tuple[str, str]]:
     training = model.training
     rates = " to ".join(f"{rate / 1e3:g}" for rate in dict.fromkeys(model.sampling_rates))
     guards = zip(model.guards, model.guard_limits, strict=True)
     return [
         ("family", f"{model.family}, probabilities calibrated by temperature {model.temperature:.4g}"),
-        ("expects", f"{model.quantity} [{model.unit}], positive pulses, trained at {rates} kHz"),
+        ("expects", f"{model.quantity} [{model.unit}], {_SHAPES[model.kind]}, trained at {rates} kHz"),
         ("must be known, too", ", ".join(f"{name} [{KNOWN[name]}]" for name in model.known) or "nothing"),
         ("features", ", ".join(model.features)),
         ("novelty only", ", ".join(f"{name} (edge {limit:.4g})" for name, limit in guards) or "none"),
@@ -178,5 +194,12 @@ _LIMITS = (
     "often right than it says. Coverage is promised for impacts like those of the training, not for strangers.",
     "The interval counts specimens, not impacts.",
     "Data that was synthesised says how good the method can be, not how good it is in a mine.",
+    "",
+)
+
+_LIMITS_OF_VIBRATIONS = (
+    "The levels are those of one beam, its sensor where it is and as sensitive as it is: on another beam, at another",
+    "place or with another gain the model must be trained again. Where two impacts follow each other within 20 ms",
+    "the second is taken for a part of the first.",
     "",
 )

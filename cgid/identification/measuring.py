@@ -2,24 +2,32 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
+from itertools import chain
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cgid import validation
 from cgid.errors import BadData
-from cgid.features import choose, extract_array
+from cgid.features import choose, extract_array, kind_for, kind_of, supported
+from cgid.features.vibration import EARLY_BANDS, THIRD_OCTAVES
 from cgid.identification.known import KNOWN, drop_heights
-from cgid.signals import Batch
+from cgid.signals import Batch, quantity_of
 from cgid.validation import Floats
 
 #: How ill a pulse fits what a pulse should be: of use to know strangers by, and never to tell labels apart.
-#: These guard a model by default.
+#: These guard a model of pulses by default.
 DEFAULT_GUARDS = ("misfit", "overload")
-#: What a model looks at by default: the fitted pulse, with how well its shape is told.
+#: What a model of pulses looks at by default: the fitted pulse, with how well its shape is told.
 DEFAULT_FEATURES = ("fitted_peak", "fitted_width", "shrunken_restitution", "shrunken_restitution_deviation")
+#: What a model of vibrations looks at by default, as far as rate and frames allow: how strong it is at which
+#: frequencies, all in all and while the force still acts. Gains cannot cancel: how hard a blow was says most.
+DEFAULT_VIBRATION_FEATURES = (
+    *(f"level_{middle}_hz" for middle in THIRD_OCTAVES),
+    *(f"early_level_{low}_{high}_hz" for low, high in EARLY_BANDS),
+)
 
 
 @dataclass(frozen=True)
@@ -57,6 +65,32 @@ class Measured:
     left_out: int
 
 
+def chosen_for(batches: Iterable[Batch], features: Iterable[str] | None) -> tuple[Iterator[Batch], tuple[str, ...]]:
+    """Return the batches as they are, and what to measure on them.
+
+    Where nothing is asked, their quantity says it, and what the first of them allows: a band above half of its
+    sampling rate is left out, and one that its frames are too short for.
+    """
+    batches = iter(batches)
+    if features is not None:
+        return batches, choose(features)
+    first = next(batches, None)
+    if first is None or kind_for(quantity_of(first.unit)) == "pulse":
+        return chain([first] if first is not None else [], batches), DEFAULT_FEATURES
+    names = supported(DEFAULT_VIBRATION_FEATURES, first.sampling_rate, first.signals.shape[1])
+    if not names:
+        raise BadData(
+            f"vibrations must be sampled fast and long enough for a third-octave band, frames of "
+            f"{first.signals.shape[1]} samples at {first.sampling_rate:g} Hz hold none; record longer"
+        )
+    return chain([first], batches), names
+
+
+def default_guards(features: Iterable[str]) -> tuple[str, ...]:
+    """Return the guards of a model that looks at these features: what says how ill a pulse fits knows no vibration."""
+    return DEFAULT_GUARDS if kind_of(features) == "pulse" else ()
+
+
 def measure(
     batches: Iterable[Batch],
     features: Iterable[str] | None = None,
@@ -73,7 +107,7 @@ def measure(
     InvalidValue
         A feature or something known is unknown.
     """
-    names = choose(DEFAULT_FEATURES if features is None else features)
+    batches, names = chosen_for(batches, features)
     for name in known:
         validation.choice("known", name, dict(KNOWN))
     rows, beside, labels, specimen, rates, sources, source = [], [], [], [], set(), [], []

@@ -18,6 +18,8 @@ from numpy.typing import NDArray
 
 from cgid import validation
 from cgid.errors import BadData, InvalidValue, NoInput
+from cgid.features import kind_of
+from cgid.features.feature import Kind
 from cgid.identification.conformal import Conformal
 from cgid.identification.families import BY_NAME, Family
 from cgid.identification.soundness import (
@@ -95,8 +97,13 @@ class Model:
 
     @property
     def measured(self) -> tuple[str, ...]:
-        """What to measure on a pulse: the features, then the guards."""
+        """What to measure on an impact: the features, then the guards."""
         return self.features + self.guards
+
+    @property
+    def kind(self) -> Kind:
+        """What its signals are like: pulses, or vibrations."""
+        return kind_of(self.measured)
 
     @property
     def inputs(self) -> tuple[str, ...]:

@@ -17,7 +17,7 @@ from cgid.errors import BadData, InvalidValue
 from cgid.features import FEATURES, choose
 from cgid.identification.classifier import ImpactClassifier
 from cgid.identification.conformal import Conformal
-from cgid.identification.measuring import DEFAULT_FEATURES, DEFAULT_GUARDS, Measured, measure
+from cgid.identification.measuring import Measured, chosen_for, default_guards, measure
 from cgid.identification.metrics import evaluate, evaluate_sets
 from cgid.identification.model import Model
 from cgid.identification.transform import Neighbourhood
@@ -115,7 +115,7 @@ def train(
     batches: Iterable[Batch],
     *,
     features: Iterable[str] | None = None,
-    guards: Iterable[str] = DEFAULT_GUARDS,
+    guards: Iterable[str] | None = None,
     known: Iterable[str] = (),
     family: str = "logistic",
     test_share: float = TEST_SHARE,
@@ -135,9 +135,10 @@ def train(
     batches : iterable of Batch
         A dataset's, or a scene's as it is synthesised.
     features : iterable of str, optional
-        Out of `cgid.features.FEATURES`; `DEFAULT_FEATURES` if not given.
-    guards : iterable of str
+        Out of `cgid.features.FEATURES`; if not given, what `cgid.identification.measuring` has for the quantity.
+    guards : iterable of str, optional
         Features that only say how strange an impact is: the larger, the stranger. They are left out of `features`.
+        If not given, `DEFAULT_GUARDS` for features of pulses, none for those of vibrations.
     known : iterable of str
         What the model is told beside the signal, out of `cgid.identification.known.KNOWN`.
     family : {"boosting", "discriminant", "logistic", "network"}
@@ -164,8 +165,10 @@ def train(
     InvalidValue
         A choice is unknown, a label has a single specimen, or a guard is no positive number.
     """
-    guards = choose(guards) if (guards := tuple(guards)) else ()
-    names = tuple(name for name in choose(DEFAULT_FEATURES if features is None else features) if name not in guards)
+    batches, names = chosen_for(batches, features)
+    guards = default_guards(names) if guards is None else tuple(guards)
+    guards = choose(guards) if guards else ()
+    names = tuple(name for name in names if name not in guards)
     known = tuple(known)
     with threadpool_limits(1):
         measured = measure(batches, names + guards, progress, known=known)
@@ -213,10 +216,8 @@ def train(
 
 
 def linear_columns(features: Sequence[str]) -> tuple[int, ...]:
-    """Return the columns that never get a logarithm: features without a unit may be of either sign."""
-    return tuple(
-        column for column, name in enumerate(features) if FEATURES[name].unit == "1" and not FEATURES[name].positive
-    )
+    """Return the columns that never get a logarithm: they are logarithms already, or may be of either sign."""
+    return tuple(column for column, name in enumerate(features) if FEATURES[name].linear)
 
 
 def _home(measured: Measured, judged_on: str | None) -> NDArray[np.bool_]:

@@ -1,6 +1,7 @@
 """One impact: its pulse, its peaks, its rebound, and how they hang on the material."""
 
 from cgid.impact.bodies import RIGID, HalfSpace, RigidWall, Sphere, ThinPlate
+from cgid.impact.coupled import ModalImpact
 from cgid.impact.damping_factors import HUNT_CROSSLEY_LAWS
 from cgid.impact.dissipation import Elastic, HuntCrossley, Viscoelastic
 from cgid.impact.hertz import STIFFNESS_THEORIES, contact_stiffness, free_fall_velocity
@@ -18,6 +19,7 @@ __all__ = [
     "HertzRangeWarning",
     "HuntCrossley",
     "Impact",
+    "ModalImpact",
     "RigidWall",
     "Sensitivity",
     "Sphere",

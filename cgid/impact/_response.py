@@ -118,7 +118,7 @@ def ring(
 
     Of row i the pulses order[begin[i]:begin[i + 1]], sorted by start, begin to ring at sample start of the frame.
     table (2, n_poles, length), hop (2, n_poles) is exp(p length). Poles are sorted by how long they ring: from the end
-    of the list those are left out that are quieter than silence times the largest sample that has rung so far.
+    of the list those are left out that together are quieter than silence times the largest sample so far.
     """
     length, n_poles = table.shape[2], table.shape[1]
     kind = table[0, 0, :1]
@@ -130,7 +130,7 @@ def ring(
         if following == last:
             continue
         state[:] = 0.0
-        alive, loudest = 0, 0.0
+        alive, loudest, left_out = 0, 0.0, 0.0
         here, samples = start[order[following]], frames[row]
         while here < samples.size and (alive > 0 or following < last):
             if alive == 0:
@@ -162,11 +162,17 @@ def ring(
                         state[0, r], state[1, r] = 0.0, 0.0
                     state[0, r] += new[0, r] * re - new[1, r] * im
                     state[1, r] += new[0, r] * im + new[1, r] * re
-                alive = n_poles
+                alive, left_out = n_poles, 0.0
                 following += 1
             for k in range(max(here, 0), end):
                 loudest = max(loudest, abs(samples[k]))
-            while alive > 0 and math.hypot(state[0, alive - 1], state[1, alive - 1]) < silence * loudest:
+            if alive < n_poles:
+                left_out *= math.hypot(hop[0, alive], hop[1, alive])  # the slowest of them
+            while alive > 0:
+                more = math.hypot(state[0, alive - 1], state[1, alive - 1])
+                if left_out + more > silence * loudest:
+                    break
+                left_out += more
                 alive -= 1
             here += length
     return computed

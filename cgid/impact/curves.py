@@ -9,19 +9,20 @@ else is integrated. This is where it is decided what runs.
 from __future__ import annotations
 
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from functools import cache, cached_property
+from functools import cached_property
 from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
 from cgid import family
+from cgid.counting import count, counting
 from cgid.errors import InvalidValue
 from cgid.impact.closed_forms import peak_displacement, peak_force
 from cgid.impact.dispatch import FEW_SAMPLES, kernel
 from cgid.impact.restitution import damping_number
+from cgid.impact.threads import in_threads
 from cgid.validation import Floats
 
 Quantity = Literal["force", "displacement"]
@@ -30,8 +31,6 @@ LOWEST_RESTITUTION, LOWEST_ON_A_PLATE = 1e-30, 1e-14
 #: Stepping in time: the smallest error over the peak that it is asked for, how many steps a contact takes for an error
 #: of 1, and up to which D the method is stable with them.
 FINEST_STEPPED, _STEPS_FOR_ONE, _MOST_STEPPED_DAMPING = 1e-7, 4.0, 100.0
-#: Rows below which another thread does not pay.
-_LEAST = 200
 
 
 @dataclass(frozen=True)
@@ -67,8 +66,13 @@ class Curves:
 
     @cached_property
     def damping(self) -> Floats:
-        """D of the Hunt-Crossley loss."""
-        return damping_number(self.material_restitution)
+        """D of the Hunt-Crossley loss; where there is none nothing is solved for."""
+        damped = self.material_restitution < 1
+        count("damping_solves", np.count_nonzero(damped))
+        damping = np.zeros(self.material_restitution.shape)
+        if damped.any():
+            damping[damped] = damping_number(self.material_restitution[damped])
+        return damping
 
     @cached_property
     def _parameters(self) -> Floats:
@@ -83,11 +87,13 @@ class Curves:
     @cached_property
     def peak_force(self) -> Floats:
         """Largest force."""
+        count("closed_form_peaks", np.count_nonzero(self.plain))
         return self._closed_or_integrated(lambda rows: peak_force(self.damping[rows]), "peak_force")
 
     @cached_property
     def peak_displacement(self) -> Floats:
         """Largest displacement."""
+        count("closed_form_peaks", np.count_nonzero(self.plain))
         return self._closed_or_integrated(lambda rows: peak_displacement(self.damping[rows]), "peak_displacement")
 
     @cached_property
@@ -117,6 +123,7 @@ class Curves:
     def times(self) -> tuple[Floats, Floats, Floats]:
         """Contact time, time of the peak force, time of the largest displacement."""
         out = np.empty((3, self.plain.size))
+        count("tabulated_times", np.count_nonzero(self.tabulated))
         if self.tabulated.any():
             out[:, self.tabulated] = family.times(self.material_restitution[self.tabulated])
         if not self.tabulated.all():
@@ -127,7 +134,8 @@ class Curves:
 
     def _closed_or_integrated(self, closed: Callable[[NDArray[np.bool_]], Floats], name: str) -> Floats:
         out = np.empty(self.plain.size)
-        out[self.plain] = closed(self.plain)
+        if self.plain.any():
+            out[self.plain] = closed(self.plain)
         if not self.plain.all():
             out[~self.plain] = self._integrated[name][~self.plain]
         return out
@@ -138,6 +146,7 @@ class Curves:
         from cgid.impact import _taylor
 
         found = np.full((self.plain.size, len(_taylor.RESULTS)), np.nan)
+        count("integrated_impacts", np.count_nonzero(~self.tabulated))
         summaries = kernel(_taylor, "summaries", self.plain.size)
         summaries(self._parameters, _taylor.ORDER, 0.0, found, np.flatnonzero(~self.tabulated))
         return dict(zip(_taylor.RESULTS, found.T, strict=True))
@@ -193,6 +202,8 @@ class Curves:
         """Return force or displacement at times (n, k) [s], shape (n, k), zero outside contact."""
         out = np.empty(times.shape, dtype)
         rows, rest = np.flatnonzero(self.tabulated), np.flatnonzero(~self.tabulated)
+        count("table_pulses", rows.size)
+        count("integrated_pulses", rest.size)
         if rows.size * times.shape[1] <= FEW_SAMPLES:
             restitution = self.material_restitution[rows]
             with np.errstate(over="ignore"):  # long past separation
@@ -203,13 +214,13 @@ class Curves:
 
             columns, place = getattr(family.table(), quantity), family.coordinate(self.material_restitution)
             cubic = quantity == "force"
-            _in_threads(_kernels.at_times, (times, place, time_scale, amplitude, columns, cubic, out), rows, threads)
+            in_threads(_kernels.at_times, (times, place, time_scale, amplitude, columns, cubic, out), rows, threads)
         if rest.size:
             from cgid.impact import _taylor
 
             row = _taylor.FORCE if quantity == "force" else _taylor.DISPLACEMENT
             numbers = (times, self._parameters, time_scale, amplitude, row, _taylor.ORDER, out)
-            _in_threads(kernel(_taylor, "at_times", *times.shape), numbers, rest, threads)
+            in_threads(kernel(_taylor, "at_times", *times.shape), numbers, rest, threads)
         return out
 
     def add_to_frames(
@@ -237,6 +248,10 @@ class Curves:
             Error allowed over the peak for what no table holds, which is then stepped in time; 0 for none.
         """
         rows, rest = np.flatnonzero(self.tabulated), np.flatnonzero(~self.tabulated)
+        count("table_pulses", rows.size)
+        count("integrated_pulses", rest.size)
+        if counting():
+            count("pulse_samples", _samples_in_contact(onset, onset + self.times[0] / step, frames.shape[1]))
         if tolerance >= FINEST_STEPPED:
             steps = int(np.ceil(_STEPS_FOR_ONE * tolerance**-0.4))
             stepped = rest[self.damping[rest] < _MOST_STEPPED_DAMPING]
@@ -247,12 +262,12 @@ class Curves:
 
             place, columns = family.coordinate(self.material_restitution), family.table().force
             run = kernel(_kernels, "add_to_frames", *frames.shape)
-            _in_threads(run, (frames, onset, step, place, amplitude, columns), rows, threads)
+            in_threads(run, (frames, onset, step, place, amplitude, columns), rows, threads)
         if rest.size:
             from cgid.impact import _taylor
 
             run = kernel(_taylor, "add_to_frames", *frames.shape)
-            _in_threads(run, (frames, onset, step, self._parameters, amplitude, _taylor.ORDER), rest, threads)
+            in_threads(run, (frames, onset, step, self._parameters, amplitude, _taylor.ORDER), rest, threads)
 
     def _add_stepped(
         self,
@@ -270,19 +285,10 @@ class Curves:
 
         run = kernel(_stepped, "add_to_frames", *frames.shape)
         numbers = (frames, onset, step, self._parameters, amplitude, self.times[0], n_steps)
-        _in_threads(run, numbers, rows, threads)
+        in_threads(run, numbers, rows, threads)
 
 
-def _in_threads(run: Callable[..., None], arguments: tuple[Any, ...], rows: NDArray[np.intp], threads: int) -> None:
-    """Call a kernel, which lets go of the interpreter's lock, for parts of the rows in threads."""
-    threads = min(threads, -(-rows.size // _LEAST))
-    if threads <= 1:
-        run(*arguments, rows)
-        return
-    list(_pool(threads).map(lambda part: run(*arguments, part), np.array_split(rows, threads)))
-
-
-@cache
-def _pool(threads: int) -> ThreadPoolExecutor:
-    """Return threads that are kept: starting them anew takes as long as a hundred pulses."""
-    return ThreadPoolExecutor(threads, thread_name_prefix="cgid")
+def _samples_in_contact(touch: Floats, separation: Floats, n_samples: int) -> int:
+    """Return how many samples of frames lie between touch and separation, both in samples."""
+    first = np.clip(np.floor(touch) + 1, 0, n_samples)
+    return int(np.sum(np.clip(np.ceil(separation), first, n_samples) - first))

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from cgid import validation
+from cgid.counting import count
 from cgid.errors import InvalidValue
 from cgid.impact.bodies import Sphere, Target, sphere_share
 from cgid.impact.damping_factors import HUNT_CROSSLEY_LAWS
@@ -86,7 +87,9 @@ class HuntCrossley:
         """The restitution that this damping really gives on a target that takes no energy."""
         if self.law == "exact":
             return validation.restitution("restitution", self.restitution)
-        return delivered_restitution(self.damping_number)
+        damping = self.damping_number
+        count("damping_solves", damping.size)
+        return delivered_restitution(damping)
 
     def loss(self, sphere: Sphere, target: Target) -> tuple[Floats, Floats]:
         """Return what `Collision` asks of every dissipation: restitution by Hunt-Crossley damping, and A [s]."""

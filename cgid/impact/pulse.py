@@ -19,6 +19,11 @@ from cgid.validation import Floats
 HERTZ_LIMIT = 0.1
 #: Beyond this lambda Zener's thin plate disagrees with finer models.
 INELASTICITY_LIMIT = 1.5
+#: What that means.
+BEYOND_THIN_PLATE = (
+    "the plate takes nearly all of the speed, the contact outlasts its waves' way to the edges, and force and rebound "
+    "are not to be trusted; use a thicker plate, or couple the impact through the modes of the beam"
+)
 
 
 class HertzRangeWarning(UserWarning):
@@ -92,7 +97,10 @@ class Impact(Collision):
                 warnings.warn(message, HertzRangeWarning, stacklevel=4)
         largest = self.inelasticity.max(initial=0.0)
         if largest > INELASTICITY_LIMIT:
-            message = f"lambda of the thin plate reaches {largest:.3g}; Zener's theory holds to {INELASTICITY_LIMIT:g}"
+            message = (
+                f"lambda of the thin plate reaches {largest:.3g}; Zener's theory holds to {INELASTICITY_LIMIT:g}: "
+                f"{BEYOND_THIN_PLATE}"
+            )
             warnings.warn(message, ThinPlateWarning, stacklevel=4)
 
     def _shaped(self, values: Floats) -> Floats:
@@ -121,6 +129,11 @@ class Impact(Collision):
     def contact_duration(self) -> Floats:
         """Time from touch to separation [s]."""
         return self.time_scale * self._shaped(self.curves.times[0])
+
+    @property
+    def end_of_contact(self) -> Floats:
+        """Time from the first touch to the last separation [s], one contact later on a structure that swings back."""
+        return self.contact_duration
 
     @property
     def time_of_peak(self) -> Floats:

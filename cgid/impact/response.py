@@ -9,21 +9,20 @@ only the recorder's samples are computed. There is no internal rate to filter an
 from __future__ import annotations
 
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from functools import cache, cached_property
+from functools import cached_property
 from typing import Any, Literal, Protocol
 
 import numpy as np
-from numpy.polynomial import legendre
 from numpy.typing import ArrayLike, NDArray
 
 from cgid import validation
 from cgid.counting import count
 from cgid.errors import InvalidValue
+from cgid.impact.driving import DrivenSample, Pulses, driven_sample, polynomials_for, windows_of
+from cgid.impact.poles import Complex, LowPass, Resonance, resonator_poles
+from cgid.impact.threads import pool
 from cgid.validation import Floats
-
-Complex = NDArray[np.complex128]
 
 #: What a sensor on a beam feels, and how often it is differentiated in time.
 DERIVATIVES = {"displacement": 0, "velocity": 1, "acceleration": 2}
@@ -34,63 +33,6 @@ Quantity = Literal["force", "displacement", "velocity", "acceleration"]
 _APART = 1e-3
 #: Samples of the table of exponentials: it then stays in the cache with a hundred poles.
 _TABLE = 256
-#: Steps of a contact, see `steps_for`: so many for an error of 1, at least, and a sample at most.
-_STEPS_FOR_ONE, _LEAST_STEPS, _MOST_STRIDE = 4.0, 32, 1 << 16
-#: Pulses of which windows are in memory at once.
-_AT_ONCE = 256
-
-
-@dataclass(frozen=True, kw_only=True)
-class Resonance:
-    """A resonance that passes what is slow, `w^2 / (s^2 + 2 zeta w s + w^2)`: a sensor on its mounting.
-
-    Parameters
-    ----------
-    frequency : float
-        [Hz], above 0.
-    damping_ratio : float
-        Above 0 and below 1.
-    """
-
-    frequency: float
-    damping_ratio: float
-
-    def __post_init__(self) -> None:
-        validation.positive("frequency of the resonance", self.frequency, "Hz")
-        require_damping_ratio(self.damping_ratio)
-
-    @property
-    def poles(self) -> Complex:
-        """The pole in the upper half-plane [rad/s], (1,)."""
-        return resonator_poles(np.array([self.frequency]), np.array([self.damping_ratio]))
-
-
-@dataclass(frozen=True, kw_only=True)
-class LowPass:
-    """A Butterworth low-pass, as an anti-alias filter before the converter.
-
-    Parameters
-    ----------
-    frequency : float
-        Where it is 3 dB down [Hz].
-    order : int
-        1 to 12.
-    """
-
-    frequency: float
-    order: int = 8
-
-    def __post_init__(self) -> None:
-        validation.positive("frequency of the low-pass", self.frequency, "Hz")
-        if not 1 <= validation.count("order of the low-pass", self.order) <= 12:
-            raise InvalidValue(f"order of the low-pass must be at most 12, got {self.order}")
-
-    @property
-    def poles(self) -> Complex:
-        """The poles of the upper half-plane and the real axis [rad/s]."""
-        angles = np.pi * (2 * np.arange((self.order + 1) // 2) + self.order + 1) / (2 * self.order)
-        poles = 2 * np.pi * self.frequency * np.exp(1j * angles)
-        return np.asarray(np.where(np.abs(poles.imag) < 1e-9 * np.abs(poles), poles.real + 0j, poles))
 
 
 class Resonators(Protocol):
@@ -103,41 +45,6 @@ class Resonators(Protocol):
     @property
     def damping_ratio(self) -> Floats:
         """(n_modes,)."""
-
-
-class Pulses(Protocol):
-    """What is asked of the blows."""
-
-    @property
-    def contact_duration(self) -> Floats:
-        """[s], (n,)."""
-
-    def add_to_frames(self, frames: NDArray[Any], sampling_rate: Any, onset: Any, *, tolerance: float) -> None:
-        """Add the forces to frames (n, n_samples), each at a sampling rate of its own, to an error over the peak."""
-
-
-def require_damping_ratio(damping_ratio: ArrayLike) -> Floats:
-    """Return damping ratios that leave an oscillation that dies out: above 0 and below 1."""
-    ratio = validation.positive("damping_ratio", damping_ratio)
-    if (ratio >= 1).any():
-        raise InvalidValue(f"damping_ratio must be below 1, got {ratio.max():g}")
-    return ratio
-
-
-def resonator_poles(frequency: Floats, damping_ratio: Floats) -> Complex:
-    """Return `-zeta w + i w sqrt(1 - zeta^2)` [rad/s]."""
-    return np.asarray(
-        2 * np.pi * frequency * (-damping_ratio + 1j * np.sqrt((1 - damping_ratio) * (1 + damping_ratio)))
-    )
-
-
-def steps_for(tolerance: float) -> int:
-    """Return how many steps a contact takes for this error over the largest sample.
-
-    The force is taken as straight between steps after a correction by its second difference. What remains comes from
-    touch and separation, where it goes as `t^(3/2)`, and falls with the power 5/2 of their number.
-    """
-    return max(_LEAST_STEPS, int(np.ceil(_STEPS_FOR_ONE * tolerance**-0.4)))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -342,7 +249,7 @@ class Response:
         if ratio is not None:
             amplitude, direct = amplitude * ratio[:, None], direct * ratio
         parts = np.ascontiguousarray(np.stack([amplitude.real, amplitude.imag], axis=1))
-        windows = _windows(pulses, onset, self.sampling_rate, self.tolerance)
+        windows = windows_of(pulses, onset, self.sampling_rate, self.tolerance)
         ringing = np.empty_like(parts)
         grown = np.exp(self.poles[chosen] / self.sampling_rate)
         turn = np.stack([grown.real, grown.imag])
@@ -377,13 +284,11 @@ class Response:
         hop = np.ascontiguousarray(self._rung[:, chosen, _TABLE])
         table = self._rung[:, chosen, :_TABLE].astype(frames.dtype)
 
-        silence = self.tolerance / chosen.size
-
         def run(part: NDArray[np.intp]) -> int:
             some = slice(part[0], part[-1] + 1)
             return int(
                 _response.ring(
-                    frames[some], begin[part[0] : part[-1] + 2], order, start, ringing, table, hop, silence
+                    frames[some], begin[part[0] : part[-1] + 2], order, start, ringing, table, hop, self.tolerance
                 )
             )
 
@@ -409,119 +314,21 @@ class Response:
 
     @cached_property
     def _n_polynomials(self) -> int:
-        return _polynomials_for(float(np.abs(self.poles).max()) / self.sampling_rate, self.tolerance)
+        return polynomials_for(float(np.abs(self.poles).max()) / self.sampling_rate, self.tolerance)
 
     @cached_property
-    def _kept(self) -> dict[int, _Sample]:
+    def _kept(self) -> dict[int, DrivenSample]:
         return {}
 
-    def _samples_of(self, stride: int) -> _Sample:
+    def _samples_of(self, stride: int) -> DrivenSample:
         """Return what is the same in all blocks, made when first asked for."""
         if stride not in self._kept:
-            self._kept[stride] = _sample_of(self.poles, self.sampling_rate, stride, self._n_polynomials)
+            self._kept[stride] = driven_sample(self.poles, self.sampling_rate, stride, self._n_polynomials)
         return self._kept[stride]
-
-
-@dataclass(frozen=True)
-class _Sample:
-    """What a sample of some steps does to all poles: see `Response._driven`."""
-
-    polynomials: Floats
-    shares: Floats
-    edge: Floats
-
-
-def _sample_of(poles: Complex, sampling_rate: float, stride: int, n_polynomials: int) -> _Sample:
-    h = 1 / (sampling_rate * stride)
-    # g0 = h (phi1 - phi2), g1 = h phi2 with phi1 = (e^x - 1) / x, phi2 = (e^x - 1 - x) / x^2.
-    phi1, phi2 = _phi(poles * h)
-    edge = h * phi2
-    drive = h * (phi1 - phi2) + np.exp(poles * h) * edge
-    polynomials = np.zeros((stride, n_polynomials))
-    shares = np.zeros((n_polynomials, poles.size), complex)
-    if stride <= n_polynomials:  # every step by itself
-        polynomials[:, :stride] = np.eye(stride)
-        shares[:stride] = drive * np.exp(np.outer(np.arange(stride)[::-1], poles * h))
-    else:
-        polynomials[:] = legendre.legvander(np.linspace(-1, 1, stride), n_polynomials - 1)
-        shares[:] = drive * _powers_by_legendre(poles * h * (stride - 1) / 2, n_polynomials)
-    return _Sample(polynomials, np.stack([shares.real, shares.imag]), np.stack([edge.real, edge.imag]))
-
-
-def _powers_by_legendre(c: Complex, n_polynomials: int) -> Complex:
-    """Return the Legendre coefficients of `exp(c (1 - v))` over v in [-1, 1], (n_polynomials, n)."""
-    from scipy.special import spherical_in
-
-    n = np.arange(n_polynomials)[:, None]
-    return np.asarray(np.exp(c) * (2 * n + 1) * (-1.0) ** n * spherical_in(n, c[None]))
-
-
-@cache
-def _polynomials_for(phase: float, tolerance: float) -> int:
-    """Return how many polynomials a pole needs that turns by this phase in a sample [rad]."""
-    from scipy.special import spherical_in
-
-    n = np.arange(2, 400)
-    size = (2 * n + 1) * spherical_in(n, phase / 2)
-    quiet = np.flatnonzero((size < 1e-2 * tolerance) | ~np.isfinite(size))
-    return int(n[quiet[0]]) if quiet.size else 400
-
-
-def _phi(x: Complex) -> tuple[Complex, Complex]:
-    """Return (e^x - 1) / x and (e^x - 1 - x) / x^2, by their series where these would cancel."""
-    small = np.abs(x) < 0.5
-    safe = np.where(small, 1.0, x)
-    first, second = np.ones_like(x), np.full_like(x, 0.5)
-    term = np.ones_like(x)
-    for n in range(2, 20):
-        term = term * np.where(small, x, 0.0) / n
-        first, second = first + term, second + term / (n + 1)
-    return np.where(small, first, np.expm1(safe) / safe), np.where(small, second, (np.expm1(safe) - safe) / safe**2)
-
-
-@dataclass(frozen=True)
-class _Windows:
-    """The forces of n pulses on fine grids of their own, each with so many steps a sample as its contact needs."""
-
-    first: NDArray[np.int64]
-    count: NDArray[np.int64]
-    stride: NDArray[np.int64]
-    strides: NDArray[np.int64]
-    level: NDArray[np.intp]
-    force: Floats
-    drive: Floats
-
-
-def _windows(pulses: Pulses, onset: Floats, sampling_rate: float, tolerance: float) -> _Windows:
-    duration = pulses.contact_duration * sampling_rate
-    needed = np.maximum(np.ceil(np.log2(steps_for(tolerance) / duration)), 0).astype(np.int64)
-    if (needed >= 31).any() or (1 << needed.max(initial=0)) > _MOST_STRIDE:
-        shortest = float(pulses.contact_duration.min())
-        raise InvalidValue(
-            f"sampling_rate must give a contact a {_MOST_STRIDE}th of a sample at least, got {sampling_rate:g} Hz for "
-            f"one of {shortest:.3g} s; raise it"
-        )
-    stride = np.int64(1) << needed
-    place = onset * sampling_rate
-    first = np.floor(place).astype(np.int64)
-    # Two steps of no force behind the contact: the last of them still feels it in the correction below.
-    length = np.floor(place + duration + 2 / stride).astype(np.int64) + 1 - first
-    force = np.zeros((len(onset), int((length * stride).max(initial=0)) + 1))
-    pulses.add_to_frames(force, sampling_rate * stride, (place - first) / sampling_rate, tolerance=0.3 * tolerance)
-    # A straight line between samples of a bent curve cuts its corners by a twelfth of the second difference.
-    drive = force.copy()
-    drive[:, 1:-1] -= (force[:, 2:] - 2 * force[:, 1:-1] + force[:, :-2]) / 12
-    strides, level = np.unique(stride, return_inverse=True)
-    return _Windows(first, length, stride, strides, level, force, drive)
 
 
 def _in_threads(work: Callable[[NDArray[np.intp]], Any], parts: list[NDArray[np.intp]]) -> list[Any]:
     parts = [part for part in parts if part.size]
     if len(parts) <= 1:
         return [work(part) for part in parts]
-    return list(_pool(len(parts)).map(work, parts))
-
-
-@cache
-def _pool(threads: int) -> ThreadPoolExecutor:
-    return ThreadPoolExecutor(threads, thread_name_prefix="cgid-response")
+    return list(pool(len(parts)).map(work, parts))

@@ -1,4 +1,4 @@
-"""Recordings from files: text, NPY and WAV into signals."""
+"""Recordings from files: text, NPY, WAV and our own HDF5 into signals."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _DATASET_CURE = "read it with cgid.store, or pick one of its signals with --inde
 
 
 def is_dataset(path: str | Path) -> bool:
-    """Return whether `path` is a directory or begins with the magic bytes of HDF5.
+    """Return whether `path` is a directory, or an HDF5 file that does not say that it is a recording.
 
     Such an input belongs to `cgid.store`. What does not exist or cannot be opened is no dataset, and neither
     is "-", the standard input.
@@ -40,13 +40,27 @@ def is_dataset(path: str | Path) -> bool:
     try:
         if Path(path).is_dir():
             return True
+    except (OSError, ValueError):
+        return False
+    return _is_hdf5(path) and not _is_ours(path)
+
+
+def _is_hdf5(path: str | Path) -> bool:
+    try:
         # Opening a pipe would swallow its first bytes, so only regular files are looked into.
-        if not Path(path).is_file():
+        if str(path) in ("", "-") or not Path(path).is_file():
             return False
         with Path(path).open("rb") as file:
             return file.read(len(_HDF5_MAGIC)) == _HDF5_MAGIC
     except (OSError, ValueError):
         return False
+
+
+def _is_ours(path: str | Path) -> bool:
+    """Return whether an HDF5 file is a recording that cgid made."""
+    from cgid.store.recording import is_recording
+
+    return is_recording(path)
 
 
 def read_recording(
@@ -68,6 +82,8 @@ def read_recording(
 
     WAV holds any number of channels; integers are scaled to a full scale of 1.0 and, like floats, are in
     "FS" unless `unit` is given, which then is taken as the unit of the numbers between -1 and 1.
+
+    A recording made by `cgid generate` holds one channel, and says its rate and unit.
 
     Parameters
     ----------
@@ -116,10 +132,21 @@ def read_recording(
         quantity_of(unit)
     source = "stdin" if str(path) == "-" else str(path)
     try:
+        if _is_hdf5(path) and _is_ours(path):
+            return _own(path).signals(source, sampling_rate=sampling_rate, unit=unit, channel=channel)
         contents = _contents(_read_bytes(path, source), source)
         return contents.signals(source, sampling_rate=sampling_rate, unit=unit, channel=channel)
     except MemoryError:
         raise BadData(f"{source}: the recording must fit in memory and does not; cut it into parts") from None
+
+
+def _own(path: str | Path) -> Contents:
+    from cgid.store.recording import Recording
+
+    recording = Recording(path)
+    return Contents(
+        samples=recording.samples()[np.newaxis], units=[recording.unit], sampling_rate=recording.sampling_rate
+    )
 
 
 def _read_bytes(path: str | Path, source: str) -> bytes:

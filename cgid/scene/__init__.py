@@ -4,6 +4,8 @@ from cgid.scene.calibration import Blow, Calibration, calibrated
 from cgid.scene.generation import generate
 from cgid.scene.scene import Scene, load_scene, parse_scene
 from cgid.scene.sensor import Sensor
+from cgid.scene.stream.generation import generate_recordings
+from cgid.scene.stream.synthesis import record
 from cgid.scene.synthesis import synthesise
 from cgid.scene.variation import varied
 
@@ -14,8 +16,10 @@ __all__ = [
     "Sensor",
     "calibrated",
     "generate",
+    "generate_recordings",
     "load_scene",
     "parse_scene",
+    "record",
     "synthesise",
     "varied",
 ]

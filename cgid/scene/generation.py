@@ -89,7 +89,7 @@ def generate(
         dtype=validation.choice("dtype", dtype, ("float32", "float64")),
         label_width=max(len(label.encode()) for label in scene.labels),
         parameter_units=parameter_units(scene),
-        attributes=_attributes(scene, seed),
+        attributes={"format": FORMAT, "schema_version": SCHEMA_VERSION} | attributes_of(scene, seed),
         compression=compression,
     )
     if n_signals > MOST_SIGNALS:
@@ -176,11 +176,10 @@ def _build(
     return writer.build_shard(number, first, count, batches())
 
 
-def _attributes(scene: Scene, seed: int) -> dict[str, Any]:
+def attributes_of(scene: Scene, seed: int) -> dict[str, Any]:
+    """Return the root attributes of a dataset: how it was made."""
     packages = ", ".join(f"{name} {version(name)}" for name in ("numpy", "scipy", "numba", "h5py"))
     return {
-        "format": FORMAT,
-        "schema_version": SCHEMA_VERSION,
         "seed": seed,
         "scene_name": scene.name,
         "scene": scene.text,

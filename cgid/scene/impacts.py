@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Mapping
 from functools import partial
 from typing import Any
@@ -12,9 +13,10 @@ from numpy.typing import NDArray
 from cgid.impact import Elastic, HalfSpace, HuntCrossley, Impact, Sphere
 from cgid.impact.coupled import ModalImpact
 from cgid.materials import Material
-from cgid.scene.response import beam_modes
+from cgid.scene.response import TOLERANCE, beam_modes
 from cgid.scene.scene import Scene
 from cgid.scene.sections import TargetSection
+from cgid.scene.weight import weighed
 from cgid.validation import Floats
 
 PARTICLE = ("density", "youngs_modulus", "poisson_ratio", "radius")
@@ -25,7 +27,7 @@ NEGLIGIBLE_ECHO = 0.02
 
 def impact_of(scene: Scene, values: Mapping[str, Floats], rows: NDArray[np.intp]) -> Impact:
     """Return the impacts of some rows; a beam of known size gives way as a plate without edges."""
-    return Impact(target=scene.body, **_collision(scene, values, rows))
+    return weighed(scene.impact, target=scene.body, **_collision(scene, values, rows))
 
 
 def impacts_by_coupling(
@@ -67,8 +69,19 @@ def _modal_impact_of(scene: Scene, values: Mapping[str, Floats], rows: NDArray[n
         frequency=modes.frequency,
         damping_ratio=modes.damping_ratio,
         compliance=shape**2 / modes.modal_mass,
+        residual_compliance=_residual_compliance(scene, modes.frequency[-1]),
+        tolerance=0.1 * TOLERANCE,
         **_collision(scene, values, rows),
     )
+
+
+def _residual_compliance(scene: Scene, highest: float) -> float:
+    """Return how far a panel gives way by the modes above a frequency [Hz], which follow a blow at once [m/N].
+
+    The real part of its mobility is 1/Z at every frequency, so the static compliance above w is `2 / (pi Z w)`. Of a
+    beam that was measured nothing is known above the last mode of its table.
+    """
+    return 0.0 if scene.panel is None else 1 / (math.pi**2 * scene.panel.impedance * highest)
 
 
 def _collision(scene: Scene, values: Mapping[str, Floats], rows: NDArray[np.intp]) -> dict[str, Any]:

@@ -37,7 +37,7 @@ _MORE_UNITS = {"second_hit_delay": "s", "second_hit_ratio": "1", "clipped_at": "
 _POINT_UNITS = {"impact_x": "m", "impact_y": "m"}
 _RANDOMISED_UNITS = {"relative_noise": "1", "bandwidth": "Hz"}
 #: What the numbers of an address are for, in their order. A fall has one number, whether it is a height or a speed.
-_FALL = (*PARTICLE, "restitution", "drop_height")
+FALL = (*PARTICLE, "restitution", "drop_height")
 _LATER = {
     TAPS: ("peak_force", "contact_duration"),
     SECOND_HITS: ("second_hit_delay", "second_hit_ratio"),
@@ -84,10 +84,48 @@ class Draw:
     scene: Scene
 
 
-def draw(scene: Scene, seed: int, block: int) -> Draw:
-    """Return the pulses of one block of 256."""
+@dataclass(frozen=True)
+class Given:
+    """What is drawn for one block, before any law of impact is asked.
+
+    Attributes
+    ----------
+    labels : ndarray of str, (n_signals,)
+    values : dict of ndarray, each (n_signals,)
+        In `parameter_units`, nan where one is not drawn; the restitution is the one asked for.
+    specimen : ndarray of uint64, (n_signals,)
+    shapes : ndarray of int, (n_signals,)
+        Of a tap its number in `SHAPES`, of an impact -1.
+    scene : Scene
+        The scene as it holds in this block.
+    """
+
+    labels: NDArray[np.str_]
+    values: dict[str, Floats]
+    specimen: NDArray[np.uint64]
+    shapes: NDArray[np.intp]
+    scene: Scene
+
+    @property
+    def fallen(self) -> NDArray[np.intp]:
+        """Rows of the impacts."""
+        return np.flatnonzero(self.shapes < 0)
+
+    @property
+    def tapped(self) -> NDArray[np.intp]:
+        """Rows of the taps."""
+        return np.flatnonzero(self.shapes >= 0)
+
+    @property
+    def impact(self) -> Impact:
+        """All impacts of the block."""
+        return impact_of(self.scene, self.values, self.fallen)
+
+
+def given(scene: Scene, seed: int, block: int) -> Given:
+    """Return what is drawn for one block of 256."""
     here = settled(scene, seed, block)
-    kinds = uniforms(seed, block, len(_FALL) + 2)
+    kinds = uniforms(seed, block, len(FALL) + 2)
     which = _sources(scene, kinds[0])
     values = _values(scene, seed, block, which, kinds[1:-1])
     values["onset"] = (here.sampling.pre_trigger + here.sampling.jitter * kinds[-1]) / here.sampling.sampling_rate
@@ -96,7 +134,37 @@ def draw(scene: Scene, seed: int, block: int) -> Draw:
         values[name][:] = np.nan if level is None else level
     shapes = np.array([-1] * len(scene.populations) + [list(SHAPES).index(tap.shape) for tap in scene.taps])[which]
     fallen, tapped = np.flatnonzero(shapes < 0), np.flatnonzero(shapes >= 0)
-    impact = impact_of(scene, values, fallen)
+    specimen = np.empty(BLOCK, np.uint64)
+    specimen[fallen] = specimen_of([values[name][fallen] for name in PARTICLE])
+    specimen[tapped] = specimen_of([shapes[tapped].astype(float), *(values[name][tapped] for name in _LATER[TAPS])])
+    labels = np.array([source.label for source in scene.sources])[which]
+    return Given(labels, values, specimen, shapes, here)
+
+
+def given_at(scene: Scene, size: float) -> Given:
+    """Return one impact or tap of each source: of median numbers, but of this quantile in radius and duration."""
+    count = len(scene.sources)
+    values = {name: np.full(count, np.nan) for name in parameter_units(scene)}
+    for row, source in enumerate(scene.sources):
+        for name, law in source.laws.items():
+            share = size if name in ("radius", "contact_duration") else 0.5
+            values[name][row] = law.quantile(np.array([share]))[0]
+    if scene.panel is not None:
+        assert scene.tail_beam is not None and scene.tail_beam.impact_point is not None
+        values["impact_x"] = scene.tail_beam.impact_point.x.quantile(np.full(count, 0.5))
+        values["impact_y"] = scene.tail_beam.impact_point.y.quantile(np.full(count, 0.5))
+    fell = np.isfinite(values["drop_height"])
+    values["velocity"][fell] = free_fall_velocity(values["drop_height"][fell])
+    shapes = np.array([-1] * len(scene.populations) + [list(SHAPES).index(tap.shape) for tap in scene.taps])
+    labels = np.array([source.label for source in scene.sources])
+    return Given(labels, values, np.arange(count, dtype=np.uint64), shapes, scene)
+
+
+def draw(scene: Scene, seed: int, block: int) -> Draw:
+    """Return the pulses of one block of 256."""
+    drawn = given(scene, seed, block)
+    values, shapes, fallen, tapped = drawn.values, drawn.shapes, drawn.fallen, drawn.tapped
+    impact = drawn.impact
     strikes: list[Strike] = []
     for rows, pulses, alike in impacts_by_coupling(scene, impact, values, fallen):
         strikes += _strikes(pulses, alike, rows, values)
@@ -104,11 +172,7 @@ def draw(scene: Scene, seed: int, block: int) -> Draw:
         for name in ("restitution", "peak_force", "contact_duration"):
             values[name][rows] = getattr(pulses, name)
     strikes += _strikes(_taps(shapes, values, tapped), partial(_taps, shapes, values), tapped, values)
-    specimen = np.empty(BLOCK, np.uint64)
-    specimen[fallen] = _specimen([values[name][fallen] for name in PARTICLE])
-    specimen[tapped] = _specimen([shapes[tapped].astype(float), *(values[name][tapped] for name in _LATER[TAPS])])
-    labels = np.array([source.label for source in scene.sources])[which]
-    return Draw(labels, values, specimen, impact, tuple(strikes), here)
+    return Draw(drawn.labels, values, drawn.specimen, impact, tuple(strikes), drawn.scene)
 
 
 def _sources(scene: Scene, uniform: Floats) -> NDArray[np.intp]:
@@ -121,7 +185,7 @@ def _sources(scene: Scene, uniform: Floats) -> NDArray[np.intp]:
 def _values(scene: Scene, seed: int, block: int, which: NDArray[np.intp], falls: Floats) -> dict[str, Floats]:
     """Return what the populations and taps draw, nan where one has no such parameter."""
     values = {name: np.full(BLOCK, np.nan) for name in parameter_units(scene)}
-    columns = dict(zip(_FALL, falls, strict=True))
+    columns = dict(zip(FALL, falls, strict=True))
     columns["velocity"] = columns["drop_height"]
     drawn = {name for source in scene.sources for name in source.laws}
     for purpose, names in _LATER.items():
@@ -162,7 +226,7 @@ def _taps(shapes: NDArray[np.intp], values: Mapping[str, Floats], rows: NDArray[
     return TapPulses(shapes[rows], values["peak_force"][rows], values["contact_duration"][rows])
 
 
-def _specimen(particle: list[Floats]) -> NDArray[np.uint64]:
+def specimen_of(particle: list[Floats]) -> NDArray[np.uint64]:
     """Mix the numbers of a particle or a tap into one 64-bit number (the finaliser of splitmix64, Steele et al. 2014).
 
     An equal particle has the same number in every population, scene and dataset.

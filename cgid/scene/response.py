@@ -8,6 +8,7 @@ from functools import lru_cache
 
 import numpy as np
 
+from cgid.errors import InvalidValue
 from cgid.impact.response import Response
 from cgid.impact.tail_beam import MeasuredModes, Modes, TailBeam
 from cgid.scene.beam import TailBeamSection
@@ -117,4 +118,9 @@ def _beam_modes(section: TailBeamSection, panel: TailBeam | None, highest: float
         return BeamModes(section.measured, np.asarray(section.measured.shape_sensor))
     assert section.sensor_point is not None
     modes = panel.modes(highest)
+    if not modes.frequency.size:
+        raise InvalidValue(
+            f"the tail beam must have a mode within the band of its recorder, it has none below {highest:.4g} Hz; raise "
+            "sampling_rate or anti_alias.frequency, or take a larger or thinner beam"
+        )
     return BeamModes(modes, modes.shape(section.sensor_point.x, section.sensor_point.y))

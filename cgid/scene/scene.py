@@ -18,6 +18,7 @@ from pydantic import Field, ValidationError, model_validator
 from cgid.errors import BadData, InvalidValue, NoInput
 from cgid.impact.bodies import Target
 from cgid.impact.tail_beam import TailBeam
+from cgid.scene.background import BackgroundSection
 from cgid.scene.beam import TailBeamSection, with_table
 from cgid.scene.distributions import DISTRIBUTION_NAMES
 from cgid.scene.plates import problem_on_plate
@@ -31,7 +32,9 @@ from cgid.scene.sections import (
     TargetSection,
 )
 from cgid.scene.sensor import Sensor
+from cgid.scene.stream.sections import StreamSection
 from cgid.scene.units import shown
+from cgid.scene.weight import problem_of_weight
 
 #: No scene is longer.
 _LARGEST_FILE = 8 << 20
@@ -49,6 +52,8 @@ class Scene(Section):
     randomise: RandomiseSection | None = None
     populations: tuple[Population, ...] = Field(default=(), max_length=64)
     taps: tuple[Tap, ...] = Field(default=(), max_length=64)
+    stream: StreamSection | None = None
+    background: BackgroundSection | None = None
 
     @model_validator(mode="after")
     def _parts_fit(self) -> Self:
@@ -64,9 +69,26 @@ class Scene(Section):
         problems += self._problems_of_beam()
         if not problems:  # a beam that breaks rules is no target
             for index, population in enumerate(self.populations):
-                if (problem := problem_on_plate(self.body, self.impact.stiffness, population)) is not None:
+                problem = problem_on_plate(self.body, self.impact.stiffness, population) or problem_of_weight(
+                    self.impact, self.body, population
+                )
+                if problem is not None:
                     problems.append(f"populations.{index}: {problem}")
+        if self.impact.gravity_tolerance is not None and self.impact.gravity is None:
+            problems.append("impact.gravity_tolerance: must come with impact.gravity; give that, too, or leave it out")
+        if self.impact.gravity is not None and self.tail_beam is not None:
+            problems.append("impact.gravity: must be left out, an impact on a tail beam has no weight")
         problems += self._problems_of_band()
+        problems += self.sampling.frame_problems(self.stream is not None)
+        if self.stream is not None:
+            problems += self.stream.problems(self.populations, self.sensor)
+            for name in ("taps", "randomise"):
+                if getattr(self, name):
+                    problems.append(f"{name}: must be left out of a stream, one recording of rocks that fall")
+        if self.background is not None:
+            drawn = None if self.randomise is None else self.randomise.sampling_rate
+            lowest_rate = self.sampling.sampling_rate if drawn is None else drawn.extremes[0]
+            problems += self.background.problems(self.sensor, lowest_rate)
         if problems:
             raise ValueError("\n".join(problems))
         return self
@@ -134,6 +156,11 @@ class Scene(Section):
             del content["sensor"]["quantity"]
         return json.dumps({key: part for key, part in content.items() if part != []}, sort_keys=True)
 
+    @cached_property  # set by `parse_scene`; no field, for where a scene lies does not make it another
+    def folder(self) -> Path:
+        """Where the scene file lies: files that it names are looked for there."""
+        return Path()
+
     @cached_property  # every batch of signals bears it
     def sha256(self) -> str:
         """Identity of the scene: the hash of `text`, whatever the layout of the file."""
@@ -169,13 +196,20 @@ def load_scene(path: str | Path) -> Scene:
         content = tomllib.loads(text)
     except (ValueError, RecursionError) as error:  # also integers of thousands of digits, and nesting without end
         raise BadData(f"{path}: a scene file must be valid TOML: {error}") from None
-    return parse_scene(with_table(content, Path(path).parent), source=str(path))
+    folder = Path(path).parent
+    return parse_scene(with_table(content, folder), source=str(path), folder=folder)
 
 
-def parse_scene(content: dict[str, Any], source: str = "scene") -> Scene:
-    """Return the scene of a mapping with the structure of the file; raises `BadData` as `load_scene`."""
+def parse_scene(content: dict[str, Any], source: str = "scene", folder: Path | None = None) -> Scene:
+    """Return the scene of a mapping with the structure of the file; raises `BadData` as `load_scene`.
+
+    Files that it names lie in `folder`, or else where the process runs.
+    """
     try:
-        return Scene.model_validate(content)
+        scene = Scene.model_validate(content)
+        if folder is not None:
+            scene.__dict__["folder"] = folder
+        return scene
     except ValidationError as error:
         entries = [entry for entry in error.errors(include_url=False) if not _besides(entry)]
         problems = [line for entry in entries for line in _lines(entry)]

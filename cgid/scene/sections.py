@@ -4,14 +4,21 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import (
+    BaseModel,
+    ConfigDict,
+    Field,
+    SerializerFunctionWrapHandler,
+    model_serializer,
+    model_validator,
+)
 
 from cgid.family import HIGHEST_RESTITUTION, LOWEST_RESTITUTION
 from cgid.impact import HUNT_CROSSLEY_LAWS, RIGID, HalfSpace, RigidWall, ThinPlate
 from cgid.materials import Material
 from cgid.scene.distributions import Distribution, measured, measured_within, within
 from cgid.scene.taps import SHAPES
-from cgid.scene.units import Density, Frequency, Length, Modulus, Number, Ratio, Whole
+from cgid.scene.units import Acceleration, Density, Frequency, Length, Modulus, Number, Ratio, Whole
 
 
 def _between(lowest: float, highest: float) -> Any:
@@ -129,6 +136,9 @@ class ImpactSection(Section):
     dissipation: Literal["elastic", "hunt-crossley"]
     law: Law = "exact"
     target: TargetSection | Literal["rigid"]
+    # The pull during contact; left out for every impact that it changes by less than the tolerance (`weight`).
+    gravity: Acceleration | None = None
+    gravity_tolerance: Ratio | None = Field(default=None, ge=0, le=0.1)
 
     @property
     def body(self) -> HalfSpace | ThinPlate | RigidWall:
@@ -137,16 +147,33 @@ class ImpactSection(Section):
 
 
 class SamplingSection(Section):
-    """How the frame of an impact is cut."""
+    """How the frame of an impact is cut; of a stream, which has no frames, the sampling rate alone."""
 
     sampling_rate: Frequency
-    samples: Whole = Field(ge=16, le=2**20)
-    pre_trigger: Whole = Field(ge=2)
+    # 0 where they are not given, as in a stream: the scene asks for them where there are frames.
+    samples: Whole = Field(default=0, ge=16, le=2**20)
+    pre_trigger: Whole = Field(default=0, ge=2)
     jitter: Number = Field(default=1.0, ge=0, le=1)
+
+    @model_serializer(mode="wrap")
+    def _without_frames(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        content: dict[str, Any] = handler(self)
+        frame = ("samples", "pre_trigger", "jitter")
+        return {key: value for key, value in content.items() if self.samples or key not in frame}
+
+    def frame_problems(self, is_stream: bool) -> list[str]:
+        """Return what of a frame is missing, or given although there is none."""
+        if is_stream:
+            return [
+                f"sampling.{name}: must be left out of a stream, whose length is stream.duration"
+                for name in ("samples", "pre_trigger", "jitter")
+                if name in self.model_fields_set
+            ]
+        return [f"sampling.{name}: is missing" for name in ("samples", "pre_trigger") if not getattr(self, name)]
 
     @model_validator(mode="after")
     def _room_for_a_pulse(self) -> Self:
-        if self.pre_trigger > self.samples - 8:
+        if self.samples and self.pre_trigger > self.samples - 8:
             raise ValueError(
                 f"pre_trigger must leave 8 samples of the frame's {self.samples} for the pulse, got {self.pre_trigger}"
             )

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
 from cgid.filters import fft_filter
-from cgid.impact.response import LowPass, Resonance
+from cgid.impact.poles import LowPass, Resonance
 from cgid.scene.units import Frequency, Level, Number, Ratio, Whole, parse
 from cgid.validation import Floats
 
@@ -134,7 +134,7 @@ class Sensor(_Part):
     def noise_level(self, peak: Floats, sampling_rate: float) -> Floats:
         """Return the standard deviation of the noise for signals of these peaks."""
         steady = np.hypot(self.absolute_noise, (self.noise_density or 0.0) * np.sqrt(sampling_rate / 2))
-        return np.hypot(self.relative_noise * peak, steady)
+        return np.asarray(np.hypot(self.relative_noise * peak, steady))
 
     def limit_band(self, frames: NDArray[np.floating], sampling_rate: float) -> NDArray[np.floating]:
         """Return the frames after the sensor's zero-phase low-pass."""

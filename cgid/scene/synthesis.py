@@ -3,20 +3,25 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
 from cgid import validation
+from cgid.counting import count
 from cgid.errors import InvalidValue
 from cgid.impact import HertzRangeWarning, ThinPlateWarning
+from cgid.scene.background_noise import add_to_frames
+from cgid.scene.noise import HIGHEST_NOISE, add_noise
+from cgid.scene.plan import Plan, plan
 from cgid.scene.population import Draw, draw
-from cgid.scene.randomness import BLOCK, NOISE, generator
+from cgid.scene.randomness import BLOCK
 from cgid.scene.response import hearing
 from cgid.scene.scene import Scene
-from cgid.scene.sensor import clip
+from cgid.scene.sensor import Sensor, clip
 from cgid.signals import Batch
 from cgid.validation import Floats
 
@@ -28,6 +33,7 @@ def synthesise(
     *,
     first: int = 0,
     dtype: Literal["float32", "float64"] = "float32",
+    outputs: Iterable[str] = ("frames",),
 ) -> Iterator[Batch]:
     """Yield the signals of a scene in batches of at most 256.
 
@@ -42,6 +48,8 @@ def synthesise(
         Number of the first signal.
     dtype : {"float32", "float64"}
         Of the samples. The noise is drawn as float32 either way, so both hold the same signals.
+    outputs : iterable of str
+        "frames", or "pulses" for the forces without a sensor; see `cgid.scene.plan`.
 
     Yields
     ------
@@ -54,22 +62,43 @@ def synthesise(
     InvalidValue
         A number breaks its rule.
     """
-    if n_signals < 1 or first < 0:
-        raise InvalidValue(f"n_signals must be 1 or more and first 0 or more, got {n_signals} and {first}")
+    require_count(n_signals, first)
     validation.choice("dtype", dtype, ("float32", "float64"))
+    require_frames(scene)
+    asked = plan(scene, outputs, dtype=dtype)
+    if not asked.request.kept:
+        raise InvalidValue(f"outputs must be frames or pulses where signals are wanted, got {', '.join(outputs)}")
+    for block, part in blocks(n_signals, first):
+        yield _block(asked, seed, block, part, dtype)
+
+
+def blocks(n_signals: int, first: int) -> Iterator[tuple[int, slice]]:
+    """Yield the blocks that hold these signals, and which of each."""
     last = first + n_signals
     for block in range(first // BLOCK, (last - 1) // BLOCK + 1):
-        part = slice(max(first - block * BLOCK, 0), min(last - block * BLOCK, BLOCK))
-        yield _block(scene, seed, block, part, dtype)
+        yield block, slice(max(first - block * BLOCK, 0), min(last - block * BLOCK, BLOCK))
 
 
-def _block(scene: Scene, seed: int, block: int, part: slice, dtype: DTypeLike) -> Batch:
-    with warnings.catch_warnings():
-        # A population reaches past Hertz's or Zener's range here and there; `cgid check` says how often.
-        for beyond in (HertzRangeWarning, ThinPlateWarning):
-            warnings.simplefilter("ignore", beyond)
+def require_count(n_signals: int, first: int) -> None:
+    """Raise `InvalidValue` for less than one signal, or a first one before 0."""
+    if n_signals < 1 or first < 0:
+        raise InvalidValue(f"n_signals must be 1 or more and first 0 or more, got {n_signals} and {first}")
+
+
+def require_frames(scene: Scene) -> None:
+    """Raise `InvalidValue` for a scene that makes recordings."""
+    if scene.stream is not None:
+        raise InvalidValue(
+            f"scene {scene.name}: stream must be left out of a scene that frames are made of; make recordings of it "
+            "(cgid generate SCENE -o RECORDING.h5)"
+        )
+
+
+def _block(asked: Plan, seed: int, block: int, part: slice, dtype: DTypeLike) -> Batch:
+    scene = asked.request.scene
+    with unwarned():
         drawn = draw(scene, seed, block)
-    frames = make_frames(drawn.scene, drawn, seed, block, dtype)
+    frames = make_frames(asked.for_block(drawn.scene), drawn, seed, block, dtype)
     return Batch(
         signals=frames[part],
         labels=drawn.labels[part],
@@ -82,42 +111,82 @@ def _block(scene: Scene, seed: int, block: int, part: slice, dtype: DTypeLike) -
     )
 
 
-def make_frames(scene: Scene, drawn: Draw, seed: int, block: int, dtype: DTypeLike) -> NDArray[Any]:
-    """Return the frames of one block: pulses, bandwidth, noise, clipping, range, bits, each only where it is on.
+@contextmanager
+def unwarned() -> Iterator[None]:
+    """Draw in silence where a population reaches past Hertz's or Zener's range; `cgid check` says how often."""
+    with warnings.catch_warnings():
+        for beyond in (HertzRangeWarning, ThinPlateWarning):
+            warnings.simplefilter("ignore", beyond)
+        yield
 
-    The scene is that of the block: `drawn.scene`.
+
+def make_frames(asked: Plan, drawn: Draw, seed: int, block: int, dtype: DTypeLike) -> NDArray[Any]:
+    """Return the frames of one block: pulses, bandwidth, noise, background, clipping, range, bits, if the plan says so.
+
+    Parameters
+    ----------
+    asked : Plan
+        That of the block: of `drawn.scene`.
+    drawn : Draw
+    seed, block : int
+    dtype : {"float32", "float64"}
     """
-    sensor = scene.sensor
+    return make_beginnings(asked, drawn, seed, block, dtype, drawn.scene.sampling.samples)[0]
+
+
+def make_beginnings(
+    asked: Plan, drawn: Draw, seed: int, block: int, dtype: DTypeLike, n_samples: int
+) -> tuple[NDArray[Any], Floats]:
+    """Return the first samples of the frames of one block, and what no sample behind them passes.
+
+    They are those of the whole frames to the last bit. All contacts must end within them or lie behind the frame.
+    Other parameters as in `make_frames`.
+
+    Returns
+    -------
+    ndarray, (n_signals, n_samples)
+    ndarray, (n_signals,)
+        Above every sample of the rest of the frame, in the unit of the signals.
+    """
+    scene, sensor = drawn.scene, drawn.scene.sensor
+    n_signals, whole, rate = len(drawn.labels), scene.sampling.samples, scene.sampling.sampling_rate
+    highest_behind = np.zeros(n_signals)
+    # The transform of a low-pass goes round the whole frame.
+    filtered = asked.runs("bandwidth")
+    frames: NDArray[Any] = np.zeros((n_signals, whole if filtered else n_samples), dtype)
+    add_pulses(frames, scene, drawn)
     peak = drawn.parameters["peak_force"]
-    if sensor.bandwidth is None and sensor.quantity == "force":
-        # Pulses are added to the noise where they are, which saves a pass over the frames.
-        frames = _noise(scene, drawn, seed, block, dtype, peak)
-        add_pulses(frames, scene, drawn)
-    else:
-        frames = np.zeros((len(drawn.labels), scene.sampling.samples), dtype)
-        add_pulses(frames, scene, drawn)
-        frames = sensor.limit_band(frames, scene.sampling.sampling_rate)
-        if sensor.quantity != "force":
-            peak = np.abs(frames).max(axis=1).astype(np.float64)
-        if sensor.noisy:
-            frames += _noise(scene, drawn, seed, block, dtype, peak)
-    if "clipped_at" in drawn.parameters:
+    if filtered:
+        frames = sensor.limit_band(frames, rate)
+        highest_behind = frames[:, n_samples:].max(axis=1, initial=0.0).astype(np.float64)
+        frames = np.ascontiguousarray(frames[:, :n_samples])
+    if sensor.quantity != "force":
+        peak = np.abs(frames).max(axis=1).astype(np.float64)
+    if asked.runs("noise"):
+        level = sensor.noise_level(peak, rate)
+        add_noise(frames, level, seed, block)
+        highest_behind += HIGHEST_NOISE * level
+    if asked.runs("background"):
+        count("background_samples", frames.size)
+        add_to_frames(frames, scene, seed, block)
+    count("frames", n_signals)
+    count("frame_samples", frames.size)
+    if asked.runs("clipping"):
+        count("clipped_frames", n_signals)
         clip(frames, drawn.parameters["clipped_at"] * peak)
-    sensor.digitise(frames, scene.sampling.sampling_rate)
-    return frames
+    if asked.runs("offset, range and bits"):
+        count("digitised_frames", n_signals)
+        sensor.digitise(frames, rate)
+        highest_behind += _digitised_by(sensor, rate, n_samples, whole)
+    return frames, highest_behind
 
 
-def _noise(scene: Scene, drawn: Draw, seed: int, block: int, dtype: DTypeLike, peak: Floats) -> NDArray[Any]:
-    shape = (len(drawn.labels), scene.sampling.samples)
-    if not scene.sensor.noisy:
-        return np.zeros(shape, dtype)
-    noise = np.empty(shape, np.float32)
-    generator(seed, NOISE, block).standard_normal(dtype=np.float32, out=noise)
-    level = scene.sensor.noise_level(peak, scene.sampling.sampling_rate)[:, None]
-    if noise.dtype == dtype:
-        noise *= level.astype(np.float32)
-        return noise
-    return noise.astype(np.float64) * level
+def _digitised_by(sensor: Sensor, sampling_rate: float, first: int, n_samples: int) -> float:
+    """Return by how much offset, drift and rounding may raise a sample from a first one on."""
+    drift, step = (sensor.drift or 0.0) / sampling_rate, 0.0
+    if sensor.range is not None and sensor.bits is not None:
+        step = sensor.range / 2**sensor.bits  # half of one
+    return (sensor.offset or 0.0) + max(drift * first, drift * n_samples) + step
 
 
 def add_pulses(frames: NDArray[Any], scene: Scene, drawn: Draw) -> None:

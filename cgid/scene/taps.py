@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from cgid.counting import count
 from cgid.validation import Floats
 
 #: Force over its peak against time over the duration, strictly between 0 and 1. Their order numbers them.
@@ -38,11 +39,17 @@ class TapPulses:
     peak_force: Floats
     contact_duration: Floats
 
+    @property
+    def end_of_contact(self) -> Floats:
+        """When the force is over [s], (n,)."""
+        return self.contact_duration
+
     def add_to_frames(
         self, frames: NDArray[Any], sampling_rate: float | Floats, onset: Floats, *, tolerance: float = 0.0
     ) -> None:
         """Add the pulses to frames (n, n_samples) in place, each from its time of touch [s] on; without any error."""
         shapes = tuple(SHAPES.values())
+        count("tap_pulses", len(frames))
         place, length = onset * sampling_rate, self.contact_duration * sampling_rate
         # As for an impact, a sample on touch or on the end itself holds no force, not even a square one's.
         first = np.clip(np.floor(place) + 1, 0, frames.shape[1]).astype(np.intp)

@@ -19,10 +19,12 @@ DIMENSIONS: dict[str, dict[str, float]] = {
     "speed": {"m/s": 1.0, "cm/s": 1e-2, "mm/s": 1e-3, "km/h": 1 / 3.6},
     "frequency": {"Hz": 1.0, "kHz": 1e3, "MHz": 1e6},
     "force": {"N": 1.0, "kN": 1e3, "MN": 1e6},
-    "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6},
+    "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "min": 60.0, "h": 3600.0},
     "ratio": {"": 1.0, "%": 1e-2},
     "mass": {"kg": 1.0, "g": 1e-3, "t": 1e3},
     "acceleration": {"m/s^2": 1.0, "mm/s^2": 1e-3, "g": STANDARD_GRAVITY, "mg": 1e-3 * STANDARD_GRAVITY},
+    "angle": {"rad": 1.0, "deg": math.pi / 180},
+    "decibel": {"dB": 1.0},
 }
 #: Of every quantity that a sensor may feel: what noise has in a band of 1 Hz, and how it drifts in time.
 for _quantity in ("force", "acceleration", "speed", "length"):
@@ -41,6 +43,7 @@ LIMITS: dict[str, tuple[float, float]] = {
     "frequency": (1e-3, 1e9),
     "force": (1e-9, 1e15),
     "time": (1e-9, 1e4),
+    "acceleration": (1e-3, 1e4),
     "mass": (1e-6, 1e9),
 }
 
@@ -111,6 +114,16 @@ Frequency = Annotated[float, BeforeValidator(_reader("frequency")), _limits("fre
 Mass = Annotated[float, BeforeValidator(_reader("mass")), _limits("mass")]
 #: A level in the unit of what the sensor feels, which it reads itself (`cgid.scene.sensor`).
 Level = Annotated[float, Field(ge=0, le=LIMITS["force"][1])]
+Acceleration = Annotated[float, BeforeValidator(_reader("acceleration")), _limits("acceleration")]
+#: A place on the time axis of a recording, and its length: at most a day.
+Moment = Annotated[float, BeforeValidator(_reader("time")), Field(ge=0, le=86_400)]
+Duration = Annotated[float, BeforeValidator(_reader("time")), Field(ge=1e-3, le=86_400)]
+#: From the horizontal: on a wall nothing falls.
+Inclination = Annotated[float, BeforeValidator(_reader("angle")), Field(ge=0, le=1.5)]
+Speed = Annotated[float, BeforeValidator(_reader("speed")), _limits("speed")]
+Decibel = Annotated[float, BeforeValidator(_reader("decibel")), Field(ge=-200, le=200)]
+#: How often something happens, which may be never.
+Rate = Annotated[float, BeforeValidator(_reader("frequency")), Field(ge=0, le=LIMITS["frequency"][1])]
 #: Without a dimension: a number as it stands, neither a string nor true or false.
 Number = Annotated[float, Strict()]
 Whole = Annotated[int, Strict()]

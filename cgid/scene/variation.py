@@ -63,7 +63,7 @@ def varied(scene: Scene, *, keep_frame: bool = False, **changes: Any) -> Scene:
             place.pop(name, None)
             if value is not None:
                 place[name] = value
-    return parse_scene(content, source=f"variation of {scene.name}")
+    return parse_scene(content, source=f"variation of {scene.name}", folder=scene.folder)
 
 
 def _places(content: dict[str, Any], name: str) -> list[dict[str, Any]]:

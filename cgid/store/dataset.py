@@ -53,7 +53,7 @@ class Dataset:
         self._shards = [folder / name for name in names]
         self._counts: list[int] = []
         for shard in self._shards:
-            with _opened(shard) as file:
+            with opened(shard) as file:
                 header = read_header(file, str(shard))
             if not self._counts:
                 self.header = header
@@ -131,7 +131,7 @@ class Dataset:
             A checksum does not fit: the file is damaged.
         """
         for shard, count in zip(self._shards, self._counts, strict=True):
-            with _opened(shard) as file:
+            with opened(shard) as file:
                 for first in range(0, count, n_rows):
                     yield self._batch(file, shard, slice(first, min(first + n_rows, count)))
 
@@ -169,7 +169,7 @@ class Dataset:
         first = 0
         for shard, count in zip(self._shards, self._counts, strict=True):
             if index < first + count:
-                with _opened(shard) as file:
+                with opened(shard) as file:
                     return self._batch(file, shard, slice(index - first, index - first + 1))
             first += count
         raise AssertionError("unreachable: the index was checked")
@@ -193,7 +193,8 @@ class Dataset:
 
 
 @contextmanager
-def _opened(path: Path) -> Iterator[h5py.File]:
+def opened(path: Path) -> Iterator[h5py.File]:
+    """Yield an HDF5 file open for reading; what h5py raises on a damaged one becomes `BadData`."""
     try:
         file = h5py.File(path, "r")
     except OSError as error:

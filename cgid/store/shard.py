@@ -6,6 +6,7 @@ checksummed headers of HDF5 1.10: a flipped bit is found when it is read.
 
 from __future__ import annotations
 
+import weakref
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
@@ -14,15 +15,20 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
+from cgid.counting import count
 from cgid.errors import BadData
 from cgid.signals import UNITS, Batch, quantity_of
+from cgid.store.memory import MemoryFile
 
 FORMAT = "cgid-dataset"
 SCHEMA_VERSION = 1
 #: Bytes of a chunk of signals, about.
 _CHUNK_BYTES = 1 << 19
-#: The storage in memory grows by this much.
-_GROWTH = 1 << 22
+#: Of a chunk of the other columns.
+_COLUMN_ROWS = 4096
+_CHECKSUM = np.dtype("<u4")
+#: Bytes that headers and indices may take before the memory of a shard has to grow.
+_MARGIN = 1 << 20
 COMPRESSIONS = ("none", "gzip")
 #: More than this in one file is refused: a shard is held in memory.
 LARGEST_SHARD = 2 << 30
@@ -60,49 +66,80 @@ class ShardBuilder:
     def __init__(self, plan: ShardPlan, first: int, n_signals: int) -> None:
         self._plan, self._filled, self._n_signals = plan, 0, n_signals
         self._columns: list[Batch] = []
-        self._file = h5py.File.in_memory(block_size=_GROWTH, libver=("v110", "v110"))
+        row = plan.n_samples * np.dtype(plan.dtype).itemsize
+        rows = min(max(1, _CHUNK_BYTES // row), n_signals)
+        columns = plan.label_width + 8 * (1 + len(plan.parameter_units))
+        self._memory = MemoryFile(n_signals * row + rows * row + (n_signals + _COLUMN_ROWS) * columns + _MARGIN)
+        self._file = h5py.File(self._memory, "w", libver=("v110", "v110"))
+        # HDF5 writes to the memory when it closes, which must not be left to the end of the interpreter.
+        self._close = weakref.finalize(self, self._file.close)
         for name, value in {**plan.attributes, "first_signal": first}.items():
             self._file.attrs[name] = np.bytes_(value.encode()) if isinstance(value, str) else value
-        rows = max(1, _CHUNK_BYTES // (plan.n_samples * np.dtype(plan.dtype).itemsize))
         extra = {"compression": "gzip", "compression_opts": 4, "shuffle": True} if plan.compression == "gzip" else {}
-        self._create("signals", (plan.n_samples,), plan.dtype, rows, **extra)
-        self._create("labels", (), f"S{plan.label_width}", 4096)
-        self._create("specimen", (), "uint64", 4096)
+        self._signals = self._create("signals", (plan.n_samples,), plan.dtype, rows, **extra)
+        # Room for a chunk as it lies in the file: the signals and their checksum.
+        self._chunk = np.zeros(rows * row + _CHECKSUM.itemsize, np.uint8)
+        self._chunk_signals = self._chunk[: rows * row].view(plan.dtype).reshape(rows, plan.n_samples)
+        self._create("labels", (), f"S{plan.label_width}", _COLUMN_ROWS)
+        self._create("specimen", (), "uint64", _COLUMN_ROWS)
         for name, unit in plan.parameter_units.items():
-            self._create(f"parameters/{name}", (), "float64", 4096)
-            self._file[f"parameters/{name}"].attrs["unit"] = np.bytes_(unit.encode())
+            column = self._create(f"parameters/{name}", (), "float64", _COLUMN_ROWS)
+            column.attrs["unit"] = np.bytes_(unit.encode())
 
-    def _create(self, name: str, tail: tuple[int, ...], dtype: str, chunk_rows: int, **extra: Any) -> None:
+    def _create(self, name: str, tail: tuple[int, ...], dtype: str, chunk_rows: int, **extra: Any) -> h5py.Dataset:
         shape = (self._n_signals, *tail)
         chunks = (min(chunk_rows, self._n_signals), *tail)
-        self._file.create_dataset(name, shape, dtype, chunks=chunks, fletcher32=True, **extra)
+        return self._file.create_dataset(name, shape, dtype, chunks=chunks, fletcher32=True, **extra)
 
     def add(self, batch: Batch) -> None:
         """Append the signals of a batch."""
-        rows = slice(self._filled, self._filled + len(batch))
-        signals = self._file["signals"]
+        count("stored_signals", len(batch))
+        if self._filled + len(batch) > self._n_signals:
+            raise BadData(f"a shard of {self._n_signals} signals was given {self._filled + len(batch)}")
         if not self._filled:
-            signals.attrs["sampling_rate"] = batch.sampling_rate
-            signals.attrs["pre_trigger"] = batch.pre_trigger
-            signals.attrs["unit"] = np.bytes_(batch.unit.encode())
-            signals.attrs["quantity"] = np.bytes_(quantity_of(batch.unit).encode())
-        signals[rows] = batch.signals
+            about = self._signals.attrs
+            about["sampling_rate"] = batch.sampling_rate
+            about["pre_trigger"] = batch.pre_trigger
+            about["unit"] = np.bytes_(batch.unit.encode())
+            about["quantity"] = np.bytes_(quantity_of(batch.unit).encode())
+        done, rows = 0, len(self._chunk_signals)
+        while done < len(batch):
+            place = self._filled % rows
+            some = batch.signals[done : done + rows - place]
+            self._chunk_signals[place : place + len(some)] = some
+            done, self._filled = done + len(some), self._filled + len(some)
+            if self._filled % rows == 0 or self._filled == self._n_signals:
+                self._write_chunk()
         # The short columns are kept and written once: a call of HDF5 costs more than they are long.
         self._columns.append(replace(batch, signals=np.empty((len(batch), 0))))
-        self._filled = rows.stop
 
-    def image(self) -> bytes:
-        """Return the finished file and let go of the memory behind it."""
+    def _write_chunk(self) -> None:
+        """Write the chunk that is full, or the last one."""
+        rows = len(self._chunk_signals)
+        first = (self._filled - 1) // rows * rows
+        filled = self._filled - first
+        if self._plan.compression != "none":
+            self._signals[first : self._filled] = self._chunk_signals[:filled]
+            return
+        # numba is not for those who only read datasets.
+        from cgid.store._fletcher import fletcher32
+
+        # What HDF5 would write after four copies and a checksum four times slower.
+        self._chunk_signals[filled:] = 0
+        size = self._chunk.size - _CHECKSUM.itemsize
+        self._chunk[size:].view(_CHECKSUM)[0] = fletcher32(self._chunk[:size].view("<u2"))
+        self._signals.id.write_direct_chunk((first, 0), self._chunk)
+
+    def image(self) -> memoryview:
+        """Return the finished file; it lies where it was built."""
         if self._filled != self._n_signals:
             raise BadData(f"a shard of {self._n_signals} signals was given {self._filled}")
         self._file["labels"][:] = np.char.encode(np.concatenate([part.labels for part in self._columns]), "utf-8")
         self._file["specimen"][:] = np.concatenate([part.specimen for part in self._columns])
         for name in self._plan.parameter_units:
             self._file[f"parameters/{name}"][:] = np.concatenate([part.parameters[name] for part in self._columns])
-        self._file.flush()
-        content: bytes = self._file.id.get_file_image()
-        self._file.close()
-        return content
+        self._close()
+        return self._memory.content()
 
 
 @dataclass(frozen=True)
@@ -127,22 +164,22 @@ def read_header(file: h5py.File, path: str) -> ShardHeader:
     BadData
         It is no cgid dataset, of another version, incomplete, or holds what a dataset must not hold.
     """
-    attributes = _attributes(file)
+    attributes = attributes_of(file)
     if attributes.get("format") != FORMAT:
         raise BadData(f"{path}: this HDF5 file must be a cgid dataset (attribute format = {FORMAT!r}); it is not")
     version = attributes.get("schema_version")
     if version != SCHEMA_VERSION:
         raise BadData(f"{path}: schema_version must be {SCHEMA_VERSION}, got {version}: use the cgid that wrote it")
-    signals = _plain_dataset(file, "signals", path)
+    signals = plain_dataset(file, "signals", path)
     if signals.ndim != 2 or signals.dtype not in (np.float32, np.float64) or not all(signals.shape):
         raise BadData(f"{path}: signals must be rows of floats, got shape {signals.shape} of {signals.dtype}")
     for name, kind in (("labels", "S"), ("specimen", "u")):
-        dataset = _plain_dataset(file, name, path)
+        dataset = plain_dataset(file, name, path)
         if dataset.shape != signals.shape[:1] or dataset.dtype.kind != kind:
             raise BadData(f"{path}: {name} must be one value a signal, got shape {dataset.shape} of {dataset.dtype}")
     units = _parameter_units(file, path, signals.shape[0])
     n_signals, n_samples = signals.shape
-    about = _attributes(signals)
+    about = attributes_of(signals)
     rate, before, unit = (about.get(name) for name in ("sampling_rate", "pre_trigger", "unit"))
     for name, value, holds in (
         ("sampling_rate", rate, isinstance(rate, float) and 0 < rate < np.inf),
@@ -166,21 +203,21 @@ def read_header(file: h5py.File, path: str) -> ShardHeader:
 def _parameter_units(file: h5py.File, path: str, n_signals: int) -> dict[str, str]:
     if not file.id.links.exists(b"parameters"):
         return {}
-    if not _is_inside(file, "parameters") or not isinstance(file["parameters"], h5py.Group):
+    if not is_inside(file, "parameters") or not isinstance(file["parameters"], h5py.Group):
         raise BadData(f"{path}: parameters must be a group of the file itself; it is a link or a dataset")
     units = {}
     for name in file["parameters"]:
-        dataset = _plain_dataset(file, f"parameters/{name}", path)
+        dataset = plain_dataset(file, f"parameters/{name}", path)
         if dataset.shape != (n_signals,) or dataset.dtype.kind != "f":
             raise BadData(f"{path}: parameters/{name} must be one number a signal, got shape {dataset.shape}")
-        units[name] = str(_attributes(dataset).get("unit", ""))
+        units[name] = str(attributes_of(dataset).get("unit", ""))
     return units
 
 
-def _plain_dataset(file: h5py.File, name: str, path: str) -> h5py.Dataset:
+def plain_dataset(file: h5py.File, name: str, path: str) -> h5py.Dataset:
     """Return a dataset that lies in this very file; links elsewhere could read other files."""
     for part in (name.split("/")[0], name):
-        if not _is_inside(file, part):
+        if not is_inside(file, part):
             raise BadData(f"{path}: {part} must be part of the file itself; it is missing or a link")
     dataset = file[name]
     if not isinstance(dataset, h5py.Dataset) or dataset.external or dataset.is_virtual or dataset.dtype.hasobject:
@@ -191,13 +228,13 @@ def _plain_dataset(file: h5py.File, name: str, path: str) -> h5py.Dataset:
     return dataset
 
 
-def _is_inside(file: h5py.File, name: str) -> bool:
+def is_inside(file: h5py.File, name: str) -> bool:
     """Return whether this name is there and no soft or external link, without following it."""
     links = file.id.links
     return bool(links.exists(name.encode()) and links.get_info(name.encode()).type == h5py.h5l.TYPE_HARD)
 
 
-def _attributes(item: h5py.HLObject) -> dict[str, Any]:
+def attributes_of(item: h5py.HLObject) -> dict[str, Any]:
     """Return the attributes that are one number or one string of fixed length; no others are written, or even read."""
     found = {}
     for name in item.attrs:

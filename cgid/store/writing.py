@@ -44,7 +44,7 @@ class BuiltShard:
     number: int
     first: int
     n_signals: int
-    content: bytes
+    content: memoryview
     labels: dict[str, int]
 
 
@@ -53,8 +53,10 @@ def is_single_file(output: str | Path) -> bool:
     return Path(output).suffix.lower() in SUFFIXES
 
 
-def check_output(output: str | Path, overwrite: bool = False) -> Path:
+def check_output(output: str | Path, overwrite: bool = False, ours: re.Pattern[str] = _OURS) -> Path:
     """Return the output as a path if it may be written, before any work is done.
+
+    In a folder nothing may lie but files whose names are `ours`.
 
     Raises
     ------
@@ -63,7 +65,7 @@ def check_output(output: str | Path, overwrite: bool = False) -> Path:
     """
     path = Path(output)
     try:
-        _require_room(path, overwrite)
+        _require_room(path, overwrite, ours)
     except CannotCreate:
         raise
     except OSError as error:
@@ -71,7 +73,7 @@ def check_output(output: str | Path, overwrite: bool = False) -> Path:
     return path
 
 
-def _require_room(path: Path, overwrite: bool) -> None:
+def _require_room(path: Path, overwrite: bool, ours: re.Pattern[str]) -> None:
     if not path.parent.is_dir():
         raise CannotCreate(f"{path}: the folder {path.parent} must exist; make it first")
     if path.is_dir() and is_single_file(path):
@@ -81,7 +83,7 @@ def _require_room(path: Path, overwrite: bool) -> None:
     content = sorted(entry.name for entry in path.iterdir()) if path.is_dir() else None
     if path.exists() and content != [] and not overwrite:
         raise CannotCreate(f"{path}: exists already; choose another name or say --overwrite")
-    foreign = [name for name in content or () if not _OURS.fullmatch(name)]
+    foreign = [name for name in content or () if not ours.fullmatch(name)]
     if (path / MANIFEST).is_file() and f'"{FORMAT}"'.encode() not in (path / MANIFEST).read_bytes():
         foreign.append(MANIFEST)
     if foreign:

@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from cgid import validation
 from cgid.errors import BadData, InvalidValue
 from cgid.impact import Impact
-from cgid.impact.response import LowPass, Pulses, Resonance
+from cgid.impact.driving import Pulses
+from cgid.impact.poles import LowPass, Resonance
 from cgid.scene.scene import Scene
 from cgid.signals import STANDARD_GRAVITY, Signal
 from cgid.validation import Floats
@@ -248,6 +249,7 @@ class _Repeated:
     def __init__(self, impact: Impact) -> None:
         self._impact = impact
         self.contact_duration = impact.contact_duration.reshape(1)
+        self.end_of_contact = impact.end_of_contact.reshape(1)
 
     def add_to_frames(self, frames: NDArray[Any], sampling_rate: Any, onset: Any, *, tolerance: float) -> None:
         """Add the force to each frame."""
@@ -261,7 +263,7 @@ class _RecordedForce:
         from scipy.interpolate import CubicSpline
         from scipy.signal import resample
 
-        self.contact_duration = np.array([(samples.size - 1) / rate])
+        self.contact_duration = self.end_of_contact = np.array([(samples.size - 1) / rate])
         # Zero on both sides, so that the transform sees no jump where the end meets the beginning.
         padded = np.concatenate([samples, np.zeros(samples.size)])
         finer = resample(padded, _FINER * padded.size)[: _FINER * (samples.size - 1) + 1]

@@ -87,6 +87,7 @@ class _Rows:
 
     def __init__(self, blow: Struck, n: int) -> None:
         self.contact_duration = np.broadcast_to(blow.pulse.contact_duration, (n,))
+        self.end_of_contact = np.broadcast_to(blow.pulse.end_of_contact, (n,))
         self.add_to_frames = blow.pulse.add_to_frames
 
 

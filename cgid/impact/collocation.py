@@ -1,0 +1,121 @@
+"""The constant numbers of a collocation step in which the force meets modes that remember it.
+
+A step covers the time h. In its own variable s from 0 to 1 the time passed is `h m(s)`, and m makes the force
+analytic: m = s within contact, `s^2` from touch on and `s (2 - s)` up to separation, where the force goes like
+the distance in time to the power 3/2. The force is the polynomial through its values at n Gauss nodes of s; what
+modes do freely, and how they answer a unit impulse, are polynomials of time through k Chebyshev nodes, ends among
+them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import cache
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+
+#: Kinds of a step, the first index of many arrays.
+WITHIN, FROM_TOUCH, TO_SEPARATION = 0, 1, 2
+_TIME: tuple[Callable[[Floats], Floats], ...] = (lambda s: s, lambda s: s**2, lambda s: s * (2 - s))
+_RATE: tuple[Callable[[Floats], Floats], ...] = (lambda s: np.ones_like(s), lambda s: 2 * s, lambda s: 2 - 2 * s)
+
+
+class Collocation(NamedTuple):
+    """Weights of a step; the first axis of most is its kind.
+
+    Attributes
+    ----------
+    place : ndarray, (3, n)
+        Time at the Gauss nodes over h.
+    measure : ndarray, (3, n)
+        Weights of an integral over the step, of values at the Gauss nodes.
+    integral : ndarray, (3, n, n)
+        Weights of the integrals from 0 to each Gauss node.
+    memory : ndarray, (3, k, n, n)
+        `memory[kind, k, i, j]`: what a unit impulse response of 1 at Chebyshev time k, 0 at the others, gives at
+        Gauss node i by a force of 1 at Gauss node j, 0 at the others.
+    moment : ndarray, (3, k, n)
+        The same at the end of the step.
+    cardinal : ndarray, (3, n, k)
+        From values at the Chebyshev times to those at the Gauss nodes.
+    legendre : ndarray, (n, n)
+        From values at the Gauss nodes to the coefficients of Legendre polynomials of `2 s - 1`.
+    times : ndarray, (k,)
+        The Chebyshev times over h, 0 and 1 among them.
+    barycentric : ndarray, (k,)
+        Their barycentric weights.
+    flight : ndarray, (k, k)
+        Weights of the integrals from 0 to each Chebyshev time.
+    """
+
+    place: Floats
+    measure: Floats
+    integral: Floats
+    memory: Floats
+    moment: Floats
+    cardinal: Floats
+    legendre: Floats
+    times: Floats
+    barycentric: Floats
+    flight: Floats
+
+
+@cache
+def collocation(n_nodes: int, n_times: int) -> Collocation:
+    """Return the weights for n Gauss nodes and k Chebyshev times."""
+    nodes, weights = _gauss(n_nodes)
+    times = np.sin(np.pi / 2 * np.arange(n_times) / (n_times - 1)) ** 2
+    barycentric: Floats = (-1.0) ** np.arange(n_times, dtype=np.float64)
+    barycentric[[0, -1]] /= 2
+    # Exact for the product of all polynomials, whose variable m is of degree 2.
+    fine, fine_weights = _gauss(n_times + n_nodes // 2 + 2)
+    degrees = np.arange(n_nodes)
+    legendre = (2 * degrees[:, None] + 1) * np.polynomial.legendre.legvander(2 * nodes - 1, n_nodes - 1).T * weights
+    # For each Gauss node i the fine nodes between 0 and it, (n, fine).
+    before = nodes[:, None] * fine
+    share = nodes[:, None] * fine_weights
+    at_nodes = np.polynomial.legendre.legvander(2 * before - 1, n_nodes - 1) @ legendre
+    at_fine = np.polynomial.legendre.legvander(2 * fine - 1, n_nodes - 1) @ legendre
+    integral, memory, moment, cardinal = [], [], [], []
+    for time, rate in zip(_TIME, _RATE, strict=True):
+        integral.append(np.einsum("iq,iqj->ij", share * rate(before), at_nodes))
+        past = _cardinal(times, barycentric, time(nodes)[:, None] - time(before))
+        memory.append(np.einsum("iq,iqk,iqj->kij", share * rate(before), past, at_nodes, optimize=True))
+        past = _cardinal(times, barycentric, 1 - time(fine))
+        moment.append(np.einsum("q,qk,qj->kj", fine_weights * rate(fine), past, at_fine))
+        cardinal.append(_cardinal(times, barycentric, time(nodes)))
+    flight = np.einsum(
+        "q,iqk->ik", fine_weights, times[:, None, None] * _cardinal(times, barycentric, times[:, None] * fine)
+    )
+    return Collocation(
+        place=np.array([time(nodes) for time in _TIME]),
+        measure=np.array([weights * rate(nodes) for rate in _RATE]),
+        integral=np.array(integral),
+        memory=np.array(memory),
+        moment=np.array(moment),
+        cardinal=np.array(cardinal),
+        legendre=legendre,
+        times=times,
+        barycentric=barycentric,
+        flight=np.ascontiguousarray(flight),
+    )
+
+
+def _gauss(n_nodes: int) -> tuple[Floats, Floats]:
+    """Return nodes and weights on [0, 1]."""
+    nodes, weights = np.polynomial.legendre.leggauss(n_nodes)
+    return (nodes + 1) / 2, weights / 2
+
+
+def _cardinal(times: Floats, barycentric: Floats, at: Floats) -> Floats:
+    """Return the polynomials that are 1 at one of the times and 0 at the others, (*shape of at, k)."""
+    distance = at[..., None] - times
+    hit = distance == 0
+    with np.errstate(divide="ignore", invalid="ignore"):
+        terms = barycentric / distance
+        values = terms / terms.sum(axis=-1, keepdims=True)
+    return np.asarray(np.where(hit.any(axis=-1, keepdims=True), hit.astype(float), values))

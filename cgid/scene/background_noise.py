@@ -1,0 +1,222 @@
+"""The samples of a background, each by its address: the same in however many pieces they are made."""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import dataclass
+from fractions import Fraction
+from functools import cached_property, lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import fft, signal
+
+from cgid.errors import BadData
+from cgid.impact import HertzRangeWarning, ThinPlateWarning
+from cgid.recordings import read_recording
+from cgid.scene.background import BackgroundSection
+from cgid.scene.population import Draw, draw
+from cgid.scene.randomness import BLOCK, COLOURED, HUM, RECORDED, generator, uniforms
+from cgid.scene.response import hearing
+from cgid.scene.scene import Scene
+from cgid.validation import Floats
+
+#: Samples of a recording that share one address.
+CHUNK = 1 << 16
+#: No closer fraction is sought for the ratio of two sampling rates.
+_LARGEST_TERM = 10_000
+#: Blocks of 256 rocks that tell a scene's median peak.
+_REFERENCE_BLOCKS = 4
+#: In so many samples a blow has passed its peak.
+_REFERENCE_SAMPLES = 2048
+
+
+@dataclass(frozen=True)
+class Background:
+    """The background of a scene at one sampling rate.
+
+    Attributes
+    ----------
+    section : BackgroundSection
+    quantity : str
+        What the sensor measures.
+    sampling_rate : float
+        [Hz].
+    recorded : ndarray, (n,), optional
+        The recording that is mixed in, at this rate, with mean 0 and root mean square 1,
+    recorded_level : float
+        and what it is multiplied by.
+    """
+
+    section: BackgroundSection
+    quantity: str
+    sampling_rate: float
+    recorded: Floats | None
+    recorded_level: float = 0.0
+
+    def in_frames(self, seed: int, block: int, n_samples: int) -> Floats:
+        """Return the background of the frames of one block, (`BLOCK`, n_samples), each with its own."""
+        out = np.zeros((BLOCK, n_samples))
+        numbers = uniforms(seed, block, len(self.section.hum), HUM) if self.section.hum else ()
+        for line, amplitude, phases in zip(self.section.hum, self._amplitudes, numbers, strict=True):
+            turns = line.frequency * np.arange(n_samples) / self.sampling_rate
+            out += amplitude * np.sin(2 * np.pi * (turns + phases[:, None]))
+        if self.section.coloured is not None:
+            # Of a period twice as long as the frame, whose ends then have nothing to do with each other.
+            length = fft.next_fast_len(2 * n_samples, real=True)
+            out += self._coloured(generator(seed, COLOURED, block), (BLOCK,), length)[:, :n_samples]
+        if self.recorded is not None:
+            starts = (uniforms(seed, block, 1, RECORDED)[0] * self.recorded.size).astype(np.intp)
+            out += self.recorded_level * self.recorded[(starts[:, None] + np.arange(n_samples)) % self.recorded.size]
+        return out
+
+    def in_recording(self, seed: int, recording: int, chunk: int) -> Floats:
+        """Return the background of one chunk of a recording, (`CHUNK`,)."""
+        samples = chunk * CHUNK + np.arange(CHUNK)
+        out = np.zeros(CHUNK)
+        numbers = uniforms(seed, 0, len(self.section.hum), HUM, recording)[:, 0] if self.section.hum else ()
+        for line, amplitude, phase in zip(self.section.hum, self._amplitudes, numbers, strict=True):
+            out += amplitude * np.sin(2 * np.pi * (line.frequency * (samples / self.sampling_rate) + phase))
+        if self.section.coloured is not None:
+            out += self._segment(seed, recording, chunk)[CHUNK:] + self._segment(seed, recording, chunk + 1)[:CHUNK]
+        if self.recorded is not None:
+            start = int(uniforms(seed, 0, 1, RECORDED, recording)[0, 0] * self.recorded.size)
+            out += self.recorded_level * self.recorded[(start + samples) % self.recorded.size]
+        return out
+
+    @cached_property
+    def rms(self) -> float:
+        """Root mean square of the whole background, in SI units."""
+        return float(np.sqrt(self.section.known_power(self.quantity) + self.recorded_level**2))
+
+    @cached_property
+    def _amplitudes(self) -> Floats:
+        return self.section.amplitudes(self.quantity)
+
+    def _segment(self, seed: int, recording: int, number: int) -> Floats:
+        """Return one of the segments that make up a recording's coloured noise, (2 `CHUNK`,).
+
+        Each reaches over two chunks, and two overlap in every chunk. They are faded by a sine, whose squares
+        add up to 1, so that the power is the same everywhere.
+        """
+        return _faded_segment(self.section, self.quantity, self.sampling_rate, seed, recording, number)
+
+    def _coloured(self, draws: np.random.Generator, rows: tuple[int, ...], length: int) -> Floats:
+        """Return periodic Gaussian noise of the asked density, (*rows, length)."""
+        assert self.section.coloured is not None
+        frequency = np.asarray(fft.rfftfreq(length, 1 / self.sampling_rate))
+        power = self.section.coloured.at(frequency, self.quantity)
+        parts = draws.standard_normal((*rows, frequency.size, 2))
+        # A line of the periodogram 2 |X|^2 / (rate n) then has the asked density as its mean. The mean of a signal
+        # belongs to no frequency, and the line at half the rate is real and counts once.
+        height = np.sqrt(power * self.sampling_rate * length / 4)
+        height[0] = 0.0
+        if length % 2 == 0:
+            parts[..., -1, 1] = 0.0
+            height[-1] *= 2.0
+        return np.asarray(fft.irfft((parts[..., 0] + 1j * parts[..., 1]) * height, n=length))
+
+
+@lru_cache(maxsize=4)
+def _faded_segment(
+    section: BackgroundSection, quantity: str, sampling_rate: float, seed: int, recording: int, number: int
+) -> Floats:
+    background = Background(section, quantity, sampling_rate, None)
+    fade = np.sin(np.pi * (np.arange(2 * CHUNK) + 0.5) / (2 * CHUNK))
+    return fade * background._coloured(generator(seed, COLOURED, number, recording), (), 2 * CHUNK)
+
+
+def add_to_frames(frames: NDArray[Any], scene: Scene, seed: int, block: int) -> None:
+    """Add the background of a scene to the frames of one block, in place; nothing where it has none."""
+    background = background_of(scene)
+    if background is not None:
+        frames += background.in_frames(seed, block, frames.shape[1]).astype(frames.dtype)
+
+
+@lru_cache(maxsize=16)
+def reference_peak(scene: Scene) -> float:
+    """Return the median peak of the first hits of a scene's rocks, drawn by the weights of their populations.
+
+    What the level of a recorded background is measured by, in the SI unit of what the sensor feels. It is a number of
+    the scene, and so the same for all its signals.
+    """
+    with warnings.catch_warnings():
+        for beyond in (HertzRangeWarning, ThinPlateWarning):
+            warnings.simplefilter("ignore", beyond)
+        peaks = [_peaks(scene, draw(scene, 0, block)) for block in range(_REFERENCE_BLOCKS)]
+    slope = 0.0 if scene.stream is None else scene.stream.inclination
+    # The normal velocity of a vertical fall is v cos(alpha), and the peak of a Hertz impact goes with its power 6/5.
+    return float(np.median(peaks) * np.cos(slope) ** 1.2)
+
+
+def _peaks(scene: Scene, drawn: Draw) -> Floats:
+    heard = hearing(scene)
+    if heard is None:
+        return drawn.parameters["peak_force"]
+    frames = np.zeros((BLOCK, scene.sampling.samples or _REFERENCE_SAMPLES))
+    for strike in drawn.strikes:
+        strike.add_response(frames, heard, drawn.parameters)
+    return np.asarray(np.abs(frames).max(axis=1))
+
+
+def background_of(scene: Scene) -> Background | None:
+    """Return the background of a scene at its sampling rate; None where it has none.
+
+    Raises
+    ------
+    NoInput, BadData
+        The recording cannot be read, holds nothing but a constant, or has several channels and none is chosen.
+    MissingOption
+        The recording does not say its sampling rate, and neither does the scene.
+    """
+    section, sampling_rate = scene.background, scene.sampling.sampling_rate
+    if section is None:
+        return None
+    recorded, level = None, 0.0
+    if section.recorded is not None:
+        asked = section.recorded
+        path = scene.folder / asked.path
+        recorded = _unit_recording(path, _age(path), asked.sampling_rate, asked.channel, sampling_rate)
+        level = reference_peak(scene) / 10 ** (asked.signal_to_noise / 20)
+    return Background(section, scene.sensor.quantity, sampling_rate, recorded, level)
+
+
+def _age(path: Path) -> int:
+    try:
+        return path.stat().st_mtime_ns
+    except OSError:
+        return 0  # reading it will say what is wrong
+
+
+@lru_cache(maxsize=4)
+def _unit_recording(
+    path: Path, age: int, given_rate: float | None, channel: str | None, sampling_rate: float
+) -> NDArray[Any]:
+    """Return a recording at another sampling rate, with mean 0 and root mean square 1.
+
+    The age of the file tells its versions apart.
+    """
+    signals = read_recording(path, sampling_rate=given_rate, channel=channel)
+    if len(signals) > 1:
+        names = ", ".join(one.channel for one in signals)
+        cure = "choose one by background.recorded.channel"
+        raise BadData(f"{path}: a background must be one channel, this file has {names}; {cure}")
+    samples = signals[0].samples.astype(np.float64)
+    ratio = Fraction(sampling_rate / signals[0].sampling_rate).limit_denominator(_LARGEST_TERM)
+    if not ratio:
+        raise BadData(
+            f"{path}: a background's sampling rate must lie nearer to {sampling_rate:g} Hz, it is "
+            f"{signals[0].sampling_rate:g} Hz"
+        )
+    samples -= samples.mean()
+    if ratio != 1:
+        samples = signal.resample_poly(samples, ratio.numerator, ratio.denominator)
+        samples -= samples.mean()
+    level = np.sqrt(np.mean(samples**2))
+    if not level > 0:
+        raise BadData(f"{path}: a background must hold more than a constant; give another recording")
+    samples /= level
+    samples.setflags(write=False)
+    return samples

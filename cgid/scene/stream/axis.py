@@ -1,0 +1,45 @@
+"""The part of a recording's time axis that is still being added to."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cgid.validation import Floats
+
+
+class TimeAxis:
+    """Samples from one on, as far as anything was added to them.
+
+    Attributes
+    ----------
+    first : int
+        Number of the first sample that has not been taken.
+    samples : ndarray, (n,)
+        That one and those behind it; behind the last all are 0.
+    """
+
+    def __init__(self) -> None:
+        self.first = 0
+        self.samples: Floats = np.zeros(0)
+
+    def until(self, stop: int) -> Floats:
+        """Return the samples from the first one to number `stop`, to be added to in place."""
+        missing = stop - self.first - self.samples.size
+        if missing > 0:
+            self.samples = np.concatenate([self.samples, np.zeros(missing)])
+        return self.samples[: stop - self.first]
+
+    def add(self, first: NDArray[np.int64], windows: NDArray[np.floating]) -> None:
+        """Add windows (n, width), each from its own sample on; what lies before the axis is lost."""
+        width = windows.shape[1]
+        samples = self.until(int(first.max()) + width)
+        for start, window in zip((first - self.first).tolist(), windows, strict=True):
+            lost = max(-start, 0)
+            samples[start + lost : start + width] += window[lost:]
+
+    def taken(self, stop: int) -> Floats:
+        """Take the samples before number `stop` off the axis and return them."""
+        part = self.until(stop).copy()
+        self.samples, self.first = self.samples[part.size :], stop
+        return part

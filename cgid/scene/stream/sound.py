@@ -1,0 +1,102 @@
+"""What the sensor gives of the impacts of a recording, before noise: forces, or what rings after them."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Mapping
+
+import numpy as np
+
+from cgid.impact import HertzRangeWarning, Impact, ThinPlateWarning
+from cgid.impact.coupled import ModalImpact
+from cgid.scene.background_noise import Background
+from cgid.scene.impacts import impact_of, impacts_by_coupling
+from cgid.scene.response import TOLERANCE, Hearing, hearing
+from cgid.scene.scene import Scene
+from cgid.scene.stream.axis import TimeAxis
+from cgid.scene.stream.rocks import Rocks
+from cgid.scene.stream.truth import DELIVERED
+from cgid.validation import Floats
+
+#: The low-pass of a pulse is followed for so many periods of its edge to either side; what is left of it there is
+#: under 1e-5 of the peak (`tests/test_stream.py`).
+_FILTER_PERIODS = 64
+
+
+def strike(scene: Scene, axis: TimeAxis, rocks: Rocks) -> dict[str, Floats]:
+    """Add what the sensor gives of the impacts of some rocks to the time axis, and return what they deliver.
+
+    What overlaps adds up.
+
+    Returns
+    -------
+    dict of ndarray, each (n,)
+        `DELIVERED`: restitution, peak force [N], contact duration [s].
+    """
+    delivered = {name: np.empty(len(rocks)) for name in DELIVERED}
+    if not len(rocks):
+        return delivered
+    everyone = np.arange(len(rocks))
+    with warnings.catch_warnings():
+        # A population reaches past Hertz's or Zener's range here and there; `cgid check` says how often.
+        for beyond in (HertzRangeWarning, ThinPlateWarning):
+            warnings.simplefilter("ignore", beyond)
+        impact = impact_of(scene, rocks.columns, everyone)
+        parts = list(impacts_by_coupling(scene, impact, rocks.columns, everyone))
+    heard = hearing(scene)
+    for rows, pulses, _ in parts:
+        own = rocks.taken(rows)
+        if heard is None:
+            _add_forces(scene, axis, pulses, own["time"])
+        else:
+            _add_response(scene, axis, heard, pulses, own.columns)
+        for name in DELIVERED:
+            delivered[name][rows] = getattr(pulses, name)
+    return delivered
+
+
+def _add_forces(scene: Scene, axis: TimeAxis, pulses: Impact | ModalImpact, times: Floats) -> None:
+    rate, guard = scene.sampling.sampling_rate, lead(scene)
+    first = np.floor(times * rate).astype(np.int64) - guard
+    width = int(np.ceil(pulses.contact_duration.max() * rate)) + 2 + 2 * guard
+    windows = np.zeros((times.size, width))
+    pulses.add_to_frames(windows, rate, (times * rate - first) / rate)
+    axis.add(first, scene.sensor.limit_band(windows, rate))
+
+
+def _add_response(
+    scene: Scene,
+    axis: TimeAxis,
+    heard: Hearing,
+    pulses: Impact | ModalImpact,
+    columns: Mapping[str, Floats],
+) -> None:
+    """Run the poles of beam and sensor from the first touch until the last ringing has died out."""
+    rate = scene.sampling.sampling_rate
+    first = int(np.floor(columns["time"].min() * rate))
+    # The slowest of the poles falls to its share of the response's tolerance in this time.
+    poles = heard.response.poles
+    ringing = float(np.log(poles.size / TOLERANCE) / -poles.real.max())
+    end = columns["time"].max() + pulses.contact_duration.max() + ringing
+    stop = int(np.ceil(end * rate))
+    frames = axis.until(stop)[None, first - axis.first :]
+    onset = (columns["time"] * rate - first) / rate
+    rows = np.zeros(onset.size, np.intp)
+    heard.response.add_to_frames(frames, pulses, onset, heard.participation(columns), rows=rows)
+
+
+def lead(scene: Scene) -> int:
+    """Return how many samples before touch an impact may be in the recording: the low-pass has zero phase."""
+    bandwidth = scene.sensor.bandwidth
+    return 0 if bandwidth is None else int(np.ceil(_FILTER_PERIODS * scene.sampling.sampling_rate / bandwidth))
+
+
+def hearing_limit(scene: Scene, background: Background | None) -> float:
+    """Return the peak force below which an impact drowns in noise and background [N], and its rock is let go.
+
+    0 where the sensor feels a motion, of which no force alone says how large it is.
+    """
+    if scene.sensor.quantity != "force":
+        return 0.0
+    noise = float(scene.sensor.noise_level(np.zeros(()), scene.sampling.sampling_rate))
+    return float(np.hypot(noise, 0.0 if background is None else background.rms))

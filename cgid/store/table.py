@@ -1,0 +1,289 @@
+"""A table of labelled rows in one file, written batch by batch: HDF5, Parquet or CSV.
+
+In HDF5 every column is chunked and carries a checksum (fletcher32); CSV begins with one line that says what the
+others do in attributes: kind, units, and how the data was made.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+from abc import abstractmethod
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+from numpy.typing import NDArray
+
+from cgid.counting import count
+from cgid.errors import CannotCreate, InvalidValue, MissingExtra
+from cgid.files import whole_file
+
+TABLE_FORMAT, TABLE_VERSION = "cgid-table", 1
+#: Rows that are gathered before they are written, whole chunks of HDF5 or a row group of Parquet; and rows of a chunk.
+_ROWS, _CHUNK = 16384, 4096
+#: File names end in one of these.
+TABLE_SUFFIXES = (".h5", ".hdf5", ".parquet", ".csv")
+
+
+@dataclass(frozen=True, kw_only=True)
+class TableHeader:
+    """What a table says about itself.
+
+    Attributes
+    ----------
+    kind : str
+        What its rows are: "features", "closed-form", "parameters".
+    units : dict
+        The columns beside label and specimen, and their units.
+    attributes : dict
+        Numbers and strings that say how the data was made.
+    """
+
+    kind: str
+    units: Mapping[str, str]
+    attributes: Mapping[str, Any]
+
+    @property
+    def text(self) -> str:
+        """All of it as one line of JSON."""
+        head = {"format": TABLE_FORMAT, "schema_version": TABLE_VERSION, "kind": self.kind}
+        return json.dumps(head | {"units": dict(self.units), "attributes": dict(self.attributes)})
+
+
+@dataclass(frozen=True, kw_only=True)
+class Rows:
+    """Some rows of a table.
+
+    Attributes
+    ----------
+    labels : ndarray of str, (n,)
+    specimen : ndarray of uint64, (n,)
+    columns : dict of ndarray, each (n,)
+    """
+
+    labels: NDArray[np.str_]
+    specimen: NDArray[np.uint64]
+    columns: Mapping[str, NDArray[np.float64]]
+
+    def __len__(self) -> int:
+        return len(self.labels)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Table(Rows):
+    """A whole table, with its header."""
+
+    header: TableHeader
+
+
+def check_table_output(output: str | Path, overwrite: bool = False) -> Path:
+    """Return the output as a path if a table may be written there, before any work is done.
+
+    Raises
+    ------
+    InvalidValue
+        The name does not say which kind of file it is.
+    MissingExtra
+        Parquet is asked for, and its library is not installed.
+    CannotCreate
+        Something is there already, or the folder above is missing.
+    """
+    path = Path(output)
+    if path.suffix.lower() not in TABLE_SUFFIXES:
+        raise InvalidValue(f"{path}: the name of a table must end in {', '.join(TABLE_SUFFIXES)}; choose such a name")
+    if path.suffix.lower() == ".parquet":
+        parquet_library()
+    try:
+        if not path.parent.is_dir():
+            raise CannotCreate(f"{path}: the folder {path.parent} must exist; make it first")
+        if path.is_dir():
+            raise CannotCreate(f"{path}: is a folder; choose another name for the file")
+        if path.exists() and not overwrite:
+            raise CannotCreate(f"{path}: exists already; choose another name or say --overwrite")
+    except CannotCreate:
+        raise
+    except OSError as error:
+        raise CannotCreate(f"{path}: cannot be looked at ({error.strerror}); choose another name") from None
+    return path
+
+
+class TableWriter:
+    """A table that is being written; `add` takes rows. Made by `table_writer`."""
+
+    def __init__(self, header: TableHeader) -> None:
+        self._header = header
+        self._waiting: list[Rows] = []
+        self._n_waiting = 0
+
+    def add(self, rows: Rows) -> None:
+        """Append rows, which must have all columns of the header."""
+        count("stored_rows", len(rows))
+        self._waiting.append(rows)
+        self._n_waiting += len(rows)
+        if self._n_waiting >= _ROWS:
+            joined = _joined(self._waiting)
+            full = self._n_waiting - self._n_waiting % _ROWS
+            for first in range(0, full, _ROWS):
+                self._write(_part(joined, slice(first, first + _ROWS)))
+            self._waiting, self._n_waiting = [_part(joined, slice(full, None))], self._n_waiting - full
+
+    def finish(self) -> None:
+        """Write what still waits, and close the file."""
+        if self._n_waiting:
+            self._write(_joined(self._waiting))
+        self._waiting, self._n_waiting = [], 0
+        self.close()
+
+    @abstractmethod
+    def _write(self, rows: Rows) -> None:
+        """Write some rows."""
+
+    @abstractmethod
+    def close(self) -> None:
+        """Let go of the file, whatever is in it."""
+
+
+@contextlib.contextmanager
+def table_writer(path: str | Path, header: TableHeader, label_width: int) -> Iterator[TableWriter]:
+    """Open a table to write rows to; its name bears the whole table or what it bore before.
+
+    Parameters
+    ----------
+    path : str or Path
+        Its end says the format; see `check_table_output`.
+    header : TableHeader
+    label_width : int
+        Bytes of the longest label.
+
+    Raises
+    ------
+    CannotCreate
+        The folder is missing or not writable.
+    WriteFailed
+        The disk is full or broken; nothing is left behind.
+    """
+    suffix = Path(path).suffix.lower()
+    with whole_file(path) as temporary:
+        if suffix == ".csv":
+            writer: TableWriter = _CsvWriter(temporary, header)
+        elif suffix == ".parquet":
+            writer = _ParquetWriter(temporary, header)
+        else:
+            writer = _Hdf5Writer(temporary, header, label_width)
+        try:
+            yield writer
+            writer.finish()
+        except BaseException:
+            with contextlib.suppress(Exception):  # the first error is the one to tell
+                writer.close()
+            raise
+
+
+class _Hdf5Writer(TableWriter):
+    def __init__(self, path: Path, header: TableHeader, label_width: int) -> None:
+        super().__init__(header)
+        self._filled = 0
+        self._file = h5py.File(path, "w", libver=("v110", "v110"))
+        head = {"format": TABLE_FORMAT, "schema_version": TABLE_VERSION, "kind": header.kind}
+        for name, value in {**header.attributes, **head}.items():
+            self._file.attrs[name] = np.bytes_(value.encode()) if isinstance(value, str) else value
+        self._create("labels", f"S{label_width}")
+        self._create("specimen", "uint64")
+        self._file.create_group("columns", track_order=True)
+        for name, unit in header.units.items():
+            self._create(f"columns/{name}", "float64")
+            self._file[f"columns/{name}"].attrs["unit"] = np.bytes_(unit.encode())
+
+    def _create(self, name: str, dtype: str) -> None:
+        self._file.create_dataset(name, (0,), dtype, maxshape=(None,), chunks=(_CHUNK,), fletcher32=True)
+
+    def _write(self, rows: Rows) -> None:
+        place = slice(self._filled, self._filled + len(rows))
+        values: dict[str, Any] = {f"columns/{name}": rows.columns[name] for name in self._header.units}
+        values |= {"labels": np.char.encode(rows.labels, "utf-8"), "specimen": rows.specimen}
+        with _as_os_error():
+            for name, column in values.items():
+                self._file[name].resize((place.stop,))
+                self._file[name][place] = column
+        self._filled = place.stop
+
+    def close(self) -> None:
+        with _as_os_error():
+            self._file.close()
+
+
+@contextlib.contextmanager
+def _as_os_error() -> Iterator[None]:
+    """Turn what HDF5 says of a full disk into what everybody says."""
+    try:
+        yield
+    except RuntimeError as error:
+        raise OSError(str(error)) from None
+
+
+class _CsvWriter(TableWriter):
+    def __init__(self, path: Path, header: TableHeader) -> None:
+        super().__init__(header)
+        self._stream = path.open("w", encoding="utf-8", newline="")
+        self._stream.write(f"# {header.text}\n")
+        self._stream.write(",".join(["label", "specimen", *header.units]) + "\n")
+
+    def _write(self, rows: Rows) -> None:
+        _frame(rows, self._header).to_csv(self._stream, header=False, index=False, lineterminator="\n")
+
+    def close(self) -> None:
+        self._stream.close()
+
+
+class _ParquetWriter(TableWriter):
+    def __init__(self, path: Path, header: TableHeader) -> None:
+        super().__init__(header)
+        arrow, parquet = parquet_library()
+        fields = [("label", arrow.string()), ("specimen", arrow.uint64())]
+        fields += [(name, arrow.float64()) for name in header.units]
+        self._schema = arrow.schema(fields, metadata={"cgid": header.text})
+        self._arrow, self._file = arrow, parquet.ParquetWriter(path, self._schema)
+
+    def _write(self, rows: Rows) -> None:
+        columns = [rows.labels.tolist(), rows.specimen, *(rows.columns[name] for name in self._header.units)]
+        self._file.write_table(self._arrow.table(columns, schema=self._schema))
+
+    def close(self) -> None:
+        self._file.close()
+
+
+def _frame(rows: Rows, header: TableHeader) -> Any:
+    import pandas
+
+    return pandas.DataFrame(
+        {"label": rows.labels, "specimen": rows.specimen} | {name: rows.columns[name] for name in header.units}
+    )
+
+
+def _joined(parts: list[Rows]) -> Rows:
+    return Rows(
+        labels=np.concatenate([part.labels for part in parts]),
+        specimen=np.concatenate([part.specimen for part in parts]),
+        columns={name: np.concatenate([part.columns[name] for part in parts]) for name in parts[0].columns},
+    )
+
+
+def _part(rows: Rows, which: slice) -> Rows:
+    columns = {name: column[which] for name, column in rows.columns.items()}
+    return Rows(labels=rows.labels[which], specimen=rows.specimen[which], columns=columns)
+
+
+def parquet_library() -> tuple[Any, Any]:
+    """Return pyarrow and its Parquet module, or raise `MissingExtra`."""
+    try:
+        import pyarrow
+        import pyarrow.parquet
+    except ImportError:
+        raise MissingExtra(
+            "Parquet files need pyarrow, which is not installed: pip install 'cgid[parquet]', or choose .h5 or .csv"
+        ) from None
+    return pyarrow, pyarrow.parquet

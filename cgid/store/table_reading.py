@@ -1,0 +1,133 @@
+"""Reading a table, whole; nothing is believed before it is checked."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+from numpy.typing import NDArray
+
+from cgid.errors import BadData, MissingExtra, NoInput
+from cgid.store.shard import attributes_of, plain_dataset, text_of
+from cgid.store.table import TABLE_FORMAT, TABLE_VERSION, Table, TableHeader, parquet_library
+
+#: What readers raise on damaged files.
+_DAMAGE = (OSError, RuntimeError, LookupError, ValueError, TypeError, ArithmeticError)
+
+
+def read_table(path: str | Path) -> Table:
+    """Return a table that `cgid generate --features-only` or its siblings have written.
+
+    Raises
+    ------
+    NoInput
+        There is no such file.
+    BadData
+        It is no such table, or damaged.
+    MissingExtra
+        It is a Parquet file, and the library is not installed.
+    """
+    if not Path(path).is_file():
+        raise NoInput(f"{path}: no such file; give a table made by cgid generate --features-only")
+    suffix = Path(path).suffix.lower()
+    try:
+        if suffix == ".csv":
+            return _read_csv(path)
+        if suffix == ".parquet":
+            return _read_parquet(path)
+        return _read_hdf5(path)
+    except (BadData, MissingExtra):
+        raise
+    except _DAMAGE as error:
+        raise BadData(f"{path}: must be a whole table of cgid, it is damaged ({error}); make it again") from None
+
+
+def is_table(path: str | Path) -> bool:
+    """Return whether a file says that it is a table of cgid; False for what cannot be read."""
+    suffix = Path(path).suffix.lower()
+    try:
+        if suffix == ".parquet":
+            with Path(path).open("rb") as stream:
+                return stream.read(4) == b"PAR1"
+        if suffix == ".csv":
+            with Path(path).open("rb") as stream:
+                return f'"format": "{TABLE_FORMAT}"'.encode() in stream.read(200)
+        with h5py.File(path, "r") as file:
+            return bool(attributes_of(file).get("format") == TABLE_FORMAT)
+    except _DAMAGE:
+        return False
+
+
+def _read_hdf5(path: str | Path) -> Table:
+    with h5py.File(path, "r") as file:
+        attributes = attributes_of(file)
+        if attributes.pop("format", None) != TABLE_FORMAT:
+            raise BadData(f"{path}: this HDF5 file must be a table (attribute format = {TABLE_FORMAT!r}); it is not")
+        _require_version(path, attributes.pop("schema_version", None))
+        kind = str(attributes.pop("kind", ""))
+        labels, specimen = plain_dataset(file, "labels", str(path)), plain_dataset(file, "specimen", str(path))
+        stored = {name: plain_dataset(file, f"columns/{name}", str(path)) for name in file["columns"]}
+        units = {name: str(attributes_of(column).get("unit", "")) for name, column in stored.items()}
+        return _checked(
+            path,
+            TableHeader(kind=kind, units=units, attributes=attributes),
+            text_of(labels[:]),
+            specimen[:],
+            {name: column[:] for name, column in stored.items()},
+        )
+
+
+def _read_csv(path: str | Path) -> Table:
+    import pandas
+
+    with Path(path).open(encoding="utf-8") as stream:
+        header = _header_of(path, stream.readline().removeprefix("# "))
+        types = {"label": str, "specimen": np.uint64} | dict.fromkeys(header.units, np.float64)
+        frame = pandas.read_csv(stream, dtype=types, keep_default_na=False, na_values={n: [""] for n in header.units})
+    columns = {str(name): frame[name].to_numpy() for name in frame.columns}
+    return _checked(path, header, columns.pop("label").astype(str), columns.pop("specimen"), columns)
+
+
+def _read_parquet(path: str | Path) -> Table:
+    _, parquet = parquet_library()
+    with parquet.ParquetFile(path) as file:
+        header = _header_of(path, (file.schema_arrow.metadata or {}).get(b"cgid", b"").decode())
+        table = file.read()
+    columns = {name: table[name].to_numpy() for name in table.column_names}
+    return _checked(path, header, np.array(columns.pop("label"), str), columns.pop("specimen"), columns)
+
+
+def _header_of(path: str | Path, text: str) -> TableHeader:
+    try:
+        content = json.loads(text)
+    except (ValueError, RecursionError):
+        content = None
+    if not isinstance(content, dict) or content.get("format") != TABLE_FORMAT:
+        raise BadData(f"{path}: must begin with what cgid says of its tables; this is another file")
+    _require_version(path, content.get("schema_version"))
+    units, attributes = content.get("units"), content.get("attributes")
+    if not isinstance(units, dict) or not isinstance(attributes, dict):
+        raise BadData(f"{path}: must say its units and attributes, it does not; make it again")
+    return TableHeader(kind=str(content.get("kind")), units=units, attributes=attributes)
+
+
+def _require_version(path: str | Path, version: Any) -> None:
+    if version != TABLE_VERSION:
+        raise BadData(f"{path}: schema_version must be {TABLE_VERSION}, got {version}: use the cgid that wrote it")
+
+
+def _checked(
+    path: str | Path, header: TableHeader, labels: Any, specimen: Any, columns: Mapping[str, NDArray[Any]]
+) -> Table:
+    if set(columns) != set(header.units) or {len(c) for c in (labels, specimen, *columns.values())} != {len(labels)}:
+        raise BadData(f"{path}: must hold all columns that it names, all of one length; make it again")
+    if header.attributes.get("n_signals", len(labels)) != len(labels):
+        raise BadData(
+            f"{path}: must hold {header.attributes['n_signals']} rows as it says, it has {len(labels)}; make it again"
+        )
+    numbers = {name: np.asarray(columns[name], np.float64) for name in header.units}
+    return Table(header=header, labels=labels, specimen=np.asarray(specimen, np.uint64), columns=numbers)

@@ -1,0 +1,366 @@
+"""Models of acceleration: what they look at, how impacts are found in a vibration, and which default model answers."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+
+from cgid import shipped
+from cgid.cli.main import run
+from cgid.errors import BadData, InvalidValue, NoInput
+from cgid.features import FEATURES
+from cgid.identification.answers import identify, identify_frames, suited
+from cgid.identification.card import force_table, write_card
+from cgid.identification.events import VIBRATION_DEAD_TIME, find_impacts
+from cgid.identification.measuring import (
+    DEFAULT_FEATURES,
+    DEFAULT_GUARDS,
+    DEFAULT_VIBRATION_FEATURES,
+    default_guards,
+    measure,
+)
+from cgid.identification.model import Model
+from cgid.identification.training import Training, linear_columns, train
+from cgid.signals import STANDARD_GRAVITY, Batch, Signal
+from tests.ringing import N_SAMPLES, PRE_TRIGGER, RATE, damped_sinusoid, ringing_batch
+
+
+@pytest.fixture(scope="module")
+def fresh() -> Batch:
+    """Impacts that no model here has seen."""
+    return ringing_batch(120, seed=2)
+
+
+@pytest.fixture(scope="module")
+def training() -> Training:
+    return train([ringing_batch(500, seed=1)])
+
+
+@pytest.fixture(scope="module")
+def model_file(training: Training, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("model") / "vibration.npz"
+    path.write_bytes(training.model.to_bytes())
+    return path
+
+
+@pytest.fixture
+def default_model(model_file: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The model of this test in the place of the shipped one of acceleration."""
+    ship = shipped.path_of
+    monkeypatch.setattr(
+        shipped, "path_of", lambda kind, name: model_file if name == shipped.ACCELERATION_MODEL else ship(kind, name)
+    )
+    return model_file
+
+
+def accuracy(answers, labels) -> float:
+    best = [max(a.probabilities, key=a.probabilities.__getitem__) for a in answers]
+    return float(np.mean(np.array(best) == labels))
+
+
+# -- what a model looks at ------------------------------------------------------------------------------------
+
+
+def test_features_and_guards_follow_from_the_quantity(training: Training) -> None:
+    model = training.model
+    assert (model.quantity, model.unit, model.kind, model.guards) == ("acceleration", "m/s^2", "vibration", ())
+    # Frames of 80 ms do not tell the lowest bands apart.
+    too_low = ("level_31.5_hz", "level_40_hz", "level_50_hz")
+    assert model.features == tuple(name for name in DEFAULT_VIBRATION_FEATURES if name not in too_low)
+    force = measure([replace(ringing_batch(5), unit="N")])
+    assert force.names == DEFAULT_FEATURES
+    assert default_guards(DEFAULT_FEATURES) == DEFAULT_GUARDS
+    assert default_guards(["level_500_hz"]) == ()
+
+
+def test_a_model_asks_for_no_band_that_its_rate_has_not() -> None:
+    batch = ringing_batch(40)
+    slow = replace(batch, signals=batch.signals[:, ::2], sampling_rate=RATE / 2, pre_trigger=PRE_TRIGGER // 2)
+    names = measure([slow]).names
+    assert "level_5000_hz" in names
+    assert not {"level_6300_hz", "level_8000_hz", "level_10000_hz", "early_level_4000_8000_hz"} & set(names)
+    with pytest.raises(BadData, match="fast and long enough"):
+        measure([replace(batch, signals=batch.signals[:, : PRE_TRIGGER + 10], sampling_rate=1000.0)])
+    # What is asked by name is not left out in silence.
+    with pytest.raises(InvalidValue, match="level_10000_hz needs a sampling_rate"):
+        measure([slow], ["level_10000_hz"])
+
+
+def test_no_batch_is_lost_and_none_is_an_error() -> None:
+    batches = [ringing_batch(30, seed) for seed in (1, 2, 3)]
+    assert len(measure(iter(batches)).labels) == 90
+    with pytest.raises(BadData, match="there are none"):
+        measure([])
+
+
+def test_levels_get_no_second_logarithm() -> None:
+    names = ("peak_amplitude", "level_500_hz", "relative_level_500_hz", "crest_factor", "decay_time")
+    assert linear_columns(names) == (1, 2)
+    assert {FEATURES[name].kind for name in names} == {"vibration"}
+
+
+def test_network_and_logistic_learn_from_the_levels(training: Training, fresh: Batch) -> None:
+    assert training.metrics["accuracy"] > 0.85
+    answers = identify_frames(fresh.signals, RATE, training.model, pre_trigger=PRE_TRIGGER)
+    assert accuracy(answers, fresh.labels) > 0.85
+    network = train([ringing_batch(500, seed=1)], family="network")
+    assert accuracy(identify_frames(fresh.signals, RATE, network.model, pre_trigger=PRE_TRIGGER), fresh.labels) > 0.85
+    assert [answer.time for answer in answers] == [PRE_TRIGGER / RATE] * len(fresh)
+
+
+def test_the_file_keeps_all_and_the_card_tells_it(training: Training, model_file: Path) -> None:
+    loaded = Model.load(model_file)
+    assert loaded.features == training.model.features
+    assert loaded.to_bytes() == model_file.read_bytes()
+    card = write_card(loaded, "m.npz")
+    assert "acceleration [m/s^2], vibrations of both signs, trained at 25.6 kHz" in card
+    assert "on another beam" in card
+    row = {"name": "force", "n": 9, "accuracy": 0.6, "force_accuracy": 0.9, "difference": 0.3, "standard_error": 0.01}
+    told = replace(loaded, training=loaded.training | {"beside_force": row})
+    assert "\n".join(force_table(row)) in write_card(told, "m.npz")
+    assert "costs 0.3000 ± 0.0100" in write_card(told, "m.npz")
+
+
+def test_g_is_converted(training: Training, fresh: Batch) -> None:
+    frame = fresh.signals[0].astype(float)
+    signal = Signal(samples=frame / STANDARD_GRAVITY, sampling_rate=RATE, unit="g", pre_trigger=PRE_TRIGGER)
+    (answer,) = identify(suited(signal, training.model), training.model)
+    (expected,) = identify_frames(frame[None], RATE, training.model, pre_trigger=PRE_TRIGGER)
+    assert answer.label == expected.label
+    assert answer.probabilities == pytest.approx(expected.probabilities, rel=1e-9)
+
+
+def test_what_cannot_be_measured_is_answered_with_unknown(training: Training, fresh: Batch) -> None:
+    frames = fresh.signals[:3].copy()
+    frames[1] = 0.0
+    answers = identify_frames(frames, RATE, training.model, pre_trigger=PRE_TRIGGER)
+    assert answers[1].label == "unknown"
+    assert "all samples are 0" in answers[1].problem
+    assert answers[0].probabilities
+    assert answers[2].probabilities
+    with pytest.raises(InvalidValue, match="needs a sampling_rate"):
+        identify_frames(frames, RATE / 2, training.model, pre_trigger=PRE_TRIGGER)
+
+
+def test_a_stranger_is_outside_of_the_training(training: Training) -> None:
+    hum = damped_sinusoid(100, 1e-4, amplitude=1e4)
+    (answer,) = identify_frames(hum[None], RATE, training.model, pre_trigger=PRE_TRIGGER)
+    assert answer.label == "unknown"
+    assert answer.novelty > 1
+
+
+# -- impacts in a recording -----------------------------------------------------------------------------------
+
+
+def recording(firsts, blows, seconds=1.0, noise=0.2, seed=0) -> Signal:
+    samples = np.random.default_rng(seed).normal(0, noise, int(seconds * RATE))
+    for first, blow in zip(firsts, blows, strict=True):
+        stop = min(first + len(blow), samples.size)
+        samples[first:stop] += blow[: stop - first]
+    return Signal(samples=samples, sampling_rate=RATE, unit="m/s^2")
+
+
+def found(signal: Signal, **options) -> list[int]:
+    return [round(event.time * RATE) for event in find_impacts(signal, kind="vibration", **options)]
+
+
+def ringing(frequency=400.0, damping=0.02, amplitude=100.0, n_samples=12_000) -> np.ndarray:
+    return damped_sinusoid(frequency, damping, n_samples=n_samples, before=0, amplitude=amplitude)
+
+
+@pytest.mark.parametrize("offset", [0.0, -500.0, 30.0])
+@pytest.mark.parametrize("sign", [1, -1])
+def test_each_blow_is_found_once_whichever_way_it_swings(offset: float, sign: int) -> None:
+    truth = [2000, 9000, 15_000]
+    signal = recording(truth, [ringing(), ringing(120.0, 0.01), ringing(3000.0, 0.03)])
+    turned = replace(signal, samples=sign * signal.samples + offset)
+    # A sine of 120 Hz passes 5 % of the largest sample after four.
+    assert np.abs(np.subtract(found(turned), truth)).max() <= 6
+
+
+def test_ringing_is_one_event_and_a_blow_into_it_is_another() -> None:
+    slow = ringing(60.0, 0.005)  # rings for half a second
+    assert len(found(recording([2000], [slow]))) == 1
+    truth = [2000, 6000]
+    times = found(recording(truth, [slow, ringing(500.0, 0.02, 400.0)]))
+    assert len(times) == 2
+    assert np.abs(np.subtract(times, truth)).max() <= 20  # the threshold is that of the larger blow
+    # What does not rise above the ringing by far is part of it.
+    assert len(found(recording(truth, [slow, ringing(500.0, 0.02, 30.0)]))) == 1
+
+
+@pytest.mark.parametrize(("share", "expected"), [(0.8, 1), (1.3, 2)])
+def test_dead_time_joins_what_is_closer(share: float, expected: int) -> None:
+    second = 2000 + int(share * VIBRATION_DEAD_TIME * RATE)
+    blows = [ringing(2000.0, 0.05), ringing(2000.0, 0.05)]
+    assert len(found(recording([2000, second], blows))) == expected
+    assert len(found(recording([2000, second], blows), dead_time=0.01)) == 2
+    assert len(found(recording([2000, second], blows), dead_time=0.1)) == 1
+
+
+def test_frames_end_where_the_next_blow_begins_and_are_long_enough_for_every_band() -> None:
+    signal = recording([2000, 3000], [ringing(2000.0, 0.03), ringing(2000.0, 0.03, 80.0)])
+    first, second = find_impacts(signal, kind="vibration")
+    for event, length in ((first, 1000), (second, 3500)):
+        place, frame = round(event.time * RATE), event.signal.samples
+        assert frame.size >= RATE / (31.5 * (10**0.05 - 10**-0.05))
+        # Ten milliseconds before, of which one may belong to the impact.
+        assert event.signal.pre_trigger == 256 - 26
+        assert np.array_equal(frame[: 256 + length - 5], signal.samples[place - 256 : place + length - 5])
+    # The first holds silence where the second begins.
+    assert set(first.signal.samples[256 + 1005 :]) == {np.median(signal.samples)}
+
+
+def test_a_found_event_is_answered_as_its_frame(training: Training, fresh: Batch) -> None:
+    # Each blow comes with its own noise, and on an offset; the recording around it is as noisy.
+    answers = []
+    for frame in fresh.signals[:12]:
+        noise = np.random.default_rng(1).normal(0, frame[:PRE_TRIGGER].std(), 8000)
+        noise[3000 - PRE_TRIGGER : 3000 - PRE_TRIGGER + N_SAMPLES] = frame
+        answers.append(identify(Signal(samples=noise + 40, sampling_rate=RATE, unit="m/s^2"), training.model))
+    expected = identify_frames(fresh.signals[:12], RATE, training.model, pre_trigger=PRE_TRIGGER)
+    for (answer,), framed in zip(answers, expected, strict=True):
+        assert answer.time == pytest.approx(3000 / RATE, abs=0.3e-3)
+        assert answer.probabilities["coal"] == pytest.approx(framed.probabilities["coal"], abs=0.1)
+
+
+def test_noise_alone_and_blows_at_the_ends() -> None:
+    with pytest.raises(BadData, match=r"no impact: .*6 times the noise"):
+        find_impacts(recording([], []), kind="vibration")
+    late = recording([25_600 - 60], [ringing()])
+    with pytest.raises(BadData, match=r"cut off by the end after 2\.\d+ ms"):
+        find_impacts(late, kind="vibration")
+    assert len(found(recording([5000, 25_600 - 60], [ringing(), ringing()]))) == 1
+    with pytest.raises(InvalidValue, match="kind must be one of"):
+        find_impacts(late, kind="ringing")  # type: ignore[arg-type]
+
+
+def test_a_recording_that_begins_in_a_vibration_says_so(training: Training) -> None:
+    signal = recording([0], [ringing()[30:]])
+    (answer,) = identify(signal, training.model)
+    assert "cut off by its start" in answer.problem
+
+
+# -- the command line -----------------------------------------------------------------------------------------
+
+
+def written(folder: Path, name: str, samples: np.ndarray, unit: str = "m/s^2") -> str:
+    quantity = "force" if unit == "N" else "acceleration"
+    path = folder / name
+    path.write_text(f"# sampling_rate: {RATE:g} Hz\n{quantity} ({unit})\n" + "\n".join(map(repr, samples.tolist())))
+    return str(path)
+
+
+@pytest.fixture
+def files(tmp_path: Path, fresh: Batch) -> dict[str, str]:
+    frame = np.concatenate([np.tile(fresh.signals[0, :PRE_TRIGGER], 8), fresh.signals[0, PRE_TRIGGER:]]).astype(float)
+    time = np.arange(4000) / RATE
+    pulse = 9e3 * np.sin(np.pi * np.clip((time - 0.05) / 1e-3, 0, 1)) ** 1.5
+    return {
+        "acceleration": written(tmp_path, "a.csv", frame),
+        "g": written(tmp_path, "g.csv", frame / STANDARD_GRAVITY, "g"),
+        "force": written(tmp_path, "f.csv", pulse, "N"),
+        "striker": written(tmp_path, "s.csv", pulse / 2.0),
+    }
+
+
+def test_each_quantity_gets_its_default_model(
+    files: dict[str, str], default_model: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run(["predict", files["acceleration"], files["g"], files["force"], "--json"]) == 0
+    rows = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    assert [row["source"] for row in rows] == [files["acceleration"], files["g"], files["force"]]
+    assert rows[0]["probabilities"] == pytest.approx(rows[1]["probabilities"], rel=1e-6)
+    assert run(["predict", files["acceleration"], "--model", str(default_model), "--json"]) == 0
+    (row,) = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    assert row == rows[0]
+    force_model = str(shipped.path_of("models", shipped.DEFAULT_MODEL))
+    assert run(["predict", files["force"], "--model", force_model, "--json"]) == 0
+    (row,) = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    assert row == rows[2]
+
+
+def test_mass_makes_a_force_of_it_and_asks_the_model_of_force(
+    files: dict[str, str], default_model: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run(["predict", files["force"], "--json"]) == 0
+    (force,) = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    assert run(["predict", files["striker"], "--mass", "2", "--json"]) == 0
+    (striker,) = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    assert striker["probabilities"] == pytest.approx(force["probabilities"], rel=1e-9)
+    assert run(["predict", files["force"], "--model", str(default_model)]) == 65
+    assert "acceleration" in capsys.readouterr().err
+
+
+def test_a_missing_model_of_acceleration_is_told(
+    files: dict[str, str], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    ship = shipped.path_of
+
+    def without(kind, name):
+        if name == shipped.ACCELERATION_MODEL:
+            raise NoInput(f"{kind}/{name}: must come with cgid and is missing: install it again")
+        return ship(kind, name)
+
+    monkeypatch.setattr(shipped, "path_of", without)
+    assert run(["predict", files["acceleration"], files["force"]]) == 66
+    out, err = capsys.readouterr()
+    assert "default-acceleration.npz" in err
+    assert "--mass KG" in err
+    assert files["force"] in out  # the other file has its answer
+
+
+def test_features_of_a_recording_are_those_of_its_quantity(
+    files: dict[str, str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run(["features", files["acceleration"], files["force"], "--json"]) == 0
+    vibration, pulse = (json.loads(line) for line in capsys.readouterr().out.splitlines())
+    assert {FEATURES[name].kind for name in vibration["features"]} == {"vibration"}
+    assert vibration["units"]["level_500_hz"] == "log10((m/s^2)^2 s)"
+    assert "peak_force" in pulse["features"]
+    assert "level_500_hz" not in pulse["features"]
+    assert run(["features", files["acceleration"], "--features", "level_500_hz,decay_time", "--json"]) == 0
+    (row,) = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    for name, value in row["features"].items():
+        assert value == vibration["features"][name]
+
+
+def test_dataset_of_acceleration(
+    tmp_path: Path, default_model: Path, fresh: Batch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A dataset of force whose signals are exchanged, as another programme would write it."""
+    path, n = str(tmp_path / "data.h5"), len(fresh)
+    scene = (Path(__file__).parents[1] / "datasets" / "reference.toml").read_text()
+    scene = scene.replace('"200 kHz"', f'"{RATE:g} Hz"').replace("pre_trigger = 200", f"pre_trigger = {PRE_TRIGGER}")
+    (tmp_path / "scene.toml").write_text(scene)
+    assert run(["generate", str(tmp_path / "scene.toml"), "-o", path, "-n", str(n)]) == 0
+    with h5py.File(path, "r+") as file:
+        assert file["signals"].shape == (n, N_SAMPLES)
+        file["signals"][:] = fresh.signals
+        file["labels"][:] = np.char.encode(fresh.labels)
+        for name, value in {"unit": "m/s^2", "quantity": "acceleration"}.items():
+            file["signals"].attrs[name] = np.bytes_(value)
+    capsys.readouterr()
+    assert run(["predict", path, "--json"]) == 0
+    out, err = capsys.readouterr()
+    rows = [json.loads(line) for line in out.splitlines()]
+    expected = identify_frames(fresh.signals, RATE, Model.load(default_model), pre_trigger=PRE_TRIGGER)
+    assert [row["label"] for row in rows] == [answer.label for answer in expected]
+    assert "accuracy of the most probable label 0." in err
+    assert run(["predict", path, "--model", str(shipped.path_of("models", shipped.DEFAULT_MODEL))]) == 65
+    assert "quantity must be the model's" in capsys.readouterr().err
+    assert run(["features", path, "--json"]) == 0
+    rows = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    assert len(rows) == n
+    assert rows[3]["features"]["peak_amplitude"] == pytest.approx(np.abs(fresh.signals[3]).max(), rel=0.05)
+    with h5py.File(path, "r+") as file:
+        file["signals"][:] = fresh.signals / STANDARD_GRAVITY
+        file["signals"].attrs["unit"] = np.bytes_("g")
+    assert run(["predict", path, "--json"]) == 0
+    rows = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    assert rows[0]["probabilities"] == pytest.approx(expected[0].probabilities, rel=1e-4)

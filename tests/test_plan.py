@@ -1,0 +1,618 @@
+"""The plan: what runs for what is asked, shown by counters; features and tables without signals."""
+
+from __future__ import annotations
+
+import json
+import tracemalloc
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cgid import beginnings
+from cgid.cli.main import run
+from cgid.counting import count, counted, counting
+from cgid.errors import BadData, CannotCreate, InvalidValue, MissingExtra, NoInput, WriteFailed
+from cgid.features import extract_array
+from cgid.impact import Elastic, HalfSpace, HuntCrossley, Impact, Sphere, _kernels, _taylor, curves
+from cgid.impact.curves import Curves
+from cgid.materials import STEEL as STEEL_MATERIAL
+from cgid.materials import Material
+from cgid.pulses import PulseBatch
+from cgid.scene import synthesis, synthesise
+from cgid.scene.plan import plan
+from cgid.scene.population import draw
+from cgid.scene.quantities import QUANTITIES
+from cgid.scene.sensor import Sensor
+from cgid.scene.stages import STAGES
+from cgid.scene.tables import closed_forms_of, columns_of, features_of, parameters_of
+from cgid.scene.tabulation import tabulate
+from cgid.scene.weight import TOLERANCE, weighed
+from cgid.store import Rows, TableHeader, is_table, read_table, table, table_writer
+from tests.plan_scenes import CASES, COUNTED, FIT, IN_TIME, SECOND, TAP, Case, scene_of, uniform
+
+N = COUNTED
+#: What runs of each case; a name that is missing must not run at all. Samples of beginnings are bounded below.
+EXPECTED = {
+    "parameters alone": {},
+    "times alone": {"tabulated_times": N},
+    "all closed forms": {"closed_form_peaks": 2 * N, "damping_solves": N, "tabulated_times": N},
+    "undamped, no sensor": {
+        "closed_form_peaks": N,
+        "tabulated_times": N,
+        "table_pulses": N,
+        "frames": N,
+        "frame_samples": 2048 * N,
+    },
+    "features of the fit": {
+        "closed_form_peaks": N,
+        "damping_solves": N,
+        "tabulated_times": N,
+        "table_pulses": N,
+        "frames": N,
+        "fits": N,
+        "features": 4 * N,
+    },
+    "features in time": {
+        "closed_form_peaks": N,
+        "damping_solves": N,
+        "tabulated_times": N,
+        "table_pulses": N,
+        "frames": N,
+        "features": 3 * N,
+    },
+    "spectrum, bandwidth, range and bits": {
+        "closed_form_peaks": N,
+        "damping_solves": N,
+        "tabulated_times": N,
+        "table_pulses": N,
+        "frames": N,
+        "filtered_frames": N,
+        "digitised_frames": N,
+        "spectra": N,
+        "features": N,
+    },
+    "gravity too weak": {
+        "closed_form_peaks": N,
+        "damping_solves": N,
+        "tabulated_times": N,
+        "table_pulses": N,
+        "frames": N,
+        "frame_samples": 2048 * N,
+        "noise_samples": 2048 * N,
+    },
+    "gravity and a thin plate": {
+        "damping_solves": N,
+        "integrated_impacts": N,
+        "integrated_pulses": N,
+        "frames": N,
+        "frame_samples": 2048 * N,
+        "noise_samples": 2048 * N,
+    },
+}
+#: Cases whose frames end behind the last window: samples made and samples with noise are fewer than so many each.
+BEGINNINGS = {"features of the fit": 600, "features in time": 500, "spectrum, bandwidth, range and bits": 500}
+
+
+def case(name: str) -> Case:
+    return next(case for case in CASES if case.name == name)
+
+
+# -- counters -------------------------------------------------------------------------------------------
+
+
+def test_counters_belong_to_who_asks() -> None:
+    count("frames", 5)
+    with counted() as outer:
+        assert counting()
+        count("frames", 2)
+        with counted() as inner:
+            count("frames", 3)
+        count("spectra", 0)
+    assert not counting()
+    assert (dict(inner), dict(outer)) == ({"frames": 3}, {"frames": 5})
+
+
+@pytest.mark.parametrize("name", EXPECTED)
+def test_only_what_is_asked_runs(name: str) -> None:
+    counts = case(name).ask()
+    contact = counts.pop("pulse_samples", 0)
+    if "frames" in EXPECTED[name]:
+        drawn = [draw(case(name).scene, 0, block) for block in range(2)]
+        rate = case(name).scene.sampling.sampling_rate
+        inside = sum(float(np.sum(d.parameters["contact_duration"]) * rate) for d in drawn)
+        assert contact == pytest.approx(inside, abs=N)
+    else:
+        assert contact == 0
+    if name in BEGINNINGS:
+        assert 200 * N < counts.pop("frame_samples") == counts.pop("noise_samples") < BEGINNINGS[name] * N
+    assert dict(counts) == EXPECTED[name]
+
+
+def test_taps_second_hits_and_drawn_noise_run_where_they_are() -> None:
+    chosen = case("taps, second hits, drawn noise")
+    impacts = sum(draw(chosen.scene, 0, block).impact.reduced_mass.size for block in range(2))
+    counts = chosen.ask()
+    assert counts["table_pulses"] == 2 * impacts  # each hits twice
+    assert counts["tap_pulses"] == N - impacts
+    assert counts["damping_solves"] == counts["closed_form_peaks"] == impacts
+    assert (counts["fits"], counts["spectra"], counts["integrated_impacts"]) == (N, 0, 0)
+    assert counts["noise_samples"] < 0.6 * 2048 * N
+
+
+@pytest.mark.parametrize("chosen", CASES, ids=lambda chosen: chosen.name)
+def test_everything_costs_more(chosen: Case) -> None:
+    asked, everything = chosen.ask(), chosen.ask_everything()
+    assert everything["fits"] == everything["spectra"] == everything["frames"] == N
+    assert all(asked[name] <= number for name, number in everything.items())
+    assert set(asked) <= set(everything)
+    assert sum(asked.values()) < sum(everything.values())
+
+
+def _refuse(*_: object, **__: object) -> None:
+    raise AssertionError("a stage runs that the plan skips")
+
+
+#: What does the work of each stage.
+WORKERS = {
+    "damping": [(curves, "damping_number")],
+    "closed forms": [(curves, "peak_force"), (curves, "peak_displacement"), (curves.family, "times")],
+    "time stepping": [(_taylor, "summaries"), (_taylor, "add_to_frames")],
+    "pulses": [(_kernels, "add_to_frames"), (Curves, "add_to_frames")],
+    "bandwidth": [(Sensor, "limit_band")],
+    "noise": [(synthesis, "add_noise")],
+    "clipping": [(synthesis, "clip")],
+    "offset, range and bits": [(Sensor, "digitise")],
+    "spectra": [(PulseBatch, "spectrum")],
+    "fits": [(PulseBatch, "fit")],
+}
+
+
+@pytest.mark.parametrize("chosen", CASES, ids=lambda chosen: chosen.name)
+def test_a_skipped_stage_may_be_broken(chosen: Case, monkeypatch: pytest.MonkeyPatch) -> None:
+    skipped = [name for name in WORKERS if not chosen.plan.runs(name)]
+    assert skipped
+    for name in skipped:
+        for owner, worker in WORKERS[name]:
+            monkeypatch.setattr(owner, worker, property(_refuse) if owner is PulseBatch else _refuse)
+    chosen.ask()
+
+
+@pytest.mark.parametrize("chosen", CASES, ids=lambda chosen: chosen.name)
+def test_a_stage_that_runs_is_where_the_test_above_looks(chosen: Case, monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in [name for name in WORKERS if chosen.plan.runs(name)]:
+        with monkeypatch.context() as broken:
+            for owner, worker in WORKERS[name]:
+                broken.setattr(owner, worker, property(_refuse) if owner is PulseBatch else _refuse)
+            with pytest.raises(AssertionError, match="that the plan skips"):
+                chosen.ask()
+
+
+def test_an_undamped_impact_among_damped_ones_needs_no_damping() -> None:
+    scene = scene_of(population={"restitution": {"distribution": "choice", "values": [0.5, 1.0]}})
+    undamped = sum(np.count_nonzero(d.parameters["restitution"] == 1) for d in [draw(scene, 0, 0)])
+    with counted() as counts:
+        draw(scene, 0, 0)
+    assert 0 < undamped < 256
+    assert counts["damping_solves"] == 256 - undamped
+
+
+# -- features without frames ------------------------------------------------------------------------------
+
+
+def stored_features(scene, n_signals, names, first=0):
+    return np.concatenate(
+        [
+            extract_array(batch.signals, batch.sampling_rate, names, pre_trigger=batch.pre_trigger, invalid="nan")
+            for batch in synthesise(scene, n_signals, first=first)
+        ]
+    )
+
+
+def features_without_frames(scene, n_signals, names, first=0):
+    parts = list(features_of(scene, n_signals, features=names, first=first))
+    return np.concatenate([np.stack([part.values[name] for name in names], axis=1) for part in parts])
+
+
+NOISY = {"relative_noise": 0.08}
+SCENES = {
+    "plain": scene_of(),
+    "silent": scene_of(sensor={}),
+    "undamped": scene_of({"dissipation": "elastic"}, {"restitution": None}),
+    "so noisy that beginnings do not do": scene_of(sensor=NOISY),
+    "absolute noise": scene_of(sensor={"absolute_noise": "400 N"}),
+    "bandwidth, range, bits": scene_of(
+        sensor={"relative_noise": 0.02, "bandwidth": "20 kHz", "range": "20 kN", "bits": 10}
+    ),
+    "clipped": scene_of(population={"clipped_at": uniform(0.4, 0.9)}),
+    "everything drawn": scene_of(
+        randomise={"relative_noise": uniform(0.001, 0.2), "bandwidth": uniform("10 kHz", "90 kHz")},
+        taps=[{**TAP, "second_hit": {"delay": uniform("0.2 ms", "4 ms"), "ratio": uniform(0.3, 3)}}],
+    ),
+    "drawn noise": scene_of(randomise={"relative_noise": uniform(0.001, 0.5)}),
+    "drawn rate": scene_of(randomise={"sampling_rate": uniform("50 kHz", "400 kHz")}),
+}
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_features_without_frames_are_those_of_stored_frames(name: str) -> None:
+    scene = SCENES[name]
+    fitted = features_without_frames(scene, 300, FIT, first=100)
+    np.testing.assert_array_equal(fitted, stored_features(scene, 300, FIT, first=100))
+    # Sums over a window may differ in their last bits with what else is in the batch.
+    names = (*IN_TIME, "skewness", "spectral_centroid", "band_energy_0_500_hz")
+    read = features_without_frames(scene, 300, names, first=100)
+    np.testing.assert_allclose(read, stored_features(scene, 300, names, first=100), rtol=1e-9, atol=1e-12)
+
+
+def test_a_feature_that_looks_everywhere_gets_whole_frames() -> None:
+    scene, names = SCENES["plain"], ("fitted_peak", "misfit")
+    assert plan(scene, ["features"], features=names).runs("rest of the frames")
+    np.testing.assert_array_equal(features_without_frames(scene, 300, names), stored_features(scene, 300, names))
+
+
+@pytest.mark.parametrize("names", [IN_TIME, FIT], ids=["in time", "fit"])
+def test_a_beginning_is_certain_only_where_nothing_behind_it_matters(names: tuple[str, ...]) -> None:
+    (batch,) = synthesise(scene_of(population={"second_hit": SECOND}), 128)
+    whole = extract_array(batch.signals, 200e3, names, pre_trigger=128, invalid="nan")
+    shares = []
+    for length in range(140, 360, 20):
+        behind = batch.signals[:, length:].max(axis=1)  # the least that is true of it
+        cut = np.ascontiguousarray(batch.signals[:, :length])
+        found, certain = beginnings.measure_beginnings(cut, 200e3, names, 128, behind)
+        np.testing.assert_array_equal(found[certain], whole[certain])
+        shares.append(certain.mean())
+        assert not beginnings.measure_beginnings(cut, 200e3, names, 128, behind + 1e9)[1].any()
+    assert shares[0] == 0
+    assert shares[-1] == 1
+    assert any(0 < share < 1 for share in shares)
+
+
+def test_signals_that_cannot_be_measured_are_nan_and_counted() -> None:
+    scene = scene_of(sensor={"relative_noise": 3.0})
+    parts = list(features_of(scene, 512, features=["peak_force"]))
+    values = np.concatenate([part.values["peak_force"] for part in parts])
+    assert sum(part.n_unmeasured for part in parts) == np.sum(np.isnan(values)) > 300
+
+
+# -- parameters and closed forms --------------------------------------------------------------------------
+
+
+def test_columns_are_those_of_the_signals() -> None:
+    scene = CASES[-1].scene
+    (batch,) = synthesise(scene, 200, 4, first=20)
+    (closed,), (drawn,) = closed_forms_of(scene, 200, 4, first=20), parameters_of(scene, 200, 4, first=20)
+    for part in (closed, drawn):
+        np.testing.assert_array_equal(part.labels, batch.labels)
+        np.testing.assert_array_equal(part.specimen, batch.specimen)
+        for name in ("density", "radius", "velocity", "onset", "second_hit_delay", "relative_noise"):
+            np.testing.assert_array_equal(part.values[name], batch.parameters[name])
+    for name in ("restitution", "peak_force", "contact_duration"):
+        np.testing.assert_array_equal(closed.values[name], batch.parameters[name])
+    assert set(QUANTITIES) <= set(closed.values)
+    tapped = np.isnan(drawn.values["radius"])
+    assert 0 < tapped.sum() < 200
+    assert np.isfinite(closed.values["impulse"][~tapped]).all()
+    assert np.isnan(closed.values["impulse"][tapped]).all()
+    np.testing.assert_array_equal(np.isfinite(drawn.values["peak_force"]), tapped)  # only a tap's is drawn
+
+
+def test_what_is_asked_of_a_law_is_not_what_it_delivers() -> None:
+    scene = scene_of({"law": "lee-wang"})
+    (drawn,), (closed,) = parameters_of(scene, 50), closed_forms_of(scene, 50, quantities=["restitution"])
+    assert (closed.values["restitution"] > drawn.values["asked_restitution"]).all()
+    assert "restitution" not in drawn.values
+
+
+@pytest.mark.parametrize(
+    ("ask", "says"),
+    [
+        (lambda: plan(scene_of(), []), "at least one"),
+        (lambda: plan(scene_of(), ["sound"]), "output must be one of"),
+        (lambda: plan(scene_of(), ["frames"], features=["peak_force"]), "features must come with"),
+        (lambda: plan(scene_of(), ["features"], quantities=["impulse"]), "quantities must come with"),
+        (lambda: plan(scene_of(), ["features"], features=["colour"]), "colour"),
+        (lambda: plan(scene_of(), ["closed-form"], quantities=["colour"]), "colour"),
+        (lambda: plan(scene_of(), ["closed-form"], quantities=["impulse", "impulse"]), "once each"),
+        (lambda: columns_of(plan(scene_of(), ["frames"]), 5), "use synthesise"),
+        (lambda: features_of(scene_of(), 0), "n_signals must be 1"),
+        (lambda: next(synthesise(scene_of(), 5, outputs=["features"])), "frames or pulses"),
+    ],
+)
+def test_plans_that_make_no_sense_are_refused(ask, says) -> None:
+    with pytest.raises(InvalidValue, match=says):
+        ask()
+
+
+def test_true_pulses_are_frames_without_the_sensor() -> None:
+    sensor = {"relative_noise": 0.05, "bandwidth": "20 kHz", "range": "3 kN", "bits": 8}
+    (pulses,) = synthesise(scene_of(sensor=sensor), 200, outputs=["pulses"])
+    (silent,) = synthesise(scene_of(sensor={}), 200)
+    np.testing.assert_array_equal(pulses.signals, silent.signals)
+
+
+# -- gravity ----------------------------------------------------------------------------------------------
+
+
+def test_the_error_without_gravity_is_below_its_bound() -> None:
+    generator = np.random.default_rng(5)
+    n = 300
+    restitution = np.concatenate([generator.uniform(0.05, 1, n - 20), np.full(20, 0.05)])
+    bound = 10 ** generator.uniform(-6, -1.3, n)
+    weight = bound * restitution / 2.4
+    nothing = np.zeros(n)
+    with_gravity, without = (Curves(restitution, nothing, nothing, w) for w in (weight, nothing))
+    times = np.linspace(0, 1.05, 400) * np.maximum(with_gravity.times[0], without.times[0])[:, None]
+    one = np.ones(n)
+    force, weightless = (c.evaluate(times, one, one, "force", "float64", 1) for c in (with_gravity, without))
+    share = {
+        "samples": np.abs(force - weightless).max(axis=1) / without.peak_force,
+        "peak_force": np.abs(with_gravity.peak_force / without.peak_force - 1),
+        "contact_duration": np.abs(with_gravity.times[0] / without.times[0] - 1),
+        "restitution": np.abs(with_gravity.restitution / without.restitution - 1),
+    }
+    worst = {name: float((error / bound).max()) for name, error in share.items()}
+    assert max(worst.values()) < 1, worst
+    assert worst["restitution"] > 0.9  # and no wider than it must be
+
+
+def test_each_impact_is_judged_by_itself() -> None:
+    section = scene_of({"gravity": 9.81}).impact
+    material = Material(density=1400, youngs_modulus=3e9, poisson_ratio=0.3)
+    parts = {
+        "sphere": Sphere(material=material, radius=np.array([0.01, 0.2])),
+        "target": HalfSpace(material=STEEL_MATERIAL),
+        "velocity": np.array([8.0, 1.0]),
+        "stiffness": "hertz",
+        "dissipation": HuntCrossley(restitution=0.4),
+    }
+    impact = weighed(section, **parts)
+    np.testing.assert_array_equal(impact.gravity, [0.0, 9.81])
+    exact = Impact(**parts, gravity=9.81)
+    assert impact.peak_force[1] == exact.peak_force[1]
+    assert 0 < abs(impact.peak_force[0] / exact.peak_force[0] - 1) < TOLERANCE
+
+
+def test_gravity_changes_a_scene_by_less_than_its_tolerance() -> None:
+    scenes = [scene_of({"gravity": 9.81, "gravity_tolerance": limit}) for limit in (0.0, 1e-3, 0.1)]
+    exact, usual, none = (draw(scene, 0, 0) for scene in scenes)
+    assert not np.any(none.impact.gravity)
+    assert np.all(exact.impact.gravity)
+    assert 0 < np.count_nonzero(usual.impact.gravity) < 256
+    for name in ("peak_force", "contact_duration", "restitution"):
+        error = np.abs(usual.parameters[name] / exact.parameters[name] - 1)
+        assert 0 < error.max() < 1e-3
+    stage = {stage.name: stage for stage in plan(scenes[2]).stages}["gravity"]
+    assert not stage.runs
+    assert 0 < stage.error_bound < 0.1
+    assert plan(scenes[1]).runs("gravity")
+
+
+def test_gravity_that_holds_a_rock_on_the_target_is_no_scene() -> None:
+    with pytest.raises(BadData, match=r"populations\.0: the slowest, largest"):
+        scene_of({"gravity": 9.81}, {"velocity": 0.01, "radius": 1.0})
+    with pytest.raises(BadData, match=r"gravity_tolerance: must come with impact\.gravity"):
+        scene_of({"gravity_tolerance": 0.01})
+
+
+def test_a_scene_without_gravity_keeps_its_identity() -> None:
+    assert "gravity" not in scene_of().text
+    assert scene_of({"gravity": "9.81 m/s^2"}).sha256 != scene_of().sha256
+
+
+# -- tables -----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("suffix", [".h5", ".csv", ".parquet"])
+def test_a_table_is_read_back_as_it_was_made(tmp_path: Path, suffix: str) -> None:
+    if suffix == ".parquet":
+        pytest.importorskip("pyarrow")
+    scene, path, names = SCENES["drawn noise"], tmp_path / f"table{suffix}", ("peak_force", "width_50")
+    asked = plan(scene, ["features"], features=names)
+    written = tabulate(asked, path, 1500, seed=3)
+    found = read_table(path)
+    assert is_table(path)
+    parts = list(features_of(scene, 1500, 3, features=names))
+    np.testing.assert_array_equal(found.labels, np.concatenate([part.labels for part in parts]))
+    np.testing.assert_array_equal(found.specimen, np.concatenate([part.specimen for part in parts]))
+    assert list(found.columns) == list(asked.request.column_units) == list(found.header.units)
+    for name, column in found.columns.items():
+        np.testing.assert_array_equal(column, np.concatenate([part.values[name] for part in parts]))
+    assert (found.header.kind, found.header.units["peak_force"]) == ("features", "N")
+    assert found.header.attributes["scene"] == scene.text
+    unmeasured = ~np.isfinite(np.stack([found.columns[name] for name in names])).all(axis=0)
+    assert written.n_unmeasured == unmeasured.sum() > 0
+    again = tmp_path / f"again{suffix}"
+    tabulate(asked, again, 1500, seed=3)
+    assert again.read_bytes() == path.read_bytes()
+    assert [entry.name for entry in tmp_path.iterdir() if entry.name.startswith(".")] == []
+
+
+def test_rows_of_any_number_come_in_order(tmp_path: Path) -> None:
+    header = TableHeader(kind="features", units={"x": "N"}, attributes={})
+    with table_writer(tmp_path / "t.h5", header, 4) as writer:
+        for first in range(0, 40_000, 1999):
+            x = np.arange(first, min(first + 1999, 40_000), dtype=float)
+            writer.add(Rows(labels=np.full(x.size, "coal"), specimen=x.astype(np.uint64), columns={"x": x}))
+    np.testing.assert_array_equal(read_table(tmp_path / "t.h5").columns["x"], np.arange(40_000.0))
+
+
+def test_memory_stays_flat(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(table, "_ROWS", 1024)  # so many rows wait to be written; beyond that nothing grows
+    asked = plan(scene_of(), ["features"], features=["peak_force"])
+    tabulate(asked, tmp_path / "first.h5", 2048)
+
+    def peak(n_signals: int) -> int:
+        tracemalloc.start()
+        tabulate(asked, tmp_path / "t.h5", n_signals, overwrite=True)
+        highest = tracemalloc.get_traced_memory()[1]
+        tracemalloc.stop()
+        return highest
+
+    assert peak(8192) < 1.1 * peak(3072)
+
+
+def test_a_broken_run_leaves_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "t.h5"
+    path.write_text("old")
+
+    def stop(_: int) -> None:
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        tabulate(plan(scene_of(), ["parameters"]), path, 3000, overwrite=True, progress=stop)
+    monkeypatch.setattr("os.fsync", lambda _: (_ for _ in ()).throw(OSError(28, "No space left on device")))
+    with pytest.raises(WriteFailed, match="No space left"):
+        tabulate(plan(scene_of(), ["parameters"]), path, 3000, overwrite=True)
+    assert [(entry.name, entry.read_text()) for entry in tmp_path.iterdir()] == [("t.h5", "old")]
+
+
+@pytest.mark.parametrize("suffix", [".h5", ".csv"])
+def test_damaged_and_foreign_tables_are_refused(tmp_path: Path, suffix: str) -> None:
+    path = tmp_path / f"t{suffix}"
+    tabulate(plan(scene_of(), ["closed-form"]), path, 6000)
+    content = bytearray(path.read_bytes())
+    path.write_bytes(content[: len(content) // 2])
+    with pytest.raises(BadData):
+        read_table(path)
+    path.write_bytes(b"1,2,3\n4,5,6\n")
+    with pytest.raises(BadData):
+        read_table(path)
+    with pytest.raises(NoInput):
+        read_table(tmp_path / "none.h5")
+    if suffix == ".h5":
+        middle = content.rfind(np.float64(0.3).tobytes())  # Poisson's ratio of some row
+        content[middle] ^= 1
+        path.write_bytes(content)
+        with pytest.raises(BadData, match="damaged"):
+            read_table(path)
+
+
+def test_parquet_without_its_library_says_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(__import__("sys").modules, "pyarrow", None)
+    with pytest.raises(MissingExtra, match=r"cgid\[parquet\]"):
+        tabulate(plan(scene_of(), ["parameters"]), tmp_path / "t.parquet", 10)
+
+
+def test_a_table_that_is_there_stays(tmp_path: Path) -> None:
+    path = tmp_path / "t.csv"
+    tabulate(plan(scene_of(), ["parameters"]), path, 10)
+    with pytest.raises(CannotCreate, match="--overwrite"):
+        tabulate(plan(scene_of(), ["parameters"]), path, 10)
+
+
+# -- the plan as it is printed ----------------------------------------------------------------------------
+
+
+def test_every_stage_is_in_every_plan_with_a_reason() -> None:
+    for chosen in CASES:
+        stages = chosen.plan.stages
+        assert [stage.name for stage in stages] == list(STAGES)
+        assert all(stage.why for stage in stages)
+        assert all((stage.microseconds > 0) <= stage.runs for stage in stages)
+        assert all(stage.error_bound == 0 for stage in stages if stage.name != "gravity")
+
+
+def test_a_block_has_a_plan_of_its_own() -> None:
+    scene = SCENES["everything drawn"]
+    asked = plan(scene, ["frames"])
+    assert asked.runs("bandwidth")
+    here = [asked.for_block(draw(scene, 0, block).scene) for block in range(30)]
+    settled = [block.request.scene.sensor.bandwidth for block in here]
+    assert [block.runs("bandwidth") for block in here] == [width is not None for width in settled]
+    assert None in settled or all(block.runs("bandwidth") for block in here)
+
+
+def test_explain_prints_the_plan_and_runs_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    for owner, worker in [pair for pairs in WORKERS.values() for pair in pairs if pair[0] is not curves.family]:
+        if owner is not curves:
+            monkeypatch.setattr(owner, worker, property(_refuse) if owner is PulseBatch else _refuse)
+    assert run(["generate", "reference", "--explain", "-n", "100000", "--features-only", "--features", "width_10"]) == 0
+    out, err = capsys.readouterr()
+    assert err == ""
+    lines = {line.split("  ")[0]: line for line in out.splitlines()}
+    assert "skipped" in lines["fits"]
+    assert "no asked feature needs it" in lines["spectra"]
+    assert " run " in lines["noise"]
+    assert "up to the last sample" in lines["noise"]
+    assert out.splitlines()[-1].startswith("100000 signals: ")
+    assert run(["generate", "reference", "--explain", "--json", "-o", "data.h5"]) == 0
+    content = json.loads(capsys.readouterr().out)
+    assert content["output"] == "frames"
+    assert content["bytes"] == 10_000 * 2048 * 4
+    assert content["seconds"] == pytest.approx(1e4 * 1e-6 * sum(stage["microseconds"] for stage in content["stages"]))
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        (["--features", "peak_force", "-o", "d.h5"], "--features needs --features-only"),
+        (["--quantities", "impulse", "-o", "d.h5"], "--quantities needs --closed-form-only"),
+        (["--features-only", "--parameters-only", "-o", "d.h5"], "exclude each other"),
+        (["--features-only", "--dtype", "float64", "-o", "d.h5"], "--dtype is for signals"),
+        (["--features-only", "--shard-signals", "9", "-o", "d.h5"], "--shard-signals is for signals"),
+        (["--closed-form-only", "--jobs", "2", "-o", "d.h5"], "--jobs is for signals"),
+        (["--features-only", "-o", "data"], "must end in .h5"),
+        (["--features-only"], "Missing option"),
+        (["--json", "-o", "d.h5"], "--json needs --explain"),
+        ([], "Missing option"),
+    ],
+)
+def test_options_that_contradict_each_other_are_refused(
+    arguments, says, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert run(["generate", "reference", *arguments]) == 2
+    assert says in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_wrong_names_are_refused_before_any_work(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    asked = ["generate", "reference", "--features-only", "-o", str(tmp_path / "t.csv")]
+    assert run([*asked, "--features", "colour"]) == 65
+    assert "'colour'" in capsys.readouterr().err
+    assert run([*asked, "-n", "0"]) == 65
+    assert run([*asked, "-n", "2000000001"]) == 65
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_the_command_writes_what_info_describes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "t.csv"
+    assert run(["generate", "randomised", "--features-only", "-n", "768", "--seed", "4", "-o", str(path)]) == 0
+    assert "cannot be measured" in capsys.readouterr().err
+    assert run(["info", str(path), "--json"]) == 0
+    content = json.loads(capsys.readouterr().out)
+    assert (content["kind"], content["signals"], content["scene_name"]) == ("table of features", 768, "randomised")
+    assert content["columns"]["sampling_rate"] == "Hz"
+    assert 0 < content["without_a_number"]["fitted_peak"] < 50
+
+
+def test_storing_is_counted(tmp_path: Path) -> None:
+    scene = scene_of()
+    with counted() as counts:
+        assert run(["generate", "peers", "-n", "300", "-o", str(tmp_path / "d.h5")]) == 0
+    assert counts["stored_signals"] == 300
+    with counted() as counts:
+        tabulate(plan(scene, ["features"], features=["peak_force"]), tmp_path / "t.h5", 300)
+    assert (counts["stored_signals"], counts["stored_rows"]) == (0, 300)
+
+
+def test_the_undamped_closed_form_is_hertz() -> None:
+    (closed,) = closed_forms_of(scene_of({"dissipation": "elastic"}, {"restitution": None}), 20)
+    p = closed.values
+    material = Material(density=p["density"], youngs_modulus=p["youngs_modulus"], poisson_ratio=p["poisson_ratio"])
+    impact = Impact(
+        sphere=Sphere(material=material, radius=p["radius"]),
+        target=HalfSpace(material=STEEL_MATERIAL),
+        velocity=p["velocity"],
+        stiffness="hertz",
+        dissipation=Elastic(),
+    )
+    stiffness = impact.contact_stiffness
+    depth = (1.25 * impact.reduced_mass * p["velocity"] ** 2 / stiffness) ** 0.4
+    np.testing.assert_allclose(p["peak_force"], stiffness * depth**1.5, rtol=1e-12)
+    np.testing.assert_allclose(p["contact_duration"], 2.943275184 * depth / p["velocity"], rtol=1e-8)

@@ -1,0 +1,364 @@
+"""Recordings on disk: whole or not at all, the same bytes twice, read back as they were; damage is told."""
+
+import json
+import os
+import subprocess
+import sys
+import tracemalloc
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+
+from cgid.cli.main import run
+from cgid.errors import BadData, CannotCreate, InvalidValue, NoInput, WriteFailed
+from cgid.features import extract_array
+from cgid.recordings import is_dataset, read_recording
+from cgid.scene import parse_scene
+from cgid.scene.stream.generation import generate_recordings
+from cgid.scene.stream.synthesis import record
+from cgid.scene.stream.truth import impact_units
+from cgid.store import Dataset
+from cgid.store.recording import Recording, RecordingPlan, is_recording, writing
+from tests.test_stream import RATE, content
+
+SCENE = parse_scene(content(duration="5 s", rebounds={"most": 2}, sensor={"absolute_noise": "10 N"}))
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    """One recording as a file and as a folder."""
+    folder = tmp_path_factory.mktemp("recordings")
+    generate_recordings(SCENE, folder / "one.h5", seed=3)
+    generate_recordings(SCENE, folder / "three", 3, seed=3)
+    return folder
+
+
+def plan_of(n_samples=100_000, **attributes):
+    return RecordingPlan(n_samples=n_samples, dtype="float32", sampling_rate=RATE, unit="N", attributes=attributes)
+
+
+def impacts_of(count=3):
+    return {
+        "time": np.arange(count) * 1.0,
+        "label": np.array(["coal"] * count),
+        "specimen": np.arange(count).astype("u8"),
+    }
+
+
+# ---- what comes back -------------------------------------------------------------------------------------------------
+
+
+def test_what_is_read_is_what_was_made(made):
+    signal, truth = record(SCENE, 3)
+    stored = Recording(made / "one.h5")
+    np.testing.assert_array_equal(stored.samples(), signal.samples)
+    np.testing.assert_array_equal(stored.samples(70_000, 70_100), signal.samples[70_000:70_100])
+    assert stored.sampling_rate == RATE and stored.unit == "N" and stored.start == 0
+    found = stored.impacts()
+    assert found.keys() == truth.keys() and stored.n_impacts == truth["time"].size > 60
+    for name, column in truth.items():
+        np.testing.assert_array_equal(found[name], column)
+    assert stored.impact_units == {**impact_units(SCENE), "label": "", "specimen": ""}
+
+
+def test_root_attributes_say_how_it_was_made(made):
+    about = Recording(made / "three" / "recording-00002.h5").attributes
+    assert (about["format"], about["schema_version"], about["seed"], about["recording"]) == ("cgid-recording", 1, 3, 2)
+    assert parse_scene(json.loads(about["scene"])) == SCENE and about["scene_sha256"] == SCENE.sha256
+    assert "numpy" in about["versions"]
+
+
+def test_a_recorded_background_leaves_its_hash(tmp_path):
+    np.save(tmp_path / "pump.npy", np.sin(np.arange(5000.0)))
+    asked = {"recorded": {"path": "pump.npy", "signal_to_noise": 20, "sampling_rate": RATE}}
+    scene = parse_scene(content(duration="1 s", background=asked), folder=tmp_path)
+    hashes = set()
+    for number in range(2):
+        generate_recordings(scene, tmp_path / f"{number}.h5")
+        hashes.add(Recording(tmp_path / f"{number}.h5").attributes["background_sha256"])
+        np.save(tmp_path / "pump.npy", np.sin(np.arange(5001.0)))
+        os.utime(tmp_path / "pump.npy", ns=(number, number))
+    assert len(hashes) == 2
+
+
+def test_recordings_of_a_folder_are_those_of_their_numbers(made):
+    files = sorted(path.name for path in (made / "three").iterdir())
+    assert files == [f"recording-{number:05d}.h5" for number in range(3)]
+    assert (made / "three" / files[0]).read_bytes() == (made / "one.h5").read_bytes()
+    samples = [Recording(made / "three" / file).samples() for file in files]
+    np.testing.assert_array_equal(samples[2], record(SCENE, 3, 2)[0].samples)
+    assert (samples[0] != samples[1]).mean() > 0.99
+
+
+def test_twice_the_same_bytes_in_another_process(made, tmp_path):
+    (tmp_path / "scene.json").write_text(SCENE.text)
+    program = (
+        "import json, sys; from cgid.scene import parse_scene\n"
+        "from cgid.scene.stream.generation import generate_recordings\n"
+        "generate_recordings(parse_scene(json.load(open(sys.argv[1]))), sys.argv[2], seed=3)"
+    )
+    subprocess.run([sys.executable, "-c", program, tmp_path / "scene.json", tmp_path / "again.h5"], check=True)
+    assert (tmp_path / "again.h5").read_bytes() == (made / "one.h5").read_bytes()
+
+
+def test_double_precision_holds_the_same_recording(tmp_path):
+    generate_recordings(SCENE, tmp_path / "wide.h5", seed=3, dtype="float64")
+    wide = Recording(tmp_path / "wide.h5").samples()
+    assert wide.dtype == np.float64
+    np.testing.assert_array_equal(wide.astype(np.float32), record(SCENE, 3)[0].samples)
+
+
+def test_a_recording_without_impacts(tmp_path):
+    with writing(tmp_path / "none.h5", plan_of(100)) as writer:
+        writer.add(np.ones(100, np.float32))
+        writer.add_impacts(impacts_of(0), {"time": "s"})
+    stored = Recording(tmp_path / "none.h5")
+    assert stored.n_impacts == 0 and stored.impacts()["label"].size == 0 and stored.samples().sum() == 100
+
+
+# ---- as a recording like any other -----------------------------------------------------------------------------------
+
+
+def test_it_is_read_as_a_recording(made):
+    path = made / "one.h5"
+    assert is_recording(path) and not is_dataset(path) and is_dataset(made)
+    (signal,) = read_recording(path)
+    np.testing.assert_array_equal(signal.samples, Recording(path).samples())
+    assert (signal.unit, signal.sampling_rate, signal.channel) == ("N", RATE, "1")
+    with pytest.raises(InvalidValue, match="agree with the file"):
+        read_recording(path, sampling_rate=48_000)
+    with pytest.raises(BadData, match="header says N"):
+        read_recording(path, unit="g")
+    with pytest.raises(BadData, match="must be a cgid dataset"):
+        Dataset(path)
+
+
+def test_commands_understand_it(made, capfd):
+    path = str(made / "one.h5")
+    assert run(["info", path, "--json"]) == 0
+    said = json.loads(capfd.readouterr().out)
+    truth = Recording(path).impacts()
+    assert said["kind"] == "recording" and said["channel 1"]["samples"] == 128_000
+    assert (
+        said["truth"]["impacts"] == truth["time"].size and sum(said["truth"]["labels"].values()) == truth["time"].size
+    )
+    assert run(["features", path, "--features", "peak_force", "--json"]) == 0
+    rows = [json.loads(line) for line in capfd.readouterr().out.splitlines()]
+    assert len(rows) > 20
+    # Impacts that are found stand where the truth has one.
+    distance = [np.abs(truth["time"] - row["time_s"]).min() for row in rows]
+    assert np.median(distance) < 2 / RATE and max(distance) < 5e-3
+
+
+def test_what_is_measured_is_what_the_truth_says(made):
+    stored = Recording(made / "one.h5")
+    truth, samples = stored.impacts(), stored.samples()
+    clear = (np.append(np.inf, truth["next_impact"][:-1]) > 5e-3) & (truth["next_impact"] > 5e-3)
+    clear &= (truth["peak_force"] > 2000) & (truth["contact_duration"] * RATE > 12) & (truth["time"] > 0.01)
+    rows = np.flatnonzero(clear)
+    assert rows.size > 5
+    for row in rows:
+        first = round(truth["time"][row] * RATE) - 64
+        (peak, duration) = extract_array(
+            samples[None, first : first + 160], RATE, ["peak_force", "contact_duration"], pre_trigger=63
+        )[0]
+        assert peak == pytest.approx(truth["peak_force"][row], rel=0.05)
+        assert duration == pytest.approx(truth["contact_duration"][row], rel=0.3)
+
+
+def test_the_command_makes_recordings(tmp_path, capfd):
+    scene = tmp_path / "scene.toml"
+    scene.write_text(
+        'name = "toml"\n[impact]\nstiffness = "hertz"\ndissipation = "elastic"\ntarget = "rigid"\n'
+        '[sampling]\nsampling_rate = "25.6 kHz"\n[stream]\nduration = "1 s"\narrivals = { times = ["0.5 s"] }\n'
+        '[[populations]]\nlabel = "coal"\ndensity = 1400\nyoungs_modulus = "3 GPa"\npoisson_ratio = 0.3\n'
+        'radius = "25 mm"\nvelocity = 4\n'
+    )
+    assert run(["generate", str(scene), "-o", str(tmp_path / "one.h5")]) == 0
+    assert Recording(tmp_path / "one.h5").n_impacts == 1
+    assert run(["generate", str(scene), "-o", str(tmp_path / "many"), "-n", "2"]) == 0
+    assert len(list((tmp_path / "many").iterdir())) == 2
+    assert run(["check", str(scene)]) == 0
+    capfd.readouterr()
+    for arguments, code, says in (
+        (["-o", str(tmp_path / "two.h5"), "-n", "2"], 65, "for a folder"),
+        (["-o", str(tmp_path / "one.h5")], 73, "exists already"),
+        (["-o", str(tmp_path / "new.h5"), "--jobs", "2"], 65, "--jobs is for datasets"),
+        (["-o", str(tmp_path / "new.h5"), "-n", "0"], 65, "between 1 and"),
+        (["-o", str(tmp_path / "new.h5"), "--seed", "-1"], 65, "seed"),
+    ):
+        assert run(["generate", str(scene), *arguments]) == code
+        (line,) = capfd.readouterr().err.splitlines()
+        assert says in line
+    assert not (tmp_path / "new.h5").exists() and not (tmp_path / "two.h5").exists()
+
+
+# ---- whole or not at all ---------------------------------------------------------------------------------------------
+
+
+def test_an_interrupted_recording_leaves_nothing(tmp_path):
+    (tmp_path / "old.h5").write_bytes(b"old")
+    with pytest.raises(KeyboardInterrupt), writing(tmp_path / "old.h5", plan_of()) as writer:
+        writer.add(np.zeros(50_000, np.float32))
+        raise KeyboardInterrupt
+    assert [path.name for path in tmp_path.iterdir()] == ["old.h5"]
+    assert (tmp_path / "old.h5").read_bytes() == b"old"
+
+
+@pytest.mark.parametrize("count", [99_999, 100_001])
+def test_a_recording_must_have_all_its_samples_and_no_more(tmp_path, count):
+    with (
+        pytest.raises(BadData, match=f"100000 samples was given {count}"),
+        writing(tmp_path / "x.h5", plan_of()) as writer,
+    ):
+        writer.add(np.zeros(count, np.float32))
+        writer.add_impacts(impacts_of(), {})
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_full_disk_is_told(tmp_path):
+    program = (
+        "import resource, signal, sys, numpy as np\n"
+        "from cgid.errors import WriteFailed\n"
+        "from tests.test_recording_store import plan_of, writing, impacts_of\n"
+        "signal.signal(signal.SIGXFSZ, signal.SIG_IGN)\n"
+        "resource.setrlimit(resource.RLIMIT_FSIZE, (1 << 17, 1 << 17))\n"
+        "try:\n"
+        "    with writing(sys.argv[1], plan_of(1 << 20)) as writer:\n"
+        "        for _ in range(16):\n"
+        "            writer.add(np.ones(1 << 16, np.float32))\n"
+        "        writer.add_impacts(impacts_of(), {})\n"
+        "except WriteFailed as error:\n"
+        "    print(error)\n"
+    )
+    root = Path(__file__).parents[1]
+    out = subprocess.run(
+        [sys.executable, "-c", program, tmp_path / "full.h5"], cwd=root, capture_output=True, text=True, check=False
+    )
+    assert "writing failed" in out.stdout and "nothing was left behind" in out.stdout, out.stderr
+    assert not list(tmp_path.iterdir())
+
+
+def test_outputs_that_cannot_be_made(tmp_path, monkeypatch):
+    with pytest.raises(CannotCreate, match="must exist"):
+        generate_recordings(SCENE, tmp_path / "no" / "x.h5")
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine" / "thesis.doc").write_text("x")
+    with pytest.raises(CannotCreate, match=r"thesis\.doc"):
+        generate_recordings(SCENE, tmp_path / "mine", 2, overwrite=True)
+    monkeypatch.setattr("shutil.disk_usage", lambda _: type("Usage", (), {"free": 1000})())
+    with pytest.raises(CannotCreate, match="room"):
+        generate_recordings(SCENE, tmp_path / "x.h5")
+    with (
+        pytest.raises(InvalidValue, match=r"at most 2 GiB.*make several"),
+        writing(tmp_path / "x.h5", plan_of(1 << 30)),
+    ):
+        pass
+
+
+def test_overwriting_takes_the_old_recordings_away(made, tmp_path):
+    folder = tmp_path / "some"
+    generate_recordings(SCENE, folder, 2, seed=1)
+    (folder / ".recording-00007.h5.0123456789ab.part").write_bytes(b"left by a killed run")
+    with pytest.raises(CannotCreate, match="exists already"):
+        generate_recordings(SCENE, folder, 1, seed=3)
+    generate_recordings(SCENE, folder, 1, seed=3, overwrite=True)
+    (only,) = folder.iterdir()
+    assert only.read_bytes() == (made / "one.h5").read_bytes()
+
+
+def test_memory_does_not_grow_with_the_length(tmp_path):
+    peaks = []
+    for seconds in (240, 480):
+        scene = parse_scene(content(duration=seconds, arrivals={"rate": "0.2 Hz"}))
+        tracemalloc.start()
+        generate_recordings(scene, tmp_path / f"{seconds}.h5")
+        peaks.append(tracemalloc.get_traced_memory()[1])
+        tracemalloc.stop()
+    assert peaks[1] < 1.2 * peaks[0] < 0.5 * 240 * RATE * 8
+
+
+# ---- damage ----------------------------------------------------------------------------------------------------------
+
+
+def test_no_recording_there(tmp_path, made):
+    with pytest.raises(NoInput, match="no such file"):
+        Recording(tmp_path / "x.h5")
+    (tmp_path / "text.h5").write_text("text")
+    assert not is_recording(tmp_path / "text.h5")
+    with pytest.raises(BadData, match="readable HDF5"):
+        Recording(tmp_path / "text.h5")
+    for first, stop in ((-1, 5), (5, 4), (0, 128_001)):
+        with pytest.raises(InvalidValue, match="between 0 and 128000"):
+            Recording(made / "one.h5").samples(first, stop)
+
+
+def test_every_flipped_byte_of_the_samples_is_found(made, tmp_path):
+    content = bytearray((made / "one.h5").read_bytes())
+    wanted = Recording(made / "one.h5")
+    samples, truth = wanted.samples(), wanted.impacts()
+    rng = np.random.default_rng(0)
+    found = 0
+    for place in rng.integers(0, len(content), 60):
+        damaged = content.copy()
+        damaged[place] ^= 1 << rng.integers(8)
+        (tmp_path / "damaged.h5").write_bytes(damaged)
+        try:
+            stored = Recording(tmp_path / "damaged.h5")
+            # What is still read must be right: a flipped bit may lie in unused space.
+            np.testing.assert_array_equal(stored.samples(), samples)
+            for name, column in stored.impacts().items():
+                np.testing.assert_array_equal(column, truth[name])
+        except BadData:
+            found += 1
+    assert found > 30
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        (lambda file: file.attrs.__setitem__("schema_version", 9), "schema_version must be 1, got 9"),
+        (lambda file: file.attrs.__setitem__("format", np.bytes_(b"other")), "must be a cgid recording"),
+        (lambda file: file["samples"].attrs.__setitem__("sampling_rate", -1.0), "sampling_rate"),
+        (lambda file: file["samples"].attrs.__setitem__("unit", np.bytes_(b"bananas")), "unit"),
+        (lambda file: file.__delitem__("impacts"), "impacts must be a group"),
+        (lambda file: file["impacts"].__delitem__("time"), "column time"),
+        (lambda file: file.attrs.__setitem__("n_impacts", 3), "one value an impact"),
+        (lambda file: file.__delitem__("samples"), "samples must be part"),
+        (
+            lambda file: (file.__delitem__("samples"), file.__setitem__("samples", h5py.ExternalLink("/etc/x", "/y"))),
+            "samples must be part",
+        ),
+        (lambda file: (file.__delitem__("samples"), file.create_dataset("samples", data=np.zeros((3, 3)))), "row of"),
+    ],
+)
+def test_headers_that_are_not_believed(made, tmp_path, change, says):
+    path = tmp_path / "changed.h5"
+    path.write_bytes((made / "one.h5").read_bytes())
+    with h5py.File(path, "r+") as file:
+        change(file)
+    with pytest.raises(BadData, match=says):
+        Recording(path)
+
+
+def test_a_failing_fsync_leaves_the_old_file(made, tmp_path, monkeypatch):
+    path = tmp_path / "x.h5"
+    path.write_bytes(b"old")
+
+    def broken(_):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(os, "fsync", broken)
+    with pytest.raises(WriteFailed, match="No space left"):
+        generate_recordings(SCENE, path, overwrite=True)
+    assert path.read_bytes() == b"old" and len(list(tmp_path.iterdir())) == 1
+
+
+def test_the_picture_shows_a_recording(made):
+    from cgid.plots import recording_picture
+
+    stored = Recording(made / "one.h5")
+    picture = recording_picture(stored.signal(), stored.impacts())
+    assert picture.startswith(b"\x89PNG") and picture == recording_picture(stored.signal(), stored.impacts())

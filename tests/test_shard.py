@@ -1,0 +1,178 @@
+"""How a shard is built in memory: its file, its checksums, its chunks."""
+
+import io
+import signal
+import subprocess
+import sys
+
+import h5py
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from cgid.errors import BadData
+from cgid.signals import Batch
+from cgid.store._fletcher import fletcher32
+from cgid.store.memory import MemoryFile
+from cgid.store.shard import ShardBuilder, ShardPlan
+
+# ---- the checksum ----------------------------------------------------------------------------------------------------
+
+
+def checksum_of_hdf5(words):
+    with h5py.File.in_memory() as file:
+        stored = file.create_dataset("words", data=words, chunks=words.shape, fletcher32=True)
+        file.flush()
+        content = stored.id.read_direct_chunk((0,))[1]
+    assert content[:-4] == words.tobytes()
+    return int.from_bytes(content[-4:], "little")
+
+
+@pytest.mark.parametrize("size", [1, 2, 255, 256, 257, 360, 361, 4096, 65535, 65536, 300_001])
+@pytest.mark.parametrize("kind", ["random", "zero", "highest", "one", "last"])
+def test_checksum_is_that_of_hdf5(size, kind):
+    words = np.zeros(size, "<u2")
+    if kind == "random":
+        words[:] = np.random.default_rng(size).integers(0, 65536, size)
+    elif kind == "last":
+        words[-1] = 0x0100
+    else:
+        words[:] = {"zero": 0, "highest": 65535, "one": 1}[kind]
+    assert int(fletcher32(words)) == checksum_of_hdf5(words)
+
+
+# ---- the file in memory ----------------------------------------------------------------------------------------------
+
+STEPS = st.one_of(
+    st.tuples(st.just("seek"), st.integers(0, 300), st.just(io.SEEK_SET)),
+    st.tuples(st.just("seek"), st.integers(0, 20), st.sampled_from([io.SEEK_CUR, io.SEEK_END])),
+    st.tuples(st.just("write"), st.binary(max_size=100)),
+    st.tuples(st.just("truncate"), st.integers(0, 300)),
+    st.tuples(st.just("read"), st.integers(0, 100)),
+)
+
+
+@given(capacity=st.integers(0, 200), steps=st.lists(STEPS, max_size=30))
+def test_a_file_in_memory_is_a_file(capacity, steps):
+    ours, theirs = MemoryFile(capacity), io.BytesIO()
+    for name, *arguments in steps:
+        if name == "read":
+            buffers = bytearray(arguments[0]), bytearray(arguments[0])
+            assert ours.readinto(memoryview(buffers[0])) == theirs.readinto(buffers[1])
+            assert buffers[0] == buffers[1]
+        elif name == "truncate" and arguments[0] > len(theirs.getvalue()):
+            # BytesIO alone does not grow, a file does.
+            ours.truncate(*arguments)
+            place = theirs.tell()
+            theirs.seek(0, io.SEEK_END)
+            theirs.write(bytes(arguments[0] - theirs.tell()))
+            theirs.seek(place)
+        else:
+            assert getattr(ours, name)(*arguments) == getattr(theirs, name)(*arguments)
+        assert bytes(ours.content()) == theirs.getvalue()
+
+
+# ---- the shard -------------------------------------------------------------------------------------------------------
+
+N, SAMPLES = 300, 1500
+
+
+def plan(dtype="float32", compression="none"):
+    return ShardPlan(
+        n_samples=SAMPLES,
+        dtype=dtype,
+        label_width=6,
+        parameter_units={"radius": "m"},
+        attributes={"format": "cgid-dataset", "note": "x" * 100},
+        compression=compression,
+    )
+
+
+def batch(first, last, dtype="float32"):
+    numbers = np.arange(first, last)
+    return Batch(
+        signals=np.random.default_rng(5).standard_normal((N, SAMPLES)).astype(dtype)[first:last],
+        labels=np.where(numbers % 2, "coal", "gangue"),
+        sampling_rate=1e5,
+        unit="N",
+        pre_trigger=16,
+        specimen=numbers.astype(np.uint64),
+        parameters={"radius": numbers / 7},
+    )
+
+
+def build(cuts, dtype="float32", compression="none"):
+    builder = ShardBuilder(plan(dtype, compression), 0, N)
+    for first, last in zip((0, *cuts), (*cuts, N), strict=True):
+        builder.add(batch(first, last, dtype))
+    return bytes(builder.image())
+
+
+@pytest.mark.parametrize("dtype", ["float32", "float64"])
+@pytest.mark.parametrize("compression", ["none", "gzip"])
+def test_chunks_hold_what_was_added_however_it_was_cut(dtype, compression):
+    image = build((), dtype, compression)
+    assert all(build(cuts, dtype, compression) == image for cuts in [(1, 2, 299), (87,), (86, 88, 175)])
+    with h5py.File(io.BytesIO(image)) as file:
+        signals = file["signals"]
+        # Chunks that the number of signals is no multiple of.
+        assert 1 < N / signals.chunks[0] != N // signals.chunks[0]
+        assert signals.fletcher32
+        np.testing.assert_array_equal(signals[:], batch(0, N, dtype).signals)
+        np.testing.assert_array_equal(file["parameters/radius"][:], np.arange(N) / 7)
+        np.testing.assert_array_equal(file["specimen"][:], np.arange(N))
+
+
+def test_chunks_are_byte_for_byte_what_hdf5_writes():
+    with h5py.File(io.BytesIO(build(()))) as file, h5py.File.in_memory() as other:
+        ours = file["signals"].id
+        theirs = other.create_dataset(
+            "signals", data=batch(0, N).signals, chunks=file["signals"].chunks, fletcher32=True
+        ).id
+        other.flush()
+        assert ours.get_num_chunks() == theirs.get_num_chunks() > 1
+        for number in range(ours.get_num_chunks()):
+            place = ours.get_chunk_info(number).chunk_offset
+            assert ours.read_direct_chunk(place) == theirs.read_direct_chunk(place)
+
+
+def test_memory_that_was_taken_too_small_grows(monkeypatch):
+    expected = build(())
+    monkeypatch.setattr("cgid.store.shard.MemoryFile", lambda capacity: MemoryFile(capacity // 50))
+    assert build(()) == expected
+
+
+def test_too_few_and_too_many_signals():
+    builder = ShardBuilder(plan(), 0, N)
+    builder.add(batch(0, N - 1))
+    with pytest.raises(BadData, match="a shard of 300 signals was given 299"):
+        builder.image()
+    with pytest.raises(BadData, match="a shard of 300 signals was given 301"):
+        builder.add(batch(0, 2))
+
+
+def test_an_unfinished_shard_is_closed_before_the_interpreter_ends():
+    """HDF5 writes when it closes, and crashes if the memory and what writes to it are gone by then."""
+    script = (
+        "import atexit, builtins; atexit.register(lambda: print('open' if builtins.kept._file else 'closed')); "
+        "from tests.test_shard import *; builtins.kept = ShardBuilder(plan(), 0, N); "
+        "builtins.kept.add(batch(0, 100)); raise KeyboardInterrupt"
+    )
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True)
+    assert (done.stdout, done.returncode) == ("closed\n", -signal.SIGINT), done.stderr
+
+
+class _Interrupted(MemoryFile):
+    """A file whose third chunk meets Ctrl-C."""
+
+    def write(self, content):
+        if len(content) > 1 << 18 and self.seek(0, io.SEEK_END) > 1 << 20:
+            raise KeyboardInterrupt
+        return super().write(content)
+
+
+def test_an_interruption_in_the_middle_of_a_write_comes_through(monkeypatch):
+    monkeypatch.setattr("cgid.store.shard.MemoryFile", _Interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        build(())

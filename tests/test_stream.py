@@ -1,0 +1,573 @@
+"""Streams: when rocks come and what they are, how they bounce, and what a recording holds of it."""
+
+import json
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from scipy import integrate, stats
+
+from cgid.errors import BadData, InvalidValue
+from cgid.impact import HalfSpace, HuntCrossley, Impact, Sphere
+from cgid.materials import Material
+from cgid.scene import parse_scene, synthesise, varied
+from cgid.scene.impacts import impact_of, impacts_by_coupling
+from cgid.scene.randomness import BLOCK, generator
+from cgid.scene.response import hearing
+from cgid.scene.stream import rocks, synthesis
+from cgid.scene.stream.arrivals import PoissonTimes, arrivals_of, population_shares
+from cgid.scene.stream.capacity import most_impacts, require_capacity
+from cgid.scene.stream.sections import RateTable
+from cgid.scene.stream.synthesis import record
+
+GRAVITY = 9.80665
+RATE = 25_600.0
+
+
+def population(label, **changes):
+    return {
+        "label": label,
+        "density": 1400,
+        "youngs_modulus": "3 GPa",
+        "poisson_ratio": 0.3,
+        "radius": {"distribution": "uniform", "lowest": "10 mm", "highest": "50 mm"},
+        "restitution": 0.5,
+        "drop_height": {"distribution": "uniform", "lowest": "0.5 m", "highest": "3 m"},
+        **changes,
+    }
+
+
+def content(populations=None, sensor=None, target=None, background=None, tail_beam=None, **stream):
+    """Return a scene of coal and gangue that come down for 20 s."""
+    found = {
+        "name": "stream",
+        "impact": {
+            "stiffness": "hertz",
+            "dissipation": "hunt-crossley",
+            "target": target or {"youngs_modulus": "210 GPa", "poisson_ratio": 0.3},
+        },
+        "sampling": {"sampling_rate": RATE},
+        "populations": populations or [population("coal"), population("gangue", density=2450)],
+        "stream": {"duration": "20 s", "arrivals": {"rate": "8 Hz"}, **stream},
+    }
+    if sensor:
+        found["sensor"] = sensor
+    if background:
+        found["background"] = background
+    if tail_beam:
+        found["tail_beam"] = tail_beam
+    return found
+
+
+def scene_of(**changes):
+    return parse_scene(content(**changes))
+
+
+def on_beam(x, length="20 m", **changes):
+    """Return the changes that put a stream on a beam as stiff as a half space: thick, and without its edges' echo."""
+    return {
+        "tail_beam": {
+            "length": length,
+            "width": "1 m",
+            "thickness": "0.9 m",
+            "edges": "cantilever",
+            "damping_ratio": 0.02,
+            "impact_point": {
+                "x": x if isinstance(x, dict) else {"distribution": "uniform", "lowest": x, "highest": x + 0.1},
+                "y": {"distribution": "uniform", "lowest": 0.4, "highest": 0.5},
+            },
+            "sensor_point": {"x": 0.5, "y": 0.45},
+            "coupling": "impedance",
+            **changes,
+        }
+    }
+
+
+def arrivals(scene, seed=0, recording=0):
+    stream = scene.stream
+    times = [stretch.times for stretch in arrivals_of(stream).stretches(stream.duration, seed, recording)]
+    joined = np.concatenate(times)
+    return joined[joined < stream.duration]
+
+
+# ---- when rocks arrive -----------------------------------------------------------------------------------------------
+
+
+def test_poisson_arrivals_have_poisson_counts_and_exponential_gaps():
+    scene = scene_of(duration="400 s", arrivals={"rate": "25 Hz"})
+    times = arrivals(scene)
+    assert abs(times.size - 10_000) < 4 * 100
+    assert stats.kstest(np.diff(times), "expon", args=(0, 1 / 25)).pvalue > 1e-3
+    # Counts in windows have the variance of their mean, also in windows as long as a stretch (5.12 s).
+    for width in (0.2, 5.12, 10.24):
+        counts = np.histogram(times, np.arange(0, 400, width))[0]
+        dispersion = (counts.size - 1) * counts.var(ddof=1) / counts.mean()
+        assert 1e-3 < stats.chi2.cdf(dispersion, counts.size - 1) < 1 - 1e-3
+
+
+def test_arrivals_follow_a_rate_that_changes():
+    table = {"times": ["50 s", "150 s", "250 s"], "values": [2, 40, 0]}
+    scene = scene_of(duration="300 s", arrivals={"rate": table})
+    times = np.concatenate([arrivals(scene, seed) for seed in range(4)])
+    edges = np.arange(0, 301, 10.0)
+    wanted = [
+        4 * integrate.quad(lambda t: np.interp(t, [50, 150, 250], [2, 40, 0]), low, high, epsabs=1e-10)[0]
+        for low, high in pairwise(edges)
+    ]
+    counts = np.histogram(times, edges)[0]
+    assert (counts[-5:] == 0).all()
+    held = np.array(wanted) > 0
+    squares = (counts[held] - np.array(wanted)[held]) ** 2 / np.array(wanted)[held]
+    assert 1e-3 < stats.chi2.cdf(squares.sum(), held.sum()) < 1 - 1e-3
+
+
+@pytest.mark.parametrize("values", [(2.0, 40.0, 0.0), (5.0, 5.0, 5.0), (0.0, 0.0, 3.0)])
+def test_expected_arrivals_and_their_inverse(values):
+    process = PoissonTimes(RateTable(times=(1.0, 4.0, 6.0), values=values))
+    moments = np.linspace(0, 9, 91)
+    wanted = [
+        integrate.quad(lambda t: np.interp(t, [1, 4, 6], values), 0, t, points=[1, 4, 6], limit=200)[0] for t in moments
+    ]
+    np.testing.assert_allclose(process.expected(moments), wanted, atol=1e-9)
+    numbers = np.linspace(0, float(process.expected(9.0)) * (1 - 1e-12), 50)
+    np.testing.assert_allclose(process.expected(process.time_of(numbers)), numbers, atol=1e-9)
+
+
+def test_a_stretch_never_holds_more_than_a_block():
+    # The largest uniform number there is: the count is bounded for certain, not just likely.
+    from scipy.special import pdtr
+
+    from cgid.scene.distributions import LARGEST_UNIFORM
+    from cgid.scene.stream.arrivals import EXPECTED_ROCKS
+
+    assert np.searchsorted(pdtr(np.arange(BLOCK), EXPECTED_ROCKS), LARGEST_UNIFORM) < BLOCK
+
+
+@pytest.mark.parametrize("many", [3, 700])
+def test_given_times_are_those_of_the_impacts(many):
+    wanted = np.sort(np.random.default_rng(1).uniform(0, 100, many))
+    scene = scene_of(duration="100 s", arrivals={"times": wanted.tolist()})
+    found = record(scene)[1]
+    np.testing.assert_array_equal(found["time"], wanted)
+    np.testing.assert_array_equal(found["rock"], np.arange(many))
+    assert np.unique(found["specimen"]).size == many
+
+
+def test_many_rocks_may_come_at_once():
+    scene = scene_of(arrivals={"times": [1.0] * 600 + [2.0]})
+    found = record(scene)[1]
+    assert (np.sort(found["rock"]) == np.arange(601)).all()
+    assert (found["time"] == np.repeat([1.0, 2.0], [600, 1])).all()
+
+
+# ---- what they are ---------------------------------------------------------------------------------------------------
+
+
+def test_labels_follow_the_mixture_over_time():
+    mixture = {"times": ["0 s", "200 s", "300 s"], "gangue": [0.05, 0.2, 0.9]}
+    scene = scene_of(duration="400 s", arrivals={"rate": "30 Hz"}, mixture=mixture)
+    found = record(scene, seed=3)[1]
+    edges = np.arange(0, 401, 20.0)
+    total = np.histogram(found["time"], edges)[0]
+    gangue = np.histogram(found["time"][found["label"] == "gangue"], edges)[0]
+    share = np.interp((edges[:-1] + edges[1:]) / 2, [0, 200, 300], [0.05, 0.2, 0.9])  # linear within every window
+    squares = (gangue - total * share) ** 2 / (total * share * (1 - share))
+    assert 1e-3 < stats.chi2.cdf(squares.sum(), total.size) < 1 - 1e-3
+
+
+def test_labels_without_a_row_share_the_rest_by_weight():
+    kinds = [
+        population("coal", weight=3.0),
+        population("gangue"),
+        population("mudstone"),
+        population("gangue", weight=2),
+    ]
+    scene = scene_of(populations=kinds, mixture={"times": [0, 10], "gangue": [0.0, 0.6]})
+    shares = population_shares(scene, np.array([0.0, 5.0, 20.0]))
+    wanted = [[0.75, 0.525, 0.3], [0, 0.1, 0.2], [0.25, 0.175, 0.1], [0, 0.2, 0.4]]
+    np.testing.assert_allclose(shares, wanted, atol=1e-15)
+
+
+def test_a_label_of_share_zero_never_comes():
+    scene = scene_of(mixture={"times": [0], "gangue": [0], "coal": [1]})
+    assert set(record(scene)[1]["label"]) == {"coal"}
+
+
+def test_rocks_are_spread_as_their_population_says():
+    scene = scene_of(populations=[population("coal")], duration="100 s", arrivals={"rate": "20 Hz"})
+    found = record(scene)[1]
+    assert stats.kstest(found["radius"], "uniform", args=(0.01, 0.04)).pvalue > 1e-3
+    assert stats.kstest(found["drop_height"], "uniform", args=(0.5, 2.5)).pvalue > 1e-3
+    np.testing.assert_allclose(found["velocity"], np.sqrt(2 * GRAVITY * found["drop_height"]), rtol=1e-14)
+
+
+# ---- rebounds --------------------------------------------------------------------------------------------------------
+
+
+def one_rock(**stream):
+    kind = population("coal", radius="30 mm", drop_height=None, velocity=4.0, restitution=0.6)
+    del kind["drop_height"]
+    return scene_of(populations=[kind], **{"arrivals": {"times": [0.25]}, **stream})
+
+
+def flown(normal, slip, slope):
+    """Return time, way down the slope, normal speed and slip at the next touch: the fall integrated in the plane."""
+
+    def fall(_, state):
+        return [state[2], state[3], GRAVITY * np.sin(slope), -GRAVITY * np.cos(slope)]
+
+    def touch(t, state):
+        return state[1] if t > 0 else 1.0
+
+    touch.terminal, touch.direction = True, -1
+    found = integrate.solve_ivp(
+        fall, (0, 10), [0, 0, slip, normal], events=touch, rtol=1e-11, atol=1e-13, max_step=0.01
+    )
+    x, _, u, w = found.y_events[0][0]
+    return found.t_events[0][0], x, -w, u
+
+
+@pytest.mark.parametrize("slope", [0.0, 0.35, 1.2])
+def test_bounces_against_the_fall_integrated_in_time(slope):
+    found = record(one_rock(inclination=slope, rebounds={"most": 4}, **on_beam(0.2)))[1]
+    assert (found["bounce"] == np.arange(5)).all()
+    assert 0.2 <= found["impact_x"][0] <= 0.3 and (found["impact_y"] == found["impact_y"][0]).all()
+    assert 0.4 <= found["impact_y"][0] <= 0.5
+    normal, slip = 4 * np.cos(slope), 4 * np.sin(slope)
+    time, x = 0.25, found["impact_x"][0]
+    for row in range(5):
+        assert found["velocity"][row] == pytest.approx(normal, rel=1e-9)
+        assert found["time"][row] == pytest.approx(time, abs=1e-9)
+        assert found["impact_x"][row] == pytest.approx(x, abs=1e-8)
+        contact = found["contact_duration"][row]
+        in_contact = slip * contact + GRAVITY * np.sin(slope) * contact**2 / 2
+        slip += GRAVITY * np.sin(slope) * contact
+        flight, way, normal, slip = flown(found["restitution"][row] * normal, slip, slope)
+        time, x = time + contact + flight, x + in_contact + way
+
+
+def test_a_rock_that_slides_off_the_beam_is_gone():
+    rebounds = {"most": 50, "least_speed": "1 mm/s"}
+    found = record(one_rock(inclination="10 deg", rebounds=rebounds, **on_beam(0.5, "2 m")))[1]
+    longer = record(one_rock(inclination="10 deg", rebounds=rebounds, **on_beam(0.5, "20 m")))[1]
+    assert 1 < found["time"].size < longer["time"].size
+    assert found["impact_x"][-1] <= 2 < longer["impact_x"][found["time"].size]
+    np.testing.assert_array_equal(found["time"], longer["time"][: found["time"].size])
+
+
+def test_when_a_rock_is_followed_no_further():
+    assert record(one_rock())[1]["bounce"].tolist() == [0]
+    by_count = record(one_rock(rebounds={"most": 3}))[1]
+    assert by_count["bounce"].tolist() == [0, 1, 2, 3]
+    by_speed = record(one_rock(rebounds={"most": 1000, "least_speed": "0.1 m/s"}))[1]
+    speeds = 4 * 0.6 ** np.arange(100)
+    np.testing.assert_allclose(by_speed["velocity"], speeds[speeds >= 0.1], rtol=1e-12)
+    noise = by_speed["peak_force"][2] * 1.01
+    noisy = varied(one_rock(rebounds={"most": 1000}), absolute_noise=noise)
+    assert record(noisy)[1]["bounce"].tolist() == [0, 1, 2]
+
+
+@pytest.mark.parametrize("target", [None, {"youngs_modulus": "210 GPa", "poisson_ratio": 0.3, "thickness": "15 mm"}])
+def test_energy_never_grows_and_each_bounce_has_what_the_impact_left(target):
+    found = record(scene_of(target=target, rebounds={"most": 5}))[1]
+    material = Material(
+        density=found["density"], youngs_modulus=found["youngs_modulus"], poisson_ratio=found["poisson_ratio"]
+    )
+    scene = scene_of(target=target)
+    alone = Impact(
+        sphere=Sphere(material=material, radius=found["radius"]),
+        target=scene.impact.body,
+        velocity=found["velocity"],
+        stiffness="hertz",
+        dissipation=HuntCrossley(restitution=0.5),
+    )
+    np.testing.assert_allclose(found["restitution"], alone.restitution, rtol=1e-12)
+    np.testing.assert_allclose(found["peak_force"], alone.peak_force, rtol=1e-12)
+    assert (found["restitution"].max() < 0.5) == (target is not None)
+    for rock in np.unique(found["rock"]):
+        own = found["rock"] == rock
+        speed, left = found["velocity"][own], (found["restitution"] * found["velocity"])[own]
+        assert (np.diff(found["time"][own]) > found["contact_duration"][own][:-1]).all()
+        assert (np.diff(speed) < 0).all()
+        np.testing.assert_allclose(speed[1:], left[:-1], rtol=1e-14)
+
+
+def test_the_normal_part_of_a_vertical_fall_hits_an_inclined_beam():
+    level, sloping = record(scene_of())[1], record(scene_of(inclination="60 deg"))[1]
+    np.testing.assert_allclose(sloping["velocity"], level["velocity"] / 2, rtol=1e-14)
+    np.testing.assert_allclose(sloping["peak_force"], level["peak_force"] * 0.5**1.2, rtol=1e-12)
+
+
+# ---- what is recorded ------------------------------------------------------------------------------------------------
+
+
+def forces_alone(found, scene, n_samples):
+    """Return the sum of the forces of all impacts, each computed on the whole axis: the slow twin."""
+    out, times = np.zeros(n_samples), np.arange(n_samples) / RATE
+    for row in range(found["time"].size):
+        material = Material(
+            density=found["density"][row], youngs_modulus=found["youngs_modulus"][row], poisson_ratio=0.3
+        )
+        impact = Impact(
+            sphere=Sphere(material=material, radius=found["radius"][row]),
+            target=scene.impact.body,
+            velocity=found["velocity"][row],
+            stiffness="hertz",
+            dissipation=HuntCrossley(restitution=0.5),
+        )
+        out += impact.force(times - found["time"][row])
+    return out
+
+
+def test_the_recording_is_the_sum_of_its_impacts():
+    # So many that most overlap.
+    scene = scene_of(duration="0.2 s", arrivals={"rate": "2 kHz"}, rebounds={"most": 2})
+    signal, found = record(scene, dtype="float64")
+    assert isinstance(scene.impact.body, HalfSpace) and found["overlapping"].mean() > 0.3
+    wanted = forces_alone(found, scene, signal.samples.size)
+    np.testing.assert_allclose(signal.samples, wanted, atol=1e-9 * wanted.max())
+
+
+def test_peaks_stand_where_the_truth_says():
+    scene = scene_of(rebounds={})
+    signal, found = record(scene)
+    clear = np.append(np.inf, found["next_impact"][:-1]) > 2e-3
+    clear &= ~(found["next_impact"] < 2e-3) & (found["time"] < 19.99)
+    assert clear.sum() > 300
+    for row in np.flatnonzero(clear):
+        first = int(np.ceil(found["time"][row] * RATE))
+        behind = int((found["time"][row] + found["contact_duration"][row]) * RATE) + 1
+        assert signal.samples[first - 1] == 0 and signal.samples[behind] == 0
+        if behind - first > 20:
+            highest = signal.samples[first:behind].max()
+            assert 0.98 * found["peak_force"][row] < highest <= found["peak_force"][row] * (1 + 1e-6)
+
+
+def test_overlaps_and_distances_against_every_pair():
+    found = record(scene_of(duration="1 s", arrivals={"rate": "400 Hz"}, rebounds={}))[1]
+    start, end = found["time"], found["time"] + found["contact_duration"]
+    pairs = (start[:, None] < end) & (start < end[:, None])
+    np.fill_diagonal(pairs, False)
+    np.testing.assert_array_equal(found["overlapping"], pairs.any(axis=1))
+    assert 0.1 < found["overlapping"].mean() < 0.9
+    np.testing.assert_allclose(found["next_impact"][:-1], np.diff(start), rtol=1e-12)
+    assert np.isnan(found["next_impact"][-1])
+
+
+def test_bandwidth_filters_every_pulse():
+    scene = varied(scene_of(duration="0.5 s", arrivals={"rate": "60 Hz"}), bandwidth="3 kHz")
+    clean = record(varied(scene, bandwidth=None), dtype="float64")[0].samples
+    found = record(scene, dtype="float64")[0].samples
+    # The filter of the whole recording is circular, so its ends are left out.
+    wanted = scene.sensor.limit_band(clean, RATE)
+    assert np.abs(found - wanted)[1000:-1000].max() < 1e-5 * clean.max()
+
+
+ACCELERATION = {"quantity": "acceleration", "anti_alias": {"frequency": "8 kHz", "order": 6}}
+
+
+def beam(**changes):
+    """Return a thin beam that rings, and the coarse way to reckon with it."""
+    x = {"distribution": "uniform", "lowest": 0.2, "highest": 1.1}
+    return on_beam(x, "1.2 m", thickness="40 mm", **changes)
+
+
+@pytest.mark.parametrize("sensor", [ACCELERATION, {"quantity": "velocity"}, {"mounting": {"frequency": "3 kHz"}}])
+def test_the_ringing_of_every_impact_goes_on_through_the_recording(sensor):
+    # Over several stretches, of which each ringing passes the end.
+    scene = scene_of(duration="6 s", arrivals={"rate": "60 Hz"}, sensor=sensor, rebounds={"most": 1}, **beam())
+    signal, found = record(scene, dtype="float64")
+    assert signal.unit == scene.sensor.unit and len(set(found["time"] // (128 / 60))) == 3
+    heard = hearing(scene)
+    # All at once, in one frame as long as the recording. What was asked is more than what the beam has left.
+    asked = {**found, "restitution": np.full(found["time"].size, 0.5)}
+    impact = impact_of(scene, asked, np.arange(found["time"].size))
+    wanted, rows = np.zeros((1, signal.samples.size)), np.zeros(found["time"].size, int)
+    heard.response.add_to_frames(wanted, impact, found["time"], heard.participation(found), rows=rows)
+    np.testing.assert_allclose(signal.samples, wanted[0], atol=1e-4 * np.abs(wanted).max())
+
+
+def test_rocks_that_feel_the_modes_of_the_beam_bounce_by_what_these_leave():
+    changes = {"sensor": ACCELERATION, "rebounds": {"most": 1}, **beam(coupling="modes")}
+    scene = scene_of(duration="2 s", arrivals={"rate": "20 Hz"}, **changes)
+    signal, found = record(scene)
+    assert np.abs(signal.samples).max() > 0 and found["bounce"].max() == 1
+    asked = {**found, "restitution": np.full(found["time"].size, 0.5)}
+    for row in (0, found["time"].size - 1):
+        alone = {name: column[row : row + 1] for name, column in asked.items()}
+        ((_, impact, _),) = impacts_by_coupling(scene, impact_of(scene, alone, np.arange(1)), alone, np.arange(1))
+        assert found["restitution"][row] == pytest.approx(float(impact.restitution[0]), rel=1e-9)
+        assert found["restitution"][row] != pytest.approx(0.5, rel=1e-3)
+
+
+def test_drift_and_noise_density_run_through_the_chunks():
+    scene = scene_of(
+        arrivals={"times": [19.9]}, sensor={"drift": "3 N/s", "offset": "-5 N", "noise_density": "0.1 N/sqrt(Hz)"}
+    )
+    samples = record(scene, dtype="float64")[0].samples[: int(19 * RATE)]
+    slope, offset = np.polyfit(np.arange(samples.size) / RATE, samples, 1)
+    assert slope == pytest.approx(3, rel=0.01) and offset == pytest.approx(-5, abs=0.2)
+    rest = samples - np.polyval([3, -5], np.arange(samples.size) / RATE)
+    assert rest.std() == pytest.approx(0.1 * np.sqrt(RATE / 2), rel=0.01)
+
+
+def test_noise_range_and_bits_close_the_chain():
+    sensor = {"absolute_noise": "50 N", "range": "5 kN", "bits": 12}
+    scene = scene_of(sensor=sensor, arrivals={"rate": "2 Hz"})
+    samples = record(scene, dtype="float64")[0].samples
+    step = 5000 / 2**11
+    assert samples.max() == 5000 - step
+    np.testing.assert_array_equal(samples / step, np.rint(samples / step))
+    assert np.std(samples[np.abs(samples) < 300]) == pytest.approx(50, rel=0.02)
+
+
+def test_a_longer_recording_begins_with_the_shorter_one():
+    changes = {"rebounds": {}, "sensor": {"absolute_noise": "5 N"}}
+    changes["background"] = {
+        "hum": [{"frequency": 50, "amplitude": 3}],
+        "coloured": {"frequencies": [5, 500], "density": [1, 0.1]},
+    }
+    short, little = record(scene_of(duration="19 s", **changes), seed=4)
+    long, much = record(scene_of(duration="40 s", **changes), seed=4)
+    np.testing.assert_array_equal(short.samples, long.samples[: short.samples.size])
+    for name in little.keys() - {"next_impact", "overlapping"}:
+        np.testing.assert_array_equal(little[name], much[name][: little[name].size])
+
+
+def test_recordings_and_seeds_differ_and_repeat():
+    scene = scene_of(sensor={"absolute_noise": "5 N"})
+    first, again = record(scene, 1, 0), record(scene, 1, 0)
+    np.testing.assert_array_equal(first[0].samples, again[0].samples)
+    for other in (record(scene, 1, 1), record(scene, 2, 0)):
+        assert not np.intersect1d(first[1]["specimen"], other[1]["specimen"]).size
+        assert np.corrcoef(first[0].samples[:5000], other[0].samples[:5000])[0, 1] < 0.1
+
+
+def test_numbers_of_frames_are_what_they_were():
+    # The number of the recording came later, in a word of the counter that was 0.
+    key, counter = np.array([7, 2], np.uint64), np.array([0, 0, 0, 5], np.uint64)
+    wanted = np.random.Generator(np.random.Philox(key=key, counter=counter)).random(4)
+    np.testing.assert_array_equal(generator(7, 2, 5).random(4), wanted)
+    assert (generator(7, 2, 5, recording=1).random(4) != wanted).all()
+
+
+def test_memory_holds_a_stretch_only():
+    scene = scene_of(duration="300 s", arrivals={"rate": "0.5 Hz"}, rebounds={})
+    axes = []
+    original = synthesis.TimeAxis.taken
+
+    def watched(self, stop):
+        axes.append(self.samples.nbytes)
+        return original(self, stop)
+
+    try:
+        synthesis.TimeAxis.taken = watched
+        record(scene)
+    finally:
+        synthesis.TimeAxis.taken = original
+    assert max(axes) < 20 * RATE * 8
+
+
+# ---- scenes ----------------------------------------------------------------------------------------------------------
+
+
+def test_the_text_of_a_scene_is_the_scene_again():
+    scene = scene_of(
+        mixture={"times": ["0 s", "1 min"], "gangue": ["5 %", 0.9]},
+        rebounds={},
+        inclination="20 deg",
+        background={"hum": [{"frequency": "50 Hz", "amplitude": "2 kN"}]},
+    )
+    assert parse_scene(json.loads(scene.text)) == scene
+    assert scene.stream.inclination == pytest.approx(np.pi / 9)
+
+
+@pytest.mark.parametrize(
+    ("changes", "path", "says"),
+    [
+        ({"arrivals": {"rate": 0}}, "stream.arrivals.rate", "0.001 Hz or more"),
+        ({"arrivals": {"rate": "-8 Hz"}}, "stream.arrivals.rate.values.0", "greater than or equal to 0"),
+        ({"arrivals": {"rate": "8 m"}}, "stream.arrivals.rate", "frequency"),
+        ({"arrivals": {}}, "stream.arrivals", "either rate or times"),
+        ({"arrivals": {"rate": 8, "times": [1]}}, "stream.arrivals", "either rate or times"),
+        ({"arrivals": {"times": [2, 1]}}, "stream.arrivals", "must not descend"),
+        ({"arrivals": {"times": [1, 20]}}, "stream", "before the end of the recording at 20 s, got 20 s"),
+        ({"arrivals": {"times": [-1]}}, "stream.arrivals.times.0", "greater than or equal to 0"),
+        ({"arrivals": {"times": []}}, "stream.arrivals.times", "at least 1 time"),
+        ({"arrivals": {"rate": {"times": [0, 5], "values": [1]}}}, "stream.arrivals.rate", "as many as times"),
+        ({"arrivals": {"rate": {"times": [5, 5], "values": [1, 2]}}}, "stream.arrivals.rate", "must ascend"),
+        ({"duration": 0}, "stream.duration", "0.001"),
+        ({"duration": "3 days"}, "stream.duration", "time"),
+        ({"duration": "25 h"}, "stream.duration", "86400"),
+        ({"mixture": {"times": [0, 1], "shale": [0, 1]}}, "stream.mixture.shale", "one of coal, gangue"),
+        ({"mixture": {"times": [1, 0], "gangue": [0, 1]}}, "stream.mixture", "must ascend"),
+        ({"mixture": {"times": [0, 1], "gangue": [0]}}, "stream.mixture", "gangue must have as many shares"),
+        ({"mixture": {"times": [0], "gangue": [1.5]}}, "stream.mixture.gangue.0", "less than or equal to 1"),
+        ({"mixture": {"times": [0], "gangue": [0.7], "coal": [0.5]}}, "stream.mixture", "1 or less, got 1.2"),
+        ({"mixture": {"times": [0], "gangue": [0.2], "coal": [0.5]}}, "stream.mixture", "add up to 1, got 0.7"),
+        ({"mixture": {"times": [0]}}, "stream.mixture", "at least one label"),
+        ({"rebounds": {"most": 0}}, "stream.rebounds.most", "greater than or equal to 1"),
+        ({"rebounds": {"least_speed": 0}}, "stream.rebounds.least_speed", "0.001"),
+        ({"inclination": "90 deg"}, "stream.inclination", "1.5"),
+        ({"inclination": "-1 deg"}, "stream.inclination", "greater than or equal to 0"),
+        ({"bounces": 3}, "stream.bounces", "unknown key"),
+        ({"sensor": {"relative_noise": 0.01}}, "sensor.relative_noise", "absolute_noise"),
+        (
+            {"sensor": {"mounting": {"frequency": "5 kHz"}, "bandwidth": "2 kHz"}},
+            "sensor.bandwidth",
+            "give anti_alias",
+        ),
+        (
+            {"populations": [population("coal", clipped_at=0.5)]},
+            "populations.0.clipped_at",
+            "left out of a stream",
+        ),
+    ],
+    ids=lambda value: value if isinstance(value, str) else "",
+)
+def test_one_mistake_is_one_line_with_its_path(changes, path, says):
+    with pytest.raises(BadData) as caught:
+        scene_of(**changes)
+    (line,) = str(caught.value).splitlines()
+    assert line.startswith(f"scene: {path}: ") and says in line
+
+
+def test_frames_and_streams_are_not_mixed():
+    made = content()
+    made["sampling"] |= {"samples": 128, "pre_trigger": 16}
+    with pytest.raises(BadData, match=r"sampling\.samples: must be left out of a stream"):
+        parse_scene(made)
+    del made["stream"]
+    parse_scene(made)
+    del made["sampling"]["pre_trigger"]
+    with pytest.raises(BadData, match=r"sampling\.pre_trigger: is missing"):
+        parse_scene(made)
+    with pytest.raises(InvalidValue, match="make recordings of it"):
+        next(synthesise(scene_of(), 1))
+    with pytest.raises(InvalidValue, match="must have a section stream"):
+        made["sampling"]["pre_trigger"] = 16
+        record(parse_scene(made))
+
+
+def test_what_does_not_fit_is_refused_with_what_it_needs():
+    long = scene_of(duration="10 h")
+    with pytest.raises(
+        InvalidValue, match=r"3\.43 GiB; make 2 recordings \(-n 2\) with a duration of 1\.8e\+04 s each"
+    ):
+        require_capacity(long, "float32")
+    require_capacity(varied_duration(long, 18_000), "float32")
+    busy = scene_of(duration="60 s", arrivals={"rate": "1 MHz"}, rebounds={"most": 9})
+    with pytest.raises(InvalidValue, match=r"6e\+08, which need 280 GiB; make 286 recordings"):
+        require_capacity(busy, "float32")
+
+
+def varied_duration(scene, seconds):
+    made = json.loads(scene.text)
+    made["stream"]["duration"] = seconds
+    return parse_scene(made)
+
+
+def test_no_recording_passes_the_number_of_impacts_it_was_said_to_have():
+    scene = scene_of(rebounds={"most": 3})
+    assert all(record(scene, seed)[1]["time"].size <= most_impacts(scene) for seed in range(20))
+    assert rocks.Rocks.joined([]).taken(np.empty(0, np.intp))["time"].size == 0
