@@ -43,8 +43,8 @@ def scene_of(modes=slice(None), **sensor):
             }
             | sensor,
             "taps": [
-                {"label": "hammer", "shape": "half-sine", "peak_force": "4 kN", "contact_duration": "0.4 ms"},
-                {"label": "hammer", "shape": "haversine", "peak_force": "2 kN", "contact_duration": "0.9 ms"},
+                {"label": "hammer", "shape": "half-sine", "peak_force": "4 kN", "contact_duration": "0.15 ms"},
+                {"label": "hammer", "shape": "haversine", "peak_force": "2 kN", "contact_duration": "0.3 ms"},
             ],
         }
     )
