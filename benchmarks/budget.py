@@ -52,7 +52,8 @@ def main() -> None:
     scene = load_scene(shipped.scene_path(arguments.scene))
     rate, pre_trigger = scene.sampling.sampling_rate, scene.sampling.pre_trigger
     drawn = draw(scene, 0, 0)
-    frames = make_frames(plan(scene), drawn, 0, 0, np.float32)
+    asked = plan(scene)
+    frames = make_frames(asked, drawn, 0, 0, np.float32)
     silence, level = np.zeros_like(frames), scene.sensor.noise_level(drawn.parameters["peak_force"], rate)
     model = Model.load(shipped.path_of("models", shipped.DEFAULT_MODEL))
     table = extract_array(frames, rate, model.measured, pre_trigger=pre_trigger, invalid="nan")
@@ -64,7 +65,7 @@ def main() -> None:
 
     making = {
         "parameters": lambda: draw(scene, 0, 0),
-        "pulse": lambda: add_pulses(frames, scene, drawn),
+        "pulse": lambda: add_pulses(frames, asked, drawn),
         "noise": lambda: add_noise(silence, level, 0, 0),
         "sensor (range, bits; nothing when off)": lambda: scene.sensor.digitise(frames, rate),
     }

@@ -1,9 +1,9 @@
-"""What a scene does not need is not done: counters of ten scenes, and the time that it saves.
+"""What a scene does not need is not done: counters of some scenes, and the time that it saves.
 
     python benchmarks/skipping.py [--signals N]
     python benchmarks/skipping.py --unit-costs
 
-Prints Markdown. The first form counts, for some signals of each of ten scenes, what ran for what was asked beside what
+Prints Markdown. The first form counts, for some signals of each scene, what ran for what was asked beside what
 making and measuring everything takes, and times parameters, closed forms, features and frames of the same N impacts of
 the reference scene (nothing is written to the disk). The second measures `cgid.scene.costs.UNIT_COSTS`. Times are
 those of the processor, which a busy machine lengthens less.
@@ -17,23 +17,30 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cgid import shipped
+from cgid.counting import counted
 from cgid.features import FEATURES, extract_array
 from cgid.filters import fft_filter
 from cgid.identification.measuring import DEFAULT_FEATURES
 from cgid.scene import generate, load_scene, synthesise
+from cgid.scene.background import BackgroundSection
+from cgid.scene.background_noise import Background
 from cgid.scene.noise import add_noise
 from cgid.scene.plan import plan
 from cgid.scene.population import draw, given
 from cgid.scene.randomness import BLOCK
+from cgid.scene.response import Hearing, beam_modes, hearing
 from cgid.scene.sensor import Sensor, clip
+from cgid.scene.stream.arrivals import arrivals_of
+from cgid.scene.stream.rocks import arriving, thrown_back
 from cgid.scene.synthesis import add_pulses
 from cgid.scene.tables import columns_of
 from cgid.scene.tabulation import tabulate
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
-from tests.plan_scenes import CASES, COUNTED, TAP, scene_of
+from tests.plan_scenes import CASES, COUNTED, PANEL, TAP, beam_of, named, scene_of
 
 ROUNDS = 7
 
@@ -94,7 +101,7 @@ def best(work: Callable[[], object], number: float) -> float:
 def print_unit_costs() -> None:
     """Print the table of unit costs."""
     scene, frames = scene_of(), np.zeros((BLOCK, 2048), np.float32)
-    plate = CASES[8].scene
+    plate = named("gravity and a thin plate").scene
     taps = scene_of(populations=[], taps=[TAP])
     drawn, on_plate, tapped = draw(scene, 0, 0), draw(plate, 0, 0), draw(taps, 0, 0)
     falls = given(scene, 0, 0)
@@ -120,12 +127,13 @@ def print_unit_costs() -> None:
     costs["damping solve"] = damped
     costs["impact"] = alone
     costs["integrated impact"] = best(derived("restitution", of=given(plate, 0, 0)), BLOCK)
-    few, many = best(lambda: add_pulses(frames, scene, drawn), BLOCK), 0.0
-    many = best(lambda: add_pulses(dense_frames, dense, drawn_dense), BLOCK)
+    few, many = best(lambda: add_pulses(frames, plan(scene), drawn), BLOCK), 0.0
+    many = best(lambda: add_pulses(dense_frames, plan(dense), drawn_dense), BLOCK)
     costs["pulse sample"] = (many - few) / ((n_dense - n_contact) / BLOCK)
     costs["pulse"] = few - costs["pulse sample"] * n_contact / BLOCK
-    costs["integrated pulse"] = best(lambda: add_pulses(frames, plate, on_plate), BLOCK)
-    costs["tap"] = best(lambda: add_pulses(frames, taps, tapped), BLOCK)
+    costs["integrated pulse"] = best(lambda: add_pulses(frames, plan(plate), on_plate), BLOCK)
+    costs["tap"] = best(lambda: add_pulses(frames, plan(taps), tapped), BLOCK)
+    costs |= beam_costs() | stream_costs() | background_costs()
     costs["frame sample"] = best(lambda: np.zeros(frames.shape, np.float32).fill(0), frames.size)
     costs["noise sample"] = best(lambda: add_noise(frames, level, 0, 0), frames.size)
     costs["filtered sample"] = best(lambda: fft_filter(frames, rate, high=40e3, taper=0.5), frames.size)
@@ -141,6 +149,9 @@ def print_unit_costs() -> None:
     one = best(lambda: extract_array(signals, rate, ["contact_duration"], pre_trigger=128), len(signals))
     spectral = [name for name, feature in FEATURES.items() if feature.spectral]
     costs["spectrum"] = best(lambda: extract_array(signals, rate, spectral, pre_trigger=128), len(signals)) - one
+    vibrations = named("features of measured modes, one silent").scene
+    (felt,), measured = synthesise(vibrations, BLOCK), plan(vibrations, ["features"]).request.features
+    costs["vibrations"] = best(lambda: extract_array(felt.signals, felt.sampling_rate, measured, pre_trigger=64), BLOCK)
     with tempfile.TemporaryDirectory() as folder:
         n = 8192
         whole = best(lambda: generate(scene, Path(folder) / "data", n, overwrite=True), n)
@@ -152,6 +163,61 @@ def print_unit_costs() -> None:
         costs["column"] = (written - kept) / len(asked.request.column_units)
     for name, cost in costs.items():
         print(f'    "{name}": {cost:.2g},')
+
+
+def beam_costs() -> dict[str, float]:
+    """Return what the modes of a beam cost: in the contact itself, when they are struck, and as they ring."""
+    scenes = [beam_of({**PANEL, "coupling": "impedance"}, samples=samples) for samples in (1024, 4096)]
+    drawn = draw(scenes[0], 0, 0)
+    n_modes = beam_modes(scenes[0]).frequency.size
+    times, rung = [], []
+    for scene in scenes:
+        heard = hearing(scene)
+        frames = np.zeros((BLOCK, scene.sampling.samples), np.float32)
+
+        def respond(heard: Hearing = heard, frames: NDArray[np.float32] = frames) -> None:
+            for strike in drawn.strikes:
+                strike.add_response(frames, heard, drawn.parameters)
+
+        times.append(best(respond, BLOCK))
+        with counted() as counts:
+            respond()
+        rung.append(counts["mode_samples"] / BLOCK)
+    sample = (times[1] - times[0]) / (rung[1] - rung[0])
+    coupled = beam_of({**PANEL, "coupling": "modes"})
+    solved = best(lambda: draw(coupled, 0, 0), BLOCK)
+    return {
+        "coupled mode": solved / n_modes,
+        "struck mode": (times[0] - sample * rung[0]) / n_modes,
+        "mode sample": sample,
+    }
+
+
+def stream_costs() -> dict[str, float]:
+    """Return what it costs to draw a rock of a stream beyond its numbers, and to throw it back."""
+    scene = load_scene(shipped.scene_path("caving"))
+    stretch = next(arrivals_of(scene.stream).stretches(scene.stream.duration, 0, 0))
+    rocks = arriving(scene, stretch, 0, 0, 0)
+    everyone, half = np.ones(len(rocks), bool), np.full(len(rocks), 0.5)
+    return {
+        "arrival": best(lambda: arriving(scene, stretch, 0, 0, 0), len(rocks)),
+        "flight": best(lambda: thrown_back(scene, rocks, half, 0 * half, everyone), len(rocks)),
+    }
+
+
+def background_costs() -> dict[str, float]:
+    """Return what a sample of each kind of background costs."""
+    hum = BackgroundSection.model_validate({"hum": [{"frequency": 50, "amplitude": 1}]})
+    noise = {"frequencies": [2, 2000], "density": [1, 1]}
+    coloured = BackgroundSection.model_validate({"coloured": noise})
+    recorded = np.ones(1 << 20)
+    kinds = {
+        "hum sample": Background(hum, "force", 25600.0, None),
+        "coloured sample": Background(coloured, "force", 25600.0, None),
+        "recorded sample": Background(hum, "force", 25600.0, recorded, 1.0),
+    }
+    costs = {name: best(lambda one=one: one.in_frames(0, 0, 2048), BLOCK * 2048) for name, one in kinds.items()}
+    return costs | {"recorded sample": costs["recorded sample"] - costs["hum sample"]}
 
 
 def main() -> None:

@@ -1,4 +1,4 @@
-"""Ten scenes and what is asked of each, for the tests of the plan and `benchmarks/skipping.py`."""
+"""Scenes and what is asked of each, for the tests of the plan and `benchmarks/skipping.py`."""
 
 from __future__ import annotations
 
@@ -10,6 +10,9 @@ from cgid.counting import counted
 from cgid.features import extract_array
 from cgid.scene import Scene, parse_scene, synthesise
 from cgid.scene.plan import Plan, plan
+from cgid.scene.population import draw
+from cgid.scene.randomness import BLOCK
+from cgid.scene.response import beam_modes
 from cgid.scene.tables import closed_forms_of, columns_of
 
 STEEL = {"density": 7850, "youngs_modulus": "210 GPa", "poisson_ratio": 0.3}
@@ -54,6 +57,31 @@ def scene_of(
     return parse_scene(content | more)
 
 
+#: A plate of the laboratory, held along its edges.
+PANEL = {
+    "length": "458.4 mm",
+    "width": "360 mm",
+    "thickness": "8 mm",
+    "edges": "simply-supported",
+    "damping_ratio": 0.01,
+    "impact_point": {"x": uniform("0.1 m", "0.3 m"), "y": uniform("0.1 m", "0.2 m")},
+    "sensor_point": {"x": "0.1 m", "y": "0.1 m"},
+}
+#: As a tap test gives them. The sensor sits where the second mode does not move.
+TAPPED = [
+    {"frequency": f, "damping_ratio": 0.02, "modal_mass": 20, "shape_impact": 1.0, "shape_sensor": shape}
+    for f, shape in ((200, 0.8), (500, 0.0), (900, -0.6), (1700, 0.5))
+]
+FELT = {"quantity": "acceleration", "anti_alias": {"frequency": "5 kHz"}, "absolute_noise": 0.1}
+SMALL = {"radius": uniform("5 mm", "10 mm"), "velocity": uniform(1, 3)}
+
+
+def beam_of(tail_beam: dict[str, Any], sensor: dict[str, Any] | None = None, samples: int = 1024) -> Scene:
+    """Return a small scene of small rocks on a tail beam."""
+    sampling = {"sampling_rate": "25.6 kHz", "samples": samples, "pre_trigger": 64}
+    return scene_of(None, SMALL, FELT if sensor is None else sensor, tail_beam=tail_beam, sampling=sampling)
+
+
 @dataclass(frozen=True)
 class Case:
     """A scene and what is asked of it."""
@@ -71,19 +99,36 @@ class Case:
         """Return what runs for `COUNTED` signals."""
         with counted() as counts:
             asked = self.plan
-            made = synthesise(self.scene, COUNTED) if asked.request.kept else columns_of(asked, COUNTED)
+            kept, outputs = asked.request.kept, [self.output]
+            made = synthesise(self.scene, COUNTED, outputs=outputs) if kept else columns_of(asked, COUNTED)
             for _ in made:
                 pass
         return counts
 
     def ask_everything(self) -> Counter[str]:
-        """Return what runs for all that can be known of the same signals: closed forms, frames, every feature."""
+        """Return what runs for all that can be known of the same signals: closed forms, frames, every feature.
+
+        On a beam: the true pulses, too, and all modes that it has in the band, over every sample.
+        """
         with counted() as counts:
             for _ in closed_forms_of(self.scene, COUNTED):
                 pass
             for batch in synthesise(self.scene, COUNTED):
-                extract_array(batch.signals, batch.sampling_rate, pre_trigger=batch.pre_trigger, invalid="nan")
+                names = None if batch.unit == "N" else plan(self.scene, ["features"]).request.features
+                extract_array(batch.signals, batch.sampling_rate, names, pre_trigger=batch.pre_trigger, invalid="nan")
+            if self.scene.tail_beam is not None:
+                for _ in synthesise(self.scene, COUNTED, outputs=["pulses"]):
+                    pass
+        if self.scene.tail_beam is not None:
+            counts |= self.all_modes()
         return counts
+
+    def all_modes(self) -> Counter[str]:
+        """Return how many modes there are to be run, in every block, and poles over every sample."""
+        n_modes = beam_modes(self.scene).frequency.size
+        n_poles = n_modes + sum(part.poles.size for part in self.scene.sensor.filters)
+        strikes = sum(len(draw(self.scene, 0, block).strikes) for block in range(COUNTED // BLOCK))
+        return Counter(modes=n_modes * strikes, mode_samples=n_poles * self.scene.sampling.samples * COUNTED)
 
 
 CASES = (
@@ -111,4 +156,13 @@ CASES = (
         "features",
         {"features": FIT},
     ),
+    Case("a plate's acceleration", beam_of({**PANEL, "coupling": "impedance"}), "frames"),
+    Case("features of measured modes, one silent", beam_of({"modes": TAPPED}), "features"),
+    Case("a beam whose sensor feels the force", beam_of({"modes": TAPPED}, {}), "frames"),
+    Case("true pulses on a beam", beam_of({"modes": TAPPED}), "pulses"),
 )
+
+
+def named(name: str) -> Case:
+    """Return the case of this name."""
+    return next(case for case in CASES if case.name == name)

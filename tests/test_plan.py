@@ -13,23 +13,33 @@ from cgid import beginnings
 from cgid.cli.main import run
 from cgid.counting import count, counted, counting
 from cgid.errors import BadData, CannotCreate, InvalidValue, MissingExtra, NoInput, WriteFailed
-from cgid.features import extract_array
-from cgid.impact import Elastic, HalfSpace, HuntCrossley, Impact, Sphere, _kernels, _taylor, curves
+from cgid.features import FEATURES, extract_array
+from cgid.identification.measuring import DEFAULT_VIBRATION_FEATURES
+from cgid.impact import Elastic, HalfSpace, HuntCrossley, Impact, Sphere, _kernels, _taylor, coupled, curves
 from cgid.impact.curves import Curves
+from cgid.impact.modal_curves import ModalCurves
+from cgid.impact.response import Response
 from cgid.materials import STEEL as STEEL_MATERIAL
 from cgid.materials import Material
 from cgid.pulses import PulseBatch
-from cgid.scene import synthesis, synthesise
-from cgid.scene.plan import plan
+from cgid.scene import load_scene, synthesis, synthesise
+from cgid.scene.costs import Workload
+from cgid.scene.impacts import NEGLIGIBLE_ECHO
+from cgid.scene.plan import Stage, plan
 from cgid.scene.population import draw
 from cgid.scene.quantities import QUANTITIES
+from cgid.scene.response import TOLERANCE as HEARD
+from cgid.scene.response import BeamModes, beam_modes
 from cgid.scene.sensor import Sensor
 from cgid.scene.stages import STAGES
+from cgid.scene.stream.synthesis import record
 from cgid.scene.tables import closed_forms_of, columns_of, features_of, parameters_of
 from cgid.scene.tabulation import tabulate
 from cgid.scene.weight import TOLERANCE, weighed
+from cgid.shipped import scene_path
 from cgid.store import Rows, TableHeader, is_table, read_table, table, table_writer
-from tests.plan_scenes import CASES, COUNTED, FIT, IN_TIME, SECOND, TAP, Case, scene_of, uniform
+from cgid.vibration import VibrationBatch
+from tests.plan_scenes import CASES, COUNTED, FIT, IN_TIME, PANEL, SECOND, TAP, Case, beam_of, named, scene_of, uniform
 
 N = COUNTED
 #: What runs of each case; a name that is missing must not run at all. Samples of beginnings are bounded below.
@@ -94,10 +104,6 @@ EXPECTED = {
 BEGINNINGS = {"features of the fit": 600, "features in time": 500, "spectrum, bandwidth, range and bits": 500}
 
 
-def case(name: str) -> Case:
-    return next(case for case in CASES if case.name == name)
-
-
 # -- counters -------------------------------------------------------------------------------------------
 
 
@@ -115,11 +121,11 @@ def test_counters_belong_to_who_asks() -> None:
 
 @pytest.mark.parametrize("name", EXPECTED)
 def test_only_what_is_asked_runs(name: str) -> None:
-    counts = case(name).ask()
+    counts = named(name).ask()
     contact = counts.pop("pulse_samples", 0)
     if "frames" in EXPECTED[name]:
-        drawn = [draw(case(name).scene, 0, block) for block in range(2)]
-        rate = case(name).scene.sampling.sampling_rate
+        drawn = [draw(named(name).scene, 0, block) for block in range(2)]
+        rate = named(name).scene.sampling.sampling_rate
         inside = sum(float(np.sum(d.parameters["contact_duration"]) * rate) for d in drawn)
         assert contact == pytest.approx(inside, abs=N)
     else:
@@ -130,7 +136,7 @@ def test_only_what_is_asked_runs(name: str) -> None:
 
 
 def test_taps_second_hits_and_drawn_noise_run_where_they_are() -> None:
-    chosen = case("taps, second hits, drawn noise")
+    chosen = named("taps, second hits, drawn noise")
     impacts = sum(draw(chosen.scene, 0, block).impact.reduced_mass.size for block in range(2))
     counts = chosen.ask()
     assert counts["table_pulses"] == 2 * impacts  # each hits twice
@@ -140,10 +146,75 @@ def test_taps_second_hits_and_drawn_noise_run_where_they_are() -> None:
     assert counts["noise_samples"] < 0.6 * 2048 * N
 
 
+#: Modes that run of those there are, where a sensor feels a motion.
+MODES = {"a plate's acceleration": (47, 47), "features of measured modes, one silent": (3, 4)}
+
+
+@pytest.mark.parametrize("name", MODES)
+def test_modes_run_that_the_sensor_feels(name: str) -> None:
+    chosen, (heard, there) = named(name), MODES[name]
+    counts, everything = chosen.ask(), chosen.all_modes()
+    assert (counts["modes"], everything["modes"]) == (2 * heard, 2 * there)
+    n_filters, rung = 4, counts["mode_samples"]
+    assert everything["mode_samples"] == (there + n_filters) * 1024 * N
+    # They ring from the end of contact on, and until they are too quiet; in steps of 256 samples.
+    assert 0.4 * (heard + n_filters) * 1024 * N < rung < (heard + n_filters) * (1024 - 64) * N
+
+
+@pytest.mark.parametrize("name", ["a beam whose sensor feels the force", "true pulses on a beam"])
+def test_no_mode_runs_where_only_the_force_is_asked(name: str) -> None:
+    counts = named(name).ask()
+    assert (counts["modes"], counts["mode_samples"]) == (0, 0)
+    assert counts["coupled_impacts"] == counts["frames"] == N  # the beam gives way all the same
+    assert counts["noise_samples"] == 0
+
+
+@pytest.mark.parametrize("chosen", CASES, ids=lambda chosen: chosen.name)
+def test_nothing_responds_that_the_plan_skips(chosen: Case, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(Response, "add_to_frames", _refuse)
+    if chosen.plan.responds:
+        with pytest.raises(AssertionError, match="that the plan skips"):
+            chosen.ask()
+    else:
+        chosen.ask()
+
+
+def test_true_pulses_of_a_beam_are_forces() -> None:
+    chosen, forces = named("true pulses on a beam").scene, named("a beam whose sensor feels the force").scene
+    (pulses,), (felt,) = synthesise(chosen, 100, outputs=["pulses"]), synthesise(forces, 100)
+    assert pulses.unit == felt.unit == "N"
+    # The modes of a table are the same, whatever is felt.
+    np.testing.assert_array_equal(pulses.signals, felt.signals)
+    filtered = scene_of(sensor={"anti_alias": {"frequency": "20 kHz"}})
+    (pulses,), (silent,) = synthesise(filtered, 100, outputs=["pulses"]), synthesise(scene_of(sensor={}), 100)
+    np.testing.assert_array_equal(pulses.signals, silent.signals)
+
+
+def test_the_plan_tells_how_a_beam_gives_way() -> None:
+    def stages(**more: object) -> dict[str, Stage]:
+        return {stage.name: stage for stage in plan(beam_of({**PANEL, **more})).stages}
+
+    auto, plate, modes = stages(), stages(coupling="impedance"), stages(coupling="modes")
+    assert "where waves come back" in auto["thin plate"].why
+    assert auto["thin plate"].error_bound == NEGLIGIBLE_ECHO
+    assert "endless plate" in plate["thin plate"].why
+    assert "every impact" in modes["thin plate"].why
+    costs = [told["time stepping"].microseconds for told in (plate, auto, modes)]
+    assert costs[0] < costs[1] <= costs[2]
+    assert auto["tail beam"].error_bound == HEARD
+    n_modes = beam_modes(beam_of(PANEL)).frequency.size
+    told = int(auto["tail beam"].why.split("about ")[1].split()[0])
+    assert told == pytest.approx(n_modes, rel=0.2)
+    assert "no mode is heard" in plan(beam_of(PANEL, {})).decisions["tail beam"].why
+    tapped = plan(named("features of measured modes, one silent").scene, ["features"])
+    assert "the 4 modes of the table" in tapped.decisions["tail beam"].why
+
+
 @pytest.mark.parametrize("chosen", CASES, ids=lambda chosen: chosen.name)
 def test_everything_costs_more(chosen: Case) -> None:
     asked, everything = chosen.ask(), chosen.ask_everything()
-    assert everything["fits"] == everything["spectra"] == everything["frames"] == N
+    if chosen.scene.tail_beam is None:
+        assert everything["fits"] == everything["spectra"] == everything["frames"] == N
     assert all(asked[name] <= number for name, number in everything.items())
     assert set(asked) <= set(everything)
     assert sum(asked.values()) < sum(everything.values())
@@ -157,14 +228,16 @@ def _refuse(*_: object, **__: object) -> None:
 WORKERS = {
     "damping": [(curves, "damping_number")],
     "closed forms": [(curves, "peak_force"), (curves, "peak_displacement"), (curves.family, "times")],
-    "time stepping": [(_taylor, "summaries"), (_taylor, "add_to_frames")],
-    "pulses": [(_kernels, "add_to_frames"), (Curves, "add_to_frames")],
+    "time stepping": [(_taylor, "summaries"), (_taylor, "add_to_frames"), (coupled, "solve")],
+    "pulses": [(_kernels, "add_to_frames"), (Curves, "add_to_frames"), (ModalCurves, "add_to_frames")],
+    "tail beam": [(BeamModes, "participation")],
     "bandwidth": [(Sensor, "limit_band")],
     "noise": [(synthesis, "add_noise")],
     "clipping": [(synthesis, "clip")],
     "offset, range and bits": [(Sensor, "digitise")],
     "spectra": [(PulseBatch, "spectrum")],
     "fits": [(PulseBatch, "fit")],
+    "vibrations": [(VibrationBatch, "level")],
 }
 
 
@@ -245,6 +318,29 @@ def test_features_without_frames_are_those_of_stored_frames(name: str) -> None:
     np.testing.assert_allclose(read, stored_features(scene, 300, names, first=100), rtol=1e-9, atol=1e-12)
 
 
+def test_features_of_vibrations_are_those_of_stored_frames() -> None:
+    scene = named("features of measured modes, one silent").scene
+    asked = plan(scene, ["features"])
+    names = asked.request.features
+    assert asked.runs("vibrations")
+    assert asked.runs("rest of the frames")
+    assert "level_10000_hz" in names
+    assert "level_31.5_hz" not in names  # frames are too short to tell the band from the next
+    assert not any(FEATURES[name].kind == "pulse" for name in names)
+    found = features_without_frames(scene, 300, names, first=100)
+    # Sums may differ in their last bits with what else is in the batch.
+    np.testing.assert_allclose(found, stored_features(scene, 300, names, first=100), rtol=1e-9, atol=1e-12)
+
+
+def test_features_that_no_frame_supports_are_refused_before_any_work() -> None:
+    sampling = {"sampling_rate": "25.6 kHz", "samples": 1024, "pre_trigger": 64}
+    with pytest.raises(InvalidValue, match=r"level_31\.5_hz needs frames of"):
+        plan(beam_of(PANEL), ["features"], features=["level_31.5_hz"])
+    rates = {"sampling_rate": uniform("1 kHz", "100 kHz")}
+    with pytest.raises(InvalidValue, match="level_5000_hz needs a sampling_rate"):
+        plan(scene_of(sampling=sampling, randomise=rates), ["features"], features=["level_5000_hz"])
+
+
 def test_a_feature_that_looks_everywhere_gets_whole_frames() -> None:
     scene, names = SCENES["plain"], ("fitted_peak", "misfit")
     assert plan(scene, ["features"], features=names).runs("rest of the frames")
@@ -279,7 +375,7 @@ def test_signals_that_cannot_be_measured_are_nan_and_counted() -> None:
 
 
 def test_columns_are_those_of_the_signals() -> None:
-    scene = CASES[-1].scene
+    scene = named("taps, second hits, drawn noise").scene
     (batch,) = synthesise(scene, 200, 4, first=20)
     (closed,), (drawn,) = closed_forms_of(scene, 200, 4, first=20), parameters_of(scene, 200, 4, first=20)
     for part in (closed, drawn):
@@ -510,7 +606,8 @@ def test_every_stage_is_in_every_plan_with_a_reason() -> None:
         assert [stage.name for stage in stages] == list(STAGES)
         assert all(stage.why for stage in stages)
         assert all((stage.microseconds > 0) <= stage.runs for stage in stages)
-        assert all(stage.error_bound == 0 for stage in stages if stage.name != "gravity")
+        bounded = {stage.name for stage in stages if stage.error_bound > 0}
+        assert bounded <= {"gravity", "thin plate", "tail beam", "sensor chain"}
 
 
 def test_a_block_has_a_plan_of_its_own() -> None:
@@ -545,6 +642,50 @@ def test_explain_prints_the_plan_and_runs_nothing(
     assert content["bytes"] == 10_000 * 2048 * 4
     assert content["seconds"] == pytest.approx(1e4 * 1e-6 * sum(stage["microseconds"] for stage in content["stages"]))
     assert list(tmp_path.iterdir()) == []
+
+
+def test_explain_tells_of_a_recording(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["generate", "caving", "--explain", "--json", "-n", "3"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    stages = {stage["name"]: stage for stage in told["stages"]}
+    assert (told["output"], told["recordings"]) == ("recordings", 3)
+    assert told["bytes"] == 3 * told["bytes_per_recording"] == 3 * 60 * 25600 * 4
+    running = {"arrivals", "flights", "time stepping", "tail beam", "sensor chain", "background", "noise"}
+    assert all(stages[name]["runs"] and stages[name]["microseconds"] > 0 for name in running)
+    assert not any(stages[name]["runs"] for name in ("closed forms", "taps", "fits", "vibrations", "bandwidth"))
+    assert run(["generate", "caving", "--explain"]) == 0
+    assert "us/recording" in capsys.readouterr().out
+    for option in ("--features-only", "--parameters-only"):
+        assert run(["generate", "caving", "--explain", option]) == 2
+        assert "no tables" in capsys.readouterr().err
+
+
+def test_a_recording_is_expected_to_have_the_impacts_it_has() -> None:
+    content = {"duration": "40 s", "arrivals": {"rate": "10 Hz"}, "rebounds": {"most": 3, "least_speed": 0.5}}
+    scene = scene_of(sensor={}, stream=content, sampling={"sampling_rate": "20 kHz"})
+    work = Workload(scene, (), True)
+    _, truth = record(scene, 3)
+    rocks = np.unique(truth["rock"]).size
+    assert work.sources == pytest.approx(400)
+    assert rocks == pytest.approx(work.sources, abs=4 * 20)  # Poisson
+    # Some rocks are still in the air when the recording ends.
+    assert 0.9 < truth["rock"].size / rocks / (work.impacts / work.sources) < 1
+    assert truth["rock"].size > 2 * rocks
+
+
+def test_a_stream_makes_recordings_and_nothing_else() -> None:
+    with pytest.raises(InvalidValue, match="must be recordings, for it is a stream"):
+        plan(load_scene(scene_path("caving")), ["frames"])
+    with pytest.raises(InvalidValue, match="must not be recordings"):
+        plan(scene_of(), ["recordings"])
+
+
+def test_default_features_are_those_of_a_model_of_what_is_felt(tmp_path: Path) -> None:
+    path = tmp_path / "t.csv"
+    assert run(["generate", "plate", "--features-only", "-n", "20", "-o", str(path)]) == 0
+    names = [name for name in read_table(path).columns if not name.startswith("true_")]
+    assert set(names) <= set(DEFAULT_VIBRATION_FEATURES)
+    assert len(names) > 10
 
 
 @pytest.mark.parametrize(

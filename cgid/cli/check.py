@@ -150,8 +150,8 @@ def _stream(scene: Any) -> dict[str, Any]:
 
     from cgid.scene.background_noise import background_of
     from cgid.scene.stream.arrivals import arrivals_of, population_shares
+    from cgid.scene.stream.axis import samples_of
     from cgid.scene.stream.capacity import require_capacity
-    from cgid.scene.stream.synthesis import samples_of
 
     require_capacity(scene, "float32")
     background, duration = background_of(scene), scene.stream.duration

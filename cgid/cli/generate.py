@@ -15,8 +15,11 @@ _ONLY = {"features_only": "features", "closed_form_only": "closed-form", "parame
 _WHICH = {"features": "features_only", "quantities": "closed_form_only"}
 #: Options about signals on the disk.
 _OF_SIGNALS = ("dtype", "shard_signals", "compression", "jobs")
-#: What makers of datasets and recordings are told.
-_OF_DATASETS = ("output", "n_signals", "seed", "overwrite", *_OF_SIGNALS)
+#: Those of them about signals that are not in one recording, and their defaults.
+_OF_MANY = {"jobs": 1, "shard_signals": 4096, "compression": "none"}
+#: What makers of recordings and datasets are told.
+_OF_RECORDINGS = ("output", "n_signals", "seed", "overwrite", "dtype")
+_OF_DATASETS = (*_OF_RECORDINGS, "shard_signals", "compression", "jobs")
 
 
 @click.command(short_help="Make a dataset from a scene.")
@@ -55,19 +58,21 @@ def generate(context: click.Context, /, scene: str, **options: Any) -> None:
 
     loaded = load_scene(shipped.scene_path(scene))
     if loaded.stream is not None:
-        if output != "frames" or options["explain"]:
+        if output != "frames":
             raise click.UsageError(
-                f"scene {loaded.name} is a stream of recordings, for which there are neither tables nor a plan; leave "
-                "--explain and every --...-only out",
+                f"scene {loaded.name} is a stream of recordings, of which there are no tables; leave every --...-only "
+                "out",
                 context,
             )
-        _make_recordings(loaded, **{name: options[name] for name in _OF_DATASETS})
-        return
+        _require_recordings(loaded, options)
+        output = "recordings"
     if options["n_signals"] is None:
-        options["n_signals"] = 10_000
-    asked = plan(loaded, [output], dtype=options["dtype"], **_which(output, options))
+        options["n_signals"] = 10_000 if loaded.stream is None else 1
+    asked = plan(loaded, [output], dtype=options["dtype"], **_which(loaded, output, options))
     if options["explain"]:
         _explain(asked, options["n_signals"], options["as_json"])
+    elif output == "recordings":
+        _make_recordings(loaded, **{name: options[name] for name in _OF_RECORDINGS})
     elif output == "frames":
         _write_dataset(asked, options)
     else:
@@ -110,16 +115,25 @@ def _flag(name: str) -> str:
     return "--" + name.replace("_", "-")
 
 
-def _which(output: str, options: dict[str, Any]) -> dict[str, Any]:
+def _which(scene: Any, output: str, options: dict[str, Any]) -> dict[str, Any]:
     """Return the features or quantities that are asked for."""
-    from cgid.identification.measuring import DEFAULT_FEATURES
 
-    def names(name: str, otherwise: tuple[str, ...] | None) -> Any:
-        return otherwise if options[name] is None else [part.strip() for part in options[name].split(",")]
+    def names(name: str) -> list[str] | None:
+        return None if options[name] is None else [part.strip() for part in options[name].split(",")]
 
     if output == "features":
-        return {"features": names("features", DEFAULT_FEATURES)}
-    return {"quantities": names("quantities", None)} if output == "closed-form" else {}
+        return {"features": names("features") or _features_of_model(scene)}
+    return {"quantities": names("quantities")} if output == "closed-form" else {}
+
+
+def _features_of_model(scene: Any) -> tuple[str, ...]:
+    """Return what a model looks at by default on signals of this scene."""
+    from cgid.features import kind_for
+    from cgid.identification.measuring import DEFAULT_FEATURES, DEFAULT_VIBRATION_FEATURES
+    from cgid.scene.plan import supported_by
+
+    pulses = kind_for(scene.sensor.quantity) == "pulse"
+    return supported_by(scene, DEFAULT_FEATURES if pulses else DEFAULT_VIBRATION_FEATURES)
 
 
 def _write_dataset(asked: Any, options: dict[str, Any]) -> None:
@@ -167,48 +181,49 @@ def _explain(asked: Any, n_signals: int, as_json: bool) -> None:
     if n_signals < 1:
         raise InvalidValue(f"n_signals must be 1 or more, got {n_signals}")
     stages, microseconds, size = asked.stages, asked.microseconds, asked.request.signal_bytes
+    noun = "signal" if asked.request.scene.stream is None else "recording"
     if as_json:
         print_json(
             {
                 "scene": asked.request.scene.name,
                 "output": asked.kind,
                 "stages": [asdict(stage) for stage in stages],
-                "microseconds_per_signal": microseconds,
-                "bytes_per_signal": size,
-                "signals": n_signals,
+                f"microseconds_per_{noun}": microseconds,
+                f"bytes_per_{noun}": size,
+                f"{noun}s": n_signals,
                 "seconds": microseconds * n_signals * 1e-6,
                 "bytes": size * n_signals,
             }
         )
         return
     click.echo(f"{asked.request.scene.name}: {asked.kind}; costs are estimates for one thread")
-    click.echo(f"{'stage':<19}{'':<9}{'us/signal':>9}{'error':>9}  why")
+    click.echo(f"{'stage':<23}{'':<9}{f'us/{noun}':>13}{'error':>9}  why")
     for stage in stages:
         cost, runs = (f"{stage.microseconds:.2f}", "run") if stage.runs else ("-", "skipped")
-        click.echo(f"{stage.name:<19}{runs:<9}{cost:>9}{stage.error_bound:>9.2g}  {stage.why}")
-    click.echo(f"{'sum':<28}{microseconds:>9.2f}{'':>9}  {size} bytes a signal")
+        click.echo(f"{stage.name:<23}{runs:<9}{cost:>13}{stage.error_bound:>9.2g}  {stage.why}")
+    click.echo(f"{'sum':<32}{microseconds:>13.2f}{'':>9}  {size} bytes a {noun}")
     seconds, megabytes = microseconds * n_signals * 1e-6, size * n_signals / 1e6
-    click.echo(f"{n_signals} signals: {seconds:.3g} s, {megabytes:.4g} MB")
+    click.echo(f"{n_signals} {noun}s: {seconds:.3g} s, {megabytes:.4g} MB")
 
 
-def _make_recordings(
-    scene: Any, output: str, n_signals: int | None, jobs: int, shard_signals: int, compression: str, **options: Any
-) -> None:
+def _require_recordings(scene: Any, options: dict[str, Any]) -> None:
+    """Raise `InvalidValue` for options that no recording has."""
     from cgid.errors import InvalidValue
-    from cgid.scene.stream.generation import generate_recordings
-    from cgid.scene.stream.synthesis import samples_of
 
-    for flag, given, default in (
-        ("--jobs", jobs, 1),
-        ("--shard-signals", shard_signals, 4096),
-        ("--compression", compression, "none"),
-    ):
-        if given != default:
-            raise InvalidValue(f"{flag} is for datasets, scene {scene.name} is a stream of recordings; leave it out")
-    count = 1 if n_signals is None else n_signals
-    seconds = scene.stream.duration * count
+    for name, default in _OF_MANY.items():
+        if options[name] != default:
+            raise InvalidValue(
+                f"{_flag(name)} is for datasets, scene {scene.name} is a stream of recordings; leave it out"
+            )
+
+
+def _make_recordings(scene: Any, output: str, n_signals: int, **options: Any) -> None:
+    from cgid.scene.stream.axis import samples_of
+    from cgid.scene.stream.generation import generate_recordings
+
+    seconds = scene.stream.duration * n_signals
     start = time.perf_counter()
-    with progress_bar(count * samples_of(scene), "samples") as progress:
-        path = generate_recordings(scene, output, count, progress=progress, **options)
+    with progress_bar(n_signals * samples_of(scene), "samples") as progress:
+        path = generate_recordings(scene, output, n_signals, progress=progress, **options)
     took = time.perf_counter() - start
-    click.echo(f"{path}: {count} recordings, {seconds:g} s in {took:.1f} s", err=True)
+    click.echo(f"{path}: {n_signals} recordings, {seconds:g} s in {took:.1f} s", err=True)

@@ -99,7 +99,7 @@ def extract_array(
             f"pre_trigger must lie between 0 and the {frames.shape[1]} samples of the frame, got {pre_trigger}"
         )
     validation.choice("invalid", invalid, ("raise", "nan"))
-    _require_supported(names, rate, frames.shape[1])
+    require_supported(names, rate, frames.shape[1])
     out = np.full((len(frames), len(names)), np.nan)
     for first in range(0, len(frames), _ROWS):
         part = frames[first : first + _ROWS]
@@ -150,7 +150,8 @@ def supported(features: Iterable[str], sampling_rate: float, n_samples: int) -> 
     return tuple(name for name in features if not _lack(FEATURES[name], sampling_rate, n_samples))
 
 
-def _require_supported(names: Iterable[str], sampling_rate: float, n_samples: int) -> None:
+def require_supported(names: Iterable[str], sampling_rate: float, n_samples: int) -> None:
+    """Raise `InvalidValue` for a feature that needs another sampling rate [Hz] or longer frames."""
     for name in names:
         lack = _lack(FEATURES[name], sampling_rate, n_samples)
         if lack:

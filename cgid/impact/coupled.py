@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cgid import validation
+from cgid.counting import count
 from cgid.errors import InvalidValue
 from cgid.impact.bodies import HalfSpace
 from cgid.impact.dissipation import Elastic, HuntCrossley
@@ -175,6 +176,7 @@ class ModalImpact(Impact):
     def curves(self) -> ModalCurves:
         """The dimensionless courses, one row for each impact in C order."""
         shape, size = self.reduced_mass.shape, self.reduced_mass.size
+        count("coupled_impacts", size)
         rigid = super().curves
         frequency, damping_ratio, compliance = self._modes(shape)
         window = USUAL_WINDOW if self.window is None else validation.real("window", self.window) / self.time_scale

@@ -47,6 +47,11 @@ def impacts_by_coupling(
         yield modal, make_modal(modal), make_modal
 
 
+def share_through_modes(scene: Scene, impact: Impact, values: Mapping[str, Floats], rows: NDArray[np.intp]) -> float:
+    """Return the share of the impacts of some rows that are solved together with the modes of the beam."""
+    return float(np.mean(_through_modes(scene, impact, values, rows)))
+
+
 def _through_modes(
     scene: Scene, impact: Impact, values: Mapping[str, Floats], rows: NDArray[np.intp]
 ) -> NDArray[np.bool_]:

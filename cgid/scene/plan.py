@@ -11,7 +11,7 @@ import numpy as np
 
 from cgid import validation
 from cgid.errors import InvalidValue
-from cgid.features import choose, kind_for
+from cgid.features import choose, kind_for, require_supported, supported
 from cgid.scene.costs import Workload
 from cgid.scene.quantities import STORED, choose_quantities
 from cgid.scene.request import OUTPUTS, Decision, Request
@@ -29,7 +29,7 @@ class Stage:
     runs : bool
     why : str
     microseconds : float
-        What it is estimated to cost a signal, on one thread; 0 where it is skipped.
+        What it is estimated to cost a signal, or a recording of a stream, on one thread; 0 where it is skipped.
     error_bound : float
         Of what is left out, relative to the peak; 0 where nothing changes.
     """
@@ -59,6 +59,11 @@ class Plan:
         """Return whether a stage runs."""
         return self.decisions[stage].runs
 
+    @property
+    def responds(self) -> bool:
+        """Whether a beam or the chain of sensors stands between the forces and the signals."""
+        return self.runs("tail beam") or self.runs("sensor chain")
+
     def for_block(self, scene: Scene) -> Plan:
         """Return the plan of a block, in which nothing is left to be drawn anew."""
         if scene is self.request.scene:
@@ -87,7 +92,7 @@ class Plan:
 
     @property
     def microseconds(self) -> float:
-        """Estimated cost of a signal."""
+        """Estimated cost of a signal or recording."""
         return sum(stage.microseconds for stage in self.stages)
 
 
@@ -106,10 +111,12 @@ def plan(
     scene : Scene
     outputs : iterable of str
         "parameters": what is drawn. "closed-form": quantities of the impacts without their pulses. "pulses": forces
-        without a sensor. "frames": signals as the sensor gives them. "features": measured on such signals, which are
-        not kept unless frames are asked, too.
+        without beam and sensor. "frames": signals as the sensor gives them. "features": measured on such signals,
+        which are not kept unless frames are asked, too. "recordings": all that a stream has, and a stream has nothing
+        else.
     features : iterable of str, optional
-        Names out of `cgid.features.FEATURES`, all by default; only with the output "features".
+        Names out of `cgid.features.FEATURES`, only with the output "features". By default all of the kind
+        that the sensor's quantity has, as far as sampling rate and frames allow.
     quantities : iterable of str, optional
         Names out of `cgid.scene.quantities.QUANTITIES`, all by default; only with the output "closed-form".
     dtype : {"float32", "float64"}
@@ -118,7 +125,7 @@ def plan(
     Raises
     ------
     InvalidValue
-        There is no such output, feature or quantity, or they contradict each other.
+        There is no such output, feature or quantity, or they contradict each other or the scene.
 
     Examples
     --------
@@ -136,10 +143,11 @@ def plan(
     for name, given, output in (("features", features, "features"), ("quantities", quantities, "closed-form")):
         if given is not None and output not in asked:
             raise InvalidValue(f"{name} must come with the output {output!r}, which is not asked; leave them out")
+    _require_recordings(scene, asked)
     request = Request(
         scene=scene,
         outputs=asked,
-        features=choose(features, kind_for(scene.sensor.quantity)) if "features" in asked else (),
+        features=_features(scene, features) if "features" in asked else (),
         quantities=_needed(asked, quantities),
         sample_bytes=np.dtype(validation.choice("dtype", dtype, ("float32", "float64"))).itemsize,
     )
@@ -150,9 +158,54 @@ def _decided(request: Request) -> Plan:
     return Plan(request, {name: decide(request) for name, decide in STAGES.items()})
 
 
+def _require_recordings(scene: Scene, outputs: frozenset[str]) -> None:
+    """Raise `InvalidValue` if anything but recordings is asked of a stream, or recordings of another scene."""
+    if scene.stream is not None and outputs != {"recordings"}:
+        raise InvalidValue(
+            f"outputs of scene {scene.name} must be recordings, for it is a stream, got {', '.join(sorted(outputs))}; "
+            "make recordings of it (cgid generate SCENE -o RECORDING.h5)"
+        )
+    if scene.stream is None and "recordings" in outputs:
+        raise InvalidValue(f"outputs of scene {scene.name} must not be recordings, for which it needs a section stream")
+
+
+def _features(scene: Scene, features: Iterable[str] | None) -> tuple[str, ...]:
+    names = choose(features, kind_for(scene.sensor.quantity))
+    if features is None:
+        return supported_by(scene, names)
+    for rate in _extreme_rates(scene):
+        require_supported(names, rate, scene.sampling.samples)
+    return names
+
+
+def supported_by(scene: Scene, features: Iterable[str]) -> tuple[str, ...]:
+    """Return those of the features that every frame of a scene is sampled fast and long enough for.
+
+    Raises
+    ------
+    InvalidValue
+        None of them is.
+    """
+    names = tuple(features)
+    for rate in _extreme_rates(scene):
+        names = supported(names, rate, scene.sampling.samples)
+    if not names:
+        raise InvalidValue(
+            f"scene {scene.name}: frames must be sampled fast and long enough for one feature at least, "
+            f"{scene.sampling.samples} samples at {scene.sampling.sampling_rate:g} Hz hold none; record longer"
+        )
+    return names
+
+
+def _extreme_rates(scene: Scene) -> tuple[float, ...]:
+    """Return the sampling rate of a scene, or the lowest and the highest that it draws [Hz]."""
+    drawn = None if scene.randomise is None else scene.randomise.sampling_rate
+    return (scene.sampling.sampling_rate,) if drawn is None else drawn.extremes
+
+
 def _needed(outputs: frozenset[str], quantities: Iterable[str] | None) -> tuple[str, ...]:
     """Return the quantities that are asked, or stored beside the signals."""
     asked = choose_quantities(quantities) if "closed-form" in outputs else ()
-    if outputs.isdisjoint(("pulses", "frames", "features")):
+    if outputs.isdisjoint(("pulses", "frames", "recordings", "features")):
         return asked
     return tuple(dict.fromkeys((*STORED, *asked)))

@@ -12,8 +12,11 @@ from cgid.scene.sections import Population
 HIGHEST_INELASTICITY = 30.0
 
 
-def problem_on_plate(target: Target, theory: str, population: Population) -> str | None:
-    """Return what is wrong with this population on this target; None for any target but a plate too thin."""
+def problem_on_plate(target: Target, theory: str, population: Population, thickness: str) -> str | None:
+    """Return what is wrong with this population on this target; None for any target but a plate too thin.
+
+    thickness is where the scene file says it.
+    """
     if not isinstance(target, ThinPlate):
         return None
     lowest, highest = population.poisson_ratio.extremes
@@ -38,6 +41,5 @@ def problem_on_plate(target: Target, theory: str, population: Population) -> str
         return None
     return (
         f"lambda of the thin plate must be at most {HIGHEST_INELASTICITY:g}, it can be drawn as {inelasticity:.3g}; "
-        "raise the thickness of the target or of the tail beam, or give radius, density, youngs_modulus and speed a "
-        "lower highest value"
+        f"raise {thickness}, or give radius, density, youngs_modulus and speed a lower highest value"
     )

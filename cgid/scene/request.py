@@ -8,9 +8,10 @@ from dataclasses import dataclass
 from cgid.scene.costs import Workload
 from cgid.scene.quantities import QUANTITIES, drawn_units, measured_units
 from cgid.scene.scene import Scene
+from cgid.scene.stream.axis import samples_of
 
 #: What can be asked of a scene.
-OUTPUTS = ("parameters", "closed-form", "pulses", "frames", "features")
+OUTPUTS = ("parameters", "closed-form", "pulses", "frames", "recordings", "features")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -39,17 +40,17 @@ class Request:
     @property
     def signals(self) -> bool:
         """Whether there must be signals at all."""
-        return not self.outputs.isdisjoint(("pulses", "frames", "features"))
+        return not self.outputs.isdisjoint(("pulses", "frames", "recordings", "features"))
 
     @property
     def sensed(self) -> bool:
         """Whether there must be signals as the sensor gives them."""
-        return not self.outputs.isdisjoint(("frames", "features"))
+        return not self.outputs.isdisjoint(("frames", "recordings", "features"))
 
     @property
     def kept(self) -> bool:
         """Whether the signals themselves are asked, whole."""
-        return not self.outputs.isdisjoint(("pulses", "frames"))
+        return not self.outputs.isdisjoint(("pulses", "frames", "recordings"))
 
     @property
     def column_units(self) -> dict[str, str]:
@@ -62,10 +63,15 @@ class Request:
 
     @property
     def signal_bytes(self) -> int:
-        """Of one signal on disk: its samples, or its columns."""
+        """Of one signal or recording on disk: its samples, or its columns."""
         if self.kept:
-            return self.scene.sampling.samples * self.sample_bytes
+            return samples_of(self.scene) * self.sample_bytes
         return 8 * len(self.column_units)
+
+    @property
+    def impacts(self) -> bool:
+        """Whether anything is asked that an impact delivers: more than what is drawn."""
+        return bool(self.quantities) or self.signals
 
     def drawn(self, name: str) -> bool:
         """Return whether a setting is drawn for each block."""
@@ -81,7 +87,7 @@ class Decision:
     runs : bool
     why : str
     cost : callable
-        From the workload to microseconds a signal, if it runs.
+        From the workload to microseconds a signal or recording, if it runs.
     error_bound : float
         Of what is left out, relative to the peak; 0 where nothing changes.
     """
@@ -90,3 +96,9 @@ class Decision:
     why: str
     cost: Callable[[Workload], float] = lambda work: 0.0
     error_bound: float = 0.0
+
+
+NO_IMPACTS = Decision(runs=False, why="no populations: taps have no law of impact")
+NO_SIGNALS = Decision(runs=False, why="no signals are asked for")
+NO_SENSOR = Decision(runs=False, why="no sensed signals are asked for")
+ONLY_DRAWN = Decision(runs=False, why="only what is drawn is asked for")

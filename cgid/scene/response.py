@@ -104,6 +104,21 @@ def beam_modes(scene: Scene) -> BeamModes:
     return _beam_modes(scene.tail_beam, scene.panel, highest_frequency(scene))
 
 
+def expected_modes(scene: Scene) -> tuple[Floats, Floats]:
+    """Return about which modes `beam_modes` will find, without looking for them: frequencies [Hz], damping ratios.
+
+    Those of a panel are spread evenly, so many per hertz as it has far up.
+    """
+    assert scene.tail_beam is not None
+    if scene.tail_beam.measured is not None:
+        table = scene.tail_beam.measured
+        return np.asarray(table.frequency, np.float64), np.asarray(table.damping_ratio, np.float64)
+    assert scene.panel is not None and scene.tail_beam.damping_ratio is not None
+    density = scene.panel.modal_density
+    frequency = (np.arange(max(round(density * highest_frequency(scene)), 1)) + 0.5) / density
+    return frequency, np.full(frequency.size, scene.tail_beam.damping_ratio)
+
+
 def highest_frequency(scene: Scene) -> float:
     """Return up to which frequency modes are found [Hz]."""
     if scene.sensor.quantity == "force":  # they are not heard, but felt by the rocks that last till their echo

@@ -68,10 +68,11 @@ class Scene(Section):
                 problems.append(f"populations.{index}.restitution: is missing, hunt-crossley dissipation needs it")
         problems += self._problems_of_beam()
         if not problems:  # a beam that breaks rules is no target
+            thickness = "impact.target.thickness" if self.tail_beam is None else "tail_beam.thickness"
             for index, population in enumerate(self.populations):
-                problem = problem_on_plate(self.body, self.impact.stiffness, population) or problem_of_weight(
-                    self.impact, self.body, population
-                )
+                problem = problem_on_plate(
+                    self.body, self.impact.stiffness, population, thickness
+                ) or problem_of_weight(self.impact, self.body, population)
                 if problem is not None:
                     problems.append(f"populations.{index}: {problem}")
         if self.impact.gravity_tolerance is not None and self.impact.gravity is None:

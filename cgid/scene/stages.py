@@ -12,31 +12,38 @@ import numpy as np
 from cgid.beginnings import look_at_the_beginning
 from cgid.family import LOWEST_RESTITUTION
 from cgid.features import FEATURES
-from cgid.impact import HuntCrossley, ThinPlate
+from cgid.features import kind_of as kinds_of_signal
+from cgid.impact import HuntCrossley
 from cgid.pulses import FAINT
+from cgid.scene.beam_stages import gives_way, sensor_chain, tail_beam, thin_plate
 from cgid.scene.costs import UNIT_COSTS, Workload
 from cgid.scene.quantities import DAMPED
-from cgid.scene.request import Decision, Request
+from cgid.scene.request import NO_IMPACTS, NO_SENSOR, NO_SIGNALS, ONLY_DRAWN, Decision, Request
 from cgid.scene.scene import Scene
+from cgid.scene.stream.stages import arrivals, flights
+from cgid.scene.stream.truth import impact_units
 from cgid.scene.weight import largest_error, tolerance_of
 
-_NO_IMPACTS = Decision(runs=False, why="no populations: taps have no law of impact")
-_NO_SIGNALS = Decision(runs=False, why="no signals are asked for")
-_NO_SENSOR = Decision(runs=False, why="no sensed signals are asked for")
+#: More names than these are counted.
+_MOST_LISTED = 13
+#: Columns of the truth beside its numbers: label and specimen.
+_NAMES = 2
 
 
 def _parameters(request: Request) -> Decision:
-    return Decision(runs=True, why="all else follows from them", cost=lambda work: UNIT_COSTS["parameters"])
+    return Decision(
+        runs=True, why="all else follows from them", cost=lambda work: UNIT_COSTS["parameters"] * work.sources
+    )
 
 
 def _damping(request: Request) -> Decision:
     scene = request.scene
     if not scene.populations:
-        return _NO_IMPACTS
+        return NO_IMPACTS
     if scene.impact.dissipation == "elastic":
         return Decision(runs=False, why="the impacts are undamped: D = 0")
-    if not request.quantities and not request.signals:
-        return Decision(runs=False, why="only what is drawn is asked for")
+    if not request.impacts:
+        return ONLY_DRAWN
     if _integrates(scene):
         why = "the integration starts from D"
     elif scene.impact.law != "exact":
@@ -50,10 +57,10 @@ def _damping(request: Request) -> Decision:
 
 def _closed_forms(request: Request) -> Decision:
     if not request.scene.populations:
-        return _NO_IMPACTS
+        return NO_IMPACTS
     if not request.quantities:
-        return Decision(runs=False, why="only what is drawn is asked for")
-    if _on_plate(request.scene):
+        return ONLY_DRAWN
+    if gives_way(request.scene):
         return Decision(runs=False, why="a plate or beam that gives way leaves none: the impacts are integrated")
     number = len(request.quantities)
     return Decision(
@@ -66,17 +73,18 @@ def _closed_forms(request: Request) -> Decision:
 def _time_stepping(request: Request) -> Decision:
     scene = request.scene
     if not scene.populations:
-        return _NO_IMPACTS
-    if not request.quantities and not request.signals:
-        return Decision(runs=False, why="only what is drawn is asked for")
+        return NO_IMPACTS
+    if not request.impacts:
+        return ONLY_DRAWN
     if not _integrates(scene):
         return Decision(runs=False, why="closed forms and the table of pulses are exact here")
 
     def cost(work: Workload) -> float:
         pulses = UNIT_COSTS["integrated pulse"] * work.pulses if request.signals else 0.0
-        return UNIT_COSTS["integrated impact"] * work.impacts + pulses
+        coupled = UNIT_COSTS["coupled mode"] * work.coupled * work.n_modes if scene.tail_beam is not None else 0.0
+        return UNIT_COSTS["integrated impact"] * work.impacts + coupled + pulses
 
-    if _on_plate(scene):
+    if gives_way(scene):
         return Decision(runs=True, why="a plate or beam that gives way has no closed form", cost=cost)
     if largest_error(scene.impact, scene.body, scene.populations) > tolerance_of(scene.impact):
         return Decision(runs=True, why="for the impacts that feel gravity", cost=cost)
@@ -88,9 +96,9 @@ def _gravity(request: Request) -> Decision:
     if section.gravity is None:
         return Decision(runs=False, why="off")
     if not request.scene.populations:
-        return _NO_IMPACTS
-    if not request.quantities and not request.signals:
-        return Decision(runs=False, why="only what is drawn is asked for")
+        return NO_IMPACTS
+    if not request.impacts:
+        return ONLY_DRAWN
     bound, limit = largest_error(section, request.scene.body, request.scene.populations), tolerance_of(section)
     if bound <= limit:
         why = f"2.4 g L / (v^2 e) is at most {bound:.2g}, the tolerance {limit:g}"
@@ -100,21 +108,11 @@ def _gravity(request: Request) -> Decision:
     return Decision(runs=True, why=f"for each impact with 2.4 g L / (v^2 e) above {limit:g}", error_bound=limit)
 
 
-def _thin_plate(request: Request) -> Decision:
-    if not _on_plate(request.scene):
-        return Decision(runs=False, why="the target does not give way")
-    if not request.scene.populations:
-        return _NO_IMPACTS
-    if not request.quantities and not request.signals:
-        return Decision(runs=False, why="only what is drawn is asked for")
-    return Decision(runs=True, why="no bound on leaving it out is proven (lambda)")
-
-
 def _pulses(request: Request) -> Decision:
     if not request.signals:
-        return _NO_SIGNALS
+        return NO_SIGNALS
     if not request.scene.populations:
-        return _NO_IMPACTS
+        return NO_IMPACTS
 
     def cost(work: Workload) -> float:
         return UNIT_COSTS["pulse"] * work.pulses + UNIT_COSTS["pulse sample"] * work.contact_samples
@@ -126,19 +124,21 @@ def _taps(request: Request) -> Decision:
     if not request.scene.taps:
         return Decision(runs=False, why="the scene has none")
     if not request.signals:
-        return _NO_SIGNALS
+        return NO_SIGNALS
     return Decision(runs=True, why="samples in contact only", cost=lambda work: UNIT_COSTS["tap"] * work.taps)
 
 
 def _rest_of_frames(request: Request) -> Decision:
     if not request.signals:
-        return _NO_SIGNALS
+        return NO_SIGNALS
 
     def whole(why: str) -> Decision:
         return Decision(runs=True, why=why, cost=lambda work: UNIT_COSTS["frame sample"] * work.samples)
 
     if request.kept:
         return whole("whole signals are asked for")
+    if kinds_of_signal(request.features) == "vibration":
+        return whole("a vibration is measured all through the frame")
     if not look_at_the_beginning(request.features):
         everywhere = [name for name in request.features if FEATURES[name].whole_frame]
         return whole(f"{', '.join(everywhere)} looks at samples far from the pulse")
@@ -153,7 +153,7 @@ def _rest_of_frames(request: Request) -> Decision:
 
 def _bandwidth(request: Request) -> Decision:
     if not request.sensed:
-        return _NO_SENSOR
+        return NO_SENSOR
     if request.scene.sensor.bandwidth is None and not request.drawn("bandwidth"):
         return Decision(runs=False, why="off")
     why = "drawn for each block" if request.drawn("bandwidth") else f"{request.scene.sensor.bandwidth:g} Hz"
@@ -164,7 +164,7 @@ def _bandwidth(request: Request) -> Decision:
 
 def _noise(request: Request) -> Decision:
     if not request.sensed:
-        return _NO_SENSOR
+        return NO_SENSOR
     if not request.scene.sensor.noisy and not request.drawn("relative_noise"):
         return Decision(runs=False, why="off")
     whole = _rest_of_frames(request).runs
@@ -179,15 +179,26 @@ def _background(request: Request) -> Decision:
     if request.scene.background is None:
         return Decision(runs=False, why="off")
     if not request.sensed:
-        return _NO_SENSOR
-    return Decision(runs=True, why="whole frames")
+        return NO_SENSOR
+    section = request.scene.background
+    parts = {
+        "hum": len(section.hum),
+        "coloured": section.coloured is not None,
+        "recorded": section.recorded is not None,
+    }
+
+    def cost(work: Workload) -> float:
+        return sum(UNIT_COSTS[f"{name} sample"] * number for name, number in parts.items()) * work.n_samples
+
+    on = ", ".join(name for name, number in parts.items() if number)
+    return Decision(runs=True, why=f"{on}; always whole frames", cost=cost)
 
 
 def _clipping(request: Request) -> Decision:
     if not any(source.clipped_at is not None for source in request.scene.sources):
         return Decision(runs=False, why="off")
     if not request.sensed:
-        return _NO_SENSOR
+        return NO_SENSOR
     return Decision(runs=True, why="clipped_at is drawn", cost=lambda work: UNIT_COSTS["clipped sample"] * work.samples)
 
 
@@ -198,7 +209,7 @@ def _digitising(request: Request) -> Decision:
     if not on:
         return Decision(runs=False, why="off")
     if not request.sensed:
-        return _NO_SENSOR
+        return NO_SENSOR
     return Decision(
         runs=True,
         why=", ".join(on),
@@ -207,7 +218,7 @@ def _digitising(request: Request) -> Decision:
 
 
 def _measuring(kind: str) -> Callable[[Request], Decision]:
-    """Return the stage of the features of one kind: of the samples in time, of the spectrum, of the fit."""
+    """Return the stage of the features of one kind, as `kind_of` names it."""
 
     def decide(request: Request) -> Decision:
         if "features" not in request.outputs:
@@ -215,13 +226,21 @@ def _measuring(kind: str) -> Callable[[Request], Decision]:
         names = [name for name in request.features if kind_of(name) == kind]
         if not names:
             return Decision(runs=False, why="no asked feature needs it")
-        return Decision(runs=True, why=", ".join(names), cost=lambda work: UNIT_COSTS[kind])
+        return Decision(runs=True, why=_listed(names), cost=lambda work: UNIT_COSTS[kind])
 
     return decide
 
 
+def _listed(names: list[str]) -> str:
+    if len(names) <= _MOST_LISTED:
+        return ", ".join(names)
+    return f"{names[0]} to {names[-1]}, {len(names)} of them"
+
+
 def kind_of(feature: str) -> str:
-    """Return what a feature is read from: "fit", "spectrum" or "features in time"."""
+    """Return what a feature is read from: "vibrations", or of a pulse "fit", "spectrum" or "features in time"."""
+    if FEATURES[feature].kind == "vibration":
+        return "vibrations"
     if FEATURES[feature].fitted:
         return "fit"
     return "spectrum" if FEATURES[feature].spectral else "features in time"
@@ -231,24 +250,28 @@ def _storing_signals(request: Request) -> Decision:
     if not request.kept:
         return Decision(runs=False, why="no signals are kept")
     size = request.signal_bytes
-    return Decision(runs=True, why=f"{size} bytes a signal", cost=lambda work: UNIT_COSTS["stored byte"] * size)
+    noun = "signal" if request.scene.stream is None else "recording"
+    return Decision(runs=True, why=f"{size} bytes a {noun}", cost=lambda work: UNIT_COSTS["stored byte"] * size)
 
 
 def _storing_columns(request: Request) -> Decision:
+    if request.scene.stream is not None:
+        number = len(impact_units(request.scene)) + _NAMES
+        return Decision(
+            runs=True,
+            why=f"the truth of every impact, {8 * number} bytes each",
+            cost=lambda work: UNIT_COSTS["column"] * number * work.impacts,
+        )
     if request.kept:
         return Decision(runs=False, why="they are stored beside the signals")
     number = len(request.column_units)
     return Decision(runs=True, why=f"{number} of them", cost=lambda work: UNIT_COSTS["column"] * number)
 
 
-def _on_plate(scene: Scene) -> bool:
-    return isinstance(scene.body, ThinPlate) or scene.tail_beam is not None
-
-
 def _integrates(scene: Scene) -> bool:
     """Return whether some impacts may have to be integrated."""
     return (
-        _on_plate(scene)
+        gives_way(scene)
         or largest_error(scene.impact, scene.body, scene.populations) > tolerance_of(scene.impact)
         or _damps_beyond(scene)
     )
@@ -263,17 +286,20 @@ def _damps_beyond(scene: Scene) -> bool:
     return bool(delivered < LOWEST_RESTITUTION)
 
 
-#: Every stage in the order of the data. What comes between the pulses and the sensor, such as the modes of a beam or
-#: a background, is one more function and one more line.
+#: Every stage in the order of the data.
 STAGES: Mapping[str, Callable[[Request], Decision]] = {
+    "arrivals": arrivals,
     "parameters": _parameters,
     "damping": _damping,
     "closed forms": _closed_forms,
     "gravity": _gravity,
-    "thin plate": _thin_plate,
+    "thin plate": thin_plate,
     "time stepping": _time_stepping,
+    "flights": flights,
     "pulses": _pulses,
     "taps": _taps,
+    "tail beam": tail_beam,
+    "sensor chain": sensor_chain,
     "rest of the frames": _rest_of_frames,
     "bandwidth": _bandwidth,
     "noise": _noise,
@@ -283,6 +309,7 @@ STAGES: Mapping[str, Callable[[Request], Decision]] = {
     "features in time": _measuring("features in time"),
     "spectra": _measuring("spectrum"),
     "fits": _measuring("fit"),
+    "vibrations": _measuring("vibrations"),
     "storing signals": _storing_signals,
     "storing columns": _storing_columns,
 }

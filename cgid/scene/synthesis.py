@@ -49,7 +49,7 @@ def synthesise(
     dtype : {"float32", "float64"}
         Of the samples. The noise is drawn as float32 either way, so both hold the same signals.
     outputs : iterable of str
-        "frames", or "pulses" for the forces without a sensor; see `cgid.scene.plan`.
+        "frames", or "pulses" for the forces [N] without beam and sensor; see `cgid.scene.plan`.
 
     Yields
     ------
@@ -103,7 +103,7 @@ def _block(asked: Plan, seed: int, block: int, part: slice, dtype: DTypeLike) ->
         signals=frames[part],
         labels=drawn.labels[part],
         sampling_rate=drawn.scene.sampling.sampling_rate,
-        unit=scene.sensor.unit,
+        unit=scene.sensor.unit if asked.request.sensed else "N",
         pre_trigger=scene.sampling.pre_trigger,
         specimen=drawn.specimen[part],
         parameters={name: values[part] for name, values in drawn.parameters.items()},
@@ -154,13 +154,13 @@ def make_beginnings(
     # The transform of a low-pass goes round the whole frame.
     filtered = asked.runs("bandwidth")
     frames: NDArray[Any] = np.zeros((n_signals, whole if filtered else n_samples), dtype)
-    add_pulses(frames, scene, drawn)
+    add_pulses(frames, asked, drawn)
     peak = drawn.parameters["peak_force"]
     if filtered:
         frames = sensor.limit_band(frames, rate)
         highest_behind = frames[:, n_samples:].max(axis=1, initial=0.0).astype(np.float64)
         frames = np.ascontiguousarray(frames[:, :n_samples])
-    if sensor.quantity != "force":
+    if asked.runs("tail beam"):
         peak = np.abs(frames).max(axis=1).astype(np.float64)
     if asked.runs("noise"):
         level = sensor.noise_level(peak, rate)
@@ -189,9 +189,10 @@ def _digitised_by(sensor: Sensor, sampling_rate: float, first: int, n_samples: i
     return (sensor.offset or 0.0) + max(drift * first, drift * n_samples) + step
 
 
-def add_pulses(frames: NDArray[Any], scene: Scene, drawn: Draw) -> None:
-    """Add to each frame what the recorder hears of its blows, in place: their forces, or the motion of the beam."""
-    heard = hearing(scene)
+def add_pulses(frames: NDArray[Any], asked: Plan, drawn: Draw) -> None:
+    """Add to each frame what is asked of its blows, in place: their forces, or what beam and sensor make of them."""
+    scene = drawn.scene
+    heard = hearing(scene) if asked.responds else None
     for strike in drawn.strikes:
         if heard is None:
             strike.add_to_frames(frames, scene.sampling.sampling_rate)

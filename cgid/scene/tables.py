@@ -68,7 +68,8 @@ def features_of(
 ) -> Iterator[Columns]:
     """Yield features of the signals of a scene, which are kept nowhere; as `columns_of`.
 
-    `features` are names out of `cgid.features.FEATURES`, all of them by default. The numbers are those that
+    `features` are names out of `cgid.features.FEATURES`, by default all of the kind that the sensor's
+    quantity has, as far as sampling rate and frames allow. The numbers are those that
     `cgid.features.extract` gives for float32 signals of `synthesise`.
     """
     return columns_of(plan(scene, ["features"], features=features), n_signals, seed, first=first)
@@ -171,9 +172,12 @@ def _features(asked: Plan, seed: int, drawn: list[_Drawn]) -> Columns:
     made = [make_beginnings(one.asked, one.draw, seed, one.block, np.float32, length) for one in drawn]
     frames = np.concatenate([signals[one.part] for one, (signals, _) in zip(drawn, made, strict=True)])
     behind = np.concatenate([highest[one.part] for one, (_, highest) in zip(drawn, made, strict=True)])
-    table, certain = measure_beginnings(frames, sampling.sampling_rate, names, sampling.pre_trigger, behind)
-    if length < sampling.samples and not certain.all():
-        table[~certain] = _from_whole_frames(names, seed, drawn, ~certain)
+    if length == sampling.samples:
+        table = extract_array(frames, sampling.sampling_rate, names, pre_trigger=sampling.pre_trigger, invalid="nan")
+    else:
+        table, certain = measure_beginnings(frames, sampling.sampling_rate, names, sampling.pre_trigger, behind)
+        if not certain.all():
+            table[~certain] = _from_whole_frames(names, seed, drawn, ~certain)
     labels = np.concatenate([one.labels for one in drawn])
     return Columns(
         labels=labels,

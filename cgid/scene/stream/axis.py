@@ -1,11 +1,19 @@
-"""The part of a recording's time axis that is still being added to."""
+"""The time axis of a recording: how long it is, and the part of it that is still being added to."""
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
 
+from cgid.scene.scene import Scene
 from cgid.validation import Floats
+
+
+def samples_of(scene: Scene) -> int:
+    """Return the number of samples of a recording of a stream, or of a frame."""
+    if scene.stream is None:
+        return scene.sampling.samples
+    return max(round(scene.stream.duration * scene.sampling.sampling_rate), 1)
 
 
 class TimeAxis:

@@ -7,7 +7,7 @@ import numpy as np
 from cgid.errors import InvalidValue
 from cgid.scene.scene import Scene
 from cgid.scene.stream.arrivals import arrivals_of
-from cgid.scene.stream.synthesis import samples_of
+from cgid.scene.stream.axis import samples_of
 from cgid.store.recording import LARGEST_RECORDING
 
 #: The truth of an impact with what is needed to sort and write it [bytes],

@@ -13,8 +13,9 @@ from cgid.scene.background_noise import background_of
 from cgid.scene.generation import attributes_of
 from cgid.scene.randomness import require_seed
 from cgid.scene.scene import Scene
+from cgid.scene.stream.axis import samples_of
 from cgid.scene.stream.capacity import require_capacity
-from cgid.scene.stream.synthesis import parts_of_recording, samples_of
+from cgid.scene.stream.synthesis import parts_of_recording
 from cgid.scene.stream.truth import impact_units, joined
 from cgid.store import check_output
 from cgid.store.recording import OURS, RecordingPlan, writing

@@ -11,7 +11,7 @@ from cgid.impact import HertzRangeWarning, Impact, ThinPlateWarning
 from cgid.impact.coupled import ModalImpact
 from cgid.scene.background_noise import Background
 from cgid.scene.impacts import impact_of, impacts_by_coupling
-from cgid.scene.response import TOLERANCE, Hearing, hearing
+from cgid.scene.response import TOLERANCE, Hearing
 from cgid.scene.scene import Scene
 from cgid.scene.stream.axis import TimeAxis
 from cgid.scene.stream.rocks import Rocks
@@ -23,10 +23,10 @@ from cgid.validation import Floats
 _FILTER_PERIODS = 64
 
 
-def strike(scene: Scene, axis: TimeAxis, rocks: Rocks) -> dict[str, Floats]:
+def strike(scene: Scene, axis: TimeAxis, rocks: Rocks, heard: Hearing | None) -> dict[str, Floats]:
     """Add what the sensor gives of the impacts of some rocks to the time axis, and return what they deliver.
 
-    What overlaps adds up.
+    What overlaps adds up. heard is what responds to the forces, None where the sensor has them as they are.
 
     Returns
     -------
@@ -43,7 +43,6 @@ def strike(scene: Scene, axis: TimeAxis, rocks: Rocks) -> dict[str, Floats]:
             warnings.simplefilter("ignore", beyond)
         impact = impact_of(scene, rocks.columns, everyone)
         parts = list(impacts_by_coupling(scene, impact, rocks.columns, everyone))
-    heard = hearing(scene)
     for rows, pulses, _ in parts:
         own = rocks.taken(rows)
         if heard is None:

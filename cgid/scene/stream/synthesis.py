@@ -13,10 +13,11 @@ from cgid import validation
 from cgid.errors import InvalidValue
 from cgid.scene.background_noise import CHUNK, Background, background_of
 from cgid.scene.noise import add_noise
+from cgid.scene.plan import Plan, plan
+from cgid.scene.response import hearing
 from cgid.scene.scene import Scene
-from cgid.scene.sensor import Sensor
 from cgid.scene.stream.arrivals import arrivals_of
-from cgid.scene.stream.axis import TimeAxis
+from cgid.scene.stream.axis import TimeAxis, samples_of
 from cgid.scene.stream.rocks import Rocks, arriving, thrown_back
 from cgid.scene.stream.sound import hearing_limit, lead, strike
 from cgid.scene.stream.truth import empty_truth, joined, truth_of
@@ -84,8 +85,10 @@ def parts_of_recording(scene: Scene, seed: int, number: int, *, dtype: Literal["
     validation.choice("dtype", dtype, ("float32", "float64"))
     rate, background = scene.sampling.sampling_rate, background_of(scene)
     audible = hearing_limit(scene, background)
+    asked = plan(scene, ["recordings"], dtype=dtype)
+    heard = hearing(scene) if asked.responds else None
     axis, carried, n_rocks, done = TimeAxis(), Rocks.joined([]), 0, 0
-    chain = _Chain(scene.sensor, rate, background, seed, number, dtype)
+    chain = _Chain(asked, rate, background, seed, number, dtype)
     n_samples = samples_of(scene)
     for stretch in arrivals_of(scene.stream).stretches(scene.stream.duration, seed, number):
         arrived = arriving(scene, stretch, n_rocks, seed, number)
@@ -97,7 +100,7 @@ def parts_of_recording(scene: Scene, seed: int, number: int, *, dtype: Literal["
             late = coming["time"] >= stretch.stop
             waiting.append(coming.taken(late))
             now = coming.taken(~late)
-            delivered = strike(scene, axis, now)
+            delivered = strike(scene, axis, now, heard)
             truth.append(truth_of(scene, now, delivered))
             loud = delivered["peak_force"] > audible
             coming = thrown_back(scene, now, delivered["restitution"], delivered["contact_duration"], loud)
@@ -110,12 +113,6 @@ def parts_of_recording(scene: Scene, seed: int, number: int, *, dtype: Literal["
     rest = [chain.recorded(axis, chunk) for chunk in range(done, -(-n_samples // CHUNK))]
     behind = n_samples - done * CHUNK
     yield Part(np.concatenate([np.empty(0, dtype), *rest])[:behind], empty_truth(scene))
-
-
-def samples_of(scene: Scene) -> int:
-    """Return the number of samples of a recording."""
-    assert scene.stream is not None
-    return max(round(scene.stream.duration * scene.sampling.sampling_rate), 1)
 
 
 def _joined_truth(scene: Scene, parts: list[dict[str, NDArray[Any]]]) -> dict[str, NDArray[Any]]:
@@ -131,7 +128,7 @@ def _joined_truth(scene: Scene, parts: list[dict[str, NDArray[Any]]]) -> dict[st
 class _Chain:
     """What follows the pulses: noise, background, range and bits, chunk by chunk."""
 
-    sensor: Sensor
+    asked: Plan
     sampling_rate: float
     background: Background | None
     seed: int
@@ -140,11 +137,12 @@ class _Chain:
 
     def recorded(self, axis: TimeAxis, chunk: int) -> NDArray[Any]:
         """Take the next chunk off the axis and return it as it is recorded."""
-        samples = axis.taken((chunk + 1) * CHUNK)
-        if self.sensor.noisy:
-            level = self.sensor.noise_level(np.zeros(1), self.sampling_rate)
+        samples, sensor = axis.taken((chunk + 1) * CHUNK), self.asked.request.scene.sensor
+        if self.asked.runs("noise"):
+            level = sensor.noise_level(np.zeros(1), self.sampling_rate)
             add_noise(samples[None], level, self.seed, self.number, first_sample=chunk * CHUNK)
         if self.background is not None:
             samples += self.background.in_recording(self.seed, self.number, chunk)
-        self.sensor.digitise(samples, self.sampling_rate, first=chunk * CHUNK)
+        if self.asked.runs("offset, range and bits"):
+            sensor.digitise(samples, self.sampling_rate, first=chunk * CHUNK)
         return samples.astype(self.dtype)
