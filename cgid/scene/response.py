@@ -8,6 +8,7 @@ from functools import lru_cache
 
 import numpy as np
 
+from cgid.errors import InvalidValue
 from cgid.impact.response import Response
 from cgid.impact.tail_beam import MeasuredModes, Modes, TailBeam
 from cgid.scene.beam import TailBeamSection
@@ -96,7 +97,13 @@ def hearing(scene: Scene) -> Hearing | None:
 
 
 def beam_modes(scene: Scene) -> BeamModes:
-    """Return the modes of a scene's tail beam as far as its recorder can hear them; asked again, the same ones."""
+    """Return the modes of a scene's tail beam as far as its recorder can hear them; asked again, the same ones.
+
+    Raises
+    ------
+    InvalidValue
+        The beam has none there.
+    """
     assert scene.tail_beam is not None  # a scene has checked that a motion has a beam
     return _beam_modes(scene.tail_beam, scene.panel, highest_frequency(scene))
 
@@ -112,8 +119,8 @@ def expected_modes(scene: Scene) -> tuple[Floats, Floats]:
         return np.asarray(table.frequency, np.float64), np.asarray(table.damping_ratio, np.float64)
     assert scene.panel is not None and scene.tail_beam.damping_ratio is not None
     density = scene.panel.modal_density
-    frequency = (np.arange(max(round(density * highest_frequency(scene)), 1)) + 0.5) / density
-    return frequency, np.full(frequency.size, scene.tail_beam.damping_ratio)
+    numbers = np.arange(max(round(density * highest_frequency(scene)), 1), dtype=np.float64)
+    return (numbers + 0.5) / density, np.full_like(numbers, scene.tail_beam.damping_ratio)
 
 
 def highest_frequency(scene: Scene) -> float:
@@ -132,4 +139,9 @@ def _beam_modes(section: TailBeamSection, panel: TailBeam | None, highest: float
         return BeamModes(section.measured, np.asarray(section.measured.shape_sensor))
     assert section.sensor_point is not None
     modes = panel.modes(highest)
+    if not modes.frequency.size:
+        raise InvalidValue(
+            f"tail_beam must have a mode up to {highest:.4g} Hz, where the recorder's band ends, it has none; make it "
+            "larger or thinner, or sample faster"
+        )
     return BeamModes(modes, modes.shape(section.sensor_point.x, section.sensor_point.y))
