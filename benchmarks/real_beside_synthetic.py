@@ -181,7 +181,8 @@ def picture(rows: dict[str, list[Look]]) -> bytes:
             colour = SCENES.get(one.kind.name.split(",")[0], f"C{number}")
             style = {"color": colour, "lw": 1.8, "ls": "--" if one.kind.name.endswith("gangue") else "-"}
             left.plot(one.frequencies / 1e3, one.levels, label=one.kind.name, **style)
-            right.plot(1e3 * one.times, one.envelope, **style)
+            step = round(SMOOTHING / 2 * one.kind.sampling_rate)  # finer it is the same number twice
+            right.plot(1e3 * one.times[::step], one.envelope[::step], **style)
         left.set(xscale="log", xlim=(BAND[0] / 1e3, BAND[1] / 1e3), ylim=(-50, 0), title=f"{title}: spectrum")
         left.set(ylabel="power in a third-octave\nover the whole [dB]")
         right.set(xlim=(-1e3 * BEFORE, 1e3 * BEHIND), ylim=(-40, 2), title=f"{title}: decay", ylabel="envelope [dB]")

@@ -11,9 +11,9 @@ must be oversampled for a worst error not above ours, every L-th sample kept. Er
 signal, against ours at a tolerance of 1e-10, which the tests hold against matrix exponentials.
 
 All of it in one process, alternating, the best of several rounds, time divided by signals, modes and samples of the
-frame. Ours leaves out what is before touch, too quiet or has died out; how much it really ran is printed, and the time
-divided by that. Oversampled peers take so long that a few signals, one thread and one round must do; ours is judged by
-all signals all the same.
+frame. Ours leaves out what is before touch, too quiet or has died out; how much ringing it really ran is printed (the
+few samples of contact come on top), and the time divided by that. Oversampled peers take so long that a few signals,
+one thread and one round must do; ours is judged by all signals all the same.
 
 Then: signals in a second of the whole scene, and the error of its response behind the sensor chain.
 """

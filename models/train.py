@@ -19,7 +19,7 @@ from dataclasses import replace
 from itertools import chain
 from pathlib import Path
 
-from beside_force import beside_force
+from beside_force import beside_force, force_model, learner
 from domain_shift import domain_shift
 
 from cgid import shipped
@@ -71,7 +71,9 @@ def main() -> None:
     )
     told = training.model.training | {"domain_shift": domain_shift(training.model)}
     if arguments.acceleration:
-        told |= {"beside_force": beside_force(training.model, scenes[0])}
+        best = learner(scenes[0], arguments.signals, arguments.seed)
+        rival = force_model(scenes[0], arguments.signals, arguments.seed)
+        told |= {"beside_force": beside_force(training.model, scenes[0], rival) | {"learner": best}}
     for path in write_model(replace(training, model=replace(training.model, training=told)), output, plots=True):
         print(path)
     low, high = training.metrics["accuracy_interval_95"]

@@ -461,7 +461,8 @@ def test_a_variation_is_the_scene_written_with_these_settings():
     )
     assert (changed.impact.stiffness, changed.impact.target) == ("series", "rigid")
     assert (changed.sampling.sampling_rate, changed.sampling.samples, changed.sampling.pre_trigger) == (1e5, 1024, 100)
-    assert changed.sensor.model_dump() == {
+    assert changed.sensor.model_dump(exclude_none=True) == {
+        "quantity": "force",
         "relative_noise": 0.03,
         "absolute_noise": 0.0,
         "bandwidth": 2e4,

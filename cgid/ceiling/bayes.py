@@ -173,6 +173,17 @@ def ceilings(
 def check_covered(scene: Scene) -> None:
     """Raise `InvalidValue` if the integration does not cover a scene, or it has a single label."""
     problems = (
+        (scene.stream is not None, "a frame for each impact, this one is a stream"),
+        (
+            scene.tail_beam is not None or bool(scene.sensor.filters),
+            "the force itself: what a beam or a filter makes of it is no member of the family; give it to a learner "
+            "(cgid train SCENE -o MODEL)",
+        ),
+        (
+            scene.background is not None or bool(scene.sensor.offset) or bool(scene.sensor.drift),
+            "white noise alone, without background, offset and drift",
+        ),
+        (scene.impact.gravity is not None, "impacts without gravity, which the family leaves out"),
         (scene.taps, "a scene of impacts alone, this one has taps"),
         (scene.randomise is not None, "a scene without [randomise]: vary it setting by setting"),
         (len(scene.labels) < 2, f"at least 2 labels, got {', '.join(scene.labels)}"),

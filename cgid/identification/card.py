@@ -98,14 +98,26 @@ def selection_table(rows: Rows) -> list[str]:
 def force_table(row: Mapping[str, Any]) -> list[str]:
     """Return what a model and one of the contact force make of the same impacts as Markdown.
 
-    A dict of name (of the other), n, accuracy, force_accuracy, difference and standard_error.
+    A dict of name (of the other), n, accuracy, force_accuracy, difference and standard_error, and maybe of learner: a
+    dict of name, n, accuracy, low and high of the best that could be learned.
     """
     rows = [
         ("this model, on the vibration", row["n"], f"{row['accuracy']:.4f}"),
         (row["name"], row["n"], f"{row['force_accuracy']:.4f}"),
     ]
     lost = f"{row['difference']:.4f} ± {row['standard_error']:.4f} of the accuracy"
-    return [*table(("the same impacts", "number", "accuracy"), rows), "", f"The way through the beam costs {lost}."]
+    told = [*table(("the same impacts", "number", "accuracy"), rows), "", f"The way through the beam costs {lost}."]
+    if "learner" not in row:
+        return told
+    learner = row["learner"]
+    return [
+        *told,
+        "",
+        "Nobody integrates the likelihood of a vibration here: a learner stands for the ceiling. "
+        f"{learner['name']} is right in {learner['accuracy']:.4f} (95 % interval {learner['low']:.4f} to "
+        f"{learner['high']:.4f}) of the {learner['n']} impacts that judge. From above it is bounded by the ceiling of "
+        "the force, which holds all that the vibration holds.",
+    ]
 
 
 def _identity(model: Model) -> list[tuple[str, str]]:

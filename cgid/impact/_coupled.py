@@ -29,6 +29,8 @@ from cgid.impact.collocation import FROM_TOUCH, TO_SEPARATION, WITHIN, Collocati
 Array = NDArray[Any]
 
 _jit = numba.njit(cache=True, nogil=True, error_model="numpy")
+# What only kernels call needs no way in from Python: a fifth less to compile.
+_inner = numba.njit(cache=True, nogil=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
 
 #: What became of an impact.
 SEPARATED, STAYS, OUT_OF_REACH = 0, 1, 2
@@ -115,7 +117,7 @@ def tabulate(decay: Array, angular: Array, longest: float, times: Array, table: 
             table[r, 1, k] = size * math.sin(angular[r] * t)
 
 
-@_jit
+@_inner
 def _dot(a: Array, b: Array) -> float:
     """Return the scalar product in four sums, which are independent and so run side by side."""
     s0, s1, s2, s3 = 0.0, 0.0, 0.0, 0.0
@@ -130,7 +132,7 @@ def _dot(a: Array, b: Array) -> float:
     return (s0 + s1) + (s2 + s3)
 
 
-@_jit
+@_inner
 def _advance_modes(
     table: Array, share: Array, loss: Array, moments: Array, turn: Array, whole: bool, amplitude: Array, free: Array
 ) -> None:
@@ -152,7 +154,7 @@ def _advance_modes(
             free[k] += c * real[k] - s * imaginary[k]
 
 
-@_jit
+@_inner
 def _cardinal(rule: Collocation, at: float, out: Array) -> None:
     """Fill out (k,) with the polynomials that are 1 at one Chebyshev time and 0 at the others."""
     total = 0.0
@@ -169,7 +171,7 @@ def _cardinal(rule: Collocation, at: float, out: Array) -> None:
         out[k] *= total
 
 
-@_jit
+@_inner
 def _prepare(rule: Collocation, kind: int, h: float, longest: float, s: Scratch) -> None:
     """Bring what modes do into the time of a step of length h, and fill its matrices."""
     k_times, n = rule.times.size, rule.place.shape[1]
@@ -208,7 +210,7 @@ def _prepare(rule: Collocation, kind: int, h: float, longest: float, s: Scratch)
                 s.second[i, j] += weight * s.first[k, j]
 
 
-@_jit
+@_inner
 def _eliminate(matrix: Array) -> None:
     """Solve a system (n, n + 1) in place, its solution in the last column."""
     n = matrix.shape[0]
@@ -232,7 +234,7 @@ def _eliminate(matrix: Array) -> None:
         matrix[p, n] = value / matrix[p, p]
 
 
-@_jit
+@_inner
 def _attempt(
     rule: Collocation, kind: int, h: float, longest: float, damping: float, weight: float, state: Array, s: Scratch
 ) -> bool:
@@ -281,7 +283,7 @@ def _attempt(
     return converged
 
 
-@_jit
+@_inner
 def _legendre(coefficients: Array, s: float) -> tuple[float, float]:
     """Return value and slope of a Legendre series of 2 s - 1."""
     x = 2.0 * s - 1.0
@@ -296,7 +298,7 @@ def _legendre(coefficients: Array, s: float) -> tuple[float, float]:
     return value, 2.0 * rate
 
 
-@_jit
+@_inner
 def _passed(kind: int, s: float) -> float:
     """Return the time passed at s over the length of the step."""
     if kind == FROM_TOUCH:
@@ -304,7 +306,7 @@ def _passed(kind: int, s: float) -> float:
     return s * (2.0 - s) if kind == TO_SEPARATION else s
 
 
-@_jit
+@_inner
 def _crest(coefficients: Array, values: Array, rule: Collocation) -> tuple[float, float]:
     """Return the largest value of a Legendre series, and where: near the largest at the Gauss nodes."""
     n = values.size
@@ -329,7 +331,7 @@ def _crest(coefficients: Array, values: Array, rule: Collocation) -> tuple[float
     return _legendre(coefficients, low)[0], low
 
 
-@_jit
+@_inner
 def _tail(s: Scratch, scale: float) -> float:
     """Return what the series of the force leaves out, over the largest force."""
     n = s.force.size
@@ -339,7 +341,7 @@ def _tail(s: Scratch, scale: float) -> float:
     return left / scale
 
 
-@_jit
+@_inner
 def _separate(
     rule: Collocation, kind: int, guess: float, longest: float, damping: float, weight: float, state: Array, s: Scratch
 ) -> float:
@@ -360,7 +362,7 @@ def _separate(
     return 0.0
 
 
-@_jit
+@_inner
 def _release(rule: Collocation, kind: int, h: float, damping: float, s: Scratch) -> float:
     """Return when in this step the force would become attractive, 0 if it does not."""
     n = s.rate.size
@@ -385,7 +387,7 @@ def _release(rule: Collocation, kind: int, h: float, damping: float, s: Scratch)
     return h * _passed(kind, high)
 
 
-@_jit
+@_inner
 def _to_release(
     rule: Collocation,
     kind: int,
@@ -414,7 +416,7 @@ def _to_release(
     return 0.0
 
 
-@_jit
+@_inner
 def _pressed(s: Scratch) -> bool:
     """Tell if the sphere is in contact all through the step."""
     for i in range(s.depth.size):
@@ -423,7 +425,7 @@ def _pressed(s: Scratch) -> bool:
     return bool(s.ends[0] > 0.0)
 
 
-@_jit
+@_inner
 def _guess(rule: Collocation, kind: int, h: float, damping: float, state: Array, s: Scratch) -> None:
     """Start Newton from a sphere that is braked by the force of this moment, on a beam that goes on as it does."""
     rate = state[_Y] - s.free[0]
@@ -434,7 +436,7 @@ def _guess(rule: Collocation, kind: int, h: float, damping: float, state: Array,
         s.force[i] = max(depth, 0.0) ** 1.5 * max(1.0 + damping * (rate - start * t), 0.0)
 
 
-@_jit
+@_inner
 def _parting(damping: float, state: Array, s: Scratch) -> float:
     """Return about when the sphere leaves, infinity while it is pressed deeper.
 
@@ -448,7 +450,7 @@ def _parting(damping: float, state: Array, s: Scratch) -> float:
     return parting
 
 
-@_jit
+@_inner
 def _step(
     rule: Collocation,
     wish: float,
@@ -502,7 +504,7 @@ def _step(
     return kind, 0.0, False, wish
 
 
-@_jit
+@_inner
 def _energy(share: Array, loss: Array, amplitude: Array) -> float:
     """Return what the modes hold: mu (Q'^2 + w^2 Q^2) / 2."""
     total = 0.0
@@ -512,7 +514,7 @@ def _energy(share: Array, loss: Array, amplitude: Array) -> float:
     return total
 
 
-@_jit
+@_inner
 def _level(share: Array, angular: Array, amplitude: Array) -> tuple[float, float]:
     """Return the displacement of the point of impact, and what it never passes without a force."""
     level, most = 0.0, 0.0
@@ -522,7 +524,7 @@ def _level(share: Array, angular: Array, amplitude: Array) -> tuple[float, float
     return level, most
 
 
-@_jit
+@_inner
 def _between(rule: Collocation, values: Array, low: float, high: float, sign: float, room: Array) -> float:
     """Return where sign times the polynomial through values rises through zero between two times, by bisection."""
     for _ in range(60):
@@ -537,7 +539,7 @@ def _between(rule: Collocation, values: Array, low: float, high: float, sign: fl
     return high
 
 
-@_jit
+@_inner
 def _event(
     rule: Collocation, depth: Array, rate: Array, damping: float, released: bool, room: Array
 ) -> tuple[int, float]:
@@ -561,7 +563,7 @@ def _event(
     return _NEVER, 1.0
 
 
-@_jit
+@_inner
 def _fly(
     rule: Collocation,
     table: Array,
@@ -606,7 +608,7 @@ def _fly(
                 return _NEVER
 
 
-@_jit
+@_inner
 def _book(rule: Collocation, kind: int, h: float, damping: float, state: Array, s: Scratch, result: Array) -> None:
     """Enter a step into the results: work, loss, impulse and the largest values."""
     measure = rule.measure[kind]
@@ -625,7 +627,7 @@ def _book(rule: Collocation, kind: int, h: float, damping: float, state: Array, 
         result[_DEPTH], result[_TIME_OF_DEPTH] = value, state[_T] + h * _passed(kind, place)
 
 
-@_jit
+@_inner
 def _accept(
     rule: Collocation,
     table: Array,
@@ -653,7 +655,7 @@ def _accept(
     _advance_modes(table, share, loss, moments, turn, h == longest, s.amplitude, s.free)
 
 
-@_jit
+@_inner
 def _follow(
     rule: Collocation,
     table: Array,
@@ -723,7 +725,7 @@ def _follow(
     return MOST_STEPS
 
 
-@_jit
+@_inner
 def _scratch(n_modes: int, n: int, k: int) -> Scratch:
     return Scratch(
         np.empty((n_modes, 2)),
@@ -791,7 +793,7 @@ def follow(
     return rows.size
 
 
-@_jit
+@_inner
 def _seek(course: Array, here: int, begin: int, end: int, tau: float) -> int:
     """Return the last step that has begun at time tau, seeking from here."""
     if here < begin or course[here, START] > tau:
@@ -801,7 +803,7 @@ def _seek(course: Array, here: int, begin: int, end: int, tau: float) -> int:
     return here
 
 
-@_jit
+@_inner
 def _quantity(step: Array, first: int, last: int, tau: float) -> float:
     """Return force or displacement, zero between two contacts."""
     share = (tau - step[START]) / step[LENGTH]

@@ -19,6 +19,8 @@ from cgid.validation import Floats
 TOLERANCE = 3e-5
 #: Modes are found up to so many times the highest frequency that the recorder passes: they have a tail in its band.
 BEYOND_BAND = 1.25
+#: Modes above it follow at once what a contact does that lasts long enough to feel the edges of a beam [Hz].
+HIGHEST_FELT = 20e3
 #: As long as an anti-alias filter passes this much of it, a frequency is in the band.
 _STILL_HEARD = 0.1
 
@@ -125,6 +127,8 @@ def expected_modes(scene: Scene) -> tuple[Floats, Floats]:
 
 def highest_frequency(scene: Scene) -> float:
     """Return up to which frequency modes are found [Hz]."""
+    if scene.sensor.quantity == "force":  # they are not heard, but felt by the rocks that last till their echo
+        return HIGHEST_FELT
     anti_alias = scene.sensor.anti_alias
     if anti_alias is None:
         return BEYOND_BAND * scene.sampling.sampling_rate / 2
@@ -141,7 +145,7 @@ def _beam_modes(section: TailBeamSection, panel: TailBeam | None, highest: float
     modes = panel.modes(highest)
     if not modes.frequency.size:
         raise InvalidValue(
-            f"tail_beam must have a mode up to {highest:.4g} Hz, where the recorder's band ends, it has none; make it "
-            "larger or thinner, or sample faster"
+            f"the tail beam must have a mode within the band of its recorder, it has none below {highest:.4g} Hz; "
+            "raise sampling_rate or anti_alias.frequency, or take a larger or thinner beam"
         )
     return BeamModes(modes, modes.shape(section.sensor_point.x, section.sensor_point.y))

@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cgid.impact.response import Quantity, Resonators, Response
 from cgid.scene.calibration.blow import Struck
@@ -24,6 +25,8 @@ _TOLERANCE = 1e-6
 _ALIGNED = 2048
 #: Steps of the derivatives: frequency in half-widths of the mode, log of the damping ratio, samples.
 _STEP = 1e-3
+#: Steps of a fit: one that needs more has a mode too many, which says nothing of the others.
+_MOST_STEPS = 20
 #: How far from its beginning a fit may go: in half-widths, in logs of the damping ratio, in samples.
 _FAR, _FAR_DAMPING, _FAR_DELAY = 3.0, 1.5, 2.0
 
@@ -41,12 +44,26 @@ class Fit:
         [samples], from where the blow was seen to begin.
     remains : list of ndarray
         What is left of each blow, over its largest sample.
+    losses : ndarray, (n_columns,)
+        By how much more energy would be left without each column.
     """
 
     modes: Resonators
     amounts: Floats
     delays: Floats
     remains: list[Floats]
+    losses: Floats
+
+    @property
+    def energy(self) -> float:
+        """Energy of what is left."""
+        return sum(float((rest**2).sum()) for rest in self.remains)
+
+    @property
+    def significant(self) -> NDArray[np.bool_]:
+        """Which columns explain more than chance: amount, frequency and damping ratio are three numbers."""
+        n = sum(rest.size for rest in self.remains)
+        return np.asarray(n * np.log1p(self.losses / max(self.energy, 1e-300)) > 3 * np.log(n))
 
 
 def columns(
@@ -218,10 +235,12 @@ def refined(
         start,
         model.derivative,
         bounds=(start + lowest, start + far),
-        xtol=1e-8,
-        ftol=1e-8,
-        max_nfev=60,
+        xtol=1e-6,
+        ftol=1e-6,
+        max_nfev=_MOST_STEPS,
     ).x
     amounts, rest = model.amounts(found)
+    sound = model.sound(found)
+    losses = amounts**2 / np.maximum(np.diag(np.linalg.pinv(sound.T @ sound, hermitian=True)), 1e-300)
     edges = np.cumsum([blow.samples.size for blow in blows])[:-1]
-    return Fit(model.at(found), amounts, found[2 * n :], np.split(rest, edges))
+    return Fit(model.at(found), amounts, found[2 * n :], np.split(rest, edges), losses)

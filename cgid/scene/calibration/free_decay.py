@@ -24,6 +24,8 @@ _CLEAN_BAND, _UNCLEAN_START = 0.4, 6
 _WINDOW, _SHORTEST = 192, 48
 #: Poles asked for beyond the modes that are.
 _BEYOND = (4, 12)
+#: Of these no more are asked for than so many modes have: more would be noise.
+_MOST_ASKED = 20
 #: A mode of a structure has a damping ratio between these.
 DAMPING_RATIOS = (1e-4, 0.3)
 #: No more modes are looked for where nobody says how many.
@@ -31,7 +33,7 @@ MOST_MODES = 40
 #: Samples of a decay that are looked at.
 _LONGEST = 8192
 #: What is left when no more is picked, over what there was: recordings from a computer have no noise.
-_NOTHING_LEFT = 1e-7
+NOTHING_LEFT = 1e-7
 
 
 @dataclass(frozen=True)
@@ -49,9 +51,7 @@ class Ringing:
     damping_ratio: Floats
 
 
-def ringing_modes(
-    decays: list[Floats], rate: float, n_modes: int | None, highest: float, of_filters: Complex
-) -> Ringing:
+def ringing_modes(decays: list[Floats], rate: float, n_modes: int, highest: float, of_filters: Complex) -> Ringing:
     """Return the modes that ring in decays, the loudest first.
 
     Parameters
@@ -59,8 +59,8 @@ def ringing_modes(
     decays : list of ndarray, (n_samples,) each
     rate : float
         [Hz].
-    n_modes : int, optional
-        Not more than these; by default as many as stand out of the noise.
+    n_modes : int
+        Not more than these; fewer if no more stand out of the noise.
     highest : float
         No mode is higher [Hz].
     of_filters : ndarray of complex, (n_filters,)
@@ -68,7 +68,7 @@ def ringing_modes(
     """
     length = min(_LONGEST, *(len(decay) for decay in decays))
     together = np.stack([decay[:length] for decay in decays])
-    asked = MOST_MODES // 2 if n_modes is None else n_modes
+    asked = min(n_modes, _MOST_ASKED)
     found = [_poles(together, rate, asked, 1)] + [
         _poles(_decimated(together, factor), rate / factor, asked, factor) for factor in _DECIMATIONS[1:]
     ]
@@ -111,7 +111,7 @@ def _poles(decays: Floats, rate: float, n_modes: int, factor: int) -> Complex:
     return np.asarray(poles[(poles.imag > 0) & (np.abs(poles) < 2 * np.pi * clean * rate)])
 
 
-def _picked(decays: Floats, poles: Complex, of_filters: Complex, rate: float, n_modes: int | None) -> Complex:
+def _picked(decays: Floats, poles: Complex, of_filters: Complex, rate: float, n_modes: int) -> Complex:
     """Return the poles that explain the decays (n_samples, n_decays), those first that explain most."""
     n_samples, n_decays = decays.shape
     time = np.arange(n_samples)[:, None] / rate
@@ -120,7 +120,7 @@ def _picked(decays: Floats, poles: Complex, of_filters: Complex, rate: float, n_
     energy = before = float((decays**2).sum())
     pairs = np.exp(poles * time)
     picked: list[int] = []
-    while len(picked) < min(MOST_MODES if n_modes is None else n_modes, poles.size):
+    while len(picked) < min(n_modes, poles.size):
         new = [_orthogonal(pairs[:, [number]], basis) for number in range(poles.size)]
         heard = [float(np.sum((own.T @ left) ** 2)) for own in new]
         best = int(np.argmax(heard))
@@ -128,7 +128,7 @@ def _picked(decays: Floats, poles: Complex, of_filters: Complex, rate: float, n_
         rest = max(energy - heard[best], 1e-300)
         # The Bayesian information criterion: amplitude and phase in every decay, frequency and damping of all.
         chance = (2 * n_decays + 2) * np.log(decays.size)
-        if energy < _NOTHING_LEFT * before or decays.size * np.log(energy / rest) < chance:
+        if energy < NOTHING_LEFT * before or decays.size * np.log(energy / rest) < chance:
             break
         picked.append(best)
         basis = np.concatenate([basis, new[best]], axis=1)

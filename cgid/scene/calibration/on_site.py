@@ -8,6 +8,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
+from threadpoolctl import threadpool_limits
 
 from cgid import validation
 from cgid.errors import BadData, InvalidValue
@@ -15,7 +17,7 @@ from cgid.impact.response import Resonators
 from cgid.scene.beam import TailBeamSection
 from cgid.scene.calibration.blow import Blow, Struck, made_ready
 from cgid.scene.calibration.fit import Fit, aligned, columns, refined
-from cgid.scene.calibration.free_decay import Ringing, ringing_modes
+from cgid.scene.calibration.free_decay import MOST_MODES, NOTHING_LEFT, Ringing, ringing_modes
 from cgid.scene.response import beam_modes
 from cgid.scene.scene import Scene, parse_scene
 from cgid.validation import Floats
@@ -24,6 +26,10 @@ from cgid.validation import Floats
 _HEARD = 0.45
 #: Samples of free ringing for each mode, and in any case.
 _SAMPLES_A_MODE, _LEAST_SAMPLES = 8, 64
+#: More modes than asked for, so that one which stands for two others takes no mode's place.
+_SPARE = 2
+#: What is left is looked at so often, for so many modes more each time.
+_ROUNDS, _MODES_A_ROUND = 3, 2
 #: A blow that is explained less than this has been made by something else.
 _LEAST_EXPLAINED = 0.02
 
@@ -121,9 +127,9 @@ def calibrated(
     >>> blows = [Blow(motion=motion, force=force) for motion, force in zip(taps["m/s^2"], taps["N"])]
     >>> found = calibrated(beam, blows, modes=2)
     >>> for row in found.scene.tail_beam.modes:
-    ...     print(f"{row.frequency:.0f} Hz, {row.damping_ratio:.3f}, {1e3 * row.shape_sensor / row.modal_mass:.2f}/t")
-    150 Hz, 0.020, 1.60/t
-    410 Hz, 0.020, 1.60/t
+    ...     print(f"{row.frequency:.0f} Hz, {row.damping_ratio:.3f}, {1e3 * row.shape_sensor / row.modal_mass:.1f}/t")
+    150 Hz, 0.020, 1.6/t
+    410 Hz, 0.020, 1.6/t
     >>> bool((found.explained > 0.98).all())
     True
     """
@@ -132,9 +138,11 @@ def calibrated(
         validation.count("modes", modes)
     _require_band(scene, band)
     struck = [made_ready(scene, blow) for blow in blows]
-    if modes is None and band is None:
-        return _with_gain(scene, blows, struck)
-    return _with_modes(scene, blows, struck, modes, band)
+    # Many small matrices: threads would wait for each other longer than they work.
+    with threadpool_limits(1):
+        if modes is None and band is None:
+            return _with_gain(scene, blows, struck)
+        return _with_modes(scene, blows, struck, modes, band)
 
 
 def _checked(scene: Scene, blows: Sequence[Blow]) -> list[Blow]:
@@ -213,10 +221,10 @@ def _with_modes(
     if len({blow.impact_point for blow in blows}) > 1:
         raise InvalidValue("impact_point must be the same for all blows where modes are measured; calibrate each place")
     rate, sensor = scene.sampling.sampling_rate, scene.sensor
-    first = _ringing(scene, struck, n_modes, band)
-    each = np.eye(first.frequency.size)
-    fit = _fit(scene, struck, first, [each] * len(struck), free=True)
+    # With a band those beside it are found, too, so that they do not stay in the recordings.
+    fit = _identified(scene, struck, n_modes if band is None else None)
     kept = _kept(fit, n_modes, band)
+    each = np.eye(fit.amounts.size)
     remains = [
         blow.samples - fit.amounts[kept] @ columns(blow, sensor, rate, fit.modes, each[kept], np.array([delay]))[0]
         for blow, delay in zip(struck, fit.delays, strict=True)
@@ -234,40 +242,76 @@ def _with_modes(
     return _calibration(_changed(scene, {"gain": None}, rows), 1.0, blows, struck, fit.delays, remains)
 
 
-def _ringing(scene: Scene, struck: list[Struck], n_modes: int | None, band: tuple[float, float] | None) -> Ringing:
-    """Return the first guess of the modes."""
-    rate = scene.sampling.sampling_rate
-    decays = [blow.samples[blow.decay :] for blow in struck]
-    shortest = min(decay.size for decay in decays)
+def _identified(scene: Scene, struck: list[Struck], n_modes: int | None) -> Fit:
+    """Return the least squares by so many modes, or by all that stand out of the noise.
+
+    Modes that lie close together ring as one at first: what the others leave is looked at again.
+    """
+    _require_length(scene, struck, n_modes)
+    most = MOST_MODES if n_modes is None else n_modes + _SPARE
+    first = _ringing(scene, struck, [blow.samples for blow in struck], most)
+    if not first.frequency.size:
+        raise BadData("recordings must ring after the blows, no mode stands out of the noise; tap harder or more often")
+    fit = _fit(scene, struck, first, [np.eye(first.frequency.size)] * len(struck), free=True)
+    before = sum(float((blow.samples**2).sum()) for blow in struck)
+    for _ in range(_ROUNDS):
+        known = _only(fit, fit.significant)
+        missing = most - known.frequency.size
+        if not missing or fit.energy < NOTHING_LEFT * before:
+            break
+        more = _ringing(scene, struck, fit.remains, min(missing, _MODES_A_ROUND))
+        if not more.frequency.size:
+            break
+        fit = _refitted(scene, struck, fit, _joined(known, more))
+    return fit if fit.significant.all() else _refitted(scene, struck, fit, _only(fit, fit.significant))
+
+
+def _require_length(scene: Scene, struck: list[Struck], n_modes: int | None) -> None:
+    shortest = min(blow.samples.size - blow.decay for blow in struck)
     needed = max(_LEAST_SAMPLES, _SAMPLES_A_MODE * (n_modes or 1))
     if shortest < needed:
         raise BadData(
-            f"recordings must ring freely for {needed} samples after the blow, {1e3 * needed / rate:.3g} ms, for so "
-            f"many modes, got {shortest}; record longer, or ask for fewer modes"
+            f"recordings must ring freely for {needed} samples after the blow, "
+            f"{1e3 * needed / scene.sampling.sampling_rate:.3g} ms, for so many modes, got {max(shortest, 0)}; record "
+            "longer, or ask for fewer modes"
         )
+
+
+def _ringing(scene: Scene, struck: list[Struck], samples: list[Floats], most: int) -> Ringing:
+    """Return a guess of the modes that ring in what was recorded, or in what is left of it."""
+    decays = [part[blow.decay :] for part, blow in zip(samples, struck, strict=True)]
     filters = np.concatenate([np.empty(0, complex), *(part.poles for part in scene.sensor.filters)])
-    # With a band those beside it are found, too, so that they do not stay in the recordings.
-    first = ringing_modes(decays, rate, n_modes if band is None else None, _highest(scene), filters)
-    if first.frequency.size < (1 if n_modes is None or band is not None else n_modes):
-        asked = "at least 1" if n_modes is None else n_modes
-        raise BadData(
-            f"recordings must be quiet and long enough for the modes, asked for {asked}, only {first.frequency.size} "
-            "stand out of the noise; ask for fewer, tap harder or more often"
-        )
-    return first
+    return ringing_modes(decays, scene.sampling.sampling_rate, most, _highest(scene), filters)
+
+
+def _refitted(scene: Scene, struck: list[Struck], fit: Fit, modes: Ringing) -> Fit:
+    each = [np.eye(modes.frequency.size)] * len(struck)
+    return refined(struck, scene.sensor, scene.sampling.sampling_rate, modes, each, fit.delays, free=True)
+
+
+def _only(fit: Fit, which: NDArray[np.bool_]) -> Ringing:
+    return Ringing(fit.modes.frequency[which], fit.modes.damping_ratio[which])
+
+
+def _joined(one: Ringing, other: Ringing) -> Ringing:
+    return Ringing(
+        np.concatenate([one.frequency, other.frequency]), np.concatenate([one.damping_ratio, other.damping_ratio])
+    )
 
 
 def _kept(fit: Fit, n_modes: int | None, band: tuple[float, float] | None) -> list[int]:
-    """Return which modes are kept, by frequency; they come by how loud they are."""
+    """Return which modes are kept, by frequency: those without which most would be left."""
     low, high = band or (0.0, np.inf)
-    inside = np.flatnonzero((fit.modes.frequency >= low) & (fit.modes.frequency <= high) & (fit.amounts != 0))
+    frequency = fit.modes.frequency
+    inside = np.flatnonzero((frequency >= low) & (frequency <= high) & (fit.amounts != 0))
     if inside.size < (n_modes or 1):
+        where = "" if band is None else f" from {low:g} to {high:g} Hz"
         raise BadData(
-            f"recordings must have {n_modes or 1} modes from {low:g} to {high:g} Hz that stand out of the noise, "
-            f"found {inside.size}; widen the band, ask for fewer, tap harder or more often"
+            f"recordings must be quiet and long enough for the modes asked for, {n_modes or 'at least 1'}{where}: only "
+            f"{inside.size} stand out of the noise; ask for fewer, tap harder or more often"
         )
-    inside = inside[:n_modes]
-    return [int(mode) for mode in inside[np.argsort(fit.modes.frequency[inside])]]
+    loudest = inside[np.argsort(-fit.losses[inside], kind="stable")][:n_modes]
+    return [int(mode) for mode in loudest[np.argsort(frequency[loudest])]]
 
 
 def _changed(scene: Scene, sensor: dict[str, Any], modes: list[dict[str, float]] | None) -> Scene:
