@@ -19,10 +19,11 @@ from cgid.impact import Elastic, HalfSpace, HuntCrossley, Impact, Sphere, _kerne
 from cgid.impact.curves import Curves
 from cgid.impact.modal_curves import ModalCurves
 from cgid.impact.response import Response
+from cgid.impact.tail_beam import TailBeam
 from cgid.materials import STEEL as STEEL_MATERIAL
 from cgid.materials import Material
 from cgid.pulses import PulseBatch
-from cgid.scene import load_scene, synthesis, synthesise
+from cgid.scene import load_scene, response, synthesis, synthesise
 from cgid.scene.costs import Workload
 from cgid.scene.impacts import NEGLIGIBLE_ECHO
 from cgid.scene.plan import Stage, plan
@@ -658,6 +659,24 @@ def test_explain_tells_of_a_recording(capsys: pytest.CaptureFixture[str]) -> Non
     for option in ("--features-only", "--parameters-only"):
         assert run(["generate", "caving", "--explain", option]) == 2
         assert "no tables" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("scene", ["tail_beam", "caving"])
+def test_explain_solves_no_beam(
+    scene: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(TailBeam, "modes", _refuse)
+    monkeypatch.setattr(response, "beam_modes", _refuse)
+    assert run(["generate", scene, "--explain"]) == 0
+    assert "178 modes up to" in capsys.readouterr().out
+
+
+def test_a_beam_that_the_recorder_cannot_hear_is_refused() -> None:
+    stiff = beam_of(
+        {**PANEL, "thickness": "90 mm"}, {"quantity": "acceleration", "anti_alias": {"frequency": "300 Hz"}}
+    )
+    with pytest.raises(InvalidValue, match="the tail beam must have a mode within the band"):
+        next(synthesise(stiff, 1))
 
 
 def test_a_recording_is_expected_to_have_the_impacts_it_has() -> None:

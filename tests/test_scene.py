@@ -503,8 +503,9 @@ def test_identity_of_a_shipped_scene_stays(name):
     assert load_scene(DATASETS / f"{name}.toml").sha256 == IDENTITIES[name]
 
 
-#: The sum of signal times cos(sample number) over 700 signals of seed 5, by the commit that drew white noise by address. The bits of a
-#: logarithm may differ from machine to machine, so it is no hash; another draw would change it altogether.
+#: The sum of signal times cos(sample number) over 700 signals of seed 5, by the commit that drew white noise by
+#: address. The bits of a logarithm may differ from machine to machine, so it is no hash; another draw would change it
+#: altogether.
 CHECKSUMS = {"reference": -336882.9049193494, "peers": 227069.3838758072, "yang2018": -4807.74648042045}
 
 

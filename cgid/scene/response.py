@@ -99,7 +99,13 @@ def hearing(scene: Scene) -> Hearing | None:
 
 
 def beam_modes(scene: Scene) -> BeamModes:
-    """Return the modes of a scene's tail beam as far as its recorder can hear them; asked again, the same ones."""
+    """Return the modes of a scene's tail beam as far as its recorder can hear them; asked again, the same ones.
+
+    Raises
+    ------
+    InvalidValue
+        The beam has none there.
+    """
     assert scene.tail_beam is not None  # a scene has checked that a motion has a beam
     return _beam_modes(scene.tail_beam, scene.panel, highest_frequency(scene))
 
@@ -115,8 +121,8 @@ def expected_modes(scene: Scene) -> tuple[Floats, Floats]:
         return np.asarray(table.frequency, np.float64), np.asarray(table.damping_ratio, np.float64)
     assert scene.panel is not None and scene.tail_beam.damping_ratio is not None
     density = scene.panel.modal_density
-    frequency = (np.arange(max(round(density * highest_frequency(scene)), 1)) + 0.5) / density
-    return frequency, np.full(frequency.size, scene.tail_beam.damping_ratio)
+    numbers = np.arange(max(round(density * highest_frequency(scene)), 1), dtype=np.float64)
+    return (numbers + 0.5) / density, np.full_like(numbers, scene.tail_beam.damping_ratio)
 
 
 def highest_frequency(scene: Scene) -> float:
