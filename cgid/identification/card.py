@@ -113,10 +113,10 @@ def force_table(row: Mapping[str, Any]) -> list[str]:
     return [
         *told,
         "",
-        "Nobody integrates the likelihood of a vibration here: a learner stands for the ceiling. "
+        "Nobody integrates the likelihood of a vibration here: a learner holds the ceiling from below. "
         f"{learner['name']} is right in {learner['accuracy']:.4f} (95 % interval {learner['low']:.4f} to "
-        f"{learner['high']:.4f}) of the {learner['n']} impacts that judge. From above it is bounded by the ceiling of "
-        "the force, which holds all that the vibration holds.",
+        f"{learner['high']:.4f}) of the {learner['n']} impacts that judge. From above the ceiling of the force "
+        "holds it, for the force has all that the vibration has. It lies between the two.",
     ]
 
 

@@ -30,7 +30,9 @@ Array = NDArray[Any]
 
 _jit = numba.njit(cache=True, nogil=True, error_model="numpy")
 # What only kernels call needs no way in from Python: a fifth less to compile.
-_inner = numba.njit(cache=True, nogil=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
+_inner: Any = numba.njit(  # type: ignore[call-overload]
+    cache=True, nogil=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True
+)
 
 #: What became of an impact.
 SEPARATED, STAYS, OUT_OF_REACH = 0, 1, 2
