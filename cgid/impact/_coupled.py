@@ -18,7 +18,7 @@ All kernels stay in this file: numba's cache does not see edits elsewhere.
 from __future__ import annotations
 
 import math
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numba
 import numpy as np
@@ -29,10 +29,10 @@ from cgid.impact.collocation import FROM_TOUCH, TO_SEPARATION, WITHIN, Collocati
 Array = NDArray[Any]
 
 _jit = numba.njit(cache=True, nogil=True, error_model="numpy")
-# What only kernels call needs no way in from Python: a fifth less to compile.
-_inner: Any = numba.njit(  # type: ignore[call-overload]
-    cache=True, nogil=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True
-)
+if TYPE_CHECKING:
+    _inner = _jit  # numba's own types know nothing of the two last options
+else:  # what only kernels call needs no way in from Python: a fifth less to compile
+    _inner = numba.njit(cache=True, nogil=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
 
 #: What became of an impact.
 SEPARATED, STAYS, OUT_OF_REACH = 0, 1, 2
