@@ -16,6 +16,7 @@ from cgid.scene.randomness import BLOCK, generator
 from cgid.scene.response import hearing
 from cgid.scene.stream import rocks, synthesis
 from cgid.scene.stream.arrivals import PoissonTimes, arrivals_of, population_shares
+from cgid.scene.stream.axis import samples_of
 from cgid.scene.stream.capacity import most_impacts, require_capacity
 from cgid.scene.stream.sections import RateTable
 from cgid.scene.stream.synthesis import record
@@ -571,3 +572,19 @@ def test_no_recording_passes_the_number_of_impacts_it_was_said_to_have():
     scene = scene_of(rebounds={"most": 3})
     assert all(record(scene, seed)[1]["time"].size <= most_impacts(scene) for seed in range(20))
     assert rocks.Rocks.joined([]).taken(np.empty(0, np.intp))["time"].size == 0
+
+
+@pytest.mark.parametrize("damping_ratio", [1e-3, 1e-9])
+def test_a_beam_that_rings_beyond_the_end_needs_no_more_memory_than_the_recording(damping_ratio):
+    """A mode of 50 Hz and a damping ratio of 1e-9 rings for two years."""
+    table = [{"frequency": 50, "damping_ratio": damping_ratio, "modal_mass": 100, "shape_impact": 1, "shape_sensor": 1}]
+    made = scene_of(
+        tail_beam={"modes": table},
+        sensor={"quantity": "acceleration"},
+        duration=0.1,
+        arrivals={"times": [0.02, 0.09]},
+    )
+    signal, truth = record(made)
+    assert signal.samples.size == samples_of(made)
+    assert len(truth["time"]) == 2 and np.isfinite(signal.samples).all()
+    assert np.abs(signal.samples[-1]) > 0

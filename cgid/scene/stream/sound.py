@@ -13,7 +13,7 @@ from cgid.scene.background_noise import Background
 from cgid.scene.impacts import impact_of, impacts_by_coupling
 from cgid.scene.response import TOLERANCE, Hearing
 from cgid.scene.scene import Scene
-from cgid.scene.stream.axis import TimeAxis
+from cgid.scene.stream.axis import TimeAxis, samples_of
 from cgid.scene.stream.rocks import Rocks
 from cgid.scene.stream.truth import DELIVERED
 from cgid.validation import Floats
@@ -70,14 +70,16 @@ def _add_response(
     pulses: Impact | ModalImpact,
     columns: Mapping[str, Floats],
 ) -> None:
-    """Run the poles of beam and sensor from the first touch until the last ringing has died out."""
+    """Run the poles of beam and sensor from the first touch until the last ringing, or the recording, is over."""
     rate = scene.sampling.sampling_rate
-    first = int(np.floor(columns["time"].min() * rate))
+    first, last = int(np.floor(columns["time"].min() * rate)), samples_of(scene)
+    if first >= last:
+        return
     # The slowest of the poles falls to its share of the response's tolerance in this time.
     poles = heard.response.poles
     ringing = float(np.log(poles.size / TOLERANCE) / -poles.real.max())
     end = columns["time"].max() + pulses.contact_duration.max() + ringing
-    stop = int(np.ceil(end * rate))
+    stop = int(min(np.ceil(end * rate), last))
     frames = axis.until(stop)[None, first - axis.first :]
     onset = (columns["time"] * rate - first) / rate
     rows = np.zeros(onset.size, np.intp)
