@@ -20,8 +20,10 @@ def check(scene: str, seed: int, as_json: bool) -> None:
     """Validate SCENE (a .toml file or the name of a shipped one), and preview 4096 of its impacts."""
     from cgid import shipped
     from cgid.scene import load_scene
+    from cgid.scene.background_noise import background_of
 
     loaded = load_scene(shipped.scene_path(scene))
+    background_of(loaded)  # a recording that cannot be read shows here
     preview = _preview(loaded, seed)
     if loaded.stream is not None:
         preview |= _stream(loaded)
@@ -71,7 +73,7 @@ def _preview(scene: Any, seed: int) -> dict[str, Any]:
     rows = {f"{name} [{unit}]": values[name] for name, unit in units.items()}
     rows["samples on the contact"] = values["contact_duration"] * sampling_rate
     known = {name: column[np.isfinite(column)] for name, column in rows.items()}
-    shares = _shares([d.impact for d in draws], values, sampling_rate, scene)
+    shares = _shares(draws, values, sampling_rate, scene)
     return {
         "name": scene.name,
         "description": scene.description,
@@ -110,15 +112,20 @@ def _randomised(scene: Any) -> dict[str, tuple[float, float]]:
     return {f"{name} [{units[name]}]": law.extremes for name, law in scene.randomise.laws.items()}
 
 
-def _shares(impacts: list[Any], values: dict[str, Any], sampling_rate: Any, scene: Any) -> dict[str, float]:
+def _shares(draws: list[Any], values: dict[str, Any], sampling_rate: Any, scene: Any) -> dict[str, float]:
     """Return the share of the pulses that something is to be said of, by what it is."""
     import numpy as np
 
+    from cgid.impact import Impact
     from cgid.impact.pulse import BEYOND_THIN_PLATE, HERTZ_LIMIT, INELASTICITY_LIMIT
     from cgid.pulses import WANTED_SAMPLES
 
-    strain = np.concatenate([impact.peak_displacement / impact.reduced_radius for impact in impacts])
-    inelasticity = np.concatenate([impact.inelasticity for impact in impacts])
+    strain = np.concatenate([d.impact.peak_displacement / d.impact.reduced_radius for d in draws])
+    # Of the strikes themselves: those through the modes of a beam are on no thin plate.
+    strikes = [strike for d in draws for strike in d.strikes if strike.ratio is None]
+    inelasticity = np.concatenate(
+        [strike.pulses.inelasticity for strike in strikes if isinstance(strike.pulses, Impact)] or [np.empty(0)]
+    )
     end = values.get("onset", 0.0) + np.nan_to_num(values.get("second_hit_delay", 0.0)) + values["contact_duration"]
     beyond = {
         f"pass Hertz's range (displacement over radius above {HERTZ_LIMIT:g})": strain > HERTZ_LIMIT,
