@@ -44,8 +44,32 @@ def _csv(path: Path, samples: np.ndarray, header: str = f"# sampling_rate: {RATE
     path.write_text(header + "".join(f"{value:.3f}\n" for value in samples))
 
 
-def _scene(path: Path, change: Callable[[str], str]) -> None:
-    path.write_text(change((ROOT / "datasets" / "reference.toml").read_text()))
+def _scene(path: Path, change: Callable[[str], str], scene: str = "reference") -> None:
+    path.write_text(change((ROOT / "datasets" / f"{scene}.toml").read_text()))
+
+
+def _changed(folder: Path, scene: str, changes: dict[str, tuple[str, str]]) -> None:
+    """Write copies of a shipped scene, each with one thing replaced, which must be there."""
+    text = (ROOT / "datasets" / f"{scene}.toml").read_text()
+    for name, (old, new) in changes.items():
+        assert old in text, name
+        (folder / f"{name}.toml").write_text(text.replace(old, new, 1))
+
+
+def _tables(folder: Path) -> None:
+    """Write tables of modes, good and bad, and a scene for each."""
+    text = (ROOT / "datasets" / "tail_beam.toml").read_text()
+    start = text.index("[tail_beam]")
+    stop = text.index("[sampling]")
+    for name, rows in _TABLES.items():
+        (folder / f"{name}.csv").write_text(rows)
+        beam = f'[tail_beam]\nmodes = "{name}.csv"\n\n'
+        (folder / f"{name}.toml").write_text(text[:start] + beam + text[stop:])
+    good = (folder / "modes.toml").read_text()
+    (folder / "no_table.toml").write_text(good.replace("modes.csv", "gone.csv"))
+    (folder / "endless.toml").write_text(good.replace('"modes.csv"', '"modes.csv"\ncoupling = "impedance"'))
+    (folder / "both.toml").write_text(good.replace('"modes.csv"', '"modes.csv"\nlength = "1.6 m"'))
+    (folder / "beamless.toml").write_text(text[:start] + text[stop:])
 
 
 def make_files(folder: Path) -> None:
@@ -104,6 +128,10 @@ def make_files(folder: Path) -> None:
         folder / "three.toml",
         lambda text: text.replace("3.1 GPa", "3 s").replace("jitter", "jittter").replace("relative_noise", "noise"),
     )
+    _changed(folder, "tail_beam", _BEAMS)
+    _changed(folder, "caving", _STREAMS)
+    _changed(folder, "reference", {"range": ("[sensor]", '[sensor]\nrange = "500 g"')})
+    _tables(folder)
     one = parse_scene(_one_label())
     generate(one, folder / "one.h5", 64)
     two = _one_label()
@@ -116,6 +144,63 @@ def make_files(folder: Path) -> None:
 
 _TAP = 'label = "tap"\nshape = "square"\npeak_force = "1 kN"\ncontact_duration = "2 ms"\n'
 _RATES = 'sampling_rate = { distribution = "uniform", lowest = "50 kHz", highest = "90 kHz" }'
+_BEAMS = {
+    "sensor_off": ('sensor_point = { x = "0.5 m"', 'sensor_point = { x = "2.5 m"'),
+    "impact_off": ('highest = "1.5 m"', 'highest = "1.7 m"'),
+    "undamped": ('damping_ratio = "2 %"', "damping_ratio = 0"),
+    "driven": ('damping_ratio = "2 %"', 'damping_ratio = "-2 %"'),
+    "stud": ('"25 kHz", damping_ratio = 0.05', '"25 kHz", damping_ratio = 0'),
+    "ribs": ('thickness = "25 mm"', 'thickness = "250 mm"'),
+    "edges": ('"cantilever"', '"floating"'),
+    "skinless": ('thickness = "30 mm"\n', ""),
+    "nyquist": ('anti_alias = { frequency = "10 kHz"', 'anti_alias = { frequency = "13 kHz"'),
+    "band": ('anti_alias = { frequency = "10 kHz", order = 8 }', 'bandwidth = "13 kHz"'),
+    "two_filters": ("bits = 16", 'bits = 16\nbandwidth = "10 kHz"'),
+    "two_plates": ("poisson_ratio = 0.30 }", 'poisson_ratio = 0.30, thickness = "30 mm" }'),
+    "wall": (
+        'target = { density = "7850 kg/m^3", youngs_modulus = "210 GPa", poisson_ratio = 0.30 }',
+        'target = "rigid"',
+    ),
+    "heavy": ('law = "exact"', 'law = "exact"\ngravity = "1 g"'),
+    "newton": ('range = "500 g"', 'range = "500 kN"'),
+    "step": ('range = "500 g"\n', ""),
+    "deaf": ("bits = 16", "bits = 16\ngain = 0"),
+    "modes_too_many": ('"10 kHz", order = 8 }', '"10 kHz", order = 1 }'),
+    "hum_missing": (
+        "[sampling]",
+        '[background]\nrecorded = { path = "gone.wav", signal_to_noise = "20 dB" }\n[sampling]',
+    ),
+}
+_STREAMS = {
+    "caving": ("", ""),
+    "crowd": ('rate = "8 Hz"', 'rate = "1 MHz"'),
+    "beyond": ('rate = "8 Hz"', 'rate = "1000 MHz"'),
+    "long": ('duration = "60 s"', 'duration = "20 h"'),
+    "framed": ('sampling_rate = "25.6 kHz"', 'sampling_rate = "25.6 kHz"\nsamples = 2048'),
+    "twice": ('rate = "8 Hz"', 'rate = "8 Hz", times = ["1 s"]'),
+    "late": ('rate = "8 Hz"', 'times = ["70 s"]'),
+    "whole": ("0.90]", "1.2]"),
+    "row": (", 0.90]", "]"),
+    "granite": ("gangue = [", "granite = ["),
+    "hum": ('"297 Hz"', '"20 kHz"'),
+    "hum_unit": ('"0.05 g"', '"0.05 N"'),
+    "coloured": ('"2 kHz"]', '"20 kHz"]'),
+    "steep": ('"20 deg"', '"95 deg"'),
+    "relative": ("bits = 24", "bits = 24\nrelative_noise = 0.1"),
+}
+_HEAD = "frequency [Hz],damping_ratio [1],modal_mass [kg],shape_impact [1],shape_sensor [1]\n"
+_TABLES = {
+    "modes": _HEAD + "118.5,0.012,210,0.9,0.4\n187,0.010,180,0.3,-0.7\n",
+    "unsorted": _HEAD + "187,0.010,180,0.3,-0.7\n118.5,0.012,210,0.9,0.4\n",
+    "no_modes": _HEAD,
+    "gap": _HEAD + "118.5,0.012,210,0.9,0.4\n187,0.010,180,0.3\n",
+    "column": "frequency [Hz],damping_ratio [1],modal_mass [kg],shape_impact [1]\n118.5,0.012,210,0.9\n",
+    "unitless": _HEAD.replace(" [Hz]", "") + "118.5,0.012,210,0.9,0.4\n",
+    "ringing": _HEAD + "118.5,0,210,0.9,0.4\n",
+    "weightless": _HEAD + "118.5,0.012,0,0.9,0.4\n",
+    "ultrasound": _HEAD + "1e300,0.012,210,0.9,0.4\n",
+    "still": _HEAD + "118.5,0.012,210,0.9,0\n187,0.010,180,0,-0.7\n",
+}
 
 
 def _old_model(path: Path, model: Model) -> None:
@@ -274,6 +359,115 @@ CASES = (
     Case("picture that is no PNG", ("ceiling", "reference", "--plot", "rig.pdf"), 73, ("rig.pdf", ".png")),
     Case("picture exists", ("ceiling", "reference", "--plot", "old.png"), 73, ("old.png", "--overwrite")),
     Case("folder of the picture", ("ceiling", "reference", "--plot", "no/rig.png"), 73, ("no",)),
+    Case("sensor off the beam", ("check", "sensor_off.toml"), 65, ("sensor_point.x", "0 and 1.6 m", "2.5 m")),
+    Case(
+        "impact point off the beam",
+        ("generate", "impact_off.toml", "-o", "new.h5"),
+        65,
+        ("impact_point.x", "0 and 1.6 m", "1.7 m"),
+    ),
+    Case(
+        "damping ratio 0",
+        ("generate", "undamped.toml", "-o", "new.h5"),
+        65,
+        ("tail_beam.damping_ratio", "greater than 0"),
+    ),
+    Case("damping ratio negative", ("check", "driven.toml"), 65, ("tail_beam.damping_ratio", "greater than 0", "-2 %")),
+    Case("undamped mounting", ("check", "stud.toml"), 65, ("sensor.mounting.damping_ratio", "greater than 0")),
+    Case("ribs wider than the beam", ("check", "ribs.toml"), 65, ("ribs", "0.25 m", "1.4 m", "fewer or thinner")),
+    Case("unknown edges", ("check", "edges.toml"), 65, ("tail_beam.edges", "'cantilever'", "'floating'")),
+    Case("beam without thickness", ("check", "skinless.toml"), 65, ("tail_beam", "thickness", "modes in place")),
+    Case(
+        "anti-alias filter above half the rate",
+        ("generate", "nyquist.toml", "-o", "new.h5"),
+        65,
+        ("sensor.anti_alias.frequency", "12800 Hz", "13000 Hz"),
+    ),
+    Case("bandwidth above half the rate", ("check", "band.toml"), 65, ("sensor.bandwidth", "12800 Hz", "13000 Hz")),
+    Case("bandwidth and anti-alias filter", ("check", "two_filters.toml"), 65, ("bandwidth", "anti_alias", "not both")),
+    Case("beam and thickness of a plate", ("check", "two_plates.toml"), 65, ("impact.target.thickness", "left out")),
+    Case("beam of a rigid wall", ("check", "wall.toml"), 65, ("impact.target", "material", "'rigid'")),
+    Case("weight on a beam", ("check", "heavy.toml"), 65, ("impact.gravity", "left out", "tail beam")),
+    Case("motion without a beam", ("check", "beamless.toml"), 65, ("tail_beam", "missing", "quantity = 'force'")),
+    Case("range of a force in g", ("check", "range.toml"), 65, ("sensor.range", "must be a force", "'500 g'")),
+    Case("range of an acceleration in kN", ("check", "newton.toml"), 65, ("sensor.range", "an acceleration", "500 kN")),
+    Case("bits without range", ("check", "step.toml"), 65, ("sensor", "bits", "range")),
+    Case("gain 0", ("check", "deaf.toml"), 65, ("gain", "not be 0", "leave it out")),
+    Case(
+        "more modes than can be found",
+        ("generate", "modes_too_many.toml", "-o", "new.h5"),
+        65,
+        ("tail_beam", "1000 modes", "anti_alias.frequency", "smaller or thicker"),
+    ),
+    Case("background of no file", ("check", "hum_missing.toml"), 66, ("gone.wav",)),
+    Case("ceiling of a beam", ("ceiling", "tail_beam"), 65, ("tail_beam", "force itself", "cgid train")),
+    Case("no table of modes", ("generate", "no_table.toml", "-o", "new.h5"), 66, ("gone.csv", "table of modes")),
+    Case("modes not sorted", ("generate", "unsorted.toml", "-o", "new.h5"), 65, ("unsorted.csv, line 3", "ascend")),
+    Case("table without a mode", ("check", "no_modes.toml"), 65, ("no_modes.csv", "a line a mode")),
+    Case("number of a mode missing", ("check", "gap.toml"), 65, ("gap.csv, line 3", "shape_sensor", "''")),
+    Case("column of modes missing", ("check", "column.toml"), 65, ("column.csv", "'shape_sensor [1]'")),
+    Case("column of modes without unit", ("check", "unitless.toml"), 65, ("unitless.csv", "'frequency [Hz]'", "unit")),
+    Case("mode without damping", ("check", "ringing.toml"), 65, ("ringing.csv, line 2", "damping_ratio", "above 0")),
+    Case("mode without mass", ("check", "weightless.toml"), 65, ("weightless.csv, line 2", "modal_mass", "0 kg")),
+    Case("mode far too high", ("check", "ultrasound.toml"), 65, ("tail_beam.modes.0.frequency", "1e+300")),
+    Case(
+        "no mode that is heard", ("check", "still.toml"), 65, ("tail_beam", "shape is not 0", "nothing would be heard")
+    ),
+    Case("impedance of measured modes", ("check", "endless.toml"), 65, ("coupling", "auto or modes", "no impedance")),
+    Case("measured modes and a panel", ("check", "both.toml"), 65, ("modes or a panel", "take out length")),
+    Case(
+        "more impacts than memory holds",
+        ("generate", "crowd.toml", "-o", "new.h5"),
+        65,
+        ("stream.arrivals", "168 GiB", "-n 172", "lower the rate"),
+    ),
+    Case("impacts without number", ("check", "beyond.toml"), 65, ("stream.arrivals", "GiB", "; lower the rate")),
+    Case(
+        "recording larger than a file",
+        ("generate", "long.toml", "-o", "new.h5"),
+        65,
+        ("stream.duration", "6.87 GiB", "-n 4", "lower the sampling rate"),
+    ),
+    Case("stream with frames", ("check", "framed.toml"), 65, ("sampling.samples", "left out", "stream.duration")),
+    Case(
+        "arrivals by rate and by times", ("check", "twice.toml"), 65, ("stream.arrivals", "rate or times", "not both")
+    ),
+    Case("arrival after the end", ("check", "late.toml"), 65, ("arrivals.times", "60 s", "70 s")),
+    Case("share above 1", ("check", "whole.toml"), 65, ("stream.mixture.gangue.3", "1.2")),
+    Case("share missing", ("check", "row.toml"), 65, ("stream.mixture", "as many shares as times, 4", "got 3")),
+    Case("share of an unknown label", ("check", "granite.toml"), 65, ("stream.mixture.granite", "coal, gangue")),
+    Case("hum above half the rate", ("check", "hum.toml"), 65, ("background.hum.1.frequency", "12800 Hz", "20000 Hz")),
+    Case("hum in N at an accelerometer", ("check", "hum_unit.toml"), 65, ("background.hum.1.amplitude", "0.05 N")),
+    Case("noise above half the rate", ("check", "coloured.toml"), 65, ("background.coloured.frequencies", "20000 Hz")),
+    Case("beam steeper than a wall", ("check", "steep.toml"), 65, ("stream.inclination", "'95 deg'")),
+    Case("noise relative to no impact", ("check", "relative.toml"), 65, ("sensor.relative_noise", "absolute_noise")),
+    Case(
+        "table of a stream", ("generate", "caving.toml", "--features-only", "-o", "new.h5"), 2, ("stream", "--...-only")
+    ),
+    Case(
+        "jobs for a stream", ("generate", "caving.toml", "-o", "new.h5", "--jobs", "2"), 65, ("--jobs", "leave it out")
+    ),
+    Case(
+        "recordings in one file",
+        ("generate", "caving.toml", "-o", "new.h5", "-n", "3"),
+        65,
+        ("one recording", "folder"),
+    ),
+    Case("training on a stream", ("train", "caving.toml", "-o", "new.npz"), 65, ("stream", "cgid generate")),
+    Case("ceiling of a stream", ("ceiling", "caving.toml"), 65, ("stream", "take [stream] out")),
+    Case(
+        "jobs for a table",
+        ("generate", "reference.toml", "--features-only", "-o", "new.h5", "--jobs", "2"),
+        2,
+        ("--jobs", "--features-only"),
+    ),
+    Case(
+        "two kinds of table",
+        ("generate", "reference.toml", "--features-only", "--closed-form-only", "-o", "new.h5"),
+        2,
+        ("--features-only", "--closed-form-only", "exclude"),
+    ),
+    Case("plan for nothing", ("generate", "reference.toml", "--json", "-o", "new.h5"), 2, ("--json", "--explain")),
     Case("unknown command", ("foretell",), 2, ("foretell",)),
     Case("no file given", ("predict",), 2, ("FILE",)),
 )

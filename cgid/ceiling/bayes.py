@@ -173,7 +173,7 @@ def ceilings(
 def check_covered(scene: Scene) -> None:
     """Raise `InvalidValue` if the integration does not cover a scene, or it has a single label."""
     problems = (
-        (scene.stream is not None, "a frame for each impact, this one is a stream"),
+        (scene.stream is not None, "a frame for each impact, this one is a stream; take [stream] out"),
         (
             scene.tail_beam is not None or bool(scene.sensor.filters),
             "the force itself: what a beam or a filter makes of it is no member of the family; give it to a learner "

@@ -19,6 +19,9 @@ from cgid.scene.units import LIMITS, Frequency, Length, Mass, Number, Ratio, Who
 _PLACE = within(0.0, LIMITS["length"][1], f"must lie between 0 and {LIMITS['length'][1]:g} m", "m")
 _Place = Annotated[Distribution, measured("length"), _PLACE]
 
+# Shapes come in any scale, of which the modal mass is part.
+_SHAPE = Field(ge=-1e6, le=1e6)
+
 
 class ImpactPoint(Section):
     """Where the rocks hit, from the held edge along the length and along the width."""
@@ -48,8 +51,8 @@ class ModeRow(Section):
     frequency: Frequency
     damping_ratio: Ratio = Field(gt=0, lt=1)
     modal_mass: Mass
-    shape_impact: Number
-    shape_sensor: Number
+    shape_impact: Annotated[Number, _SHAPE]
+    shape_sensor: Annotated[Number, _SHAPE]
 
 
 class TailBeamSection(Section):
@@ -94,6 +97,7 @@ class TailBeamSection(Section):
         if self.modes is not None and self.coupling == "impedance":
             raise ValueError("coupling must be auto or modes where the modes are measured: a table has no impedance")
         self._require_ascending()
+        self._require_audible()
         self._require_on_panel()
         return self
 
@@ -105,6 +109,13 @@ class TailBeamSection(Section):
                     f"modes must be sorted by frequency, row {number + 1} has {rows[number].frequency:g} Hz after "
                     f"{rows[number - 1].frequency:g} Hz; sort them, and give equal ones a hair's difference"
                 )
+
+    def _require_audible(self) -> None:
+        if self.modes is not None and not any(row.shape_impact * row.shape_sensor for row in self.modes):
+            raise ValueError(
+                "modes must hold one whose shape is not 0 both where the rocks hit and where the sensor sits; "
+                "there is none, and nothing would be heard"
+            )
 
     def _require_on_panel(self) -> None:
         if self.impact_point is None or self.sensor_point is None:

@@ -142,10 +142,16 @@ def _beam_modes(section: TailBeamSection, panel: TailBeam | None, highest: float
         assert section.measured is not None
         return BeamModes(section.measured, np.asarray(section.measured.shape_sensor))
     assert section.sensor_point is not None
-    modes = panel.modes(highest)
+    try:
+        modes = panel.modes(highest)
+    except InvalidValue as error:
+        raise InvalidValue(
+            f"tail_beam: {error}; that frequency follows from sensor.anti_alias.frequency, or else from "
+            "sampling.sampling_rate: lower it, or take a smaller or thicker beam"
+        ) from None
     if not modes.frequency.size:
         raise InvalidValue(
-            f"the tail beam must have a mode within the band of its recorder, it has none below {highest:.4g} Hz; "
-            "raise sampling_rate or anti_alias.frequency, or take a larger or thinner beam"
+            f"tail_beam: must have a mode within the band of its recorder, it has none below {highest:.4g} Hz; "
+            "raise sampling.sampling_rate or sensor.anti_alias.frequency, or take a larger or thinner beam"
         )
     return BeamModes(modes, modes.shape(section.sensor_point.x, section.sensor_point.y))

@@ -9,6 +9,7 @@ from __future__ import annotations
 import hashlib
 import json
 import tomllib
+from collections.abc import Sequence
 from functools import cached_property
 from pathlib import Path
 from typing import Any, Self
@@ -212,7 +213,8 @@ def parse_scene(content: dict[str, Any], source: str = "scene", folder: Path | N
             scene.__dict__["folder"] = folder
         return scene
     except ValidationError as error:
-        entries = [entry for entry in error.errors(include_url=False) if not _besides(entry)]
+        found = error.errors(include_url=False)
+        entries = [entry for entry in found if not _besides(entry, found)]
         problems = [line for entry in entries for line in _lines(entry)]
         raise BadData("\n".join(f"{source}: {line}" for line in problems)) from None
 
@@ -223,8 +225,11 @@ def _path(location: tuple[int | str, ...]) -> str:
     return ".".join(str(part) for part in location if part not in left_out) or "scene"
 
 
-def _besides(entry: Any) -> bool:
+def _besides(entry: Any, found: Sequence[Any]) -> bool:
     """Return whether this only follows from another mistake, or is about the way to write a target not chosen."""
+    if entry["type"] == "too_short":  # of a list whose only rows are wrong
+        place = entry["loc"]
+        return any(other["loc"][: len(place)] == place and len(other["loc"]) > len(place) for other in found)
     if "literal['rigid']" in entry["loc"]:
         return isinstance(entry["input"], dict)
     return "TargetSection" in entry["loc"] and entry["type"] == "model_type"
@@ -243,6 +248,10 @@ def _message(entry: Any) -> str:
         return "unknown key; look for a misspelling, or take it out"
     if entry["type"] == "missing":
         return "is missing"
+    if entry["type"] in ("too_short", "too_long"):
+        context = entry["ctx"]
+        least, bound = ("at least", "min_length") if entry["type"] == "too_short" else ("at most", "max_length")
+        return f"must have {least} {context[bound]}, got {context['actual_length'] or 'none'}"
     if entry["type"] in ("union_tag_not_found", "union_tag_invalid"):
         got = f", got {entry['ctx']['tag']!r}" if "tag" in entry.get("ctx", {}) else ""
         return f"must name its distribution: one of {', '.join(DISTRIBUTION_NAMES)}{got}"

@@ -71,7 +71,8 @@ def parse(value: Any, dimension: str) -> float:
         unit = match[3]
         if unit not in units:
             known = ", ".join(name or "no unit" for name in units)
-            raise ValueError(f"must be a {dimension} in {known}, got {value!r}")
+            article = "an" if dimension[0] in "aeiou" else "a"
+            raise ValueError(f"must be {article} {dimension} in {known}, got {value!r}")
         # A power of ten goes into the exponent: "136.51 GPa" is the very number 136.51e9, without a second rounding.
         factor, exponent = units[unit], int(match[2] or 0)
         power = round(math.log10(factor))
@@ -115,9 +116,11 @@ Mass = Annotated[float, BeforeValidator(_reader("mass")), _limits("mass")]
 #: A level in the unit of what the sensor feels, which it reads itself (`cgid.scene.sensor`).
 Level = Annotated[float, Field(ge=0, le=LIMITS["force"][1])]
 Acceleration = Annotated[float, BeforeValidator(_reader("acceleration")), _limits("acceleration")]
+#: A recording is no shorter [s].
+SHORTEST_RECORDING = 1e-3
 #: A place on the time axis of a recording, and its length: at most a day.
 Moment = Annotated[float, BeforeValidator(_reader("time")), Field(ge=0, le=86_400)]
-Duration = Annotated[float, BeforeValidator(_reader("time")), Field(ge=1e-3, le=86_400)]
+Duration = Annotated[float, BeforeValidator(_reader("time")), Field(ge=SHORTEST_RECORDING, le=86_400)]
 #: From the horizontal: on a wall nothing falls.
 Inclination = Annotated[float, BeforeValidator(_reader("angle")), Field(ge=0, le=1.5)]
 Speed = Annotated[float, BeforeValidator(_reader("speed")), _limits("speed")]

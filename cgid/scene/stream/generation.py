@@ -14,15 +14,12 @@ from cgid.scene.generation import attributes_of
 from cgid.scene.randomness import require_seed
 from cgid.scene.scene import Scene
 from cgid.scene.stream.axis import samples_of
-from cgid.scene.stream.capacity import require_capacity
+from cgid.scene.stream.capacity import MOST_RECORDINGS, require_capacity
 from cgid.scene.stream.synthesis import parts_of_recording
 from cgid.scene.stream.truth import impact_units, joined
 from cgid.store import check_output
 from cgid.store.recording import OURS, RecordingPlan, writing
 from cgid.store.writing import is_single_file
-
-#: A folder with more files helps nobody.
-MOST_RECORDINGS = 100_000
 
 
 def generate_recordings(
