@@ -3,6 +3,7 @@
 import copy
 import random
 import tomllib
+from collections import Counter
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +19,9 @@ from cgid.scene import load_scene, parse_scene, synthesise
 from cgid.scene.distributions import LARGEST_UNIFORM, SMALLEST_UNIFORM, Distribution
 from cgid.scene.population import draw
 from cgid.scene.randomness import generator, uniforms
+from cgid.scene.stream.axis import samples_of
+from cgid.scene.stream.capacity import require_capacity
+from cgid.scene.stream.synthesis import record
 from cgid.scene.taps import SHAPES
 from cgid.scene.units import parse
 
@@ -392,6 +396,16 @@ def nodes(value, path=()):
     return found
 
 
+def few_signals(scene):
+    """Return some signals of a scene, of a stream its recording if it is a short one."""
+    if scene.stream is None:
+        return next(synthesise(scene, 4)).signals
+    require_capacity(scene, "float32")
+    if samples_of(scene) > 1e6:
+        raise InvalidValue("too long for a test")
+    return record(scene)[0].samples
+
+
 def test_damaged_scenes_give_errors_with_a_message_or_finite_signals():
     """Random deletions and replacements in the shipped scenes: no other exception, no warning, no nan."""
     rng = random.Random(20181)
@@ -404,11 +418,15 @@ def test_damaged_scenes_give_errors_with_a_message_or_finite_signals():
         {"distribution": "rosin-rammler", "characteristic": 1e-3, "uniformity": 100, "highest": 1e10},
         {"distribution": "truncated-normal", "mean": 1, "deviation": 0, "lowest": 0, "highest": 2},
     ]  # fmt: skip
-    outcomes = {"sound": 0, "refused": 0}
-    for _ in range(900):
+    outcomes: Counter[tuple[str, bool]] = Counter()
+    for scene in scenes:
+        if "stream" in scene:
+            scene["stream"] |= {"duration": "0.1 s", "arrivals": {"rate": "100 Hz"}}
+            scene["stream"]["mixture"] = {"times": [0, 0.1], "gangue": [0.1, 0.9]}
+        else:
+            scene["sampling"] |= {"samples": 128, "pre_trigger": 16}
+    for _ in range(600):
         scene = copy.deepcopy(rng.choice(scenes))
-        scene["sampling"]["samples"] = 128
-        scene["sampling"]["pre_trigger"] = 16
         *parents, last = rng.choice(nodes(scene))
         section = scene
         for key in parents:
@@ -418,14 +436,14 @@ def test_damaged_scenes_give_errors_with_a_message_or_finite_signals():
         else:
             section[last] = rng.choice(values)
         try:
-            batch = next(synthesise(parse_scene(scene), 4))
+            signals = few_signals(parse_scene(scene))
         except CgidError as error:
             assert str(error)
-            outcomes["refused"] += 1
+            outcomes["refused", "stream" in scene] += 1
         else:
-            assert np.isfinite(batch.signals).all()
-            outcomes["sound"] += 1
-    assert min(outcomes.values()) > 20
+            assert np.isfinite(signals).all()
+            outcomes["sound", "stream" in scene] += 1
+    assert len(outcomes) == 4 and min(outcomes.values()) > 5, outcomes
 
 
 @pytest.mark.parametrize("extreme", ["lowest", "highest"])
