@@ -507,6 +507,7 @@ def test_the_text_of_a_scene_is_the_scene_again():
         ({"mixture": {"times": [0], "gangue": [0.7], "coal": [0.5]}}, "stream.mixture", "1 or less, got 1.2"),
         ({"mixture": {"times": [0], "gangue": [0.2], "coal": [0.5]}}, "stream.mixture", "add up to 1, got 0.7"),
         ({"mixture": {"times": [0]}}, "stream.mixture", "at least one label"),
+        ({"sensor": {"bandwidth": 1.0}}, "sensor.bandwidth", "1/512 of the sampling rate"),
         ({"rebounds": {"most": 0}}, "stream.rebounds.most", "greater than or equal to 1"),
         ({"rebounds": {"least_speed": 0}}, "stream.rebounds.least_speed", "0.001"),
         ({"inclination": "90 deg"}, "stream.inclination", "1.5"),

@@ -83,7 +83,7 @@ class Scene(Section):
         problems += self._problems_of_band()
         problems += self.sampling.frame_problems(self.stream is not None)
         if self.stream is not None:
-            problems += self.stream.problems(self.populations, self.sensor)
+            problems += self.stream.problems(self.populations, self.sensor, self.sampling.sampling_rate)
             for name in ("taps", "randomise"):
                 if getattr(self, name):
                     problems.append(f"{name}: must be left out of a stream, one recording of rocks that fall")

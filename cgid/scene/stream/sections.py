@@ -15,6 +15,8 @@ from cgid.validation import Floats
 
 #: No table in a scene file has more rows.
 _MOST_ROWS = 100_000
+#: The lowest bandwidth over the sampling rate: every impact is then smeared over some 65,000 samples.
+_LEAST_BAND = 1 / 512
 #: Shares that add up to one within this do.
 _SHARE_TOLERANCE = 1e-9
 
@@ -150,7 +152,7 @@ class StreamSection(Section):
             )
         return self
 
-    def problems(self, populations: tuple[Population, ...], sensor: Sensor) -> list[str]:
+    def problems(self, populations: tuple[Population, ...], sensor: Sensor, sampling_rate: float) -> list[str]:
         """Return what does not go with this stream, whose rocks share one time axis and one sensor."""
         labels = tuple(sorted({population.label for population in populations}))
         found = [] if self.mixture is None or not labels else self.mixture.problems(labels)
@@ -162,6 +164,12 @@ class StreamSection(Section):
         if sensor.bandwidth is not None and (sensor.quantity != "force" or sensor.filters):
             found.append(
                 "sensor.bandwidth: must be left out of a stream where something rings before it; give anti_alias"
+            )
+        elif sensor.bandwidth is not None and sensor.bandwidth < sampling_rate * _LEAST_BAND:
+            found.append(
+                f"sensor.bandwidth: must be at least 1/{1 / _LEAST_BAND:g} of the sampling rate in a stream, "
+                f"{sampling_rate * _LEAST_BAND:.4g} Hz, got {sensor.bandwidth:g} Hz, which smears impacts too far to "
+                "both sides; give anti_alias, or lower the sampling rate"
             )
         for index, population in enumerate(populations):
             for name, cure in (

@@ -60,7 +60,9 @@ def _add_forces(scene: Scene, axis: TimeAxis, pulses: Impact | ModalImpact, time
     width = int(np.ceil(pulses.contact_duration.max() * rate)) + 2 + 2 * guard
     windows = np.zeros((times.size, width))
     pulses.add_to_frames(windows, rate, (times * rate - first) / rate)
-    axis.add(first, scene.sensor.limit_band(windows, rate))
+    inside = first < samples_of(scene)
+    if inside.any():
+        axis.add(first[inside], scene.sensor.limit_band(windows, rate)[inside])
 
 
 def _add_response(
