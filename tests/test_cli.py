@@ -322,3 +322,14 @@ def test_predict_imports_nothing_heavy() -> None:
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
     assert done.stderr.strip() == "[]"
+
+
+@pytest.mark.parametrize(("coupling", "warned"), [("impedance", True), ("modes", False)])
+def test_check_warns_of_rocks_too_heavy_for_the_thin_plate(coupling, warned, tmp_path, capsys):
+    """Lambda is that of a plate without edges: what goes through the modes of the beam has none."""
+    scene = (ROOT / "datasets" / "plate.toml").read_text()
+    scene = scene.replace('thickness = "8 mm"', f'thickness = "5 mm"\ncoupling = "{coupling}"')
+    (tmp_path / "thin.toml").write_text(scene.replace('"20 kHz", order', '"1 kHz", order'))
+    assert run(["check", str(tmp_path / "thin.toml")]) == 0
+    said = "lambda above 1.5): the plate takes nearly all of the speed"
+    assert (said in capsys.readouterr().err) == warned

@@ -50,11 +50,6 @@ def contact_stiffness(reduced_radius: ArrayLike, reduced_modulus: ArrayLike, the
     return np.asarray(factor * 4 / 3 * np.sqrt(radius) * modulus)
 
 
-def elastic_peak_displacement(mass: ArrayLike, stiffness: ArrayLike, velocity: ArrayLike) -> Floats:
-    """Return the largest displacement of an elastic impact, `(5 m v^2 / (4 K))^(2/5)` [m] (Yang 2018, Eq. 5)."""
-    return np.asarray((1.25 * np.asarray(mass) * np.asarray(velocity) ** 2 / np.asarray(stiffness)) ** 0.4)
-
-
 def free_fall_velocity(height: ArrayLike, gravity: float = STANDARD_GRAVITY) -> Floats:
     """Return the speed after a free fall, `sqrt(2 g H)` [m/s] (Yang 2018, Eq. 15).
 

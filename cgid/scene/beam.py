@@ -104,10 +104,10 @@ class TailBeamSection(Section):
     def _require_ascending(self) -> None:
         rows = self.modes or ()
         for number in range(1, len(rows)):
-            if rows[number].frequency <= rows[number - 1].frequency:
+            if rows[number].frequency < rows[number - 1].frequency:
                 raise ValueError(
                     f"modes must be sorted by frequency, row {number + 1} has {rows[number].frequency:g} Hz after "
-                    f"{rows[number - 1].frequency:g} Hz; sort them, and give equal ones a hair's difference"
+                    f"{rows[number - 1].frequency:g} Hz; sort them"
                 )
 
     def _require_audible(self) -> None:
