@@ -482,20 +482,24 @@ def test_over_a_population_estimates_are_unbiased_and_reach_the_bound(peers_esti
     told = bound.restitution_deviation <= 0.03
     assert told.sum() > 1000
     error = ((found.restitution - drawn["restitution"]) / bound.restitution_deviation)[told]
-    assert abs(error.mean()) < 0.1 * error.std()
-    assert error.std() < 1.15
+    # Now and then the likelihood has two tops, and the noise makes the wrong one the higher: some in ten thousand.
+    stray = np.abs(error) > 7
+    assert stray.mean() < 2e-3
+    assert abs(error[~stray].mean()) < 0.1 * error[~stray].std()
+    assert error[~stray].std() < 1.15
     for name, value, deviation in (
         ("peak_force", found.peak, bound.peak_deviation),
         ("contact_duration", found.contact_duration, bound.duration_deviation),
     ):
-        relative = (np.log(value / drawn[name]) / deviation)[told]
+        relative = (np.log(value / drawn[name]) / deviation)[told][~stray]
         assert abs(relative.mean()) < 0.1, name
         assert relative.std() < 1.2, name
 
 
 def test_of_a_population_all_fit(peers_estimates):
     _, found, _ = peers_estimates
-    assert found.misfit.mean() == pytest.approx(1, abs=0.02)
+    # Over a noise level that is known from 100 samples, whose inverse square is 99/97 of the true one on average.
+    assert found.misfit.mean() == pytest.approx(99 / 97, abs=0.01)
     assert found.of_family.all()
 
 

@@ -52,17 +52,14 @@ def check(scene: str, seed: int, as_json: bool) -> None:
 
 
 def _preview(scene: Any, seed: int) -> dict[str, Any]:
-    import warnings
 
     import numpy as np
 
-    from cgid.impact import HertzRangeWarning, ThinPlateWarning
     from cgid.scene.population import draw, parameter_units
     from cgid.scene.randomness import BLOCK
+    from cgid.scene.range_warnings import unwarned
 
-    with warnings.catch_warnings():
-        for beyond in (HertzRangeWarning, ThinPlateWarning):
-            warnings.simplefilter("ignore", beyond)
+    with unwarned():
         draws = [draw(scene, seed, block) for block in range(_BLOCKS)]
     units = parameter_units(scene)
     if scene.stream is not None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import cached_property, lru_cache
@@ -14,11 +13,11 @@ from numpy.typing import NDArray
 from scipy import fft, signal
 
 from cgid.errors import BadData
-from cgid.impact import HertzRangeWarning, ThinPlateWarning
 from cgid.recordings import read_recording
 from cgid.scene.background import BackgroundSection
 from cgid.scene.population import Draw, draw
 from cgid.scene.randomness import BLOCK, COLOURED, HUM, RECORDED, generator, uniforms
+from cgid.scene.range_warnings import unwarned
 from cgid.scene.response import hearing
 from cgid.scene.scene import Scene
 from cgid.validation import Floats
@@ -142,9 +141,7 @@ def reference_peak(scene: Scene) -> float:
     What the level of a recorded background is measured by, in the SI unit of what the sensor feels. It is a number of
     the scene, and so the same for all its signals.
     """
-    with warnings.catch_warnings():
-        for beyond in (HertzRangeWarning, ThinPlateWarning):
-            warnings.simplefilter("ignore", beyond)
+    with unwarned():
         peaks = [_peaks(scene, draw(scene, 0, block)) for block in range(_REFERENCE_BLOCKS)]
     slope = 0.0 if scene.stream is None else scene.stream.inclination
     # The normal velocity of a vertical fall is v cos(alpha), and the peak of a Hertz impact goes with its power 6/5.

@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-import warnings
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
 from cgid.beginnings import samples_needed
-from cgid.impact import HertzRangeWarning, ThinPlateWarning
 from cgid.scene.impacts import share_through_modes
 from cgid.scene.population import given, given_at
+from cgid.scene.range_warnings import unwarned
 from cgid.scene.response import TOLERANCE, expected_modes
 from cgid.scene.scene import Scene
 from cgid.scene.stream.axis import samples_of
@@ -99,7 +96,7 @@ class Workload:
 
     @cached_property
     def _impacts_of_rock(self) -> float:
-        with _unwarned():
+        with unwarned():
             return impacts_of_rock(self.scene)
 
     @property
@@ -120,7 +117,7 @@ class Workload:
         """Contact durations of each population and tap [s], where sizes and durations lie at this quantile."""
         drawn = given_at(self.scene, size)
         durations = np.array(drawn.values["contact_duration"])
-        with _unwarned():
+        with unwarned():
             if drawn.fallen.size:
                 durations[drawn.fallen] = drawn.impact.contact_duration
         return durations
@@ -137,7 +134,7 @@ class Workload:
         if self.scene.tail_beam is None or not self.scene.populations:
             return 0.0
         drawn = given(self.scene, 0, 0)
-        with _unwarned():
+        with unwarned():
             return self.impacts * share_through_modes(self.scene, drawn.impact, drawn.values, drawn.fallen)
 
     @property
@@ -174,12 +171,3 @@ class Workload:
         longest = self._durations(_LARGE) * self.sampling_rate
         needed = samples_needed(self.features, np.full(longest.shape, touch), longest)
         return int(min(needed.max(), self.n_samples))
-
-
-@contextmanager
-def _unwarned() -> Iterator[None]:
-    """Look at usual rocks in silence; `cgid check` says how often they pass Hertz's or Zener's range."""
-    with warnings.catch_warnings():
-        for beyond in (HertzRangeWarning, ThinPlateWarning):
-            warnings.simplefilter("ignore", beyond)
-        yield

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
 from typing import Any, Literal
 
 import numpy as np
@@ -13,12 +11,12 @@ from numpy.typing import DTypeLike, NDArray
 from cgid import validation
 from cgid.counting import count
 from cgid.errors import InvalidValue
-from cgid.impact import HertzRangeWarning, ThinPlateWarning
 from cgid.scene.background_noise import add_to_frames
 from cgid.scene.noise import HIGHEST_NOISE, add_noise
 from cgid.scene.plan import Plan, plan
 from cgid.scene.population import Draw, draw
 from cgid.scene.randomness import BLOCK
+from cgid.scene.range_warnings import unwarned
 from cgid.scene.response import hearing
 from cgid.scene.scene import Scene
 from cgid.scene.sensor import Sensor, clip
@@ -109,15 +107,6 @@ def _block(asked: Plan, seed: int, block: int, part: slice, dtype: DTypeLike) ->
         parameters={name: values[part] for name, values in drawn.parameters.items()},
         source=scene.sha256,
     )
-
-
-@contextmanager
-def unwarned() -> Iterator[None]:
-    """Draw in silence where a population reaches past Hertz's or Zener's range; `cgid check` says how often."""
-    with warnings.catch_warnings():
-        for beyond in (HertzRangeWarning, ThinPlateWarning):
-            warnings.simplefilter("ignore", beyond)
-        yield
 
 
 def make_frames(asked: Plan, drawn: Draw, seed: int, block: int, dtype: DTypeLike) -> NDArray[Any]:

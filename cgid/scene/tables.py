@@ -16,8 +16,9 @@ from cgid.scene.plan import Plan, plan
 from cgid.scene.population import Draw, draw, given, parameter_units
 from cgid.scene.quantities import OF_TAPS, TRUE
 from cgid.scene.randomness import BLOCK
+from cgid.scene.range_warnings import unwarned
 from cgid.scene.scene import Scene
-from cgid.scene.synthesis import blocks, make_beginnings, make_frames, require_count, require_frames, unwarned
+from cgid.scene.synthesis import blocks, make_beginnings, make_frames, require_count, require_frames
 from cgid.validation import Floats
 
 #: Blocks measured at once: the fit shares its overhead among the signals of a batch.

@@ -9,7 +9,6 @@ restitution without weight. The coefficient is measured against the integrated i
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Iterable
 from typing import Any
 
@@ -18,16 +17,15 @@ import numpy as np
 from cgid.errors import InvalidValue
 from cgid.impact import (
     Elastic,
-    HertzRangeWarning,
     HuntCrossley,
     Impact,
     Sphere,
     ThinPlate,
-    ThinPlateWarning,
     free_fall_velocity,
 )
 from cgid.impact.bodies import Target
 from cgid.materials import Material
+from cgid.scene.range_warnings import unwarned
 from cgid.scene.sections import ImpactSection, Population
 from cgid.validation import Floats
 
@@ -100,9 +98,7 @@ def heaviest_impact(
         loss: Elastic | HuntCrossley = Elastic()
     else:
         loss = HuntCrossley(restitution=population.restitution.extremes[0], law=section.law)
-    with warnings.catch_warnings():
-        for beyond in (HertzRangeWarning, ThinPlateWarning):
-            warnings.simplefilter("ignore", beyond)  # no impact that is drawn need be so
+    with unwarned():
         parts: dict[str, Any] = {
             "sphere": sphere,
             "target": target,

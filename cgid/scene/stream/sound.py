@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Mapping
 
 import numpy as np
 
-from cgid.impact import HertzRangeWarning, Impact, ThinPlateWarning
+from cgid.impact import Impact
 from cgid.impact.coupled import ModalImpact
 from cgid.scene.background_noise import Background
 from cgid.scene.impacts import impact_of, impacts_by_coupling
+from cgid.scene.range_warnings import unwarned
 from cgid.scene.response import TOLERANCE, Hearing
 from cgid.scene.scene import Scene
 from cgid.scene.stream.axis import TimeAxis, samples_of
@@ -37,10 +37,7 @@ def strike(scene: Scene, axis: TimeAxis, rocks: Rocks, heard: Hearing | None) ->
     if not len(rocks):
         return delivered
     everyone = np.arange(len(rocks))
-    with warnings.catch_warnings():
-        # A population reaches past Hertz's or Zener's range here and there; `cgid check` says how often.
-        for beyond in (HertzRangeWarning, ThinPlateWarning):
-            warnings.simplefilter("ignore", beyond)
+    with unwarned():
         impact = impact_of(scene, rocks.columns, everyone)
         parts = list(impacts_by_coupling(scene, impact, rocks.columns, everyone))
     for rows, pulses, _ in parts:
