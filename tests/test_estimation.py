@@ -500,7 +500,7 @@ def test_of_a_population_all_fit(peers_estimates):
     _, found, _ = peers_estimates
     # Over a noise level that is known from 100 samples, whose inverse square is 99/97 of the true one on average.
     assert found.misfit.mean() == pytest.approx(99 / 97, abs=0.01)
-    assert found.of_family.all()
+    assert found.of_family.mean() > 0.999  # 1 in 8000 lies beyond the limit by chance
 
 
 # -- the prior and the posterior ----------------------------------------------------------------------------------

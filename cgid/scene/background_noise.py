@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import scipy  # which loads its parts when they are first used
 from numpy.typing import NDArray
-from scipy import fft, signal
 
 from cgid.errors import BadData
 from cgid.recordings import read_recording
@@ -64,7 +64,7 @@ class Background:
             out += amplitude * np.sin(2 * np.pi * (turns + phases[:, None]))
         if self.section.coloured is not None:
             # Of a period twice as long as the frame, whose ends then have nothing to do with each other.
-            length = fft.next_fast_len(2 * n_samples, real=True)
+            length = scipy.fft.next_fast_len(2 * n_samples, real=True)
             out += self._coloured(generator(seed, COLOURED, block), (BLOCK,), length)[:, :n_samples]
         if self.recorded is not None:
             starts = (uniforms(seed, block, 1, RECORDED)[0] * self.recorded.size).astype(np.intp)
@@ -105,7 +105,7 @@ class Background:
     def _coloured(self, draws: np.random.Generator, rows: tuple[int, ...], length: int) -> Floats:
         """Return periodic Gaussian noise of the asked density, (*rows, length)."""
         assert self.section.coloured is not None
-        frequency = np.asarray(fft.rfftfreq(length, 1 / self.sampling_rate))
+        frequency = np.asarray(scipy.fft.rfftfreq(length, 1 / self.sampling_rate))
         power = self.section.coloured.at(frequency, self.quantity)
         parts = draws.standard_normal((*rows, frequency.size, 2))
         # A line of the periodogram 2 |X|^2 / (rate n) then has the asked density as its mean. The mean of a signal
@@ -115,7 +115,7 @@ class Background:
         if length % 2 == 0:
             parts[..., -1, 1] = 0.0
             height[-1] *= 2.0
-        return np.asarray(fft.irfft((parts[..., 0] + 1j * parts[..., 1]) * height, n=length))
+        return np.asarray(scipy.fft.irfft((parts[..., 0] + 1j * parts[..., 1]) * height, n=length))
 
 
 @lru_cache(maxsize=4)
@@ -209,7 +209,7 @@ def _unit_recording(
         )
     samples -= samples.mean()
     if ratio != 1:
-        samples = signal.resample_poly(samples, ratio.numerator, ratio.denominator)
+        samples = scipy.signal.resample_poly(samples, ratio.numerator, ratio.denominator)
         samples -= samples.mean()
     level = np.sqrt(np.mean(samples**2))
     if not level > 0:

@@ -17,8 +17,8 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+import scipy  # which loads its parts when they are first used
 from numpy.polynomial import legendre
-from scipy.linalg import eigh
 from threadpoolctl import threadpool_limits
 
 from cgid.impact.tail_beam.rigidities import Rigidities
@@ -74,7 +74,7 @@ def _line(number: int, held: str) -> list[_Line]:
         functions[:2] = 0.0  # what is left bends; the motions of a rigid body are functions of their own
     parts = [functions] if held == "start" else [functions[:, 0::2], functions[:, 1::2]]
     for parity, part in enumerate(parts):
-        parts[parity] = part @ eigh(_Line(part).integrals()[0])[1]
+        parts[parity] = part @ scipy.linalg.eigh(_Line(part).integrals()[0])[1]
         if held == "none":
             rigid = np.zeros((len(part), 1))
             rigid[parity] = math.sqrt(parity + 0.5)
@@ -118,7 +118,9 @@ class _Panel:
     def frequencies(self) -> Floats:
         """Return all natural frequencies [rad/s], ascending."""
         mass, stiffness, _ = self._scaled()
-        inverse = eigh(mass, stiffness, eigvals_only=True, overwrite_a=True, overwrite_b=True, check_finite=False)
+        inverse = scipy.linalg.eigh(
+            mass, stiffness, eigvals_only=True, overwrite_a=True, overwrite_b=True, check_finite=False
+        )
         # Of the highest of all only rounding is left, which may even be negative.
         return np.asarray(1 / np.sqrt(np.maximum(inverse[::-1], 1e-300)))
 
@@ -129,7 +131,7 @@ class _Panel:
         """
         mass, stiffness, scale = self._scaled()
         wanted = (highest**-2, np.inf)
-        inverse, vectors = eigh(
+        inverse, vectors = scipy.linalg.eigh(
             mass, stiffness, subset_by_value=wanted, overwrite_a=True, overwrite_b=True, check_finite=False
         )
         vectors = vectors[:, ::-1] * scale[:, None] / np.sqrt(inverse[::-1])

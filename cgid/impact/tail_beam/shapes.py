@@ -7,7 +7,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from cgid.impact.tail_beam import _shapes
 from cgid.validation import Floats
 
 Indices = NDArray[np.intp]
@@ -31,6 +30,8 @@ class SineShapes:
 
     def at(self, x: Floats, y: Floats) -> Floats:
         """Return the shapes (n_points, n_modes) at points (n_points,) of the unit square."""
+        from cgid.impact.tail_beam import _shapes
+
         out = np.empty((x.size, self.along.size))
         if out.size:
             _shapes.sine_shapes(x, y, self.along, self.across, out)
@@ -100,6 +101,8 @@ class PolynomialShapes:
 
     def at(self, x: Floats, y: Floats) -> Floats:
         """Return the shapes (n_points, n_modes) at points (n_points,) of the unit square."""
+        from cgid.impact.tail_beam import _shapes
+
         out = np.empty((x.size, sum(symmetry.modes.size for symmetry in self.symmetries)))
         for symmetry in self.symmetries:
             if symmetry.modes.size and x.size:
