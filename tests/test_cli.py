@@ -333,3 +333,13 @@ def test_check_warns_of_rocks_too_heavy_for_the_thin_plate(coupling, warned, tmp
     assert run(["check", str(tmp_path / "thin.toml")]) == 0
     said = "lambda above 1.5): the plate takes nearly all of the speed"
     assert (said in capsys.readouterr().err) == warned
+
+
+def test_generate_says_once_that_rocks_are_too_heavy_for_the_thin_plate(tmp_path, capsys):
+    scene = (ROOT / "datasets" / "plate.toml").read_text()
+    scene = scene.replace('thickness = "8 mm"', 'thickness = "4 mm"\ncoupling = "impedance"')
+    (tmp_path / "thin.toml").write_text(scene.replace('"20 kHz", order', '"1 kHz", order'))
+    assert run(["generate", str(tmp_path / "thin.toml"), "-n", "2", "-o", str(tmp_path / "d.h5")]) == 0
+    said = [line for line in capsys.readouterr().err.splitlines() if line.startswith("cgid: warning")]
+    assert len(said) == 1
+    assert "the plate takes nearly all of the speed" in said[0]

@@ -141,6 +141,7 @@ def _write_dataset(asked: Any, options: dict[str, Any]) -> None:
 
     scene, n_signals = asked.request.scene, options["n_signals"]
     start = time.perf_counter()
+    _warn_of_plate(scene, options["seed"])
     with progress_bar(n_signals, "signals") as progress:
         path = generate_dataset(scene, progress=progress, **{name: options[name] for name in _OF_DATASETS})
     seconds = time.perf_counter() - start
@@ -150,6 +151,26 @@ def _write_dataset(asked: Any, options: dict[str, Any]) -> None:
         f"{n_signals / seconds:.0f} signals/s, {megabytes / seconds:.0f} MB/s",
         err=True,
     )
+
+
+def _warn_of_plate(scene: Any, seed: int) -> None:
+    """Say once what passing the range of the thin plate means, if rocks of the first block do; blocks are silent."""
+    from cgid.impact import ThinPlate
+    from cgid.impact.pulse import BEYOND_THIN_PLATE, INELASTICITY_LIMIT
+    from cgid.scene.population import draw
+    from cgid.scene.range_warnings import unwarned
+
+    if not isinstance(scene.body, ThinPlate):
+        return
+    with unwarned():
+        strikes = draw(scene, seed, 0).strikes
+    largest = max(strike.pulses.inelasticity.max() for strike in strikes if hasattr(strike.pulses, "inelasticity"))
+    if largest > INELASTICITY_LIMIT:
+        click.echo(
+            f"cgid: warning: {scene.name}: lambda of the thin plate reaches {largest:.3g}, Zener's theory holds to "
+            f"{INELASTICITY_LIMIT:g}: {BEYOND_THIN_PLATE}",
+            err=True,
+        )
 
 
 def _write_table(asked: Any, options: dict[str, Any]) -> None:
