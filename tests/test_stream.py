@@ -589,3 +589,43 @@ def test_a_beam_that_rings_beyond_the_end_needs_no_more_memory_than_the_recordin
     assert signal.samples.size == samples_of(made)
     assert len(truth["time"]) == 2 and np.isfinite(signal.samples).all()
     assert np.abs(signal.samples[-1]) > 0
+
+
+@pytest.mark.parametrize(
+    ("frequency", "mass", "restitution"), [(300.0, 0.05, 0.3), (300.0, 0.2, 0.3), (800.0, 0.2, 0.9)]
+)
+def test_a_beam_that_swings_back_hits_again_in_the_recording(frequency, mass, restitution):
+    """The force of all contacts together gives the rock its rebound: m v (1 + e)."""
+    row = {"frequency": frequency, "damping_ratio": 0.01, "modal_mass": mass, "shape_impact": 1.0, "shape_sensor": 1.0}
+    scene = parse_scene(
+        {
+            "name": "light",
+            "impact": {
+                "stiffness": "hertz",
+                "dissipation": "hunt-crossley",
+                "target": {"youngs_modulus": 210e9, "poisson_ratio": 0.3},
+            },
+            "tail_beam": {"modes": [row]},
+            "sampling": {"sampling_rate": 2e6},
+            "stream": {
+                "duration": 0.05,
+                "arrivals": {"times": [0.01]},
+                "rebounds": {"most": 1, "least_speed": 100.0},
+            },
+            "populations": [
+                {
+                    "label": "coal",
+                    "density": 1400.0,
+                    "youngs_modulus": 3e9,
+                    "poisson_ratio": 0.3,
+                    "radius": 0.03,
+                    "restitution": restitution,
+                    "velocity": 5.0,
+                }
+            ],
+        }
+    )
+    signal, truth = record(scene, 0)
+    momentum = 4 / 3 * np.pi * 0.03**3 * 1400.0 * 5.0
+    impulse = signal.samples.sum(dtype=np.float64) / 2e6
+    assert impulse == pytest.approx(momentum * (1 + truth["restitution"][0]), rel=1e-5)

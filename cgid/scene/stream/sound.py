@@ -54,7 +54,7 @@ def strike(scene: Scene, axis: TimeAxis, rocks: Rocks, heard: Hearing | None) ->
 def _add_forces(scene: Scene, axis: TimeAxis, pulses: Impact | ModalImpact, times: Floats) -> None:
     rate, guard = scene.sampling.sampling_rate, lead(scene)
     first = np.floor(times * rate).astype(np.int64) - guard
-    width = int(np.ceil(pulses.contact_duration.max() * rate)) + 2 + 2 * guard
+    width = int(np.ceil(pulses.end_of_contact.max() * rate)) + 2 + 2 * guard
     windows = np.zeros((times.size, width))
     pulses.add_to_frames(windows, rate, (times * rate - first) / rate)
     inside = first < samples_of(scene)
@@ -77,7 +77,7 @@ def _add_response(
     # The slowest of the poles falls to its share of the response's tolerance in this time.
     poles = heard.response.poles
     ringing = float(np.log(poles.size / TOLERANCE) / -poles.real.max())
-    end = columns["time"].max() + pulses.contact_duration.max() + ringing
+    end = columns["time"].max() + pulses.end_of_contact.max() + ringing
     stop = int(min(np.ceil(end * rate), last))
     frames = axis.until(stop)[None, first - axis.first :]
     onset = (columns["time"] * rate - first) / rate
