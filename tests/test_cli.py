@@ -343,3 +343,14 @@ def test_generate_says_once_that_rocks_are_too_heavy_for_the_thin_plate(tmp_path
     said = [line for line in capsys.readouterr().err.splitlines() if line.startswith("cgid: warning")]
     assert len(said) == 1
     assert "the plate takes nearly all of the speed" in said[0]
+
+
+def test_generate_makes_taps_on_a_thin_plate_without_a_word(tmp_path, capsys):
+    (tmp_path / "taps.toml").write_text(
+        'name = "taps"\n[impact]\nstiffness = "hertz"\ndissipation = "elastic"\n'
+        'target = { youngs_modulus = "210 GPa", poisson_ratio = 0.3, thickness = "2 mm" }\n'
+        '[sampling]\nsampling_rate = "100 kHz"\nsamples = 256\npre_trigger = 32\n'
+        '[[taps]]\nlabel = "hammer"\nshape = "half-sine"\npeak_force = "1 kN"\ncontact_duration = "1 ms"\n'
+    )
+    assert run(["generate", str(tmp_path / "taps.toml"), "-n", "2", "-o", str(tmp_path / "d.h5")]) == 0
+    assert "warning" not in capsys.readouterr().err

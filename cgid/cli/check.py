@@ -113,16 +113,11 @@ def _shares(draws: list[Any], values: dict[str, Any], sampling_rate: Any, scene:
     """Return the share of the pulses that something is to be said of, by what it is."""
     import numpy as np
 
-    from cgid.impact import Impact
     from cgid.impact.pulse import BEYOND_THIN_PLATE, HERTZ_LIMIT, INELASTICITY_LIMIT
     from cgid.pulses import WANTED_SAMPLES
 
     strain = np.concatenate([d.impact.peak_displacement / d.impact.reduced_radius for d in draws])
-    # Of the strikes themselves: those through the modes of a beam are on no thin plate.
-    strikes = [strike for d in draws for strike in d.strikes if strike.ratio is None]
-    inelasticity = np.concatenate(
-        [strike.pulses.inelasticity for strike in strikes if isinstance(strike.pulses, Impact)] or [np.empty(0)]
-    )
+    inelasticity = np.concatenate([d.inelasticity for d in draws])
     end = values.get("onset", 0.0) + np.nan_to_num(values.get("second_hit_delay", 0.0)) + values["contact_duration"]
     beyond = {
         f"pass Hertz's range (displacement over radius above {HERTZ_LIMIT:g})": strain > HERTZ_LIMIT,

@@ -163,8 +163,7 @@ def _warn_of_plate(scene: Any, seed: int) -> None:
     if not isinstance(scene.body, ThinPlate):
         return
     with unwarned():
-        strikes = draw(scene, seed, 0).strikes
-    largest = max(strike.pulses.inelasticity.max() for strike in strikes if hasattr(strike.pulses, "inelasticity"))
+        largest = draw(scene, seed, 0).inelasticity.max(initial=0.0)
     if largest > INELASTICITY_LIMIT:
         click.echo(
             f"cgid: warning: {scene.name}: lambda of the thin plate reaches {largest:.3g}, Zener's theory holds to "

@@ -34,7 +34,7 @@ PARAMETER_UNITS = {
 }
 #: Those of what only some scenes have; the sampling rate, where it is randomised, is said by the batch.
 _MORE_UNITS = {"second_hit_delay": "s", "second_hit_ratio": "1", "clipped_at": "1"}
-_POINT_UNITS = {"impact_x": "m", "impact_y": "m"}
+POINT_UNITS = {"impact_x": "m", "impact_y": "m"}
 _RANDOMISED_UNITS = {"relative_noise": "1", "bandwidth": "Hz"}
 #: What the numbers of an address are for, in their order. A fall has one number, whether it is a height or a speed.
 FALL = (*PARTICLE, "restitution", "drop_height")
@@ -50,7 +50,7 @@ def parameter_units(scene: Scene) -> dict[str, str]:
     drawn = {name for source in scene.sources for name in source.laws}
     units = PARAMETER_UNITS | {name: unit for name, unit in _MORE_UNITS.items() if name in drawn}
     if scene.panel is not None:
-        units |= _POINT_UNITS
+        units |= POINT_UNITS
     if scene.randomise is not None:
         units |= {name: unit for name, unit in _RANDOMISED_UNITS.items() if name in scene.randomise.laws}
     return units
@@ -82,6 +82,12 @@ class Draw:
     impact: Impact
     strikes: tuple[Strike, ...]
     scene: Scene
+
+    @property
+    def inelasticity(self) -> Floats:
+        """Zener's lambda of the impacts themselves, 0 for what goes through the modes of a beam, (n_impacts,)."""
+        first = [strike.pulses for strike in self.strikes if strike.ratio is None]
+        return np.concatenate([np.empty(0), *(p.inelasticity for p in first if isinstance(p, Impact))])
 
 
 @dataclass(frozen=True)

@@ -8,28 +8,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from cgid.scene.population import PARAMETER_UNITS, POINT_UNITS
 from cgid.scene.scene import Scene
 from cgid.scene.stream.rocks import Rocks
 from cgid.validation import Floats
 
 #: Columns in the order in which they are stored, and their units.
-_UNITS = {
-    "time": "s",
-    "rock": "1",
-    "bounce": "1",
-    "density": "kg/m^3",
-    "youngs_modulus": "Pa",
-    "poisson_ratio": "1",
-    "radius": "m",
-    "restitution": "1",
-    "drop_height": "m",
-    "velocity": "m/s",
-    "peak_force": "N",
-    "contact_duration": "s",
+_UNITS = {"time": "s", "rock": "1", "bounce": "1"} | {
+    name: unit for name, unit in PARAMETER_UNITS.items() if name != "onset"
 }
 #: What only the impact itself tells.
 DELIVERED = ("restitution", "peak_force", "contact_duration")
-_PLACE_UNITS = {"impact_x": "m", "impact_y": "m"}
 _NEIGHBOUR_UNITS = {"next_impact": "s", "overlapping": "1"}
 
 
@@ -41,7 +30,7 @@ def impact_units(scene: Scene) -> dict[str, str]:
     velocity: the normal one. next_impact: time to the next touch of any rock, nan for the last. overlapping: 1 where
     the contact has a part in common with another. impact_x, impact_y: on a beam of known size.
     """
-    place = {} if scene.panel is None else _PLACE_UNITS
+    place = {} if scene.panel is None else POINT_UNITS
     return {**_UNITS, **place, **_NEIGHBOUR_UNITS}
 
 
