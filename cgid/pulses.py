@@ -15,10 +15,9 @@ from numpy.typing import NDArray
 from cgid.counting import count
 from cgid.estimation import PulseFit, Start, fit_pulses
 from cgid.estimation.start import strongest_run
+from cgid.frames import Frames
 from cgid.validation import Floats
 
-#: A pulse must pass this many standard deviations of the noise.
-DETECTION_LIMIT = 5.0
 #: Fewest samples between the 10 % crossings that can tell a width.
 MINIMUM_SAMPLES = 4
 #: The narrowest fitted pulse (impulse over peak, in samples) that can tell anything.
@@ -44,7 +43,7 @@ SPECTRUM_LIMIT = 4.0
 _ZERO_PADDING = 8
 
 
-class PulseBatch:
+class PulseBatch(Frames):
     """Single pulses in frames, measured lazily.
 
     Parameters
@@ -62,38 +61,10 @@ class PulseBatch:
         A peak must pass this many standard deviations of what is before touch.
     """
 
-    def __init__(
-        self,
-        samples: NDArray[np.floating],
-        sampling_rate: float,
-        pre_trigger: int | None = None,
-        remove_baseline: bool = True,
-        detection_limit: float = DETECTION_LIMIT,
-    ) -> None:
-        self.samples = samples
-        self.sampling_rate = sampling_rate
-        self.pre_trigger = pre_trigger
-        self.remove_baseline = remove_baseline
-        self.detection_limit = detection_limit
-
     # -- before touch ---------------------------------------------------------------------------------
 
     @cached_property
-    def _quiet(self) -> tuple[Floats, Floats]:
-        """Mean and standard deviation before touch."""
-        if self.pre_trigger is not None:
-            quiet = self.samples[:, : max(self.pre_trigger, 0)]
-            if quiet.shape[1] < 2:
-                return np.zeros(len(self.samples)), np.zeros(len(self.samples))
-            return quiet.mean(axis=1, dtype=np.float64), quiet.std(axis=1, ddof=1, dtype=np.float64)
-        before = np.arange(self.samples.shape[1]) < self._foot[:, None]
-        count = before.sum(axis=1)
-        mean = np.sum(self.samples, axis=1, where=before, dtype=np.float64) / np.maximum(count, 1)
-        square = np.where(before, (self.samples - mean[:, None]) ** 2, 0.0).sum(axis=1, dtype=np.float64)
-        return np.where(count > 1, mean, 0.0), np.sqrt(square / np.maximum(count - 1, 1))
-
-    @cached_property
-    def _foot(self) -> NDArray[np.intp]:
+    def _surely_quiet(self) -> NDArray[np.intp]:
         """A sample surely before touch: a fifth of the rise before the last one below 1 % of the peak.
 
         The peak is counted from the mean of the first quarter of what is before it: whatever offset a sensor has.
@@ -113,17 +84,7 @@ class PulseBatch:
         """Number of samples before touch that baseline and noise are of."""
         if self.pre_trigger is not None:
             return np.full(len(self.samples), float(max(self.pre_trigger, 1)))
-        return np.asarray(np.maximum(self._foot, 1), np.float64)
-
-    @property
-    def baseline(self) -> Floats:
-        """Mean before touch, 0 where nothing is before touch."""
-        return self._quiet[0]
-
-    @property
-    def noise(self) -> Floats:
-        """Standard deviation before touch, 0 where nothing is before touch."""
-        return self._quiet[1]
+        return np.asarray(np.maximum(self._surely_quiet, 1), np.float64)
 
     # -- the peak -------------------------------------------------------------------------------------
 

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cgid.energy_spectrum import EnergySpectrum
-from cgid.pulses import DETECTION_LIMIT
+from cgid.frames import Frames
 from cgid.validation import Floats
 
 #: Time constant of the exponential window [s]. It widens a line by 1 / (pi WINDOW_TIME) = 21 Hz.
@@ -40,7 +40,7 @@ SMALLEST_PEAK = 1e-75
 STRONG_SHARE = 0.9
 
 
-class VibrationBatch:
+class VibrationBatch(Frames):
     """Single ringing events in frames, measured lazily; every row is the same whatever else is in the batch.
 
     Parameters
@@ -57,27 +57,18 @@ class VibrationBatch:
         The largest deviation must pass this many standard deviations of what is before touch.
     """
 
-    def __init__(
-        self,
-        samples: NDArray[np.floating],
-        sampling_rate: float,
-        pre_trigger: int | None = None,
-        remove_baseline: bool = True,
-        detection_limit: float = DETECTION_LIMIT,
-    ) -> None:
-        self.samples = samples
-        self.sampling_rate = sampling_rate
-        self.pre_trigger = pre_trigger
-        self.remove_baseline = remove_baseline
-        self.detection_limit = detection_limit
-
     # -- before touch ---------------------------------------------------------------------------------
 
-    @cached_property
+    @property
     def n_quiet(self) -> NDArray[np.intp]:
         """Number of samples before touch that baseline and noise are of."""
         if self.pre_trigger is not None:
             return np.full(len(self.samples), self.pre_trigger, np.intp)
+        return self._surely_quiet
+
+    @cached_property
+    def _surely_quiet(self) -> NDArray[np.intp]:
+        """Samples up to well before the first that leaves what is before the largest deviation."""
         centre = self.samples.mean(axis=1, dtype=np.float64)
         place = np.argmax(np.abs(self.samples - centre[:, None]), axis=1)
         # The first half of what is before the largest deviation says what quiet is.
@@ -86,33 +77,6 @@ class VibrationBatch:
         threshold = _onset_threshold(deviation[np.arange(len(place)), place], noise)
         first = np.argmax(deviation > threshold[:, None], axis=1)
         return np.asarray(np.maximum(first - int(np.ceil(QUIET_MARGIN * self.sampling_rate)), 0))
-
-    def _moments(self, count: NDArray[np.intp]) -> tuple[Floats, Floats]:
-        """Return mean and standard deviation of the first samples of each row, 0 where there are fewer than two."""
-        before = np.arange(self.samples.shape[1]) < count[:, None]
-        mean = np.sum(self.samples, axis=1, where=before, dtype=np.float64) / np.maximum(count, 1)
-        square = np.where(before, (self.samples - mean[:, None]) ** 2, 0.0).sum(axis=1)
-        told = count > 1
-        return np.where(told, mean, 0.0), np.where(told, np.sqrt(square / np.maximum(count - 1, 1)), 0.0)
-
-    @cached_property
-    def _quiet(self) -> tuple[Floats, Floats]:
-        if self.pre_trigger is None:
-            return self._moments(self.n_quiet)
-        quiet = self.samples[:, : self.pre_trigger]
-        if quiet.shape[1] < 2:
-            return np.zeros(len(self.samples)), np.zeros(len(self.samples))
-        return quiet.mean(axis=1, dtype=np.float64), quiet.std(axis=1, ddof=1, dtype=np.float64)
-
-    @property
-    def baseline(self) -> Floats:
-        """Mean before touch, 0 where fewer than two samples are before touch."""
-        return self._quiet[0]
-
-    @property
-    def noise(self) -> Floats:
-        """Standard deviation before touch, 0 where fewer than two samples are before touch."""
-        return self._quiet[1]
 
     # -- the onset ------------------------------------------------------------------------------------
 

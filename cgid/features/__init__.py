@@ -20,7 +20,8 @@ from cgid.errors import BadData, InvalidValue
 from cgid.features.feature import Feature, Kind
 from cgid.features.pulse import PULSE_FEATURES
 from cgid.features.vibration import VIBRATION_FEATURES
-from cgid.pulses import DETECTION_LIMIT, PulseBatch
+from cgid.frames import DETECTION_LIMIT
+from cgid.pulses import PulseBatch
 from cgid.validation import Floats
 from cgid.vibration import VibrationBatch
 

@@ -11,10 +11,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from cgid.errors import BadData, InvalidValue, MissingOption
 from cgid.features import MINIMUM_FRAME, extract_array, problems_of
+from cgid.frames import DETECTION_LIMIT
 from cgid.identification.events import find_impacts
 from cgid.identification.known import known_columns
 from cgid.identification.model import UNKNOWN, Model
-from cgid.pulses import DETECTION_LIMIT
 from cgid.signals import UNITS, Signal
 from cgid.validation import Floats
 

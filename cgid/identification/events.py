@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from cgid import validation
 from cgid.errors import BadData
 from cgid.features.feature import Kind
-from cgid.pulses import DETECTION_LIMIT
+from cgid.frames import DETECTION_LIMIT
 from cgid.signals import Signal
 from cgid.validation import Floats
 from cgid.vibration import SHORTEST_EVENT
