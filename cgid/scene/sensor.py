@@ -6,10 +6,11 @@ from typing import Any, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
+from pydantic import Field, field_validator, model_validator
 
 from cgid.filters import fft_filter
 from cgid.impact.poles import LowPass, Resonance
+from cgid.scene.sections import Section
 from cgid.scene.units import Frequency, Level, Number, Ratio, Whole, parse
 from cgid.validation import Floats
 
@@ -24,25 +25,21 @@ QUANTITIES = {
 _LEVELS = {"absolute_noise": "", "noise_density": " noise density", "range": "", "offset": "", "drift": " per time"}
 
 
-class _Part(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
-
-
-class Mounting(_Part):
+class Mounting(Section):
     """The resonance of a sensor on its mounting: a stud at 30 kHz, a magnet at 7 kHz."""
 
     frequency: Frequency
     damping_ratio: Ratio = Field(default=0.05, gt=0, lt=1)
 
 
-class AntiAlias(_Part):
+class AntiAlias(Section):
     """The low-pass before the converter, a Butterworth filter: `frequency` is where it is 3 dB down."""
 
     frequency: Frequency
     order: Whole = Field(default=8, ge=1, le=12)
 
 
-class Sensor(_Part):
+class Sensor(Section):
     """A sensor and its recorder.
 
     The order is that of a measuring chain: mounting, anti-alias filter or bandwidth, gain, noise, offset and drift,

@@ -7,12 +7,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from cgid import validation
 from cgid.errors import InvalidValue
+from cgid.impact.response import DERIVATIVES
 from cgid.impact.tail_beam.measured import MeasuredModes
 from cgid.impact.tail_beam.modes import Modes
 from cgid.validation import Floats
-
-#: What is measured over force, and how often displacement is differentiated for it.
-_DERIVATIVES = {"displacement": 0, "velocity": 1, "acceleration": 2}
 
 
 def frequency_response(
@@ -54,7 +52,7 @@ def frequency_response(
     >>> complex(response[0].round(9))
     1j
     """
-    validation.choice("quantity", quantity, _DERIVATIVES)
+    validation.choice("quantity", quantity, DERIVATIVES)
     asked = np.atleast_1d(validation.not_negative("frequency", frequency, "Hz"))
     natural, damping = (np.asarray(part, dtype=np.float64) for part in (modes.frequency, modes.damping_ratio))
     if participation.shape[-1:] != natural.shape:
@@ -63,6 +61,6 @@ def frequency_response(
             f"{participation.shape}"
         )
     omega, natural = 2 * np.pi * asked[:, None], 2 * np.pi * natural
-    each = (1j * omega) ** _DERIVATIVES[quantity] / (natural**2 - omega**2 + 2j * damping * natural * omega)
+    each = (1j * omega) ** DERIVATIVES[quantity] / (natural**2 - omega**2 + 2j * damping * natural * omega)
     # Not a product of matrices, whose last bits hang on the library and its threads.
     return np.asarray(np.einsum("...m,fm->...f", participation, each))
