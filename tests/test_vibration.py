@@ -356,8 +356,10 @@ def test_what_a_quantity_is_measured_by():
         "pulse",
         "pulse",
     ]
-    assert set(choose(None)) | set(ALL) == set(FEATURES)
-    assert not set(choose(None)) & set(ALL)
+    assert {FEATURES[name].kind for name in choose(None)} == {"pulse"}
+    assert {FEATURES[name].kind for name in ALL} == {"vibration"}
+    assert kind_of(["peak_force"]) == "pulse" and kind_of(["peak_force", "decay_time"]) == "vibration"
+    assert kind_of(["window_level", "decay_time"]) == "window"
 
 
 def test_input_is_not_changed(rung):
