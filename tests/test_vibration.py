@@ -405,7 +405,7 @@ def test_no_transform_is_made_for_features_in_time(monkeypatch, rung):
     [
         (["peak_amplitude"], ["event", "spectrum", "_growth", "_strong"]),
         (["decay_time"], ["spectrum", "_growth", "_strong", "_early"]),
-        (["level_500_hz", "level_total"], ["_growth", "_strong", "_early", "_clean_energy", "_lead"]),
+        (["level_500_hz", "level_total"], ["_growth", "_strong", "_early", "clean_spectrum", "_lead"]),
         (["early_level_1000_2000_hz"], ["spectrum", "_growth", "_strong"]),
     ],
 )
