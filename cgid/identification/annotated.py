@@ -71,7 +71,9 @@ class AnnotatedFile:
         return units[self.unit] / units[unit] / annotation.gain
 
 
-def open_all(manifest: Manifest, reading: Reading, failures: Failures, *, references: bool = False) -> list[AnnotatedFile]:
+def open_all(
+    manifest: Manifest, reading: Reading, failures: Failures, *, references: bool = False
+) -> list[AnnotatedFile]:
     """Return the recordings of a manifest that can be opened, all of one quantity and number of channels.
 
     Parameters
@@ -125,7 +127,9 @@ def _opened(annotations: tuple[Annotation, ...], reading: Reading) -> AnnotatedF
     units = {channel.unit for channel in recording.channels}
     unit = recording.channels[0].unit
     if unit is None:
-        raise MissingOption(f"{recording.source}: the file does not say the unit; give it with --unit U, such as --unit g")
+        raise MissingOption(
+            f"{recording.source}: the file does not say the unit; give it with --unit U, such as --unit g"
+        )
     if len(units) > 1:
         told = " and ".join(sorted(str(unit) for unit in units))
         raise BadData(f"{recording.source}: channels must be in one unit, got {told}; choose with --channel")

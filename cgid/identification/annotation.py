@@ -29,6 +29,8 @@ class Annotation:
     Attributes
     ----------
     path : Path
+    written : str
+        The path as the manifest has it.
     label : str
         Empty for a reference run.
     group : str
@@ -48,6 +50,7 @@ class Annotation:
     """
 
     path: Path
+    written: str
     label: str = ""
     group: str = ""
     start: float = 0.0
@@ -64,8 +67,8 @@ class Annotation:
     def name(self) -> str:
         """The file, and the interval where it is one."""
         if self.start == 0 and self.end == math.inf:
-            return str(self.path)
-        return f"{self.path} from {self.start:g} to {'its end' if self.end == math.inf else f'{self.end:g} s'}"
+            return self.written
+        return f"{self.written} from {self.start:g} to {'its end' if self.end == math.inf else f'{self.end:g} s'}"
 
 
 def annotation_of(row: Mapping[str, Any], folder: Path, labels: tuple[str, ...] | None) -> Annotation:
@@ -98,6 +101,7 @@ def annotation_of(row: Mapping[str, Any], folder: Path, labels: tuple[str, ...] 
         quantity_of(unit if isinstance(unit, str) else repr(unit))
     return Annotation(
         path=folder / path,
+        written=path,
         label=label,
         group=_word("group", row.get("group", "")) or str(folder / path),
         start=start,

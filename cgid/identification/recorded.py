@@ -17,10 +17,10 @@ from cgid.features.feature import Kind
 from cgid.identification.annotated import AnnotatedFile, Failures, Reading, open_all
 from cgid.identification.annotation import Annotation
 from cgid.identification.events import find_impacts
-from cgid.identification.feature_sets import union_of
+from cgid.identification.feature_sets import sets_for, union_of
 from cgid.identification.manifest import Manifest
 from cgid.identification.windows import WINDOW_TIME, Grid, measure_windows, windows_of
-from cgid.signals import Signal, quantity_of
+from cgid.signals import quantity_of
 from cgid.validation import Floats
 
 #: Frames of single impacts, for which bands are chosen that they are long enough for [s].
@@ -110,6 +110,7 @@ def record(
     *,
     slicing: Slicing | None = None,
     reading: Reading | None = None,
+    level_free: bool = False,
     progress: Callable[[int], object] | None = None,
 ) -> Recorded:
     """Return the features of the windows or impacts of annotated recordings.
@@ -122,6 +123,8 @@ def record(
         that can be measured on all of them.
     slicing : Slicing, optional
     reading : Reading, optional
+    level_free : bool
+        Whether only features are measured in which the gain of the sensor cancels, if none are named.
     progress : callable, optional
         Called with the number of rows measured.
 
@@ -137,7 +140,7 @@ def record(
     slicing, reading = slicing or Slicing(), reading or Reading()
     failures = Failures(reading.strict)
     files = open_all(manifest, reading, failures)
-    names = _names(features, files, slicing)
+    names = _names(features, files, slicing, level_free)
     measured: list[_Rows] = []
     for file in files:
         try:
@@ -178,7 +181,9 @@ def _numbered(words: list[str]) -> tuple[tuple[str, ...], NDArray[np.intp]]:
     return different, np.array([numbers[word] for word in words], np.intp)
 
 
-def _names(features: Sequence[str] | None, files: list[AnnotatedFile], slicing: Slicing) -> tuple[str, ...]:
+def _names(
+    features: Sequence[str] | None, files: list[AnnotatedFile], slicing: Slicing, level_free: bool
+) -> tuple[str, ...]:
     """Return what to measure: what is asked, or all of the sets that can be measured everywhere."""
     rate = min(file.recording.sampling_rate for file in files)
     n_channels = len(files[0].recording.channels)
@@ -190,11 +195,13 @@ def _names(features: Sequence[str] | None, files: list[AnnotatedFile], slicing: 
     if features is not None:
         asked = choose(features)
         if kind_of(asked) != kind:
-            raise InvalidValue(f"features must be those of a {kind}, got those of a {kind_of(asked)}; see cgid features")
+            raise InvalidValue(
+                f"features must be those of a {kind}, got those of a {kind_of(asked)}; see cgid features"
+            )
         return asked
     grid = Grid.at(rate, slicing.window_time, slicing.hop_time)
     length = grid.length if kind == "window" else round(_FRAME_TIME[kind] * rate)
-    names = supported(union_of(kind), rate, length)
+    names = supported(union_of(sets_for(kind, level_free=level_free)), rate, length)
     if not names:
         raise BadData(f"recordings must be sampled fast enough for a feature, {rate:g} Hz is not; sample faster")
     return names
@@ -267,7 +274,7 @@ def _cut(blocks: Iterator[NDArray[Any]], bounds: Sequence[tuple[int, float]]) ->
 def _impacts(file: AnnotatedFile, names: tuple[str, ...], slicing: Slicing, unit: str) -> Measured:
     """Yield annotation, times and features of the impacts in annotated intervals."""
     (signal,) = file.recording.signals()
-    events = find_impacts(signal, kind=_of_impacts(names), dead_time=slicing.dead_time)
+    events = find_impacts(signal, kind=kind_of(names), dead_time=slicing.dead_time)
     for annotation in file.annotations:
         scale = file.scale(annotation, unit)
         for event in events:
