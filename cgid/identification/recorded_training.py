@@ -26,7 +26,7 @@ from cgid.identification.grouped import (
 from cgid.identification.metrics import evaluate
 from cgid.identification.model import Model
 from cgid.identification.recorded import Recorded
-from cgid.identification.training import Training
+from cgid.identification.training import Training, check_class_weights
 from cgid.identification.windows import RunningVote
 from cgid.signals import quantity_of
 from cgid.validation import Floats
@@ -73,6 +73,7 @@ def train_recorded(
     """
     labels = _shuffled(recorded, seed) if shuffle_labels else recorded.labels
     require_groups(labels, recorded.group)
+    check_class_weights(class_weights, np.unique(labels))
     sets = {"asked for": tuple(features)} if features else sets_for(recorded.kind, level_free=level_free)
     candidates = candidates_for(sets, recorded.names, families)
     rows = Rows(names=recorded.names, features=recorded.features, labels=labels, group=recorded.group)
