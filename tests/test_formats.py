@@ -11,7 +11,7 @@ from cgid.recordings import open_recording, read_recording
 from tests.recording_files import NAMES, SPECIMENS, UNIT, blows
 
 RATE = 51_200.0
-#: What a format has to tell damage by: a length, so that nothing may be missing without a word, or checksums on everything.
+#: Formats that have a length to tell by, so that nothing may be missing without a word; and checksums on everything.
 LENGTHS = {"WAV", "NPY", "NPZ", "HDF5", "MAT", "TDMS", "UFF-58", "FLAC", "OGG", "Parquet"}
 CHECKSUMS = ("NPZ", "HDF5 of cgid", "FLAC")
 
