@@ -18,6 +18,9 @@ from cgid.features import FEATURES
 from cgid.signals import UNITS, Batch, quantity_of
 from cgid.validation import Floats
 
+#: More synthetic impacts of a label, over those recorded, would drown what was measured.
+MOST_SYNTHETIC = 10
+
 
 def is_level(feature: str) -> bool:
     """Return whether a feature is a level, on which a gain or a response adds a number.
@@ -86,10 +89,10 @@ def shift(names: tuple[str, ...], features: Floats, labels: NDArray[np.str_], sy
 
 
 def thinned(labels: NDArray[np.str_], recorded: NDArray[np.str_], seed: int) -> NDArray[np.bool_]:
-    """Return which synthetic rows are kept: of each label as many as were recorded, so that none drowns the other."""
+    """Return which synthetic rows are kept: of each label at most `MOST_SYNTHETIC` times as many as were recorded."""
     order = np.random.default_rng(seed).permutation(len(labels))
     kept = np.zeros(len(labels), bool)
     for label in np.unique(recorded):
         own = order[labels[order] == label]
-        kept[own[: int(np.sum(recorded == label))]] = True
+        kept[own[: MOST_SYNTHETIC * int(np.sum(recorded == label))]] = True
     return kept

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
@@ -102,6 +102,13 @@ class Recorded:
     def kind(self) -> Kind:
         """What the features are measured on."""
         return kind_of(self.names)
+
+    def only(self, names: tuple[str, ...]) -> Recorded:
+        """Return the same rows with some of the features."""
+        columns = [self.names.index(name) for name in names]
+        starts = range(0, self.features.shape[1], len(self.names))
+        chosen = [start + column for start in starts for column in columns]
+        return replace(self, names=names, features=self.features[:, chosen])
 
 
 def record(

@@ -128,7 +128,7 @@ def train_recorded(
 
 
 def _mixed(rows: Rows, synthetic: Measured, seed: int) -> Rows:
-    """Return recorded and synthetic rows together, of each label at most as many synthetic ones."""
+    """Return recorded and synthetic rows together, of each label not too many synthetic ones."""
     strange = np.setdiff1d(synthetic.labels, rows.labels)
     if strange.size:
         raise BadData(
