@@ -59,6 +59,9 @@ FORMATS: tuple[Format, ...] = (
     Format("NPY", _starts(b"\x93NUMPY"), "arrays:read_npy"),
     Format("WAV", _starts(b"RIFF", b"RIFX", b"RF64"), "wav:read_wav"),
     Format("HDF5", _starts(HDF5_MAGIC), "own:read_own"),
+    Format("NPZ", lambda head, suffix: head.startswith(b"PK\3\4") and suffix != ".xlsx", "npz:read_npz", True),
+    Format("FLAC/OGG", _starts(b"fLaC", b"OggS"), "audio:read_audio"),
+    Format("LVM", lambda head, suffix: b"LabVIEW Measurement" in head[:32], "lvm:read_lvm", True),
     Format("text", lambda head, suffix: True, "text:read_text"),
 )
 

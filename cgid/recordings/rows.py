@@ -65,7 +65,7 @@ class Body:
         """
         layout, sample, line = self.layout, 0, self.first_line
         points = False
-        for text, is_last in self._texts():
+        for text, is_last in whole_lines(self.path, self.encoding, self.source, self.start):
             if not points:
                 # As long as all numbers were whole ones, nobody could know the decimal mark.
                 layout = with_decimal_mark(layout, text)
@@ -99,23 +99,32 @@ class Body:
                 return np.array([float(value or "nan") for value in values]) if complete else None
         return None
 
-    def _texts(self) -> Iterator[tuple[str, bool]]:
-        """Yield whole lines, and whether they are the last ones; only the very last line may lack its end."""
-        with self.path.open(encoding=self.encoding, errors="replace") as file:
-            rest, following = "", file.read(self.start + PIECE)[self.start :]
-            while following:
-                text, following = rest + following, file.read(PIECE)
-                if not following:
-                    yield text.rstrip(_END_MARK), True
-                    return
-                end = text.rfind("\n") + 1
-                rest = text[end:]
-                if len(rest) > _LONGEST_LINE:
-                    raise BadData(
-                        f"{self.source}: a line must be of at most {_LONGEST_LINE} characters, one is longer; "
-                        "transpose it: one sample a row, one channel a column"
-                    )
-                yield text[:end], False
+
+def whole_lines(path: Path, encoding: str, source: str, start: int = 0) -> Iterator[tuple[str, bool]]:
+    """Yield a text file from the character `start` on by whole lines, and whether they are the last ones.
+
+    Line ends are line feeds; only the very last line may lack its own.
+
+    Raises
+    ------
+    BadData
+        A line is longer than any row.
+    """
+    with path.open(encoding=encoding, errors="replace") as file:
+        rest, following = "", file.read(start + PIECE)[start:]
+        while following:
+            text, following = rest + following, file.read(PIECE)
+            if not following:
+                yield text.rstrip(_END_MARK), True
+                return
+            end = text.rfind("\n") + 1
+            rest = text[end:]
+            if len(rest) > _LONGEST_LINE:
+                raise BadData(
+                    f"{source}: a line must be of at most {_LONGEST_LINE} characters, one is longer; "
+                    "transpose it: one sample a row, one channel a column"
+                )
+            yield text[:end], False
 
 
 def with_decimal_mark(layout: Layout, text: str) -> Layout:

@@ -182,8 +182,8 @@ def _measured_rate(
     for (earlier, a), (later, b) in pairwise(zip(times, rates, strict=True)):
         if not rates_agree(a, b):
             raise BadData(
-                f"{source}: the sampling rate must be one to 0.1 %, time column {columns[earlier].name!r} gives {a:.10g} "
-                f"Hz and {columns[later].name!r} {b:.10g} Hz; export the channels of one rate only"
+                f"{source}: the sampling rate must be one to 0.1 %, time column {columns[earlier].name!r} gives "
+                f"{a:.10g} Hz and {columns[later].name!r} {b:.10g} Hz; export the channels of one rate only"
             )
     return rates[0]
 
@@ -203,7 +203,7 @@ def _agreed_rate(stated: Sequence[float], measured: float | None, source: str) -
     # Of several statements, such as those before and after decimation, the one that the times bear out is meant.
     if min(stated) > 0 and not any(rates_agree(measured, rate) for rate in stated):
         raise BadData(
-            f"{source}: the sampling rate must be one to 0.1 %, the header says {stated[0]:.10g} Hz and the time column "
-            f"{measured:.10g} Hz; correct one"
+            f"{source}: the sampling rate must be one to 0.1 %, the header says {stated[0]:.10g} Hz and the time "
+            f"column {measured:.10g} Hz; correct one"
         )
     return measured

@@ -130,6 +130,11 @@ def require_even(times: Floats, source: str, *, first: int = 0, step: float | No
         )
 
 
+def is_resolved(times: Floats, step: float) -> bool:
+    """Return whether times are printed so finely that their steps can be told to be even."""
+    return bool(np.isfinite(times).all() and np.any(times)) and _COARSEST_STEP * _printed_digit(times) <= step
+
+
 class EvenTimes:
     """The times of a recording, checked as they come piece by piece.
 
@@ -155,7 +160,7 @@ class EvenTimes:
 
 
 def refined_rate(rate: float, first: float, last: float) -> float:
-    """Return the sampling rate [Hz] from the first and last time [s] of a long recording, near a `rate` of its beginning.
+    """Return the sampling rate [Hz] from the first and last time [s] of a recording, near the `rate` of its beginning.
 
     The times of a recording lie a whole number of steps apart. The printed digits of n samples give the rate to
     1 / n at worst, and what is refined cannot be worse than that.
