@@ -195,10 +195,12 @@ class _Lvm:
 
     def _head_of(self, above: list[str], segment: Segment | None) -> LvmHead | None:
         """Return the head of the file once the head of a segment is complete: labels stand behind its end."""
-        ends = _ends(above)
-        if len(ends) < (2 if segment is None else 1) or ends[-1] == len(above) - 1:
+        if len(above) < 2 or not above[-2].startswith(END_OF_HEAD):
             return None
-        return segment.head if segment is not None else read_head(above[: ends[0]], self.source)
+        if segment is not None:
+            return segment.head
+        ends = _ends(above)
+        return read_head(above[: ends[0]], self.source) if len(ends) > 1 else None
 
     def _rows(self, text: str, segment: Segment, channels: Sequence[int], sample: int, line: int) -> Floats:
         """Return rows as numbers, (n, n_columns): x, where it is written, and the channels."""
@@ -255,10 +257,11 @@ class _Lvm:
 
     def _require_end(self, segment: Segment, channel: int, count: int) -> None:
         declared = segment.n_samples(channel)
-        if declared is not None and count < declared:
+        # Further packets may follow without a head of their own, each of so many samples.
+        if declared and (not count or count % declared):
             self.warnings.append(
-                f"segment {segment.number} declares {declared} samples and holds {count}; the file looks cut off, what "
-                "is whole was read"
+                f"segment {segment.number} declares {declared} samples and holds {count}; the file looks cut off or "
+                "damaged, the rows that are whole were read"
             )
 
     def _require_next(self, segment: Segment, following: Segment, channel: int, count: int) -> None:
