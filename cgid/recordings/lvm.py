@@ -25,6 +25,9 @@ from cgid.recordings.time_axis import EvenTimes, is_resolved, rate_of
 #: Rows begin with a number or a separator; what begins with a letter or a star is the head of the next segment.
 _HEAD = re.compile(r"^[A-Za-z*]", re.MULTILINE)
 
+#: Lines of a head at most; there are some twenty tags.
+_LONGEST_HEAD = 2000
+
 #: Two segments follow each other if the time between them is that of the samples to this part of a step, and the
 #: time stamps cannot be told apart closer than so [s].
 _GAP, _STAMP = 1.5, 2e-6
@@ -181,7 +184,7 @@ class _Lvm:
                     below = above if segment is not None else above[_ends(above)[0] + 1 :]
                     segment, above = read_segment(below, head, number, line, self.source), None
                     yield segment, "", line
-                elif len(above) > PIECE // 64:
+                elif len(above) > _LONGEST_HEAD:
                     raise BadData(
                         f"{self.source}: a head of {len(above)} lines is none (line {line}); copy the file again"
                     )
