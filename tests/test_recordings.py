@@ -356,9 +356,25 @@ def test_standard_input_and_content_before_suffix(write):
         assert (signal.samples.tolist(), signal.source, signal.name) == ([1, -2, 3], str(file), str(file))
 
 
-def test_text_and_npy_need_no_scipy():
-    code = "import sys, cgid.recordings; sys.exit(bool({'scipy', 'pandas', 'h5py', 'numba'} & set(sys.modules)))"
-    assert subprocess.run([sys.executable, "-c", code], cwd=Path(__file__).parents[1], check=False).returncode == 0
+def test_what_numpy_can_read_loads_nothing_else(tmp_path):
+    np.save(tmp_path / "a", np.ones(9))
+    np.savez(tmp_path / "b", x=np.ones(9))
+    (tmp_path / "c.csv").write_text("t,F\n0,1\n1,2\n2,1\n")
+    (tmp_path / "d.wav").write_bytes(wav(np.ones(9, np.int16)))
+    code = (
+        "import sys, pathlib; from cgid.recordings import read_recording\n"
+        "print([read_recording(path, sampling_rate=None if path.suffix == '.csv' else 44100)[0].samples.size"
+        " for path in sorted(pathlib.Path(sys.argv[1]).iterdir())])\n"
+        "sys.exit(bool({'scipy', 'pandas', 'h5py', 'numba', 'soundfile'} & set(sys.modules)))"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code, tmp_path],
+        cwd=Path(__file__).parents[1],
+        check=False,
+        capture_output=True,
+        text=True,
+    )
+    assert (done.returncode, done.stdout) == (0, "[9, 9, 3, 9]\n"), done.stderr
 
 
 # ---- NPY ----
