@@ -83,6 +83,11 @@ class Rows:
         return replace(self, features=self.features[chosen], labels=self.labels[chosen], group=self.group[chosen])
 
     @property
+    def n_channels(self) -> int:
+        """Whose features stand beside each other."""
+        return int(self.features.shape[1] // len(self.names))
+
+    @property
     def adapted(self) -> Rows:
         """The rows with the synthetic ones moved to the level and spectrum of the others."""
         synthetic = self.group < 0
@@ -169,18 +174,6 @@ def leave_groups_out(labels: NDArray[np.str_], group: NDArray[np.intp], seed: in
         yield left_out
 
 
-def classifier_of(candidate: Candidate, n_channels: int, weights: Weights, seed: int) -> ImpactClassifier:
-    """Return the unfitted classifier of a candidate; its temperature is chosen by groups left out."""
-    linear = [FEATURES[name].linear for name in candidate.features] * n_channels
-    return ImpactClassifier(
-        candidate.family,
-        linear=tuple(np.flatnonzero(linear).tolist()),
-        calibration_folds=0,
-        class_weight=weights,
-        random_state=seed,
-    )
-
-
 def choose(rows: Rows, candidates: Sequence[Candidate], weights: Weights, seed: int) -> Choice:
     """Return which candidate answers best for groups left out, and its temperature."""
     labels, accuracies, scores = np.unique(rows.labels), [], []
@@ -236,9 +229,9 @@ def final(rows: Rows, candidate: Candidate, temperature: float, weights: Weights
         inputs = rows.inputs(candidate.features)
         distances = []
         for fold in leave_groups_out(rows.labels, rows.group, seed):
-            without = _fitted(candidate, rows[~fold], weights, seed)
+            without = _fitted(candidate, rows[~fold], weights, seed, rejects=True)
             distances.append(without.novelty(inputs[fold]) * without.neighbourhood_.limit)
-        classifier = _fitted(candidate, rows, weights, seed)
+        classifier = _fitted(candidate, rows, weights, seed, rejects=True)
     limit = float(np.quantile(np.concatenate(distances), Neighbourhood.INSIDE))
     classifier.temperature_ = temperature
     classifier.neighbourhood_ = replace(classifier.neighbourhood_, limit=limit)
@@ -249,10 +242,19 @@ def _teaches_all(labels: NDArray[np.str_], fold: NDArray[np.bool_]) -> bool:
     return len(np.unique(labels[~fold])) == len(np.unique(labels))
 
 
-def _fitted(candidate: Candidate, rows: Rows, weights: Weights, seed: int) -> ImpactClassifier:
-    n_channels = rows.features.shape[1] // len(rows.names)
-    inputs = rows.adapted.inputs(candidate.features)
-    return classifier_of(candidate, n_channels, weights, seed).fit(inputs, rows.labels)
+def _fitted(
+    candidate: Candidate, rows: Rows, weights: Weights, seed: int, *, rejects: bool = False
+) -> ImpactClassifier:
+    linear = [FEATURES[name].linear for name in candidate.features] * rows.n_channels
+    classifier = ImpactClassifier(
+        candidate.family,
+        linear=tuple(np.flatnonzero(linear).tolist()),
+        calibration_folds=0,  # by groups left out instead
+        class_weight=weights,
+        rejects=rejects,
+        random_state=seed,
+    )
+    return classifier.fit(rows.adapted.inputs(candidate.features), rows.labels)
 
 
 def _scores(candidate: Candidate, rows: Rows, fold: NDArray[np.bool_], weights: Weights, seed: int) -> Floats:
