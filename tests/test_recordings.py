@@ -16,7 +16,7 @@ from hypothesis.extra import numpy as hnp
 from scipy.io import wavfile
 
 from cgid.errors import BadData, CgidError, InvalidValue, MissingOption, NoInput
-from cgid.recordings import is_dataset, read_recording
+from cgid.recordings import RecordingFile, is_dataset, read_recording
 from cgid.recordings.contents import MAX_CHANNELS
 
 REAL = Path(__file__).parents[2] / "shared" / "realdata"
@@ -322,12 +322,15 @@ def test_inputs_that_cannot_be_opened(tmp_path, monkeypatch):
     for name in (tmp_path / "none.csv", "", "a\0b", "x" * 5000, tmp_path / "hit.csv" / "below"):
         with pytest.raises(NoInput):
             read_recording(name)
-    monkeypatch.setattr(Path, "read_bytes", lambda _: (_ for _ in ()).throw(PermissionError(13, "denied")))
-    with pytest.raises(NoInput, match="permission"):
-        read_recording(tmp_path / "locked.csv")
-    monkeypatch.setattr(Path, "read_bytes", lambda _: (_ for _ in ()).throw(MemoryError()))
-    with pytest.raises(BadData, match="memory"):
-        read_recording(tmp_path / "large.csv")
+    with monkeypatch.context() as patch:
+        patch.setattr(Path, "open", lambda *_: (_ for _ in ()).throw(PermissionError(13, "denied")))
+        with pytest.raises(NoInput, match="permission"):
+            read_recording(tmp_path / "locked.csv")
+    (tmp_path / "large.csv").write_text("1\n2\n")
+    with monkeypatch.context() as patch:
+        patch.setattr(RecordingFile, "_whole", lambda _: (_ for _ in ()).throw(MemoryError()))
+        with pytest.raises(BadData, match="memory"):
+            read_recording(tmp_path / "large.csv", sampling_rate=1)
     monkeypatch.setattr(sys, "stdin", None)
     with pytest.raises(NoInput):
         read_recording("-")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import math
 import warnings
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -15,15 +16,17 @@ from cgid.errors import BadData
 from cgid.recordings.contents import Contents
 
 
-def read_npy(raw: bytes, source: str) -> Contents:
+def read_npy(path: Path, source: str, variable: str | None) -> Contents:
     """Return the channels of an NPY file.
 
     Parameters
     ----------
-    raw : bytes
-        The whole file.
+    path : Path
+        The file.
     source : str
         Its name in messages.
+    variable : str or None
+        Not used: such a file holds one recording.
 
     Returns
     -------
@@ -39,11 +42,15 @@ def read_npy(raw: bytes, source: str) -> Contents:
 
     Examples
     --------
-    >>> file = io.BytesIO()
-    >>> np.save(file, np.zeros((1000, 2)))
-    >>> read_npy(file.getvalue(), "two.npy").samples.shape
+    >>> import tempfile
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     file = Path(folder) / "two.npy"
+    ...     np.save(file, np.zeros((1000, 2)))
+    ...     contents = read_npy(file, "two.npy", None)
+    >>> contents.n_channels, contents.n_samples
     (2, 1000)
     """
+    raw = path.read_bytes()
     shape, fortran_order, dtype, offset = _header(raw, source)
     if dtype.kind not in "fiu":
         raise BadData(f"{source}: samples must be real numbers, got type {dtype}; save them as float64")
@@ -60,7 +67,7 @@ def read_npy(raw: bytes, source: str) -> Contents:
             f"{source}: the header must match the file, it declares {declared} bytes {shape} and {held} follow; {cure}"
         )
     flat = np.frombuffer(raw, dtype, count, offset)
-    return Contents(samples=_channels(flat.reshape(shape, order="F" if fortran_order else "C")))
+    return Contents.of_array(_channels(flat.reshape(shape, order="F" if fortran_order else "C")))
 
 
 def _header(raw: bytes, source: str) -> tuple[tuple[int, ...], bool, np.dtype[Any], int]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 from collections import deque
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 
@@ -19,15 +20,17 @@ from cgid.recordings.time_axis import rate_of, seconds, time_column
 _CONTROLS = bytes(set(range(32)) - set(b"\t\n\v\f\r\x1a") | {127})
 
 
-def read_text(raw: bytes, source: str) -> Contents:
+def read_text(path: Path, source: str, variable: str | None) -> Contents:
     r"""Return the channels of a text file, with what its header and its time column say.
 
     Parameters
     ----------
-    raw : bytes
-        The whole file.
+    path : Path
+        The file.
     source : str
         Its name in messages.
+    variable : str or None
+        Not used: such a file holds one recording.
 
     Raises
     ------
@@ -37,11 +40,15 @@ def read_text(raw: bytes, source: str) -> Contents:
 
     Examples
     --------
-    >>> contents = read_text(b"t [ms];force (N)\n0,0;1,5\n0,5;2,5\n", "hit.csv")
-    >>> contents.samples.tolist(), contents.units, contents.sampling_rate
-    ([[1.5, 2.5]], ['N'], 2000.0)
+    >>> import tempfile
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     file = Path(folder) / "hit.csv"
+    ...     _ = file.write_text("t [ms];force (N)\n0,0;1,5\n0,5;2,5\n")
+    ...     contents = read_text(file, "hit.csv", None)
+    >>> contents.n_samples, contents.units, contents.sampling_rate
+    (2, ['N'], 2000.0)
     """
-    data, encoding = _decoded(raw, source)
+    data, encoding = _decoded(path.read_bytes(), source)
     header, body = _found(data, encoding, source)
     if body.layout.n_columns > MAX_CHANNELS:
         raise BadData(
@@ -142,8 +149,8 @@ def _assembled(header: Header, rows: Floats, source: str) -> Contents:
         raise BadData(f"{source}: a recording must hold a channel beside time, there is none; export it again")
     named = [columns[index] for index in kept] if columns else []
     units = [column.known_unit or (None if column.unit else header.unit) for column in named]
-    return Contents(
-        samples=np.ascontiguousarray(rows.T[kept]),
+    return Contents.of_array(
+        np.ascontiguousarray(rows.T[kept]),
         names=[column.name for column in named],
         units=units or [header.unit] * len(kept),
         sampling_rate=rate,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import warnings
+from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
@@ -13,15 +14,17 @@ from cgid.errors import BadData
 from cgid.recordings.contents import Contents
 
 
-def read_wav(raw: bytes, source: str) -> Contents:
+def read_wav(path: Path, source: str, variable: str | None) -> Contents:
     """Return the channels of a WAV file.
 
     Parameters
     ----------
-    raw : bytes
-        The whole file: RIFF, RIFX or RF64 with integers of 8, 16, 24 or 32 bits or floats of 32 or 64.
+    path : Path
+        The file: RIFF, RIFX or RF64 with integers of 8, 16, 24 or 32 bits or floats of 32 or 64.
     source : str
         Its name in messages.
+    variable : str or None
+        Not used: such a file holds one recording.
 
     Returns
     -------
@@ -34,6 +37,7 @@ def read_wav(raw: bytes, source: str) -> Contents:
         The file is cut off or damaged, or its encoding is none of the above.
     """
     # scipy returns what is there of a data chunk that ends too early if the outer size is wrong as well.
+    raw = path.read_bytes()
     declared, held = _data_size(raw)
     if declared > held:
         raise BadData(
@@ -42,8 +46,8 @@ def read_wav(raw: bytes, source: str) -> Contents:
         )
     rate, data = _parsed(raw, source)
     samples = data[np.newaxis] if data.ndim == 1 else data.T
-    return Contents(
-        samples=_scaled(samples), sampling_rate=float(rate), rate_from="header of the WAV file", fallback_unit="FS"
+    return Contents.of_array(
+        _scaled(samples), sampling_rate=float(rate), rate_from="header of the WAV file", fallback_unit="FS"
     )
 
 
