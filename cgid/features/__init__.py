@@ -1,8 +1,9 @@
 """The table of features, and their extraction: only what is asked is computed.
 
 Every feature is one entry of `FEATURES`: name, unit, definition, source, and the measurement it needs. Those of
-pulses are in `cgid.features.pulse`, those of vibrations in `cgid.features.vibration`; the measurements themselves are
-in `cgid.pulses` and `cgid.vibration`, each made at most once. Columns, units and documentation all come from this
+pulses are in `cgid.features.pulse`, those of vibrations in `cgid.features.vibration`, those of windows in
+`cgid.features.window`; the measurements themselves are in `cgid.pulses`, `cgid.vibration` and `cgid.windows`, each made
+at most once. Columns, units and documentation all come from this
 table.
 """
 
@@ -20,22 +21,30 @@ from cgid.errors import BadData, InvalidValue
 from cgid.features.feature import Feature, Kind
 from cgid.features.pulse import PULSE_FEATURES
 from cgid.features.vibration import VIBRATION_FEATURES
+from cgid.features.window import WINDOW_FEATURES
 from cgid.frames import DETECTION_LIMIT
 from cgid.pulses import PulseBatch
 from cgid.validation import Floats
 from cgid.vibration import VibrationBatch
+from cgid.windows import WindowBatch
 
 if TYPE_CHECKING:
     import pandas
 
 #: Rows measured at once: enough to share the overhead of the fit, few enough for the memory to stay flat.
 _ROWS = 1024
+#: Windows are long, and their frames overlap: so many samples of them at once stay in the processor's cache.
+_WINDOWED_SAMPLES = 1 << 17
+#: What is measured, by its kind.
+Batches = Mapping[Kind, PulseBatch | VibrationBatch | WindowBatch]
 #: A frame must hold the fewest samples of a pulse and one on either side.
 MINIMUM_FRAME = 6
 
 
 #: Every feature by name, in the order of the columns.
-FEATURES: dict[str, Feature] = {feature.name: feature for feature in PULSE_FEATURES + VIBRATION_FEATURES}
+FEATURES: dict[str, Feature] = {
+    feature.name: feature for feature in PULSE_FEATURES + VIBRATION_FEATURES + WINDOW_FEATURES
+}
 #: What swings about zero when a structure is struck; anything else is taken for a pulse.
 SWINGING = ("acceleration", "velocity", "displacement")
 
@@ -47,11 +56,16 @@ def kind_for(quantity: str | None) -> Kind:
 
 def kind_of(features: Iterable[str]) -> Kind:
     """Return what a signal is like that these features are asked of."""
-    return "vibration" if any(FEATURES[name].kind == "vibration" for name in features) else "pulse"
+    kinds = {FEATURES[name].kind for name in features}
+    kind: Kind
+    for kind in ("window", "vibration"):
+        if kind in kinds:
+            return kind
+    return "pulse"
 
 
 def choose(features: Iterable[str] | None, kind: Kind = "pulse") -> tuple[str, ...]:
-    """Return the names of the asked features in their order, all of the kind for None.
+    """Return the names of the asked features in their order; for None all of the kind that need no extra.
 
     Raises
     ------
@@ -59,7 +73,7 @@ def choose(features: Iterable[str] | None, kind: Kind = "pulse") -> tuple[str, .
         A name is unknown, given twice, or there is none.
     """
     if features is None:
-        return tuple(name for name, feature in FEATURES.items() if feature.kind == kind)
+        return tuple(name for name, feature in FEATURES.items() if feature.kind == kind and not feature.extra)
     names = (features,) if isinstance(features, str) else tuple(features)
     for name in names:
         validation.choice("feature", name, FEATURES)
@@ -102,8 +116,9 @@ def extract_array(
     validation.choice("invalid", invalid, ("raise", "nan"))
     require_supported(names, rate, frames.shape[1])
     out = np.full((len(frames), len(names)), np.nan)
-    for first in range(0, len(frames), _ROWS):
-        part = frames[first : first + _ROWS]
+    n_rows = max(_WINDOWED_SAMPLES // frames.shape[1], 1) if kind_of(names) == "window" else _ROWS
+    for first in range(0, len(frames), n_rows):
+        part = frames[first : first + n_rows]
         batches = _batches(part, rate, names, pre_trigger, remove_baseline, detection_limit)
         found = _problems(batches, names)
         if found and invalid == "raise":
@@ -125,7 +140,7 @@ def measured_pulses(pulses: PulseBatch, names: tuple[str, ...]) -> tuple[NDArray
     return sound, pulses, _measured({"pulse": pulses}, names, sound.size)
 
 
-def _measured(batches: Mapping[Kind, PulseBatch | VibrationBatch], names: tuple[str, ...], n_signals: int) -> Floats:
+def _measured(batches: Batches, names: tuple[str, ...], n_signals: int) -> Floats:
     """Return the features of signals that can be measured, (n_signals, n_features)."""
     count("features", n_signals * len(names))
     if not n_signals:
@@ -181,20 +196,26 @@ def _batches(
     pre_trigger: int | None,
     remove_baseline: bool,
     detection_limit: float,
-) -> Mapping[Kind, PulseBatch | VibrationBatch]:
+) -> Batches:
     kinds = {FEATURES[name].kind for name in names}
     makers: dict[Kind, type[PulseBatch] | type[VibrationBatch]] = {"pulse": PulseBatch, "vibration": VibrationBatch}
-    return {kind: makers[kind](frames, sampling_rate, pre_trigger, remove_baseline, detection_limit) for kind in kinds}
+    # A window has no touch that baseline and noise could be before.
+    return {
+        kind: WindowBatch(frames, sampling_rate, remove_baseline)
+        if kind == "window"
+        else makers[kind](frames, sampling_rate, pre_trigger, remove_baseline, detection_limit)
+        for kind in kinds
+    }
 
 
-def _problems(batches: Mapping[Kind, PulseBatch | VibrationBatch], names: Iterable[str]) -> dict[int, str]:
+def _problems(batches: Batches, names: Iterable[str]) -> dict[int, str]:
     """Return why rows cannot be measured: a fit needs less of a pulse than what is read off the samples."""
     found: dict[int, str] = {}
     fitted = {FEATURES[name].fitted for name in names if FEATURES[name].kind == "pulse"}
     for batch in batches.values():
         if isinstance(batch, PulseBatch) and True in fitted:
             found |= batch.fit_problems()
-        if isinstance(batch, VibrationBatch) or False in fitted:
+        if not isinstance(batch, PulseBatch) or False in fitted:
             found |= batch.problems()
     return found
 
