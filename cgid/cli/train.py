@@ -16,7 +16,7 @@ from cgid.cli.options import print_json, progress_bar
 @click.option("-o", "--output", required=True, help="Model file, ending in .npz; the card goes beside it as .md.")
 @click.option(
     "--family",
-    type=click.Choice(["logistic", "boosting", "discriminant", "network"]),
+    type=click.Choice(["logistic", "boosting", "discriminant", "network", "linear"]),
     default="logistic",
     show_default=True,
     help="Kind of classifier.",

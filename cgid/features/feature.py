@@ -8,8 +8,9 @@ from typing import Any, Literal
 
 from cgid.validation import Floats
 
-#: What a signal is like: a single positive pulse, or a vibration of both signs that dies away.
-Kind = Literal["pulse", "vibration"]
+#: What a signal is like: a single positive pulse, a vibration of both signs that dies away, or a window of a
+#: recording, in which anything may go on.
+Kind = Literal["pulse", "vibration", "window"]
 
 
 @dataclass(frozen=True)
