@@ -1,10 +1,11 @@
 """Every picture; matplotlib (extra `plot`) is loaded only here and only when asked."""
 
-from cgid.plots.figure import COLOURS, FORMATS, check_format, colours_of, picture, plain, png, require_matplotlib
+from cgid.plots.figure import COLOURS, FORMATS, colours_of, picture, plain, png, require_matplotlib
 from cgid.plots.judgement import judgement_pictures
-from cgid.plots.overview import MOST_CHANNELS, Mark, overview_figure
+from cgid.plots.overview import MOST_CHANNELS, Mark, overview_figure, written
 from cgid.plots.recording import recording_picture
 from cgid.plots.response import frequency_response_picture
+from cgid.plots.share import share_figure
 from cgid.plots.survey import survey_picture
 
 __all__ = [
@@ -12,7 +13,6 @@ __all__ = [
     "FORMATS",
     "MOST_CHANNELS",
     "Mark",
-    "check_format",
     "colours_of",
     "frequency_response_picture",
     "judgement_pictures",
@@ -22,5 +22,7 @@ __all__ = [
     "png",
     "recording_picture",
     "require_matplotlib",
+    "share_figure",
     "survey_picture",
+    "written",
 ]

@@ -7,7 +7,7 @@ import warnings
 from collections.abc import Iterable
 from typing import Any
 
-from cgid.errors import InvalidValue, MissingExtra
+from cgid.errors import MissingExtra
 
 #: Blue, vermilion, green, purple, sky, orange of Okabe and Ito (jfly.uni-koeln.de/color, 2008): told apart by people of
 #: every colour vision.
@@ -41,13 +41,6 @@ def require_matplotlib() -> Any:
     return Figure
 
 
-def check_format(suffix: str) -> str:
-    """Return the ending of a picture's name in small letters, or raise `InvalidValue`."""
-    if suffix.lower() not in FORMATS:
-        raise InvalidValue(f"a picture must end in {', '.join(FORMATS)}, got {suffix or 'no ending'!r}; rename it")
-    return suffix.lower()
-
-
 def picture(figure: Any, suffix: str, dpi: float = 120) -> bytes:
     """Return a matplotlib figure as a file; the same figure gives the same bytes.
 
@@ -58,15 +51,10 @@ def picture(figure: Any, suffix: str, dpi: float = 120) -> bytes:
         One of `FORMATS`.
     dpi : float
         Dots an inch, of a PNG picture and of what is dots in the others.
-
-    Raises
-    ------
-    InvalidValue
-        The suffix is none of them.
     """
     from matplotlib import rc_context
 
-    suffix, stream = check_format(suffix), io.BytesIO()
+    stream = io.BytesIO()
     with rc_context({"svg.hashsalt": "cgid", "font.family": _families()}), warnings.catch_warnings():
         # A sign that no font has is drawn as a box, which says enough.
         warnings.filterwarnings("ignore", message=r"Glyph \d+")

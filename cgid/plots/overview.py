@@ -25,6 +25,8 @@ _MOST_SHADES = 150
 _MILLISECONDS_BELOW = 0.5
 #: Inches.
 _WIDTH, _TITLE, _STRIP_ROW, _WAVEFORM, _SPECTROGRAM, _SPECTRUM = 11.0, 0.6, 0.19, 1.5, 1.9, 2.7
+#: So many channels have rows of full size, of more they are this part of it.
+_FULL_SIZE, _SHRUNK = 3, 0.65
 #: Inches that a row needs for what is written between it and the next.
 _ROOM = 0.35
 _WAVEFORM_COLOUR = "#303030"
@@ -80,9 +82,10 @@ def overview_figure(
     """
     colours = colours_of(mark.label for mark in marks)
     strip = [_STRIP_ROW * len(colours)] if colours else []
-    heights = [*[*strip, _WAVEFORM, _SPECTROGRAM] * len(channels), _SPECTRUM]
+    shrunk = 1.0 if len(channels) <= _FULL_SIZE else _SHRUNK
+    heights = [*[*strip, _WAVEFORM * shrunk, _SPECTROGRAM * shrunk] * len(channels), _SPECTRUM]
     figure = require_matplotlib()(figsize=(_WIDTH, sum(heights) + _ROOM * len(heights) + _TITLE), layout="constrained")
-    figure.suptitle("\n".join(plain(line) for line in (title, facts) if line), parse_math=False)
+    figure.suptitle("\n".join(plain(line) for line in (title, facts) if line), parse_math=False, fontsize="medium")
     grid = figure.add_gridspec(len(heights), 2, height_ratios=heights, width_ratios=(1, 0.016), wspace=0.01)
     rows, clock, shared = iter(range(len(heights))), Clock(begin, begin + overview.duration), None
     for k, channel in enumerate(channels):
@@ -129,7 +132,8 @@ def draw_waveform(axes: Any, overview: Overview, k: int, channel: Channel, clock
         low, high = lowest.copy(), highest.copy()
         low[1:] = np.minimum(low[1:], highest[:-1])
         high[1:] = np.maximum(high[1:], lowest[:-1])
-        axes.stairs(high, edges, baseline=low, fill=True, fc=_WAVEFORM_COLOUR, ec=_WAVEFORM_COLOUR, lw=0.6)
+        outline = (np.repeat(each, 2) for each in (low, high))
+        axes.fill_between(np.repeat(edges, 2)[1:-1], *outline, fc=_WAVEFORM_COLOUR, ec=_WAVEFORM_COLOUR, lw=0.6)
     bottom, top = float(lowest.min()), float(highest.max())
     room = 0.06 * (top - bottom) or 0.1 * abs(top) or 1.0
     axes.set(ylabel=_quantity(channel), xlim=clock.limits, ylim=(bottom - room, top + room))
@@ -246,10 +250,10 @@ def _name(channel: Channel, n_channels: int) -> str:
 
 
 def _quantity(channel: Channel) -> str:
-    return f"{channel.quantity or 'signal'} [{_unit(channel.unit)}]"
+    return f"{channel.quantity or 'signal'} [{written(channel.unit)}]"
 
 
-def _unit(unit: str | None) -> str:
+def written(unit: str | None) -> str:
     """Return a unit as it is written by hand."""
     if unit is None:
         return "unit not said"
@@ -257,5 +261,5 @@ def _unit(unit: str | None) -> str:
 
 
 def _density(unit: str | None) -> str:
-    written = "unit" if unit is None else _unit(unit)
-    return f"({written})²/Hz" if "/" in written else f"{written}²/Hz"
+    one = "unit" if unit is None else written(unit)
+    return f"({one})²/Hz" if "/" in one else f"{one}²/Hz"
