@@ -40,10 +40,7 @@ class EnergySpectrum:
         finer : int
             The padded length is at least this many times that of the rows.
         """
-        wanted = finer * samples.shape[1]
-        # Four to eight times a power of two.
-        step = 1 << max(wanted.bit_length() - 3, 1)
-        length = -(-wanted // step) * step
+        length = padded_length(finer * samples.shape[1])
         transform = np.fft.rfft(samples, n=length, axis=1)
         energy = transform.real**2 + transform.imag**2
         energy *= 2 / (length * sampling_rate)
@@ -139,6 +136,18 @@ class EnergySpectrum:
             out[:, place] = np.where(found, (top + shift) * self.spacing, last)
             maxima[np.abs(reach - top[:, None]) * self.spacing < apart] = 0.0
         return out
+
+
+def padded_length(wanted: int) -> int:
+    """Return a length of at least so many samples that is quickly transformed: four to eight times a power of two.
+
+    Examples
+    --------
+    >>> padded_length(882), padded_length(1024)
+    (896, 1024)
+    """
+    step = 1 << max(wanted.bit_length() - 3, 1)
+    return -(-wanted // step) * step
 
 
 def passage(running: Floats, share: float) -> Floats:

@@ -195,6 +195,11 @@ class WindowBatch:
         return _over_frames(self._mel_levels)
 
     @cached_property
+    def mel_power(self) -> Floats:
+        """Mean square in each of `MEL_BANDS` [unit^2], the mean over the frames, (n_windows, n_bands)."""
+        return MEL_BANDS.within(0.5 * self.sampling_rate).sums(self.spectrum.energy, self.spectrum.spacing)
+
+    @cached_property
     def even(self) -> tuple[Floats, Floats]:
         """The same of `EVEN_BANDS`."""
         return _over_frames(self._log_levels(EVEN_BANDS))

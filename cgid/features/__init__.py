@@ -9,6 +9,7 @@ table.
 
 from __future__ import annotations
 
+import difflib
 from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -17,6 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from cgid import validation
 from cgid.counting import count
+from cgid.equalisation import Equalisation
 from cgid.errors import BadData, InvalidValue
 from cgid.features.feature import Feature, Kind
 from cgid.features.pulse import PULSE_FEATURES
@@ -76,10 +78,20 @@ def choose(features: Iterable[str] | None, kind: Kind = "pulse") -> tuple[str, .
         return tuple(name for name, feature in FEATURES.items() if feature.kind == kind and not feature.extra)
     names = (features,) if isinstance(features, str) else tuple(features)
     for name in names:
-        validation.choice("feature", name, FEATURES)
+        require_known(name)
     if not names or len(set(names)) != len(names):
         raise InvalidValue(f"features must be named once each, and at least one, got {', '.join(names) or 'none'}")
     return names
+
+
+def require_known(name: str) -> None:
+    """Raise `InvalidValue` unless there is such a feature; the message has the names that are most like it."""
+    if not isinstance(name, str) or name not in FEATURES:
+        like = difflib.get_close_matches(str(name), FEATURES, n=5, cutoff=0.3)
+        raise InvalidValue(
+            f"feature must be one of the {len(FEATURES)} that `cgid features --list` prints, got {name!r}; most "
+            f"like it are {', '.join(like) or 'none'}"
+        )
 
 
 def extract_array(
@@ -91,6 +103,7 @@ def extract_array(
     remove_baseline: bool = True,
     invalid: Literal["raise", "nan"] = "raise",
     detection_limit: float = DETECTION_LIMIT,
+    equalisation: Equalisation | None = None,
 ) -> Floats:
     """Return features as plain numbers, without pandas; as `extract`.
 
@@ -101,6 +114,8 @@ def extract_array(
     detection_limit : float
         A peak must pass this many standard deviations of the noise before touch; an impact that was found in a
         recording by other means may ask for less.
+    equalisation : Equalisation, optional
+        What makes up for the sensor's response, applied before anything is measured.
 
     Returns
     -------
@@ -115,10 +130,14 @@ def extract_array(
         )
     validation.choice("invalid", invalid, ("raise", "nan"))
     require_supported(names, rate, frames.shape[1])
+    if equalisation is not None and kind_of(names) == "pulse":
+        raise InvalidValue("equalisation must be of vibrations or windows, got features of pulses: leave it out")
     out = np.full((len(frames), len(names)), np.nan)
     n_rows = max(_WINDOWED_SAMPLES // frames.shape[1], 1) if kind_of(names) == "window" else _ROWS
     for first in range(0, len(frames), n_rows):
         part = frames[first : first + n_rows]
+        if equalisation is not None:
+            part = equalisation.apply(part, rate)
         batches = _batches(part, rate, names, pre_trigger, remove_baseline, detection_limit)
         found = _problems(batches, names)
         if found and invalid == "raise":
