@@ -21,12 +21,12 @@ from cgid.validation import Floats
 
 @dataclass(frozen=True, kw_only=True)
 class Answer:
-    """What the model says of one impact.
+    """What the model says of one impact, or of one window.
 
     Attributes
     ----------
     time : float
-        Of the impact in its recording [s].
+        Of the impact in its recording, or of the begin of the window [s].
     label : str
         The decision; "unknown" when the impact is outside of what was trained, could not be measured, or is rejected
         because its prediction set is not a single label.
@@ -40,6 +40,13 @@ class Answer:
         Why there is no known label, or why to doubt it; else empty.
     prediction_set : tuple of str or None
         The labels that cannot be ruled out at the coverage asked for; None when none was, or nothing was measured.
+    channel : str
+        Name of the channel; those of a window of several are joined by "+".
+    end : float
+        When the impact has died away, or the window ends [s]; nan where nobody looked.
+    overlapping, clipped, cut : bool
+        Whether another impact began before this one had died away, samples stand at the limit of the recorder, and
+        the recording begins or ends within it.
     """
 
     time: float
@@ -49,6 +56,11 @@ class Answer:
     in_training_range: bool = False
     problem: str = ""
     prediction_set: tuple[str, ...] | None = None
+    channel: str = "1"
+    end: float = float("nan")
+    overlapping: bool = False
+    clipped: bool = False
+    cut: bool = False
 
     @property
     def probability(self) -> float:
@@ -86,6 +98,8 @@ def suited(signal: Signal, model: Model, mass: float | None = None) -> Signal:
         cure = f"give a recording of {model.quantity}"
         if (signal.quantity, model.quantity) == ("acceleration", "force"):
             cure = "give --mass KG if the accelerated body is the striker (force = mass x acceleration)"
+        elif signal.quantity == "level":
+            cure = f"say with --unit what 1 stands for, such as --unit {model.unit}"
         raise BadData(
             f"{signal.name}: the quantity must be the model's, {model.quantity} [{model.unit}], got {signal.quantity} "
             f"[{signal.unit}]; {cure}"
@@ -222,7 +236,7 @@ def identify_frames(
     known = known_columns(model.known, len(frames), drop_height)
     if frames.shape[1] < MINIMUM_FRAME:
         short = f"a frame must hold at least {MINIMUM_FRAME} samples, got {frames.shape[1]}"
-        return [_unmeasured(short)] * len(frames)
+        return [unmeasured(short)] * len(frames)
     measured = extract_array(
         frames,
         sampling_rate,
@@ -233,31 +247,35 @@ def identify_frames(
     )
     sound = np.asarray(np.isfinite(measured).all(axis=1))
     time = 0.0 if pre_trigger is None else pre_trigger / sampling_rate
-    features, guards = np.split(measured[sound], [len(model.features)], axis=1)
-    answers = _known_answers(np.hstack([features, known[sound]]), guards, model, decision, time, sampling_rate)
+    answers: Iterator[Answer] = iter(())
+    if sound.any():
+        features, guards = np.split(measured[sound], [len(model.features)], axis=1)
+        inputs = np.hstack([features, known[sound]])
+        found = model.probabilities(inputs), model.novelty(inputs, guards)
+        answers = answers_from(*found, model, decision, sampling_rate)
     problems = {}
     if not sound.all():
         problems = problems_of(
             frames, sampling_rate, model.measured, pre_trigger=pre_trigger, detection_limit=detection_limit
         )
     return [
-        next(answers) if sound[row] else _unmeasured(problems.get(row, "a feature has no finite value"), time)
+        replace(next(answers), time=time)
+        if sound[row]
+        else unmeasured(problems.get(row, "a feature has no finite value"), time)
         for row in range(len(frames))
     ]
 
 
-def _known_answers(
-    inputs: Floats, guards: Floats, model: Model, decision: Decision, time: float, sampling_rate: float
+def answers_from(
+    probabilities: Floats, novelties: Floats, model: Model, decision: Decision, sampling_rate: float
 ) -> Iterator[Answer]:
-    if not len(inputs):
-        return
-    probabilities, novelties = model.probabilities(inputs), model.novelty(inputs, guards)
+    """Return an iterator over answers at time 0, from probabilities (n, n_labels) and novelties (n,)."""
     untrained = "" if model.covers(sampling_rate) else f"not trained at {sampling_rate:g} Hz"
     for row, (label, labels) in enumerate(zip(*decision.labels(model, probabilities), strict=True)):
         novelty = float(novelties[row])
         outside = f"outside of the training (novelty {novelty:.3g}, 1 is the edge)" if novelty > 1 else ""
         yield Answer(
-            time=time,
+            time=0.0,
             label=UNKNOWN if outside else label,
             probabilities=dict(zip(model.labels, probabilities[row].tolist(), strict=True)),
             novelty=novelty,
@@ -267,5 +285,6 @@ def _known_answers(
         )
 
 
-def _unmeasured(problem: str, time: float = 0.0) -> Answer:
+def unmeasured(problem: str, time: float = 0.0) -> Answer:
+    """Return the answer for what cannot be measured."""
     return Answer(time=time, label=UNKNOWN, probabilities={}, novelty=float("nan"), problem=problem)

@@ -1,0 +1,139 @@
+"""What a report is made of, and how recordings and models are described in it."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+
+from cgid.identification.answers import Answer
+from cgid.identification.model import UNKNOWN, Model
+from cgid.identification.share import Share
+from cgid.identification.shutting import Turn
+from cgid.overview import Overview
+from cgid.plots import written
+from cgid.recordings import Channel, RecordingFile
+
+#: More names than these are not all listed.
+_MOST_NAMES = 8
+
+
+@dataclass(frozen=True, kw_only=True)
+class Report:
+    """What is told of one recording.
+
+    Attributes
+    ----------
+    source : str
+        Name of the recording.
+    recording, model : dict of str
+        Facts, in the order in which they are told: `recording_facts`, `model_facts`.
+    overview : Overview
+        Of the first channels.
+    channels : sequence of Channel
+        Those of the overview.
+    answers : sequence of Answer
+        In order of time.
+    shares : sequence of Share
+    turns : sequence of Turn
+    threshold : float or None
+        The share above which going on costs more than it brings.
+    warnings : sequence of str
+    unit_of_decision : {"impact", "window"}
+        What an answer is about.
+    """
+
+    source: str
+    recording: Mapping[str, str]
+    model: Mapping[str, str]
+    overview: Overview
+    channels: Sequence[Channel]
+    answers: Sequence[Answer]
+    shares: Sequence[Share] = ()
+    turns: Sequence[Turn] = ()
+    threshold: float | None = None
+    warnings: Sequence[str] = field(default_factory=tuple)
+    unit_of_decision: str = "impact"
+
+    @property
+    def labels(self) -> list[str]:
+        """The labels of the answers in the order of the alphabet, "unknown" last."""
+        return sorted({answer.label for answer in self.answers}, key=lambda label: (label == UNKNOWN, label))
+
+    def tiles(self) -> Iterator[tuple[str, str]]:
+        """Yield the summary: figures, and what they count."""
+        n = len(self.answers)
+        yield f"{n}", self.unit_of_decision + ("" if n == 1 else "s")
+        counts = Counter(answer.label for answer in self.answers)
+        for label in self.labels:
+            yield f"{counts[label]}", f"{label} ({counts[label] / n:.0%})"
+        outside = sum(not answer.in_training_range for answer in self.answers)
+        yield f"{outside}", "outside of the training"
+        overlapping = sum(answer.overlapping for answer in self.answers)
+        if overlapping:
+            yield f"{overlapping}", "overlapping another"
+        for share in {share.channel: share for share in self.shares}.values():
+            where = f", channel {share.channel}" if len({one.channel for one in self.shares}) > 1 else ""
+            told = "-" if share.share != share.share else f"{share.share:.0%}"
+            yield told, f"gangue at the end ({share.low:.0%} to {share.high:.0%}{where})"
+
+
+def recording_facts(recording: RecordingFile, overview: Overview, channels: Sequence[Channel]) -> dict[str, str]:
+    """Return what a recording is, in words.
+
+    Parameters
+    ----------
+    recording : RecordingFile
+    overview : Overview
+        Of all its length.
+    channels : sequence of Channel
+        Those of the overview.
+    """
+    facts = {
+        "file": recording.source,
+        "format": recording.format,
+        "sampling rate": f"{recording.sampling_rate:.9g} Hz",
+        "length": f"{overview.duration:.6g} s ({overview.n_samples} samples a channel)",
+    }
+    if recording.start_time is not None:
+        facts["started"] = recording.start_time.isoformat(sep=" ")
+    if len(channels) < len(recording.channels):
+        facts["channels"] = f"{len(recording.channels)}, of which {len(channels)} are drawn"
+    for k, channel in enumerate(channels):
+        facts[f"channel {channel.name}"] = (
+            f"{channel.quantity or 'signal'} [{written(channel.unit)}], from {overview.lowest[k].min():.4g} to "
+            f"{overview.highest[k].max():.4g}, mean {overview.mean[k]:.3g}, deviation {overview.deviation[k]:.3g}"
+        )
+    return facts
+
+
+def model_facts(model: Model, name: str) -> dict[str, str]:
+    """Return what a model is, in words.
+
+    Parameters
+    ----------
+    model : Model
+    name : str
+        Of its file.
+    """
+    low, high = min(model.sampling_rates), max(model.sampling_rates)
+    rates = f"{low:g} Hz" if low == high else f"{low:g} to {high:g} Hz"
+    facts = {
+        "model": name,
+        "tells apart": ", ".join(model.labels),
+        "from": f"{model.quantity} [{written(model.unit)}], {model.kind}s, trained at {rates}",
+        "family": model.family,
+        "features": _listed(model.features),
+    }
+    metrics = model.training.get("metrics", {})
+    if "accuracy_interval_95" in metrics:
+        low, high = metrics["accuracy_interval_95"]
+        facts["accuracy in its test"] = f"{metrics['accuracy']:.3f} (95 % interval {low:.3f} to {high:.3f})"
+    return facts
+
+
+def _listed(names: Sequence[str]) -> str:
+    """Return names, or some of them where they are many."""
+    if len(names) <= _MOST_NAMES:
+        return ", ".join(names)
+    return f"{', '.join(names[: _MOST_NAMES // 2])} and {len(names) - _MOST_NAMES // 2} others"
