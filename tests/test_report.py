@@ -24,9 +24,8 @@ from cgid.identification.answers import Answer
 from cgid.identification.model import Model
 from cgid.identification.share import ShareWindow
 from cgid.identification.shutting import Shutting
-from cgid.overview import OverviewStream
 from cgid.recordings import open_recording
-from cgid.report import Report, model_facts, page, recording_facts, report_page, write_report
+from cgid.report import Report, ReportDraft, page, report_page, write_report
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
 #: A name that would do harm wherever it is not escaped.
@@ -46,9 +45,10 @@ def report(tmp_path_factory: pytest.TempPathFactory) -> Report:
     rng = np.random.default_rng(0)
     np.save(path, rng.normal(size=(2, 12_800)).astype(np.float32))
     recording = open_recording(path, sampling_rate=25600.0, unit="m/s^2")
-    stream = OverviewStream(25600.0, 2)
-    assert sum(block.shape[1] for block in stream.passing(recording.blocks(1000))) == 12_800
-    overview = stream.overview()
+    model = Model.load(shipped.path_of("models", shipped.ACCELERATION_MODEL))
+    window, rule = ShareWindow(0.2), Shutting()
+    draft = ReportDraft(recording, model, "mine.npz", [0, 1], rule.threshold)
+    assert sum(block.shape[1] for block in draft.passing(recording.blocks(1000))) == 12_800
     answers = [
         answer(0.016 * k, "gangue" if k > 12 else "coal", 0.99 - 0.01 * k, channel=str(1 + k % 2), end=0.016 * k + 0.01)
         for k in range(29)
@@ -56,25 +56,14 @@ def report(tmp_path_factory: pytest.TempPathFactory) -> Report:
     answers.append(
         Answer(time=0.49, label="unknown", probabilities={}, novelty=float("nan"), problem="too <short>", cut=True)
     )
-    window, rule = ShareWindow(0.2), Shutting()
-    shares, turns = [], []
-    for one in answers[:-1]:
-        window.add(one.time, one.probabilities["gangue"])
-        shares.append(window.at(one.time))
-        turns += [turn for turn in [rule.watch(shares[-1])] if turn is not None]
-    assert turns and turns[0].shut
-    return Report(
-        source=str(path),
-        recording=recording_facts(recording, overview, recording.channels),
-        model=model_facts(Model.load(shipped.path_of("models", shipped.ACCELERATION_MODEL)), "mine.npz"),
-        overview=overview,
-        channels=recording.channels,
-        answers=answers,
-        shares=shares,
-        turns=turns,
-        threshold=rule.threshold,
-        warnings=["the last frame was cut off"],
-    )
+    for one in answers:
+        draft.answered([one])
+        window.add(one.time, one.probabilities.get("gangue", float("nan")))
+        share = window.at(one.time)
+        draft.told([share, *(turn for turn in [rule.watch(share)] if turn is not None)])
+    report = draft.report()
+    assert report.turns[0].shut and report.answers == answers
+    return replace(report, warnings=["the last frame was cut off"])
 
 
 @pytest.fixture
@@ -134,7 +123,7 @@ def test_the_page_holds_everything(report: Report) -> None:
     assert seen.rows[3] == ["4", "0.0480", "2", "10.0", "coal", "0.960", "0.5", "in", ""]
     assert seen.rows[29] == ["30", "0.4900", "1", "-", "unknown", "-", "-", "out", "cut; too <short>"]
     text = " ".join(seen.texts)
-    for told in ("coal (43%)", "gangue (53%)", "unknown (3%)", "the last frame was cut off", "mine.npz", "25600 Hz"):
+    for told in ("coal (43%)", "gangue (53%)", "unknown (3%)", "the last frame was cut off", "mine.npz", "25.6 kHz"):
         assert told in text
     (turn,) = re.findall(r"Shut the window at (\d\.\d\d) s", text)
     assert float(turn) == pytest.approx(report.turns[0].time, abs=0.006)

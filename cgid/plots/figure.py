@@ -13,7 +13,7 @@ from cgid.errors import MissingExtra
 #: every colour vision.
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#e69f00")
 #: What is no label of a model.
-NEUTRAL = "#7f7f7f"
+NEUTRAL = "#555555"
 #: Kinds of pictures by the ending of a file's name, and what is left out so that equal figures give equal bytes.
 FORMATS: dict[str, dict[str, None]] = {
     ".png": {"Software": None},
@@ -73,7 +73,7 @@ def colours_of(labels: Iterable[str]) -> dict[str, str]:
     Examples
     --------
     >>> colours_of(["gangue", "unknown", "coal"])
-    {'coal': '#0072b2', 'gangue': '#d55e00', 'unknown': '#7f7f7f'}
+    {'coal': '#0072b2', 'gangue': '#d55e00', 'unknown': '#555555'}
     """
     labels = set(labels)
     names = sorted(labels - {"unknown"})
