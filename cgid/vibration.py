@@ -14,7 +14,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from cgid.energy_spectrum import EnergySpectrum
+from cgid.energy_spectrum import LOWEST_SHARE, EnergySpectrum, passage
 from cgid.frames import Frames
 from cgid.validation import Floats
 
@@ -32,8 +32,6 @@ ONSET_OVER_NOISE, LATEST_ONSET = 5.0, 0.8
 QUIET_MARGIN = 1e-3
 #: Length of the early window, in which the force still acts [s].
 EARLY_TIME = 2e-3
-#: Levels end so far below the whole energy: what is less is rounding, not vibration.
-LOWEST_SHARE = 1e-12
 #: What is smaller has no fourth power that is a number.
 SMALLEST_PEAK = 1e-75
 #: The strong part of an event holds this share of its energy.
@@ -162,7 +160,7 @@ class VibrationBatch(Frames):
     def rise(self, share: float) -> Floats:
         """Return the time from the onset until a share of the windowed energy has come [s]."""
         # The energy of a sample comes in the time around it; the first is never all of it.
-        count = _passage(self._growth, share) - 0.5 + self._lead
+        count = passage(self._growth, share) - 0.5 + self._lead
         return np.maximum(count, 0.5) / self.sampling_rate
 
     # -- the strong part ------------------------------------------------------------------------------
@@ -170,7 +168,7 @@ class VibrationBatch(Frames):
     @cached_property
     def _n_strong(self) -> NDArray[np.intp]:
         """Samples until `STRONG_SHARE` of the windowed energy has come."""
-        return np.maximum(np.ceil(_passage(self._growth, STRONG_SHARE)), 1).astype(np.intp)
+        return np.maximum(np.ceil(passage(self._growth, STRONG_SHARE)), 1).astype(np.intp)
 
     @cached_property
     def _strong(self) -> Floats:
@@ -225,7 +223,7 @@ class VibrationBatch(Frames):
         vibration that goes on behind it comes out too short.
         """
         running = self._running_energy(np.ones(self.event.shape[1]))
-        five, fifteen = (_passage(running, 1 - 10**-fall) for fall in (0.5, 1.5))
+        five, fifteen = (passage(running, 1 - 10**-fall) for fall in (0.5, 1.5))
         return np.asarray(6 * np.maximum(fifteen - five, 1.0) / self.sampling_rate)
 
     # -- the spectrum ---------------------------------------------------------------------------------
@@ -268,27 +266,12 @@ class VibrationBatch(Frames):
         return np.asarray(np.log10(np.maximum(spectrum.between(low, high) - share, least)))
 
     @cached_property
-    def _clean_energy(self) -> Floats:
-        """Energy in each bin, the share of the noise taken off but never more than there is."""
+    def clean_spectrum(self) -> EnergySpectrum:
+        """Of the windowed event, the share of the noise taken off each bin but never more than there is."""
         energy = self.spectrum.energy
         clean = np.maximum(energy - (self._noise_share / (energy.shape[1] - 1))[:, None], 0.0)
         # Where noise is all there is, all of it counts.
-        return np.where((clean > 0).any(axis=1)[:, None], clean, energy)
-
-    @cached_property
-    def spectral_moments(self) -> tuple[Floats, Floats]:
-        """Mean and standard deviation of the frequency, weighted by energy [Hz]."""
-        frequency, energy = self.spectrum.frequency, self._clean_energy
-        total = energy.sum(axis=1)
-        mean = np.sum(energy * frequency, axis=1) / total
-        square = np.sum(energy * (frequency - mean[:, None]) ** 2, axis=1) / total
-        return mean, np.sqrt(square)
-
-    def rolloff(self, share: float) -> Floats:
-        """Return the frequency below which a share of the energy lies [Hz]."""
-        # A bin reaches half its width to either side.
-        bins = _passage(np.cumsum(self._clean_energy, axis=1), share) - 0.5
-        return np.maximum(bins, 0.5) * self.spectrum.spacing
+        return EnergySpectrum(self.spectrum.spacing, np.where((clean > 0).any(axis=1)[:, None], clean, energy))
 
     # -- what is wrong with it ------------------------------------------------------------------------
 
@@ -323,13 +306,3 @@ class VibrationBatch(Frames):
 def _onset_threshold(peak: Floats, noise: Floats) -> Floats:
     """Return what a signal must pass to have left its baseline."""
     return np.maximum(ONSET_OVER_PEAK * peak, np.minimum(ONSET_OVER_NOISE * noise, LATEST_ONSET * peak))
-
-
-def _passage(running: Floats, share: float) -> Floats:
-    """Return after how many columns each running sum first reaches a share of its end, straight within a column."""
-    level, rows = share * running[:, -1], np.arange(len(running))
-    after = np.argmax(running >= level[:, None], axis=1)
-    high = running[rows, after]
-    low = np.where(after > 0, running[rows, np.maximum(after - 1, 0)], 0.0)
-    step = np.where(high > low, high - low, 1.0)
-    return np.asarray(after + np.clip((level - low) / step, 0.0, 1.0))

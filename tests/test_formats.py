@@ -1,4 +1,4 @@
-"""Every format: a file written by its own library is read back; damaged ones are refused, warned of, or read in part."""
+"""Every format: a file written by its own library is read back; damaged ones are refused, warned of or read in part."""
 
 import warnings
 

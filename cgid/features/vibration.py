@@ -138,12 +138,22 @@ VIBRATION_FEATURES = (
         "Hz",
         f"mean frequency, weighted by energy, noise taken off, of the {_WINDOWED}",
         _PEETERS,
-        lambda v: v.spectral_moments[0],
+        lambda v: v.clean_spectrum.moments[0],
     ),
     _vibration(
-        "vibration_spread", "Hz", "standard deviation about that centroid", _PEETERS, lambda v: v.spectral_moments[1]
+        "vibration_spread",
+        "Hz",
+        "standard deviation about that centroid",
+        _PEETERS,
+        lambda v: v.clean_spectrum.moments[1],
     ),
-    _vibration("vibration_rolloff", "Hz", "85 % of the same energy lie below", _PEETERS, lambda v: v.rolloff(0.85)),
+    _vibration(
+        "vibration_rolloff",
+        "Hz",
+        "85 % of the same energy lie below",
+        _PEETERS,
+        lambda v: v.clean_spectrum.rolloff(0.85),
+    ),
     _vibration(
         "time_to_first_maximum",
         "s",

@@ -98,6 +98,8 @@ def suited(signal: Signal, model: Model, mass: float | None = None) -> Signal:
         cure = f"give a recording of {model.quantity}"
         if (signal.quantity, model.quantity) == ("acceleration", "force"):
             cure = "give --mass KG if the accelerated body is the striker (force = mass x acceleration)"
+        elif signal.quantity == "level":
+            cure = f"say with --unit what 1 stands for, such as --unit {model.unit}"
         raise BadData(
             f"{signal.name}: the quantity must be the model's, {model.quantity} [{model.unit}], got {signal.quantity} "
             f"[{signal.unit}]; {cure}"
@@ -254,7 +256,9 @@ def identify_frames(
             frames, sampling_rate, model.measured, pre_trigger=pre_trigger, detection_limit=detection_limit
         )
     return [
-        replace(next(answers), time=time) if sound[row] else unmeasured(problems.get(row, "a feature has no finite value"), time)
+        replace(next(answers), time=time)
+        if sound[row]
+        else unmeasured(problems.get(row, "a feature has no finite value"), time)
         for row in range(len(frames))
     ]
 
@@ -262,7 +266,7 @@ def identify_frames(
 def answers_from(
     probabilities: Floats, novelties: Floats, model: Model, decision: Decision, sampling_rate: float
 ) -> Iterator[Answer]:
-    """Return an iterator over the answers that follow from probabilities (n, n_labels) and novelties (n,), at time 0."""
+    """Return an iterator over answers at time 0, from probabilities (n, n_labels) and novelties (n,)."""
     untrained = "" if model.covers(sampling_rate) else f"not trained at {sampling_rate:g} Hz"
     for row, (label, labels) in enumerate(zip(*decision.labels(model, probabilities), strict=True)):
         novelty = float(novelties[row])

@@ -177,9 +177,13 @@ class ImpactClassifier(ClassifierMixin, BaseEstimator):  # type: ignore[misc]
             self.temperature_ = self._temperature(inputs, encoded, weights, own)
         return self
 
+    def decision_function(self, X: ArrayLike) -> Floats:
+        """Return the scores that become probabilities, (n_impacts, n_classes), or (n_impacts,) for two classes."""
+        return np.asarray(self.estimator_.decision_function(self._inputs(self._standardised(X))))
+
     def predict_proba(self, X: ArrayLike) -> Floats:
         """Return probabilities, (n_impacts, n_classes), in the order of `classes_`."""
-        return softmax(self._scores(X) / self.temperature_)
+        return softmax(self.decision_function(X) / self.temperature_)
 
     def predict(self, X: ArrayLike) -> NDArray[Any]:
         """Return the most probable labels, (n_impacts,)."""
@@ -193,10 +197,6 @@ class ImpactClassifier(ClassifierMixin, BaseEstimator):  # type: ignore[misc]
     def _standardised(self, X: ArrayLike) -> Floats:
         check_is_fitted(self)
         return self.standardiser_.apply(validate_data(self, X, dtype=np.float64, reset=False))
-
-    def _scores(self, X: ArrayLike) -> Floats:
-        inputs = self._inputs(self._standardised(X))
-        return np.asarray(self.estimator_.decision_function(inputs))
 
     def _inputs(self, standardised: Floats) -> Floats:
         return squares(standardised) if self.family == "logistic" else standardised

@@ -132,8 +132,10 @@ def check_numbers(model: Model) -> None:
         "neighbourhood.centres": (n_classes, n_features),
         "neighbourhood.whitening": (n_classes, n_features, n_features),
     }
+    common = (1, n_features, n_features)  # one covariance for all classes
     for name, shape in shapes.items():
-        if name not in model.arrays or model.arrays[name].shape != shape:
+        found = model.arrays[name].shape if name in model.arrays else None
+        if found != shape and not (name == "neighbourhood.whitening" and found == common):
             raise BadData(f"array {name} must have shape {shape}")
     if ("conformal.scores" in model.arrays) != ("conformal.labels" in model.arrays):
         raise BadData("arrays conformal.scores and conformal.labels must both be there, or none")

@@ -70,6 +70,7 @@ class Neighbourhood:
     ----------
     centres : ndarray, (n_classes, n_features)
     whitening : ndarray, (n_classes, n_features, n_features)
+        Or a single one, (1, n_features, n_features), for all of them.
     limit : float
     """
 
@@ -92,9 +93,10 @@ class Neighbourhood:
         for k in range(int(classes.max()) + 1):
             rows = standardised[classes == k]
             centred = rows - rows.mean(axis=0)
-            own = centred.T @ centred / max(len(rows) - 1, 1) if covariance is None else covariance
             centres.append(rows.mean(axis=0))
-            whitening.append(np.linalg.inv(np.linalg.cholesky(own + cls.RIDGE * np.eye(rows.shape[1]))))
+            if covariance is None or k == 0:
+                own = centred.T @ centred / max(len(rows) - 1, 1) if covariance is None else covariance
+                whitening.append(np.linalg.inv(np.linalg.cholesky(own + cls.RIDGE * np.eye(rows.shape[1]))))
         found = cls(np.array(centres), np.array(whitening), 1.0)
         limit = float(np.quantile(found.novelty(standardised), cls.INSIDE))
         return cls(found.centres, found.whitening, max(limit, 1e-12))

@@ -76,9 +76,7 @@ class CavingWatch:
     See `cgid.cli.predict`, which prints what `feed` and `finish` return.
     """
 
-    def __init__(
-        self, model: Model, channels: Sequence[str], settings: ShareSettings, weight: float = 1.0
-    ) -> None:
+    def __init__(self, model: Model, channels: Sequence[str], settings: ShareSettings, weight: float = 1.0) -> None:
         settings.require(model)
         share = trained_share(model, settings.gangue)
         self._settings = settings

@@ -163,16 +163,16 @@ class RunningVote:
         self._seen = 0
 
     @classmethod
-    def over(cls, vote_time: float, hop_time: float) -> RunningVote:
-        """Return the vote over a time [s] of windows that start so far from each other [s].
+    def over(cls, vote_time: float, window_time: float, hop_time: float) -> RunningVote:
+        """Return the vote of the windows that lie in a time as a whole, at least one; all times in seconds.
 
         Examples
         --------
-        >>> RunningVote.over(0.5, 0.05).n_windows
-        10
+        >>> RunningVote.over(0.5, 0.1, 0.05).n_windows
+        9
         """
-        time = float(validation.positive("vote_time", vote_time, "s"))
-        return cls(max(round(time / float(validation.positive("hop_time", hop_time, "s"))), 1))
+        validation.positive("vote_time, window_time and hop_time", [vote_time, window_time, hop_time], "s")
+        return cls(max(int((vote_time - window_time) / hop_time + 1e-9) + 1, 1))
 
     def feed(self, probabilities: Floats) -> Floats:
         """Return the averaged probabilities for more windows, (n, n_labels); each row adds up to 1.

@@ -25,9 +25,9 @@ __all__ = ["BLOCK_LENGTH", "Channel", "RecordingFile", "is_dataset", "open_recor
 
 
 def is_dataset(path: str | Path) -> bool:
-    """Return whether `path` is a directory, or an HDF5 file that does not say that it is a recording.
+    """Return whether `path` is a directory, or an HDF5 file of cgid's that is no recording.
 
-    Such an input belongs to `cgid.store`. What does not exist or cannot be opened is no dataset, and neither
+    An HDF5 file that cannot be opened counts as one, as nobody can say whose it is. Such an input belongs to `cgid.store`. What does not exist or cannot be opened is no dataset, and neither
     is "-", the standard input.
 
     Examples
@@ -48,9 +48,10 @@ def is_dataset(path: str | Path) -> bool:
                 return False
     except (OSError, ValueError):
         return False
+    from cgid.store.foreign import is_foreign
     from cgid.store.recording import is_recording
 
-    return not is_recording(path)
+    return not is_recording(path) and not is_foreign(path)
 
 
 def open_recording(
