@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -144,12 +143,6 @@ class OverviewStream:
             raise InvalidValue(f"block must be of shape ({self._n_channels}, n_samples), got shape {block.shape}")
         for start in range(0, block.shape[1], _SAMPLES_AT_ONCE):
             self._take(block[:, start : start + _SAMPLES_AT_ONCE].astype(np.float64))
-
-    def passing(self, blocks: Iterable[NDArray[Any]]) -> Iterator[NDArray[Any]]:
-        """Yield blocks as they are, each once its first `n_channels` rows are fed: somebody else reads on."""
-        for block in blocks:
-            self.feed(block[: self._n_channels])
-            yield block
 
     def overview(self) -> Overview:
         """Return the overview of what has been fed so far; more may be fed afterwards.

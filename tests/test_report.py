@@ -24,8 +24,9 @@ from cgid.identification.answers import Answer
 from cgid.identification.model import Model
 from cgid.identification.share import ShareWindow
 from cgid.identification.shutting import Shutting
+from cgid.overview import OverviewStream
 from cgid.recordings import open_recording
-from cgid.report import Report, ReportDraft, page, report_page, write_report
+from cgid.report import Report, model_facts, page, recording_facts, report_page, write_report
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
 #: A name that would do harm wherever it is not escaped.
@@ -46,9 +47,10 @@ def report(tmp_path_factory: pytest.TempPathFactory) -> Report:
     np.save(path, rng.normal(size=(2, 12_800)).astype(np.float32))
     recording = open_recording(path, sampling_rate=25600.0, unit="m/s^2")
     model = Model.load(shipped.path_of("models", shipped.ACCELERATION_MODEL))
-    window, rule = ShareWindow(0.2), Shutting()
-    draft = ReportDraft(recording, model, "mine.npz", [0, 1], rule.threshold)
-    assert sum(block.shape[1] for block in draft.passing(recording.blocks(1000))) == 12_800
+    stream = OverviewStream(25600.0, 2)
+    for block in recording.blocks():
+        stream.feed(block)
+    overview = stream.overview()
     answers = [
         answer(0.016 * k, "gangue" if k > 12 else "coal", 0.99 - 0.01 * k, channel=str(1 + k % 2), end=0.016 * k + 0.01)
         for k in range(29)
@@ -56,14 +58,25 @@ def report(tmp_path_factory: pytest.TempPathFactory) -> Report:
     answers.append(
         Answer(time=0.49, label="unknown", probabilities={}, novelty=float("nan"), problem="too <short>", cut=True)
     )
+    window, rule = ShareWindow(0.2), Shutting()
+    shares, turns = [], []
     for one in answers:
-        draft.answered([one])
         window.add(one.time, one.probabilities.get("gangue", float("nan")))
-        share = window.at(one.time)
-        draft.told([share, *(turn for turn in [rule.watch(share)] if turn is not None)])
-    report = draft.report()
-    assert report.turns[0].shut and report.answers == answers
-    return replace(report, warnings=["the last frame was cut off"])
+        shares.append(window.at(one.time))
+        turns += [turn for turn in [rule.watch(shares[-1])] if turn is not None]
+    assert turns[0].shut
+    return Report(
+        source=str(path),
+        recording=recording_facts(recording, overview, recording.channels),
+        model=model_facts(model, "mine.npz"),
+        overview=overview,
+        channels=recording.channels,
+        answers=answers,
+        shares=shares,
+        turns=turns,
+        threshold=rule.threshold,
+        warnings=["the last frame was cut off"],
+    )
 
 
 @pytest.fixture

@@ -27,7 +27,7 @@ class Report:
     source : str
         Name of the recording.
     recording, model : dict of str
-        Facts, in the order in which they are told.
+        Facts, in the order in which they are told: `recording_facts`, `model_facts`.
     overview : Overview
         Of the first channels.
     channels : sequence of Channel
