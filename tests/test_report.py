@@ -25,6 +25,7 @@ from cgid.identification.model import Model
 from cgid.identification.share import ShareWindow
 from cgid.identification.shutting import Shutting
 from cgid.overview import OverviewStream
+from cgid.plots import Mark
 from cgid.recordings import open_recording
 from cgid.report import Report, model_facts, page, recording_facts, report_page, write_report
 
@@ -176,6 +177,29 @@ def test_columns_are_there_when_something_is_in_them(report: Report) -> None:
     assert seen.rows[1][4] == "coal, gangue"
     assert len(seen.references) == 1
     assert Page(report_page([replace(report, answers=[])])).rows == [[]]
+
+
+def test_marks_are_those_of_the_channels_that_are_drawn(report: Report, monkeypatch: pytest.MonkeyPatch) -> None:
+    seen: list[tuple[float, float, str | None]] = []
+
+    def drawn(*_: object, marks: list[Mark], **__: object) -> None:
+        seen[:] = [(mark.time, mark.end, mark.channel) for mark in marks]
+
+    monkeypatch.setattr(page, "overview_figure", drawn)
+    monkeypatch.setattr(page, "picture", lambda *_, **__: b"")
+    channels = ("2", "1", "3", "1+2", "1+2+3", "2+3")
+    answers = [answer(float(k), "coal", 0.9, channel=name) for k, name in enumerate(channels)]
+    report_page([replace(report, answers=[replace(answers[0], end=0.5), *answers[1:]], shares=())])
+    # Channel 3 is not drawn; a window of it and of those that are is one of them all.
+    assert seen == [(0.0, 0.5, "2"), (1.0, 1.0, "1"), (3.0, 3.0, None), (4.0, 4.0, None)]
+
+
+@pytest.mark.usefixtures("undrawn")
+def test_many_recordings_are_one_page(report: Report) -> None:
+    four = [replace(report, source=f"folder/{name}.wav") for name in "abcd"]
+    text = report_page(four)
+    assert "<title>a.wav and 3 other recordings</title>" in text and text.count("<section>") == 4
+    assert "<title>a.wav, b.wav</title>" in report_page(four[:2])
 
 
 @pytest.mark.usefixtures("undrawn")

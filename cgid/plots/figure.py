@@ -23,7 +23,6 @@ FORMATS: dict[str, dict[str, None]] = {
 #: Families that also write Chinese, which matplotlib's own does not; the first that is installed helps out.
 _CHINESE = ("Noto Sans CJK SC", "Source Han Sans SC", "WenQuanYi Zen Hei", "WenQuanYi Micro Hei", "Microsoft YaHei")
 _CHINESE_TOO = ("SimHei", "PingFang SC", "Heiti SC", "Arial Unicode MS", "Droid Sans Fallback")
-_LONGEST_TEXT = 80
 
 
 def require_matplotlib() -> Any:
@@ -81,18 +80,17 @@ def colours_of(labels: Iterable[str]) -> dict[str, str]:
     return colours | ({"unknown": NEUTRAL} if "unknown" in labels else {})
 
 
-def plain(text: str) -> str:
-    r"""Return text of a stranger as one line that is not too long.
+def plain(text: str, longest: int = 80) -> str:
+    r"""Return text of a stranger as one line of at most so many signs.
 
     Examples
     --------
-    >>> plain("a\x00 file\n")
-    'a file'
+    >>> plain("a\x00 file\n"), plain("a rather long name.wav", 11)
+    ('a file', 'a rat….wav')
     """
     line = " ".join("".join(sign if sign.isprintable() else " " for sign in text).split())
-    return (
-        line if len(line) <= _LONGEST_TEXT else f"{line[: _LONGEST_TEXT // 2 - 1]} … {line[-_LONGEST_TEXT // 2 + 2 :]}"
-    )
+    half = longest // 2
+    return line if len(line) <= longest else f"{line[:half]}…{line[1 - half :]}"
 
 
 def _families() -> list[str]:

@@ -15,6 +15,8 @@ from cgid.validation import Floats
 
 #: More channels than these in one picture cannot be read.
 MOST_CHANNELS = 8
+#: Signs of a label beside its row.
+_LONGEST_LABEL = 32
 #: Levels further below the highest than this are all drawn alike [dB], and the scale is never shorter than that.
 _DEEPEST, _SHALLOWEST = 90.0, 30.0
 #: Where a channel has at most so many marks, they are drawn through its waveform, too.
@@ -169,7 +171,7 @@ def draw_marks(axes: Any, marks: Sequence[Mark], colours: Mapping[str, str], clo
         spans = [(start, max(width, narrowest)) for start, width in _spans(own, clock)]
         axes.broken_barh(spans, (row - 0.4, 0.8), facecolors=colour, lw=0)
         axes.axhline(row + 0.5, color="0.85", lw=0.5)
-        names.append(f"{plain(label)} ({len(own)})")
+        names.append(f"{plain(label, _LONGEST_LABEL)} ({len(own)})")
     axes.set_yticks(range(len(names)), names, parse_math=False, fontsize="small")
     axes.set(xlim=clock.limits, ylim=(len(names) - 0.5, -0.5))
     axes.tick_params(length=0, axis="y")
@@ -201,7 +203,9 @@ def _spectrum(axes: Any, overview: Overview, channels: Sequence[Channel]) -> Non
     palette = list(colours_of(map(str, range(len(channels)))).values())
     for k, channel in enumerate(channels):
         style = "-" if k < len(COLOURS) else "--"
-        axes.plot(overview.frequency[1:], level[k], style, color=palette[k], lw=1.1, label=plain(channel.name))
+        axes.plot(
+            overview.frequency[1:], level[k], style, color=palette[k], lw=1.1, label=plain(channel.name, _LONGEST_LABEL)
+        )
     units = {channel.unit for channel in channels}
     unit = _density(units.pop()) if len(units) == 1 else "unit²/Hz of each channel"
     limits = _limits(np.quantile(level, [0.002, 1]))
