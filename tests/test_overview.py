@@ -41,7 +41,7 @@ def test_the_spectrum_is_that_of_scipy(n_samples: int) -> None:
     np.testing.assert_allclose(overview.spectrum, density, rtol=1e-10, atol=1e-13 * density.max())
 
 
-@pytest.mark.parametrize("n_samples", [64, 5000, 700_001, 5_000_000])
+@pytest.mark.parametrize("n_samples", [64, 5000, 700_001, 2_500_000])
 def test_the_spectrogram_is_that_of_scipy_in_bands_and_columns(n_samples: int) -> None:
     samples = noise(1, n_samples)
     overview = overview_of(samples)

@@ -11,7 +11,7 @@ from cgid.identification.model import UNKNOWN, Model
 from cgid.identification.share import Share
 from cgid.identification.shutting import Turn
 from cgid.overview import Overview
-from cgid.plots import written
+from cgid.plots import hertz, written
 from cgid.recordings import Channel, RecordingFile
 
 #: More names than these are not all listed.
@@ -92,13 +92,13 @@ def recording_facts(recording: RecordingFile, overview: Overview, channels: Sequ
     facts = {
         "file": recording.source,
         "format": recording.format,
-        "sampling rate": f"{recording.sampling_rate:.9g} Hz",
+        "sampling rate": hertz(recording.sampling_rate),
         "length": f"{overview.duration:.6g} s ({overview.n_samples} samples a channel)",
     }
     if recording.start_time is not None:
         facts["started"] = recording.start_time.isoformat(sep=" ")
     if len(channels) < len(recording.channels):
-        facts["channels"] = f"{len(recording.channels)}, of which {len(channels)} are drawn"
+        facts["channels"] = f"{len(recording.channels)}, of which {len(channels)} are drawn here"
     for k, channel in enumerate(channels):
         facts[f"channel {channel.name}"] = (
             f"{channel.quantity or 'signal'} [{written(channel.unit)}], from {overview.lowest[k].min():.4g} to "
@@ -117,7 +117,7 @@ def model_facts(model: Model, name: str) -> dict[str, str]:
         Of its file.
     """
     low, high = min(model.sampling_rates), max(model.sampling_rates)
-    rates = f"{low:g} Hz" if low == high else f"{low:g} to {high:g} Hz"
+    rates = hertz(low) if low == high else f"{hertz(low)} to {hertz(high)}"
     facts = {
         "model": name,
         "tells apart": ", ".join(model.labels),
