@@ -198,7 +198,7 @@ def identify(
     answers = []
     for event in find_impacts(signal, kind=model.kind, dead_time=dead_time):
         if event.problem:
-            answers.append(_unmeasured(event.problem, event.time))
+            answers.append(unmeasured(event.problem, event.time))
             continue
         part = event.signal
         answers += identify_frames(
