@@ -22,12 +22,10 @@ class AnswerLines:
     Parameters
     ----------
     as_json : bool
-    flush : bool
-        Whether every line leaves at once, for who waits for it.
     """
 
-    def __init__(self, as_json: bool, *, flush: bool = False) -> None:
-        self.as_json, self._flush = as_json, flush
+    def __init__(self, as_json: bool) -> None:
+        self.as_json = as_json
         self._titled = False
 
     def answer(self, source: str, number: int, answer: Any, kind: str = "impact", truth: str | None = None) -> None:
@@ -54,13 +52,13 @@ class AnswerLines:
             self._json(content | ({} if truth is None else {"truth": truth}))
             return
         if not self._titled:  # once, above the first row
-            self._text(_TITLES)
+            click.echo(_TITLES)
             self._titled = True
         notes = [*([answer.problem] if answer.problem else []), *marks_of(answer)]
         note = f"  ({'; '.join(notes)})" if notes else ""
         note += "" if truth is None else f"  truth: {truth}"
         probability, novelty = _number(answer.probability), _number(answer.novelty)
-        self._text(_ROW.format(f"{answer.time:.6f}", answer.label, probability, novelty, source + note))
+        click.echo(_ROW.format(f"{answer.time:.6f}", answer.label, probability, novelty, source + note))
 
     def share(self, source: str, share: Any) -> None:
         """Print the gangue share of a window."""
@@ -82,7 +80,7 @@ class AnswerLines:
         unknown = f", {share.n_unknown} more unknown" if share.n_unknown else ""
         told = f"{share.share:.2f} ({share.low:.2f} to {share.high:.2f})" if share.n_impacts else "not known"
         span = f"{share.start:.6g} to {share.time:.6g} s"
-        self._text(f"# gangue share {told}, {span}, {share.n_impacts} answers{unknown}  {source}")
+        click.echo(f"# gangue share {told}, {span}, {share.n_impacts} answers{unknown}  {source}")
 
     def turn(self, source: str, turn: Any, gangue_cost: float) -> None:
         """Print that going on has begun to cost more than it brings, or less again."""
@@ -103,14 +101,14 @@ class AnswerLines:
         word = "SHUT" if turn.shut else "OPEN"
         says = f"going on costs {turn.cost:.2f} coal an impact" if turn.shut else "going on pays again"
         share = f"gangue share {turn.share.share:.2f}, {1 / (1 + gangue_cost):.2f} is the limit"
-        self._text(f"{word} {turn.time:.6g} s: {says} ({share} where a gangue costs {gangue_cost:g} coal)  {source}")
+        click.echo(f"{word} {turn.time:.6g} s: {says} ({share} where a gangue costs {gangue_cost:g} coal)  {source}")
 
     def summary(self, source: str, tally: RecordingTally, duration: float, start_time: Any = None) -> None:
         """Print what a recording held."""
         if self.as_json:
             self._json({"kind": "summary", "source": source, "duration_s": duration, **tally.content(start_time)})
             return
-        self._text(f"# {source}: {tally.text()} in {duration:.6g} s")
+        click.echo(f"# {source}: {tally.text()} in {duration:.6g} s")
 
     def warning(self, source: str, message: str) -> None:
         """Say on stderr what is wrong with a recording that is read all the same, and in JSON as well."""
@@ -126,15 +124,6 @@ class AnswerLines:
 
     def _json(self, content: dict[str, Any]) -> None:
         print_json(content, version=ANSWERS_VERSION)
-        self._sent()
-
-    def _text(self, line: str) -> None:
-        click.echo(line)
-        self._sent()
-
-    def _sent(self) -> None:
-        if self._flush:
-            click.get_text_stream("stdout").flush()
 
 
 class RecordingTally:

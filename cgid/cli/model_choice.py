@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from contextlib import suppress
+from pathlib import Path
 from typing import Any
 
 import click
@@ -17,6 +18,7 @@ class Models:
     def __init__(self, path: str | None, mass: float | None, drop_height: float | None, decision: Any) -> None:
         self.drop_height, self.decision = drop_height, decision
         self._models: dict[str | None, Any] = {}
+        self._path = path
         self._given: Any = None
         if path is not None or mass is not None or drop_height is not None:
             self._given = self._checked(_load(path, drop_height))
@@ -28,6 +30,12 @@ class Models:
         if quantity not in self._models:
             self._models[quantity] = self._checked(_default_for(quantity))
         return self._models[quantity]
+
+    def name(self, model: Any) -> str:
+        """Return the name of a model's file, or which of the default models it is."""
+        if self._path is not None:
+            return Path(self._path).name
+        return "default model" + (" that knows the drop height" if model.known else f" of {model.quantity}")
 
     def _checked(self, model: Any) -> Any:
         """Return the model if it can decide as asked."""

@@ -67,7 +67,7 @@ def monitor(
             unit=unit,
             source=source,
         )
-        _follow(live, scale, asked, AnswerLines(as_json, flush=True))
+        _follow(live, scale, asked, AnswerLines(as_json))
 
 
 def _follow(live: Any, scale: float, asked: Asked, lines: AnswerLines) -> None:
@@ -115,7 +115,7 @@ class _Delay:
 
 
 @contextmanager
-def _opened(stream: str) -> Iterator[UnbufferedInput]:
+def _opened(stream: str) -> Iterator[Any]:
     """Open a stream so that what has come is there at once."""
     from cgid.errors import NoInput
 

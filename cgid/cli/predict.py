@@ -18,18 +18,21 @@ from cgid.cli.options import (
     recording_options,
 )
 from cgid.cli.recording_answers import Asked, answer_recording, answering_options, asked_of
+from cgid.cli.report_pages import Pages
 
 
 @click.command(short_help="Identify the material of the impacts in recordings.")
 @click.argument("files", nargs=-1, metavar="FILE...")
 @click.option("--sample", is_flag=True, help="Use the recording that comes with cgid.")
 @answering_options
-@click.option("--report", metavar="PAGE.html", help="Write pictures and answers of one FILE as a page of its own.")
+@click.option("--report", metavar="PAGE", help="Write pictures and answers of the recordings as one page, .html.")
+@click.option("--overwrite", is_flag=True, help="Replace an old report.")
 @recording_options
 def predict(
     files: tuple[str, ...],
     sample: bool,
     report: str | None,
+    overwrite: bool,
     as_json: bool,
     dead_time: float | None,
     strict: bool,
@@ -53,10 +56,8 @@ def predict(
         files = (*files, str(shipped.path_of("datasets", shipped.SAMPLE)))
     if not files:
         raise click.UsageError("give at least one FILE, or --sample for the one that comes with cgid")
-    asked, reading = asked_of(options, dead_time_in_seconds(dead_time), report)
-    if report is not None and len(files) > 1:
-        raise click.UsageError(f"--report is a page of one FILE, got {len(files)} files")
-    lines = AnswerLines(as_json)
+    asked, reading = asked_of(options, dead_time_in_seconds(dead_time))
+    lines, pages = AnswerLines(as_json), None if report is None else Pages(report, overwrite)
 
     def treat(path: str) -> None:
         if asks_for_whole_dataset(path, mass=asked.mass, **reading):
@@ -64,9 +65,12 @@ def predict(
         elif reading["index"] is not None:
             _treat_signal(path, asked, lines, reading)
         else:
-            answer_recording(open_file(path, **reading), asked, lines)
+            answer_recording(open_file(path, **reading), asked, lines, pages)
 
-    return each_file(files, treat, strict=strict)
+    code = each_file(files, treat, strict=strict)
+    if pages is not None and pages.write():
+        click.echo(f"wrote {report}", err=True)
+    return code
 
 
 def _treat_signal(path: str, asked: Asked, lines: AnswerLines, reading: dict[str, Any]) -> None:

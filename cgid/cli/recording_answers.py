@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
 from cgid.cli.answer_lines import AnswerLines, RecordingTally
 from cgid.cli.model_choice import Models, parse_cost, warn_of_rate
+
+if TYPE_CHECKING:
+    from cgid.cli.report_pages import Pages
 
 F = TypeVar("F", bound=Callable[..., Any])
 #: So many rows wait at most for one that can be measured.
@@ -30,7 +33,6 @@ class Asked:
     settings : ShareSettings
     shares_asked : bool
         Whether an option speaks of shares, so that they must be told.
-    report : str or None
     """
 
     models: Models
@@ -42,7 +44,6 @@ class Asked:
     invert: bool
     settings: Any
     shares_asked: bool
-    report: str | None = None
 
     @property
     def how(self) -> dict[str, Any]:
@@ -53,7 +54,7 @@ class Asked:
         """Return what is asked of every impact or window."""
         from cgid.identification.stream_answers import Question
 
-        given = {} if self.vote_time is None else {"vote_time": self.vote_time}
+        given: dict[str, Any] = {} if self.vote_time is None else {"vote_time": self.vote_time}
         return Question(
             decision=self.decision, drop_height=self.drop_height, dead_time=self.dead_time, **given, **changes
         )
@@ -90,9 +91,7 @@ def answering_options(command: F) -> F:
     return command
 
 
-def asked_of(
-    options: dict[str, Any], dead_time: float | None, report: str | None = None, steps: int = 2
-) -> tuple[Asked, dict[str, Any]]:
+def asked_of(options: dict[str, Any], dead_time: float | None, steps: int = 2) -> tuple[Asked, dict[str, Any]]:
     """Return what is asked, and the options that are left: those that say how to read.
 
     A share is told so many times within its window.
@@ -124,7 +123,6 @@ def asked_of(
         invert=bool(left.pop("invert")),
         settings=settings,
         shares_asked=bool(gangue) or window is not None or gangue_cost is not None,
-        report=report,
     )
     return asked, left
 
@@ -142,6 +140,8 @@ class Telling:
         [Hz].
     asked : Asked
     lines : AnswerLines
+    keep : bool
+        Whether answers, shares and turns are kept.
     always : bool
         Whether all leaves at once: else rows wait for one that can be measured, and shares for a second row.
     """
@@ -155,6 +155,7 @@ class Telling:
         asked: Asked,
         lines: AnswerLines,
         *,
+        keep: bool = False,
         always: bool = False,
     ) -> None:
         from cgid.identification.shutting import Turn
@@ -165,20 +166,26 @@ class Telling:
         self.kind = "window" if model.kind == "window" else "impact"
         self.tally = RecordingTally(self.kind)
         self.channels = answering_channels(model, channels)
-        self.problem = ""
-        self._always, self._turn, self._asked = always, Turn, asked
+        self.answers: list[Any] = []
+        self.shares: list[Any] = []
+        self.turns: list[Any] = []
+        self._keep, self._always, self._turn, self._asked = keep, always, Turn, asked
         self._numbers: Counter[str] = Counter()
         self._measured = always
         self._held_answers: list[Any] = []
         self._held_shares: list[Any] = []
         self._watch: CavingWatch | None = None
+        self.threshold: float | None = None
         if asked.shares_asked or asked.settings.serve(model):
             weight = independence(model, asked.question().vote_time)
             self._watch = CavingWatch(model, self.channels, asked.settings, weight)
+            self.threshold = self._watch.threshold
 
     def feed(self, answers: Sequence[Any], until: float) -> None:
         """Print the next answers, and the shares of windows that end by now [s]."""
         self.tally.add(answers)
+        if self._keep:
+            self.answers += answers
         self._measured = self._measured or any(answer.probabilities for answer in answers)
         self._held_answers += answers
         if self._measured or len(self._held_answers) > _MOST_HELD:
@@ -228,6 +235,8 @@ class Telling:
         if not (self._always or self._asked.shares_asked or self.tally.total > 1):
             return
         for one in self._held_shares:
+            if self._keep:
+                (self.turns if isinstance(one, self._turn) else self.shares).append(one)
             if isinstance(one, self._turn):
                 self.lines.turn(self.name(one.share.channel), one, self._asked.settings.gangue_cost)
             elif one.n_impacts or one.n_unknown or self._always:
@@ -235,7 +244,7 @@ class Telling:
         self._held_shares = []
 
 
-def answer_recording(recording: Any, asked: Asked, lines: AnswerLines) -> None:
+def answer_recording(recording: Any, asked: Asked, lines: AnswerLines, pages: Pages | None = None) -> None:
     """Print the answers for a recording, which is read block by block: once for each model that it needs.
 
     Raises
@@ -245,25 +254,30 @@ def answer_recording(recording: Any, asked: Asked, lines: AnswerLines) -> None:
     """
     try:
         for model, rows in _models_of(recording, asked):
-            _answer_channels(recording, model, rows, asked, lines)
+            _answer_channels(recording, model, rows, asked, lines, pages)
     finally:
         for warning in recording.warnings:
             lines.warning(recording.source, warning)
 
 
-def _answer_channels(recording: Any, model: Any, rows: list[int], asked: Asked, lines: AnswerLines) -> None:
+def _answer_channels(
+    recording: Any, model: Any, rows: list[int], asked: Asked, lines: AnswerLines, pages: Pages | None
+) -> None:
     """Print the answers for those channels of a recording that one model answers for."""
     from cgid.identification.stream_answers import identify_blocks, model_blocks
 
-    names = [recording.channels[row].name for row in rows]
-    telling = Telling(recording.source, model, names, recording.sampling_rate, asked, lines)
-    warn_of_rate(telling.name(names[0]), recording.sampling_rate, model)
-    passing = Passing(model_blocks(recording, model, rows, mass=asked.mass, invert=asked.invert))
+    names, rate, source = [recording.channels[row].name for row in rows], recording.sampling_rate, recording.source
+    passing = Passing() if pages is None else pages.drawing(recording, rows)
+    blocks = model_blocks(recording, model, rows, mass=asked.mass, invert=asked.invert, seen=passing.see)
+    telling = Telling(source, model, names, rate, asked, lines, keep=pages is not None)
+    warn_of_rate(telling.name(telling.channels[0]), rate, model)
     silent: tuple[str, ...] = ()
-    for step in identify_blocks(passing, recording.sampling_rate, model, names, asked.question(), recording.source):
+    for step in identify_blocks(blocks, rate, model, names, asked.question(), source):
         telling.feed(step.answers, step.until)
         silent += step.silent
-    telling.finish(passing.n_samples / recording.sampling_rate, silent, recording.start_time)
+    telling.finish(passing.n_samples / rate, silent, recording.start_time)
+    if pages is not None:
+        pages.add(recording, passing, model, asked, telling)
 
 
 def _models_of(recording: Any, asked: Asked) -> list[tuple[Any, list[int]]]:
@@ -276,13 +290,11 @@ def _models_of(recording: Any, asked: Asked) -> list[tuple[Any, list[int]]]:
 
 
 class Passing:
-    """Blocks (n_channels, n_samples) that are counted as they pass."""
+    """Counts the samples of blocks that pass by."""
 
-    def __init__(self, blocks: Iterable[Any]) -> None:
-        self._blocks = blocks
+    def __init__(self) -> None:
         self.n_samples = 0
 
-    def __iter__(self) -> Iterator[Any]:
-        for block in self._blocks:
-            self.n_samples += block.shape[1]
-            yield block
+    def see(self, block: Any) -> None:
+        """Look at a block, (n_channels, n_samples)."""
+        self.n_samples += block.shape[1]

@@ -5,7 +5,7 @@ Memory holds what the detector holds and one batch of impacts, however long the 
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from itertools import chain
@@ -95,19 +95,34 @@ def identify_recording(
 
 
 def model_blocks(
-    recording: RecordingFile, model: Model, rows: Sequence[int], *, mass: float | None = None, invert: bool = False
+    recording: RecordingFile,
+    model: Model,
+    rows: Sequence[int],
+    *,
+    mass: float | None = None,
+    invert: bool = False,
+    seen: Callable[[NDArray[Any]], object] | None = None,
 ) -> Iterator[NDArray[Any]]:
     """Return an iterator over the blocks of some channels, in the model's quantity and unit; as `identify_recording`.
 
-    What is wrong with quantity or unit is said at once, not when the first block is asked for.
+    What is wrong with quantity or unit is said at once, not when the first block is asked for. `seen` is called with
+    each block of these channels in their own units.
     """
     chosen, sign = list(rows), -1.0 if invert else 1.0
     channels = [recording.channels[row] for row in chosen]
     factors = [sign * factor_of(model, c.unit, recording.source, c.name, mass=mass) for c in channels]
-    blocks = recording.blocks()
-    if chosen != list(range(len(recording.channels))):
-        blocks = (block[chosen] for block in blocks)
-    return scaled(blocks, factors)
+    return scaled(_chosen_blocks(recording, chosen, seen), factors)
+
+
+def _chosen_blocks(
+    recording: RecordingFile, rows: list[int], seen: Callable[[NDArray[Any]], object] | None
+) -> Iterator[NDArray[Any]]:
+    all_of_them = rows == list(range(len(recording.channels)))
+    for block in recording.blocks():
+        chosen = block if all_of_them else block[rows]
+        if seen is not None:
+            seen(chosen)
+        yield chosen
 
 
 def factor_of(model: Model, unit: str | None, source: str, channel: str = "1", *, mass: float | None = None) -> float:
@@ -361,7 +376,7 @@ def _windows_answered(
 
 
 def _vote(model: Model, question: Question) -> RunningVote:
-    return RunningVote.over(max(question.vote_time, model.hop_time), model.hop_time)
+    return RunningVote.over(max(question.vote_time, model.window_time), model.window_time, model.hop_time)
 
 
 def _judged(
@@ -372,7 +387,7 @@ def _judged(
     table = measure_windows(windows, sampling_rate, model.measured).reshape(n_windows, n_channels, -1)
     inputs = table[:, :, : len(model.features)].reshape(n_windows, -1)
     guards = table[:, :, len(model.features) :].max(axis=1)
-    sound = np.isfinite(table).all(axis=(1, 2))
+    sound = np.asarray(np.isfinite(table).all(axis=(1, 2)))
     answers: Iterator[Answer] = iter(())
     if sound.any():
         probabilities = vote.feed(model.probabilities(inputs[sound]))
