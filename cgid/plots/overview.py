@@ -19,7 +19,7 @@ MOST_CHANNELS = 8
 _LONGEST_LABEL = 32
 #: Levels further below the highest than this are all drawn alike [dB], and the scale is never shorter than that.
 _DEEPEST, _SHALLOWEST = 90.0, 30.0
-#: Where a channel has at most so many marks, they are drawn through its waveform, too.
+#: Where a channel has at most so many marks, and these leave room, they are drawn through its waveform, too.
 _FEW_MARKS = 150
 #: A mark is at least this part of the time axis wide, to be seen: among few, and among many.
 _NARROWEST_MARK = (3e-3, 1.2e-3)
@@ -98,7 +98,7 @@ def overview_figure(
             waveform = figure.add_subplot(grid[next(rows), 0], sharex=shared)
         top.set_title(_name(channel, len(channels)), loc="left", fontsize="medium", parse_math=False)
         draw_waveform(waveform, overview, k, channel, clock)
-        if len(own) <= _FEW_MARKS:
+        if len(own) <= _FEW_MARKS and sum(mark.end - mark.time for mark in own) <= overview.duration:
             _shade(waveform, own, colours, clock)
         row = next(rows)
         spectrogram, scale = (figure.add_subplot(grid[row, column], sharex=(shared, None)[column]) for column in (0, 1))
