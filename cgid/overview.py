@@ -27,8 +27,8 @@ _SEGMENTS_IN_RECORDING = 64
 _SHORTEST_SEGMENT = 16
 #: Samples a channel, and segments, that are treated at once: bounds the memory whatever the blocks are.
 _SAMPLES_AT_ONCE, _SEGMENTS_AT_ONCE = 65536, 64
-#: What is larger is no measurement, and its square no number.
-_LARGEST = 1e150
+#: What is larger is no measurement, and the power of many such samples no number.
+_LARGEST = 1e140
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -137,7 +137,7 @@ class OverviewStream:
         InvalidValue
             The block has another number of channels.
         BadData
-            A sample is so large that its square is no number.
+            A sample is so large that the power of the recording is no number.
         """
         if block.ndim != 2 or len(block) != self._n_channels:
             raise InvalidValue(f"block must be of shape ({self._n_channels}, n_samples), got shape {block.shape}")

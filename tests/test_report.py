@@ -22,7 +22,7 @@ from cgid import shipped
 from cgid.errors import CannotCreate
 from cgid.identification.answers import Answer
 from cgid.identification.model import Model
-from cgid.identification.share import ShareWindow
+from cgid.identification.share import Share, ShareWindow
 from cgid.identification.shutting import Shutting
 from cgid.overview import OverviewStream
 from cgid.plots import Mark
@@ -134,7 +134,7 @@ def test_the_page_holds_everything(report: Report) -> None:
     columns = "number|time [s]|channel|length [ms]|label|probability|novelty|range|note"
     assert "|".join(seen.heads) == columns
     assert len(seen.rows) == 30
-    assert seen.rows[3] == ["4", "0.0480", "2", "10.0", "coal", "0.960", "0.5", "in", ""]
+    assert seen.rows[3] == ["4", "0.0480", "2", "10", "coal", "0.960", "0.5", "in", ""]
     assert seen.rows[29] == ["30", "0.4900", "1", "-", "unknown", "-", "-", "out", "cut; too <short>"]
     text = " ".join(seen.texts)
     for told in ("coal (43%)", "gangue (53%)", "unknown (3%)", "the last frame was cut off", "mine.npz", "25.6 kHz"):
@@ -192,6 +192,20 @@ def test_marks_are_those_of_the_channels_that_are_drawn(report: Report, monkeypa
     report_page([replace(report, answers=[replace(answers[0], end=0.5), *answers[1:]], shares=())])
     # Channel 3 is not drawn; a window of it and of those that are is one of them all.
     assert seen == [(0.0, 0.5, "2"), (1.0, 1.0, "1"), (3.0, 3.0, None), (4.0, 4.0, None)]
+
+
+@pytest.mark.usefixtures("undrawn")
+def test_a_share_is_drawn_where_it_goes_on(report: Report) -> None:
+    def seen(*shares: Share) -> tuple[int, list[str]]:
+        page = Page(report_page([replace(report, shares=shares, turns=())]))
+        return len(page.references), [text.strip() for text in page.texts if "gangue at the end" in text]
+
+    first, second = report.shares[:2]
+    unknown = replace(first, share=float("nan"), low=0.0, high=1.0, n_impacts=0)
+    assert seen(first) == (1, [f"gangue at the end ({first.low:.0%} to {first.high:.0%})"])
+    assert seen(first, second)[0] == 2
+    assert seen(first, unknown) == (1, ["gangue at the end (not known)"])
+    assert seen(first, replace(unknown, channel="2"))[1][1] == "gangue at the end (not known, channel 2)"
 
 
 @pytest.mark.usefixtures("undrawn")

@@ -19,7 +19,7 @@ MOST_CHANNELS = 8
 _LONGEST_LABEL = 32
 #: Levels further below the highest than this are all drawn alike [dB], and the scale is never shorter than that.
 _DEEPEST, _SHALLOWEST = 90.0, 30.0
-#: Where a channel has at most so many marks, they are drawn through its waveform, too.
+#: Where a channel has at most so many marks, and these leave room, they are drawn through its waveform, too.
 _FEW_MARKS = 150
 #: A mark is at least this part of the time axis wide, to be seen: among few, and among many.
 _NARROWEST_MARK = (3e-3, 1.2e-3)
@@ -98,7 +98,7 @@ def overview_figure(
             waveform = figure.add_subplot(grid[next(rows), 0], sharex=shared)
         top.set_title(_name(channel, len(channels)), loc="left", fontsize="medium", parse_math=False)
         draw_waveform(waveform, overview, k, channel, clock)
-        if len(own) <= _FEW_MARKS:
+        if len(own) <= _FEW_MARKS and sum(mark.end - mark.time for mark in own) <= overview.duration:
             _shade(waveform, own, colours, clock)
         row = next(rows)
         spectrogram, scale = (figure.add_subplot(grid[row, column], sharex=(shared, None)[column]) for column in (0, 1))
@@ -211,7 +211,7 @@ def _spectrum(axes: Any, overview: Overview, channels: Sequence[Channel]) -> Non
     limits = _limits(np.quantile(level, [0.002, 1]))
     axes.set(xscale="log", xlim=overview.frequency[[1, -1]], ylim=limits)
     axes.set(xlabel="frequency [Hz]", ylabel=f"power density\n[dB re 1 {unit}]")
-    axes.set_title(f"mean spectrum (resolution {hertz(overview.frequency[1])})", loc="left", fontsize="medium")
+    axes.set_title(f"mean spectrum (resolution {hertz(overview.frequency[1], 3)})", loc="left", fontsize="medium")
     axes.grid(alpha=0.3, which="both")
     _write_frequencies(axes.xaxis)
     if len(channels) > 1:
@@ -257,15 +257,15 @@ def _quantity(channel: Channel) -> str:
     return f"{channel.quantity or 'signal'} [{written(channel.unit)}]"
 
 
-def hertz(frequency: float) -> str:
+def hertz(frequency: float, digits: int = 6) -> str:
     """Return a frequency as it is read best.
 
     Examples
     --------
-    >>> hertz(6.25), hertz(44100.0)
-    ('6.25 Hz', '44.1 kHz')
+    >>> hertz(43.06640625, 3), hertz(44100.0)
+    ('43.1 Hz', '44.1 kHz')
     """
-    return f"{frequency:.6g} Hz" if frequency < 1000 else f"{frequency / 1e3:.6g} kHz"
+    return f"{frequency:.{digits}g} Hz" if frequency < 1000 else f"{frequency / 1e3:.{digits}g} kHz"
 
 
 def written(unit: str | None) -> str:

@@ -72,10 +72,17 @@ class Report:
         overlapping = sum(answer.overlapping for answer in self.answers)
         if overlapping:
             yield f"{overlapping}", "overlapping another"
-        for share in {share.channel: share for share in self.shares}.values():
-            where = f", channel {share.channel}" if len({one.channel for one in self.shares}) > 1 else ""
-            told = "-" if share.share != share.share else f"{share.share:.0%}"
-            yield told, f"gangue at the end ({share.low:.0%} to {share.high:.0%}{where})"
+        last = {share.channel: share for share in self.shares}
+        for channel, share in last.items():
+            where = f", channel {channel}" if len(last) > 1 else ""
+            interval = f"{share.low:.0%} to {share.high:.0%}" if share.n_impacts else "not known"
+            yield f"{share.share:.0%}" if share.n_impacts else "-", f"gangue at the end ({interval}{where})"
+
+    @property
+    def has_course(self) -> bool:
+        """Whether the share of some channel is known at two times at least, so that it can be seen to change."""
+        known = Counter(share.channel for share in self.shares if share.n_impacts)
+        return max(known.values(), default=0) > 1
 
 
 def recording_facts(recording: RecordingFile, overview: Overview, channels: Sequence[Channel]) -> dict[str, str]:
@@ -117,7 +124,7 @@ def model_facts(model: Model, name: str) -> dict[str, str]:
         Of its file.
     """
     low, high = min(model.sampling_rates), max(model.sampling_rates)
-    rates = hertz(low) if low == high else f"{hertz(low)} to {hertz(high)}"
+    rates = hertz(low) if low == high else f"{hertz(low, 3)} to {hertz(high, 3)}"
     facts = {
         "model": name,
         "tells apart": ", ".join(model.labels),

@@ -127,7 +127,7 @@ def _pictures(report: Report) -> Iterator[str]:
     figure = overview_figure(report.overview, report.channels, title="", marks=list(_marks(report)))
     what = f"Each {report.unit_of_decision} by its label, waveform, spectrogram and mean spectrum"
     yield _figure(figure, f"{what} of each channel." if len(report.channels) > 1 else f"{what}.")
-    if report.shares:
+    if report.has_course:
         shares = share_figure(report.shares, report.turns, report.overview.duration, threshold=report.threshold)
         yield _figure(shares, "Share of gangue over a sliding window, with its interval.")
 
@@ -154,13 +154,20 @@ def _figure(figure: Any, caption: str) -> str:
 def _table(report: Report) -> Iterator[str]:
     """Yield the table of answers, with what only some recordings have in columns of its own."""
     answers = report.answers[:MOST_ROWS]
-    columns = {"time [s]": "number", "label": "", "probability": "number", "novelty": "number", "range": "", "note": ""}
+    columns = {
+        "time [s]": "number",
+        "label": "",
+        "probability": "number",
+        "novelty": "number",
+        "range": "",
+        "note": "long",
+    }
     if any(answer.end == answer.end for answer in answers):
         columns = _with(columns, "length [ms]", "number", after="time [s]")
     if len({answer.channel for answer in answers}) > 1:
         columns = _with(columns, "channel", "", after="time [s]")
     if any(answer.prediction_set is not None for answer in answers):
-        columns = _with(columns, "cannot be ruled out", "", after="probability")
+        columns = _with(columns, "cannot be ruled out", "long", after="probability")
     columns = {"number": "number"} | columns
     yield f'<div class="impacts"><h3>{report.unit_of_decision.capitalize()}s</h3>'
     if len(answers) < len(report.answers):
@@ -203,7 +210,7 @@ def _cells(number: int, answer: Answer) -> dict[str, str]:
     return {
         "number": str(number),
         "time [s]": f"{answer.time:.4f}",
-        "length [ms]": _number(1e3 * (answer.end - answer.time), ".1f"),
+        "length [ms]": _number(1e3 * (answer.end - answer.time), ".3g"),
         "channel": answer.channel,
         "label": answer.label,
         "probability": _number(answer.probability, ".3f"),
@@ -216,7 +223,7 @@ def _cells(number: int, answer: Answer) -> dict[str, str]:
 
 def _cell(name: str, kind: str, value: str, swatches: Mapping[str, str]) -> str:
     swatch = f'<span class="swatch {swatches[value]}"></span>' if name == "label" else ""
-    return f"<td{' class=number' if kind else ''}>{swatch}{_text(value)}</td>"
+    return f'<td class="{kind}">{swatch}{_text(value)}</td>'
 
 
 def _number(value: float, form: str) -> str:
