@@ -76,6 +76,8 @@ def _print(
     for number, event in enumerate(events, start=1):
         part, problem = event.signal, None
         try:
+            if event.problem:
+                raise BadData(event.problem)
             values = extract_array(
                 part.samples,
                 part.sampling_rate,
