@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -28,8 +27,8 @@ _SEGMENTS_IN_RECORDING = 64
 _SHORTEST_SEGMENT = 16
 #: Samples a channel, and segments, that are treated at once: bounds the memory whatever the blocks are.
 _SAMPLES_AT_ONCE, _SEGMENTS_AT_ONCE = 65536, 64
-#: What is larger is no measurement, and its square no number.
-_LARGEST = 1e150
+#: What is larger is no measurement, and the power of many such samples no number.
+_LARGEST = 1e140
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -96,6 +95,8 @@ class OverviewStream:
         [Hz], above 0.
     n_channels : int
         1 or more; each takes some 10 MB.
+    source : str
+        What messages call the recording.
 
     Raises
     ------
@@ -112,8 +113,9 @@ class OverviewStream:
     (9, 1.0, -2.0)
     """
 
-    def __init__(self, sampling_rate: float, n_channels: int = 1) -> None:
+    def __init__(self, sampling_rate: float, n_channels: int = 1, source: str = "recording") -> None:
         self._rate = float(validation.positive("sampling_rate", sampling_rate, "Hz"))
+        self._source = source
         self._n_channels = validation.count("n_channels", n_channels)
         self._lowest = _Columns(np.minimum, (n_channels,), WAVEFORM_COLUMNS)
         self._highest = _Columns(np.maximum, (n_channels,), WAVEFORM_COLUMNS)
@@ -135,18 +137,12 @@ class OverviewStream:
         InvalidValue
             The block has another number of channels.
         BadData
-            A sample is so large that its square is no number.
+            A sample is so large that the power of the recording is no number.
         """
         if block.ndim != 2 or len(block) != self._n_channels:
             raise InvalidValue(f"block must be of shape ({self._n_channels}, n_samples), got shape {block.shape}")
         for start in range(0, block.shape[1], _SAMPLES_AT_ONCE):
             self._take(block[:, start : start + _SAMPLES_AT_ONCE].astype(np.float64))
-
-    def passing(self, blocks: Iterable[NDArray[Any]]) -> Iterator[NDArray[Any]]:
-        """Yield blocks as they are, each once its first `n_channels` rows are fed: somebody else reads on."""
-        for block in blocks:
-            self.feed(block[: self._n_channels])
-            yield block
 
     def overview(self) -> Overview:
         """Return the overview of what has been fed so far; more may be fed afterwards.
@@ -158,7 +154,7 @@ class OverviewStream:
         """
         n_samples = self._lowest.taken
         if not n_samples:
-            raise BadData("the recording must hold at least one sample to be drawn, there is none; record it again")
+            raise BadData(f"{self._source}: a picture needs at least one sample, there is none; record it again")
         spectra = self._spectra
         if spectra is None:
             spectra = _Spectra(self._rate, self._n_channels, segment_length(self._rate, n_samples))
@@ -183,8 +179,8 @@ class OverviewStream:
         largest = max(samples.max(), -samples.min())
         if not largest <= _LARGEST:
             raise BadData(
-                f"samples must lie within +-{_LARGEST:g} to be drawn, got {largest:.3g}; was the file read in the "
-                "right format?"
+                f"{self._source}: samples must lie within +-{_LARGEST:g} to be drawn, got {largest:.3g}; was the file "
+                "read in the right format?"
             )
         self._add_moments(samples)
         self._lowest.add(samples)

@@ -41,7 +41,7 @@ def test_the_spectrum_is_that_of_scipy(n_samples: int) -> None:
     np.testing.assert_allclose(overview.spectrum, density, rtol=1e-10, atol=1e-13 * density.max())
 
 
-@pytest.mark.parametrize("n_samples", [64, 5000, 700_001, 5_000_000])
+@pytest.mark.parametrize("n_samples", [64, 5000, 700_001, 2_500_000])
 def test_the_spectrogram_is_that_of_scipy_in_bands_and_columns(n_samples: int) -> None:
     samples = noise(1, n_samples)
     overview = overview_of(samples)
@@ -127,13 +127,21 @@ def test_too_short_for_a_spectrum() -> None:
     assert overview.spectrogram.size == 0 and overview.lowest.shape == (2, 15)
 
 
+def test_the_largest_samples_have_a_spectrum() -> None:
+    samples = noise(1, 70_000)
+    scale = 1e140 / np.abs(samples).max() * (1 - 1e-12)
+    large, small = overview_of(samples * scale), overview_of(samples)
+    np.testing.assert_allclose(large.spectrum, small.spectrum * scale**2, rtol=1e-9)
+    np.testing.assert_allclose(large.deviation, small.deviation * scale, rtol=1e-9)
+
+
 def test_what_cannot_be_drawn() -> None:
     stream = OverviewStream(RATE, 2)
     with pytest.raises(BadData, match="at least one sample"):
         stream.overview()
     with pytest.raises(InvalidValue, match=r"shape \(2, n_samples\), got shape \(3, 5\)"):
         stream.feed(np.zeros((3, 5)))
-    with pytest.raises(BadData, match=r"within \+-1e\+150"):
+    with pytest.raises(BadData, match=r"within \+-1e\+140"):
         stream.feed(np.array([[0.0], [-1e200]]))
     with pytest.raises(InvalidValue, match="sampling_rate"):
         OverviewStream(0.0)

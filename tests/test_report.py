@@ -22,9 +22,10 @@ from cgid import shipped
 from cgid.errors import CannotCreate
 from cgid.identification.answers import Answer
 from cgid.identification.model import Model
-from cgid.identification.share import ShareWindow
+from cgid.identification.share import Share, ShareWindow
 from cgid.identification.shutting import Shutting
 from cgid.overview import OverviewStream
+from cgid.plots import Mark
 from cgid.recordings import open_recording
 from cgid.report import Report, model_facts, page, recording_facts, report_page, write_report
 
@@ -46,8 +47,10 @@ def report(tmp_path_factory: pytest.TempPathFactory) -> Report:
     rng = np.random.default_rng(0)
     np.save(path, rng.normal(size=(2, 12_800)).astype(np.float32))
     recording = open_recording(path, sampling_rate=25600.0, unit="m/s^2")
+    model = Model.load(shipped.path_of("models", shipped.ACCELERATION_MODEL))
     stream = OverviewStream(25600.0, 2)
-    assert sum(block.shape[1] for block in stream.passing(recording.blocks(1000))) == 12_800
+    for block in recording.blocks():
+        stream.feed(block)
     overview = stream.overview()
     answers = [
         answer(0.016 * k, "gangue" if k > 12 else "coal", 0.99 - 0.01 * k, channel=str(1 + k % 2), end=0.016 * k + 0.01)
@@ -58,15 +61,15 @@ def report(tmp_path_factory: pytest.TempPathFactory) -> Report:
     )
     window, rule = ShareWindow(0.2), Shutting()
     shares, turns = [], []
-    for one in answers[:-1]:
-        window.add(one.time, one.probabilities["gangue"])
+    for one in answers:
+        window.add(one.time, one.probabilities.get("gangue", float("nan")))
         shares.append(window.at(one.time))
         turns += [turn for turn in [rule.watch(shares[-1])] if turn is not None]
-    assert turns and turns[0].shut
+    assert turns[0].shut
     return Report(
         source=str(path),
         recording=recording_facts(recording, overview, recording.channels),
-        model=model_facts(Model.load(shipped.path_of("models", shipped.ACCELERATION_MODEL)), "mine.npz"),
+        model=model_facts(model, "mine.npz"),
         overview=overview,
         channels=recording.channels,
         answers=answers,
@@ -131,10 +134,10 @@ def test_the_page_holds_everything(report: Report) -> None:
     columns = "number|time [s]|channel|length [ms]|label|probability|novelty|range|note"
     assert "|".join(seen.heads) == columns
     assert len(seen.rows) == 30
-    assert seen.rows[3] == ["4", "0.0480", "2", "10.0", "coal", "0.960", "0.5", "in", ""]
+    assert seen.rows[3] == ["4", "0.0480", "2", "10", "coal", "0.960", "0.5", "in", ""]
     assert seen.rows[29] == ["30", "0.4900", "1", "-", "unknown", "-", "-", "out", "cut; too <short>"]
     text = " ".join(seen.texts)
-    for told in ("coal (43%)", "gangue (53%)", "unknown (3%)", "the last frame was cut off", "mine.npz", "25600 Hz"):
+    for told in ("coal (43%)", "gangue (53%)", "unknown (3%)", "the last frame was cut off", "mine.npz", "25.6 kHz"):
         assert told in text
     (turn,) = re.findall(r"Shut the window at (\d\.\d\d) s", text)
     assert float(turn) == pytest.approx(report.turns[0].time, abs=0.006)
@@ -174,6 +177,43 @@ def test_columns_are_there_when_something_is_in_them(report: Report) -> None:
     assert seen.rows[1][4] == "coal, gangue"
     assert len(seen.references) == 1
     assert Page(report_page([replace(report, answers=[])])).rows == [[]]
+
+
+def test_marks_are_those_of_the_channels_that_are_drawn(report: Report, monkeypatch: pytest.MonkeyPatch) -> None:
+    seen: list[tuple[float, float, str | None]] = []
+
+    def drawn(*_: object, marks: list[Mark], **__: object) -> None:
+        seen[:] = [(mark.time, mark.end, mark.channel) for mark in marks]
+
+    monkeypatch.setattr(page, "overview_figure", drawn)
+    monkeypatch.setattr(page, "picture", lambda *_, **__: b"")
+    channels = ("2", "1", "3", "1+2", "1+2+3", "2+3")
+    answers = [answer(float(k), "coal", 0.9, channel=name) for k, name in enumerate(channels)]
+    report_page([replace(report, answers=[replace(answers[0], end=0.5), *answers[1:]], shares=())])
+    # Channel 3 is not drawn; a window of it and of those that are is one of them all.
+    assert seen == [(0.0, 0.5, "2"), (1.0, 1.0, "1"), (3.0, 3.0, None), (4.0, 4.0, None)]
+
+
+@pytest.mark.usefixtures("undrawn")
+def test_a_share_is_drawn_where_it_goes_on(report: Report) -> None:
+    def seen(*shares: Share) -> tuple[int, list[str]]:
+        page = Page(report_page([replace(report, shares=shares, turns=())]))
+        return len(page.references), [text.strip() for text in page.texts if "gangue at the end" in text]
+
+    first, second = report.shares[:2]
+    unknown = replace(first, share=float("nan"), low=0.0, high=1.0, n_impacts=0)
+    assert seen(first) == (1, [f"gangue at the end ({first.low:.0%} to {first.high:.0%})"])
+    assert seen(first, second)[0] == 2
+    assert seen(first, unknown) == (1, ["gangue at the end (not known)"])
+    assert seen(first, replace(unknown, channel="2"))[1][1] == "gangue at the end (not known, channel 2)"
+
+
+@pytest.mark.usefixtures("undrawn")
+def test_many_recordings_are_one_page(report: Report) -> None:
+    four = [replace(report, source=f"folder/{name}.wav") for name in "abcd"]
+    text = report_page(four)
+    assert "<title>a.wav and 3 other recordings</title>" in text and text.count("<section>") == 4
+    assert "<title>a.wav, b.wav</title>" in report_page(four[:2])
 
 
 @pytest.mark.usefixtures("undrawn")

@@ -25,6 +25,18 @@ LONGEST_DEAD_TIME = 1e4
 
 
 def recording_options(command: F) -> F:
+    """Add the options of a command that reads recordings and prints what is in them."""
+    options: list[Callable[[Any], Any]] = [
+        reading_options,
+        click.option("--json", "as_json", is_flag=True, help="One JSON object a line."),
+        click.option("--strict", is_flag=True, help="Stop at the first file that fails."),
+    ]
+    for option in reversed(options):
+        command = option(command)
+    return command
+
+
+def reading_options(command: F) -> F:
     """Add the options that say how to read a recording."""
     options: list[Callable[[Any], Any]] = [
         click.option("--rate", "sampling_rate", type=float, help="Sampling rate [Hz], where the file does not say it."),
@@ -36,8 +48,6 @@ def recording_options(command: F) -> F:
         click.option("--index", type=int, help="Only this signal of a dataset, from 0; else all of them."),
         click.option("--invert", is_flag=True, help="Turn the signal over: impacts must point upwards."),
         click.option("--dead-time", type=float, help="Ringing after a blow [ms]; 2 for pulses, 20 for vibrations."),
-        click.option("--json", "as_json", is_flag=True, help="One JSON object a line."),
-        click.option("--strict", is_flag=True, help="Stop at the first file that fails."),
     ]
     for option in reversed(options):
         command = option(command)

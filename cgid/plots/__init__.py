@@ -2,7 +2,7 @@
 
 from cgid.plots.figure import COLOURS, FORMATS, colours_of, picture, plain, png, require_matplotlib
 from cgid.plots.judgement import judgement_pictures
-from cgid.plots.overview import MOST_CHANNELS, Mark, overview_figure, written
+from cgid.plots.overview import MOST_CHANNELS, Mark, hertz, overview_figure, written
 from cgid.plots.recording import recording_picture
 from cgid.plots.response import frequency_response_picture
 from cgid.plots.share import share_figure
@@ -15,6 +15,7 @@ __all__ = [
     "Mark",
     "colours_of",
     "frequency_response_picture",
+    "hertz",
     "judgement_pictures",
     "overview_figure",
     "picture",

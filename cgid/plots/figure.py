@@ -13,7 +13,7 @@ from cgid.errors import MissingExtra
 #: every colour vision.
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#e69f00")
 #: What is no label of a model.
-NEUTRAL = "#7f7f7f"
+NEUTRAL = "#555555"
 #: Kinds of pictures by the ending of a file's name, and what is left out so that equal figures give equal bytes.
 FORMATS: dict[str, dict[str, None]] = {
     ".png": {"Software": None},
@@ -23,7 +23,6 @@ FORMATS: dict[str, dict[str, None]] = {
 #: Families that also write Chinese, which matplotlib's own does not; the first that is installed helps out.
 _CHINESE = ("Noto Sans CJK SC", "Source Han Sans SC", "WenQuanYi Zen Hei", "WenQuanYi Micro Hei", "Microsoft YaHei")
 _CHINESE_TOO = ("SimHei", "PingFang SC", "Heiti SC", "Arial Unicode MS", "Droid Sans Fallback")
-_LONGEST_TEXT = 80
 
 
 def require_matplotlib() -> Any:
@@ -73,7 +72,7 @@ def colours_of(labels: Iterable[str]) -> dict[str, str]:
     Examples
     --------
     >>> colours_of(["gangue", "unknown", "coal"])
-    {'coal': '#0072b2', 'gangue': '#d55e00', 'unknown': '#7f7f7f'}
+    {'coal': '#0072b2', 'gangue': '#d55e00', 'unknown': '#555555'}
     """
     labels = set(labels)
     names = sorted(labels - {"unknown"})
@@ -81,18 +80,17 @@ def colours_of(labels: Iterable[str]) -> dict[str, str]:
     return colours | ({"unknown": NEUTRAL} if "unknown" in labels else {})
 
 
-def plain(text: str) -> str:
-    r"""Return text of a stranger as one line that is not too long.
+def plain(text: str, longest: int = 80) -> str:
+    r"""Return text of a stranger as one line of at most so many signs.
 
     Examples
     --------
-    >>> plain("a\x00 file\n")
-    'a file'
+    >>> plain("a\x00 file\n"), plain("a rather long name.wav", 11)
+    ('a file', 'a rat….wav')
     """
     line = " ".join("".join(sign if sign.isprintable() else " " for sign in text).split())
-    return (
-        line if len(line) <= _LONGEST_TEXT else f"{line[: _LONGEST_TEXT // 2 - 1]} … {line[-_LONGEST_TEXT // 2 + 2 :]}"
-    )
+    half = longest // 2
+    return line if len(line) <= longest else f"{line[:half]}…{line[1 - half :]}"
 
 
 def _families() -> list[str]:

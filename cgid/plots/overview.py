@@ -15,12 +15,14 @@ from cgid.validation import Floats
 
 #: More channels than these in one picture cannot be read.
 MOST_CHANNELS = 8
+#: Signs of a label beside its row.
+_LONGEST_LABEL = 32
 #: Levels further below the highest than this are all drawn alike [dB], and the scale is never shorter than that.
 _DEEPEST, _SHALLOWEST = 90.0, 30.0
-#: A mark is at least this part of the time axis wide, to be seen,
-_NARROWEST_MARK = 1.2e-3
-#: and marks are drawn through the waveform, too, where there are at most so many of them.
-_MOST_SHADES = 150
+#: Where a channel has at most so many marks, and these leave room, they are drawn through its waveform, too.
+_FEW_MARKS = 150
+#: A mark is at least this part of the time axis wide, to be seen: among few, and among many.
+_NARROWEST_MARK = (3e-3, 1.2e-3)
 #: Shorter recordings have an axis in milliseconds [s].
 _MILLISECONDS_BELOW = 0.5
 #: Inches.
@@ -96,7 +98,7 @@ def overview_figure(
             waveform = figure.add_subplot(grid[next(rows), 0], sharex=shared)
         top.set_title(_name(channel, len(channels)), loc="left", fontsize="medium", parse_math=False)
         draw_waveform(waveform, overview, k, channel, clock)
-        if len(own) <= _MOST_SHADES:
+        if len(own) <= _FEW_MARKS and sum(mark.end - mark.time for mark in own) <= overview.duration:
             _shade(waveform, own, colours, clock)
         row = next(rows)
         spectrogram, scale = (figure.add_subplot(grid[row, column], sharex=(shared, None)[column]) for column in (0, 1))
@@ -162,14 +164,14 @@ def draw_spectrogram(axes: Any, scale: Any, overview: Overview, k: int, channel:
 
 def draw_marks(axes: Any, marks: Sequence[Mark], colours: Mapping[str, str], clock: Clock) -> None:
     """Draw marks, a row for each label, with how many there are of it."""
-    narrowest = _NARROWEST_MARK * (clock.limits[1] - clock.limits[0])
+    narrowest = _NARROWEST_MARK[len(marks) > _FEW_MARKS] * (clock.limits[1] - clock.limits[0])
     names = []
     for row, (label, colour) in enumerate(colours.items()):
         own = [mark for mark in marks if mark.label == label]
         spans = [(start, max(width, narrowest)) for start, width in _spans(own, clock)]
         axes.broken_barh(spans, (row - 0.4, 0.8), facecolors=colour, lw=0)
         axes.axhline(row + 0.5, color="0.85", lw=0.5)
-        names.append(f"{plain(label)} ({len(own)})")
+        names.append(f"{plain(label, _LONGEST_LABEL)} ({len(own)})")
     axes.set_yticks(range(len(names)), names, parse_math=False, fontsize="small")
     axes.set(xlim=clock.limits, ylim=(len(names) - 0.5, -0.5))
     axes.tick_params(length=0, axis="y")
@@ -201,13 +203,15 @@ def _spectrum(axes: Any, overview: Overview, channels: Sequence[Channel]) -> Non
     palette = list(colours_of(map(str, range(len(channels)))).values())
     for k, channel in enumerate(channels):
         style = "-" if k < len(COLOURS) else "--"
-        axes.plot(overview.frequency[1:], level[k], style, color=palette[k], lw=1.1, label=plain(channel.name))
+        axes.plot(
+            overview.frequency[1:], level[k], style, color=palette[k], lw=1.1, label=plain(channel.name, _LONGEST_LABEL)
+        )
     units = {channel.unit for channel in channels}
     unit = _density(units.pop()) if len(units) == 1 else "unit²/Hz of each channel"
     limits = _limits(np.quantile(level, [0.002, 1]))
     axes.set(xscale="log", xlim=overview.frequency[[1, -1]], ylim=limits)
     axes.set(xlabel="frequency [Hz]", ylabel=f"power density\n[dB re 1 {unit}]")
-    axes.set_title(f"mean spectrum (resolution {overview.frequency[1]:.3g} Hz)", loc="left", fontsize="medium")
+    axes.set_title(f"mean spectrum (resolution {hertz(overview.frequency[1], 3)})", loc="left", fontsize="medium")
     axes.grid(alpha=0.3, which="both")
     _write_frequencies(axes.xaxis)
     if len(channels) > 1:
@@ -251,6 +255,17 @@ def _name(channel: Channel, n_channels: int) -> str:
 
 def _quantity(channel: Channel) -> str:
     return f"{channel.quantity or 'signal'} [{written(channel.unit)}]"
+
+
+def hertz(frequency: float, digits: int = 6) -> str:
+    """Return a frequency as it is read best.
+
+    Examples
+    --------
+    >>> hertz(43.06640625, 3), hertz(44100.0)
+    ('43.1 Hz', '44.1 kHz')
+    """
+    return f"{frequency:.{digits}g} Hz" if frequency < 1000 else f"{frequency / 1e3:.{digits}g} kHz"
 
 
 def written(unit: str | None) -> str:

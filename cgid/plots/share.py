@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from cgid.plots.figure import COLOURS, plain, require_matplotlib
-from cgid.plots.overview import Clock
+from cgid.plots.overview import MOST_CHANNELS, Clock
 
 if TYPE_CHECKING:
     from cgid.identification.share import Share
@@ -27,7 +27,7 @@ def share_figure(
     Parameters
     ----------
     shares : sequence of Share
-        At least one.
+        At least one; of the first `MOST_CHANNELS` channels.
     turns : sequence of Turn
     duration : float
         Of the recording [s].
@@ -39,7 +39,7 @@ def share_figure(
     MissingExtra
         matplotlib is not installed.
     """
-    names = list(dict.fromkeys(share.channel for share in shares))
+    names = list(dict.fromkeys(share.channel for share in shares))[:MOST_CHANNELS]
     figure = require_matplotlib()(figsize=(_WIDTH, _TITLE + _PANEL * len(names)), layout="constrained")
     clock = Clock(0.0, duration)
     panels = figure.subplots(len(names), 1, sharex=True, squeeze=False)[:, 0]

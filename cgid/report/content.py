@@ -11,7 +11,7 @@ from cgid.identification.model import UNKNOWN, Model
 from cgid.identification.share import Share
 from cgid.identification.shutting import Turn
 from cgid.overview import Overview
-from cgid.plots import written
+from cgid.plots import hertz, written
 from cgid.recordings import Channel, RecordingFile
 
 #: More names than these are not all listed.
@@ -72,10 +72,17 @@ class Report:
         overlapping = sum(answer.overlapping for answer in self.answers)
         if overlapping:
             yield f"{overlapping}", "overlapping another"
-        for share in {share.channel: share for share in self.shares}.values():
-            where = f", channel {share.channel}" if len({one.channel for one in self.shares}) > 1 else ""
-            told = "-" if share.share != share.share else f"{share.share:.0%}"
-            yield told, f"gangue at the end ({share.low:.0%} to {share.high:.0%}{where})"
+        last = {share.channel: share for share in self.shares}
+        for channel, share in last.items():
+            where = f", channel {channel}" if len(last) > 1 else ""
+            interval = f"{share.low:.0%} to {share.high:.0%}" if share.n_impacts else "not known"
+            yield f"{share.share:.0%}" if share.n_impacts else "-", f"gangue at the end ({interval}{where})"
+
+    @property
+    def has_course(self) -> bool:
+        """Whether the share of some channel is known at two times at least, so that it can be seen to change."""
+        known = Counter(share.channel for share in self.shares if share.n_impacts)
+        return max(known.values(), default=0) > 1
 
 
 def recording_facts(recording: RecordingFile, overview: Overview, channels: Sequence[Channel]) -> dict[str, str]:
@@ -92,13 +99,13 @@ def recording_facts(recording: RecordingFile, overview: Overview, channels: Sequ
     facts = {
         "file": recording.source,
         "format": recording.format,
-        "sampling rate": f"{recording.sampling_rate:.9g} Hz",
+        "sampling rate": hertz(recording.sampling_rate),
         "length": f"{overview.duration:.6g} s ({overview.n_samples} samples a channel)",
     }
     if recording.start_time is not None:
         facts["started"] = recording.start_time.isoformat(sep=" ")
     if len(channels) < len(recording.channels):
-        facts["channels"] = f"{len(recording.channels)}, of which {len(channels)} are drawn"
+        facts["channels"] = f"{len(recording.channels)}, of which {len(channels)} are drawn here"
     for k, channel in enumerate(channels):
         facts[f"channel {channel.name}"] = (
             f"{channel.quantity or 'signal'} [{written(channel.unit)}], from {overview.lowest[k].min():.4g} to "
@@ -117,7 +124,7 @@ def model_facts(model: Model, name: str) -> dict[str, str]:
         Of its file.
     """
     low, high = min(model.sampling_rates), max(model.sampling_rates)
-    rates = f"{low:g} Hz" if low == high else f"{low:g} to {high:g} Hz"
+    rates = hertz(low) if low == high else f"{hertz(low, 3)} to {hertz(high, 3)}"
     facts = {
         "model": name,
         "tells apart": ", ".join(model.labels),

@@ -52,7 +52,7 @@ def write_report(path: str | Path, reports: Sequence[Report], *, title: str = ""
 
 def report_page(reports: Sequence[Report], *, title: str = "") -> str:
     """Return the page that `write_report` writes; equal reports give equal pages."""
-    title = title or ", ".join(dict.fromkeys(Path(report.source).name for report in reports))
+    title = title or _title([Path(report.source).name for report in reports])
     style, script = _resource("style.css") + _swatches(), _resource("table.js")
     allowed = f"default-src 'none'; img-src data:; style-src '{_hash(style)}'; script-src '{_hash(script)}'"
     return "\n".join(
@@ -77,6 +77,12 @@ def report_page(reports: Sequence[Report], *, title: str = "") -> str:
             "",
         ]
     )
+
+
+def _title(names: Sequence[str]) -> str:
+    """Return the names of recordings, or of one of many."""
+    different = list(dict.fromkeys(names))
+    return ", ".join(different) if len(different) < 4 else f"{different[0]} and {len(different) - 1} other recordings"
 
 
 def _section(report: Report) -> Iterator[str]:
@@ -118,23 +124,25 @@ def _facts(title: str, facts: Mapping[str, str]) -> Iterator[str]:
 
 
 def _pictures(report: Report) -> Iterator[str]:
-    names = {channel.name for channel in report.channels}
-    marks = [
-        Mark(
-            time=answer.time,
-            # Where nobody looked for the end, the mark is as narrow as it may be.
-            end=answer.end if answer.end >= answer.time else answer.time,
-            label=answer.label,
-            channel=answer.channel if answer.channel in names else None,
-        )
-        for answer in report.answers
-    ]
-    figure = overview_figure(report.overview, report.channels, title="", marks=marks)
+    figure = overview_figure(report.overview, report.channels, title="", marks=list(_marks(report)))
     what = f"Each {report.unit_of_decision} by its label, waveform, spectrogram and mean spectrum"
     yield _figure(figure, f"{what} of each channel." if len(report.channels) > 1 else f"{what}.")
-    if report.shares:
+    if report.has_course:
         shares = share_figure(report.shares, report.turns, report.overview.duration, threshold=report.threshold)
         yield _figure(shares, "Share of gangue over a sliding window, with its interval.")
+
+
+def _marks(report: Report) -> Iterator[Mark]:
+    """Yield a mark for each answer about a channel that is drawn, or about all of them together."""
+    names = [channel.name for channel in report.channels]
+    together = "+".join(names)
+    for answer in report.answers:
+        of_all = answer.channel == together or answer.channel.startswith(f"{together}+")
+        if not (of_all or answer.channel in names):
+            continue
+        # Where nobody looked for the end, the mark is as narrow as it may be.
+        end = answer.end if answer.end >= answer.time else answer.time
+        yield Mark(time=answer.time, end=end, label=answer.label, channel=None if of_all else answer.channel)
 
 
 def _figure(figure: Any, caption: str) -> str:
@@ -146,13 +154,20 @@ def _figure(figure: Any, caption: str) -> str:
 def _table(report: Report) -> Iterator[str]:
     """Yield the table of answers, with what only some recordings have in columns of its own."""
     answers = report.answers[:MOST_ROWS]
-    columns = {"time [s]": "number", "label": "", "probability": "number", "novelty": "number", "range": "", "note": ""}
+    columns = {
+        "time [s]": "number",
+        "label": "",
+        "probability": "number",
+        "novelty": "number",
+        "range": "",
+        "note": "long",
+    }
     if any(answer.end == answer.end for answer in answers):
         columns = _with(columns, "length [ms]", "number", after="time [s]")
     if len({answer.channel for answer in answers}) > 1:
         columns = _with(columns, "channel", "", after="time [s]")
     if any(answer.prediction_set is not None for answer in answers):
-        columns = _with(columns, "cannot be ruled out", "", after="probability")
+        columns = _with(columns, "cannot be ruled out", "long", after="probability")
     columns = {"number": "number"} | columns
     yield f'<div class="impacts"><h3>{report.unit_of_decision.capitalize()}s</h3>'
     if len(answers) < len(report.answers):
@@ -195,7 +210,7 @@ def _cells(number: int, answer: Answer) -> dict[str, str]:
     return {
         "number": str(number),
         "time [s]": f"{answer.time:.4f}",
-        "length [ms]": _number(1e3 * (answer.end - answer.time), ".1f"),
+        "length [ms]": _number(1e3 * (answer.end - answer.time), ".3g"),
         "channel": answer.channel,
         "label": answer.label,
         "probability": _number(answer.probability, ".3f"),
@@ -208,7 +223,7 @@ def _cells(number: int, answer: Answer) -> dict[str, str]:
 
 def _cell(name: str, kind: str, value: str, swatches: Mapping[str, str]) -> str:
     swatch = f'<span class="swatch {swatches[value]}"></span>' if name == "label" else ""
-    return f"<td{' class=number' if kind else ''}>{swatch}{_text(value)}</td>"
+    return f'<td class="{kind}">{swatch}{_text(value)}</td>'
 
 
 def _number(value: float, form: str) -> str:
