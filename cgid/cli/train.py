@@ -162,6 +162,7 @@ def _recorded(manifests: list[str], others: list[str], asked: dict[str, Any]) ->
             level_free=asked["level_free"],
             progress=progress,
         )
+    synthetic = _measured(others, recorded, asked) if others else None
     for warning in recorded.warnings:
         click.echo(f"cgid: warning: {warning}", err=True)
     with progress_bar(None, "groups") as progress:
@@ -173,9 +174,24 @@ def _recorded(manifests: list[str], others: list[str], asked: dict[str, Any]) ->
             class_weights=asked["class_weights"],
             seed=asked["seed"],
             shuffle_labels=asked["shuffle_labels"],
+            synthetic=synthetic,
             progress=progress,
         )
     return training, list(recorded.failures)
+
+
+def _measured(data: list[str], recorded: Any, asked: dict[str, Any]) -> Any:
+    """Return the impacts of datasets and scenes, measured as recorded ones are."""
+    from cgid.identification.adaptation import in_unit
+    from cgid.identification.measuring import measure
+
+    if recorded.kind == "window":
+        raise InvalidValue(
+            f"{data[0]}: scenes hold single impacts; give --by impact to train on both, or leave them out"
+        )
+    batches = in_unit(_batches(data, asked["n_signals"], asked["seed"]), recorded.unit, recorded.names)
+    with progress_bar(None, "signals") as progress:
+        return measure(batches, recorded.names, progress)
 
 
 def _say(training: Any, path: Path, written: list[Path], as_json: bool) -> None:

@@ -3,8 +3,13 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from itertools import groupby
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 from cgid.errors import BadData, CgidError, MissingOption, NoInput
 from cgid.identification.annotation import Annotation
@@ -105,6 +110,33 @@ def open_all(
         )
     _refuse_copies(files)
     return files
+
+
+def annotated_blocks(file: AnnotatedFile, unit: str) -> Iterator[tuple[Annotation, Iterator[NDArray[np.floating]]]]:
+    """Yield each annotation with the blocks of what it speaks of, in a unit and before the recorder's gain.
+
+    The blocks of one must be taken before the next is asked for: the file is read once, block by block.
+    """
+    rate = file.recording.sampling_rate
+    bounds = [(round(one.start * rate), one.end * rate) for one in file.annotations]
+    for k, own in groupby(_cut(file.recording.blocks(), bounds), lambda part: part[0]):
+        scale = file.scale(file.annotations[k], unit)
+        yield file.annotations[k], (samples * scale for _, samples in own)
+
+
+def _cut(blocks: Iterator[NDArray[Any]], bounds: Sequence[tuple[int, float]]) -> Iterator[tuple[int, NDArray[Any]]]:
+    """Yield what of each block lies in which interval of samples; the intervals rise and do not overlap."""
+    start = k = 0
+    for block in blocks:
+        end = start + block.shape[1]
+        while k < len(bounds) and bounds[k][0] < end:
+            first, last = max(bounds[k][0] - start, 0), round(min(bounds[k][1], end)) - start
+            if first < last:
+                yield k, block[:, first:last]
+            if bounds[k][1] > end:
+                break
+            k += 1
+        start = end
 
 
 def _by_channels(annotations: Sequence[Annotation]) -> list[tuple[Annotation, ...]]:

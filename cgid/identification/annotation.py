@@ -176,6 +176,11 @@ def _channels(value: Any) -> tuple[int | str, ...] | None:
 def contradictions(annotations: Sequence[Annotation]) -> list[str]:
     """Return what cannot be true of annotations together."""
     found = []
+    heard = {one.sensor for one in annotations if one.reference}
+    for sensor in sorted({one.sensor for one in annotations if one.sensor} - heard):
+        found.append(f"sensor {sensor} must have a reference run (reference = yes), there is none; add it")
+    if heard and not all(one.sensor for one in annotations):
+        found.append("sensor must be said of every recording where one has a reference run; add it to the others")
     by_file: dict[Path, list[Annotation]] = {}
     for one in annotations:
         by_file.setdefault(one.path, []).append(one)

@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from cgid.identification.card_recorded import (
+    adaptation_lines,
     choice_table,
     identity_of_recorded,
     judgement_of_recorded,
@@ -55,6 +56,9 @@ def write_card(model: Model, name: str, pictures: tuple[str, ...] = ()) -> str:
         lines += ["## What is lost against the force", "", *force_table(training["beside_force"]), ""]
     if "recorded" in training:
         lines += ["## Choice", "", *choice_table(training["recorded"]["candidates"])]
+        if "synthetic" in training["recorded"]:
+            accuracy = training["metrics"]["accuracy"]
+            lines += ["## Adaptation", "", *adaptation_lines(training["recorded"]["synthetic"], accuracy)]
     if "selection" in training:
         lines += ["## Selection", "", *selection_table(training["selection"]), ""]
         chosen = [row["name"] for row in training["selection"] if row["chosen"]]

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import minimize_scalar
 from sklearn.base import BaseEstimator, ClassifierMixin
-from sklearn.discriminant_analysis import LinearDiscriminantAnalysis, QuadraticDiscriminantAnalysis
+from sklearn.discriminant_analysis import QuadraticDiscriminantAnalysis
 from sklearn.ensemble import HistGradientBoostingClassifier
 from sklearn.exceptions import ConvergenceWarning
 from sklearn.linear_model import LogisticRegression
@@ -22,6 +22,7 @@ from threadpoolctl import threadpool_limits
 
 from cgid import validation
 from cgid.identification.families import Network
+from cgid.identification.shrunken import ShrunkenDiscriminant
 from cgid.identification.transform import Neighbourhood, Standardiser, softmax, squares
 from cgid.validation import Floats
 
@@ -61,8 +62,7 @@ def _discriminant(_: ImpactClassifier) -> Any:
 
 
 def _linear(settings: ImpactClassifier) -> Any:
-    shrinkage = "auto" if settings.shrinkage is None else settings.shrinkage
-    return LinearDiscriminantAnalysis(solver="lsqr", shrinkage=shrinkage)
+    return ShrunkenDiscriminant(settings.shrinkage)
 
 
 def _network(settings: ImpactClassifier) -> Any:
@@ -105,6 +105,8 @@ class ImpactClassifier(ClassifierMixin, BaseEstimator):  # type: ignore[misc]
         Of the covariance of the linear family, in [0, 1]; by the rule of Ledoit & Wolf (2004) if not given.
     class_weight : dict, optional
         What an impact of a class counts, 1 where not said; "balanced" makes all classes count the same.
+    rejects : bool
+        Whether it learns the edge of the training, too; without, it has no novelty.
     random_state : int
         Of the folds and of the network's first weights.
 
@@ -116,6 +118,7 @@ class ImpactClassifier(ClassifierMixin, BaseEstimator):  # type: ignore[misc]
     temperature_ : float
         What the scores are divided by.
     neighbourhood_ : Neighbourhood
+        Only if it rejects.
     """
 
     #: A family's name -> its estimator with the settings of a classifier.
@@ -140,6 +143,7 @@ class ImpactClassifier(ClassifierMixin, BaseEstimator):  # type: ignore[misc]
         calibration_folds: int = 3,
         shrinkage: float | None = None,
         class_weight: Mapping[Any, float] | str | None = None,
+        rejects: bool = True,
         random_state: int = 0,
     ) -> None:
         self.family = family
@@ -152,6 +156,7 @@ class ImpactClassifier(ClassifierMixin, BaseEstimator):  # type: ignore[misc]
         self.calibration_folds = calibration_folds
         self.shrinkage = shrinkage
         self.class_weight = class_weight
+        self.rejects = rejects
         self.random_state = random_state
 
     def fit(self, X: ArrayLike, y: ArrayLike, groups: ArrayLike | None = None) -> ImpactClassifier:
@@ -171,8 +176,9 @@ class ImpactClassifier(ClassifierMixin, BaseEstimator):  # type: ignore[misc]
             standardised = self.standardiser_.apply(features)
             inputs, weights = self._inputs(standardised), self._class_weights(encoded)
             self.estimator_ = self._fitted(inputs, encoded, weights)
-            covariance = self.estimator_.covariance_ if self.family == "linear" else None
-            self.neighbourhood_ = Neighbourhood.fit(standardised, encoded, covariance)
+            if self.rejects:
+                covariance = self.estimator_.covariance_ if self.family == "linear" else None
+                self.neighbourhood_ = Neighbourhood.fit(standardised, encoded, covariance)
             own = None if groups is None else np.asarray(groups)
             self.temperature_ = self._temperature(inputs, encoded, weights, own)
         return self

@@ -16,6 +16,7 @@ from threadpoolctl import threadpool_limits
 
 from cgid.errors import BadData
 from cgid.features import FEATURES
+from cgid.identification.adaptation import shift
 from cgid.identification.classifier import ImpactClassifier, best_temperature
 from cgid.identification.feature_sets import Sets
 from cgid.identification.selection import preferred
@@ -69,6 +70,7 @@ class Rows:
     features : ndarray, (n_rows, n_channels * n_names)
     labels : ndarray of str, (n_rows,)
     group : ndarray of int, (n_rows,)
+        Below 0: synthetic, which teaches and never judges.
     """
 
     names: tuple[str, ...]
@@ -79,6 +81,21 @@ class Rows:
     def __getitem__(self, chosen: NDArray[np.bool_]) -> Rows:
         """Return some of the rows."""
         return replace(self, features=self.features[chosen], labels=self.labels[chosen], group=self.group[chosen])
+
+    @property
+    def n_channels(self) -> int:
+        """Whose features stand beside each other."""
+        return int(self.features.shape[1] // len(self.names))
+
+    @property
+    def adapted(self) -> Rows:
+        """The rows with the synthetic ones moved to the level and spectrum of the others."""
+        synthetic = self.group < 0
+        if not synthetic.any():
+            return self
+        features = self.features.copy()
+        features[synthetic] += shift(self.names, features, self.labels, synthetic)
+        return replace(self, features=features)
 
     def inputs(self, features: Sequence[str]) -> Floats:
         """Return the columns of some features, channel after channel."""
@@ -112,6 +129,7 @@ class Judged:
     Attributes
     ----------
     probabilities : ndarray, (n_rows, n_labels)
+        Of the recorded rows.
     chosen : tuple of int
         Which candidate each fold took.
     """
@@ -143,28 +161,17 @@ def require_groups(labels: NDArray[np.str_], group: NDArray[np.intp]) -> None:
 
 def leave_groups_out(labels: NDArray[np.str_], group: NDArray[np.intp], seed: int) -> Iterator[NDArray[np.bool_]]:
     """Yield which rows are left out: each group in turn, or folds of groups where there are many."""
-    groups = np.unique(group)
+    recorded = np.flatnonzero(group >= 0)
+    groups = np.unique(group[recorded])
     if len(groups) <= MOST_FOLDS:
         for one in groups:
             yield group == one
         return
     splitter = StratifiedGroupKFold(MOST_FOLDS, shuffle=True, random_state=seed)
-    for _, test in splitter.split(labels, labels, group):
+    for _, test in splitter.split(recorded, labels[recorded], group[recorded]):
         left_out = np.zeros(len(labels), bool)
-        left_out[test] = True
+        left_out[recorded[test]] = True
         yield left_out
-
-
-def classifier_of(candidate: Candidate, n_channels: int, weights: Weights, seed: int) -> ImpactClassifier:
-    """Return the unfitted classifier of a candidate; its temperature is chosen by groups left out."""
-    linear = [FEATURES[name].linear for name in candidate.features] * n_channels
-    return ImpactClassifier(
-        candidate.family,
-        linear=tuple(np.flatnonzero(linear).tolist()),
-        calibration_folds=0,
-        class_weight=weights,
-        random_state=seed,
-    )
 
 
 def choose(rows: Rows, candidates: Sequence[Candidate], weights: Weights, seed: int) -> Choice:
@@ -213,19 +220,18 @@ def judge(
             probabilities[fold] = softmax(scores / choice.temperature)
             if progress is not None:
                 progress(1)
-    return Judged(probabilities, tuple(chosen))
+    return Judged(probabilities[rows.group >= 0], tuple(chosen))
 
 
 def final(rows: Rows, candidate: Candidate, temperature: float, weights: Weights, seed: int) -> ImpactClassifier:
     """Return a candidate trained on all rows, its edge of the known where groups left out still lie inside."""
     with threadpool_limits(1):
-        n_channels = rows.features.shape[1] // len(rows.names)
         inputs = rows.inputs(candidate.features)
         distances = []
         for fold in leave_groups_out(rows.labels, rows.group, seed):
-            without = _fitted(candidate, rows[~fold], weights, seed)
+            without = _fitted(candidate, rows[~fold], weights, seed, rejects=True)
             distances.append(without.novelty(inputs[fold]) * without.neighbourhood_.limit)
-        classifier = classifier_of(candidate, n_channels, weights, seed).fit(inputs, rows.labels)
+        classifier = _fitted(candidate, rows, weights, seed, rejects=True)
     limit = float(np.quantile(np.concatenate(distances), Neighbourhood.INSIDE))
     classifier.temperature_ = temperature
     classifier.neighbourhood_ = replace(classifier.neighbourhood_, limit=limit)
@@ -236,9 +242,19 @@ def _teaches_all(labels: NDArray[np.str_], fold: NDArray[np.bool_]) -> bool:
     return len(np.unique(labels[~fold])) == len(np.unique(labels))
 
 
-def _fitted(candidate: Candidate, rows: Rows, weights: Weights, seed: int) -> ImpactClassifier:
-    n_channels = rows.features.shape[1] // len(rows.names)
-    return classifier_of(candidate, n_channels, weights, seed).fit(rows.inputs(candidate.features), rows.labels)
+def _fitted(
+    candidate: Candidate, rows: Rows, weights: Weights, seed: int, *, rejects: bool = False
+) -> ImpactClassifier:
+    linear = [FEATURES[name].linear for name in candidate.features] * rows.n_channels
+    classifier = ImpactClassifier(
+        candidate.family,
+        linear=tuple(np.flatnonzero(linear).tolist()),
+        calibration_folds=0,  # by groups left out instead
+        class_weight=weights,
+        rejects=rejects,
+        random_state=seed,
+    )
+    return classifier.fit(rows.adapted.inputs(candidate.features), rows.labels)
 
 
 def _scores(candidate: Candidate, rows: Rows, fold: NDArray[np.bool_], weights: Weights, seed: int) -> Floats:

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cgid import validation
+from cgid.equalisation import Equalisation
 from cgid.errors import BadData, InvalidValue, NoInput
 from cgid.features import kind_of
 from cgid.features.feature import Kind
@@ -213,6 +214,26 @@ class Model:
             )
         return self.conformal.prediction_set(probabilities, coverage, class_conditional=class_conditional)
 
+    @property
+    def reference_target(self) -> Floats:
+        """What sensors are made to sound like: the mean of their reference spectra, (n_channels, n_bands)."""
+        if not self.sensors:
+            raise InvalidValue("sensor must be left out, this model was trained without reference runs")
+        return np.asarray(self.arrays["reference.spectra"].mean(axis=0))
+
+    def equalisation(self, sensor: str) -> tuple[Equalisation, ...]:
+        """Return what makes a sensor sound as those of the training together, for each channel.
+
+        Raises
+        ------
+        InvalidValue
+            The model knows no such sensor.
+        """
+        target = self.reference_target
+        validation.choice("sensor", sensor, self.sensors)
+        own = self.arrays["reference.spectra"][self.sensors.index(sensor)]
+        return tuple(Equalisation.between(heard, meant) for heard, meant in zip(own, target, strict=True))
+
     def covers(self, sampling_rate: float) -> bool:
         """Return whether the model was trained at this sampling rate [Hz], within 1 %."""
         return bool(0.99 * self.sampling_rates[0] <= sampling_rate <= 1.01 * self.sampling_rates[1])
@@ -267,7 +288,7 @@ class Model:
     ) -> Model:
         """Return the model of a classifier fitted to `features` and `known`; `guards` have their limits.
 
-        `references` are the reference spectra of sensors.
+        `references` are the reference spectra of sensors, (n_channels, n_bands) each.
         """
         guards = guards or {}
         standardiser, neighbourhood = classifier.standardiser_, classifier.neighbourhood_

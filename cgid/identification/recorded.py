@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from itertools import groupby
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,11 +13,12 @@ from cgid import validation
 from cgid.errors import BadData, CgidError, InvalidValue
 from cgid.features import choose, extract_array, kind_for, kind_of, supported
 from cgid.features.feature import Kind
-from cgid.identification.annotated import AnnotatedFile, Failures, Reading, open_all
+from cgid.identification.annotated import AnnotatedFile, Failures, Reading, annotated_blocks, open_all
 from cgid.identification.annotation import Annotation
 from cgid.identification.events import find_impacts
 from cgid.identification.feature_sets import sets_for, union_of
 from cgid.identification.manifest import Manifest
+from cgid.identification.referenced import Equalisations, equalisations_of, reference_spectra
 from cgid.identification.windows import WINDOW_TIME, Grid, measure_windows, windows_of
 from cgid.signals import quantity_of
 from cgid.validation import Floats
@@ -73,6 +73,8 @@ class Recorded:
         Lowest and highest [Hz].
     sources : tuple of str
         SHA-256 of the files.
+    references : dict of ndarray, each (n_channels, n_bands)
+        Reference spectra of the sensors.
     left_out : int
         Rows that could not be measured.
     failures : tuple of CgidError
@@ -94,6 +96,7 @@ class Recorded:
     unit: str
     sampling_rates: tuple[float, float]
     sources: tuple[str, ...]
+    references: Mapping[str, Floats] = field(default_factory=dict)
     left_out: int = 0
     failures: tuple[CgidError, ...] = ()
     warnings: tuple[str, ...] = ()
@@ -141,10 +144,14 @@ def record(
     failures = Failures(reading.strict)
     files = open_all(manifest, reading, failures)
     names = _names(features, files, slicing, level_free)
+    references = reference_spectra(
+        open_all(manifest, reading, Failures(strict=True), references=True), files[0], slicing.window_time
+    )
+    equalisations = equalisations_of(references)
     measured: list[_Rows] = []
     for file in files:
         try:
-            measured.append(_measured(file, names, slicing, files[0].unit, progress))
+            measured.append(_measured(file, names, slicing, files[0].unit, equalisations, progress))
         except CgidError as error:
             failures.note(error)
     annotations = [one for rows in measured for one in rows.annotations]
@@ -168,6 +175,7 @@ def record(
         unit=files[0].unit,
         sampling_rates=(min(rates), max(rates)),
         sources=tuple(rows.file.digest for rows in measured),
+        references=references,
         left_out=sum(rows.left_out for rows in measured),
         failures=tuple(failures),
         warnings=tuple(warning for rows in measured for warning in rows.file.recording.warnings),
@@ -191,14 +199,15 @@ def _names(
         raise InvalidValue(
             f"impacts must be those of one channel, got {n_channels}; choose with --channel, or decide on windows"
         )
-    kind: Kind = "window" if slicing.by == "window" else kind_for(quantity_of(files[0].unit))
     if features is not None:
         asked = choose(features)
-        if kind_of(asked) != kind:
+        if (kind_of(asked) == "window") != (slicing.by == "window"):
             raise InvalidValue(
-                f"features must be those of a {kind}, got those of a {kind_of(asked)}; see cgid features"
+                f"features must be those of the {slicing.by} that is decided on, got those of a {kind_of(asked)}; "
+                "choose others, or another --by"
             )
         return asked
+    kind: Kind = "window" if slicing.by == "window" else kind_for(quantity_of(files[0].unit))
     grid = Grid.at(rate, slicing.window_time, slicing.hop_time)
     length = grid.length if kind == "window" else round(_FRAME_TIME[kind] * rate)
     names = supported(union_of(sets_for(kind, level_free=level_free)), rate, length)
@@ -226,11 +235,12 @@ def _measured(
     names: tuple[str, ...],
     slicing: Slicing,
     unit: str,
+    equalisations: Equalisations,
     progress: Callable[[int], object] | None,
 ) -> _Rows:
     rows = _Rows(file)
     measure = _windows if slicing.by == "window" else _impacts
-    for annotation, times, features in measure(file, names, slicing, unit):
+    for annotation, times, features in measure(file, names, slicing, unit, equalisations):
         sound = np.isfinite(features).all(axis=1)
         rows.left_out += int((~sound).sum())
         rows.features.append(features[sound])
@@ -244,34 +254,21 @@ def _measured(
 Measured = Iterator[tuple[Annotation, Floats, Floats]]
 
 
-def _windows(file: AnnotatedFile, names: tuple[str, ...], slicing: Slicing, unit: str) -> Measured:
+def _windows(
+    file: AnnotatedFile, names: tuple[str, ...], slicing: Slicing, unit: str, equalisations: Equalisations
+) -> Measured:
     """Yield annotation, times and features of the windows that lie in annotated intervals as a whole."""
     rate = file.recording.sampling_rate
-    bounds = [(round(one.start * rate), one.end * rate) for one in file.annotations]
-    for k, own in groupby(_cut(file.recording.blocks(), bounds), lambda part: part[0]):
-        annotation = file.annotations[k]
-        scale = file.scale(annotation, unit)
-        blocks = (samples * scale for _, samples in own)
+    for annotation, blocks in annotated_blocks(file, unit):
+        equalisation = equalisations.get(annotation.sensor)
         for first, windows in windows_of(blocks, rate, slicing.window_time, slicing.hop_time):
-            yield annotation, (bounds[k][0] + first) / rate, measure_windows(windows, rate, names)
+            times = annotation.start + first / rate
+            yield annotation, times, measure_windows(windows, rate, names, equalisation)
 
 
-def _cut(blocks: Iterator[NDArray[Any]], bounds: Sequence[tuple[int, float]]) -> Iterator[tuple[int, NDArray[Any]]]:
-    """Yield what of each block lies in which interval of samples; the intervals rise and do not overlap."""
-    start = k = 0
-    for block in blocks:
-        end = start + block.shape[1]
-        while k < len(bounds) and bounds[k][0] < end:
-            first, last = max(bounds[k][0] - start, 0), round(min(bounds[k][1], end)) - start
-            if first < last:
-                yield k, block[:, first:last]
-            if bounds[k][1] > end:
-                break
-            k += 1
-        start = end
-
-
-def _impacts(file: AnnotatedFile, names: tuple[str, ...], slicing: Slicing, unit: str) -> Measured:
+def _impacts(
+    file: AnnotatedFile, names: tuple[str, ...], slicing: Slicing, unit: str, equalisations: Equalisations
+) -> Measured:
     """Yield annotation, times and features of the impacts in annotated intervals."""
     (signal,) = file.recording.signals()
     events = find_impacts(signal, kind=kind_of(names), dead_time=slicing.dead_time)
@@ -286,5 +283,6 @@ def _impacts(file: AnnotatedFile, names: tuple[str, ...], slicing: Slicing, unit
                     pre_trigger=event.signal.pre_trigger,
                     invalid="nan",
                     detection_limit=event.detection_limit,
+                    equalisation=equalisations[annotation.sensor][0] if annotation.sensor else None,
                 )
                 yield annotation, np.array([event.time]), features

@@ -11,6 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cgid import __version__
+from cgid.errors import BadData
+from cgid.identification.adaptation import is_level, shift, thinned
 from cgid.identification.clustered import clustered_interval
 from cgid.identification.feature_sets import sets_for
 from cgid.identification.grouped import (
@@ -23,6 +25,7 @@ from cgid.identification.grouped import (
     judge,
     require_groups,
 )
+from cgid.identification.measuring import Measured
 from cgid.identification.metrics import evaluate
 from cgid.identification.model import Model
 from cgid.identification.recorded import Recorded
@@ -45,6 +48,7 @@ def train_recorded(
     class_weights: Weights = None,
     seed: int = 0,
     shuffle_labels: bool = False,
+    synthetic: Measured | None = None,
     progress: Callable[[int], object] | None = None,
 ) -> Training:
     """Train a model on recordings; it is judged by groups that neither it nor its choice have seen.
@@ -63,13 +67,16 @@ def train_recorded(
     seed : int
     shuffle_labels : bool
         A check of the method: labels are shuffled among the recordings, so the accuracy must be that of guessing.
+    synthetic : Measured, optional
+        Impacts of scenes or datasets, measured as the recorded ones and in their unit: they teach, too, adapted to the
+        level and spectrum of the recordings.
     progress : callable, optional
         Called with 1 for each group judged.
 
     Raises
     ------
     BadData
-        There are fewer than two labels, or a label lies in one group only.
+        There are fewer than two labels, a label lies in one group only, or synthetic impacts have another label.
     """
     labels = _shuffled(recorded, seed) if shuffle_labels else recorded.labels
     require_groups(labels, recorded.group)
@@ -77,6 +84,9 @@ def train_recorded(
     sets = {"asked for": tuple(features)} if features else sets_for(recorded.kind, level_free=level_free)
     candidates = candidates_for(sets, recorded.names, families)
     rows = Rows(names=recorded.names, features=recorded.features, labels=labels, group=recorded.group)
+    mixed = rows if synthetic is None else _mixed(rows, synthetic, seed)
+    adapting = {} if synthetic is None else _adaptation(rows, mixed, candidates, class_weights, seed)
+    rows = mixed
     judged = judge(rows, candidates, class_weights, seed, progress)
     choice = choose(rows, candidates, class_weights, seed)
     best = candidates[choice.best]
@@ -90,8 +100,9 @@ def train_recorded(
         window_time=recorded.slicing.window_time if recorded.kind == "window" else 0.0,
         hop_time=recorded.slicing.hop_time if recorded.kind == "window" else 0.0,
         n_channels=recorded.n_channels,
+        references=recorded.references,
         training={
-            "sources": list(recorded.sources),
+            "sources": list(recorded.sources) + ([] if synthetic is None else list(synthetic.sources)),
             "quantity": quantity_of(recorded.unit),
             "n_left_out": recorded.left_out,
             "versions": {"cgid": __version__, "python": platform.python_version()}
@@ -109,10 +120,44 @@ def train_recorded(
                 "candidates": _comparison(candidates, choice.accuracies, judged.chosen, choice.best),
                 "failures": [str(error) for error in recorded.failures],
                 "warnings": list(recorded.warnings),
+                **adapting,
             },
         },
     )
     return Training(model, metrics, labels, judged.probabilities, classifier)
+
+
+def _mixed(rows: Rows, synthetic: Measured, seed: int) -> Rows:
+    """Return recorded and synthetic rows together, of each label at most as many synthetic ones."""
+    strange = np.setdiff1d(synthetic.labels, rows.labels)
+    if strange.size:
+        raise BadData(
+            f"label {strange[0]} of the scene must be one of the recordings' ({', '.join(np.unique(rows.labels))}), it "
+            "is not; name them alike in the manifest, or record it"
+        )
+    kept = thinned(synthetic.labels, rows.labels, seed)
+    return Rows(
+        names=rows.names,
+        features=np.concatenate([rows.features, synthetic.features[kept]]),
+        labels=np.concatenate([rows.labels, synthetic.labels[kept]]),
+        group=np.concatenate([rows.group, np.full(int(kept.sum()), -1)]),
+    )
+
+
+def _adaptation(
+    rows: Rows, mixed: Rows, candidates: Sequence[Candidate], weights: Weights, seed: int
+) -> dict[str, Any]:
+    """Return what a card says of synthetic impacts: how many, how far they were moved, and what they are good for."""
+    moved = shift(mixed.names, mixed.features, mixed.labels, mixed.group < 0)
+    alone = judge(rows, candidates, weights, seed).probabilities
+    answers = np.unique(rows.labels)[np.argmax(alone, axis=1)]
+    return {
+        "synthetic": {
+            "n": int(np.sum(mixed.group < 0)),
+            "moved_db": {name: 10 * by for name, by in zip(mixed.names, moved.tolist(), strict=True) if is_level(name)},
+            "accuracy_without": float(np.mean(answers == rows.labels)),
+        }
+    }
 
 
 def _shuffled(recorded: Recorded, seed: int) -> NDArray[np.str_]:

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cgid import validation
+from cgid.bands import MEL_BANDS
 from cgid.errors import BadData
 from cgid.features import FEATURES
 from cgid.identification.families import BY_NAME
@@ -145,6 +146,8 @@ def check_numbers(model: Model) -> None:
             raise BadData(f"array {name} must hold finite numbers, got {array.dtype}")
     if not (model.arrays["standardiser.scale"] > 0).all() or not (model.arrays["standardiser.floor"] > 0).all():
         raise BadData("arrays standardiser.scale and standardiser.floor must be above 0")
+    for sensor in model.sensors:
+        model.equalisation(sensor)  # checks its gains
 
 
 def _check_windows(model: Model) -> None:
@@ -163,5 +166,6 @@ def _check_windows(model: Model) -> None:
     spectra = model.arrays.get("reference.spectra")
     if (spectra is not None) != bool(model.sensors):
         raise BadData("array reference.spectra must be there where sensors are named, and only there")
-    if spectra is not None and (spectra.ndim != 2 or len(spectra) != len(model.sensors)):
-        raise BadData(f"array reference.spectra must have a row for each of {len(model.sensors)} sensors")
+    shape = len(model.sensors), model.n_channels, len(MEL_BANDS)
+    if spectra is not None and spectra.shape != shape:
+        raise BadData(f"array reference.spectra must have shape {shape}, got {spectra.shape}")

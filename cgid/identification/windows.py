@@ -6,13 +6,14 @@ are the same whatever the blocks that a recording comes in: window k starts at s
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cgid import validation
+from cgid.equalisation import Equalisation
 from cgid.errors import InvalidValue
 from cgid.features import MINIMUM_FRAME, extract_array
 from cgid.identification.transform import softmax
@@ -126,6 +127,7 @@ def measure_windows(
     windows: NDArray[np.floating],
     sampling_rate: float,
     names: tuple[str, ...],
+    equalisation: Sequence[Equalisation] | None = None,
 ) -> Floats:
     """Return the features of windows, those of the first channel before those of the second.
 
@@ -136,16 +138,18 @@ def measure_windows(
         [Hz].
     names : tuple of str
         Out of `cgid.features.FEATURES`.
+    equalisation : sequence of Equalisation, optional
+        What makes up for the sensor's response, one for each channel.
 
     Returns
     -------
     ndarray, (n_windows, n_channels * n_features)
         nan where a window cannot be measured.
     """
-    n_windows, n_channels, n_samples = windows.shape
-    rows = windows.reshape(n_windows * n_channels, n_samples)
-    measured = extract_array(rows, sampling_rate, names, invalid="nan")
-    return measured.reshape(n_windows, n_channels * len(names))
+    own = [None] * windows.shape[1] if equalisation is None else equalisation
+    channels = zip(np.moveaxis(windows, 1, 0), own, strict=True)
+    parts = [extract_array(rows, sampling_rate, names, invalid="nan", equalisation=one) for rows, one in channels]
+    return np.concatenate(parts, axis=1)
 
 
 class RunningVote:
