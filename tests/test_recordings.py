@@ -218,6 +218,23 @@ def test_line_of_units_below_the_names():
     assert [(signal.channel, signal.unit) for signal in signals] == [("Left", "mV"), ("Right", "g")]
 
 
+@pytest.mark.parametrize("name", ["", "index", "No.", "Sample", "序号"])
+def test_column_that_numbers_the_rows_is_no_channel(name):
+    (signal,) = read_text(f"{name},time (s),F (N)\n0,0,4\n1,0.5,5\n2,1,7\n")
+    assert (signal.samples.tolist(), signal.unit, signal.sampling_rate) == ([4, 5, 7], "N", 2)
+    assert len(read_text(f"{name},time (s),F (N)\n0,0,4\n1,0.5,5\n3,1,7\n")) == 2
+
+
+def test_gaps_of_a_channel_matter_only_to_who_asks_for_it():
+    text = "t,F,a,note\n0,1,5,\n1,2,nan,\n2,3,7,x\n"
+    assert read_text(text, channel="F")[0].samples.tolist() == [1, 2, 3]
+    for channel, words in (("a", r"sample 1 \(line 3\) column 3 is 'nan'"), ("note", "column 4 is empty")):
+        with pytest.raises(BadData, match=words):
+            read_text(text, channel=channel)
+    with pytest.raises(BadData, match=r"sample 1 \(line 3\) column 1 is empty"):
+        read_text("t,F,a\n0,1,5\n,2,3\n2,3,7\n", channel="F")
+
+
 def test_uneven_first_column_without_header_is_a_channel():
     assert len(read_text("0 1\n1 2\n5 3\n", sampling_rate=5)) == 2
 

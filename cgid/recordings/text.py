@@ -21,6 +21,10 @@ from cgid.recordings.rows import PIECE, Body, Floats, with_decimal_mark
 from cgid.recordings.time_axis import EvenTimes, rate_of, refined_rate, seconds, time_columns
 
 
+#: What programs call the number of a row, if they call it anything.
+_NAMES_OF_COUNTERS = ("", "index", "no", "nr", "n", "i", "sample", "samples", "sample no", "point", "row", "序号")
+
+
 def read_text(path: Path, source: str, variable: str | None) -> Contents:
     r"""Return the channels of a text file, with what its header and its time column say.
 
@@ -60,8 +64,7 @@ def read_text(path: Path, source: str, variable: str | None) -> Contents:
             f"{source}: at most {MAX_CHANNELS} columns, line {body.first_line} has {body.layout.n_columns}; "
             "transpose it: one sample a row, one channel a column"
         )
-    rows, is_whole = next(body.pieces())
-    return assembled(header, body, rows, is_whole)
+    return _assembled(header, body)
 
 
 def _found(path: Path, encoding: str, source: str) -> tuple[Header, Body]:
@@ -133,34 +136,41 @@ def _refuse_doubtful_comma(body: Body, header: Header, first: str, above: deque[
         )
 
 
-def assembled(header: Header, body: Body, rows: Floats, is_whole: bool) -> Contents:
-    """Return the contents of a text from its header and the `rows` (n, n_columns) of its first piece."""
+def _assembled(header: Header, body: Body) -> Contents:
+    """Return the contents of a text from its header and the rows of its first piece."""
     columns, source = header.columns, body.source
+    rows, is_whole = next(body.pieces(()))
     times = time_columns(columns, rows)
-    measured = None
-    if times and len(rows) > 1:
-        last = None if is_whole else body.last_row()
-        measured = _measured_rate(columns, times, rows, last, source)
-    kept = [index for index in range(rows.shape[1]) if index not in times]
+    kept = [index for index in range(rows.shape[1]) if index not in times and not _counts(columns, rows, index)]
     if not kept:
         raise BadData(f"{source}: a recording must hold a channel beside time, there is none; export it again")
+    # Whether a channel has gaps matters only to those who ask for it, but times must be whole.
+    finite: NDArray[np.bool_] = np.all(np.isfinite(rows), axis=0)
+    if not finite[times].all():
+        next(body.pieces(times))
+    measured = None
+    if times and len(rows) > 1:
+        measured = _measured_rate(columns, times, rows, None if is_whole else body.last_row(), source)
+    rate = _agreed_rate(header.sampling_rates, measured, source)
+    if rate is None or not finite[kept].any():
+        next(body.pieces(kept))
     named = [columns[index] for index in kept] if columns else []
     units = [column.known_unit or (None if column.unit else header.unit) for column in named]
     about: dict[str, Any] = {
         "names": [column.name for column in named],
         "units": units or [header.unit] * len(kept),
-        "sampling_rate": _agreed_rate(header.sampling_rates, measured, source),
+        "sampling_rate": rate,
         "rate_from": "header" if measured is None else "time column",
         "start_time": header.start_time,
     }
-    if is_whole:
+    if is_whole and finite.all():
         return Contents.of_array(np.ascontiguousarray(rows.T[kept]), **about)
 
     def blocks(length: int, channels: Sequence[int]) -> Iterator[NDArray[Any]]:
         picked = [kept[channel] for channel in channels]
         clock = None if measured is None else EvenTimes(measured, source)
         factor = seconds(columns[times[0]] if columns else Column(), source) if times else 1.0
-        for piece, _ in body.pieces():
+        for piece, _ in body.pieces([*times, *picked]):
             if clock is not None:
                 clock.feed(piece[:, times[0]] * factor)
             samples = np.ascontiguousarray(piece.T[picked])
@@ -168,6 +178,13 @@ def assembled(header: Header, body: Body, rows: Floats, is_whole: bool) -> Conte
                 yield samples[:, first : first + length]
 
     return Contents(n_channels=len(kept), blocks=blocks, **about)
+
+
+def _counts(columns: tuple[Column, ...], rows: Floats, index: int) -> bool:
+    """Return whether a column only numbers the rows: named as such, and growing by one."""
+    is_named = bool(columns) and columns[index].name.lower().strip(" .:#") in _NAMES_OF_COUNTERS
+    with np.errstate(all="ignore"):
+        return is_named and len(rows) > 1 and bool((np.diff(rows[:, index]) == 1).all())
 
 
 def _measured_rate(
