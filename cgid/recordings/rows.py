@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cgid.errors import BadData
+from cgid.recordings.clock_stamps import with_seconds
 from cgid.recordings.layout import MIXED, Layout, is_comment
 
 Floats = NDArray[np.float64]
@@ -72,7 +73,8 @@ class Body:
         wanted = list(needed)
         layout, sample, line = self.layout, 0, self.first_line
         points = False
-        for text, is_last in whole_lines(self.path, self.encoding, self.source, self.start):
+        for written, is_last in whole_lines(self.path, self.encoding, self.source, self.start):
+            text = with_seconds(written, layout)
             if not points:
                 # As long as all numbers were whole ones, nobody could know the decimal mark.
                 layout = with_decimal_mark(layout, text)
@@ -100,7 +102,7 @@ class Body:
             text = raw.decode(self.encoding, "replace")
         for line in reversed(text.replace("\r", "\n").rstrip(_END_MARK).split("\n")):
             if not is_comment(line):
-                fields = self.layout.fields(line.partition("#")[0])
+                fields = self.layout.fields(with_seconds(line.partition("#")[0], self.layout))
                 values = [self.layout.number(field) for field in fields]
                 complete = len(values) == self.layout.n_columns and None not in values
                 return np.array([float(value or "nan") for value in values]) if complete else None

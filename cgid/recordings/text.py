@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cgid.errors import BadData
+from cgid.recordings.clock_stamps import stamped_layout_of, stamped_moment, with_seconds
 from cgid.recordings.contents import MAX_CHANNELS, Contents, rates_agree
 from cgid.recordings.encodings import SNIFFED, encoding_of
 from cgid.recordings.header import Column, Header, read_header
@@ -77,19 +78,26 @@ def _found(path: Path, encoding: str, source: str) -> tuple[Header, Body]:
     above: deque[str] = deque()
     start, layout = 0, None
     lines = _lines(piece)
-    for line in lines:
-        layout = None if is_comment(line) else layout_of(line)
+    line = next(lines, "")
+    while line:
+        following = next(lines, "")
+        layout = None if is_comment(line) else layout_of(line) or stamped_layout_of(line, following)
         if layout is not None:
             break
         above.append(line)
         start += len(line)
+        line = following
     if layout is None:
         raise BadData(f"{source}: a recording must hold numbers, no line of the text does; export it again")
-    layout = with_decimal_mark(_settled(layout, next(lines, line), above), piece[start:])
+    moment = None if layout.stamp is None else stamped_moment(line)
+    layout = _settled(layout, following or line, above)
+    layout = with_decimal_mark(layout, with_seconds(piece[start:], layout))
     while above and _is_damaged_row(above[-1], layout):
         start -= len(above.pop())
     body = Body(path=path, encoding=encoding, start=start, first_line=len(above) + 1, layout=layout, source=source)
     header = read_header(above, layout)
+    if moment is not None:
+        header = replace(header, start_time=moment)
     _refuse_doubtful_comma(body, header, line, above)
     return header, body
 
@@ -140,7 +148,7 @@ def _assembled(header: Header, body: Body) -> Contents:
     """Return the contents of a text from its header and the rows of its first piece."""
     columns, source = header.columns, body.source
     rows, is_whole = next(body.pieces(()))
-    times = time_columns(columns, rows)
+    times = time_columns(columns, rows) if body.layout.stamp is None else [body.layout.stamp]
     kept = [index for index in range(rows.shape[1]) if index not in times and not _counts(columns, rows, index)]
     if not kept:
         raise BadData(f"{source}: a recording must hold a channel beside time, there is none; export it again")
@@ -150,7 +158,7 @@ def _assembled(header: Header, body: Body) -> Contents:
         next(body.pieces(times))
     measured = None
     if times and len(rows) > 1:
-        measured = _measured_rate(columns, times, rows, None if is_whole else body.last_row(), source)
+        measured = _measured_rate(columns, times, rows, None if is_whole else body.last_row(), body)
     rate = _agreed_rate(header.sampling_rates, measured, source)
     if rate is None or not finite[kept].any():
         next(body.pieces(kept))
@@ -169,7 +177,7 @@ def _assembled(header: Header, body: Body) -> Contents:
     def blocks(length: int, channels: Sequence[int]) -> Iterator[NDArray[Any]]:
         picked = [kept[channel] for channel in channels]
         clock = None if measured is None else EvenTimes(measured, source)
-        factor = seconds(columns[times[0]] if columns else Column(), source) if times else 1.0
+        factor = _factor(columns, times[0], body) if times else 1.0
         for piece, _ in body.pieces([*times, *picked]):
             if clock is not None:
                 clock.feed(piece[:, times[0]] * factor)
@@ -187,19 +195,24 @@ def _counts(columns: tuple[Column, ...], rows: Floats, index: int) -> bool:
         return is_named and len(rows) > 1 and bool((np.diff(rows[:, index]) == 1).all())
 
 
+def _factor(columns: tuple[Column, ...], at: int, body: Body) -> float:
+    """Return the factor from a time column to seconds, which stamps have become already."""
+    return 1.0 if at == body.layout.stamp else seconds(columns[at] if columns else Column(), body.source)
+
+
 def _measured_rate(
-    columns: tuple[Column, ...], times: Sequence[int], rows: Floats, last: Floats | None, source: str
+    columns: tuple[Column, ...], times: Sequence[int], rows: Floats, last: Floats | None, body: Body
 ) -> float:
     """Return the sampling rate [Hz] of the time columns, which must agree."""
     rates = []
     for at in times:
-        factor = seconds(columns[at] if columns else Column(), source)
-        rate = rate_of(rows[:, at] * factor, source)
+        factor = _factor(columns, at, body)
+        rate = rate_of(rows[:, at] * factor, body.source)
         rates.append(rate if last is None else refined_rate(rate, rows[0, at] * factor, last[at] * factor))
     for (earlier, a), (later, b) in pairwise(zip(times, rates, strict=True)):
         if not rates_agree(a, b):
             raise BadData(
-                f"{source}: the sampling rate must be one to 0.1 %, time column {columns[earlier].name!r} gives "
+                f"{body.source}: the sampling rate must be one to 0.1 %, time column {columns[earlier].name!r} gives "
                 f"{a:.10g} Hz and {columns[later].name!r} {b:.10g} Hz; export the channels of one rate only"
             )
     return rates[0]
