@@ -27,8 +27,8 @@ __all__ = ["BLOCK_LENGTH", "Channel", "RecordingFile", "is_dataset", "open_recor
 def is_dataset(path: str | Path) -> bool:
     """Return whether `path` is a directory, or an HDF5 file of cgid's that is no recording.
 
-    An HDF5 file that cannot be opened counts as one, as nobody can say whose it is. Such an input belongs to `cgid.store`. What does not exist or cannot be opened is no dataset, and neither
-    is "-", the standard input.
+    An HDF5 file that is too damaged to say whose it is counts as one. Such an input belongs to `cgid.store`. What does
+    not exist or cannot be opened is no dataset, and neither is "-", the standard input.
 
     Examples
     --------

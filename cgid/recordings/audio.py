@@ -12,11 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cgid.errors import BadData, MissingExtra
-from cgid.recordings.contents import MAX_CHANNELS, Contents
+from cgid.recordings.contents import Contents
 from cgid.recordings.ogg import OggPages, ogg_pages
 
 #: Samples of each channel that are decoded at once; what lies before damage is read to so many.
-_DECODED = 4096
+_DECODED = 1024
 
 #: Samples of a channel that one byte of a file can hold at most: a FLAC frame of 65535 equal ones takes some 12.
 _BEST_PACKING = 1 << 13
@@ -91,7 +91,7 @@ class _Sound:
         checksum = _Checksum.of(self.path)
         pages = ogg_pages(self.path)
         with self.opened() as file:
-            most = min(length, max(1, _DECODED * 64 // min(file.channels, MAX_CHANNELS)), _DECODED)
+            most = min(length, _DECODED)
             declared = file.frames
             while True:
                 try:

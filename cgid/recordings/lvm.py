@@ -25,6 +25,9 @@ from cgid.recordings.time_axis import EvenTimes, is_resolved, rate_of
 #: Rows begin with a number or a separator; what begins with a letter or a star is the head of the next segment.
 _HEAD = re.compile(r"^[A-Za-z*]", re.MULTILINE)
 
+#: Lines of a head at most; there are some twenty tags.
+_LONGEST_HEAD = 2000
+
 #: Two segments follow each other if the time between them is that of the samples to this part of a step, and the
 #: time stamps cannot be told apart closer than so [s].
 _GAP, _STAMP = 1.5, 2e-6
@@ -181,7 +184,7 @@ class _Lvm:
                     below = above if segment is not None else above[_ends(above)[0] + 1 :]
                     segment, above = read_segment(below, head, number, line, self.source), None
                     yield segment, "", line
-                elif len(above) > PIECE // 64:
+                elif len(above) > _LONGEST_HEAD:
                     raise BadData(
                         f"{self.source}: a head of {len(above)} lines is none (line {line}); copy the file again"
                     )
@@ -195,10 +198,12 @@ class _Lvm:
 
     def _head_of(self, above: list[str], segment: Segment | None) -> LvmHead | None:
         """Return the head of the file once the head of a segment is complete: labels stand behind its end."""
-        ends = _ends(above)
-        if len(ends) < (2 if segment is None else 1) or ends[-1] == len(above) - 1:
+        if len(above) < 2 or not above[-2].startswith(END_OF_HEAD):
             return None
-        return segment.head if segment is not None else read_head(above[: ends[0]], self.source)
+        if segment is not None:
+            return segment.head
+        ends = _ends(above)
+        return read_head(above[: ends[0]], self.source) if len(ends) > 1 else None
 
     def _rows(self, text: str, segment: Segment, channels: Sequence[int], sample: int, line: int) -> Floats:
         """Return rows as numbers, (n, n_columns): x, where it is written, and the channels."""
@@ -255,10 +260,11 @@ class _Lvm:
 
     def _require_end(self, segment: Segment, channel: int, count: int) -> None:
         declared = segment.n_samples(channel)
-        if declared is not None and count < declared:
+        # Further packets may follow without a head of their own, each of so many samples.
+        if declared and (not count or count % declared):
             self.warnings.append(
-                f"segment {segment.number} declares {declared} samples and holds {count}; the file looks cut off, what "
-                "is whole was read"
+                f"segment {segment.number} declares {declared} samples and holds {count}; the file looks cut off or "
+                "damaged, the rows that are whole were read"
             )
 
     def _require_next(self, segment: Segment, following: Segment, channel: int, count: int) -> None:

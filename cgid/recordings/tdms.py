@@ -22,7 +22,8 @@ _LEAD_IN, _TAG = 28, b"TDSm"
 #: What a segment says of its length while it is being written.
 _UNKNOWN = 2**64 - 1
 #: A chunk of one channel is read whole, however little of it is asked for; longer ones go through a temporary file.
-_LONGEST_CHUNK = 1 << 20
+_LONGEST_CHUNK = 1 << 18
+_CHUNKS = 4
 
 
 class _Tdms:
@@ -75,8 +76,8 @@ class _Tdms:
         with self.understood():
             chunk = len(next(iter(channel.data_chunks()), ()))
         read = self._spooled(channel) if chunk > _LONGEST_CHUNK else channel.read_data
-        # Whole chunks, as parts of one cost as much.
-        step = max(length, chunk) if chunk <= _LONGEST_CHUNK else length
+        # Several chunks at once, as a part of one costs as much as all of it.
+        step = length * -(-max(_CHUNKS * chunk, length) // length) if chunk <= _LONGEST_CHUNK else length
         for first in range(0, len(channel), step):
             with self.understood():
                 samples = np.asarray(read(first, min(step, len(channel) - first)))

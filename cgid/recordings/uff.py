@@ -178,9 +178,8 @@ def _data_sets(file: BinaryIO, size: int, source: str, warnings: list[str]) -> I
             one = _header(file, kind, number, source)
             yield one
             if one.is_real and one.is_even:
-                _require_room(one, size, source)
-                file.seek(one.end)
-        # Whatever it was, it ends with the next delimiter.
+                _require_whole(file, one, size, source)
+        # Whatever it was, it ends with the next delimiter, which may follow numbers on their line.
         if not _found(file):
             warnings.append("the last data set has no end; the file may be cut off")
 
@@ -246,12 +245,22 @@ def _date(line: str) -> datetime | None:
     return None
 
 
-def _require_room(one: _DataSet, size: int, source: str) -> None:
-    if one.end > size:
+def _require_whole(file: BinaryIO, one: _DataSet, size: int, source: str) -> None:
+    """Go to the end of the numbers, where the mark of the end must be, or the end of a file that lacks it."""
+    if one.end > size or (not one.is_binary and one.line < one.width):
         raise BadData(
             f"{source}: data set {one} must be whole, its numbers end at byte {one.end} and the file at {size}; "
             "it looks cut off, copy it again"
         )
+    file.seek(one.end)
+    # Behind the last number the line may go on with blanks.
+    rest = file.read(_LONGEST_LINE).lstrip(b" \r\n")
+    if rest and not rest.startswith(b"-1"):
+        raise BadData(
+            f"{source}: data set {one} must end where {one.n_samples} numbers of its type do, at byte {one.end}, other "
+            "things stand there; the file is damaged, export it again"
+        )
+    file.seek(one.end)
 
 
 def _samples(file: BinaryIO, one: _DataSet, first: int, count: int, source: str) -> NDArray[Any]:

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 #: [s], of the clock and of the processor; a sound file takes a tenth.
-_LONGEST, _PROCESSOR = 4.5, 3
+_LONGEST, _PROCESSOR = 4.0, 2
 #: Address space [bytes].
 _MEMORY = 2 << 30
 #: Longer lists and texts are no units and no names.

@@ -27,9 +27,9 @@ _MOST_OBJECTS, _DEEPEST, _MOST_ATTRIBUTES = 10_000, 32, 256
 #: Longer attributes say nothing of a rate or a unit.
 _LONGEST_ATTRIBUTE = 4096
 #: HDF5 unpacks whole chunks; no sound writer makes larger ones.
-_LARGEST_CHUNK = 128 << 20
-#: Chunks kept while rows of them are read [bytes].
-_CACHE = 64 << 20
+_LARGEST_CHUNK = 64 << 20
+#: Chunks that are kept, so that none is unpacked for every block anew: at least and at most so many bytes, slots.
+_LEAST_CACHE, _LARGEST_CACHE, _SLOTS = 1 << 20, 128 << 20, 10_007
 #: deflate packs no better, and what others pack better is no recording.
 _BEST_RATIO = 1100
 #: Where MATLAB keeps what cells and objects refer to.
@@ -49,6 +49,8 @@ class ForeignArray:
     dtype : dtype
     attributes : dict
         Numbers, texts, and lists of texts.
+    chunks : tuple of int or None
+        Shape of the chunks; None if there are none.
     fault : str
         Why its samples cannot be read, "" if they can.
     warning : str
@@ -59,6 +61,7 @@ class ForeignArray:
     shape: tuple[int, ...]
     dtype: np.dtype[Any]
     attributes: dict[str, Any]
+    chunks: tuple[int, ...] | None = None
     fault: str = ""
     warning: str = ""
 
@@ -141,8 +144,8 @@ def array_blocks(
         A checksum or a packed chunk does not fit: the file is damaged.
     """
     across, along = axes
-    kept = array.dtype.newbyteorder("=") if array.dtype in (np.float32, np.float64) else np.dtype(np.float64)
-    with _opened(path, source, rdcc_nbytes=_CACHE) as file:
+    kept = np.float32 if array.dtype.kind == "f" and array.dtype.itemsize == 4 else np.float64
+    with _opened(path, source, rdcc_nbytes=_cache(array, across), rdcc_nslots=_SLOTS) as file:
         dataset = file[array.name]
         if dataset.shape != array.shape:
             raise BadData(f"{source}: {array.name} has changed while it was read; read it again")
@@ -180,6 +183,15 @@ def _opened(path: Path, source: str, **options: int) -> Iterator[h5py.File]:
             f"{source}: the HDF5 file is cut off or damaged ({reason}); copy it again, or if it is a dataset, see what "
             "cgid.store or --index say of it"
         ) from None
+
+
+def _cache(array: ForeignArray, across: int | None) -> int:
+    """Return what the chunks take that hold one moment of all channels [bytes]."""
+    if array.chunks is None:
+        return _LEAST_CACHE
+    side_by_side = 1 if across is None else -(-array.shape[across] // array.chunks[across])
+    size = int(np.prod(array.chunks, dtype=np.int64)) * array.dtype.itemsize
+    return min(max(_LEAST_CACHE, side_by_side * size), _LARGEST_CACHE)
 
 
 def _walk(file: h5py.File, source: str) -> Iterator[tuple[str, Any]]:
@@ -261,6 +273,7 @@ def _add(found: ForeignFile, name: str, item: h5py.Dataset, values: dict[str, An
             shape=shape,
             dtype=item.dtype,
             attributes=values,
+            chunks=item.chunks,
             fault=_fault(item),
             warning=_warning(item),
         )
