@@ -1,4 +1,4 @@
-"""Recordings of coal and gangue made of the impacts of the sample, and a model of windows to answer for them."""
+"""Recordings of coal and gangue made from the sample, and a model of windows: what answers are tested on."""
 
 from __future__ import annotations
 

@@ -218,6 +218,59 @@ def test_line_of_units_below_the_names():
     assert [(signal.channel, signal.unit) for signal in signals] == [("Left", "mV"), ("Right", "g")]
 
 
+@pytest.mark.parametrize("name", ["", "index", "No.", "Sample", "序号"])
+def test_column_that_numbers_the_rows_is_no_channel(name):
+    (signal,) = read_text(f"{name},time (s),F (N)\n0,0,4\n1,0.5,5\n2,1,7\n")
+    assert (signal.samples.tolist(), signal.unit, signal.sampling_rate) == ([4, 5, 7], "N", 2)
+    assert len(read_text(f"{name},time (s),F (N)\n0,0,4\n1,0.5,5\n3,1,7\n")) == 2
+
+
+def test_gaps_of_a_channel_matter_only_to_who_asks_for_it():
+    text = "t,F,a,note\n0,1,5,\n1,2,nan,\n2,3,7,x\n"
+    assert read_text(text, channel="F")[0].samples.tolist() == [1, 2, 3]
+    for channel, words in (("a", r"sample 1 \(line 3\) column 3 is 'nan'"), ("note", "column 4 is empty")):
+        with pytest.raises(BadData, match=words):
+            read_text(text, channel=channel)
+    with pytest.raises(BadData, match=r"sample 1 \(line 3\) column 1 is empty"):
+        read_text("t,F,a\n0,1,5\n,2,3\n2,3,7\n", channel="F")
+
+
+@pytest.mark.parametrize(
+    ("text", "start"),
+    [
+        ("time,F\n2026-03-04 10:00:00.998,1.5\n2026-03-04 10:00:00.999,-2\n2026-03-04 10:00:01.000,3\n", True),
+        ("2026-03-04T10:00:00.998;1.5\n2026-03-04T10:00:00.999;-2\n2026-03-04T10:00:01;3\n", True),
+        ("Datum;F (N)\n2026/3/4 23:59:59,999;1,5\n2026/3/5 00:00:00,000;-2\n2026/3/5 0:00:00,001;3\n", True),
+        ("Start 09:00:00\nTime (hh:mm:ss)\tF\n10:00:00,998\t1,5\n10:00:00,999\t-2\n10:00:01,000\t3\n", False),
+        ("F,clock\n1.5,10:00:00.998\n-2,10:00:00.999\n3,10:00:01.000\n", False),
+    ],
+)
+def test_times_of_day_are_the_time_of_the_rows(text, start):
+    (signal,) = read_text(text)
+    assert signal.samples.tolist() == [1.5, -2, 3]
+    assert signal.sampling_rate == pytest.approx(1000, rel=1e-3)
+    assert (signal.start_time is not None) == start
+    if start:
+        assert signal.start_time.strftime("%Y-%m-%d") == "2026-03-04"
+
+
+@pytest.mark.parametrize(
+    ("text", "word"),
+    [
+        ("10:00:00.001,1\n10:00:00.002,2\n10:00:00.005,3\n", "even"),
+        ("10:00:00.001,1\n10:00:00.002,2\n10:00:00.002,3\n", "increase"),
+        ("23:59:59.999,1\n23:59:59.9995,2\n00:00:00.000,3\n", "increase"),
+        ("2026-13-41 10:00:00.001,1\n2026-13-41 10:00:00.002,2\n", "'2026-13-41 10:00:00.001'"),
+        ("10:00:00.001,1\nnoon,2\n10:00:00.003,3\n", "no line"),
+        ("10:00:00.001,1\n10:00:00.002,2\nnoon,3\n", "sample 2 .* 'noon'"),
+        ("2026-03-04 10:00:00\n2026-03-04 10:00:01\n", "no line"),
+    ],
+)
+def test_bad_times_of_day(text, word):
+    with pytest.raises(BadData, match=word):
+        read_text(text)
+
+
 def test_uneven_first_column_without_header_is_a_channel():
     assert len(read_text("0 1\n1 2\n5 3\n", sampling_rate=5)) == 2
 

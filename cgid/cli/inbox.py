@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-#: So much may wait [bytes]; then the stream is not read on until there is room, and its source has to wait.
+#: So much may wait [bytes].
 MOST_WAITING = 256 << 20
 #: Blocks are joined until they last so long [s]: short ones cost more than they hold.
 LEAST_TIME = 0.05
@@ -48,6 +48,8 @@ class Inbox:
         What it raises is raised again for who takes the blocks, after those before it.
     sampling_rate : float
         [Hz].
+    most_waiting : int
+        So much may wait [bytes]; then the stream is not read on until there is room, and its source has to wait.
 
     Attributes
     ----------
@@ -57,8 +59,8 @@ class Inbox:
         Whether the stream ever had to wait.
     """
 
-    def __init__(self, blocks: Iterable[NDArray[Any]], sampling_rate: float) -> None:
-        self._blocks, self._rate = blocks, sampling_rate
+    def __init__(self, blocks: Iterable[NDArray[Any]], sampling_rate: float, most_waiting: int = MOST_WAITING) -> None:
+        self._blocks, self._rate, self._most = blocks, sampling_rate, most_waiting
         self._changed = Condition()
         self._waiting: deque[NDArray[Any]] = deque()
         self._n_waiting = self._size = 0
@@ -93,8 +95,8 @@ class Inbox:
         try:
             for block in self._blocks:
                 with self._changed:
-                    self.held_up = self.held_up or self._size > MOST_WAITING
-                    self._changed.wait_for(lambda: self._size <= MOST_WAITING)
+                    self.held_up = self.held_up or self._size > self._most
+                    self._changed.wait_for(lambda: self._size <= self._most)
                     self._waiting.append(block)
                     self._n_waiting += block.shape[1]
                     self._size += block.nbytes

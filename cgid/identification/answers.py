@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import compress
 
@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from cgid.errors import BadData, InvalidValue, MissingOption
 from cgid.features import MINIMUM_FRAME, extract_array, problems_of
 from cgid.frames import DETECTION_LIMIT
-from cgid.identification.events import find_impacts
+from cgid.identification.events import Event, find_impacts
 from cgid.identification.known import known_columns
 from cgid.identification.model import UNKNOWN, Model
 from cgid.signals import UNITS, Signal
@@ -195,25 +195,53 @@ def identify(
     InvalidValue
         The model has no use for the drop height, or a choice is one that it cannot serve.
     """
-    answers = []
-    for event in find_impacts(signal, kind=model.kind, dead_time=dead_time):
-        if event.problem:
-            answers.append(unmeasured(event.problem, event.time))
-            continue
-        part = event.signal
-        answers += identify_frames(
-            part.samples[None],
-            part.sampling_rate,
+    decision = Decision(costs=costs or {}, coverage=coverage, class_conditional=class_conditional)
+    events = find_impacts(signal, kind=model.kind, dead_time=dead_time)
+    return identify_events(events, model, decision, drop_height=drop_height, channels=(signal.channel,))
+
+
+def identify_events(
+    events: Sequence[Event],
+    model: Model,
+    decision: Decision,
+    *,
+    drop_height: float | None = None,
+    channels: Sequence[str] = ("1",),
+) -> list[Answer]:
+    """Return one answer for each impact that was found, in their order; those whose frames begin alike at once.
+
+    `channels` are the names of the channels that the events number; else as `identify`.
+    """
+    alike: dict[tuple[int | None, float, float], list[int]] = {}
+    for number, event in enumerate(events):
+        alike.setdefault((event.pre_trigger, event.detection_limit, event.sampling_rate), []).append(number)
+    answers: dict[int, Answer] = {}
+    for (pre_trigger, limit, sampling_rate), numbers in alike.items():
+        found = identify_frames(
+            np.stack([events[number].samples for number in numbers]),
+            sampling_rate,
             model,
-            pre_trigger=part.pre_trigger,
-            costs=costs,
-            coverage=coverage,
-            class_conditional=class_conditional,
+            pre_trigger=pre_trigger,
+            costs=decision.costs,
+            coverage=decision.coverage,
+            class_conditional=decision.class_conditional,
             drop_height=drop_height,
-            detection_limit=event.detection_limit,
+            detection_limit=limit,
         )
-        answers[-1] = replace(answers[-1], time=event.time)
-    return answers
+        answers |= dict(zip(numbers, found, strict=True))
+    return [_placed(answers[number], event, channels) for number, event in enumerate(events)]
+
+
+def _placed(answer: Answer, event: Event, channels: Sequence[str]) -> Answer:
+    return replace(
+        unmeasured(event.problem) if event.problem else answer,
+        time=event.time,
+        end=event.end / event.sampling_rate,
+        channel=channels[event.channel],
+        overlapping=event.overlapping,
+        clipped=event.clipped,
+        cut=event.cut,
+    )
 
 
 def identify_frames(

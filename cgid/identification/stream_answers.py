@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cgid.errors import BadData
-from cgid.identification.answers import Answer, Decision, answers_from, identify_frames, suited, unmeasured
+from cgid.identification.answers import Answer, Decision, answers_from, identify_events, suited, unmeasured
 from cgid.identification.detection import ImpactDetector, ImpactKind
 from cgid.identification.events import Event, find_impacts
 from cgid.identification.model import Model
@@ -242,7 +242,7 @@ def _impacts_answered(
 
     def step(silent: tuple[str, ...] = ()) -> Step:
         heard.update(event.channel for event in waiting)
-        answers = _events_answered(waiting, sampling_rate, model, channels, question)
+        answers = _events_answered(waiting, model, channels, question)
         waiting.clear()
         return Step(answers, detector.told / sampling_rate, silent)
 
@@ -280,7 +280,7 @@ def _whole_answered(
     events.sort(key=lambda event: (event.onset, event.channel))
     answers = []
     for first in range(0, len(events), BATCH):
-        answers += _events_answered(events[first : first + BATCH], sampling_rate, model, channels, question)
+        answers += _events_answered(events[first : first + BATCH], model, channels, question)
     return Step(answers, samples.shape[1] / sampling_rate, tuple(silent))
 
 
@@ -310,41 +310,9 @@ def _named(source: str) -> Iterator[None]:
 
 
 def _events_answered(
-    events: Sequence[Event], sampling_rate: float, model: Model, channels: Sequence[str], question: Question
+    events: Sequence[Event], model: Model, channels: Sequence[str], question: Question
 ) -> list[Answer]:
-    """Return the answers for some events in their order; frames that begin alike are identified together."""
-    decision = question.decision
-    alike: dict[tuple[int | None, float], list[int]] = {}
-    for number, event in enumerate(events):
-        alike.setdefault((event.pre_trigger, event.detection_limit), []).append(number)
-    answers: dict[int, Answer] = {}
-    for (pre_trigger, limit), numbers in alike.items():
-        found = identify_frames(
-            np.stack([events[number].samples for number in numbers]),
-            sampling_rate,
-            model,
-            pre_trigger=pre_trigger,
-            costs=decision.costs,
-            coverage=decision.coverage,
-            class_conditional=decision.class_conditional,
-            drop_height=question.drop_height,
-            detection_limit=limit,
-        )
-        answers |= dict(zip(numbers, found, strict=True))
-    return [_placed(answers[number], event, channels) for number, event in enumerate(events)]
-
-
-def _placed(answer: Answer, event: Event, channels: Sequence[str]) -> Answer:
-    rate = event.sampling_rate
-    return replace(
-        unmeasured(event.problem) if event.problem else answer,
-        time=event.time,
-        end=event.end / rate,
-        channel=channels[event.channel],
-        overlapping=event.overlapping,
-        clipped=event.clipped,
-        cut=event.cut,
-    )
+    return identify_events(events, model, question.decision, drop_height=question.drop_height, channels=channels)
 
 
 def _windows_answered(

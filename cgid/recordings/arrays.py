@@ -16,9 +16,7 @@ from numpy.typing import NDArray
 
 from cgid.errors import BadData
 from cgid.recordings.contents import Contents
-
-#: Numbers that are read at once at most, however many channels there are.
-MOST_NUMBERS = 1 << 22
+from cgid.recordings.pcm import MOST_NUMBERS
 
 #: Longer headers are those of damaged files.
 HEADER_SIZE = 1 << 16

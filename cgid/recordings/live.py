@@ -26,6 +26,9 @@ class LiveStream:
 
     Attributes
     ----------
+    file : binary file
+    coding : Coding
+        How a number is written.
     n_channels : int
     sampling_rate : float
         [Hz].
@@ -37,6 +40,10 @@ class LiveStream:
         Of each channel, that have come so far.
     warnings : list of str
         What was left out, one line each; complete when the stream has ended.
+    head : bytes
+        What has been read of the samples already.
+    size : int or None
+        Bytes of sound that are to come; None if the stream goes on until it ends.
     """
 
     file: BinaryIO

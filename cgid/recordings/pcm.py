@@ -11,6 +11,9 @@ from numpy.typing import NDArray
 
 from cgid.errors import InvalidValue
 
+#: Numbers that are read at once at most, however many channels there are.
+MOST_NUMBERS = 1 << 22
+
 _FLOAT_WIDTHS = (4, 8)
 _INTEGER_WIDTHS = (1, 2, 3, 4, 8)
 

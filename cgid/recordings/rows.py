@@ -6,7 +6,7 @@ import io
 import math
 import re
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cgid.errors import BadData
+from cgid.recordings.clock_stamps import with_seconds
 from cgid.recordings.layout import MIXED, Layout, is_comment
 
 Floats = NDArray[np.float64]
@@ -55,25 +56,33 @@ class Body:
     layout: Layout
     source: str
 
-    def pieces(self) -> Iterator[tuple[Floats, bool]]:
+    def pieces(self, needed: Sequence[int]) -> Iterator[tuple[Floats, bool]]:
         """Yield rows (n, n_columns) in order, and whether they are the last ones.
+
+        Parameters
+        ----------
+        needed : sequence of int
+            Columns whose fields must be finite numbers; what is none elsewhere becomes nan.
 
         Raises
         ------
         BadData
-            A row has more or fewer fields than the first, or a field is no finite number; sample and line are named.
+            A row has more or fewer fields than the first, or a field that is needed is no finite number; sample and
+            line are named.
         """
+        wanted = list(needed)
         layout, sample, line = self.layout, 0, self.first_line
         points = False
-        for text, is_last in whole_lines(self.path, self.encoding, self.source, self.start):
+        for written, is_last in whole_lines(self.path, self.encoding, self.source, self.start):
+            text = with_seconds(written, layout)
             if not points:
                 # As long as all numbers were whole ones, nobody could know the decimal mark.
                 layout = with_decimal_mark(layout, text)
             points = points or "." in text
             rows = _parsed_at_once(text, layout)
-            if rows is None or not np.isfinite(rows).all():
+            if rows is None or not np.isfinite(rows[:, wanted]).all():
                 # Going through the lines either finds the fault or leaves out what numpy's parser stumbled over.
-                checked = list(_checked_rows(text, layout, sample, line, self.source))
+                checked = list(_checked_rows(text, layout, wanted, sample, line, self.source))
                 rows = np.loadtxt(checked, comments=None, ndmin=2) if checked else np.empty((0, layout.n_columns))
             yield rows, is_last
             sample += len(rows)
@@ -93,7 +102,7 @@ class Body:
             text = raw.decode(self.encoding, "replace")
         for line in reversed(text.replace("\r", "\n").rstrip(_END_MARK).split("\n")):
             if not is_comment(line):
-                fields = self.layout.fields(line.partition("#")[0])
+                fields = self.layout.fields(with_seconds(line.partition("#")[0], self.layout))
                 values = [self.layout.number(field) for field in fields]
                 complete = len(values) == self.layout.n_columns and None not in values
                 return np.array([float(value or "nan") for value in values]) if complete else None
@@ -157,7 +166,9 @@ def _parsed_at_once(text: str, layout: Layout) -> Floats | None:
     return rows
 
 
-def _checked_rows(text: str, layout: Layout, sample: int, first_line: int, source: str) -> Iterator[str]:
+def _checked_rows(
+    text: str, layout: Layout, needed: Sequence[int], sample: int, first_line: int, source: str
+) -> Iterator[str]:
     # The very last line is the only one that may lack its end.
     unended = first_line + text.count("\n")
     for number, line in enumerate(text.split("\n"), first_line):
@@ -172,13 +183,15 @@ def _checked_rows(text: str, layout: Layout, sample: int, first_line: int, sourc
                 f"(line {number}) has {len(fields)}{ending}; repair or cut the recording there"
             )
         values = [layout.number(field) for field in fields]
-        for column, (field, value) in enumerate(zip(fields, values, strict=True), 1):
+        for column in needed:
+            value = values[column]
             if value is None or not math.isfinite(float(value)):
                 raise BadData(
-                    f"{source}: every field must be a finite number, sample {sample} (line {number}) column {column} "
-                    f"is {_shown(field)}{cut if value is None else ''}; repair or cut the recording there"
+                    f"{source}: every field must be a finite number, sample {sample} (line {number}) column "
+                    f"{column + 1} is {_shown(fields[column])}{cut if value is None else ''}; repair or cut the "
+                    "recording there"
                 )
-        yield " ".join(filter(None, values))
+        yield " ".join(value or "nan" for value in values)
         sample += 1
 
 

@@ -13,12 +13,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cgid.errors import BadData
+from cgid.recordings.clock_stamps import stamped_layout_of, stamped_moment, with_seconds
 from cgid.recordings.contents import MAX_CHANNELS, Contents, rates_agree
 from cgid.recordings.encodings import SNIFFED, encoding_of
 from cgid.recordings.header import Column, Header, read_header
 from cgid.recordings.layout import Layout, is_comment, layout_of
 from cgid.recordings.rows import PIECE, Body, Floats, with_decimal_mark
 from cgid.recordings.time_axis import EvenTimes, rate_of, refined_rate, seconds, time_columns
+
+
+#: What programs call the number of a row, if they call it anything.
+_NAMES_OF_COUNTERS = ("", "index", "no", "nr", "n", "i", "sample", "samples", "sample no", "point", "row", "序号")
 
 
 def read_text(path: Path, source: str, variable: str | None) -> Contents:
@@ -60,8 +65,7 @@ def read_text(path: Path, source: str, variable: str | None) -> Contents:
             f"{source}: at most {MAX_CHANNELS} columns, line {body.first_line} has {body.layout.n_columns}; "
             "transpose it: one sample a row, one channel a column"
         )
-    rows, is_whole = next(body.pieces())
-    return assembled(header, body, rows, is_whole)
+    return _assembled(header, body)
 
 
 def _found(path: Path, encoding: str, source: str) -> tuple[Header, Body]:
@@ -74,19 +78,26 @@ def _found(path: Path, encoding: str, source: str) -> tuple[Header, Body]:
     above: deque[str] = deque()
     start, layout = 0, None
     lines = _lines(piece)
-    for line in lines:
-        layout = None if is_comment(line) else layout_of(line)
+    line = next(lines, "")
+    while line:
+        following = next(lines, "")
+        layout = None if is_comment(line) else layout_of(line) or stamped_layout_of(line, following)
         if layout is not None:
             break
         above.append(line)
         start += len(line)
+        line = following
     if layout is None:
         raise BadData(f"{source}: a recording must hold numbers, no line of the text does; export it again")
-    layout = with_decimal_mark(_settled(layout, next(lines, line), above), piece[start:])
+    moment = None if layout.stamp is None else stamped_moment(line)
+    layout = _settled(layout, following or line, above)
+    layout = with_decimal_mark(layout, with_seconds(piece[start:], layout))
     while above and _is_damaged_row(above[-1], layout):
         start -= len(above.pop())
     body = Body(path=path, encoding=encoding, start=start, first_line=len(above) + 1, layout=layout, source=source)
     header = read_header(above, layout)
+    if moment is not None:
+        header = replace(header, start_time=moment)
     _refuse_doubtful_comma(body, header, line, above)
     return header, body
 
@@ -133,34 +144,41 @@ def _refuse_doubtful_comma(body: Body, header: Header, first: str, above: deque[
         )
 
 
-def assembled(header: Header, body: Body, rows: Floats, is_whole: bool) -> Contents:
-    """Return the contents of a text from its header and the `rows` (n, n_columns) of its first piece."""
+def _assembled(header: Header, body: Body) -> Contents:
+    """Return the contents of a text from its header and the rows of its first piece."""
     columns, source = header.columns, body.source
-    times = time_columns(columns, rows)
-    measured = None
-    if times and len(rows) > 1:
-        last = None if is_whole else body.last_row()
-        measured = _measured_rate(columns, times, rows, last, source)
-    kept = [index for index in range(rows.shape[1]) if index not in times]
+    rows, is_whole = next(body.pieces(()))
+    times = time_columns(columns, rows) if body.layout.stamp is None else [body.layout.stamp]
+    kept = [index for index in range(rows.shape[1]) if index not in times and not _counts(columns, rows, index)]
     if not kept:
         raise BadData(f"{source}: a recording must hold a channel beside time, there is none; export it again")
+    # Whether a channel has gaps matters only to those who ask for it, but times must be whole.
+    finite: NDArray[np.bool_] = np.all(np.isfinite(rows), axis=0)
+    if not finite[times].all():
+        next(body.pieces(times))
+    measured = None
+    if times and len(rows) > 1:
+        measured = _measured_rate(columns, times, rows, None if is_whole else body.last_row(), body)
+    rate = _agreed_rate(header.sampling_rates, measured, source)
+    if rate is None or not finite[kept].any():
+        next(body.pieces(kept))
     named = [columns[index] for index in kept] if columns else []
     units = [column.known_unit or (None if column.unit else header.unit) for column in named]
     about: dict[str, Any] = {
         "names": [column.name for column in named],
         "units": units or [header.unit] * len(kept),
-        "sampling_rate": _agreed_rate(header.sampling_rates, measured, source),
+        "sampling_rate": rate,
         "rate_from": "header" if measured is None else "time column",
         "start_time": header.start_time,
     }
-    if is_whole:
+    if is_whole and finite.all():
         return Contents.of_array(np.ascontiguousarray(rows.T[kept]), **about)
 
     def blocks(length: int, channels: Sequence[int]) -> Iterator[NDArray[Any]]:
         picked = [kept[channel] for channel in channels]
         clock = None if measured is None else EvenTimes(measured, source)
-        factor = seconds(columns[times[0]] if columns else Column(), source) if times else 1.0
-        for piece, _ in body.pieces():
+        factor = _factor(columns, times[0], body) if times else 1.0
+        for piece, _ in body.pieces([*times, *picked]):
             if clock is not None:
                 clock.feed(piece[:, times[0]] * factor)
             samples = np.ascontiguousarray(piece.T[picked])
@@ -170,19 +188,31 @@ def assembled(header: Header, body: Body, rows: Floats, is_whole: bool) -> Conte
     return Contents(n_channels=len(kept), blocks=blocks, **about)
 
 
+def _counts(columns: tuple[Column, ...], rows: Floats, index: int) -> bool:
+    """Return whether a column only numbers the rows: named as such, and growing by one."""
+    is_named = bool(columns) and columns[index].name.lower().strip(" .:#") in _NAMES_OF_COUNTERS
+    with np.errstate(all="ignore"):
+        return is_named and len(rows) > 1 and bool((np.diff(rows[:, index]) == 1).all())
+
+
+def _factor(columns: tuple[Column, ...], at: int, body: Body) -> float:
+    """Return the factor from a time column to seconds, which stamps have become already."""
+    return 1.0 if at == body.layout.stamp else seconds(columns[at] if columns else Column(), body.source)
+
+
 def _measured_rate(
-    columns: tuple[Column, ...], times: Sequence[int], rows: Floats, last: Floats | None, source: str
+    columns: tuple[Column, ...], times: Sequence[int], rows: Floats, last: Floats | None, body: Body
 ) -> float:
     """Return the sampling rate [Hz] of the time columns, which must agree."""
     rates = []
     for at in times:
-        factor = seconds(columns[at] if columns else Column(), source)
-        rate = rate_of(rows[:, at] * factor, source)
+        factor = _factor(columns, at, body)
+        rate = rate_of(rows[:, at] * factor, body.source)
         rates.append(rate if last is None else refined_rate(rate, rows[0, at] * factor, last[at] * factor))
     for (earlier, a), (later, b) in pairwise(zip(times, rates, strict=True)):
         if not rates_agree(a, b):
             raise BadData(
-                f"{source}: the sampling rate must be one to 0.1 %, time column {columns[earlier].name!r} gives "
+                f"{body.source}: the sampling rate must be one to 0.1 %, time column {columns[earlier].name!r} gives "
                 f"{a:.10g} Hz and {columns[later].name!r} {b:.10g} Hz; export the channels of one rate only"
             )
     return rates[0]

@@ -11,10 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cgid.recordings.contents import Contents
+from cgid.recordings.pcm import MOST_NUMBERS
 from cgid.recordings.riff import ENDLESS, WaveHead, read_wave_head
-
-#: Numbers that are read at once at most, however many channels there are.
-MOST_NUMBERS = 1 << 22
 
 
 def read_wav(path: Path, source: str, variable: str | None) -> Contents:
