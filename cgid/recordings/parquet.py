@@ -33,6 +33,8 @@ _BUFFER = 1 << 20
 _LONGEST_VALUE = 200
 #: Equal numbers take hardly any room, but a recording is not made of them.
 _MOST_ROWS_A_BYTE = 1000
+#: What pandas calls the column of an index that has no name.
+_INDEX = "__index_level_"
 _TICKS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 
 
@@ -67,6 +69,8 @@ def read_parquet(path: Path, source: str, variable: str | None) -> Contents:
     for name, kind, values in file.columns():
         if kind == "other":
             warnings.append(f"column {name} holds no numbers and is left out")
+        elif name.startswith(_INDEX) and kind == "number":
+            warnings.append(f"column {name} is an index without a name and is left out")
         else:
             columns.append((name, kind, values, column_of(name)))
     at = next((k for k, (_, kind, _, _) in enumerate(columns) if kind == "timestamp"), None)
