@@ -409,6 +409,9 @@ def test_hostile_mat_is_refused_before_anything_is_allocated(mat):
     lying = zlib.compress(struct.pack("<II", 14, 2**32 - 16) + bytes(1000))
     assert "declares 4294967288 bytes" in refused(mat(mat_file(struct.pack("<II", 15, len(lying)) + lying)))
     assert "there is none" in refused(mat(mat_file(mat_array("x", (0, 5), 6, 9, b""))), sampling_rate=1.0)
+    bare = [mat_element(6, struct.pack("<II", 2, 0)), mat_element(5, struct.pack("<3i", 10**4, 10**4, 10**4))]
+    bare += [mat_element(1, b"s"), mat_element(5, struct.pack("<i", 8)), mat_element(1, b"")]
+    assert "there is none" in refused(mat(mat_file(mat_element(14, b"".join(bare)))), sampling_rate=1.0)
     nested = SAMPLES[0].tobytes()
     for _ in range(50):
         nested = mat_element(
@@ -822,6 +825,10 @@ def test_columns_of_parquet_that_are_no_channels(parquet):
     assert "there is none" in refused(parquet({"said": words}))
     assert "there is none" in refused(parquet({"time": np.arange(N)}))
     assert "there is none" in refused(parquet({"x": np.zeros(0)}, {"fs": "10"}))
+    arrow = pytest.importorskip("pyarrow")
+    path = parquet({"x": SAMPLES[0]})
+    pytest.importorskip("pyarrow.parquet").write_table(arrow.Table.from_arrays([SAMPLES[0]] * 2, ["x", "x"]), path)
+    assert "'x' is there twice" in refused(path, sampling_rate=1.0)
     gap = [*SAMPLES[0, :100], None, *SAMPLES[0, 101:]]
     assert "sample 100 is nan" in refused(parquet({"x": gap}, {"fs": "10"}))
     times = np.arange(N) / 1000

@@ -66,6 +66,7 @@ def read_parquet(path: Path, source: str, variable: str | None) -> Contents:
     file = _Parquet(path, source)
     warnings, n_samples = list[str](), file.n_rows
     columns = []
+    file.require_unique_names()
     for name, kind, values in file.columns():
         if kind == "other":
             warnings.append(f"column {name} holds no numbers and is left out")
@@ -158,6 +159,13 @@ class _Parquet:
             is_number = pa.types.is_integer(one.type) or pa.types.is_floating(one.type)
             is_stamp = pa.types.is_timestamp(one.type) or pa.types.is_duration(one.type)
             yield one.name, "number" if is_number else "timestamp" if is_stamp else "other", _texts(one.metadata)
+
+    def require_unique_names(self) -> None:
+        """Raise `BadData` if two columns have one name, as pyarrow then reads neither."""
+        names = list(self._schema.names)
+        twice = next((name for name in names if names.count(name) > 1), None) if len(set(names)) < len(names) else None
+        if twice is not None:
+            raise BadData(f"{self._source}: columns must differ in name, {twice!r} is there twice; rename one")
 
     def first_time(self, name: str) -> datetime | None:
         """Return the first timestamp of a column."""

@@ -204,8 +204,7 @@ def _found(file: BinaryIO) -> bool:
 def _header(file: BinaryIO, kind: bytes, number: int, source: str) -> _DataSet:
     lines = [file.readline(_LONGEST_LINE).decode("latin-1").rstrip("\r\n") for _ in range(11)]
     try:
-        function, node, direction = (int(lines[5][part]) for part in (slice(0, 5), slice(41, 51), slice(51, 55)))
-        place = f"{node}{_DIRECTIONS.get(direction, '')}"
+        function = int(lines[5][0:5])
         code, n_samples, spacing = (int(lines[6][k : k + 10]) for k in (0, 10, 20))
         step = float(lines[6][43:56])
         abscissa = int(lines[7][0:10])
@@ -225,7 +224,7 @@ def _header(file: BinaryIO, kind: bytes, number: int, source: str) -> _DataSet:
     return _DataSet(
         number=number,
         name=_text(lines[0]) or _text(lines[8][26:46]),
-        place=place,
+        place=_place(lines[5]),
         function=function,
         abscissa=abscissa,
         is_even=spacing == 1,
@@ -241,6 +240,13 @@ def _header(file: BinaryIO, kind: bytes, number: int, source: str) -> _DataSet:
         per_line=4 if is_double else 6,
         line=line,
     )
+
+
+def _place(line: str) -> str:
+    """Return node and direction of the response, "" where the line does not say them."""
+    with suppress(ValueError):
+        return f"{int(line[41:51])}{_DIRECTIONS.get(int(line[51:55]), '')}"
+    return ""
 
 
 def _text(line: str) -> str:
