@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from datetime import datetime
@@ -162,8 +163,7 @@ class _Parquet:
 
     def require_unique_names(self) -> None:
         """Raise `BadData` if two columns have one name, as pyarrow then reads neither."""
-        names = list(self._schema.names)
-        twice = next((name for name in names if names.count(name) > 1), None) if len(set(names)) < len(names) else None
+        twice = next((name for name, count in Counter(self._schema.names).items() if count > 1), None)
         if twice is not None:
             raise BadData(f"{self._source}: columns must differ in name, {twice!r} is there twice; rename one")
 
