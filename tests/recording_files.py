@@ -159,9 +159,7 @@ def _hdf5(path: Path, samples: np.ndarray, rate: float) -> None:
     import h5py
 
     with h5py.File(path, "w") as file:
-        stored = file.create_dataset(
-            "measured/acceleration", data=samples, chunks=(1, min(4096, samples.shape[1])), fletcher32=True
-        )
+        stored = file.create_dataset("measured/acceleration", data=samples, chunks=(1, 1024), fletcher32=True)
         stored.attrs["sampling_rate"] = rate
         stored.attrs["unit"] = np.bytes_(UNIT.encode())
 
@@ -214,16 +212,13 @@ def _uff(binary: int) -> Callable[[Path, np.ndarray, float], None]:
             )
             for number, (name, row) in enumerate(zip(NAMES, samples, strict=True), start=1)
         ]
-        content = b""
-        for one in sets:
-            # Of several binary sets pyuff 2.5 keeps the last: each is written by itself. It leaves a file open, too.
+        with warnings.catch_warnings():
+            # pyuff opens a binary file twice and leaves one of them to the collector.
+            warnings.simplefilter("ignore", ResourceWarning)
+            # Nor does it keep the first of several binary sets when it overwrites.
             path.unlink(missing_ok=True)
-            with warnings.catch_warnings():
-                warnings.simplefilter("ignore", ResourceWarning)
-                pyuff.UFF(str(path)).write_sets([one], mode="add")
-                gc.collect()
-            content += path.read_bytes()
-        path.write_bytes(content)
+            pyuff.UFF(str(path)).write_sets(sets, mode="add")
+            gc.collect()
 
     return write
 
