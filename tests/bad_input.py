@@ -263,7 +263,10 @@ CASES = (
     Case("unknown label in costs", ("predict", "good.csv", "--cost", "granite=2"), 65, ("granite",)),
     Case("cost that is no number", ("predict", "good.csv", "--cost", "coal=much"), 2, ("LABEL=COST",)),
     Case(
-        "model of an older version", ("predict", "good.csv", "--model", "old.npz"), 65, ("old.npz", "2 or 3, got 1", "again")
+        "model of an older version",
+        ("predict", "good.csv", "--model", "old.npz"),
+        65,
+        ("old.npz", "2 or 3, got 1", "again"),
     ),
     Case(
         "drop height of no use",
