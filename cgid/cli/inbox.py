@@ -12,8 +12,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-#: So much may wait [bytes].
-MOST_WAITING = 256 << 20
+#: So much may wait [bytes],
+MOST_WAITING = 128 << 20
+#: and so much of it is taken at once: what is made of it takes many times more.
+MOST_TAKEN = 8 << 20
 #: Blocks are joined until they last so long [s]: short ones cost more than they hold.
 LEAST_TIME = 0.05
 #: But nobody waits longer than this for them [s].
@@ -109,15 +111,18 @@ class Inbox:
                 self._changed.notify_all()
 
     def _next(self) -> NDArray[Any] | None:
-        """Return all blocks that wait in one, None at the end."""
+        """Return the blocks that wait as one, None at the end."""
         with self._changed:
             # Waits end now and then, so that an interruption is heard.
             while not self._changed.wait_for(lambda: self._waiting or self._ended, 1.0):
                 pass
             self._changed.wait_for(lambda: self._ended or self._n_waiting >= LEAST_TIME * self._rate, _PATIENCE)
-            blocks = list(self._waiting)
-            self._waiting.clear()
-            self._n_waiting = self._size = 0
+            blocks, size = [], 0
+            while self._waiting and size < MOST_TAKEN:
+                blocks.append(self._waiting.popleft())
+                size += blocks[-1].nbytes
+            self._n_waiting -= sum(block.shape[1] for block in blocks)
+            self._size -= size
             self._changed.notify_all()
         if not blocks:
             return None
