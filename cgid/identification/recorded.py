@@ -19,7 +19,7 @@ from cgid.identification.events import Event, ImpactDetector
 from cgid.identification.feature_sets import sets_for, union_of
 from cgid.identification.manifest import Manifest
 from cgid.identification.referenced import Equalisations, equalisations_of, reference_spectra
-from cgid.identification.windows import WINDOW_TIME, Grid, measure_windows, windows_of
+from cgid.identification.windows import WINDOW_TIME, Grid, measure_windows, require_times, windows_of
 from cgid.signals import quantity_of
 from cgid.validation import Floats
 
@@ -45,8 +45,7 @@ class Slicing:
 
     def __post_init__(self) -> None:
         validation.choice("by", self.by, ("window", "impact"))
-        validation.positive("window_time", self.window_time, "s")
-        validation.positive("hop_time", self.hop_time, "s")
+        require_times(self.window_time, self.hop_time)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

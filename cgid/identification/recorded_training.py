@@ -66,7 +66,8 @@ def train_recorded(
         See `cgid.identification.classifier.ImpactClassifier`.
     seed : int
     shuffle_labels : bool
-        A check of the method: labels are shuffled among the recordings, so the accuracy must be that of guessing.
+        A check of the method: labels are shuffled among the recordings, so the accuracy must be no better than
+        guessing; it is worse where recordings of a material resemble each other, for these then mislead.
     synthetic : Measured, optional
         Impacts of scenes or datasets, measured as the recorded ones and in their unit: they teach, too, adapted to the
         level and spectrum of the recordings.

@@ -23,10 +23,27 @@ from cgid.validation import Floats
 WINDOW_TIME = 0.1
 #: Decisions are averaged over this, where nobody says it [s].
 VOTE_TIME = 0.5
+#: No window lasts longer [s]: it has to be held in memory.
+LONGEST_WINDOW = 10.0
+#: The next window begins after this share of one at least, and within `LONGEST_WINDOW`.
+FINEST_HOP = 0.01
 #: Windows that leave at once, at most: what is measured on them takes memory.
 _MOST_WINDOWS = 512
 #: No probability is taken for less: one window must not rule a label out alone.
 _LEAST_PROBABILITY = 1e-6
+
+
+def require_times(window_time: float, hop_time: float) -> None:
+    """Raise `InvalidValue` unless windows of a length [s] that start so far from each other [s] can be looked at."""
+    validation.positive("window_time", window_time, "s")
+    validation.positive("hop_time", hop_time, "s")
+    if window_time > LONGEST_WINDOW:
+        raise InvalidValue(f"window_time must be at most {LONGEST_WINDOW:g} s, got {window_time:g} s")
+    if not FINEST_HOP * window_time <= hop_time <= LONGEST_WINDOW:
+        raise InvalidValue(
+            f"hop_time must lie between {FINEST_HOP:g} of a window and {LONGEST_WINDOW:g} s, got {hop_time:g} s for "
+            f"windows of {window_time:g} s"
+        )
 
 
 @dataclass(frozen=True)
