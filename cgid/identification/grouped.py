@@ -21,6 +21,7 @@ from cgid.identification.classifier import ImpactClassifier, best_temperature
 from cgid.identification.feature_sets import Sets
 from cgid.identification.selection import preferred
 from cgid.identification.transform import Neighbourhood, softmax
+from cgid.identification.windows import columns_of
 from cgid.validation import Floats
 
 #: Up to so many groups are left out one by one; more are left out together, in so many folds.
@@ -99,9 +100,7 @@ class Rows:
 
     def inputs(self, features: Sequence[str]) -> Floats:
         """Return the columns of some features, channel after channel."""
-        columns = [self.names.index(name) for name in features]
-        starts = range(0, self.features.shape[1], len(self.names))
-        return self.features[:, [start + column for start in starts for column in columns]]
+        return self.features[:, columns_of(self.names, features, self.features.shape[1])]
 
 
 @dataclass(frozen=True)

@@ -19,7 +19,7 @@ from cgid.identification.events import Event, ImpactDetector
 from cgid.identification.feature_sets import sets_for, union_of
 from cgid.identification.manifest import Manifest
 from cgid.identification.referenced import Equalisations, equalisations_of, reference_spectra
-from cgid.identification.windows import WINDOW_TIME, Grid, measure_windows, require_times, windows_of
+from cgid.identification.windows import WINDOW_TIME, Grid, columns_of, measure_windows, require_times, windows_of
 from cgid.signals import quantity_of
 from cgid.validation import Floats
 
@@ -104,10 +104,8 @@ class Recorded:
 
     def only(self, names: tuple[str, ...]) -> Recorded:
         """Return the same rows with some of the features."""
-        columns = [self.names.index(name) for name in names]
-        starts = range(0, self.features.shape[1], len(self.names))
-        chosen = [start + column for start in starts for column in columns]
-        return replace(self, names=names, features=self.features[:, chosen])
+        columns = columns_of(self.names, names, self.features.shape[1])
+        return replace(self, names=names, features=self.features[:, columns])
 
 
 def record(

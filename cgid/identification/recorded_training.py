@@ -30,13 +30,12 @@ from cgid.identification.metrics import evaluate
 from cgid.identification.model import Model
 from cgid.identification.recorded import Recorded
 from cgid.identification.training import Training, check_class_weights
-from cgid.identification.windows import RunningVote
+from cgid.identification.windows import LEAST_PROBABILITY, RunningVote
 from cgid.signals import quantity_of
 from cgid.validation import Floats
 
 #: Running votes are judged over these [s].
 VOTE_TIMES = (0.5, 1.0)
-_LEAST_PROBABILITY = 1e-6
 
 
 def train_recorded(
@@ -211,7 +210,7 @@ def _recordings(recorded: Recorded, labels: NDArray[np.str_], probabilities: Flo
     rows = []
     for piece in np.unique(recorded.piece):
         own = recorded.piece == piece
-        total = np.log(np.maximum(probabilities[own], _LEAST_PROBABILITY)).mean(axis=0)
+        total = np.log(np.maximum(probabilities[own], LEAST_PROBABILITY)).mean(axis=0)
         rows.append(
             {
                 "name": recorded.pieces[piece],
