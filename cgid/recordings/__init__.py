@@ -25,10 +25,10 @@ __all__ = ["BLOCK_LENGTH", "Channel", "RecordingFile", "is_dataset", "open_recor
 
 
 def is_dataset(path: str | Path) -> bool:
-    """Return whether `path` is a directory, or an HDF5 file that does not say that it is a recording.
+    """Return whether `path` is a directory, or an HDF5 file of cgid's that is no recording.
 
-    Such an input belongs to `cgid.store`. What does not exist or cannot be opened is no dataset, and neither
-    is "-", the standard input.
+    An HDF5 file that is too damaged to say whose it is counts as one. Such an input belongs to `cgid.store`. What does
+    not exist or cannot be opened is no dataset, and neither is "-", the standard input.
 
     Examples
     --------
@@ -48,9 +48,10 @@ def is_dataset(path: str | Path) -> bool:
                 return False
     except (OSError, ValueError):
         return False
+    from cgid.store.foreign import is_foreign
     from cgid.store.recording import is_recording
 
-    return not is_recording(path)
+    return not is_recording(path) and not is_foreign(path)
 
 
 def open_recording(
@@ -75,6 +76,13 @@ def open_recording(
     "FS" unless `unit` is given, which then is taken as the unit of the numbers between -1 and 1.
 
     A recording made by `cgid generate` holds one channel, and says its rate and unit.
+
+    HDF5 and MATLAB files (version 5 and up) hold arrays by name; where there are several beside times, `variable` says
+    which is meant: an array, a group or struct of arrays of one length, or a pattern such as ``ch*``. Rate, unit, start
+    and channel names are taken from attributes and single values (``fs``, ``dt``, ``unit``, ...), the nearest first,
+    the rate else from an array of times. TDMS: the channels of one group with their waveform properties; `variable` is
+    a group or ``group/channel``. Universal files: the data sets 58 over time; `variable` is the number of one.
+    Parquet: columns, as of a text file.
 
     Parameters
     ----------
