@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from cgid import validation
 from cgid.bands import MEL_BANDS
 from cgid.errors import BadData
-from cgid.features import FEATURES
+from cgid.features import require_known
 from cgid.identification.families import BY_NAME
 from cgid.identification.known import KNOWN
 from cgid.identification.windows import require_times
@@ -110,7 +110,7 @@ def check_names(model: Model) -> None:
         if len(values) < least or not all(isinstance(v, str) and v for v in values) or len(set(values)) != len(values):
             raise BadData(f"{name} must be at least {least} different words")
     for feature in model.measured:
-        validation.choice("feature", feature, FEATURES)
+        require_known(feature)
     for name in model.known:
         validation.choice("known", name, dict(KNOWN))
     quantity_of(model.unit)
