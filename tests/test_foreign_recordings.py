@@ -261,12 +261,17 @@ def test_packed_numbers_of_hdf5_are_unpacked(hdf5):
     assert "finite" in refused(hdf5(lambda file: fill(file, np.bytes_(b"often"))))
 
 
-def test_chunks_that_were_never_written_are_warned_of(hdf5):
+@pytest.mark.parametrize("libver", ["earliest", "latest"])
+@pytest.mark.parametrize("maxshape", [(3000,), (None,)])
+@pytest.mark.parametrize("packing", [{}, {"compression": "gzip"}, {"compression": "lzf", "fletcher32": True}])
+def test_chunks_that_were_never_written_are_warned_of(hdf5, libver, maxshape, packing):
     def fill(file):
-        file.create_dataset("x", (3000,), "f8", chunks=(1000,), fillvalue=0.25).attrs["fs"] = 1.0
-        file["x"][:2000] = SAMPLES[0, :2000]
+        stored = file.create_dataset("x", (3000,), "f8", chunks=(1000,), maxshape=maxshape, fillvalue=0.25, **packing)
+        stored.attrs["fs"] = 1.0
+        stored[:2000] = [*SAMPLES[0, :1000], *np.zeros(1000)]
 
-    recording, found = read(hdf5(fill))
+    recording, found = read(hdf5(fill, libver=libver))
+    assert np.array_equal(found[0, :2000], [*SAMPLES[0, :1000], *np.zeros(1000)])
     assert (found[0, 2000:] == 0.25).all() and "x: 1 of 3 chunks were never written" in recording.warnings[0]
 
 
@@ -276,6 +281,21 @@ def test_checksums_of_hdf5_find_what_changed(hdf5):
     content[content.index(SAMPLES[:, 1000:1500].tobytes()) + 77] ^= 4
     path.write_bytes(content)
     assert "x cannot be read from sample 700 on" in refused(path, sampling_rate=1.0)
+
+
+def test_a_damaged_index_of_chunks_is_refused_before_it_crashes_hdf5(hdf5):
+    def fill(file):
+        stored = file.create_dataset("x", data=SAMPLES, chunks=(1, 500), compression="gzip", fletcher32=True)
+        stored.attrs["fs"] = 1.0
+
+    path = hdf5(fill)
+    with h5py.File(path) as file:
+        size = file["x"].id.get_chunk_info(3).size
+    content = path.read_bytes()
+    assert content.count(struct.pack("<II", size, 0)) >= 1
+    for wrong in (0, 3, 4, 10**9, 2**32 - 1):
+        path.write_bytes(content.replace(struct.pack("<II", size, 0), struct.pack("<II", wrong, 0)))
+        assert "damaged index of chunks" in refused(path) or wrong > 10**8
 
 
 def test_an_attribute_that_hangs_hdf5_costs_the_attribute_alone(hdf5, monkeypatch):
