@@ -261,6 +261,20 @@ def test_packed_numbers_of_hdf5_are_unpacked(hdf5):
     assert "finite" in refused(hdf5(lambda file: fill(file, np.bytes_(b"often"))))
 
 
+@pytest.mark.parametrize("libver", ["earliest", "v110", "latest"])
+@pytest.mark.parametrize("maxshape", [(3, N), (3, None), (None, None)])
+@pytest.mark.parametrize("chunks", [(1, 250), (3, 77), (2, 5000)])
+def test_every_index_of_chunks_is_read(hdf5, libver, maxshape, chunks):
+    if maxshape == (3, N) and chunks[1] > N:
+        chunks = (3, N)
+    packing = {"compression": "gzip", "shuffle": True, "fletcher32": True}
+    path = hdf5(
+        lambda file: file.create_dataset("x", data=SAMPLES, chunks=chunks, maxshape=maxshape, **packing), libver=libver
+    )
+    recording, found = read(path, sampling_rate=1.0)
+    assert np.array_equal(found, SAMPLES) and not recording.warnings
+
+
 @pytest.mark.parametrize("libver", ["earliest", "latest"])
 @pytest.mark.parametrize("maxshape", [(3000,), (None,)])
 @pytest.mark.parametrize("packing", [{}, {"compression": "gzip"}, {"compression": "lzf", "fletcher32": True}])
