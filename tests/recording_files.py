@@ -262,6 +262,6 @@ SPECIMENS: tuple[Specimen, ...] = (
     Specimen("UFF-58 ASCII", ".uff", _uff(0), "pyuff", resolution=1e-11),
     Specimen("UFF-58 binary", ".uff", _uff(1), "pyuff"),
     Specimen("FLAC", ".flac", _sound("PCM_24", "FLAC"), "soundfile", resolution=2**-23, **_WITHOUT_UNIT),
-    Specimen("OGG", ".ogg", _sound("VORBIS", "OGG"), "soundfile", resolution=0.1, **_WITHOUT_UNIT),
+    Specimen("OGG", ".ogg", _sound("VORBIS", "OGG"), "soundfile", resolution=0.2, **_WITHOUT_UNIT),
     Specimen("Parquet", ".parquet", _parquet, "pyarrow"),
 )
