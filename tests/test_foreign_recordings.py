@@ -17,6 +17,7 @@ from scipy.io import loadmat, savemat
 from cgid.errors import BadData, CgidError, InvalidValue, MissingExtra, MissingOption
 from cgid.recordings import is_dataset, open_recording
 from cgid.recordings import tdms as tdms_reader
+from cgid.recordings.variables import Variable, contents_of
 from cgid.store import attribute_reading, foreign
 
 RANDOM = np.random.default_rng(20261121)
@@ -887,6 +888,26 @@ def test_damage_to_parquet_is_found_by_its_checksums(parquet):
 
 
 # ---- all ----
+
+
+def test_channels_that_come_in_pieces_of_different_length_stay_together():
+    def pieces(row, most):
+        def blocks(length, channels):
+            for first in range(0, len(row), min(length, most)):
+                yield row[None, first : first + min(length, most)]
+
+        return blocks
+
+    parts = [
+        Variable(name=f"c{k}", n_channels=1, n_samples=N, blocks=pieces(SAMPLES[k], most), about={"fs": 5.0})
+        for k, most in enumerate((100, 37, 1000))
+    ]
+    contents = contents_of(parts, {}, "made", "c*", [])
+    for channels in ((0, 1, 2), (2,), (1, 0)):
+        assert np.array_equal(np.concatenate(list(contents.blocks(64, channels)), axis=1), SAMPLES[list(channels)])
+    short = Variable(name="short", n_channels=1, n_samples=N, blocks=pieces(SAMPLES[0][None, :9][0], 5))
+    with pytest.raises(BadData, match="3001 samples are declared, 9 are there"):
+        list(contents_of([parts[0], short], {"": {"fs": 5.0}}, "made", "*", []).blocks(64, (0, 1)))
 
 
 @pytest.mark.parametrize(
