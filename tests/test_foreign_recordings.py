@@ -905,7 +905,7 @@ def test_channels_that_come_in_pieces_of_different_length_stay_together():
     contents = contents_of(parts, {}, "made", "c*", [])
     for channels in ((0, 1, 2), (2,), (1, 0)):
         assert np.array_equal(np.concatenate(list(contents.blocks(64, channels)), axis=1), SAMPLES[list(channels)])
-    short = Variable(name="short", n_channels=1, n_samples=N, blocks=pieces(SAMPLES[0][None, :9][0], 5))
+    short = Variable(name="short", n_channels=1, n_samples=N, blocks=pieces(SAMPLES[0, :9], 5))
     with pytest.raises(BadData, match="3001 samples are declared, 9 are there"):
         list(contents_of([parts[0], short], {"": {"fs": 5.0}}, "made", "*", []).blocks(64, (0, 1)))
 

@@ -84,8 +84,8 @@ class _Tdms:
                 samples = np.asarray(read(first, count))
             if len(samples) != count:
                 raise BadData(
-                    f"{self.source}: channel {channel.name} must hold {len(channel)} samples, from {first} on there are "
-                    f"{len(samples)}; the file is damaged, copy it again"
+                    f"{self.source}: channel {channel.name} must hold {len(channel)} samples, {first + len(samples)} "
+                    "are there; the file is damaged, copy it again"
                 )
             kept = np.float32 if samples.dtype == np.float32 else np.float64
             for begin in range(0, len(samples), length):
