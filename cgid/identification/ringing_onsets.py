@@ -36,8 +36,8 @@ _REACH = 8
 _WINDOW_HOPS = 40
 #: of which every so many make a chunk;
 _CHUNK_WINDOWS = 10
-#: the one that this share of the latest windows (2 s) is below, for in most of the others something rings,
-_QUIET_SHARE, _WINDOWS_KEPT = 0.2, 100
+#: the one that this share of the latest windows (0.4 s) is below, for in most of the others something rings,
+_QUIET_SHARE, _WINDOWS_KEPT = 0.2, 20
 #: times this, what the mean of so many hops of white noise is over its lowest fifth.
 _QUIET_FACTOR = 1.2
 #: The first chunks wait until so many windows tell the noise.
@@ -256,7 +256,7 @@ class RingingOnsets:
         top = int(np.argmax(smooth))
         over = smooth[top:] < max(END_SHARE * smooth[top], END_OVER_NOISE)
         place = int(np.argmax(over))
-        return (top + place) * self.hop if over[place] else -1
+        return max(top + place, 1) * self.hop if over[place] else -1
 
 
 def _single(samples: Floats) -> Singles:
