@@ -9,6 +9,9 @@ import numpy as np
 
 from cgid.validation import Floats
 
+#: Logarithms of shares of an energy end here: what is less is rounding, not vibration.
+LOWEST_SHARE = 1e-12
+
 
 @dataclass(frozen=True, eq=False)
 class EnergySpectrum:
@@ -37,10 +40,7 @@ class EnergySpectrum:
         finer : int
             The padded length is at least this many times that of the rows.
         """
-        wanted = finer * samples.shape[1]
-        # Four to eight times a power of two.
-        step = 1 << max(wanted.bit_length() - 3, 1)
-        length = -(-wanted // step) * step
+        length = padded_length(finer * samples.shape[1])
         transform = np.fft.rfft(samples, n=length, axis=1)
         energy = transform.real**2 + transform.imag**2
         energy *= 2 / (length * sampling_rate)
@@ -77,3 +77,84 @@ class EnergySpectrum:
         share = place - whole if 0 < whole < last else 2 * (place - whole) - (whole == 0)
         before, after = self._running[:, whole], self._running[:, whole + 1]
         return np.asarray(before + min(share, 1.0) * (after - before))
+
+    # -- what shape it has ----------------------------------------------------------------------------
+
+    @cached_property
+    def moments(self) -> tuple[Floats, Floats]:
+        """Mean and standard deviation of the frequency, weighted by energy [Hz]."""
+        total = self.energy.sum(axis=1)
+        mean = np.sum(self.energy * self.frequency, axis=1) / total
+        square = np.sum(self.energy * (self.frequency - mean[:, None]) ** 2, axis=1) / total
+        return mean, np.sqrt(square)
+
+    @cached_property
+    def standardised_moments(self) -> tuple[Floats, Floats]:
+        """Third and fourth moment of the frequency about its mean, in standard deviations."""
+        mean, deviation = self.moments
+        # A line in one bin has no width to count in: its own bin's.
+        place = (self.frequency - mean[:, None]) / np.maximum(deviation, 0.1 * self.spacing)[:, None]
+        share = self.energy / self.energy.sum(axis=1)[:, None]
+        return np.asarray(np.sum(share * place**3, axis=1)), np.asarray(np.sum(share * place**4, axis=1))
+
+    def rolloff(self, share: float) -> Floats:
+        """Return the frequency below which a share of the energy lies [Hz]."""
+        # A bin reaches half its width to either side.
+        bins = passage(np.cumsum(self.energy, axis=1), share) - 0.5
+        return np.maximum(bins, 0.5) * self.spacing
+
+    @cached_property
+    def flatness(self) -> Floats:
+        """Logarithm (base 10) of the geometric over the arithmetic mean above 0 Hz: 0 is flat."""
+        above = self.energy[:, 1:]
+        mean = above.mean(axis=1)
+        floor = np.maximum(LOWEST_SHARE * mean, np.finfo(np.float64).tiny)[:, None]
+        return np.asarray(np.log10(np.maximum(above, floor)).mean(axis=1) - np.log10(np.maximum(mean, floor[:, 0])))
+
+    def dominant(self, count: int, apart: float) -> Floats:
+        """Return the frequencies of the strongest maxima [Hz], the strongest first, (n_signals, count).
+
+        Parameters
+        ----------
+        count : int
+        apart : float
+            No nearer to each other than this [Hz]. Where there are fewer, the last one stands for those that lack.
+        """
+        energy, rows = self.energy, np.arange(len(self.energy))
+        padded = np.pad(energy, ((0, 0), (1, 1)), constant_values=-1.0)
+        maxima = np.where((energy > padded[:, :-2]) & (energy >= padded[:, 2:]), energy, 0.0)
+        out, reach = np.empty((len(energy), count)), np.arange(energy.shape[1])
+        for place in range(count):
+            top = np.argmax(maxima, axis=1)
+            found = maxima[rows, top] > 0
+            before, peak, after = (padded[rows, top + step] for step in range(3))
+            bend = before - 2 * peak + after
+            # A parabola through three bins; at the ends of the spectrum there are but two.
+            inside = (bend < 0) & (before >= 0) & (after >= 0)
+            shift = np.where(inside, 0.5 * (before - after) / np.where(inside, bend, -1.0), 0.0)
+            last = out[:, place - 1] if place else np.zeros(len(energy))
+            out[:, place] = np.where(found, (top + shift) * self.spacing, last)
+            maxima[np.abs(reach - top[:, None]) * self.spacing < apart] = 0.0
+        return out
+
+
+def padded_length(wanted: int) -> int:
+    """Return a length of at least so many samples that is quickly transformed: four to eight times a power of two.
+
+    Examples
+    --------
+    >>> padded_length(882), padded_length(1024)
+    (896, 1024)
+    """
+    step = 1 << max(wanted.bit_length() - 3, 1)
+    return -(-wanted // step) * step
+
+
+def passage(running: Floats, share: float) -> Floats:
+    """Return after how many columns each running sum first reaches a share of its end, straight within a column."""
+    level, rows = share * running[:, -1], np.arange(len(running))
+    after = np.argmax(running >= level[:, None], axis=1)
+    high = running[rows, after]
+    low = np.where(after > 0, running[rows, np.maximum(after - 1, 0)], 0.0)
+    step = np.where(high > low, high - low, 1.0)
+    return np.asarray(after + np.clip((level - low) / step, 0.0, 1.0))

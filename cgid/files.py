@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import os
 import secrets
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from pathlib import Path
 
 from cgid.errors import CannotCreate, CgidError, WriteFailed
@@ -56,6 +56,35 @@ def whole_file(path: str | Path) -> Iterator[Path]:
     except BaseException:
         _remove(temporary)
         raise
+
+
+def check_new(path: Path, what: str, endings: Collection[str], *, overwrite: bool = False) -> Path:
+    """Return the path if a file may be made there, before any work is done.
+
+    Parameters
+    ----------
+    path : Path
+    what : str
+        What it will be, with its article.
+    endings : collection of str
+        Its name ends in one of them, in small letters or capitals.
+    overwrite : bool
+        Whether an old file may be replaced.
+
+    Raises
+    ------
+    CannotCreate
+        The name ends otherwise, the folder is missing, or there is something already.
+    """
+    if path.suffix.lower() not in endings:
+        raise CannotCreate(
+            f"{path}: the name of {what} must end in {' or '.join(endings)}, got {path.suffix or 'no ending'!r}"
+        )
+    if not path.parent.is_dir():
+        raise CannotCreate(f"{path}: the folder {path.parent} must exist; make it first")
+    if path.is_dir() or (path.exists() and not overwrite):
+        raise CannotCreate(f"{path}: exists already; choose another name or say --overwrite")
+    return path
 
 
 def _remove(path: Path) -> None:

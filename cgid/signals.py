@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from datetime import datetime
 from typing import Any
 
 import numpy as np
@@ -59,6 +60,14 @@ def quantity_of(unit: str) -> str:
     raise InvalidValue(f"unit must be one of the known ones, got {unit!r} ({known})")
 
 
+def require_rate(sampling_rate: float) -> float:
+    """Return a sampling rate [Hz] that some recorder could have; raises `InvalidValue` otherwise."""
+    rate = float(validation.positive("sampling_rate", sampling_rate, "Hz"))
+    if not _RATES[0] <= rate <= _RATES[1]:
+        raise InvalidValue(f"sampling_rate must lie between {_RATES[0]:g} and {_RATES[1]:g} Hz, got {rate:g} Hz")
+    return rate
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Signal:
     """One channel of samples, with everything one must know to read it.
@@ -77,6 +86,10 @@ class Signal:
         Which of the channels of the source.
     pre_trigger : int or None
         Number of samples before touch, where known.
+    start_time : datetime or None
+        When the first sample was taken, where known.
+    warnings : tuple of str
+        What of the source was damaged and left out.
 
     Raises
     ------
@@ -92,6 +105,8 @@ class Signal:
     source: str = "signal"
     channel: str = "1"
     pre_trigger: int | None = None
+    start_time: datetime | None = None
+    warnings: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         samples = np.asarray(self.samples)
@@ -108,9 +123,7 @@ class Signal:
                 f"{self.name}: samples must be finite, sample {first} is {samples[first]} "
                 f"({np.sum(~finite)} of {samples.size} are not finite); cut or repair the recording there"
             )
-        rate = float(validation.positive("sampling_rate", self.sampling_rate, "Hz"))
-        if not _RATES[0] <= rate <= _RATES[1]:
-            raise InvalidValue(f"sampling_rate must lie between {_RATES[0]:g} and {_RATES[1]:g} Hz, got {rate:g} Hz")
+        rate = require_rate(self.sampling_rate)
         if self.unit is not None:
             quantity_of(self.unit)
         object.__setattr__(self, "samples", samples)

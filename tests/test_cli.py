@@ -127,7 +127,8 @@ def test_drop_height_is_known_by_dataset_index_and_option(made: Path, capsys: py
     answers = []
     for height in ("0.5", "3"):
         assert run(["predict", "--sample", "--model", model, "--drop-height", height, "--json"]) == 0
-        answers.append([json.loads(line)["probabilities"]["coal"] for line in capsys.readouterr().out.splitlines()])
+        rows = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+        answers.append([row["probabilities"]["coal"] for row in rows if row["kind"] == "impact"])
     assert np.max(np.abs(np.subtract(*answers))) > 0.1
 
 
@@ -214,7 +215,8 @@ def test_standard_input_is_a_recording() -> None:
     sample = (ROOT / "datasets" / "sample.csv").read_bytes()
     done = subprocess.run([sys.executable, "-m", "cgid", "predict", "-", "--json"], input=sample, capture_output=True)
     assert done.returncode == 0
-    assert len(done.stdout.splitlines()) == 6
+    kinds = [json.loads(line)["kind"] for line in done.stdout.splitlines()]
+    assert kinds == ["impact"] * 6 + ["share", "summary"]
 
 
 def test_one_bad_file_does_not_hide_the_others(bad_files: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -490,7 +490,7 @@ def test_no_signal_gives_no_row():
 @pytest.mark.parametrize(
     ("names", "message"),
     [
-        (["peak"], "feature must be one of 'peak_force'.*got 'peak'"),
+        (["peak"], "feature must be one of .* got 'peak'; most like it are .*peak_force"),
         (["energy", "energy"], "once each, .*got energy, energy"),
         ([], "at least one, got none"),
     ],

@@ -398,6 +398,14 @@ HEADER_HARM: dict[str, dict[str, Any]] = {
     "guard limit a text": {"guards": ["band_energy_0_500_hz"], "guard_limits": ["high"]},
     "unknown guard": {"guards": ["nose_length"], "guard_limits": [1.0]},
     "guard that is a feature": {"guards": ["fitted_peak"], "guard_limits": [1.0]},
+    "windows of pulses": {"window_time": 0.1, "hop_time": 0.1},
+    "window time a text": {"window_time": "long"},
+    "window time not finite": {"window_time": float("nan")},
+    "no channel": {"n_channels": 0},
+    "channels without limit": {"n_channels": 10**9},
+    "channels a truth": {"n_channels": True},
+    "more channels than it was trained with": {"n_channels": 2},
+    "sensor without its spectrum": {"sensors": ["left"]},
 }
 
 
@@ -420,6 +428,9 @@ ARRAY_HARM: dict[str, tuple[str, str, Any]] = {
     "calibration too short": ("logistic", "conformal.scores", lambda a: a[:-1]),
     "calibration of labels that do not exist": ("logistic", "conformal.labels", lambda a: a + 1),
     "calibration of nobody": ("logistic", "conformal.scores", lambda a: a[:0]),
+    "linear in products that are not made": ("linear", "family.coefficients", lambda a: np.repeat(a, 2, axis=1)),
+    "more intercepts than scores": ("linear", "family.intercepts", lambda a: np.repeat(a, 2)),
+    "coefficients not finite": ("linear", "family.coefficients", lambda a: np.full_like(a, np.nan)),
 }
 
 
@@ -435,7 +446,7 @@ def test_harmful_arrays_are_refused(harm: str, trained: Trained, tmp_path: Path)
 def test_old_models_are_refused_by_their_version(trained: Trained, tmp_path: Path) -> None:
     model = trained["logistic"].model
     (tmp_path / "m.npz").write_bytes(rewritten(model, header=header_with(model, schema_version=1)))
-    with pytest.raises(BadData, match="schema_version must be 2, got 1; train it again"):
+    with pytest.raises(BadData, match="schema_version must be 2 or 3, got 1; train it again"):
         Model.load(tmp_path / "m.npz")
 
 

@@ -29,6 +29,7 @@ def features(
     keep_baseline: bool,
     as_json: bool,
     dead_time: float | None,
+    strict: bool,
     **reading: Any,
 ) -> int:
     """Print the features of every impact in FILEs, tab-separated, in the unit of the file; - is stdin.
@@ -54,7 +55,7 @@ def features(
         for signal in read_signals(path, **reading):
             _print(signal, chosen, not keep_baseline, gap, as_json)
 
-    return each_file(files, treat)
+    return each_file(files, treat, strict=strict)
 
 
 def _print(

@@ -17,7 +17,9 @@ from cgid.cli.features import features
 from cgid.cli.generate import generate
 from cgid.cli.info import info
 from cgid.cli.interruption import heard
+from cgid.cli.monitor import monitor
 from cgid.cli.options import say_error
+from cgid.cli.plot import plot
 from cgid.cli.predict import predict
 from cgid.cli.reproduce import reproduce
 from cgid.cli.train import train
@@ -32,7 +34,7 @@ def cli() -> None:
     """Tell coal from gangue by how a falling rock hits steel."""
 
 
-for command in (generate, check, ceiling, train, predict, features, info, reproduce):
+for command in (generate, check, ceiling, train, predict, monitor, features, info, plot, reproduce):
     cli.add_command(command)
 
 

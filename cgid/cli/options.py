@@ -6,13 +6,16 @@ import json
 import sys
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
 from cgid.cli.interruption import stop_if_asked
 from cgid.errors import CgidError, InvalidValue
 from cgid.signals import Signal
+
+if TYPE_CHECKING:
+    from cgid.recordings import RecordingFile
 
 F = TypeVar("F", bound=Callable[..., Any])
 #: Version of the lines that --json prints.
@@ -22,36 +25,63 @@ LONGEST_DEAD_TIME = 1e4
 
 
 def recording_options(command: F) -> F:
-    """Add the options that say how to read a recording."""
+    """Add the options of a command that reads recordings and prints what is in them."""
     options: list[Callable[[Any], Any]] = [
-        click.option("--rate", "sampling_rate", type=float, help="Sampling rate [Hz], where the file does not say it."),
-        click.option("--unit", help="Unit of the samples (N, kN, g, m/s^2, ...), where the file does not say it."),
-        click.option("--channel", help="Only this channel: its name, or its number from 1."),
-        click.option("--index", type=int, help="Only this signal of a dataset, from 0; else all of them."),
-        click.option("--invert", is_flag=True, help="Turn the signal over: impacts must point upwards."),
-        click.option("--dead-time", type=float, help="Ringing after a blow [ms]; 2 for pulses, 20 for vibrations."),
+        reading_options,
         click.option("--json", "as_json", is_flag=True, help="One JSON object a line."),
+        click.option("--strict", is_flag=True, help="Stop at the first file that fails."),
     ]
     for option in reversed(options):
         command = option(command)
     return command
 
 
-def read_signals(
-    path: str, sampling_rate: float | None, unit: str | None, channel: str | None, index: int | None, invert: bool
-) -> list[Signal]:
+def reading_options(command: F) -> F:
+    """Add the options that say how to read a recording."""
+    options: list[Callable[[Any], Any]] = [
+        click.option("--rate", "sampling_rate", type=float, help="Sampling rate [Hz], where the file does not say it."),
+        click.option("--unit", help="Unit of the samples (N, kN, g, m/s^2, ...), where the file does not say it."),
+        click.option(
+            "--channel", multiple=True, help="Only this channel: its name, or its number from 1; may be given again."
+        ),
+        click.option("--variable", help="Which array, table or group of the file, where it holds several."),
+        click.option("--index", type=int, help="Only this signal of a dataset, from 0; else all of them."),
+        click.option("--invert", is_flag=True, help="Turn the signal over: impacts must point upwards."),
+        click.option("--dead-time", type=float, help="Ringing after a blow [ms]; 2 for pulses, 20 for vibrations."),
+    ]
+    for option in reversed(options):
+        command = option(command)
+    return command
+
+
+def read_signals(path: str, *, index: int | None, invert: bool, **reading: Any) -> list[Signal]:
     """Return the signals of a recording, or the one signal of a dataset that was asked for."""
-    from cgid.recordings import is_dataset, read_recording
+    from cgid.recordings import is_dataset
 
     if is_dataset(path):
         from cgid.store import Dataset
 
         signals = [Dataset(path).signal(index or 0)]
     else:
-        if index is not None:
-            raise InvalidValue(f"{path}: --index picks a signal of a dataset (HDF5), this is a recording; leave it out")
-        signals = read_recording(path, sampling_rate=sampling_rate, unit=unit, channel=channel)
+        signals = open_file(path, index=index, **reading).signals()
     return [signal.inverted() for signal in signals] if invert else signals
+
+
+def open_file(
+    path: str,
+    *,
+    sampling_rate: float | None,
+    unit: str | None,
+    channel: tuple[str, ...],
+    variable: str | None,
+    index: int | None = None,
+) -> RecordingFile:
+    """Return the recording of a file, opened as the options say."""
+    from cgid.recordings import open_recording
+
+    if index is not None:
+        raise InvalidValue(f"{path}: --index picks a signal of a dataset (HDF5), this is a recording; leave it out")
+    return open_recording(path, sampling_rate=sampling_rate, unit=unit, channel=channel or None, variable=variable)
 
 
 def asks_for_whole_dataset(path: str, *, index: int | None, **given: Any) -> bool:
@@ -63,9 +93,9 @@ def asks_for_whole_dataset(path: str, *, index: int | None, **given: Any) -> boo
 
     if index is not None or not is_dataset(path):
         return False
-    flags = {"sampling_rate": "--rate", "unit": "--unit", "channel": "--channel", "mass": "--mass"}
-    for name, flag in flags.items():
-        if given.get(name) is not None:
+    flags = ("unit", "channel", "variable", "mass")
+    for name, flag in {"sampling_rate": "--rate", **{name: f"--{name}" for name in flags}}.items():
+        if given.get(name) not in (None, ()):
             raise InvalidValue(f"{path}: {flag} is for recordings, a dataset says it itself; leave {flag} out")
     return True
 
@@ -79,13 +109,18 @@ def dead_time_in_seconds(milliseconds: float | None) -> float | None:
     return milliseconds * 1e-3
 
 
-def each_file(files: Iterable[str], treat: Callable[[str], None]) -> int:
-    """Treat every file; say what is wrong with one and go on. Return the exit code of the first that failed."""
+def each_file(files: Iterable[str], treat: Callable[[str], None], *, strict: bool = False) -> int:
+    """Treat every file; say what is wrong with one and go on, or stop if `strict`.
+
+    Return the exit code of the first that failed.
+    """
     code = 0
     for file in files:
         try:
             treat(file)
         except CgidError as error:
+            if strict:
+                raise
             say_error(error)
             code = code or error.exit_code
     return code
@@ -97,9 +132,9 @@ def say_error(error: CgidError) -> None:
         click.echo(f"cgid: error: {line}", err=True)
 
 
-def print_json(content: dict[str, Any]) -> None:
+def print_json(content: dict[str, Any], version: int = JSON_VERSION) -> None:
     """Print one object on a line of its own; what is not a number becomes null."""
-    click.echo(json.dumps({"version": JSON_VERSION, **_finite(content)}))
+    click.echo(json.dumps({"version": version, **_finite(content)}))
 
 
 def _finite(value: Any) -> Any:

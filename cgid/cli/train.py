@@ -1,4 +1,4 @@
-"""`cgid train`: a model and its card from datasets, or from a scene synthesised on the fly."""
+"""`cgid train`: a model and its card from datasets, from scenes synthesised on the fly, or from labelled recordings."""
 
 from __future__ import annotations
 
@@ -8,20 +8,38 @@ from typing import Any
 
 import click
 
-from cgid.cli.options import print_json, progress_bar
+from cgid.cli.options import print_json, progress_bar, say_error
+from cgid.errors import InvalidValue
+
+#: Options that belong to the recordings of a manifest, and those that do not.
+_OF_RECORDINGS = {
+    "by": "--by",
+    "window_time": "--window",
+    "hop_time": "--hop",
+    "level_free": "--level-free",
+    "sampling_rate": "--rate",
+    "unit": "--unit",
+    "channels": "--channel",
+    "dead_time": "--dead-time",
+    "strict": "--strict",
+}
+_OF_DATASETS = {
+    "test_share": "--test-share",
+    "calibration_share": "--calibration-share",
+    "drop_height": "--drop-height",
+}
 
 
-@click.command(short_help="Train a model on datasets or on a scene.")
+@click.command(short_help="Train a model on datasets, on a scene, or on recordings.")
 @click.argument("data", nargs=-1, required=True, metavar="DATA...")
 @click.option("-o", "--output", required=True, help="Model file, ending in .npz; the card goes beside it as .md.")
 @click.option(
     "--family",
-    type=click.Choice(["logistic", "boosting", "discriminant", "network"]),
-    default="logistic",
-    show_default=True,
-    help="Kind of classifier.",
+    type=click.Choice(["logistic", "boosting", "discriminant", "network", "linear"]),
+    help="Kind of classifier: logistic by default, linear for recordings.",
 )
 @click.option("--features", "names", help="Only these features, with commas between them.")
+@click.option("--class-weights", help="What an impact of a label counts: balanced, or such as coal=1,gangue=3.")
 @click.option("--test-share", type=float, default=0.25, show_default=True, help="Share of specimens that only judge.")
 @click.option(
     "--calibration-share",
@@ -32,66 +50,206 @@ from cgid.cli.options import print_json, progress_bar
 )
 @click.option("--drop-height", is_flag=True, help="The model is told how far each rock fell, as the data say.")
 @click.option("-n", "--signals", "n_signals", type=int, default=50_000, show_default=True, help="From a scene.")
+@click.option(
+    "--by",
+    type=click.Choice(["window", "impact"]),
+    default="window",
+    show_default=True,
+    help="What is decided on in recordings.",
+)
+@click.option("--window", "window_time", type=float, default=0.1, show_default=True, help="Length of a window [s].")
+@click.option("--hop", "hop_time", type=float, help="From one window to the next [s]; half a window by default.")
+@click.option("--level-free", is_flag=True, help="Only features in which the gain of a sensor cancels.")
+@click.option("--rate", "sampling_rate", type=float, help="Sampling rate [Hz], where a recording does not say it.")
+@click.option("--unit", help="Unit of the samples (N, g, ...), where a recording does not say it.")
+@click.option("--channel", "channels", multiple=True, help="Of the recordings, again for several together; else all.")
+@click.option("--dead-time", type=float, help="Ringing after a blow [ms], with --by impact.")
+@click.option("--strict", is_flag=True, help="Stop at the first recording that cannot be read.")
 @click.option("--seed", type=int, default=0, show_default=True, help="Of the split, and of the signals of a scene.")
 @click.option("--shuffle-labels", is_flag=True, help="Check of the method: accuracy must be that of guessing.")
 @click.option("--plots", is_flag=True, help="Also confusion, reliability and ROC pictures (extra plot).")
 @click.option("--overwrite", is_flag=True, help="Replace an old model.")
 @click.option("--json", "as_json", is_flag=True, help="Print the metrics as one JSON object.")
+@click.pass_context
 def train(
+    context: click.Context,
+    /,
     data: tuple[str, ...],
     output: str,
-    family: str,
-    names: str | None,
-    test_share: float,
-    calibration_share: float,
-    drop_height: bool,
-    n_signals: int,
-    seed: int,
-    shuffle_labels: bool,
     plots: bool,
     overwrite: bool,
     as_json: bool,
-) -> None:
-    """Train a model on DATA: datasets made by cgid generate, or scenes.
+    **asked: Any,
+) -> int:
+    """Train a model on DATA: datasets made by cgid generate, scenes, or a manifest of labelled recordings.
 
     A scene is a .toml file or the name of a shipped one; its signals never touch the disk.
+
+    A manifest is a .csv file with the columns path and label (and, as needed, start, end, group, channel, gain, sensor,
+    reference, rate, unit, variable), or a .toml file with a [[recording]] for each file, which may list intervals = [{
+    start, end, label }]. What is of one group (a recording, a day, a support) is never on both sides of a split; each
+    group in turn judges what was chosen and trained on the others. Beside a manifest, scenes and datasets teach, too,
+    their level and spectrum moved to those of the recordings.
     """
     from cgid.features import choose
+    from cgid.identification.manifest import is_manifest
     from cgid.identification.output import check_model_output, write_model
-    from cgid.identification.training import train as train_model
 
     path = check_model_output(Path(output), plots=plots, overwrite=overwrite)
-    chosen = None if names is None else choose([name.strip() for name in names.split(",")])
+    names = asked.pop("names")
+    asked["features"] = None if names is None else choose([name.strip() for name in names.split(",")])
+    asked["class_weights"] = _class_weights(asked["class_weights"])
+    manifests = [item for item in data if is_manifest(item)]
+    _refuse_stray_options(context, _OF_DATASETS if manifests else _OF_RECORDINGS, bool(manifests))
+    others = [item for item in data if item not in manifests]
+    training, failures = (_recorded if manifests else _synthesised)(manifests, others, asked)
+    written = write_model(training, path, plots=plots)
+    _say(training, path, written, as_json)
+    for error in failures:
+        say_error(error)
+    return failures[0].exit_code if failures else 0
+
+
+def _synthesised(_: list[str], data: list[str], asked: dict[str, Any]) -> tuple[Any, list[Any]]:
+    """Return the training on datasets and scenes."""
+    from cgid.identification.training import train as train_model
+
     with progress_bar(None, "signals") as progress:
         training = train_model(
-            _batches(data, n_signals, seed),
-            features=chosen,
-            family=family,
-            test_share=test_share,
-            calibration_share=calibration_share,
-            known=("drop_height",) if drop_height else (),
-            seed=seed,
-            shuffle_labels=shuffle_labels,
+            _batches(data, asked["n_signals"], asked["seed"]),
+            features=asked["features"],
+            family=asked["family"] or "logistic",
+            test_share=asked["test_share"],
+            calibration_share=asked["calibration_share"],
+            known=("drop_height",) if asked["drop_height"] else (),
+            class_weights=asked["class_weights"],
+            seed=asked["seed"],
+            shuffle_labels=asked["shuffle_labels"],
             progress=progress,
         )
-    written = write_model(training, path, plots=plots)
+    return training, []
+
+
+def _recorded(manifests: list[str], others: list[str], asked: dict[str, Any]) -> tuple[Any, list[Any]]:
+    """Return the training on recordings, and the errors of those that could not be read."""
+    from cgid.cli.options import dead_time_in_seconds
+    from cgid.identification.annotated import Reading
+    from cgid.identification.manifest import read_manifest
+    from cgid.identification.recorded import Slicing, record
+    from cgid.identification.recorded_training import train_recorded
+
+    if len(manifests) > 1:
+        raise InvalidValue(f"{manifests[1]}: there must be one manifest, got {len(manifests)}; put all into one")
+    window = asked["window_time"]
+    slicing = Slicing(
+        by=asked["by"],
+        window_time=window,
+        hop_time=window / 2 if asked["hop_time"] is None else asked["hop_time"],
+        dead_time=dead_time_in_seconds(asked["dead_time"]),
+    )
+    reading = Reading(
+        sampling_rate=asked["sampling_rate"],
+        unit=asked["unit"],
+        channels=asked["channels"] or None,
+        strict=asked["strict"],
+    )
+    with progress_bar(None, f"{asked['by']}s") as progress:
+        recorded = record(
+            read_manifest(manifests[0]),
+            asked["features"],
+            slicing=slicing,
+            reading=reading,
+            level_free=asked["level_free"],
+            progress=progress,
+        )
+    synthetic = _measured(others, recorded, asked) if others else None
+    for warning in recorded.warnings:
+        click.echo(f"cgid: warning: {warning}", err=True)
+    with progress_bar(None, "groups") as progress:
+        training = train_recorded(
+            recorded,
+            features=asked["features"],
+            families=(asked["family"] or "linear",),
+            level_free=asked["level_free"],
+            class_weights=asked["class_weights"],
+            seed=asked["seed"],
+            shuffle_labels=asked["shuffle_labels"],
+            synthetic=synthetic,
+            progress=progress,
+        )
+    return training, list(recorded.failures)
+
+
+def _measured(data: list[str], recorded: Any, asked: dict[str, Any]) -> Any:
+    """Return the impacts of datasets and scenes, measured as recorded ones are."""
+    from cgid.identification.adaptation import in_unit
+    from cgid.identification.measuring import measure
+
+    if recorded.kind == "window":
+        raise InvalidValue(
+            f"{data[0]}: scenes hold single impacts; give --by impact to train on both, or leave them out"
+        )
+    batches = in_unit(_batches(data, asked["n_signals"], asked["seed"]), recorded.unit, recorded.names)
+    with progress_bar(None, "signals") as progress:
+        return measure(batches, recorded.names, progress)
+
+
+def _say(training: Any, path: Path, written: list[Path], as_json: bool) -> None:
     metrics = training.metrics
     if as_json:
         print_json({"model": str(path), **metrics})
         return
-    low, high = metrics["accuracy_interval_95"]
-    click.echo(f"accuracy {metrics['accuracy']:.4f} (95 % interval {low:.4f} to {high:.4f})")
+    click.echo(f"accuracy {_share(metrics)}")
+    for vote in metrics.get("running", []):
+        told = f"{_share(vote)} of {vote['n']}" if vote["n"] else "no recording is that long"
+        click.echo(f"running vote over {vote['time']:g} s {told}")
+    if "recordings" in metrics:
+        click.echo(f"vote of a recording {_share(metrics['recordings'])} of {metrics['recordings']['n']}")
+        for row in metrics["recordings"]["rows"]:
+            wrong = "" if row["vote"] == row["label"] else f", taken for {row['vote']}"
+            click.echo(f"  {row['name']}: {row['label']}{wrong}, {row['accuracy']:.4f} of {row['n']}")
     click.echo("recall " + ", ".join(f"{label} {value:.4f}" for label, value in metrics["recall"].items()))
     click.echo(f"Brier score {metrics['brier_score']:.4f}")
     chance = metrics["calibration_error_by_chance"]
     click.echo(f"expected calibration error {metrics['expected_calibration_error']:.4f} (by chance alone {chance:.4f})")
     left_out = training.model.training["n_left_out"]
     if left_out:
-        click.echo(f"cgid: warning: {left_out} impacts could not be measured and were left out", err=True)
+        what = "windows" if training.model.kind == "window" else "impacts"
+        click.echo(f"cgid: warning: {left_out} {what} could not be measured and were left out", err=True)
     click.echo("wrote " + ", ".join(map(str, written)), err=True)
 
 
-def _batches(data: tuple[str, ...], n_signals: int, seed: int) -> Iterator[Any]:
+def _share(metrics: dict[str, Any]) -> str:
+    low, high = metrics["accuracy_interval_95"]
+    return f"{metrics['accuracy']:.4f} (95 % interval {low:.4f} to {high:.4f})"
+
+
+def _refuse_stray_options(context: click.Context, stray: dict[str, str], recorded: bool) -> None:
+    """Refuse options that have no meaning for the data: they would be overlooked in silence."""
+    for name, flag in stray.items():
+        if context.get_parameter_source(name) is click.core.ParameterSource.COMMANDLINE:
+            reason = (
+                "groups of a manifest are left out one by one" if recorded else "there is no manifest of recordings"
+            )
+            raise InvalidValue(f"{flag} must be left out, {reason}")
+
+
+def _class_weights(text: str | None) -> dict[str, float] | str | None:
+    if text is None or text == "balanced":
+        return text
+    weights = {}
+    for part in text.split(","):
+        label, _, number = part.partition("=")
+        try:
+            weights[label.strip()] = float(number)
+        except ValueError:
+            raise InvalidValue(
+                f"--class-weights must be balanced, or such as coal=1,gangue=3 for labels, got {text!r}"
+            ) from None
+    return weights
+
+
+def _batches(data: list[str], n_signals: int, seed: int) -> Iterator[Any]:
     from cgid import shipped
     from cgid.store import Dataset
 

@@ -1,13 +1,15 @@
 """The table of features, and their extraction: only what is asked is computed.
 
 Every feature is one entry of `FEATURES`: name, unit, definition, source, and the measurement it needs. Those of
-pulses are in `cgid.features.pulse`, those of vibrations in `cgid.features.vibration`; the measurements themselves are
-in `cgid.pulses` and `cgid.vibration`, each made at most once. Columns, units and documentation all come from this
+pulses are in `cgid.features.pulse`, those of vibrations in `cgid.features.vibration`, those of windows in
+`cgid.features.window`; the measurements themselves are in `cgid.pulses`, `cgid.vibration` and `cgid.windows`, each made
+at most once. Columns, units and documentation all come from this
 table.
 """
 
 from __future__ import annotations
 
+import difflib
 from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -16,26 +18,35 @@ from numpy.typing import ArrayLike, NDArray
 
 from cgid import validation
 from cgid.counting import count
+from cgid.equalisation import Equalisation
 from cgid.errors import BadData, InvalidValue
 from cgid.features.feature import Feature, Kind
 from cgid.features.pulse import PULSE_FEATURES
 from cgid.features.vibration import VIBRATION_FEATURES
+from cgid.features.window import WINDOW_FEATURES
 from cgid.frames import DETECTION_LIMIT
 from cgid.pulses import PulseBatch
 from cgid.validation import Floats
 from cgid.vibration import VibrationBatch
+from cgid.windows import WindowBatch
 
 if TYPE_CHECKING:
     import pandas
 
 #: Rows measured at once: enough to share the overhead of the fit, few enough for the memory to stay flat.
 _ROWS = 1024
+#: Windows are long, and their frames overlap: so many samples of them at once stay in the processor's cache.
+_WINDOWED_SAMPLES = 1 << 17
+#: What is measured, by its kind.
+Batches = Mapping[Kind, PulseBatch | VibrationBatch | WindowBatch]
 #: A frame must hold the fewest samples of a pulse and one on either side.
 MINIMUM_FRAME = 6
 
 
 #: Every feature by name, in the order of the columns.
-FEATURES: dict[str, Feature] = {feature.name: feature for feature in PULSE_FEATURES + VIBRATION_FEATURES}
+FEATURES: dict[str, Feature] = {
+    feature.name: feature for feature in PULSE_FEATURES + VIBRATION_FEATURES + WINDOW_FEATURES
+}
 #: What swings about zero when a structure is struck; anything else is taken for a pulse.
 SWINGING = ("acceleration", "velocity", "displacement")
 
@@ -47,11 +58,16 @@ def kind_for(quantity: str | None) -> Kind:
 
 def kind_of(features: Iterable[str]) -> Kind:
     """Return what a signal is like that these features are asked of."""
-    return "vibration" if any(FEATURES[name].kind == "vibration" for name in features) else "pulse"
+    kinds = {FEATURES[name].kind for name in features}
+    kind: Kind
+    for kind in ("window", "vibration"):
+        if kind in kinds:
+            return kind
+    return "pulse"
 
 
 def choose(features: Iterable[str] | None, kind: Kind = "pulse") -> tuple[str, ...]:
-    """Return the names of the asked features in their order, all of the kind for None.
+    """Return the names of the asked features in their order; for None all of the kind that need no extra.
 
     Raises
     ------
@@ -59,13 +75,23 @@ def choose(features: Iterable[str] | None, kind: Kind = "pulse") -> tuple[str, .
         A name is unknown, given twice, or there is none.
     """
     if features is None:
-        return tuple(name for name, feature in FEATURES.items() if feature.kind == kind)
+        return tuple(name for name, feature in FEATURES.items() if feature.kind == kind and not feature.extra)
     names = (features,) if isinstance(features, str) else tuple(features)
     for name in names:
-        validation.choice("feature", name, FEATURES)
+        require_known(name)
     if not names or len(set(names)) != len(names):
         raise InvalidValue(f"features must be named once each, and at least one, got {', '.join(names) or 'none'}")
     return names
+
+
+def require_known(name: str) -> None:
+    """Raise `InvalidValue` unless there is such a feature; the message has the names that are most like it."""
+    if not isinstance(name, str) or name not in FEATURES:
+        like = difflib.get_close_matches(str(name), FEATURES, n=5, cutoff=0.3)
+        raise InvalidValue(
+            f"feature must be one of the {len(FEATURES)} that `cgid features --list` prints, got {name!r}; most "
+            f"like it are {', '.join(like) or 'none'}"
+        )
 
 
 def extract_array(
@@ -77,6 +103,7 @@ def extract_array(
     remove_baseline: bool = True,
     invalid: Literal["raise", "nan"] = "raise",
     detection_limit: float = DETECTION_LIMIT,
+    equalisation: Equalisation | None = None,
 ) -> Floats:
     """Return features as plain numbers, without pandas; as `extract`.
 
@@ -87,6 +114,8 @@ def extract_array(
     detection_limit : float
         A peak must pass this many standard deviations of the noise before touch; an impact that was found in a
         recording by other means may ask for less.
+    equalisation : Equalisation, optional
+        What makes up for the sensor's response, applied before anything is measured.
 
     Returns
     -------
@@ -101,9 +130,14 @@ def extract_array(
         )
     validation.choice("invalid", invalid, ("raise", "nan"))
     require_supported(names, rate, frames.shape[1])
+    if equalisation is not None and kind_of(names) == "pulse":
+        raise InvalidValue("equalisation must be of vibrations or windows, got features of pulses: leave it out")
     out = np.full((len(frames), len(names)), np.nan)
-    for first in range(0, len(frames), _ROWS):
-        part = frames[first : first + _ROWS]
+    n_rows = max(_WINDOWED_SAMPLES // frames.shape[1], 1) if kind_of(names) == "window" else _ROWS
+    for first in range(0, len(frames), n_rows):
+        part = frames[first : first + n_rows]
+        if equalisation is not None:
+            part = equalisation.apply(part, rate)
         batches = _batches(part, rate, names, pre_trigger, remove_baseline, detection_limit)
         found = _problems(batches, names)
         if found and invalid == "raise":
@@ -125,7 +159,7 @@ def measured_pulses(pulses: PulseBatch, names: tuple[str, ...]) -> tuple[NDArray
     return sound, pulses, _measured({"pulse": pulses}, names, sound.size)
 
 
-def _measured(batches: Mapping[Kind, PulseBatch | VibrationBatch], names: tuple[str, ...], n_signals: int) -> Floats:
+def _measured(batches: Batches, names: tuple[str, ...], n_signals: int) -> Floats:
     """Return the features of signals that can be measured, (n_signals, n_features)."""
     count("features", n_signals * len(names))
     if not n_signals:
@@ -181,20 +215,26 @@ def _batches(
     pre_trigger: int | None,
     remove_baseline: bool,
     detection_limit: float,
-) -> Mapping[Kind, PulseBatch | VibrationBatch]:
+) -> Batches:
     kinds = {FEATURES[name].kind for name in names}
     makers: dict[Kind, type[PulseBatch] | type[VibrationBatch]] = {"pulse": PulseBatch, "vibration": VibrationBatch}
-    return {kind: makers[kind](frames, sampling_rate, pre_trigger, remove_baseline, detection_limit) for kind in kinds}
+    # A window has no touch that baseline and noise could be before.
+    return {
+        kind: WindowBatch(frames, sampling_rate, remove_baseline)
+        if kind == "window"
+        else makers[kind](frames, sampling_rate, pre_trigger, remove_baseline, detection_limit)
+        for kind in kinds
+    }
 
 
-def _problems(batches: Mapping[Kind, PulseBatch | VibrationBatch], names: Iterable[str]) -> dict[int, str]:
+def _problems(batches: Batches, names: Iterable[str]) -> dict[int, str]:
     """Return why rows cannot be measured: a fit needs less of a pulse than what is read off the samples."""
     found: dict[int, str] = {}
     fitted = {FEATURES[name].fitted for name in names if FEATURES[name].kind == "pulse"}
     for batch in batches.values():
         if isinstance(batch, PulseBatch) and True in fitted:
             found |= batch.fit_problems()
-        if isinstance(batch, VibrationBatch) or False in fitted:
+        if not isinstance(batch, PulseBatch) or False in fitted:
             found |= batch.problems()
     return found
 

@@ -8,8 +8,9 @@ from typing import Any, Literal
 
 from cgid.validation import Floats
 
-#: What a signal is like: a single positive pulse, or a vibration of both signs that dies away.
-Kind = Literal["pulse", "vibration"]
+#: What a signal is like: a single positive pulse, a vibration of both signs that dies away, or a window of a recording
+#: in which anything may happen.
+Kind = Literal["pulse", "vibration", "window"]
 
 
 @dataclass(frozen=True)
@@ -24,7 +25,7 @@ class Feature:
     definition : str
     source : str
     measure : callable
-        From a `PulseBatch`, or a `VibrationBatch`, to one number a row.
+        From a `PulseBatch`, a `VibrationBatch` or a `WindowBatch` to one number a row.
     fitted : bool
         Whether it is read from the fitted pulse, which can be had where samples alone tell nothing.
     positive : bool
@@ -33,12 +34,14 @@ class Feature:
         Whether it is read from the spectrum.
     whole_frame : bool
         Whether it looks at samples far from the pulse.
-    kind : {"pulse", "vibration"}
+    kind : {"pulse", "vibration", "window"}
         What it can be measured on.
     highest_frequency : float
         Half the sampling rate must be at least this [Hz].
     shortest_frame : float
         A frame must last at least this long [s].
+    extra : str
+        The extra of cgid that it needs installed; such a feature is measured only when asked by its name.
     """
 
     name: str
@@ -53,6 +56,7 @@ class Feature:
     kind: Kind = "pulse"
     highest_frequency: float = 0.0
     shortest_frame: float = 0.0
+    extra: str = ""
 
     def unit_for(self, signal_unit: str) -> str:
         """Return the unit when the signal is in `signal_unit`."""

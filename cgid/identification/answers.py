@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import compress
 
@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from cgid.errors import BadData, InvalidValue, MissingOption
 from cgid.features import MINIMUM_FRAME, extract_array, problems_of
 from cgid.frames import DETECTION_LIMIT
-from cgid.identification.events import find_impacts
+from cgid.identification.events import Event, find_impacts
 from cgid.identification.known import known_columns
 from cgid.identification.model import UNKNOWN, Model
 from cgid.signals import UNITS, Signal
@@ -21,12 +21,12 @@ from cgid.validation import Floats
 
 @dataclass(frozen=True, kw_only=True)
 class Answer:
-    """What the model says of one impact.
+    """What the model says of one impact, or of one window.
 
     Attributes
     ----------
     time : float
-        Of the impact in its recording [s].
+        Of the impact in its recording, or of the begin of the window [s].
     label : str
         The decision; "unknown" when the impact is outside of what was trained, could not be measured, or is rejected
         because its prediction set is not a single label.
@@ -40,6 +40,13 @@ class Answer:
         Why there is no known label, or why to doubt it; else empty.
     prediction_set : tuple of str or None
         The labels that cannot be ruled out at the coverage asked for; None when none was, or nothing was measured.
+    channel : str
+        Name of the channel; those of a window of several are joined by "+".
+    end : float
+        When the impact has died away, or the window ends [s]; nan where nobody looked.
+    overlapping, clipped, cut : bool
+        Whether another impact began before this one had died away, samples stand at the limit of the recorder, and
+        the recording begins or ends within it.
     """
 
     time: float
@@ -49,6 +56,11 @@ class Answer:
     in_training_range: bool = False
     problem: str = ""
     prediction_set: tuple[str, ...] | None = None
+    channel: str = "1"
+    end: float = float("nan")
+    overlapping: bool = False
+    clipped: bool = False
+    cut: bool = False
 
     @property
     def probability(self) -> float:
@@ -86,6 +98,8 @@ def suited(signal: Signal, model: Model, mass: float | None = None) -> Signal:
         cure = f"give a recording of {model.quantity}"
         if (signal.quantity, model.quantity) == ("acceleration", "force"):
             cure = "give --mass KG if the accelerated body is the striker (force = mass x acceleration)"
+        elif signal.quantity == "level":
+            cure = f"say with --unit what 1 stands for, such as --unit {model.unit}"
         raise BadData(
             f"{signal.name}: the quantity must be the model's, {model.quantity} [{model.unit}], got {signal.quantity} "
             f"[{signal.unit}]; {cure}"
@@ -181,25 +195,53 @@ def identify(
     InvalidValue
         The model has no use for the drop height, or a choice is one that it cannot serve.
     """
-    answers = []
-    for event in find_impacts(signal, kind=model.kind, dead_time=dead_time):
-        if event.problem:
-            answers.append(_unmeasured(event.problem, event.time))
-            continue
-        part = event.signal
-        answers += identify_frames(
-            part.samples[None],
-            part.sampling_rate,
+    decision = Decision(costs=costs or {}, coverage=coverage, class_conditional=class_conditional)
+    events = find_impacts(signal, kind=model.kind, dead_time=dead_time)
+    return identify_events(events, model, decision, drop_height=drop_height, channels=(signal.channel,))
+
+
+def identify_events(
+    events: Sequence[Event],
+    model: Model,
+    decision: Decision,
+    *,
+    drop_height: float | None = None,
+    channels: Sequence[str] = ("1",),
+) -> list[Answer]:
+    """Return one answer for each impact that was found, in their order; those whose frames begin alike at once.
+
+    `channels` are the names of the channels that the events number; else as `identify`.
+    """
+    alike: dict[tuple[int | None, float, float], list[int]] = {}
+    for number, event in enumerate(events):
+        alike.setdefault((event.pre_trigger, event.detection_limit, event.sampling_rate), []).append(number)
+    answers: dict[int, Answer] = {}
+    for (pre_trigger, limit, sampling_rate), numbers in alike.items():
+        found = identify_frames(
+            np.stack([events[number].samples for number in numbers]),
+            sampling_rate,
             model,
-            pre_trigger=part.pre_trigger,
-            costs=costs,
-            coverage=coverage,
-            class_conditional=class_conditional,
+            pre_trigger=pre_trigger,
+            costs=decision.costs,
+            coverage=decision.coverage,
+            class_conditional=decision.class_conditional,
             drop_height=drop_height,
-            detection_limit=event.detection_limit,
+            detection_limit=limit,
         )
-        answers[-1] = replace(answers[-1], time=event.time)
-    return answers
+        answers |= dict(zip(numbers, found, strict=True))
+    return [_placed(answers[number], event, channels) for number, event in enumerate(events)]
+
+
+def _placed(answer: Answer, event: Event, channels: Sequence[str]) -> Answer:
+    return replace(
+        unmeasured(event.problem) if event.problem else answer,
+        time=event.time,
+        end=event.end / event.sampling_rate,
+        channel=channels[event.channel],
+        overlapping=event.overlapping,
+        clipped=event.clipped,
+        cut=event.cut,
+    )
 
 
 def identify_frames(
@@ -222,7 +264,7 @@ def identify_frames(
     known = known_columns(model.known, len(frames), drop_height)
     if frames.shape[1] < MINIMUM_FRAME:
         short = f"a frame must hold at least {MINIMUM_FRAME} samples, got {frames.shape[1]}"
-        return [_unmeasured(short)] * len(frames)
+        return [unmeasured(short)] * len(frames)
     measured = extract_array(
         frames,
         sampling_rate,
@@ -233,31 +275,35 @@ def identify_frames(
     )
     sound = np.asarray(np.isfinite(measured).all(axis=1))
     time = 0.0 if pre_trigger is None else pre_trigger / sampling_rate
-    features, guards = np.split(measured[sound], [len(model.features)], axis=1)
-    answers = _known_answers(np.hstack([features, known[sound]]), guards, model, decision, time, sampling_rate)
+    answers: Iterator[Answer] = iter(())
+    if sound.any():
+        features, guards = np.split(measured[sound], [len(model.features)], axis=1)
+        inputs = np.hstack([features, known[sound]])
+        found = model.probabilities(inputs), model.novelty(inputs, guards)
+        answers = answers_from(*found, model, decision, sampling_rate)
     problems = {}
     if not sound.all():
         problems = problems_of(
             frames, sampling_rate, model.measured, pre_trigger=pre_trigger, detection_limit=detection_limit
         )
     return [
-        next(answers) if sound[row] else _unmeasured(problems.get(row, "a feature has no finite value"), time)
+        replace(next(answers), time=time)
+        if sound[row]
+        else unmeasured(problems.get(row, "a feature has no finite value"), time)
         for row in range(len(frames))
     ]
 
 
-def _known_answers(
-    inputs: Floats, guards: Floats, model: Model, decision: Decision, time: float, sampling_rate: float
+def answers_from(
+    probabilities: Floats, novelties: Floats, model: Model, decision: Decision, sampling_rate: float
 ) -> Iterator[Answer]:
-    if not len(inputs):
-        return
-    probabilities, novelties = model.probabilities(inputs), model.novelty(inputs, guards)
+    """Return an iterator over answers at time 0, from probabilities (n, n_labels) and novelties (n,)."""
     untrained = "" if model.covers(sampling_rate) else f"not trained at {sampling_rate:g} Hz"
     for row, (label, labels) in enumerate(zip(*decision.labels(model, probabilities), strict=True)):
         novelty = float(novelties[row])
         outside = f"outside of the training (novelty {novelty:.3g}, 1 is the edge)" if novelty > 1 else ""
         yield Answer(
-            time=time,
+            time=0.0,
             label=UNKNOWN if outside else label,
             probabilities=dict(zip(model.labels, probabilities[row].tolist(), strict=True)),
             novelty=novelty,
@@ -267,5 +313,6 @@ def _known_answers(
         )
 
 
-def _unmeasured(problem: str, time: float = 0.0) -> Answer:
+def unmeasured(problem: str, time: float = 0.0) -> Answer:
+    """Return the answer for what cannot be measured."""
     return Answer(time=time, label=UNKNOWN, probabilities={}, novelty=float("nan"), problem=problem)

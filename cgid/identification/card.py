@@ -2,14 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
+from cgid.identification.card_recorded import (
+    adaptation_lines,
+    choice_table,
+    identity_of_recorded,
+    judgement_of_recorded,
+    limits_of_recorded,
+)
+from cgid.identification.card_tables import table
 from cgid.identification.known import KNOWN
 from cgid.identification.model import Model
 
 Rows = Sequence[Mapping[str, Any]]
-_SHAPES = {"pulse": "positive pulses", "vibration": "vibrations of both signs"}
+#: More features than this are not listed.
+_MOST_NAMES = 60
+_SHAPES = {"pulse": "positive pulses", "vibration": "vibrations of both signs", "window": "recordings in windows"}
 
 
 def write_card(model: Model, name: str, pictures: tuple[str, ...] = ()) -> str:
@@ -27,15 +37,28 @@ def write_card(model: Model, name: str, pictures: tuple[str, ...] = ()) -> str:
     lines = [f"# Model card: {name}", ""]
     if training["labels_shuffled"]:
         lines += ["**Trained on shuffled labels: a check of the method, of no other use.**", ""]
-    lines += [f"Identifies {', '.join(model.labels)} from the {model.quantity} of one impact.", ""]
+    of = "a window of a recording" if model.kind == "window" else "one impact"
+    lines += [f"Identifies {', '.join(model.labels)} from the {model.quantity} of {of}.", ""]
     lines += table(("", ""), _identity(model))
-    lines += ["", "## On impacts it has not seen", "", *_judgement(model)]
+    lines += [
+        "",
+        "## On impacts it has not seen" if model.kind != "window" else "## On windows it has not seen",
+        "",
+        *_judgement(model),
+    ]
+    if "recorded" in training:
+        lines += judgement_of_recorded(model)
     lines += [f"![{picture}]({picture})" for picture in pictures] + [""] * bool(pictures)
     lines += ["## Calibration and reject option", "", *_calibration(model)]
     if "domain_shift" in training:
         lines += ["## Domain shift", "", *domain_shift_table(training["domain_shift"]), ""]
     if "beside_force" in training:
         lines += ["## What is lost against the force", "", *force_table(training["beside_force"]), ""]
+    if "recorded" in training:
+        lines += ["## Choice", "", *choice_table(training["recorded"]["candidates"])]
+        if "synthetic" in training["recorded"]:
+            accuracy = training["metrics"]["accuracy"]
+            lines += ["## Adaptation", "", *adaptation_lines(training["recorded"]["synthetic"], accuracy)]
     if "selection" in training:
         lines += ["## Selection", "", *selection_table(training["selection"]), ""]
         chosen = [row["name"] for row in training["selection"] if row["chosen"]]
@@ -44,16 +67,10 @@ def write_card(model: Model, name: str, pictures: tuple[str, ...] = ()) -> str:
                 f"Bold is the choice of this comparison; the family of this model, {model.family}, was asked for.",
                 "",
             ]
-    return "\n".join([*lines, *_LIMITS, *(_LIMITS_OF_VIBRATIONS if model.kind == "vibration" else ())])
-
-
-def table(titles: Sequence[str], rows: Iterable[Sequence[object]]) -> list[str]:
-    """Return the lines of a Markdown table."""
-    return [
-        f"| {' | '.join(titles)} |" if any(titles) else "|" + " |" * len(titles),
-        "|" + "---|" * len(titles),
-        *(f"| {' | '.join(map(str, row))} |" for row in rows),
-    ]
+    if "recorded" in training:
+        return "\n".join([*lines, *limits_of_recorded(model)])
+    limits = _LIMITS_OF_VIBRATIONS if model.kind == "vibration" else ()
+    return "\n".join([*lines, *_LIMITS, *limits])
 
 
 def domain_shift_table(rows: Rows) -> list[str]:
@@ -128,18 +145,35 @@ def _identity(model: Model) -> list[tuple[str, str]]:
         ("family", f"{model.family}, probabilities calibrated by temperature {model.temperature:.4g}"),
         ("expects", f"{model.quantity} [{model.unit}], {_SHAPES[model.kind]}, trained at {rates} kHz"),
         ("must be known, too", ", ".join(f"{name} [{KNOWN[name]}]" for name in model.known) or "nothing"),
-        ("features", ", ".join(model.features)),
+        ("features", _features(model)),
         ("novelty only", ", ".join(f"{name} (edge {limit:.4g})" for name, limit in guards) or "none"),
-        ("trained on", f"{training['n_train']} impacts of {training['n_train_specimens']} specimens"),
-        ("calibrated on", f"one impact of each of {training['n_calibration_specimens']} other specimens"),
+        *(identity_of_recorded(model) if "recorded" in training else _specimens(training)),
         (
-            "judged on",
-            f"{training['metrics']['n_impacts']} impacts of {training['n_test_specimens']} other specimens",
+            "left out",
+            f"{training['n_left_out']} {'windows' if model.kind == 'window' else 'impacts'} that could not be measured",
         ),
-        ("left out", f"{training['n_left_out']} impacts that could not be measured"),
-        ("data (SHA-256 of the scene)", ", ".join(source or "unknown" for source in training["sources"])),
+        (
+            f"data (SHA-256 of the {'files' if 'recorded' in training else 'scene'})",
+            ", ".join(source or "unknown" for source in training["sources"]),
+        ),
         ("seed", str(training["seed"])),
         ("versions", ", ".join(f"{name} {version}" for name, version in training["versions"].items())),
+    ]
+
+
+def _features(model: Model) -> str:
+    if len(model.features) <= _MOST_NAMES:
+        return ", ".join(model.features)
+    chosen = [row["name"] for row in model.training.get("recorded", {}).get("candidates", ()) if row["chosen"]]
+    return f"{len(model.features)}: {', '.join(chosen) or 'many'} (`cgid info` lists them)"
+
+
+def _specimens(training: Mapping[str, Any]) -> list[tuple[str, str]]:
+    judged = training["metrics"]["n_impacts"]
+    return [
+        ("trained on", f"{training['n_train']} impacts of {training['n_train_specimens']} specimens"),
+        ("calibrated on", f"one impact of each of {training['n_calibration_specimens']} other specimens"),
+        ("judged on", f"{judged} impacts of {training['n_test_specimens']} other specimens"),
     ]
 
 

@@ -14,7 +14,7 @@ from sklearn.discriminant_analysis import QuadraticDiscriminantAnalysis
 from sklearn.ensemble import HistGradientBoostingClassifier
 from sklearn.exceptions import ConvergenceWarning
 from sklearn.linear_model import LogisticRegression
-from sklearn.model_selection import StratifiedGroupKFold, StratifiedKFold, cross_val_predict
+from sklearn.model_selection import StratifiedGroupKFold, StratifiedKFold
 from sklearn.neural_network import MLPClassifier
 from sklearn.utils.multiclass import check_classification_targets
 from sklearn.utils.validation import check_is_fitted, validate_data
@@ -22,6 +22,7 @@ from threadpoolctl import threadpool_limits
 
 from cgid import validation
 from cgid.identification.families import Network
+from cgid.identification.shrunken import ShrunkenDiscriminant
 from cgid.identification.transform import Neighbourhood, Standardiser, softmax, squares
 from cgid.validation import Floats
 
@@ -29,11 +30,11 @@ from cgid.validation import Floats
 class _Perceptron(MLPClassifier):  # type: ignore[misc]
     """A scikit-learn network that also tells its scores before they become probabilities."""
 
-    def fit(self, X: Floats, y: NDArray[Any]) -> _Perceptron:
+    def fit(self, X: Floats, y: NDArray[Any], sample_weight: Floats | None = None) -> _Perceptron:
         with warnings.catch_warnings():
             # So many iterations are what was asked for, converged or not.
             warnings.simplefilter("ignore", ConvergenceWarning)
-            super().fit(X, y)
+            super().fit(X, y, sample_weight)
         return self
 
     def decision_function(self, X: Floats) -> Floats:
@@ -60,6 +61,10 @@ def _discriminant(_: ImpactClassifier) -> Any:
     return QuadraticDiscriminantAnalysis(reg_param=2e-4)
 
 
+def _linear(settings: ImpactClassifier) -> Any:
+    return ShrunkenDiscriminant(settings.shrinkage)
+
+
 def _network(settings: ImpactClassifier) -> Any:
     # L-BFGS on all impacts at once: of equal time, better and steadier than Adam on batches.
     return _Perceptron(
@@ -77,9 +82,10 @@ class ImpactClassifier(ClassifierMixin, BaseEstimator):  # type: ignore[misc]
 
     Parameters
     ----------
-    family : {"logistic", "boosting", "discriminant", "network"}
+    family : {"logistic", "boosting", "discriminant", "network", "linear"}
         Logistic regression on the features and their products; histogram gradient boosting; quadratic
-        discriminant analysis; a network of two hidden layers.
+        discriminant analysis; a network of two hidden layers; linear discriminant analysis with a shrunken covariance,
+        for many features and few recordings.
     linear : tuple of int
         Columns that never get a logarithm; the others do where all training values are above 0.
     n_trees : int
@@ -95,6 +101,12 @@ class ImpactClassifier(ClassifierMixin, BaseEstimator):  # type: ignore[misc]
     calibration_folds : int
         Probabilities are calibrated on predictions for folds left out (Guo et al. 2017, temperature scaling);
         0 leaves them as they are.
+    shrinkage : float, optional
+        Of the covariance of the linear family, in [0, 1]; by the rule of Ledoit & Wolf (2004) if not given.
+    class_weight : dict, optional
+        What an impact of a class counts, 1 where not said; "balanced" makes all classes count the same.
+    rejects : bool
+        Whether it learns the edge of the training, too; without, it has no novelty.
     random_state : int
         Of the folds and of the network's first weights.
 
@@ -106,6 +118,7 @@ class ImpactClassifier(ClassifierMixin, BaseEstimator):  # type: ignore[misc]
     temperature_ : float
         What the scores are divided by.
     neighbourhood_ : Neighbourhood
+        Only if it rejects.
     """
 
     #: A family's name -> its estimator with the settings of a classifier.
@@ -114,6 +127,7 @@ class ImpactClassifier(ClassifierMixin, BaseEstimator):  # type: ignore[misc]
         "boosting": _boosting,
         "discriminant": _discriminant,
         "network": _network,
+        "linear": _linear,
     }
 
     def __init__(
@@ -127,6 +141,9 @@ class ImpactClassifier(ClassifierMixin, BaseEstimator):  # type: ignore[misc]
         n_units: int = 32,
         n_iterations: int = 200,
         calibration_folds: int = 3,
+        shrinkage: float | None = None,
+        class_weight: Mapping[Any, float] | str | None = None,
+        rejects: bool = True,
         random_state: int = 0,
     ) -> None:
         self.family = family
@@ -137,6 +154,9 @@ class ImpactClassifier(ClassifierMixin, BaseEstimator):  # type: ignore[misc]
         self.n_units = n_units
         self.n_iterations = n_iterations
         self.calibration_folds = calibration_folds
+        self.shrinkage = shrinkage
+        self.class_weight = class_weight
+        self.rejects = rejects
         self.random_state = random_state
 
     def fit(self, X: ArrayLike, y: ArrayLike, groups: ArrayLike | None = None) -> ImpactClassifier:
@@ -154,15 +174,23 @@ class ImpactClassifier(ClassifierMixin, BaseEstimator):  # type: ignore[misc]
         with threadpool_limits(1):
             self.standardiser_ = Standardiser.fit(features, self.linear)
             standardised = self.standardiser_.apply(features)
-            self.neighbourhood_ = Neighbourhood.fit(standardised, encoded)
-            inputs = self._inputs(standardised)
-            self.estimator_ = self._new_estimator().fit(inputs, encoded)
-            self.temperature_ = self._temperature(inputs, encoded, None if groups is None else np.asarray(groups))
+            inputs, weights = self._inputs(standardised), self._class_weights(encoded)
+            self.estimator_ = self._fitted(inputs, encoded, weights)
+            if self.rejects:
+                covariance = self.estimator_.covariance_ if self.family == "linear" else None
+                self.neighbourhood_ = Neighbourhood.fit(standardised, encoded, covariance)
+            own = None if groups is None else np.asarray(groups)
+            self.temperature_ = self._temperature(inputs, encoded, weights, own)
         return self
+
+    def decision_function(self, X: ArrayLike) -> Floats:
+        """Return the scores that become probabilities, (n_impacts, n_classes), or (n_impacts,) for two classes."""
+        inputs = self._inputs(self._standardised(X))
+        return np.asarray(self.estimator_.decision_function(inputs))
 
     def predict_proba(self, X: ArrayLike) -> Floats:
         """Return probabilities, (n_impacts, n_classes), in the order of `classes_`."""
-        return softmax(self._scores(X) / self.temperature_)
+        return softmax(self.decision_function(X) / self.temperature_)
 
     def predict(self, X: ArrayLike) -> NDArray[Any]:
         """Return the most probable labels, (n_impacts,)."""
@@ -177,17 +205,31 @@ class ImpactClassifier(ClassifierMixin, BaseEstimator):  # type: ignore[misc]
         check_is_fitted(self)
         return self.standardiser_.apply(validate_data(self, X, dtype=np.float64, reset=False))
 
-    def _scores(self, X: ArrayLike) -> Floats:
-        inputs = self._inputs(self._standardised(X))
-        return np.asarray(self.estimator_.decision_function(inputs))
-
     def _inputs(self, standardised: Floats) -> Floats:
         return squares(standardised) if self.family == "logistic" else standardised
 
-    def _new_estimator(self) -> Any:
-        return self.ESTIMATORS[self.family](self)
+    def _class_weights(self, encoded: NDArray[np.intp]) -> Floats | None:
+        """Return what an impact of each class counts; None where all count 1."""
+        if self.class_weight is None:
+            return None
+        if isinstance(self.class_weight, str):
+            validation.choice("class_weight", self.class_weight, ("balanced",))
+            return np.asarray(len(encoded) / (len(self.classes_) * np.bincount(encoded)))
+        weights = [self.class_weight.get(label, 1.0) for label in self.classes_.tolist()]
+        return validation.positive("class_weight", weights)
 
-    def _temperature(self, inputs: Floats, encoded: NDArray[np.intp], groups: NDArray[Any] | None) -> float:
+    def _fitted(self, inputs: Floats, encoded: NDArray[np.intp], weights: Floats | None) -> Any:
+        estimator = self.ESTIMATORS[self.family](self)
+        if weights is None:
+            return estimator.fit(inputs, encoded)
+        if hasattr(estimator, "priors"):  # the discriminants': all that a weight does to them
+            counts = weights * np.bincount(encoded, minlength=len(weights))
+            return estimator.set_params(priors=counts / counts.sum()).fit(inputs, encoded)
+        return estimator.fit(inputs, encoded, sample_weight=weights[encoded])
+
+    def _temperature(
+        self, inputs: Floats, encoded: NDArray[np.intp], weights: Floats | None, groups: NDArray[Any] | None
+    ) -> float:
         if groups is None or len(np.unique(groups)) == len(groups):
             groups = None
             counts = np.bincount(encoded)
@@ -199,16 +241,31 @@ class ImpactClassifier(ClassifierMixin, BaseEstimator):  # type: ignore[misc]
             return 1.0
         kind = StratifiedKFold if groups is None else StratifiedGroupKFold
         splitter = kind(folds, shuffle=True, random_state=self.random_state)
-        scores = cross_val_predict(
-            self._new_estimator(), inputs, encoded, groups=groups, cv=splitter, method="decision_function"
-        )
-        rows = np.arange(len(encoded))
+        scores = np.empty((len(encoded), len(self.classes_)) if len(self.classes_) > 2 else len(encoded))
+        for training, test in splitter.split(inputs, encoded, groups):
+            scores[test] = self._fitted(inputs[training], encoded[training], weights).decision_function(inputs[test])
+        return best_temperature(scores, encoded, None if weights is None else weights[encoded])
 
-        def loss(log_temperature: float) -> float:
-            chosen = softmax(scores / np.exp(log_temperature))[rows, encoded]
-            return float(-np.mean(np.log(np.maximum(chosen, 1e-300))))
 
-        return float(np.exp(minimize_scalar(loss, bounds=(-3.0, 3.0), method="bounded").x))
+def best_temperature(scores: Floats, encoded: NDArray[np.intp], weights: Floats | None = None) -> float:
+    """Return what scores of impacts left out are divided by for probabilities of the smallest log loss.
+
+    Parameters
+    ----------
+    scores : ndarray, (n_impacts, n_classes) or (n_impacts,)
+        As a scikit-learn decision function gives them.
+    encoded : ndarray of int, (n_impacts,)
+        Numbers of the true classes.
+    weights : ndarray, (n_impacts,), optional
+        What each impact counts.
+    """
+    rows = np.arange(len(encoded))
+
+    def loss(log_temperature: float) -> float:
+        chosen = softmax(scores / np.exp(log_temperature))[rows, encoded]
+        return float(-np.average(np.log(np.maximum(chosen, 1e-300)), weights=weights))
+
+    return float(np.exp(minimize_scalar(loss, bounds=(-3.0, 3.0), method="bounded").x))
 
 
 #: The families a model may be of, each exportable as plain numbers.

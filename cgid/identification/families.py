@@ -75,6 +75,27 @@ class Logistic(Family):
         return np.asarray(scores[:, 0] if self.n_scores == 1 else scores)
 
 
+class Linear(Family):
+    """Linear in the features: Gaussians of one covariance, which is drawn towards a plain one (Ledoit & Wolf 2004)."""
+
+    AXES: ClassVar[Mapping[str, int]] = {"coefficients": 2, "intercepts": 1}
+
+    @staticmethod
+    def export(estimator: Any) -> dict[str, NDArray[Any]]:
+        """Return the arrays of a fitted scikit-learn LinearDiscriminantAnalysis."""
+        return {"coefficients": estimator.coef_, "intercepts": estimator.intercept_}
+
+    def check(self) -> None:
+        """Shapes follow from the numbers of features and classes."""
+        self._require("coefficients", (self.n_scores, self.n_features))
+        self._require("intercepts", (self.n_scores,))
+
+    def scores(self, standardised: Floats) -> Floats:
+        """Return `x w + b`."""
+        scores = standardised @ self.arrays["coefficients"].T + self.arrays["intercepts"]
+        return np.asarray(scores[:, 0] if self.n_scores == 1 else scores)
+
+
 class Discriminant(Family):
     """One Gaussian for each class."""
 
@@ -238,9 +259,10 @@ class Network(Family):
 
 
 #: By the name that the model file gives.
-BY_NAME: Mapping[str, type[Boosting] | type[Discriminant] | type[Logistic] | type[Network]] = {
+BY_NAME: Mapping[str, type[Boosting] | type[Discriminant] | type[Linear] | type[Logistic] | type[Network]] = {
     "boosting": Boosting,
     "discriminant": Discriminant,
+    "linear": Linear,
     "logistic": Logistic,
     "network": Network,
 }

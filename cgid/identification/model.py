@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cgid import validation
+from cgid.equalisation import Equalisation
 from cgid.errors import BadData, InvalidValue, NoInput
 from cgid.features import kind_of
 from cgid.features.feature import Kind
@@ -44,13 +45,26 @@ LARGEST_FILE = 64 << 20
 UNKNOWN = "unknown"
 
 
+def inputs_of(features: tuple[str, ...], n_channels: int) -> tuple[str, ...]:
+    """Return what each input is called, channel after channel.
+
+    Examples
+    --------
+    >>> inputs_of(("a", "b"), 2)
+    ('a of channel 1', 'b of channel 1', 'a of channel 2', 'b of channel 2')
+    """
+    if n_channels == 1:
+        return features
+    return tuple(f"{name} of channel {k}" for k in range(1, n_channels + 1) for name in features)
+
+
 @dataclass(frozen=True, kw_only=True)
 class Model:
     """A trained model.
 
     Attributes
     ----------
-    family : {"boosting", "discriminant", "logistic", "network"}
+    family : {"boosting", "discriminant", "linear", "logistic", "network"}
     labels : tuple of str
         In the order of the probabilities.
     features : tuple of str
@@ -70,6 +84,12 @@ class Model:
         labels are not told apart by them.
     guard_limits : tuple of float
         What 99.9 % of the training impacts stay below.
+    window_time, hop_time : float
+        Length of a window and from the start of one to that of the next [s], for a model of windows; else 0.
+    n_channels : int
+        Channels that are looked at together; the features are measured on each of them.
+    sensors : tuple of str
+        Whose reference spectra the model holds.
     """
 
     family: str
@@ -84,6 +104,10 @@ class Model:
     known: tuple[str, ...] = ()
     guards: tuple[str, ...] = ()
     guard_limits: tuple[float, ...] = ()
+    window_time: float = 0.0
+    hop_time: float = 0.0
+    n_channels: int = 1
+    sensors: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         check_names(self)
@@ -102,13 +126,13 @@ class Model:
 
     @property
     def kind(self) -> Kind:
-        """What its signals are like: pulses, or vibrations."""
+        """What its signals are like: pulses, vibrations, or windows of a recording."""
         return kind_of(self.measured)
 
     @property
     def inputs(self) -> tuple[str, ...]:
-        """What the probabilities follow from: the features, then what is known."""
-        return self.features + self.known
+        """What the probabilities follow from: the features, channel after channel, then what is known."""
+        return inputs_of(self.features, self.n_channels) + self.known
 
     @cached_property
     def conformal(self) -> Conformal | None:
@@ -190,6 +214,26 @@ class Model:
             )
         return self.conformal.prediction_set(probabilities, coverage, class_conditional=class_conditional)
 
+    @property
+    def reference_target(self) -> Floats:
+        """What sensors are made to sound like: the mean of their reference spectra, (n_channels, n_bands)."""
+        if not self.sensors:
+            raise InvalidValue("sensor must be left out, this model was trained without reference runs")
+        return np.asarray(self.arrays["reference.spectra"].mean(axis=0))
+
+    def equalisation(self, sensor: str) -> tuple[Equalisation, ...]:
+        """Return what makes a sensor sound as those of the training together, for each channel.
+
+        Raises
+        ------
+        InvalidValue
+            The model knows no such sensor.
+        """
+        target = self.reference_target
+        validation.choice("sensor", sensor, self.sensors)
+        own = self.arrays["reference.spectra"][self.sensors.index(sensor)]
+        return tuple(Equalisation.between(heard, meant) for heard, meant in zip(own, target, strict=True))
+
     def covers(self, sampling_rate: float) -> bool:
         """Return whether the model was trained at this sampling rate [Hz], within 1 %."""
         return bool(0.99 * self.sampling_rates[0] <= sampling_rate <= 1.01 * self.sampling_rates[1])
@@ -237,8 +281,15 @@ class Model:
         known: tuple[str, ...] = (),
         guards: Mapping[str, float] | None = None,
         conformal: Conformal | None = None,
+        window_time: float = 0.0,
+        hop_time: float = 0.0,
+        n_channels: int = 1,
+        references: Mapping[str, Floats] | None = None,
     ) -> Model:
-        """Return the model of a classifier fitted to `features` and `known`; `guards` have their limits."""
+        """Return the model of a classifier fitted to `features` and `known`; `guards` have their limits.
+
+        `references` are the reference spectra of sensors, (n_channels, n_bands) each.
+        """
         guards = guards or {}
         standardiser, neighbourhood = classifier.standardiser_, classifier.neighbourhood_
         own = BY_NAME[classifier.family].export(classifier.estimator_)
@@ -247,6 +298,8 @@ class Model:
         arrays |= {f"family.{name}": array for name, array in own.items()}
         if conformal is not None:
             arrays |= {"conformal.scores": conformal.scores, "conformal.labels": conformal.labels}
+        if references:
+            arrays["reference.spectra"] = np.stack(list(references.values()))
         return cls(
             family=classifier.family,
             labels=tuple(str(label) for label in classifier.classes_),
@@ -260,6 +313,10 @@ class Model:
             known=known,
             guards=tuple(guards),
             guard_limits=tuple(guards.values()),
+            window_time=window_time,
+            hop_time=hop_time,
+            n_channels=n_channels,
+            sensors=tuple(references or ()),
         )
 
     @property
@@ -279,6 +336,10 @@ class Model:
             "sampling_rates": list(self.sampling_rates),
             "temperature": self.temperature,
             "neighbourhood_limit": self.neighbourhood_limit,
+            "window_time": self.window_time,
+            "hop_time": self.hop_time,
+            "n_channels": self.n_channels,
+            "sensors": list(self.sensors),
             "training": dict(self.training),
         }
 

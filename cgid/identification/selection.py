@@ -10,7 +10,6 @@ from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
-from sklearn.discriminant_analysis import LinearDiscriminantAnalysis
 from sklearn.ensemble import RandomForestClassifier
 from sklearn.model_selection import StratifiedGroupKFold
 from sklearn.svm import SVC
@@ -45,7 +44,6 @@ class Rival(ImpactClassifier):
     """The families that are compared and cannot be exported as plain numbers; all else as `ImpactClassifier`."""
 
     ESTIMATORS: ClassVar[Mapping[str, Callable[[Any], Any]]] = {
-        "linear discriminant": lambda _: LinearDiscriminantAnalysis(),
         "random forest": lambda own: _Forest(200, min_samples_leaf=5, random_state=own.random_state),
         "support vectors": lambda own: SVC(C=3.0, random_state=own.random_state),
     }
@@ -85,7 +83,7 @@ CANDIDATES = (
     _candidate(ImpactClassifier, "discriminant", "quadratic discriminant"),
     _candidate(ImpactClassifier, "boosting", "gradient boosting"),
     _candidate(ImpactClassifier, "network", "network"),
-    _candidate(Rival, "linear discriminant", "linear discriminant"),
+    _candidate(ImpactClassifier, "linear", "linear discriminant"),
     _candidate(Rival, "random forest", "random forest"),
     _candidate(Rival, "support vectors", "support vectors (RBF)", SUPPORT_VECTOR_IMPACTS),
 )

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cgid import validation
+from cgid.bands import MEL_BANDS
 from cgid.errors import BadData
 from cgid.features import FEATURES
 from cgid.identification.families import BY_NAME
@@ -22,7 +23,17 @@ if TYPE_CHECKING:
 
 FORMAT = "cgid-model"
 #: 2: what must be known, guards, the calibration of prediction sets, networks.
-SCHEMA_VERSION = 2
+#: 3: windows, several channels, reference spectra of sensors, linear discriminants.
+SCHEMA_VERSION = 3
+#: What an older header does not say, by its version.
+_UNSAID: dict[int, dict[str, Any]] = {
+    2: {"window_time": 0.0, "hop_time": 0.0, "n_channels": 1, "sensors": []},
+    3: {},
+}
+#: More channels than this no model looks at.
+MOST_CHANNELS = 64
+#: No window lasts longer [s]: it has to be held in memory.
+LONGEST_WINDOW = 60.0
 #: Arrays of every family -> the attribute of the standardiser, and the number of axes.
 SHARED = {
     "standardiser.logarithmic": ("logarithmic", 1),
@@ -43,6 +54,10 @@ _KINDS: dict[str, type | tuple[type, ...]] = {
     "temperature": (int, float),
     "neighbourhood_limit": (int, float),
     "training": dict,
+    "window_time": (int, float),
+    "hop_time": (int, float),
+    "n_channels": int,
+    "sensors": list,
 }
 
 
@@ -54,8 +69,10 @@ def read_header(arrays: dict[str, NDArray[Any]]) -> dict[str, Any]:
         raise BadData("it must have a header of JSON") from None
     if not isinstance(header, dict) or header.get("format") != FORMAT:
         raise BadData(f"format must be {FORMAT!r}")
-    if header.get("schema_version") != SCHEMA_VERSION:
-        raise BadData(f"schema_version must be {SCHEMA_VERSION}, got {header.get('schema_version')}")
+    version = header.get("schema_version")
+    if type(version) is not int or version not in _UNSAID:
+        raise BadData(f"schema_version must be {' or '.join(map(str, _UNSAID))}, got {version}")
+    header = _UNSAID[version] | header
     for name, kind in _KINDS.items():
         if not isinstance(header.get(name), kind):
             raise BadData(f"{name} is missing or of a wrong kind in the header")
@@ -89,6 +106,7 @@ def check_names(model: Model) -> None:
         ("features", model.features, 1),
         ("features and guards", model.measured, 1),
         ("known", model.known, 0),
+        ("sensors", model.sensors, 0),
     ):
         if len(values) < least or not all(isinstance(v, str) and v for v in values) or len(set(values)) != len(values):
             raise BadData(f"{name} must be at least {least} different words")
@@ -108,14 +126,17 @@ def check_numbers(model: Model) -> None:
     validation.positive("neighbourhood_limit", model.neighbourhood_limit)
     if validation.positive("guard_limits", model.guard_limits).shape != (len(model.guards),):
         raise BadData("guard_limits must be one number for each guard")
+    _check_windows(model)
     n_features, n_classes = len(model.inputs), len(model.labels)
     shapes = {name: (n_features,) * axes for name, (_, axes) in SHARED.items()}
     shapes |= {
         "neighbourhood.centres": (n_classes, n_features),
         "neighbourhood.whitening": (n_classes, n_features, n_features),
     }
+    common = (1, n_features, n_features)  # one covariance for all classes
     for name, shape in shapes.items():
-        if name not in model.arrays or model.arrays[name].shape != shape:
+        found = model.arrays[name].shape if name in model.arrays else None
+        if found != shape and not (name == "neighbourhood.whitening" and found == common):
             raise BadData(f"array {name} must have shape {shape}")
     if ("conformal.scores" in model.arrays) != ("conformal.labels" in model.arrays):
         raise BadData("arrays conformal.scores and conformal.labels must both be there, or none")
@@ -125,3 +146,26 @@ def check_numbers(model: Model) -> None:
             raise BadData(f"array {name} must hold finite numbers, got {array.dtype}")
     if not (model.arrays["standardiser.scale"] > 0).all() or not (model.arrays["standardiser.floor"] > 0).all():
         raise BadData("arrays standardiser.scale and standardiser.floor must be above 0")
+    for sensor in model.sensors:
+        model.equalisation(sensor)  # checks its gains
+
+
+def _check_windows(model: Model) -> None:
+    """Raise unless windows, channels and references of sensors go together."""
+    if isinstance(model.n_channels, bool) or not 1 <= model.n_channels <= MOST_CHANNELS:
+        raise BadData(f"n_channels must lie between 1 and {MOST_CHANNELS}, got {model.n_channels}")
+    if model.n_channels > 1 and (model.guards or model.known):
+        raise BadData("guards and what is known must be left out where a model looks at several channels")
+    if model.kind != "window":
+        if model.window_time or model.hop_time:
+            raise BadData(f"window_time and hop_time must be 0 for features of a {model.kind}")
+    else:
+        times = validation.positive("window_time and hop_time", [model.window_time, model.hop_time], "s")
+        if (times > LONGEST_WINDOW).any():
+            raise BadData(f"window_time and hop_time must be at most {LONGEST_WINDOW:g} s")
+    spectra = model.arrays.get("reference.spectra")
+    if (spectra is not None) != bool(model.sensors):
+        raise BadData("array reference.spectra must be there where sensors are named, and only there")
+    shape = len(model.sensors), model.n_channels, len(MEL_BANDS)
+    if spectra is not None and spectra.shape != shape:
+        raise BadData(f"array reference.spectra must have shape {shape}, got {spectra.shape}")

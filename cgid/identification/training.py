@@ -122,6 +122,7 @@ def train(
     calibration_share: float = CALIBRATION_SHARE,
     seed: int = 0,
     judged_on: str | None = None,
+    class_weights: Mapping[str, float] | str | None = None,
     shuffle_labels: bool = False,
     selection: Sequence[Mapping[str, Any]] | None = None,
     progress: Callable[[int], object] | None = None,
@@ -151,6 +152,8 @@ def train(
     judged_on : str, optional
         The `source` of the batches that judge and calibrate the prediction sets; all others only train. By default
         every source does all.
+    class_weights : dict or "balanced", optional
+        What an impact of a label counts: see `cgid.identification.classifier.ImpactClassifier`.
     shuffle_labels : bool
         A check of the method: labels are shuffled first, so the accuracy must be that of guessing.
     selection : sequence of dict, optional
@@ -185,7 +188,10 @@ def train(
         # A particle that judges trains nowhere, not even as it fell in another source.
         training = ~np.isin(specimen, specimen[test | calibration])
         inputs = np.hstack([measured.features[:, : len(names)], measured.known])
-        classifier = ImpactClassifier(family=family, linear=linear_columns(names), random_state=seed)
+        check_class_weights(class_weights, np.unique(labels))
+        classifier = ImpactClassifier(
+            family=family, linear=linear_columns(names), class_weight=class_weights, random_state=seed
+        )
         classifier.fit(inputs[training], labels[training], specimen[training])
         conformal = _calibrated(classifier, inputs[calibration], labels[calibration], specimen[calibration], seed)
         probabilities = classifier.predict_proba(inputs[test])
@@ -208,11 +214,19 @@ def train(
             "calibration_share": calibration_share,
             "labels_shuffled": shuffle_labels,
             "judged_on": judged_on,
+            **({} if class_weights is None else {"class_weights": class_weights}),
             "metrics": metrics,
             **({} if selection is None else {"selection": [dict(row) for row in selection]}),
         },
     )
     return Training(model, metrics, labels[test], probabilities, classifier)
+
+
+def check_class_weights(weights: Mapping[str, float] | str | None, labels: NDArray[np.str_]) -> None:
+    """Raise `InvalidValue` unless weights are those of labels that there are, and above 0."""
+    for label, weight in weights.items() if isinstance(weights, Mapping) else ():
+        validation.choice("label of class_weights", label, tuple(labels.tolist()))
+        validation.positive(f"class weight of {label}", weight)
 
 
 def linear_columns(features: Sequence[str]) -> tuple[int, ...]:

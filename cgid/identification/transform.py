@@ -70,6 +70,7 @@ class Neighbourhood:
     ----------
     centres : ndarray, (n_classes, n_features)
     whitening : ndarray, (n_classes, n_features, n_features)
+        Or a single one, (1, n_features, n_features), for all of them.
     limit : float
     """
 
@@ -83,15 +84,19 @@ class Neighbourhood:
     RIDGE = 1e-3
 
     @classmethod
-    def fit(cls, standardised: Floats, classes: NDArray[np.intp]) -> Neighbourhood:
-        """Return the neighbourhood of these rows; `classes` are numbers from 0."""
+    def fit(cls, standardised: Floats, classes: NDArray[np.intp], covariance: Floats | None = None) -> Neighbourhood:
+        """Return the neighbourhood of these rows; `classes` are numbers from 0.
+
+        Each class has a covariance of its own, unless one (n_features, n_features) is given for all of them.
+        """
         centres, whitening = [], []
         for k in range(int(classes.max()) + 1):
             rows = standardised[classes == k]
             centred = rows - rows.mean(axis=0)
-            covariance = centred.T @ centred / max(len(rows) - 1, 1) + cls.RIDGE * np.eye(rows.shape[1])
             centres.append(rows.mean(axis=0))
-            whitening.append(np.linalg.inv(np.linalg.cholesky(covariance)))
+            if covariance is None or k == 0:
+                own = centred.T @ centred / max(len(rows) - 1, 1) if covariance is None else covariance
+                whitening.append(np.linalg.inv(np.linalg.cholesky(own + cls.RIDGE * np.eye(rows.shape[1]))))
         found = cls(np.array(centres), np.array(whitening), 1.0)
         limit = float(np.quantile(found.novelty(standardised), cls.INSIDE))
         return cls(found.centres, found.whitening, max(limit, 1e-12))

@@ -1,34 +1,34 @@
-"""Recordings from files: text, NPY, WAV and our own HDF5 into signals."""
+"""Recordings from files into signals, whole or by blocks."""
 
 from __future__ import annotations
 
+import os
+import shutil
 import sys
+import tempfile
+import weakref
+from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from cgid import validation
 from cgid.errors import BadData, InvalidValue, NoInput
-from cgid.recordings.arrays import read_npy
-from cgid.recordings.contents import Contents
-from cgid.recordings.text import read_text
-from cgid.recordings.wav import read_wav
+from cgid.recordings.formats import HDF5_MAGIC, format_of
+from cgid.recordings.own import DATASET_CURE
+from cgid.recordings.recording_file import BLOCK_LENGTH, Channel, RecordingFile, told
 from cgid.signals import Signal, quantity_of
 
-__all__ = ["is_dataset", "read_recording"]
-
-_HDF5_MAGIC = b"\x89HDF\r\n\x1a\n"
-_HDF5_SUFFIXES = (".h5", ".hdf5", ".hdf")
-_NPY_MAGIC = b"\x93NUMPY"
-_WAV_MAGIC = (b"RIFF", b"RIFX", b"RF64")
-_DATASET_CURE = "read it with cgid.store, or pick one of its signals with --index"
+__all__ = ["BLOCK_LENGTH", "Channel", "RecordingFile", "is_dataset", "open_recording", "read_recording"]
 
 
 def is_dataset(path: str | Path) -> bool:
-    """Return whether `path` is a directory, or an HDF5 file that does not say that it is a recording.
+    """Return whether `path` is a directory, or an HDF5 file of cgid's that is no recording.
 
-    Such an input belongs to `cgid.store`. What does not exist or cannot be opened is no dataset, and neither
-    is "-", the standard input.
+    An HDF5 file that is too damaged to say whose it is counts as one. Such an input belongs to `cgid.store`. What does
+    not exist or cannot be opened is no dataset, and neither is "-", the standard input.
 
     Examples
     --------
@@ -40,37 +40,29 @@ def is_dataset(path: str | Path) -> bool:
     try:
         if Path(path).is_dir():
             return True
-    except (OSError, ValueError):
-        return False
-    return _is_hdf5(path) and not _is_ours(path)
-
-
-def _is_hdf5(path: str | Path) -> bool:
-    try:
         # Opening a pipe would swallow its first bytes, so only regular files are looked into.
-        if str(path) in ("", "-") or not Path(path).is_file():
+        if not Path(path).is_file():
             return False
         with Path(path).open("rb") as file:
-            return file.read(len(_HDF5_MAGIC)) == _HDF5_MAGIC
+            if file.read(len(HDF5_MAGIC)) != HDF5_MAGIC:
+                return False
     except (OSError, ValueError):
         return False
-
-
-def _is_ours(path: str | Path) -> bool:
-    """Return whether an HDF5 file is a recording that cgid made."""
+    from cgid.store.foreign import is_foreign
     from cgid.store.recording import is_recording
 
-    return is_recording(path)
+    return not is_recording(path) and not is_foreign(path)
 
 
-def read_recording(
+def open_recording(
     path: str | Path,
     *,
     sampling_rate: float | None = None,
     unit: str | None = None,
-    channel: int | str | None = None,
-) -> list[Signal]:
-    r"""Read a recording; the format is told by the content, not by the file's name.
+    channel: int | str | Sequence[int | str] | None = None,
+    variable: str | None = None,
+) -> RecordingFile:
+    r"""Open a recording; the format is told by the content, not by the file's name.
 
     Text may use any of comma, semicolon, tab, bar and blanks between its columns, a decimal comma unless the
     comma separates columns, comments, any number of header lines, UTF-8, UTF-16 or Latin-1. A header such as
@@ -85,6 +77,13 @@ def read_recording(
 
     A recording made by `cgid generate` holds one channel, and says its rate and unit.
 
+    HDF5 and MATLAB files (version 5 and up) hold arrays by name; where there are several beside times, `variable` says
+    which is meant: an array, a group or struct of arrays of one length, or a pattern such as ``ch*``. Rate, unit, start
+    and channel names are taken from attributes and single values (``fs``, ``dt``, ``unit``, ...), the nearest first,
+    the rate else from an array of times. TDMS: the channels of one group with their waveform properties; `variable` is
+    a group or ``group/channel``. Universal files: the data sets 58 over time; `variable` is the number of one.
+    Parquet: columns, as of a text file.
+
     Parameters
     ----------
     path : str or Path
@@ -94,25 +93,79 @@ def read_recording(
         this number, which has not been rounded, is used.
     unit : str, optional
         What the numbers are in, where the file does not say it; nothing is converted.
-    channel : int or str, optional
-        Read only this channel: its number from 1 (the time column does not count) or its name in the header.
+    channel : int, str or sequence of these, optional
+        Read only these channels: number from 1 (the time column does not count) or name in the header.
+    variable : str, optional
+        Which of the arrays, tables or groups of the file is meant.
 
     Returns
     -------
-    list of Signal
-        One a channel, (n_samples,) each.
+    RecordingFile
 
     Raises
     ------
     NoInput
         The file does not exist or cannot be opened.
     BadData
-        The file is empty, cut off, a dataset or no recording; a number is missing or not finite; the time
-        column is not even; the file contradicts itself or `unit`.
+        The file is empty, damaged, a dataset or no recording; it contradicts itself or `unit`.
     MissingOption
         Neither the file nor `sampling_rate` gives the sampling rate.
+    MissingExtra
+        The format needs a library that is not installed.
     InvalidValue
-        `sampling_rate`, `unit` or `channel` breaks its rule, or `sampling_rate` contradicts the file.
+        `sampling_rate`, `unit`, `channel` or `variable` breaks its rule, or `sampling_rate` contradicts the file.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     file = Path(folder) / "hit.csv"
+    ...     _ = file.write_text("time (ms),force (kN)\n0.00,0.0\n0.01,1.5\n0.02,0.5\n")
+    ...     recording = open_recording(file)
+    ...     blocks = [block.tolist() for block in recording.blocks(2)]
+    >>> recording.channels, blocks
+    ((Channel(name='1', unit='kN'),), [[[0.0, 1.5]], [[0.5]]])
+    """
+    if sampling_rate is not None:
+        if np.ndim(sampling_rate):
+            raise InvalidValue(f"sampling_rate must be one number in Hz, got {sampling_rate!r}")
+        sampling_rate = float(validation.positive("sampling_rate", sampling_rate, "Hz"))
+    if unit is not None:
+        quantity_of(unit)
+    source = "stdin" if str(path) == "-" else str(path)
+    regular, spooled = _regular(path, source)
+    try:
+        with told(source):
+            found = format_of(regular, source)
+            recording = RecordingFile(
+                found.read(regular, source, variable),
+                source=source,
+                format=found.name,
+                sampling_rate=sampling_rate,
+                unit=unit,
+                channel=channel,
+            )
+    except BaseException:
+        if spooled:
+            _forget(regular)
+        raise
+    if spooled:
+        weakref.finalize(recording, _forget, regular)
+    return recording
+
+
+def read_recording(
+    path: str | Path,
+    *,
+    sampling_rate: float | None = None,
+    unit: str | None = None,
+    channel: int | str | Sequence[int | str] | None = None,
+    variable: str | None = None,
+) -> list[Signal]:
+    r"""Read a whole recording into memory: one `Signal` a channel, (n_samples,) each.
+
+    Parameters and errors are those of `open_recording`; besides, `BadData` is raised where a number is missing or not
+    finite, or the recording does not fit in memory.
 
     Examples
     --------
@@ -124,64 +177,45 @@ def read_recording(
     >>> signal.samples.tolist(), signal.unit, round(signal.sampling_rate, 6)
     ([0.0, 1.5, 0.5], 'kN', 100000.0)
     """
-    if sampling_rate is not None:
-        if np.ndim(sampling_rate):
-            raise InvalidValue(f"sampling_rate must be one number in Hz, got {sampling_rate!r}")
-        sampling_rate = float(validation.positive("sampling_rate", sampling_rate, "Hz"))
-    if unit is not None:
-        quantity_of(unit)
-    source = "stdin" if str(path) == "-" else str(path)
-    try:
-        if _is_hdf5(path) and _is_ours(path):
-            return _own(path).signals(source, sampling_rate=sampling_rate, unit=unit, channel=channel)
-        contents = _contents(_read_bytes(path, source), source)
-        return contents.signals(source, sampling_rate=sampling_rate, unit=unit, channel=channel)
-    except MemoryError:
-        raise BadData(f"{source}: the recording must fit in memory and does not; cut it into parts") from None
+    return open_recording(path, sampling_rate=sampling_rate, unit=unit, channel=channel, variable=variable).signals()
 
 
-def _own(path: str | Path) -> Contents:
-    from cgid.store.recording import Recording
-
-    recording = Recording(path)
-    return Contents(
-        samples=recording.samples()[np.newaxis], units=[recording.unit], sampling_rate=recording.sampling_rate
-    )
-
-
-def _read_bytes(path: str | Path, source: str) -> bytes:
+def _regular(path: str | Path, source: str) -> tuple[Path, bool]:
+    """Return a regular file with the content, and whether it is a copy that has to be removed."""
     if not str(path):
         raise NoInput("the name of the recording must not be empty; give a file, or - for the standard input")
     try:
-        if source == "stdin" and str(path) == "-":
-            return sys.stdin.buffer.read()
-        if Path(path).is_dir():
-            raise BadData(f"{source}: a directory is a dataset, not one recording; {_DATASET_CURE}")
-        return Path(path).read_bytes()
-    except FileNotFoundError:
-        raise NoInput(f"{source}: the file must exist and does not; check the name") from None
-    except PermissionError:
-        raise NoInput(f"{source}: the file must be readable, permission is denied; check its rights") from None
-    except BadData:
+        with told(source):
+            if str(path) == "-":
+                return _spooled(sys.stdin.buffer), True
+            path = Path(path)
+            if path.is_dir():
+                raise BadData(f"{source}: a directory is a dataset, not one recording; {DATASET_CURE}")
+            if path.exists() and not path.is_file():
+                with path.open("rb") as pipe:
+                    return _spooled(pipe), True
+            # Opened once, so that what is wrong with it is said before anything else.
+            path.open("rb").close()
+            return path, False
+    except (BadData, NoInput):
         raise
     # A closed standard input and a NUL byte in the name are ValueErrors, a missing standard input has no buffer.
-    except (OSError, ValueError, AttributeError) as error:
-        reason = getattr(error, "strerror", None) or str(error)
-        raise NoInput(f"{source!r}: the file cannot be opened ({reason}); check the name") from None
+    except (ValueError, AttributeError) as error:
+        raise NoInput(f"{source!r}: the file cannot be opened ({error}); check the name") from None
 
 
-def _contents(raw: bytes, source: str) -> Contents:
-    if raw.startswith(_HDF5_MAGIC):
-        raise BadData(f"{source}: an HDF5 file is a dataset, not one recording; {_DATASET_CURE}")
-    if not raw:
-        raise BadData(f"{source}: a recording must hold numbers, the file is empty; record or export it again")
-    if raw.startswith(_NPY_MAGIC):
-        return read_npy(raw, source)
-    if raw.startswith(_WAV_MAGIC):
-        return read_wav(raw, source)
-    if source.lower().endswith(_HDF5_SUFFIXES):
-        raise BadData(
-            f"{source}: named like a dataset, but its content is not HDF5; rename it if it is text, "
-            f"else {_DATASET_CURE}"
-        )
-    return read_text(raw, source)
+def _spooled(stream: Any) -> Path:
+    """Return a file with all that comes from a stream: some formats have their index at the end."""
+    handle, name = tempfile.mkstemp(prefix="cgid-", suffix=".recording")
+    try:
+        with os.fdopen(handle, "wb") as file:
+            shutil.copyfileobj(stream, file, 1 << 20)
+    except BaseException:
+        _forget(Path(name))
+        raise
+    return Path(name)
+
+
+def _forget(path: Path) -> None:
+    with suppress(OSError):
+        path.unlink()

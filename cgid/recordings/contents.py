@@ -1,16 +1,17 @@
-"""What a file holds before the options have spoken, and how both become signals."""
+"""What a file says about itself, before the options have spoken."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
+from datetime import datetime
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cgid.errors import BadData, InvalidValue, MissingOption
-from cgid.signals import UNITS, Signal, quantity_of
+from cgid.signals import UNITS, quantity_of
 
 #: More channels than this are samples written along the wrong axis.
 MAX_CHANNELS = 4096
@@ -18,15 +19,22 @@ MAX_CHANNELS = 4096
 #: Two statements of one sampling rate may differ by this part; clocks are that good, typing errors are not.
 RATE_TOLERANCE = 1e-3
 
+#: From a length and channels to blocks of (len(channels), at most length), from the first sample on.
+Blocks = Callable[[int, Sequence[int]], Iterator[NDArray[Any]]]
+
 
 @dataclass(frozen=True, kw_only=True)
 class Contents:
-    """Channels of a file with what the file itself says about them.
+    """The channels of a file and what the file itself says about them.
 
     Parameters
     ----------
-    samples : ndarray, (n_channels, n_samples)
-        float32 or float64.
+    n_channels : int
+    blocks : callable
+        `blocks(length, channels)` yields the samples of these channels (numbers from 0) in order, as float32 or
+        float64 of shape (len(channels), at most length). Every call begins anew with the first sample.
+    n_samples : int or None
+        Of each channel; None where only reading tells.
     names : sequence of str
         One a channel, "" where the file gives none.
     units : sequence of str or None
@@ -37,54 +45,55 @@ class Contents:
         Where in the file the sampling rate is said.
     fallback_unit : str or None
         The unit if neither the file nor the user gives one.
+    start_time : datetime or None
+        When the first sample was taken, as the file says.
+    warnings : list of str
+        What is damaged and was left out, one line each; may grow while blocks are read.
     """
 
-    samples: NDArray[Any]
+    n_channels: int
+    blocks: Blocks
+    n_samples: int | None = None
     names: Sequence[str] = ()
     units: Sequence[str | None] = ()
     sampling_rate: float | None = None
     rate_from: str = "header"
     fallback_unit: str | None = None
+    start_time: datetime | None = None
+    warnings: list[str] = field(default_factory=list)
 
-    def signals(
-        self, source: str, *, sampling_rate: float | None, unit: str | None, channel: int | str | None
-    ) -> list[Signal]:
-        """Return one `Signal` a channel, or the one selected.
+    @classmethod
+    def of_array(cls, samples: NDArray[Any], **about: Any) -> Contents:
+        """Return the contents of a file that had to be read whole, (n_channels, n_samples)."""
 
-        Raises
-        ------
-        BadData, MissingOption, InvalidValue
-            As `cgid.recordings.read_recording` says.
-        """
-        if not self.samples.size:
+        def blocks(length: int, channels: Sequence[int]) -> Iterator[NDArray[Any]]:
+            for first in range(0, samples.shape[1], length):
+                yield samples[list(channels), first : first + length]
+
+        return cls(n_channels=samples.shape[0], blocks=blocks, n_samples=samples.shape[1], **about)
+
+    def require_channels(self, source: str) -> None:
+        """Raise `BadData` if there is nothing, or rows and columns are exchanged."""
+        if not self.n_channels or self.n_samples == 0:
             raise BadData(f"{source}: a recording must hold at least one sample, there is none; record it again")
-        if len(self.samples) > MAX_CHANNELS:
+        if self.n_channels > MAX_CHANNELS:
             raise BadData(
-                f"{source}: at most {MAX_CHANNELS} channels, got {len(self.samples)} of {self.samples.shape[1]} "
+                f"{source}: at most {MAX_CHANNELS} channels, got {self.n_channels} of {self.n_samples or 'some'} "
                 "samples; transpose it if each row is one channel in full"
             )
-        selected = range(len(self.samples)) if channel is None else [self._selected(channel, source)]
-        rate = self._rate(sampling_rate, source)
-        return [
-            Signal(
-                samples=np.ascontiguousarray(self.samples[index]),
-                sampling_rate=rate,
-                unit=self._unit(index, unit, source),
-                source=source,
-                channel=self._label(index),
-            )
-            for index in selected
-        ]
 
-    def _name(self, index: int) -> str:
+    def name(self, index: int) -> str:
+        """Return the name of a channel, "" without one."""
         return self.names[index] if index < len(self.names) else ""
 
-    def _label(self, index: int) -> str:
+    def label(self, index: int) -> str:
+        """Return what a channel is called: its name, else its number from 1."""
         # A single channel needs no name to be told apart.
-        return "1" if len(self.samples) == 1 else self._name(index) or str(index + 1)
+        return "1" if self.n_channels == 1 else self.name(index) or str(index + 1)
 
-    def _selected(self, channel: int | str, source: str) -> int:
-        names = [self._name(index) for index in range(len(self.samples))]
+    def selected(self, channel: int | str, source: str) -> int:
+        """Return the index of the channel of this number (from 1) or name."""
+        names = [self.name(index) for index in range(self.n_channels)]
         if isinstance(channel, str) and channel and names.count(channel) == 1:
             return names.index(channel)
         wanted = str(channel)
@@ -98,7 +107,8 @@ class Contents:
         fault = "is the name of several" if names.count(wanted) > 1 else "is none of them"
         raise InvalidValue(f"{source}: channel {channel!r} {fault}; choose one of {listed}{more} by --channel")
 
-    def _rate(self, given: float | None, source: str) -> float:
+    def rate(self, given: float | None, source: str) -> float:
+        """Return the sampling rate [Hz] that file and user agree on."""
         stated = self.sampling_rate
         if stated is not None and not (np.isfinite(stated) and stated > 0):
             raise BadData(
@@ -118,14 +128,15 @@ class Contents:
             )
         return given
 
-    def _unit(self, index: int, given: str | None, source: str) -> str | None:
+    def unit(self, index: int, given: str | None, source: str) -> str | None:
+        """Return the unit of a channel that file and user agree on."""
         stated = self.units[index] if index < len(self.units) else None
         if given is None or stated is None:
             return given or stated or self.fallback_unit
         if _meaning(given) == _meaning(stated):
             return stated
         raise BadData(
-            f"{source}: channel {self._label(index)} must be in one unit, its header says {stated} "
+            f"{source}: channel {self.label(index)} must be in one unit, its header says {stated} "
             f"({quantity_of(stated)}) and --unit says {given} ({quantity_of(given)}); leave out --unit or correct the "
             "header, or pick another channel with --channel"
         )

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import csv
+import math
 import re
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
+from datetime import datetime
 
 from cgid.recordings.layout import Layout
 from cgid.signals import UNITS
@@ -18,16 +20,29 @@ TIME_UNITS = {
 }
 
 _KNOWN = frozenset(unit for units in UNITS.values() for unit in units)
-_TIME_NAME = re.compile(r"(?i:time|zeit|temps|tiempo|tempo)|t(?![^\W\d_])")
+_TIME_NAME = re.compile(r"(?i:time|zeit|temps|tiempo|tempo|时间|時間)|t(?![^\W\d_])")
 _IN_BRACKETS = re.compile(r"(.*)[(\[{<]([^()\[\]{}<>]*)[)\]}>]")
 _STATED_RATE = re.compile(
-    r"[\s#%;/\"]*(?i:(?:sampling|sample)[ _-]?(?:rate|frequency|freq)|fs)[\s\"]*(?:[(\[]\s*([kKMG]?)(?i:hz)\s*[)\]])?"
+    r"[\s#%;/\"]*(?i:(?:sampling|sample)[ _-]?(?:rate|frequency|freq)|fs|abtastrate|abtastfrequenz|采样率|采样频率)"
+    r"[\s\"]*(?:[(\[]\s*([kKMG]?)(?i:hz)\s*[)\]])?"
     r"[\s\":=,;]+([+-]?\d[\d.]*(?:[eE][+-]?\d+)?)[\s\",;]*(?:([kKMG]?)(?i:hz)|(?i:s/s|sps))?[\s\",;.]*"
 )
-_STATED_UNIT = re.compile(r"[\s#%;/\"]*(?i:units?)[\s\"]*[:=][\s\"]*([^\s\",;]+)[\s\",;]*")
+_STATED_INTERVAL = re.compile(
+    r"[\s#%;/\"]*(?i:(?:sampling|sample|time)[ _-]?(?:interval|period|step)|delta[ _]?[tx]|dt|采样间隔|采样周期)[\s\"]*"
+    r"(?:[(\[]\s*([mnuµ]?s)\s*[)\]])?[\s\":=,;]+([+-]?\d[\d.]*(?:[eE][+-]?\d+)?)[\s\",;]*([mnuµ]?s(?:ec)?)?[\s\",;.]*"
+)
+_STATED_START = re.compile(
+    r"[\s#%;/\"]*(?i:start[ _-]?(?:date[ _-]?)?time|start(?:ed)?|recorded|date[ _-]?time)[\s\"]*[:=,;\t][\s\"]*"
+    r"(\d{4}-\d\d-\d\d[ T]\d\d:\d\d[\d:.+Z-]*)[\s\",;]*"
+)
+_STATED_UNIT = re.compile(r"[\s#%;/\"]*(?i:units?|单位)[\s\"]*[:=][\s\"]*([^\s\",;]+)[\s\",;]*")
 _COLUMNS_FOLLOW = re.compile(r"(?i:columns?|fields?|channels?|header)\s*[:=]\s*")
 _WORDS_WITH_BRACKETS = re.compile(r'"[^"]*"|[^\s()\[\]]+(?:\s*[(\[][^()\[\]]*[)\]])?|[(\[][^()\[\]]*[)\]]')
 _PREFIXES = {"": 1.0, "k": 1e3, "K": 1e3, "M": 1e6, "G": 1e9}
+_SECONDS = {"": 1.0, "s": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6, "ns": 1e-9}
+
+#: Greek mu to the micro sign, full-width marks of Chinese headers to those of ASCII.
+_SAME = str.maketrans("\u03bc（）［］：；，＝　", "µ()[]:;,= ")
 
 #: Longer texts are no names of columns.
 _LONGEST_NAME = 200
@@ -53,11 +68,15 @@ class Column:
 
 @dataclass(frozen=True, kw_only=True)
 class Header:
-    """What the lines above the numbers say; no columns if none of them has as many fields as the rows."""
+    """What the lines above the numbers say; no columns if none of them has as many fields as the rows.
+
+    Several lines may state a sampling rate [Hz].
+    """
 
     columns: tuple[Column, ...] = ()
-    sampling_rate: float | None = None
+    sampling_rates: tuple[float, ...] = ()
     unit: str | None = None
+    start_time: datetime | None = None
 
 
 def column_of(text: str) -> Column:
@@ -68,7 +87,7 @@ def column_of(text: str) -> Column:
     >>> [(c.name, c.unit) for c in map(column_of, ["force [kN]", "F/kN", "time_s", "a (m/s^2)", "(ms)", "left"])]
     [('force', 'kN'), ('F', 'kN'), ('time', 's'), ('a', 'm/s^2'), ('', 'ms'), ('left', '')]
     """
-    text = " ".join(text.replace("\u03bc", "µ").strip("\"' \t\r\n").split())
+    text = " ".join(text.translate(_SAME).strip("\"' \t\r\n").split())
     if len(text) > _LONGEST_NAME:
         return Column(name=text[:_LONGEST_NAME])
     if text in _KNOWN or text in TIME_UNITS:
@@ -94,12 +113,15 @@ def read_header(lines: Iterable[str], layout: Layout) -> Header:
     header = Header()
     best: tuple[Column, ...] = ()
     before: tuple[Column, ...] = ()
-    for line in lines:
+    for written in lines:
+        line = written.translate(_SAME)
         remark = line[:_LONGEST_NAME]
-        if found := _STATED_RATE.fullmatch(remark):
-            header = replace(header, sampling_rate=_hertz(found))
+        if (rate := _stated_rate(remark)) is not None:
+            header = replace(header, sampling_rates=(*header.sampling_rates, rate))
+        elif found := _STATED_START.fullmatch(remark):
+            header = replace(header, start_time=_date(found[1]) or header.start_time)
         elif found := _STATED_UNIT.fullmatch(remark):
-            unit = found[1].strip("()[]").replace("\u03bc", "µ")
+            unit = found[1].strip("()[]")
             header = replace(header, unit=unit if unit in _KNOWN else None)
         elif columns := _columns(line, layout):
             columns = _under(before, columns)
@@ -110,9 +132,23 @@ def read_header(lines: Iterable[str], layout: Layout) -> Header:
     return replace(header, columns=named)
 
 
-def _hertz(found: re.Match[str]) -> float | None:
+def _stated_rate(remark: str) -> float | None:
+    """Return the sampling rate [Hz] that a line states, by itself or by its interval."""
     try:
-        return float(found[2]) * _PREFIXES[found[3] or found[1] or ""]
+        if found := _STATED_RATE.fullmatch(remark):
+            return float(found[2]) * _PREFIXES[found[3] or found[1] or ""]
+        if found := _STATED_INTERVAL.fullmatch(remark):
+            interval = float(found[2]) * _SECONDS[(found[3] or found[1] or "").removesuffix("ec")]
+            return 1 / interval if interval else math.inf
+    except ValueError:
+        # Two points in one number.
+        pass
+    return None
+
+
+def _date(text: str) -> datetime | None:
+    try:
+        return datetime.fromisoformat(text)
     except ValueError:
         return None
 

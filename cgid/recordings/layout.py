@@ -30,12 +30,15 @@ class Layout:
         The decimal mark is a comma.
     trailing : bool
         Each row ends in a delimiter.
+    stamp : int or None
+        The column that holds times of day, which are turned into seconds before a row is divided.
     """
 
     delimiter: str | None
     n_columns: int
     decimal_comma: bool = False
     trailing: bool = False
+    stamp: int | None = None
 
     def fields(self, line: str) -> list[str]:
         """Return the fields of a row, without quotes and blanks around them.
@@ -99,7 +102,7 @@ def layout_of(line: str) -> Layout | None:
     Examples
     --------
     >>> layout_of("0,001;3,5")
-    Layout(delimiter=';', n_columns=2, decimal_comma=True, trailing=False)
+    Layout(delimiter=';', n_columns=2, decimal_comma=True, trailing=False, stamp=None)
     >>> layout_of("time;force") is None
     True
     """

@@ -9,10 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from cgid.plots import png, require_matplotlib
+from cgid.plots import COLOURS, png, require_matplotlib
 from cgid.reproduction.quantities import QUANTITIES
 
-_COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#e69f00")
 #: Inches of a panel alone, of one of two, and of one of more beside each other; of a surface.
 _PANEL_SIZES, _SURFACE_SIZE = ((5.2, 4.0), (4.2, 3.2), (3.4, 2.7)), (4.6, 3.7)
 #: Inches of a row of the legend, of a character, and of the piece of line before it.
@@ -106,7 +105,7 @@ def _lines(axes: Any, data: Any, panel: Lines) -> dict[str, Any]:
         (line,) = axes.plot(
             xs,
             ys,
-            color=_COLOURS[order % len(_COLOURS)],
+            color=COLOURS[order % len(COLOURS)],
             marker="o" if at_end else panel.marker or None,
             markevery=[len(xs) - 1] if at_end else None,
             zorder=3 - 0.1 * order if at_end else 2,

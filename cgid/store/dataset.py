@@ -22,7 +22,7 @@ from cgid.store.writing import MANIFEST, SHARD_NAME
 #: Signals read at once.
 _ROWS = 1024
 #: What h5py raises on damaged headers.
-_DAMAGE = (OSError, RuntimeError, LookupError, ValueError, TypeError, ArithmeticError)
+DAMAGE = (OSError, RuntimeError, LookupError, ValueError, TypeError, ArithmeticError)
 
 
 class Dataset:
@@ -206,7 +206,7 @@ def opened(path: Path) -> Iterator[h5py.File]:
         yield file
     except CgidError:
         raise
-    except _DAMAGE as error:
+    except DAMAGE as error:
         raise BadData(f"{path}: is damaged ({error}); generate it again") from None
     finally:
         file.close()

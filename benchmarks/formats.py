@@ -1,0 +1,152 @@
+"""What cgid reads: one file of every format, written by the format's own library, measured column by column.
+
+    python benchmarks/formats.py
+
+read to   largest difference from what was written     rate, unit   found in the file (else the option asked for)
+streamed  growth of peak memory over growth of the file's samples in memory, from a tenth to the whole of it
+cut       files cut off at 40 places: refused / warned / read without a word      flipped   the same for 40 flipped bits
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+import tempfile
+import warnings
+from collections import Counter
+from pathlib import Path
+
+import numpy as np
+from fuzz_recordings import RATE, judge, read
+
+from cgid.errors import CgidError
+from cgid.recordings import open_recording
+
+sys.path.insert(0, str(Path(__file__).parents[1]))
+from tests.recording_files import SPECIMENS, UNIT, Specimen, blows
+
+REAL = Path(__file__).parents[2] / "shared" / "realdata"
+TITLES = ("format", "written by", "read to", "rate", "unit", "streamed", "cut", "flipped")
+#: Files of which so many are damaged in each way.
+DAMAGED = 40
+
+
+def row_of(specimen: Specimen, folder: Path, n_samples: int) -> tuple[str, ...]:
+    """Return the row of one format."""
+    path = folder / f"whole{specimen.suffix}"
+    samples = blows(20_000)
+    specimen.write(path, samples, RATE)
+    expected, told = read(path, specimen.options)
+    written = samples[: len(expected)]
+    error = np.abs(expected - written).max() if expected.shape == written.shape and not told else np.inf
+    rate = open_recording(path, **specimen.options).sampling_rate
+    assert abs(rate - RATE) < 1e-6 * RATE
+    return (
+        specimen.name,
+        specimen.writer,
+        f"{error:.0e}" if error else "exact",
+        "found" if _stated(path, specimen, "sampling_rate") else "`--rate`",
+        "found" if _stated(path, specimen, "unit") else "`--unit`",
+        f"{growth(specimen, folder, n_samples):.2f}",
+        *damaged(path, specimen, expected),
+    )
+
+
+def _stated(path: Path, specimen: Specimen, name: str) -> bool:
+    """Return whether a file says its rate, or its unit, by itself."""
+    options = {key: value for key, value in specimen.options.items() if key != name}
+    try:
+        recording = open_recording(path, **options)
+    except CgidError:
+        return False
+    return name == "sampling_rate" or all(channel.unit == UNIT for channel in recording.channels)
+
+
+def growth(specimen: Specimen, folder: Path, n_samples: int) -> float:
+    """Return by how many bytes peak memory grows for each byte of samples (as float64) that a file is longer."""
+    peaks = []
+    for count in (n_samples // 10, n_samples):
+        path = folder / f"long{specimen.suffix}"
+        specimen.write(path, np.tile(blows(20_000), count // 20_000), RATE)
+        peaks.append(_peak(path, specimen))
+        path.unlink()
+    return (peaks[1] - peaks[0]) / (2 * 8 * (n_samples - n_samples // 10))
+
+
+def _peak(path: Path, specimen: Specimen) -> int:
+    """Return the peak memory of a process that reads a file block by block [bytes]."""
+    reading, writing = os.pipe()
+    child = os.fork()
+    if not child:
+        warnings.simplefilter("ignore")
+        program = (
+            "import sys, ast, resource; from cgid.recordings import open_recording\n"
+            "for block in open_recording(sys.argv[1], **ast.literal_eval(sys.argv[2])).blocks(): pass\n"
+            "print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)"
+        )
+        os.dup2(writing, 1)
+        os.execv(sys.executable, [sys.executable, "-c", program, str(path), repr(specimen.options)])
+    os.close(writing)
+    with os.fdopen(reading) as pipe:
+        told = pipe.read()
+    os.waitpid(child, 0)
+    return int(told) << 10
+
+
+def damaged(path: Path, specimen: Specimen, expected: np.ndarray) -> tuple[str, str]:
+    """Return what becomes of files cut off, and of files with one flipped bit: refused / warned / read in silence."""
+    content, broken = path.read_bytes(), path.with_stem("broken")
+    places = np.linspace(0, len(content) - 1, DAMAGED).astype(int).tolist()
+    tallies = []
+    for is_cut in (True, False):
+        tally: Counter[str] = Counter()
+        for place in places:
+            mutant = bytearray(content[:place] if is_cut else content)
+            if not is_cut:
+                mutant[place] ^= 1 << place % 8
+            broken.write_bytes(mutant)
+            tally[judge(broken, specimen, expected).name] += 1
+        silent = DAMAGED - tally["refused"] - tally["warned"] - tally["same"]
+        tallies.append(f"{tally['refused']} / {tally['warned']} / {silent}")
+    return tallies[0], tallies[1]
+
+
+def real_rows() -> list[tuple[str, ...]]:
+    """Return what is found in the real recordings beside the checkout."""
+    rows = []
+    for name in (
+        "shock/acc_base_a0.txt",
+        "bulk_ramp/steel_nut_M4_1.wav",
+        "bulk_ramp/screws_1.wav",
+        "shock/mic_sample_uff58b.uff",
+    ):
+        recording = open_recording(REAL / name)
+        length = sum(block.shape[1] for block in recording.blocks())
+        units = ", ".join(str(channel.unit) for channel in recording.channels)
+        rows.append(
+            (name, recording.format, f"{len(recording.channels)} x {length}", f"{recording.sampling_rate:.6g}", units)
+        )
+    return rows
+
+
+def table(titles: tuple[str, ...], rows: list[tuple[str, ...]]) -> str:
+    """Return a Markdown table."""
+    return "\n".join(f"| {' | '.join(row)} |" for row in (titles, ("---",) * len(titles), *rows))
+
+
+def main() -> None:
+    """Print both tables."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--samples", type=int, default=2_000_000, help="a channel, of the files that show the memory")
+    arguments = parser.parse_args()
+    warnings.simplefilter("ignore")
+    with tempfile.TemporaryDirectory() as folder:
+        possible = [specimen for specimen in SPECIMENS if specimen.is_possible]
+        print(table(TITLES, [row_of(specimen, Path(folder), arguments.samples) for specimen in possible]))
+    if REAL.is_dir():
+        print("\n" + table(("real recording", "format", "samples", "rate [Hz]", "unit"), real_rows()))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,166 @@
+"""How quickly long recordings and live streams are answered: python benchmarks/recordings.py [minutes].
+
+A recording of 4 channels at 51.2 kHz, 16 bit, with so many impacts a second in each, is predicted and, for comparison,
+merely read by the same blocks; then live streams at 25.6 kHz are monitored, first as fast as they go, then as they come.
+Each in a process of its own with one thread; memory is its largest resident set.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import tempfile
+import time
+import wave
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+#: Impacts a second in each channel: those of a caving window with its bounces are some ten.
+IMPACT_RATE = 4.0
+#: Of the recording and of the streams [Hz].
+RECORDING_RATE, STREAM_RATE = 51_200, 25_600
+N_CHANNELS = 4
+#: Full scale [m/s^2].
+FULL_SCALE = 500.0
+_ENVIRONMENT = {**os.environ, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
+_READ = "import sys; from cgid.recordings import open_recording\nfor _ in open_recording(sys.argv[1]).blocks(): pass"
+
+
+def seconds_of(rate: int, n_channels: int, seed: int) -> Iterator[np.ndarray]:
+    """Yield one second after the other of rocks on a beam, (rate, n_channels) int16: modes that ring, and noise."""
+    rng = np.random.default_rng(seed)
+    times = np.arange(int(0.3 * rate)) / rate
+    modes = [(180.0, 25.0), (640.0, 60.0), (1900.0, 150.0), (5200.0, 500.0)]
+    rings = np.stack([np.exp(-decay * times) * np.sin(2 * np.pi * f * times) for f, decay in modes])
+    rest = np.zeros((n_channels, rings.shape[1]))
+    while True:
+        samples = rng.normal(0.0, 0.5, (n_channels, rate + rings.shape[1]))
+        samples[:, : rings.shape[1]] += rest
+        ringing = np.zeros_like(samples)
+        for channel in range(n_channels):
+            for start in rng.integers(0, rate, rng.poisson(IMPACT_RATE)):
+                strengths = rng.lognormal(3.0, 0.8, len(modes))
+                ringing[channel, start : start + rings.shape[1]] += strengths @ rings
+        samples += ringing
+        rest = ringing[:, rate:]
+        yield np.clip(samples[:, :rate] / FULL_SCALE * 32768, -32768, 32767).astype("<i2").T
+
+
+@dataclass(frozen=True)
+class Run:
+    """What a process took: wall and processor time [s], memory [MB], and what it printed."""
+
+    wall: float
+    processor: float
+    memory: float
+    out: bytes
+
+
+def timed(arguments: list[str], stdin: int | None = None) -> Run:
+    """Run Python with arguments and return what it took."""
+    begun = time.perf_counter()
+    with tempfile.TemporaryFile() as out:
+        process = subprocess.Popen([sys.executable, *arguments], stdin=stdin, stdout=out, stderr=out, env=_ENVIRONMENT)
+        _, status, used = os.wait4(process.pid, 0)
+        wall = time.perf_counter() - begun
+        out.seek(0)
+        content = out.read()
+    if status:
+        raise SystemExit(content.decode()[-2000:])
+    return Run(wall, used.ru_utime + used.ru_stime, used.ru_maxrss / 1024, content)
+
+
+def lines_of(run: Run, kind: str) -> list[dict]:
+    rows = (json.loads(line) for line in run.out.splitlines() if line.startswith(b"{"))
+    return [row for row in rows if row["kind"] == kind]
+
+
+def recording(folder: Path, minutes: float) -> None:
+    path, duration = folder / "long.wav", round(60 * minutes)
+    with wave.open(str(path), "wb") as file:
+        file.setnchannels(N_CHANNELS)
+        file.setsampwidth(2)
+        file.setframerate(RECORDING_RATE)
+        for second, _ in zip(seconds_of(RECORDING_RATE, N_CHANNELS, 0), range(duration), strict=False):
+            file.writeframes(second.tobytes())
+    print(f"recording: {duration} s, {N_CHANNELS} channels, {RECORDING_RATE} Hz, {path.stat().st_size >> 20} MiB")
+    arguments = ["-m", "cgid", "predict", str(path), "--unit", "m/s^2", "--json"]
+    for name, run in (("read", timed(["-c", _READ, str(path)])), ("predict", timed(arguments))):
+        found = f", {len(lines_of(run, 'impact'))} impacts" if name == "predict" else ""
+        print(
+            f"  {name:8} {run.wall:6.1f} s wall, {run.processor:6.1f} s processor: {duration / run.processor:6.0f} times "
+            f"real time, {run.memory:.0f} MB{found}"
+        )
+
+
+def stream(folder: Path, n_channels: int, duration: int) -> float:
+    """Print how quickly a stream from a file is monitored; return the processor's share of a second."""
+    path = folder / f"{n_channels}.raw"
+    with path.open("wb") as file:
+        for second, _ in zip(seconds_of(STREAM_RATE, n_channels, 1), range(duration), strict=False):
+            file.write(second.tobytes())
+    with path.open("rb") as file:
+        run = timed(_monitor(n_channels), file.fileno())
+    share = (run.processor - _START) / duration
+    print(
+        f"  {n_channels:4} channels: {share:.3f} of a core, {n_channels / share:5.0f} channels a core, {run.memory:.0f} "
+        f"MB, {len(lines_of(run, 'impact'))} impacts"
+    )
+    return share
+
+
+def live(folder: Path, n_channels: int, duration: int) -> None:
+    """Print how far behind a stream that comes as time goes the answers are."""
+    content = (folder / f"{n_channels}.raw").read_bytes()
+    size = STREAM_RATE * n_channels * 2
+    reading, writing = os.pipe()
+    if os.fork() == 0:
+        os.close(reading)
+        begun = time.monotonic()
+        step = size // 20 // (2 * n_channels) * 2 * n_channels
+        for first in range(0, duration * size, step):
+            time.sleep(max(begun + first / size - time.monotonic(), 0.0))
+            view = memoryview(content)[first : first + step]
+            while view:
+                view = view[os.write(writing, view) :]
+        os._exit(0)
+    os.close(writing)
+    run = timed(_monitor(n_channels), reading)
+    os.close(reading)
+    os.wait()
+    delays = [row["behind_s"] for row in lines_of(run, "delay")]
+    late = f"up to {max(delays):.1f} s behind" if delays else "never 1 s behind"
+    print(f"  {n_channels:4} channels live for {duration} s: {run.processor / duration:.2f} of a core, {late}")
+
+
+def _monitor(n_channels: int) -> list[str]:
+    how = ["--rate", str(STREAM_RATE), "--channels", str(n_channels), "--sample-format", "s16le"]
+    return ["-m", "cgid", "monitor", "-", *how, "--unit", "m/s^2", "--full-scale", str(FULL_SCALE), "--json"]
+
+
+_START = 0.0
+
+
+def main() -> None:
+    global _START
+    minutes = float(sys.argv[1]) if len(sys.argv) > 1 else 10.0
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        recording(folder, minutes)
+        _START = timed(["-c", "import cgid.cli.main, numpy"]).processor
+        print(f"monitor: {STREAM_RATE} Hz, {IMPACT_RATE:g} impacts a second and channel; {_START:.2f} s to start")
+        share = 0.0
+        for n_channels in (1, 8, 32):
+            share = stream(folder, n_channels, 30)
+        sustained = int(0.7 * 32 / share)
+        stream(folder, sustained, 20)
+        live(folder, sustained, 20)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,219 @@
+"""`cgid plot`: what a recording looks like, and where its impacts are."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from cgid.cli.options import dead_time_in_seconds, open_file, print_json, read_signals, reading_options
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from cgid.identification.detection import ImpactKind
+    from cgid.plots import Mark
+    from cgid.recordings import Channel, RecordingFile
+
+
+@click.command(short_help="Draw a recording: waveform, spectrogram, spectrum and impacts.")
+@click.argument("file")
+@click.option("-o", "--output", required=True, metavar="PICTURE", help="Ends in .png, .svg or .pdf.")
+@click.option("--events/--no-events", default=True, show_default=True, help="Mark the impacts that are found.")
+@click.option(
+    "--kind",
+    type=click.Choice(["pulse", "vibration"]),
+    help="What an impact looks like; a force is taken for pulses, all else for vibrations.",
+)
+@click.option("--from", "begin", type=float, default=0.0, metavar="SECONDS", help="Draw what comes after this.")
+@click.option("--to", "end", type=float, metavar="SECONDS", help="Draw what comes before this.")
+@click.option("--overwrite", is_flag=True, help="Replace an old picture.")
+@click.option("--json", "as_json", is_flag=True, help="Say what was drawn as one JSON object.")
+@reading_options
+def plot(
+    file: str,
+    output: str,
+    events: bool,
+    kind: ImpactKind | None,
+    begin: float,
+    end: float | None,
+    overwrite: bool,
+    as_json: bool,
+    dead_time: float | None,
+    invert: bool,
+    **reading: Any,
+) -> None:
+    """Draw the recording FILE: waveform, spectrogram and spectrum of each channel, and the impacts found in it.
+
+    The length of the recording does not matter: it is read block by block. Impacts are looked for in each channel by
+    itself, as cgid predict does it.
+    """
+    from cgid.files import check_new, write_whole
+    from cgid.overview import OverviewStream
+    from cgid.plots import FORMATS, MOST_CHANNELS, overview_figure, picture, require_matplotlib
+
+    path = check_new(Path(output), "a picture", FORMATS, overwrite=overwrite)
+    gap = dead_time_in_seconds(dead_time)
+    require_matplotlib()
+    _require_order(begin, end)
+    recording = _opened(file, **reading)
+    channels = recording.channels[:MOST_CHANNELS]
+    if len(channels) < len(recording.channels):
+        click.echo(
+            f"cgid: warning: {recording.source}: the first {len(channels)} of {len(recording.channels)} channels are "
+            "drawn; choose with --channel",
+            err=True,
+        )
+    stream = OverviewStream(recording.sampling_rate, len(channels), recording.source)
+    finder = _Finder(recording.sampling_rate, channels, kind, gap, begin) if events else None
+    for block in _between(recording, begin, end):
+        drawn = -block[: len(channels)] if invert else block[: len(channels)]
+        stream.feed(drawn)
+        if finder is not None:
+            finder.feed(drawn)
+    marks = [] if finder is None else finder.finish()
+    for warning in recording.warnings:
+        click.echo(f"cgid: warning: {warning}", err=True)
+    overview = stream.overview()
+    facts = _facts(recording, overview.duration, marks if events else None)
+    figure = overview_figure(
+        overview, channels, title=Path(recording.source).name, facts=facts, marks=marks, begin=begin
+    )
+    write_whole(path, picture(figure, path.suffix.lower()))
+    if as_json:
+        print_json(
+            {
+                "source": recording.source,
+                "picture": str(path),
+                "channels": [channel.name for channel in channels],
+                "from_s": begin,
+                "duration_s": overview.duration,
+                "impacts": len(marks) if events else None,
+                "warnings": list(recording.warnings),
+            }
+        )
+    click.echo(f"wrote {path}", err=True)
+
+
+class _Finder:
+    """Finds impacts in channels, each by itself and in the way of its quantity.
+
+    Parameters
+    ----------
+    sampling_rate : float
+        [Hz].
+    channels : sequence of Channel
+    kind : {"pulse", "vibration"} or None
+        None: that of each channel's quantity.
+    dead_time : float or None
+        [s].
+    begin : float
+        Time of the first sample [s].
+    """
+
+    def __init__(
+        self,
+        sampling_rate: float,
+        channels: Sequence[Channel],
+        kind: ImpactKind | None,
+        dead_time: float | None,
+        begin: float,
+    ) -> None:
+        from cgid.identification.detection import ImpactDetector
+
+        self._rate, self._channels, self._begin = sampling_rate, channels, begin
+        rows: dict[ImpactKind, list[int]] = {}
+        for row, channel in enumerate(channels):
+            rows.setdefault(kind or ("pulse" if channel.quantity == "force" else "vibration"), []).append(row)
+        self._detectors: list[tuple[list[int], Any]] = [
+            (own, ImpactDetector(sampling_rate, len(own), kind=kind, dead_time=dead_time)) for kind, own in rows.items()
+        ]
+        self._marks: list[Mark] = []
+
+    def feed(self, block: NDArray[Any]) -> None:
+        """Take the next samples, (n_channels, n_samples)."""
+        for rows, detector in self._detectors:
+            self._keep(rows, detector.feed(block[rows]))
+
+    def finish(self) -> list[Mark]:
+        """Return a mark for each impact, in order of time."""
+        for rows, detector in self._detectors:
+            self._keep(rows, detector.finish())
+        return sorted(self._marks, key=lambda mark: mark.time)
+
+    def _keep(self, rows: Sequence[int], events: Iterable[Any]) -> None:
+        from cgid.plots import Mark
+
+        for event in events:
+            self._marks.append(
+                Mark(
+                    time=self._begin + event.onset / self._rate,
+                    end=self._begin + event.end / self._rate,
+                    label="overlapping impact" if event.overlapping else "impact",
+                    channel=self._channels[rows[event.channel]].name,
+                )
+            )
+
+
+def _opened(file: str, *, index: int | None, **reading: Any) -> RecordingFile:
+    """Return the recording of a file, or the one signal of a dataset that was asked for."""
+    from cgid.recordings import is_dataset
+
+    if index is None or not is_dataset(file):
+        return open_file(file, index=index, **reading)
+    from cgid.recordings import RecordingFile
+    from cgid.recordings.contents import Contents
+
+    (signal,) = read_signals(file, index=index, invert=False, **reading)
+    contents = Contents.of_array(signal.samples[None], units=[signal.unit], sampling_rate=signal.sampling_rate)
+    return RecordingFile(contents, source=signal.source, format="dataset", sampling_rate=None, unit=None, channel=None)
+
+
+def _require_order(begin: float, end: float | None) -> None:
+    from cgid import validation
+    from cgid.errors import InvalidValue
+
+    validation.not_negative("--from", begin, "s")
+    if end is not None and not validation.real("--to", end, "s") > begin:
+        raise InvalidValue(f"--to must lie after --from ({begin:g} s), got {end:g} s")
+
+
+def _between(recording: RecordingFile, begin: float, end: float | None) -> Iterator[NDArray[Any]]:
+    """Yield the blocks of a part of a recording.
+
+    Raises
+    ------
+    InvalidValue
+        The recording ends before it begins.
+    """
+    from cgid.errors import InvalidValue
+
+    first = round(begin * recording.sampling_rate)
+    last = None if end is None else round(end * recording.sampling_rate)
+    passed = 0
+    for block in recording.blocks():
+        part = block[:, max(first - passed, 0) : None if last is None else max(last - passed, 0)]
+        passed += block.shape[1]
+        if part.shape[1]:
+            yield part
+        if last is not None and passed >= last:
+            return
+    if passed <= first:
+        raise InvalidValue(
+            f"{recording.source}: --from must lie within the recording of {passed / recording.sampling_rate:g} s, got "
+            f"{begin:g} s"
+        )
+
+
+def _facts(recording: RecordingFile, duration: float, marks: Sequence[Mark] | None) -> str:
+    """Return what stands below the title."""
+    from cgid.plots import hertz
+
+    facts = [recording.format, hertz(recording.sampling_rate), f"{duration:.4g} s"]
+    if recording.start_time is not None:
+        facts.append(f"started {recording.start_time:%Y-%m-%d %H:%M:%S}")
+    if marks is not None:
+        facts.append(f"{len(marks)} impact{'' if len(marks) == 1 else 's'} found" if marks else "no impacts found")
+    return ", ".join(facts)

@@ -1,0 +1,157 @@
+"""The reference run of a sensor: its mean spectrum, what makes up for its response, and how far a session drifts.
+
+Two sensors, or one on two supports, do not hear alike: 4 dB more here and less there cost more of the answers than any
+noise. So each sensor records the same kind of flow once, its reference run. The mean spectrum of that is kept with the
+model; what is measured by a sensor is then first made to sound as the mean of the sensors that were trained on
+(`cgid.equalisation.Equalisation.between` of its own spectrum and the target).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from cgid import validation
+from cgid.bands import MEL_BANDS
+from cgid.errors import BadData, InvalidValue
+from cgid.validation import Floats
+from cgid.windows import WindowBatch
+
+#: A session that is further from the reference run of its sensor is warned of [dB].
+LARGEST_DRIFT = 3.0
+#: By so many standard errors: few blows make an uncertain spectrum.
+_STANDARD_ERRORS = 2.0
+#: Windows measured at once.
+_ROWS = 32
+
+
+class MeanSpectrum:
+    """The mean power of a run in each mel band, window by window, in flat memory.
+
+    Parameters
+    ----------
+    sampling_rate : float
+        [Hz]. Bands above half of it get the level of the highest below.
+
+    Raises
+    ------
+    InvalidValue
+        The sampling rate leaves no band.
+    """
+
+    def __init__(self, sampling_rate: float) -> None:
+        self.sampling_rate = float(validation.positive("sampling_rate", sampling_rate, "Hz"))
+        self.n_bands = len(MEL_BANDS.within(0.5 * self.sampling_rate))
+        if not self.n_bands:
+            raise InvalidValue(
+                f"sampling_rate must be {2 * np.ceil(MEL_BANDS.corners[2]):g} Hz or more for a mel band, "
+                f"got {self.sampling_rate:g} Hz"
+            )
+        self.n_windows = 0
+        self._sum, self._squares = np.zeros(self.n_bands), np.zeros(self.n_bands)
+
+    def feed(self, windows: NDArray[np.floating]) -> None:
+        """Add windows (n_windows, n_samples); those that hold nothing are passed over."""
+        for first in range(0, len(windows), _ROWS):
+            batch = WindowBatch(windows[first : first + _ROWS], self.sampling_rate)
+            kept = np.setdiff1d(np.arange(len(batch.samples)), list(batch.problems()))
+            power = batch.mel_power[kept]
+            self.n_windows += kept.size
+            self._sum += power.sum(axis=0)
+            self._squares += np.square(power).sum(axis=0)
+
+    @property
+    def levels(self) -> Floats:
+        """Logarithm (base 10) of the mean square in each of `MEL_BANDS`, (n_bands,).
+
+        Raises
+        ------
+        BadData
+            No window held anything.
+        """
+        return self._for_all_bands(np.log10(self._mean))
+
+    @property
+    def deviations(self) -> Floats:
+        """Standard error of the levels by how windows scatter [dB], infinite for one window, (n_bands,)."""
+        mean, n = self._mean, self.n_windows
+        if n < 2:
+            return np.full(len(MEL_BANDS), np.inf)
+        variance = np.maximum(self._squares / n - mean**2, 0.0) / (n - 1)
+        return self._for_all_bands(10.0 / np.log(10.0) * np.sqrt(variance) / mean)
+
+    @property
+    def _mean(self) -> Floats:
+        if not self.n_windows:
+            raise BadData("a reference run must hold a window of signal, it has none: check the sensor and its cable")
+        return np.maximum(self._sum / self.n_windows, np.finfo(np.float64).tiny)
+
+    def _for_all_bands(self, values: Floats) -> Floats:
+        return np.append(values, np.full(len(MEL_BANDS) - values.size, values[-1]))
+
+
+def target_spectrum(references: Iterable[ArrayLike]) -> Floats:
+    """Return what all sensors are made to sound like: the mean of their reference spectra, (n_bands,).
+
+    Raises
+    ------
+    InvalidValue
+        There is none, or one is not a number for each band.
+    """
+    rows = [validation.real("reference spectrum", row) for row in references]
+    if not rows or any(row.shape != (len(MEL_BANDS),) for row in rows):
+        raise InvalidValue(f"reference spectra must be one or more rows of {len(MEL_BANDS)} levels, got {len(rows)}")
+    return np.asarray(np.mean(rows, axis=0))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Drift:
+    """How a session differs from the reference run of its sensor.
+
+    Attributes
+    ----------
+    level : float
+        The mean over the bands [dB].
+    largest : float
+        That of the band that differs most [dB].
+    frequency : float
+        Where that band has its centre [Hz].
+    certain : float
+        By how much it differs at least, given how windows scatter [dB].
+    """
+
+    level: float
+    largest: float
+    frequency: float
+    certain: float
+
+    def warning(self, sensor: str) -> str | None:
+        """Return what is to be said of it in one line, None if it has not drifted too far."""
+        if self.certain <= LARGEST_DRIFT:
+            return None
+        return (
+            f"sensor {sensor} must be within {LARGEST_DRIFT:g} dB of its reference run, it is {self.largest:+.1f} dB "
+            f"off at {self.frequency:.0f} Hz ({self.level:+.1f} dB in the mean): check its mount, cable and gain, or "
+            "record a new reference run"
+        )
+
+
+def drift(session: MeanSpectrum, reference: ArrayLike) -> Drift:
+    """Return how far a session is from the reference spectrum (n_bands,) of its sensor.
+
+    A change of what flows is a drift as well: a session must be compared over a flow like that of the reference run.
+    """
+    held = slice(0, session.n_bands)
+    difference = 10.0 * (session.levels - validation.real("reference", reference))[held]
+    # Of many bands the surest counts, not one that a single blow has raised.
+    certain = np.maximum(np.abs(difference) - _STANDARD_ERRORS * session.deviations[held], 0.0)
+    place = int(np.argmax(certain)) if certain.any() else int(np.argmax(np.abs(difference)))
+    return Drift(
+        level=float(difference.mean()),
+        largest=float(difference[place]),
+        frequency=float(MEL_BANDS.centres[place]),
+        certain=float(certain[place]),
+    )

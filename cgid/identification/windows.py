@@ -1,0 +1,199 @@
+"""A recording in windows of one length, and decisions that last longer than one of them: numpy only, block by block.
+
+Where impacts follow each other so densely that none can be taken alone, a window is what is decided on. The windows
+are the same whatever the blocks that a recording comes in: window k starts at sample k hops.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cgid import validation
+from cgid.equalisation import Equalisation
+from cgid.errors import InvalidValue
+from cgid.features import MINIMUM_FRAME, extract_array
+from cgid.identification.transform import softmax
+from cgid.validation import Floats
+
+#: How long a window lasts, where nobody says it [s].
+WINDOW_TIME = 0.1
+#: Decisions are averaged over this, where nobody says it [s].
+VOTE_TIME = 0.5
+#: Windows that leave at once, at most: what is measured on them takes memory.
+_MOST_WINDOWS = 512
+#: No probability is taken for less: one window must not rule a label out alone.
+_LEAST_PROBABILITY = 1e-6
+
+
+@dataclass(frozen=True)
+class Grid:
+    """Where windows lie, in samples.
+
+    Attributes
+    ----------
+    length : int
+        Of a window.
+    hop : int
+        From the start of one to that of the next.
+    """
+
+    length: int
+    hop: int
+
+    @classmethod
+    def at(cls, sampling_rate: float, window_time: float, hop_time: float) -> Grid:
+        """Return the grid at a sampling rate [Hz] of windows [s] that start so far from each other [s].
+
+        Raises
+        ------
+        InvalidValue
+            A time is not above 0, or a window holds too few samples.
+
+        Examples
+        --------
+        >>> Grid.at(44_100.0, 0.1, 0.05)
+        Grid(length=4410, hop=2205)
+        """
+        length = round(float(validation.positive("window_time", window_time, "s")) * sampling_rate)
+        hop = round(float(validation.positive("hop_time", hop_time, "s")) * sampling_rate)
+        if length < MINIMUM_FRAME:
+            raise InvalidValue(
+                f"window_time must be at least {MINIMUM_FRAME} samples, {MINIMUM_FRAME / sampling_rate:g} s at "
+                f"{sampling_rate:g} Hz, got {window_time:g} s"
+            )
+        return cls(length, max(hop, 1))
+
+
+def windows_of(
+    blocks: Iterable[NDArray[np.floating]], sampling_rate: float, window_time: float, hop_time: float
+) -> Iterator[tuple[NDArray[np.int64], NDArray[np.floating]]]:
+    """Return an iterator over the windows of a recording that lie in it as a whole, as soon as they are complete.
+
+    Parameters
+    ----------
+    blocks : iterable of ndarray, (n_channels, n_samples)
+        The recording, one block after the other, of any lengths. Only what the next window needs is kept.
+    sampling_rate : float
+        [Hz].
+    window_time, hop_time : float
+        Length of a window, and from the start of one to that of the next [s].
+
+    Yields
+    ------
+    first_samples : ndarray of int, (n_windows,)
+        Where they start in the recording.
+    windows : ndarray, (n_windows, n_channels, n_samples)
+        A view that must not be written to; at most 512 windows.
+
+    Raises
+    ------
+    InvalidValue
+        A time is not above 0, or a window holds too few samples.
+
+    Examples
+    --------
+    >>> blocks = np.arange(10.0)[None, :7], np.arange(10.0)[None, 7:]
+    >>> for first, windows in windows_of(blocks, 1.0, 6.0, 2.0):
+    ...     print(first, windows[:, 0, 0], windows.shape)
+    [0] [0.] (1, 1, 6)
+    [2 4] [2. 4.] (2, 1, 6)
+    """
+    grid = Grid.at(sampling_rate, window_time, hop_time)
+    waiting: list[NDArray[np.floating]] = []
+    start = held = number = 0  # first sample that waits, how many wait, and the next window
+    for block in blocks:
+        waiting.append(block)
+        held += block.shape[1]
+        complete = (start + held - grid.length) // grid.hop + 1
+        if complete <= number:
+            continue
+        samples = np.concatenate(waiting, axis=1)
+        views = np.lib.stride_tricks.sliding_window_view(samples, grid.length, axis=1)
+        for first_window in range(number, complete, _MOST_WINDOWS):
+            last_window = min(first_window + _MOST_WINDOWS, complete)
+            first = grid.hop * np.arange(first_window, last_window, dtype=np.int64)
+            yield first, np.swapaxes(views[:, first[0] - start : first[-1] - start + 1 : grid.hop], 0, 1)
+        number = complete
+        # Windows further apart than they are long: what lies between them does not wait.
+        gone = min(number * grid.hop - start, held)
+        waiting, start, held = [samples[:, gone:].copy()], start + gone, held - gone
+
+
+def measure_windows(
+    windows: NDArray[np.floating],
+    sampling_rate: float,
+    names: tuple[str, ...],
+    equalisation: Sequence[Equalisation] | None = None,
+) -> Floats:
+    """Return the features of windows, those of the first channel before those of the second.
+
+    Parameters
+    ----------
+    windows : ndarray, (n_windows, n_channels, n_samples)
+    sampling_rate : float
+        [Hz].
+    names : tuple of str
+        Out of `cgid.features.FEATURES`.
+    equalisation : sequence of Equalisation, optional
+        What makes up for the sensor's response, one for each channel.
+
+    Returns
+    -------
+    ndarray, (n_windows, n_channels * n_features)
+        nan where a window cannot be measured.
+    """
+    own = [None] * windows.shape[1] if equalisation is None else equalisation
+    channels = zip(np.moveaxis(windows, 1, 0), own, strict=True)
+    parts = [extract_array(rows, sampling_rate, names, invalid="nan", equalisation=one) for rows, one in channels]
+    return np.concatenate(parts, axis=1)
+
+
+class RunningVote:
+    """Probabilities averaged over the last windows: the mean of their logarithms, as they come.
+
+    Parameters
+    ----------
+    n_windows : int
+        Over so many; over as many as have come, at the beginning.
+    """
+
+    def __init__(self, n_windows: int) -> None:
+        self.n_windows = validation.count("n_windows", n_windows)
+        self._last: Floats | None = None
+        self._seen = 0
+
+    @classmethod
+    def over(cls, vote_time: float, window_time: float, hop_time: float) -> RunningVote:
+        """Return the vote of the windows that lie in a time as a whole, at least one; all times in seconds.
+
+        Examples
+        --------
+        >>> RunningVote.over(0.5, 0.1, 0.05).n_windows
+        9
+        """
+        validation.positive("vote_time, window_time and hop_time", [vote_time, window_time, hop_time], "s")
+        return cls(max(int((vote_time - window_time) / hop_time + 1e-9) + 1, 1))
+
+    def feed(self, probabilities: Floats) -> Floats:
+        """Return the averaged probabilities for more windows, (n, n_labels); each row adds up to 1.
+
+        The rows are the same to the last digit whatever the portions that they come in.
+
+        Examples
+        --------
+        >>> RunningVote(2).feed(np.array([[0.5, 0.5], [0.9, 0.1], [0.9, 0.1]])).round(2).tolist()
+        [[0.5, 0.5], [0.75, 0.25], [0.9, 0.1]]
+        """
+        logs = np.log(np.maximum(probabilities, _LEAST_PROBABILITY))
+        before = np.zeros((self.n_windows - 1, logs.shape[1])) if self._last is None else self._last
+        both = np.concatenate([before, logs])
+        total = np.zeros_like(logs)
+        for k in range(self.n_windows):  # in this order for every row
+            total += both[k : k + len(logs)]
+        counts = np.minimum(self._seen + 1 + np.arange(len(logs)), self.n_windows)
+        self._last, self._seen = both[len(logs) :], self._seen + len(logs)
+        return softmax(total / counts[:, None])

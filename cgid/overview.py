@@ -1,0 +1,340 @@
+"""A recording of any length in a few thousand numbers: what a picture of it shows, made while it passes by."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
+from numpy.typing import NDArray
+
+from cgid import validation
+from cgid.errors import BadData, InvalidValue
+from cgid.validation import Floats
+
+#: A waveform has at most so many columns, and at least half of them once it has that many samples;
+WAVEFORM_COLUMNS = 4096
+#: a spectrogram has at most so many, and about so many bands, evenly spaced in the logarithm of frequency.
+SPECTROGRAM_COLUMNS, SPECTROGRAM_BANDS = 1024, 200
+#: Segments of spectra are powers of two: no longer than this [s],
+LONGEST_SEGMENT_TIME = 0.2
+#: between these numbers of samples where the recording has so many,
+SEGMENTS = (64, 8192)
+#: and this many times shorter than the recording.
+_SEGMENTS_IN_RECORDING = 64
+#: Less has no spectrum worth the name [samples].
+_SHORTEST_SEGMENT = 16
+#: Samples a channel, and segments, that are treated at once: bounds the memory whatever the blocks are.
+_SAMPLES_AT_ONCE, _SEGMENTS_AT_ONCE = 65536, 64
+#: What is larger is no measurement, and the power of many such samples no number.
+_LARGEST = 1e140
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Overview:
+    """What a picture of a recording shows; its size hardly depends on the length of the recording.
+
+    Attributes
+    ----------
+    sampling_rate : float
+        [Hz].
+    n_samples : int
+        Of each channel.
+    waveform_step : int
+        Samples that a column of the waveform stands for; the last one may stand for fewer.
+    lowest, highest : ndarray, (n_channels, n_columns)
+        Smallest and largest sample of each column.
+    mean, deviation : ndarray, (n_channels,)
+        Of all samples; the deviation is the root of their mean squared distance from the mean.
+    frequency : ndarray, (n_bins,)
+        [Hz]; empty where the recording is too short for a spectrum.
+    spectrum : ndarray, (n_channels, n_bins)
+        One-sided power density [unit^2/Hz]: mean over Hann windows that overlap by half, each less its mean (Welch).
+    band_edges : ndarray, (n_bands + 1,)
+        Of the spectrogram [Hz]; a band is one bin or several. 0 Hz is left out.
+    time_edges : ndarray, (n_times + 1,)
+        Of the spectrogram [s]; a column stands for the same number of segments, but for the last.
+    spectrogram : ndarray, (n_channels, n_bands, n_times)
+        Mean power density of each band and column [unit^2/Hz].
+    """
+
+    sampling_rate: float
+    n_samples: int
+    waveform_step: int
+    lowest: Floats
+    highest: Floats
+    mean: Floats
+    deviation: Floats
+    frequency: Floats
+    spectrum: Floats
+    band_edges: Floats
+    time_edges: Floats
+    spectrogram: Floats
+
+    @property
+    def duration(self) -> float:
+        """Length of the recording [s]."""
+        return self.n_samples / self.sampling_rate
+
+    @property
+    def waveform_edges(self) -> Floats:
+        """Where the columns of the waveform begin and end [s], (n_columns + 1,)."""
+        samples = np.arange(self.lowest.shape[1] + 1, dtype=np.float64) * self.waveform_step
+        return np.asarray(np.minimum(samples, self.n_samples) / self.sampling_rate)
+
+
+class OverviewStream:
+    """Makes the overview of a recording that comes in blocks; memory does not grow with it.
+
+    How it is cut into blocks changes nothing but the last digits of means and spectra.
+
+    Parameters
+    ----------
+    sampling_rate : float
+        [Hz], above 0.
+    n_channels : int
+        1 or more; each takes some 10 MB.
+    source : str
+        What messages call the recording.
+
+    Raises
+    ------
+    InvalidValue
+        A number breaks its rule.
+
+    Examples
+    --------
+    >>> stream = OverviewStream(1000.0, 1)
+    >>> for _ in range(3):
+    ...     stream.feed(np.array([[0.0, 1.0, -2.0]]))
+    >>> seen = stream.overview()
+    >>> seen.n_samples, float(seen.highest.max()), float(seen.lowest.min())
+    (9, 1.0, -2.0)
+    """
+
+    def __init__(self, sampling_rate: float, n_channels: int = 1, source: str = "recording") -> None:
+        self._rate = float(validation.positive("sampling_rate", sampling_rate, "Hz"))
+        self._source = source
+        self._n_channels = validation.count("n_channels", n_channels)
+        self._lowest = _Columns(np.minimum, (n_channels,), WAVEFORM_COLUMNS)
+        self._highest = _Columns(np.maximum, (n_channels,), WAVEFORM_COLUMNS)
+        self._mean, self._squares = np.zeros(n_channels), np.zeros(n_channels)
+        # The first samples wait until it is known whether the recording is a short one, of shorter segments.
+        self._waiting: list[Floats] = []
+        self._spectra: _Spectra | None = None
+
+    def feed(self, block: NDArray[Any]) -> None:
+        """Take the next samples.
+
+        Parameters
+        ----------
+        block : ndarray, (n_channels, n_samples)
+            Finite numbers; any number of samples, none as well.
+
+        Raises
+        ------
+        InvalidValue
+            The block has another number of channels.
+        BadData
+            A sample is so large that the power of the recording is no number.
+        """
+        if block.ndim != 2 or len(block) != self._n_channels:
+            raise InvalidValue(f"block must be of shape ({self._n_channels}, n_samples), got shape {block.shape}")
+        for start in range(0, block.shape[1], _SAMPLES_AT_ONCE):
+            self._take(block[:, start : start + _SAMPLES_AT_ONCE].astype(np.float64))
+
+    def overview(self) -> Overview:
+        """Return the overview of what has been fed so far; more may be fed afterwards.
+
+        Raises
+        ------
+        BadData
+            Nothing has been fed.
+        """
+        n_samples = self._lowest.taken
+        if not n_samples:
+            raise BadData(f"{self._source}: a picture needs at least one sample, there is none; record it again")
+        spectra = self._spectra
+        if spectra is None:
+            spectra = _Spectra(self._rate, self._n_channels, segment_length(self._rate, n_samples))
+            for samples in self._waiting:
+                spectra.feed(samples)
+        return Overview(
+            sampling_rate=self._rate,
+            n_samples=n_samples,
+            waveform_step=self._lowest.step,
+            lowest=self._lowest.values(),
+            highest=self._highest.values(),
+            mean=self._mean.copy(),
+            deviation=np.sqrt(self._squares / n_samples),
+            frequency=spectra.frequency,
+            spectrum=spectra.mean(),
+            band_edges=spectra.band_edges,
+            time_edges=spectra.time_edges(),
+            spectrogram=spectra.spectrogram(),
+        )
+
+    def _take(self, samples: Floats) -> None:
+        largest = max(samples.max(), -samples.min())
+        if not largest <= _LARGEST:
+            raise BadData(
+                f"{self._source}: samples must lie within +-{_LARGEST:g} to be drawn, got {largest:.3g}; was the file "
+                "read in the right format?"
+            )
+        self._add_moments(samples)
+        self._lowest.add(samples)
+        self._highest.add(samples)
+        if self._spectra is None:
+            self._waiting.append(samples)
+            longest = segment_length(self._rate, None)
+            if self._lowest.taken < _SEGMENTS_IN_RECORDING * longest:
+                return
+            self._spectra = _Spectra(self._rate, self._n_channels, longest)
+            for waiting in self._waiting:
+                self._spectra.feed(waiting)
+            self._waiting = []
+        else:
+            self._spectra.feed(samples)
+
+    def _add_moments(self, samples: Floats) -> None:
+        """Add samples to mean and sum of squared distances from it, without the difference of two large sums."""
+        before, n = self._lowest.taken, samples.shape[1]
+        mean = samples.mean(axis=1)
+        apart = mean - self._mean
+        self._squares += ((samples - mean[:, np.newaxis]) ** 2).sum(axis=1) + apart**2 * (before * n / (before + n))
+        self._mean += apart * (n / (before + n))
+
+
+def segment_length(sampling_rate: float, n_samples: int | None) -> int:
+    """Return how many samples a segment of the spectra has; 0 where so few samples have no spectrum.
+
+    Parameters
+    ----------
+    sampling_rate : float
+        [Hz].
+    n_samples : int or None
+        Of the recording; None if it is a long one.
+
+    Examples
+    --------
+    >>> segment_length(51200.0, None), segment_length(51200.0, 100_000), segment_length(51200.0, 10)
+    (8192, 1024, 0)
+    """
+    shortest, longest = SEGMENTS
+    longest = max(min(_power_of_two(sampling_rate * LONGEST_SEGMENT_TIME), longest), shortest)
+    if n_samples is None:
+        return longest
+    wanted = min(max(_power_of_two(n_samples / _SEGMENTS_IN_RECORDING), shortest), longest, _power_of_two(n_samples))
+    return wanted if wanted >= _SHORTEST_SEGMENT else 0
+
+
+def _power_of_two(number: float) -> int:
+    """Return the largest power of two that is not above a number, at least 1."""
+    return 1 << max(int(number).bit_length() - 1, 0)
+
+
+class _Columns:
+    """A row of values without end in few columns, each of which joins equally many; when all are full, pairs join.
+
+    Parameters
+    ----------
+    join : numpy.ufunc
+        np.minimum, np.maximum, np.add: what joins values.
+    shape : tuple of int
+        Of the values that come at once; they come along one more axis, the last.
+    most : int
+        Columns at most; even.
+    """
+
+    def __init__(self, join: np.ufunc, shape: tuple[int, ...], most: int) -> None:
+        self._join, self._most = join, most
+        self._held = np.zeros((*shape, most))
+        self.step, self.taken = 1, 0
+
+    def add(self, values: Floats) -> None:
+        """Take the next values, (*shape, n)."""
+        while values.shape[-1]:
+            room = self._most * self.step - self.taken
+            self._put(values[..., :room])
+            values = values[..., room:]
+            if self.taken == self._most * self.step:
+                pairs = self._held.reshape(*self._held.shape[:-1], self._most // 2, 2)
+                self._held[..., : self._most // 2] = self._join(pairs[..., 0], pairs[..., 1])
+                self.step *= 2
+
+    def values(self) -> Floats:
+        """Return the columns so far, (*shape, n_columns)."""
+        return self._held[..., : -(-self.taken // self.step)].copy()
+
+    def counts(self) -> NDArray[np.int64]:
+        """Return how many values each column joins, (n_columns,)."""
+        return np.diff(np.append(np.arange(0, self.taken, self.step), self.taken))
+
+    def _put(self, values: Floats) -> None:
+        begun, n = self.taken % self.step, values.shape[-1]
+        first = self.taken // self.step
+        starts = np.append(0, np.arange(self.step - begun, n, self.step)) if begun else np.arange(0, n, self.step)
+        joined = self._join.reduceat(values, starts, axis=-1)
+        if begun:
+            joined[..., 0] = self._join(self._held[..., first], joined[..., 0])
+        self._held[..., first : first + len(starts)] = joined
+        self.taken += n
+
+
+class _Spectra:
+    """Spectra of segments that overlap by half: their sum, and the sums in bands of those that are close in time."""
+
+    def __init__(self, sampling_rate: float, n_channels: int, segment: int) -> None:
+        self._rate, self._segment, self._hop = sampling_rate, segment, segment // 2
+        n_bins = segment // 2 + 1 if segment else 0
+        # Hann, periodic as spectra want it: the 0 that would end it begins the next segment.
+        self._window = np.sin(np.pi * np.arange(segment) / max(segment, 1)) ** 2
+        self.frequency = np.arange(n_bins, dtype=np.float64) * (sampling_rate / max(segment, 1))
+        self._sum = np.zeros((n_channels, n_bins))
+        # Bands end between bins; low ones would be narrower than a bin and become one.
+        self._edges = np.unique(np.rint(np.geomspace(1, max(n_bins, 1), SPECTROGRAM_BANDS + 1)).astype(int))
+        n_bands = len(self._edges) - 1
+        highest = sampling_rate / 2
+        self.band_edges = np.minimum((self._edges - 0.5) * (sampling_rate / max(segment, 1)), highest)
+        self._columns = _Columns(np.add, (n_channels, n_bands), SPECTROGRAM_COLUMNS)
+        self._rest = np.empty((n_channels, 0))
+
+    def feed(self, samples: Floats) -> None:
+        """Take the next samples, (n_channels, n_samples)."""
+        if not self._segment:
+            return
+        samples = np.concatenate([self._rest, samples], axis=1)
+        n_segments = max((samples.shape[1] - self._segment) // self._hop + 1, 0)
+        if n_segments:
+            segments = sliding_window_view(samples, self._segment, axis=1)[:, :: self._hop]
+            for start in range(0, n_segments, _SEGMENTS_AT_ONCE):
+                self._add(segments[:, start : start + _SEGMENTS_AT_ONCE])
+        self._rest = samples[:, n_segments * self._hop :].copy()
+
+    def mean(self) -> Floats:
+        """Return the mean power density, (n_channels, n_bins)."""
+        return self._sum / max(self._columns.taken, 1)
+
+    def spectrogram(self) -> Floats:
+        """Return the mean power density of bands and columns, (n_channels, n_bands, n_times)."""
+        return self._columns.values() / self._columns.counts()
+
+    def time_edges(self) -> Floats:
+        """Return where the columns begin and end [s]: each segment stands for the hop in its middle."""
+        segments = np.append(0, np.cumsum(self._columns.counts()))
+        return np.asarray((segments + 0.5) * (self._hop / self._rate))
+
+    def _add(self, segments: Floats) -> None:
+        """Add the spectra of segments, (n_channels, n_segments, segment)."""
+        bands = np.empty((len(segments), len(self._edges) - 1, segments.shape[1]))
+        for channel, rows in enumerate(segments):
+            transform = np.fft.rfft((rows - rows.mean(axis=1, keepdims=True)) * self._window)
+            density = transform.real**2 + transform.imag**2
+            density *= 2 / (self._rate * np.sum(self._window**2))
+            # 0 Hz and half the sampling rate have no mirror image.
+            density[:, [0, -1]] *= 0.5
+            self._sum[channel] += density.sum(axis=0)
+            sums = np.add.reduceat(density, self._edges[:-1], axis=1)
+            bands[channel] = (sums / np.diff(self._edges)).T
+        self._columns.add(bands)

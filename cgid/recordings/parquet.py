@@ -1,0 +1,231 @@
+"""Parquet tables; pyarrow reads them, row by row group."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from datetime import datetime
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cgid.errors import BadData, CgidError, MissingExtra
+from cgid.recordings.contents import Contents, rates_agree
+from cgid.recordings.header import TIME_UNITS, Column, column_of
+from cgid.recordings.statements import (
+    Value,
+    known_unit,
+    stated_rate,
+    stated_start,
+    stated_units,
+)
+from cgid.recordings.time_vector import rate_of_vector
+from cgid.recordings.variables import Variable
+
+#: Texts in the footer [bytes], its lists [entries].
+_LONGEST_TEXT, _LONGEST_LIST = 16 << 20, 1 << 20
+#: Bytes of one column of a row group that are read at once.
+_BUFFER = 1 << 20
+#: Metadata that are longer say nothing of a rate or a unit.
+_LONGEST_VALUE = 200
+#: Equal numbers take hardly any room, but a recording is not made of them.
+_MOST_ROWS_A_BYTE = 1000
+#: What pandas calls the column of an index that has no name.
+_INDEX = "__index_level_"
+_TICKS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+
+
+def read_parquet(path: Path, source: str, variable: str | None) -> Contents:
+    """Return the columns of a Parquet file as channels.
+
+    Parameters
+    ----------
+    path : Path
+        The file: flat columns of numbers; others are left out with a warning.
+    source : str
+        Its name in messages.
+    variable : str or None
+        Not used: such a file holds one table.
+
+    Returns
+    -------
+    Contents
+        Names and units are told as in the header of a text file, or by a field's metadata (``unit``). The rate is that
+        of the column of times (numbers or timestamps), else what the metadata of the file say.
+
+    Raises
+    ------
+    BadData
+        The file is damaged, has no numbers, or its times are not even.
+    MissingExtra
+        pyarrow is not installed.
+    """
+    file = _Parquet(path, source)
+    warnings, n_samples = list[str](), file.n_rows
+    columns = []
+    file.require_unique_names()
+    for name, kind, values in file.columns():
+        if kind == "other":
+            warnings.append(f"column {name} holds no numbers and is left out")
+        elif name.startswith(_INDEX) and kind == "number":
+            warnings.append(f"column {name} is an index without a name and is left out")
+        else:
+            columns.append((name, kind, values, column_of(name)))
+    at = next((k for k, (_, kind, _, _) in enumerate(columns) if kind == "timestamp"), None)
+    if at is None:
+        at = next((k for k, (_, _, _, column) in enumerate(columns) if _is_time(column)), None)
+    kept = [one for k, one in enumerate(columns) if k != at]
+    if not kept or not n_samples:
+        raise BadData(
+            f"{source}: a recording must hold a column of numbers beside time, there is none; export it again"
+        )
+    stated = stated_rate(file.said, source)
+    rate, rate_from = stated if stated is not None else (None, "header")
+    start = stated_start(file.said)
+    if at is not None and n_samples > 1:
+        name, kind, values, _ = columns[at]
+        rate, rate_from = _rate_of(file, name, kind, values, source), f"column {name}"
+        if stated is not None and not rates_agree(rate, stated[0]):
+            raise BadData(
+                f"{source}: the sampling rate must be one to 0.1 %, {stated[1]} says {stated[0]:.10g} Hz and column "
+                f"{name} {rate:.10g} Hz; correct one"
+            )
+        start = start or (file.first_time(name) if kind == "timestamp" else None)
+    for_all = stated_units(file.said, len(kept))
+    units = [
+        stated_units(values, 1)[0] or known_unit(column.unit) or (None if column.unit else unit)
+        for (_, _, values, column), unit in zip(kept, for_all, strict=True)
+    ]
+
+    def blocks(length: int, channels: Sequence[int]) -> Iterator[NDArray[Any]]:
+        return file.blocks([kept[channel][0] for channel in channels], length)
+
+    return Contents(
+        n_channels=len(kept),
+        blocks=blocks,
+        n_samples=n_samples,
+        names=[column.name or column.unit for *_, column in kept],
+        units=units,
+        sampling_rate=rate,
+        rate_from=rate_from,
+        start_time=start,
+        warnings=warnings,
+    )
+
+
+def _is_time(column: Column) -> bool:
+    return column.is_named_time or (not column.name and column.unit in TIME_UNITS)
+
+
+def _rate_of(file: _Parquet, name: str, kind: str, values: dict[str, Value], source: str) -> float:
+    times = Variable(
+        name=name,
+        n_channels=1,
+        n_samples=file.n_rows,
+        blocks=lambda length, channels: file.blocks([name], length),
+        about=values if kind == "number" else {"unit": "s"},
+    )
+    return rate_of_vector(times, f"{source}: column {name}")
+
+
+class _Parquet:
+    """A table of a file; the file is open only while it is read."""
+
+    def __init__(self, path: Path, source: str) -> None:
+        if find_spec("pyarrow") is None:
+            raise MissingExtra(
+                f"{source}: Parquet needs the library pyarrow, which is not installed; pip install 'cgid[parquet]'"
+            )
+        self._path, self._source = path, source
+        with self._opened() as file:
+            self.n_rows: int = file.metadata.num_rows
+            schema = file.schema_arrow
+        self._schema = schema
+        self.said = _texts(schema.metadata)
+        size = path.stat().st_size
+        if self.n_rows > _MOST_ROWS_A_BYTE * size:
+            raise BadData(
+                f"{source}: the footer declares {self.n_rows} rows in {size} bytes, the file is damaged; copy it again"
+            )
+
+    def columns(self) -> Iterator[tuple[str, str, dict[str, Value]]]:
+        """Yield name, kind ("number", "timestamp" or "other") and metadata of each column."""
+        import pyarrow as pa
+
+        for one in self._schema:
+            is_number = pa.types.is_integer(one.type) or pa.types.is_floating(one.type)
+            is_stamp = pa.types.is_timestamp(one.type) or pa.types.is_duration(one.type)
+            yield one.name, "number" if is_number else "timestamp" if is_stamp else "other", _texts(one.metadata)
+
+    def require_unique_names(self) -> None:
+        """Raise `BadData` if two columns have one name, as pyarrow then reads neither."""
+        twice = next((name for name, count in Counter(self._schema.names).items() if count > 1), None)
+        if twice is not None:
+            raise BadData(f"{self._source}: columns must differ in name, {twice!r} is there twice; rename one")
+
+    def first_time(self, name: str) -> datetime | None:
+        """Return the first timestamp of a column."""
+        with self._opened() as file:
+            value = next(file.iter_batches(1, columns=[name], use_threads=False)).column(0)[0].as_py()
+        return value if isinstance(value, datetime) else None
+
+    def blocks(self, names: Sequence[str], length: int) -> Iterator[NDArray[Any]]:
+        """Yield these columns, (len(names), at most length), float32 or float64; timestamps in s since the first."""
+        done, origins = 0, dict[str, int]()
+        with self._opened() as file:
+            for batch in file.iter_batches(length, columns=list(dict.fromkeys(names)), use_threads=False):
+                rows = [_numbers(batch.column(name), origins, name) for name in names]
+                done += batch.num_rows
+                yield np.stack(rows)
+        if done != self.n_rows:
+            raise BadData(
+                f"{self._source}: the footer declares {self.n_rows} rows and {done} are there; copy the file again"
+            )
+
+    @contextmanager
+    def _opened(self) -> Iterator[Any]:
+        import pyarrow.parquet as pq
+
+        try:
+            with pq.ParquetFile(
+                self._path,
+                buffer_size=_BUFFER,
+                pre_buffer=False,
+                thrift_string_size_limit=_LONGEST_TEXT,
+                thrift_container_size_limit=_LONGEST_LIST,
+                page_checksum_verification=True,
+            ) as file:
+                yield file
+        except (CgidError, MemoryError):
+            raise
+        # Beside its own errors, which are OSError or ValueError, pyarrow passes on those of its C++ parts.
+        except Exception as error:
+            reason = " ".join(str(error).split())[:200]
+            raise BadData(f"{self._source}: the Parquet file is cut off or damaged ({reason}); copy it again") from None
+
+
+def _numbers(column: Any, origins: dict[str, int], name: str) -> NDArray[Any]:
+    import pyarrow as pa
+
+    if pa.types.is_timestamp(column.type) or pa.types.is_duration(column.type):
+        if column.null_count:
+            return np.full(len(column), np.nan)
+        counts = column.cast(pa.int64()).to_numpy()
+        origin = origins.setdefault(name, int(counts[0]) if len(counts) else 0)
+        seconds: NDArray[np.float64] = (counts - origin) * _TICKS[column.type.unit]
+        return seconds
+    values: NDArray[Any] = column.to_numpy(zero_copy_only=False)
+    return values if values.dtype in (np.float32, np.float64) else values.astype(np.float64)
+
+
+def _texts(metadata: dict[bytes, bytes] | None) -> dict[str, Value]:
+    """Return the metadata that are short texts."""
+    return {
+        key.decode("utf-8", "replace"): value.decode("utf-8", "replace")
+        for key, value in (metadata or {}).items()
+        if len(value) <= _LONGEST_VALUE
+    }

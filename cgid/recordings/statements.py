@@ -1,0 +1,194 @@
+"""What named values of a file say: attributes of HDF5, properties of TDMS, scalars of MATLAB."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from datetime import datetime
+
+import numpy as np
+
+from cgid.errors import BadData
+from cgid.recordings.contents import rates_agree
+from cgid.recordings.header import TIME_UNITS, column_of
+from cgid.signals import UNITS
+
+#: Values that files attach to names; lists are one value a channel.
+Value = float | str | datetime | list[str]
+Values = Mapping[str, Value]
+
+_RATE_NAMES = frozenset(
+    ("samplingrate", "samplerate", "samplingfrequency", "samplefrequency", "samplingfreq", "samplefreq", "fs", "fsamp")
+)
+_INTERVAL_NAMES = frozenset(
+    ("dt", "samplinginterval", "sampleinterval", "samplingperiod", "sampleperiod", "timestep", "deltat", "wfincrement")
+)
+_UNIT_NAMES = frozenset(("unit", "units", "unitstring", "yunit", "yunits", "engineeringunit", "engineeringunits"))
+_START_NAMES = frozenset(("starttime", "wfstarttime", "startdatetime", "acquisitionstart", "recordingstart"))
+_CHANNEL_NAMES = frozenset(("channelnames", "channelname", "channels", "channellabels", "labels"))
+_NAMES = _RATE_NAMES | _INTERVAL_NAMES | _UNIT_NAMES | _START_NAMES | _CHANNEL_NAMES
+
+_RATE_FACTORS = {"": 1.0, "hz": 1.0, "s/s": 1.0, "sps": 1.0, "khz": 1e3, "mhz": 1e6}
+_TIME_FACTORS = {"": 1.0, "s": 1.0, "sec": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6, "ns": 1e-9}
+_NUMBER = re.compile(r"\s*([+-]?\d+(?:\.\d*)?(?:[eE][+-]?\d+)?)\s*([^\d\s]\S*)?\s*")
+_UNIT_BEHIND = re.compile(r"[\s_([]+(k?hz|mhz|s|sec|ms|us|µs)[\s)\]]*$")
+_KNOWN_UNITS = frozenset(unit for units in UNITS.values() for unit in units)
+
+
+def is_telling(name: str) -> bool:
+    """Return whether a value of this name could say a rate, a unit, a start, or what channels are called.
+
+    Examples
+    --------
+    >>> [is_telling(name) for name in ("Sampling Rate [kHz]", "fs", "FS", "gain")]
+    [True, True, False, False]
+    """
+    return _plain(name)[0] in _NAMES
+
+
+def stated_rate(values: Values, source: str) -> tuple[float, str] | None:
+    """Return the sampling rate [Hz] that the values state and the name that states it; None if none does.
+
+    Raises
+    ------
+    BadData
+        Two of them disagree, or one is no positive number.
+
+    Examples
+    --------
+    >>> stated_rate({"Sample rate [kHz]": 51.2, "gain": 3.0}, "example")
+    (51200.0, 'Sample rate [kHz]')
+    >>> stated_rate({"dt": "250 ms"}, "example")
+    (4.0, 'dt')
+    """
+    found: list[tuple[float, str]] = []
+    for name, value in values.items():
+        plain, unit = _plain(name)
+        if plain in _RATE_NAMES:
+            number = _number(value, unit, _RATE_FACTORS)
+        elif plain in _INTERVAL_NAMES:
+            interval = _number(value, unit, _TIME_FACTORS)
+            number = None if interval is None else _rate_of(interval)
+        else:
+            continue
+        if number is None:
+            continue
+        if not (np.isfinite(number) and number > 0):
+            raise BadData(f"{source}: the sampling rate must be above 0 and finite, {name} says {value!r}; correct it")
+        found.append((number, name))
+    if not found:
+        return None
+    first = found[0]
+    for rate, name in found[1:]:
+        if not rates_agree(rate, first[0]):
+            raise BadData(
+                f"{source}: the sampling rate must be one to 0.1 %, {first[1]} says {first[0]:.10g} Hz and {name} says "
+                f"{rate:.10g} Hz; correct one"
+            )
+    return first
+
+
+def stated_units(values: Values, n_channels: int) -> list[str | None]:
+    """Return the unit of each channel, None where none is stated or it is none of `cgid.signals.UNITS`.
+
+    Examples
+    --------
+    >>> stated_units({"Unit": "kN"}, 2), stated_units({"units": ["g", "furlong"]}, 2)
+    (['kN', 'kN'], ['g', None])
+    """
+    for name, value in values.items():
+        if _plain(name)[0] not in _UNIT_NAMES:
+            continue
+        if isinstance(value, str):
+            return [known_unit(value)] * n_channels
+        if isinstance(value, list) and len(value) == n_channels:
+            return [known_unit(unit) for unit in value]
+    return [None] * n_channels
+
+
+def known_unit(text: str) -> str | None:
+    """Return the unit if it is one of `cgid.signals.UNITS`, else None.
+
+    Examples
+    --------
+    >>> known_unit(" [m/s^2] "), known_unit("counts")
+    ('m/s^2', None)
+    """
+    unit = text.replace("\u03bc", "µ").strip(" \t\0[]()")
+    return unit if unit in _KNOWN_UNITS else None
+
+
+def stated_names(values: Values, n_channels: int) -> list[str]:
+    """Return what the channels are called, [] where nobody says."""
+    for name, value in values.items():
+        if _plain(name)[0] in _CHANNEL_NAMES and isinstance(value, list) and len(value) == n_channels:
+            return value
+    return []
+
+
+def stated_start(values: Values) -> datetime | None:
+    """Return when the first sample was taken; a number is not taken for a date, as nothing says since when.
+
+    Examples
+    --------
+    >>> stated_start({"start_time": "2026-03-01T12:00:00"})
+    datetime.datetime(2026, 3, 1, 12, 0)
+    """
+    for name, value in values.items():
+        if _plain(name)[0] not in _START_NAMES:
+            continue
+        if isinstance(value, datetime):
+            return value
+        if isinstance(value, str):
+            try:
+                return datetime.fromisoformat(value.strip())
+            except ValueError:
+                continue
+    return None
+
+
+def stated_time_unit(name: str, values: Values) -> str:
+    """Return the unit of an array of times: the one attached to it, else the one in its name, else ""."""
+    for key, value in values.items():
+        if _plain(key)[0] in _UNIT_NAMES and isinstance(value, str) and value.strip():
+            return value.replace("\u03bc", "µ").strip(" \t\0[]()")
+    unit = column_of(name.rpartition("/")[2]).unit
+    return unit if unit in TIME_UNITS else ""
+
+
+def _plain(name: str) -> tuple[str, str]:
+    """Return a name without case and marks, and the unit it may carry."""
+    # FS is a full scale as often as a rate.
+    if name.strip() == "FS":
+        return "", ""
+    plain = _letters(name)
+    if plain in _NAMES:
+        return plain, ""
+    found = _UNIT_BEHIND.search(name.lower())
+    if found and (plain := _letters(name[: found.start()])) in _NAMES:
+        return plain, found[1]
+    return "", ""
+
+
+def _letters(name: str) -> str:
+    return re.sub(r"[^a-z0-9]+", "", name.lower())
+
+
+def _rate_of(interval: float) -> float:
+    """Return the rate of an interval, a whole number where that is meant: 1 / 1e-5 is not quite 100000."""
+    if not interval:
+        return np.inf
+    rate = 1 / interval
+    whole = round(rate) if 0 < rate < 1e12 else 0
+    return float(whole) if whole and 1 / whole == interval else rate
+
+
+def _number(value: Value, unit: str, factors: Mapping[str, float]) -> float | None:
+    if isinstance(value, str):
+        found = _NUMBER.fullmatch(value.replace("\u03bc", "µ"))
+        if not found:
+            return None
+        value, unit = float(found[1]), (found[2] or unit).lower()
+    if isinstance(value, bool) or not isinstance(value, int | float) or unit not in factors:
+        return None
+    return value * factors[unit]

@@ -1,0 +1,188 @@
+"""TDMS files of LabVIEW; nptdms reads them."""
+
+from __future__ import annotations
+
+import logging
+import tempfile
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+from typing import Any, BinaryIO
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cgid.errors import BadData, CgidError, MissingExtra
+from cgid.recordings.contents import Contents
+from cgid.recordings.statements import Value, is_telling
+from cgid.recordings.variables import Variable, contents_of
+
+_LEAD_IN, _TAG = 28, b"TDSm"
+#: What a segment says of its length while it is being written.
+_UNKNOWN = 2**64 - 1
+#: A chunk of one channel is read whole, however little of it is asked for; longer ones go through a temporary file.
+_LONGEST_CHUNK = 1 << 18
+_CHUNKS = 4
+
+
+class _Tdms:
+    """An open file and what nptdms says of it."""
+
+    def __init__(self, path: Path, source: str) -> None:
+        try:
+            from nptdms import TdmsFile
+        except ImportError:
+            raise MissingExtra(
+                f"{source}: reading TDMS needs the library nptdms, which is not installed; pip install 'cgid[formats]'"
+            ) from None
+        self.source = source
+        self._file = path.open("rb")
+        self.is_cut = _is_cut(self._file)
+        self._file.seek(0)
+        with self.understood():
+            # Opened by its handle, so that no index file beside it is taken for its own.
+            self.tdms = TdmsFile.open(self._file)
+        self._spools: dict[str, BinaryIO] = {}
+
+    def __del__(self) -> None:
+        if hasattr(self, "_file"):
+            self._file.close()
+        for spool in getattr(self, "_spools", {}).values():
+            spool.close()
+
+    @contextmanager
+    def understood(self) -> Iterator[None]:
+        """Say in one line what nptdms cannot read, and keep what it logs to itself."""
+        from nptdms.log import log_manager
+
+        level = log_manager.log_level
+        log_manager.set_level(logging.CRITICAL)
+        try:
+            yield
+        except CgidError:
+            raise
+        # On damaged files nptdms fails with struct.error, KeyError, ValueError, and whatever numpy says to sizes.
+        except Exception as error:
+            reason = " ".join(str(error).split()) or type(error).__name__
+            raise BadData(
+                f"{self.source}: the TDMS file is damaged ({reason}); copy it again, or export it anew"
+            ) from None
+        finally:
+            log_manager.set_level(level)
+
+    def blocks(self, channel: Any, length: int) -> Iterator[NDArray[Any]]:
+        """Yield the samples of a channel, (1, at most length)."""
+        with self.understood():
+            chunk = len(next(iter(channel.data_chunks()), ()))
+        read = self._spooled(channel) if chunk > _LONGEST_CHUNK else channel.read_data
+        # Several chunks at once, as a part of one costs as much as all of it.
+        step = length * -(-max(_CHUNKS * chunk, length) // length) if chunk <= _LONGEST_CHUNK else length
+        for first in range(0, len(channel), step):
+            with self.understood():
+                samples = np.asarray(read(first, min(step, len(channel) - first)))
+            kept = np.float32 if samples.dtype == np.float32 else np.float64
+            for begin in range(0, len(samples), length):
+                yield samples[np.newaxis, begin : begin + length].astype(kept)
+
+    def _spooled(self, channel: Any) -> Any:
+        """Return a function that reads samples of a channel from a temporary file."""
+        spool, dtype = self._spools.get(channel.path), np.dtype(np.float64)
+        if spool is None:
+            spool = self._spools[channel.path] = tempfile.TemporaryFile()  # noqa: SIM115
+            with self.understood():
+                for chunk in channel.data_chunks():
+                    np.asarray(chunk[:]).astype(dtype).tofile(spool)
+
+        def read(first: int, count: int) -> NDArray[Any]:
+            spool.seek(first * dtype.itemsize)
+            return np.frombuffer(spool.read(count * dtype.itemsize), dtype)
+
+        return read
+
+
+def read_tdms(path: Path, source: str, variable: str | None) -> Contents:
+    """Return the channels of one group of a TDMS file.
+
+    Parameters
+    ----------
+    path : Path
+        The file; an index file beside it is not used.
+    source : str
+        Its name in messages.
+    variable : str or None
+        Name of a group, of a channel (``group/channel``), or a pattern; None if only one group has numbers.
+
+    Returns
+    -------
+    Contents
+        Rate, unit and start time are those of the channels' waveform properties (``wf_increment``, ``unit_string``,
+        ``wf_start_time``), else what properties of group or file or a channel of times say. Of a file that is cut off
+        what is whole in all channels.
+
+    Raises
+    ------
+    BadData
+        The file is damaged, holds no numbers or several groups, or its channels are of different length or rate.
+    MissingExtra
+        nptdms is not installed.
+    """
+    file = _Tdms(path, source)
+    warnings = []
+    if file.is_cut:
+        warnings.append("the TDMS file is cut off or was never closed; what is whole of its last part is kept")
+    variables: list[Variable] = []
+    with file.understood():
+        said: dict[str, dict[str, Value]] = {"": _values(file.tdms.properties)}
+        for group in file.tdms.groups():
+            said[group.name] = _values(group.properties)
+            for channel in group.channels():
+                if len(channel) and channel.dtype.kind in "fiu":
+                    variables.append(_variable(file, group.name, channel))
+                elif not len(channel):
+                    warnings.append(f"channel {group.name}/{channel.name} holds no samples and is left out")
+                else:
+                    warnings.append(f"channel {group.name}/{channel.name} holds no numbers and is left out")
+    return contents_of(variables, said, source, variable, warnings, group_is_one=True, is_cut=file.is_cut)
+
+
+def _variable(file: _Tdms, group: str, channel: Any) -> Variable:
+    def blocks(length: int, channels: Sequence[int]) -> Iterator[NDArray[Any]]:
+        return file.blocks(channel, length)
+
+    about = _values(channel.properties)
+    start, offset = about.get("wf_start_time"), channel.properties.get("wf_start_offset", 0.0)
+    if isinstance(start, datetime) and isinstance(offset, int | float) and abs(offset) < 1e9:
+        about["wf_start_time"] = start + timedelta(seconds=float(offset))
+    return Variable(name=channel.name, group=group, n_channels=1, n_samples=len(channel), blocks=blocks, about=about)
+
+
+def _values(properties: Any) -> dict[str, Value]:
+    found: dict[str, Value] = {}
+    for name, value in properties.items():
+        if not is_telling(name):
+            continue
+        if isinstance(value, np.datetime64):
+            # Timestamps of TDMS are in UTC; before year 1 or after 9999 there is no datetime.
+            stamp = value.astype("datetime64[us]").item()
+            if isinstance(stamp, datetime):
+                found[name] = stamp.replace(tzinfo=UTC)
+        elif isinstance(value, str | int | float):
+            found[name] = value
+    return found
+
+
+def _is_cut(file: BinaryIO) -> bool:
+    """Return whether the last segment ends before it should, by the lengths that all segments declare."""
+    size, place = file.seek(0, 2), 0
+    while place + _LEAD_IN <= size:
+        file.seek(place)
+        lead_in = file.read(_LEAD_IN)
+        if not lead_in.startswith(_TAG):
+            return False  # damaged, not cut, which nptdms says
+        # Bit 6 of the table of contents: the numbers that follow have the high byte first.
+        follows = int.from_bytes(lead_in[12:20], "big" if lead_in[4] & 0x40 else "little")
+        if follows == _UNKNOWN:
+            return True
+        place += _LEAD_IN + follows
+    return place != size

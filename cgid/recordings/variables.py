@@ -1,0 +1,297 @@
+"""Files that hold named arrays: which of them is the recording, and what is said about it."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from datetime import datetime
+from fnmatch import fnmatchcase
+from typing import Any, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cgid.errors import BadData
+from cgid.recordings.contents import Blocks, Contents, rates_agree
+from cgid.recordings.statements import (
+    Values,
+    stated_names,
+    stated_rate,
+    stated_start,
+    stated_units,
+)
+from cgid.recordings.time_vector import rate_of_vector
+
+#: Of an array of times; a large T is as often a temperature or a torque.
+_TIME_NAME = re.compile(r"(?i:(?:.*[\s_.-])?(?:time|zeit)(?:[\s_.(\[-].*)?)|t(?:\s*[(\[].*|_(?:m|u|µ)?s)?")
+#: Names listed in a message.
+_LISTED = 12
+Answer = TypeVar("Answer")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Variable:
+    """An array of numbers in a file.
+
+    Attributes
+    ----------
+    name : str
+    group : str
+        The path of what it lies in, parts divided by slashes, "" at the top.
+    n_channels, n_samples : int
+    blocks : callable
+        As in `Contents`.
+    about : dict
+        What is attached to it.
+    fault : str
+        Why its samples cannot be read, "" if they can.
+    warning : str
+        What of its samples is missing, "" if nothing is.
+    """
+
+    name: str
+    n_channels: int
+    n_samples: int
+    blocks: Blocks
+    group: str = ""
+    about: Values = field(default_factory=dict)
+    fault: str = ""
+    warning: str = ""
+
+    @property
+    def path(self) -> str:
+        """Group and name."""
+        return f"{self.group}/{self.name}" if self.group else self.name
+
+    @property
+    def is_time(self) -> bool:
+        """Whether it is named as the times of samples are."""
+        return self.n_channels == 1 and _TIME_NAME.fullmatch(self.name) is not None
+
+    def __str__(self) -> str:
+        shape = f"{self.n_channels} x {self.n_samples}" if self.n_channels > 1 else str(self.n_samples)
+        return f"{self.path} ({shape})"
+
+
+def orientation(shape: Sequence[int]) -> tuple[int | None, int] | None:
+    """Return the axis of the channels (None for one channel) and that of the samples; None if there are more axes.
+
+    Axes of length 1 do not count. Of two axes the longer one is that of the samples, the second if both are equal.
+
+    Examples
+    --------
+    >>> orientation((1000,)), orientation((1, 1000)), orientation((4, 1000)), orientation((1000, 4))
+    ((None, 0), (None, 1), (0, 1), (1, 0))
+    >>> orientation((4, 5, 1000)) is None
+    True
+    """
+    axes = [axis for axis, length in enumerate(shape) if length != 1]
+    if len(axes) > 2 or not shape:
+        return None
+    if len(axes) < 2:
+        return None, axes[0] if axes else len(shape) - 1
+    first, second = axes
+    return (second, first) if shape[second] < shape[first] else (first, second)
+
+
+def contents_of(
+    variables: Sequence[Variable],
+    said: Mapping[str, Values],
+    source: str,
+    variable: str | None,
+    warnings: list[str],
+    *,
+    group_is_one: bool = False,
+    is_cut: bool = False,
+) -> Contents:
+    """Return the recording among the arrays of a file.
+
+    Parameters
+    ----------
+    variables : sequence of Variable
+        All arrays of two samples or more.
+    said : dict
+        Path of a group ("" is the top) -> named values that lie in it or are attached to it.
+    source : str
+        Name of the file in messages.
+    variable : str or None
+        The name of an array, of a group (its arrays of one channel each), or a pattern with * or ?; None if the file
+        holds only one that can be meant. A name need not be given with its path if it is the only one of its kind.
+    warnings : list of str
+        Of the file; those of the arrays that are taken join them.
+    group_is_one : bool
+        Whether the arrays of a group are the channels of one recording.
+    is_cut : bool
+        Whether the file was cut off, so that some channels lost more than others; the shortest counts.
+
+    Raises
+    ------
+    BadData
+        There is no array, several can be meant, or those asked for are of different length or rate.
+    """
+    chosen = _chosen(variables, source, variable, group_is_one)
+    first = chosen[0]
+    n_samples = min(one.n_samples for one in chosen)
+    if len(chosen) > 1 and any(one.n_channels > 1 or (one.n_samples != n_samples and not is_cut) for one in chosen):
+        raise BadData(
+            f"{source}: channels must be of one length, got {_listed(chosen)}; pick those of one by --variable NAME, "
+            "which may be a pattern such as 'run1/*'"
+        )
+    for one in chosen:
+        _require_sound(one, source)
+    rates_of = _Rates(variables, said, source, warnings)
+    rates = [rates_of.of(one) for one in chosen]
+    for (rate, _), one in zip(rates[1:], chosen[1:], strict=True):
+        if (rate is None) != (rates[0][0] is None) or (rate and rates[0][0] and not rates_agree(rate, rates[0][0])):
+            raise BadData(
+                f"{source}: channels must have one sampling rate, {first.path} has {_hertz(rates[0][0])} and "
+                f"{one.path} {_hertz(rate)}; pick one by --variable NAME"
+            )
+    levels = [list(_levels(one, said)) for one in chosen]
+    if len(chosen) == 1:
+        names = _first(levels[0], lambda values: stated_names(values, first.n_channels) or None) or []
+        units = _first(levels[0], lambda values: _units(values, first.n_channels))
+    else:
+        names = [one.name for one in chosen]
+        units = [unit for level in levels for unit in (_first(level, lambda v: _units(v, 1)) or [None])]
+    start: datetime | None = _first(levels[0], stated_start)
+    return Contents(
+        n_channels=sum(one.n_channels for one in chosen),
+        blocks=first.blocks if len(chosen) == 1 else _together(chosen, n_samples),
+        n_samples=n_samples,
+        names=names,
+        units=units or [],
+        sampling_rate=rates[0][0],
+        rate_from=rates[0][1],
+        start_time=start,
+        warnings=warnings + [f"{one.path}: {one.warning}" for one in chosen if one.warning],
+    )
+
+
+def _chosen(variables: Sequence[Variable], source: str, variable: str | None, group_is_one: bool) -> list[Variable]:
+    signals = [one for one in variables if not one.is_time]
+    if not variables:
+        raise BadData(
+            f"{source}: a recording must hold an array of real numbers, there is none; save the samples as one array"
+        )
+    if variable is None:
+        is_one = group_is_one and len({one.group for one in signals}) == 1
+        if len(signals) > 1 and not is_one:
+            raise BadData(
+                f"{source}: which array is meant must be said, there are {_listed(signals)}; name one by "
+                "--variable NAME, or several of one length by a pattern such as 'ch*'"
+            )
+        return signals or list(variables[:1])
+    asked = variable
+    ways: list[Callable[[Variable], bool]] = [
+        lambda one: asked in (one.path, f"/{one.path}"),
+        lambda one: one.name == asked,
+        lambda one: asked.strip("/") == one.group and not one.is_time,
+        lambda one: fnmatchcase(one.path, asked) and not one.is_time,
+    ]
+    for index, way in enumerate(ways):
+        found = [one for one in variables if way(one)]
+        if len(found) == 1 or (found and index > 1):
+            return found
+        if found:
+            raise BadData(f"{source}: variable {variable!r} is the name of several: {_listed(found)}; give the path")
+    raise BadData(
+        f"{source}: variable {variable!r} is none of those in the file, {_listed(variables)}; give one by --variable"
+    )
+
+
+def _listed(variables: Sequence[Variable]) -> str:
+    more = f" and {len(variables) - _LISTED} more" if len(variables) > _LISTED else ""
+    return ", ".join(map(str, variables[:_LISTED])) + more
+
+
+def _levels(variable: Variable, said: Mapping[str, Values]) -> Iterator[Values]:
+    """Yield what is said from the array itself up to the top of the file."""
+    yield variable.about
+    group = variable.group
+    while group:
+        yield said.get(group, {})
+        group = group.rpartition("/")[0]
+    yield said.get("", {})
+
+
+def _first(levels: Sequence[Values], ask: Callable[[Values], Answer | None]) -> Answer | None:
+    return next((answer for values in levels if (answer := ask(values)) is not None), None)
+
+
+def _units(values: Values, n_channels: int) -> list[str | None] | None:
+    units = stated_units(values, n_channels)
+    return units if any(units) else None
+
+
+class _Rates:
+    """The sampling rates of arrays, from what is said of them and from the times beside them."""
+
+    def __init__(
+        self, variables: Sequence[Variable], said: Mapping[str, Values], source: str, warnings: list[str]
+    ) -> None:
+        self._times = [one for one in variables if one.is_time]
+        self._said, self._source, self._warnings = said, source, warnings
+        # Times are looked through once, however many channels they belong to.
+        self._measured: dict[str, float | None] = {}
+
+    def of(self, variable: Variable) -> tuple[float | None, str]:
+        """Return the rate [Hz] and what says it; None if nothing does.
+
+        Raises
+        ------
+        BadData
+            What says it contradicts itself, or is no rate.
+        """
+        stated = _first(list(_levels(variable, self._said)), lambda values: stated_rate(values, self._source))
+        found = [] if stated is None else [stated]
+        for times in self._times:
+            if times is variable or (times.group, times.n_samples) != (variable.group, variable.n_samples):
+                continue
+            if times.path not in self._measured and times.n_samples > 1:
+                self._measured[times.path] = self._measure(times, None if stated is None else stated[1])
+            rate = self._measured.get(times.path)
+            if rate is not None:
+                found.append((rate, f"array {times.path}"))
+        for rate, name in found[1:]:
+            if not rates_agree(rate, found[0][0]):
+                raise BadData(
+                    f"{self._source}: the sampling rate must be one to 0.1 %, {found[0][1]} says {found[0][0]:.10g} Hz "
+                    f"and {name} {rate:.10g} Hz; correct one"
+                )
+        return found[0] if found else (None, "header")
+
+    def _measure(self, times: Variable, otherwise: str | None) -> float | None:
+        try:
+            _require_sound(times, self._source)
+            return rate_of_vector(times, f"{self._source}: {times.path}")
+        except BadData:
+            if otherwise is None:
+                raise
+            self._warnings.append(f"the times of {times.path} are not even, the rate is that of {otherwise}")
+            return None
+
+
+def _require_sound(variable: Variable, source: str) -> None:
+    if variable.fault:
+        raise BadData(f"{source}: {variable.path} {variable.fault}; copy the file again, or save it as a plain array")
+
+
+def _hertz(rate: float | None) -> str:
+    return "none" if rate is None else f"{rate:.10g} Hz"
+
+
+def _together(chosen: Sequence[Variable], n_samples: int) -> Blocks:
+    """Return the blocks of several arrays of one channel each, of so many samples."""
+
+    def blocks(length: int, channels: Sequence[int]) -> Iterator[NDArray[Any]]:
+        done = 0
+        for rows in zip(*(chosen[channel].blocks(length, (0,)) for channel in channels), strict=False):
+            n = min(n_samples - done, *(row.shape[1] for row in rows))
+            yield np.concatenate([row[:, :n] for row in rows])
+            done += n
+            if done == n_samples:
+                return
+
+    return blocks

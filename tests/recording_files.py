@@ -1,0 +1,267 @@
+"""One recording in every format, written by the format's own library where it has one; for tests and benchmarks."""
+
+from __future__ import annotations
+
+import gc
+import warnings
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+#: Names of the two channels.
+NAMES = ("front", "rear")
+UNIT = "g"
+
+
+@dataclass(frozen=True)
+class Specimen:
+    """How a recording of two channels gets into a file of one format.
+
+    Attributes
+    ----------
+    name : str
+        Of the format.
+    suffix : str
+    write : callable
+        `write(path, samples (2, n_samples), sampling_rate)`.
+    writer : str
+        The library that writes it.
+    options : dict
+        What has to be told to `cgid.recordings.open_recording`, because the file cannot say it.
+    resolution : float
+        Numbers come back as near as this.
+    says_rate, says_unit : bool
+        Whether the file says its sampling rate, and the unit of its channels.
+    """
+
+    name: str
+    suffix: str
+    write: Callable[[Path, np.ndarray, float], None]
+    writer: str
+    options: dict[str, Any] = field(default_factory=dict)
+    resolution: float = 0.0
+    says_rate: bool = True
+    says_unit: bool = True
+
+    @property
+    def is_possible(self) -> bool:
+        """Whether the library is installed."""
+        return find_spec(self.writer) is not None
+
+
+def blows(n_samples: int = 20_000, sampling_rate: float = 51_200.0, seed: int = 1) -> np.ndarray:
+    """Return two channels of noise with decaying blows within +-1, as float32 can hold them, (2, n_samples)."""
+    random = np.random.default_rng(seed)
+    out = 1e-3 * random.standard_normal((2, n_samples))
+    time = np.arange(round(0.1 * sampling_rate)) / sampling_rate
+    for onset in range(n_samples // 20, n_samples, max(n_samples // 5, 1)):
+        decay = 0.6 * np.exp(-time / 0.01) * np.sin(2 * np.pi * 1500 * time)
+        part = decay[: n_samples - onset]
+        out[:, onset : onset + part.size] += np.array([[1.0], [0.5]]) * part
+    return np.clip(out, -0.99, 0.99).astype(np.float32).astype(np.float64)
+
+
+def _csv(path: Path, samples: np.ndarray, rate: float) -> None:
+    import pandas
+
+    time = np.arange(samples.shape[1]) / rate
+    columns = {"time (s)": time, **{f"{name} ({UNIT})": row for name, row in zip(NAMES, samples, strict=True)}}
+    pandas.DataFrame(columns).to_csv(path, index=False)
+
+
+def _german(path: Path, samples: np.ndarray, rate: float) -> None:
+    import pandas
+
+    time = np.arange(samples.shape[1]) / rate
+    columns = {"Zeit (s)": time, **{f"{name} ({UNIT})": row for name, row in zip(NAMES, samples, strict=True)}}
+    pandas.DataFrame(columns).to_csv(path, index=False, sep=";", decimal=",")
+
+
+def _lvm(path: Path, samples: np.ndarray, rate: float) -> None:
+    """Write as LabVIEW's "Write To Measurement File" does, after National Instruments' description of the format."""
+    n_samples = samples.shape[1]
+    lines = [
+        "LabVIEW Measurement\t",
+        "Writer_Version\t2",
+        "Reader_Version\t2",
+        "Separator\tTab",
+        "Decimal_Separator\t.",
+        "Multi_Headings\tNo",
+        "X_Columns\tNo",
+        "Time_Pref\tAbsolute",
+        "Operator\tnobody",
+        "Date\t2026/03/04",
+        "Time\t10:11:12.5",
+        "***End_of_Header***\t",
+        "",
+        "Channels\t2\t\t",
+        f"Samples\t{n_samples}\t{n_samples}\t",
+        "Date\t2026/03/04\t2026/03/04\t",
+        "Time\t10:11:12.5\t10:11:12.5\t",
+        f"Y_Unit_Label\t{UNIT}\t{UNIT}\t",
+        "X_Dimension\tTime\tTime\t",
+        "X0\t0.0000000000000000E+0\t0.0000000000000000E+0\t",
+        f"Delta_X\t{1 / rate:.9E}\t{1 / rate:.9E}\t",
+        "***End_of_Header***\t\t\t",
+        f"X_Value\t{NAMES[0]}\t{NAMES[1]}\tComment",
+        *(f"\t{first!r}\t{second!r}" for first, second in samples.T.tolist()),
+    ]
+    path.write_bytes("\r\n".join([*lines, ""]).encode())
+
+
+def _wav(dtype: str) -> Callable[[Path, np.ndarray, float], None]:
+    def write(path: Path, samples: np.ndarray, rate: float) -> None:
+        from scipy.io import wavfile
+
+        kind = np.dtype(dtype)
+        if kind.kind == "f":
+            stored = samples.astype(kind)
+        elif kind.kind == "u":
+            stored = np.rint(samples * 128 + 128).astype(kind)
+        else:
+            stored = np.rint(samples * 2.0 ** (8 * kind.itemsize - 1)).astype(kind)
+        wavfile.write(path, round(rate), stored.T)
+
+    return write
+
+
+def _sound(subtype: str, container: str) -> Callable[[Path, np.ndarray, float], None]:
+    def write(path: Path, samples: np.ndarray, rate: float) -> None:
+        import soundfile
+
+        soundfile.write(path, samples.T, round(rate), subtype=subtype, format=container)
+
+    return write
+
+
+def _npy(path: Path, samples: np.ndarray, rate: float) -> None:
+    np.save(path, samples)
+
+
+def _npz(path: Path, samples: np.ndarray, rate: float) -> None:
+    np.savez_compressed(path, samples=samples, sampling_rate=rate, unit=UNIT)
+
+
+def _own(path: Path, samples: np.ndarray, rate: float) -> None:
+    from cgid.store.recording import RecordingPlan, writing
+
+    plan = RecordingPlan(n_samples=samples.shape[1], dtype="float64", sampling_rate=rate, unit=UNIT, attributes={})
+    with writing(path, plan) as writer:
+        writer.add(samples[0])
+        writer.add_impacts({"time": np.array([0.0])}, {"time": "s"})
+
+
+def _hdf5(path: Path, samples: np.ndarray, rate: float) -> None:
+    import h5py
+
+    with h5py.File(path, "w") as file:
+        stored = file.create_dataset("measured/acceleration", data=samples, chunks=(1, 1024), fletcher32=True)
+        stored.attrs["sampling_rate"] = rate
+        stored.attrs["unit"] = np.bytes_(UNIT.encode())
+
+
+def _mat(path: Path, samples: np.ndarray, rate: float) -> None:
+    from scipy.io import savemat
+
+    savemat(path, {"acceleration": samples.T, "fs": rate}, do_compression=True)
+
+
+def _mat73(path: Path, samples: np.ndarray, rate: float) -> None:
+    import hdf5storage
+
+    hdf5storage.savemat(str(path), {"acceleration": samples.T, "fs": rate}, format="7.3")
+
+
+def _tdms(path: Path, samples: np.ndarray, rate: float) -> None:
+    from nptdms import ChannelObject, GroupObject, RootObject, TdmsWriter
+
+    about = {"wf_increment": 1 / rate, "wf_start_offset": 0.0, "unit_string": UNIT, "wf_samples": 1}
+    with TdmsWriter(str(path)) as writer:
+        for part in np.array_split(samples, 4, axis=1):
+            channels = [ChannelObject("beam", name, row, about) for name, row in zip(NAMES, part, strict=True)]
+            writer.write_segment([RootObject({"name": "rig"}), GroupObject("beam"), *channels])
+
+
+def _uff(binary: int) -> Callable[[Path, np.ndarray, float], None]:
+    def write(path: Path, samples: np.ndarray, rate: float) -> None:
+        import pyuff
+
+        sets = [
+            pyuff.prepare_58(
+                binary=binary,
+                func_type=1,
+                rsp_node=number,
+                rsp_dir=3,
+                ref_node=0,
+                ref_dir=0,
+                data=row,
+                x=np.arange(row.size) / rate,
+                id1=name,
+                ord_data_type=4,
+                abscissa_spacing=1,
+                abscissa_inc=1 / rate,
+                abscissa_spec_data_type=17,
+                ordinate_spec_data_type=12,
+                orddenom_spec_data_type=0,
+                ordinate_axis_units_lab=UNIT,
+                abscissa_axis_units_lab="s",
+            )
+            for number, (name, row) in enumerate(zip(NAMES, samples, strict=True), start=1)
+        ]
+        with warnings.catch_warnings():
+            # pyuff opens a binary file twice and leaves one of them to the collector.
+            warnings.simplefilter("ignore", ResourceWarning)
+            # Nor does it keep the first of several binary sets when it overwrites.
+            path.unlink(missing_ok=True)
+            pyuff.UFF(str(path)).write_sets(sets, mode="add")
+            gc.collect()
+
+    return write
+
+
+def _parquet(path: Path, samples: np.ndarray, rate: float) -> None:
+    import pyarrow
+    from pyarrow import parquet
+
+    time = np.arange(samples.shape[1]) / rate
+    columns = {"time (s)": time, **{f"{name} ({UNIT})": row for name, row in zip(NAMES, samples, strict=True)}}
+    parquet.write_table(pyarrow.table(columns), path, row_group_size=8192, write_page_checksum=True)
+
+
+_WITHOUT_UNIT: dict[str, Any] = {"options": {"unit": UNIT}, "says_unit": False}
+
+SPECIMENS: tuple[Specimen, ...] = (
+    Specimen("CSV", ".csv", _csv, "pandas"),
+    Specimen("TXT, decimal comma", ".txt", _german, "pandas"),
+    Specimen("LVM", ".lvm", _lvm, "numpy"),
+    Specimen("WAV 8 bit", ".wav", _wav("uint8"), "scipy", resolution=2**-8, **_WITHOUT_UNIT),
+    Specimen("WAV 16 bit", ".wav", _wav("int16"), "scipy", resolution=2**-16, **_WITHOUT_UNIT),
+    Specimen("WAV 24 bit", ".wav", _sound("PCM_24", "WAV"), "soundfile", resolution=2**-23, **_WITHOUT_UNIT),
+    Specimen("WAV 32 bit", ".wav", _wav("int32"), "scipy", resolution=2**-32, **_WITHOUT_UNIT),
+    Specimen("WAV float", ".wav", _wav("float32"), "scipy", **_WITHOUT_UNIT),
+    Specimen("WAV double", ".wav", _wav("float64"), "scipy", **_WITHOUT_UNIT),
+    Specimen(
+        "NPY",
+        ".npy",
+        _npy,
+        "numpy",
+        options={"unit": UNIT, "sampling_rate": 51_200.0},
+        says_rate=False,
+        says_unit=False,
+    ),
+    Specimen("NPZ", ".npz", _npz, "numpy"),
+    Specimen("HDF5 of cgid", ".h5", _own, "h5py"),
+    Specimen("HDF5", ".h5", _hdf5, "h5py"),
+    Specimen("MAT v5", ".mat", _mat, "scipy", **_WITHOUT_UNIT),
+    Specimen("MAT v7.3", ".mat", _mat73, "hdf5storage", **_WITHOUT_UNIT),
+    Specimen("TDMS", ".tdms", _tdms, "nptdms"),
+    Specimen("UFF-58 ASCII", ".uff", _uff(0), "pyuff", resolution=1e-11),
+    Specimen("UFF-58 binary", ".uff", _uff(1), "pyuff"),
+    Specimen("FLAC", ".flac", _sound("PCM_24", "FLAC"), "soundfile", resolution=2**-23, **_WITHOUT_UNIT),
+    Specimen("OGG", ".ogg", _sound("VORBIS", "OGG"), "soundfile", resolution=0.2, **_WITHOUT_UNIT),
+    Specimen("Parquet", ".parquet", _parquet, "pyarrow"),
+)

@@ -1,0 +1,64 @@
+"""Recordings of coal and gangue made from the sample, and a model of windows: what answers are tested on."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cgid.identification.classifier import ImpactClassifier
+from cgid.identification.model import Model
+from cgid.recordings import read_recording
+
+ROOT = Path(__file__).parents[1]
+#: Of the sample [Hz].
+RATE = 200_000.0
+#: One impact of the sample after the other, from so long before each to so long after [samples].
+_FIRST, _SPACING, _BEFORE, _LENGTH = 1000, 4000, 200, 1200
+
+
+def pulses() -> tuple[NDArray[np.float64], list[str]]:
+    """Return the impacts of the sample less their baseline, (6, n), and what the default model makes of them."""
+    (signal,) = read_recording(ROOT / "datasets" / "sample.csv")
+    starts = _FIRST + _SPACING * np.arange(6) - _BEFORE
+    frames = np.stack([signal.samples[start : start + _LENGTH] for start in starts])
+    frames = frames - frames[:, : _BEFORE - 20].mean(axis=1, keepdims=True)
+    return frames, ["coal", "gangue", "coal", "gangue", "coal", "gangue"]
+
+
+def stream(labels: list[str], gap: float, seed: int = 0, noise: float = 25.0) -> NDArray[np.float64]:
+    """Return a force [N] with an impact of each label, one every `gap` seconds, the first after half of it."""
+    frames, kinds = pulses()
+    rng = np.random.default_rng(seed)
+    step = round(gap * RATE)
+    samples = rng.normal(0.0, noise, step * len(labels))
+    for number, label in enumerate(labels):
+        # The second and third of each label are the surer ones.
+        which = [k for k, kind in enumerate(kinds) if kind == label][rng.integers(3)]
+        first = step * number + step // 2 - _BEFORE
+        samples[first : first + _LENGTH] = frames[which]
+    return samples
+
+
+def window_model(n_channels: int = 1, hop_time: float = 0.05) -> Model:
+    """Return a model that tells windows of 0.1 s at 8 kHz of low noise ("coal") from those of high noise ("gangue")."""
+    names = ("window_zero_crossing_rate", "window_centroid")
+    from cgid.identification.windows import measure_windows
+
+    rng = np.random.default_rng(1)
+    white = rng.normal(size=(200, n_channels, 800))
+    dull = np.cumsum(white, axis=2)
+    table = measure_windows(np.concatenate([dull, white]), 8000.0, names)
+    labels = np.repeat(["coal", "gangue"], 200)
+    classifier = ImpactClassifier("linear").fit(table, labels)
+    return Model.from_classifier(
+        classifier,
+        features=names,
+        unit="FS",
+        sampling_rates=(8000.0, 8000.0),
+        training={},
+        window_time=0.1,
+        hop_time=hop_time,
+        n_channels=n_channels,
+    )

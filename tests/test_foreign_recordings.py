@@ -1,0 +1,921 @@
+"""MATLAB, foreign HDF5, TDMS, UFF, Parquet: read as their own libraries do; refused or warned of where damaged."""
+
+import gc
+import struct
+import subprocess
+import sys
+import warnings
+import zlib
+from datetime import UTC, datetime
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+from scipy.io import loadmat, savemat
+
+from cgid.errors import BadData, CgidError, InvalidValue, MissingExtra, MissingOption
+from cgid.recordings import is_dataset, open_recording
+from cgid.recordings import tdms as tdms_reader
+from cgid.store import attribute_reading, foreign
+
+RANDOM = np.random.default_rng(20261121)
+N = 3001
+SAMPLES = RANDOM.standard_normal((3, N))
+REAL = Path(__file__).parents[2] / "shared" / "realdata"
+
+
+def read(path, length=700, **options):
+    """Return the recording and all of its samples, read by blocks."""
+    recording = open_recording(path, **options)
+    blocks = list(recording.blocks(length))
+    assert all(block.shape[1] == length for block in blocks[:-1]) and 0 < blocks[-1].shape[1] <= length
+    return recording, np.concatenate(blocks, axis=1)
+
+
+def refused(path, error=BadData, **options):
+    """Return the one line that refuses a file."""
+    with pytest.raises(error) as caught:
+        read(path, **options)
+    assert "\n" not in str(caught.value)
+    return str(caught.value)
+
+
+def units(recording):
+    return [channel.unit for channel in recording.channels]
+
+
+def names(recording):
+    return [channel.name for channel in recording.channels]
+
+
+# ---- HDF5 ----
+
+
+@pytest.fixture
+def hdf5(tmp_path):
+    """Write an HDF5 file: `hdf5(fill)` calls `fill(file)`."""
+
+    def written(fill, **options):
+        path = tmp_path / "foreign.h5"
+        with h5py.File(path, "w", **options) as file:
+            fill(file)
+        return path
+
+    return written
+
+
+@pytest.mark.parametrize("dtype", ["f4", ">f4", "f8", ">f8", "f2", "i2", "u4"])
+@pytest.mark.parametrize("turned", [False, True])
+@pytest.mark.parametrize("chunks", [None, (3, 100), (1, 3001)])
+def test_hdf5_of_any_type_and_layout_is_what_h5py_reads(hdf5, dtype, turned, chunks):
+    values = (100 * SAMPLES).astype(dtype) if dtype != "u4" else np.abs(100 * SAMPLES).astype(dtype)
+    stored = values.T if turned else values
+
+    def fill(file):
+        packing = {} if chunks is None else {"compression": "gzip", "shuffle": True, "fletcher32": True}
+        shape = chunks[::-1] if chunks and turned else chunks
+        file.create_dataset("x", data=stored, chunks=shape, **packing).attrs["fs"] = 1000
+
+    path = hdf5(fill)
+    recording, found = read(path)
+    assert np.array_equal(found, values.astype(np.float64))
+    assert found.dtype == (np.float32 if dtype.endswith("f4") else np.float64)
+    assert (recording.sampling_rate, recording.n_samples, recording.format) == (1000.0, N, "HDF5")
+    _, second = read(path, channel=[3, 1])
+    assert np.array_equal(second, values[[2, 0]].astype(np.float64))
+
+
+@pytest.mark.parametrize("variable_length", [False, True])
+def test_attributes_of_array_group_and_root_are_found_the_nearest_first(hdf5, variable_length):
+    def text(value):
+        return value if variable_length else np.bytes_(value.encode())
+
+    def fill(file):
+        stored = file.create_dataset("day/run/acc", data=SAMPLES)
+        stored.attrs["units"] = [value if variable_length else value.encode() for value in ("m/s^2", "µm", "furlong")]
+        stored.attrs["channel_names"] = [value if variable_length else value.encode() for value in ("a", "b", "c")]
+        file["day/run"].attrs["Sampling Rate [kHz]"] = 51.2
+        file["day"].attrs["fs"] = 7.0
+        file.attrs["dt"] = 3.0
+        file.attrs["start_time"] = text("2026-03-04T10:11:12.500000")
+        file.attrs["unit"] = text("V")
+
+    recording, _ = read(hdf5(fill))
+    assert recording.sampling_rate == 51_200.0 and recording.start_time == datetime(2026, 3, 4, 10, 11, 12, 500_000)
+    assert units(recording) == ["m/s^2", "µm", None] and names(recording) == ["a", "b", "c"]
+    assert not recording.warnings
+
+
+@pytest.mark.parametrize(
+    ("fill", "rate"),
+    [
+        (lambda file: file.create_dataset("fs", data=2000.0), 2000.0),
+        (lambda file: file.create_dataset("sampling_interval_us", data=np.array([[500]])), 2000.0),
+        (lambda file: file.create_dataset("dt", data=np.bytes_(b"0.5 ms")), 2000.0),
+        (lambda file: file.create_dataset("Sample rate", data="2 kHz"), 2000.0),
+        (lambda file: file.create_dataset("time", data=np.arange(N) / 2000 + 5), 2000.0),
+        (lambda file: file.create_dataset("t (ms)", data=np.arange(N, dtype=np.float32) / 2), 2000.0),
+        (lambda file: file.create_dataset("t", data=np.arange(N) * 500).attrs.create("unit", np.bytes_(b"us")), 2000.0),
+    ],
+)
+def test_rate_from_what_lies_beside_the_array(hdf5, fill, rate):
+    def both(file):
+        file["x"] = SAMPLES[0]
+        fill(file)
+
+    assert read(hdf5(both))[0].sampling_rate == pytest.approx(rate, rel=1e-9)
+
+
+def test_contradicting_and_impossible_rates_are_refused(hdf5):
+    def fill(file, **attributes):
+        file["x"] = SAMPLES[0]
+        file["x"].attrs.update(attributes)
+
+    message = refused(hdf5(lambda file: fill(file, fs=1000.0, dt=0.002)))
+    assert "fs says 1000 Hz" in message and "dt says 500 Hz" in message
+
+    def timed(file, times):
+        fill(file, fs=1000.0)
+        file["time"] = times
+
+    assert "fs says 1000 Hz and array time 500 Hz" in refused(hdf5(lambda file: timed(file, np.arange(N) / 500)))
+    recording, _ = read(hdf5(lambda file: timed(file, np.arange(N) ** 2.0)))
+    assert recording.sampling_rate == 1000.0 and "times of time are not even" in recording.warnings[0]
+    assert "above 0" in refused(hdf5(lambda file: fill(file, fs=-3.0)))
+    assert "above 0" in refused(hdf5(lambda file: fill(file, dt=0.0)))
+    assert "--rate HZ" in refused(hdf5(lambda file: fill(file, FS=5.0)), MissingOption)
+    assert "--rate HZ" in refused(hdf5(fill), MissingOption)
+    assert read(hdf5(fill), sampling_rate=500.0)[0].sampling_rate == 500.0
+
+
+@pytest.mark.parametrize("fault", ["gap", "slower later", "back", "coarse"])
+def test_uneven_times_are_refused(hdf5, fault):
+    times = np.arange(70_000) / 2000
+    if fault == "gap":
+        times[40_000:] += 0.0005
+    elif fault == "slower later":
+        times[66_000:] = times[66_000] + np.arange(4000) / 1900
+    elif fault == "back":
+        times[500] = times[499]
+    else:
+        times = (times + 1e5).astype(np.float32)
+
+    def fill(file):
+        file["x"], file["time"] = np.zeros(70_000), times
+
+    assert "time" in refused(hdf5(fill))
+
+
+def test_several_arrays_are_listed_and_picked_by_name_group_or_pattern(hdf5):
+    def fill(file):
+        file.attrs["fs"] = 100.0
+        for index, name in enumerate(("run/ch1", "run/ch2", "other/ch3")):
+            file[name] = SAMPLES[index]
+        file["other/short"] = SAMPLES[0, :5]
+        file["run/slow"] = SAMPLES[0]
+        file["run/slow"].attrs["fs"] = 10.0
+        file["unfit"] = np.zeros((3, 4, 5))
+        file["flags"] = np.zeros(N, bool)
+        file["one"] = 3.0
+
+    path = hdf5(fill)
+    message = refused(path)
+    assert "--variable NAME" in message and all(f"{name} (3001)" in message for name in ("run/ch1", "other/ch3"))
+    assert "unfit" not in message and "flags" not in message
+    for variable in ("run/ch2", "/run/ch2", "ch2"):
+        recording, found = read(path, variable=variable)
+        assert np.array_equal(found, SAMPLES[1:2]) and names(recording) == ["1"]
+    recording, found = read(path, variable="*/ch?")
+    assert np.array_equal(found, SAMPLES[[2, 0, 1]]) and names(recording) == ["ch3", "ch1", "ch2"]
+    assert "one sampling rate" in refused(path, variable="run")
+    assert "one length" in refused(path, variable="other")
+    assert "none of those" in refused(path, variable="gone")
+
+
+def test_arrays_that_lie_elsewhere_are_not_read(hdf5, tmp_path):
+    secret = tmp_path / "secret.h5"
+    with h5py.File(secret, "w") as file:
+        file["x"] = SAMPLES[0]
+    raw = tmp_path / "raw.bin"
+    raw.write_bytes(SAMPLES[0].tobytes())
+
+    def fill(file):
+        file["linked"] = h5py.ExternalLink("secret.h5", "x")
+        file["soft"] = h5py.SoftLink("/linked")
+        layout = h5py.VirtualLayout((N,), "f8")
+        layout[:] = h5py.VirtualSource("secret.h5", "x", (N,))
+        file.create_virtual_dataset("virtual", layout)
+        file.create_dataset("external", (N,), "f8", external=[("raw.bin", 0, N * 8)])
+        file.create_dataset("ragged", (N,), h5py.vlen_dtype(np.float64))
+        file.create_dataset("pointing", (N,), h5py.ref_dtype)
+        file.create_dataset("words", (N,), h5py.string_dtype())
+
+    assert "there is none" in refused(hdf5(fill), sampling_rate=10.0)
+
+
+def test_hostile_shapes_of_hdf5_are_refused_before_anything_is_allocated(hdf5, monkeypatch):
+    def declared(file):
+        file.create_dataset("x", (10**12,), "f8", chunks=(1000,)).attrs["fs"] = 1.0
+
+    assert "declares 8000000000000 bytes and holds 0" in refused(hdf5(declared))
+
+    def one_chunk(file):
+        declared(file)
+        file["x"][:1000] = 1.0
+
+    assert "declares 8000000000000 bytes" in refused(hdf5(one_chunk))
+
+    def bomb(file):
+        file.create_dataset("x", (1 << 25,), "f8", chunks=(1 << 25,)).attrs["fs"] = 1.0
+        file["x"].id.write_direct_chunk((0,), bytes(300_000))
+
+    assert "chunks of more than 64 MiB" in refused(hdf5(bomb))
+
+    def crowd(file):
+        for index in range(101):
+            file.create_group(str(index))
+
+    monkeypatch.setattr(foreign, "_MOST_OBJECTS", 100)
+    assert "100 parts" in refused(hdf5(crowd))
+
+    def deep(file):
+        file["/".join("a" * 40)] = SAMPLES
+
+    assert "32 levels" in refused(hdf5(deep))
+
+    def ring(file):
+        file["a/x"] = SAMPLES
+        file["a/again"] = file["/"]
+
+    assert read(hdf5(ring), sampling_rate=1.0)[0].n_samples == N
+
+
+def test_packed_numbers_of_hdf5_are_unpacked(hdf5):
+    raw = (1000 * SAMPLES).astype("i2")
+
+    def fill(file, factor):
+        file.create_dataset("x", data=raw).attrs.update(scale_factor=factor, add_offset=2.0, fs=10.0)
+
+    assert np.array_equal(read(hdf5(lambda file: fill(file, 0.001)))[1], 2.0 + 0.001 * raw)
+    assert "finite" in refused(hdf5(lambda file: fill(file, np.bytes_(b"often"))))
+
+
+def test_chunks_that_were_never_written_are_warned_of(hdf5):
+    def fill(file):
+        file.create_dataset("x", (3000,), "f8", chunks=(1000,), fillvalue=0.25).attrs["fs"] = 1.0
+        file["x"][:2000] = SAMPLES[0, :2000]
+
+    recording, found = read(hdf5(fill))
+    assert (found[0, 2000:] == 0.25).all() and "x: 1 of 3 chunks were never written" in recording.warnings[0]
+
+
+def test_checksums_of_hdf5_find_what_changed(hdf5):
+    path = hdf5(lambda file: file.create_dataset("x", data=SAMPLES, chunks=(3, 500), fletcher32=True))
+    content = bytearray(path.read_bytes())
+    content[content.index(SAMPLES[:, 1000:1500].tobytes()) + 77] ^= 4
+    path.write_bytes(content)
+    assert "x cannot be read from sample 700 on" in refused(path, sampling_rate=1.0)
+
+
+def test_an_attribute_that_hangs_hdf5_costs_the_attribute_alone(hdf5, monkeypatch):
+    def fill(file):
+        file["x"] = SAMPLES[0]
+        file["x"].attrs["fs"] = 100.0
+        file["x"].attrs["unit"] = "m/s^2"
+
+    path = hdf5(fill)
+    assert units(read(path)[0]) == ["m/s^2"]
+    content = bytearray(path.read_bytes())
+    # The size of an object in the heap: HDF5 then goes round for ever.
+    content[content.index(b"GCOL") + 24] ^= 0x80
+    path.write_bytes(content)
+    monkeypatch.setattr(attribute_reading, "_LONGEST", 1.0)
+    recording, found = read(path)
+    assert np.array_equal(found, SAMPLES[:1]) and recording.sampling_rate == 100.0 and units(recording) == [None]
+    assert "unit" in recording.warnings[0] and "could not be read" in recording.warnings[0]
+
+
+def test_foreign_hdf5_is_no_dataset_and_a_dataset_no_recording(hdf5):
+    assert not is_dataset(hdf5(lambda file: file.create_dataset("x", data=SAMPLES)))
+    path = hdf5(lambda file: file.attrs.create("format", np.bytes_(b"cgid-dataset")))
+    assert is_dataset(path) and "--index" in refused(path)
+
+
+# ---- MATLAB ----
+
+
+def mat_element(kind, content, order="<"):
+    if 0 < len(content) <= 4:
+        return struct.pack(f"{order}I", len(content) << 16 | kind) + content.ljust(4, b"\0")
+    return struct.pack(f"{order}II", kind, len(content)) + content + bytes(-len(content) % 8)
+
+
+def mat_array(name, shape, code, stored, content, order="<", flags=0):
+    parts = [
+        mat_element(6, struct.pack(f"{order}II", code | flags, 0), order),
+        mat_element(5, struct.pack(f"{order}{len(shape)}i", *shape), order),
+        mat_element(1, name.encode(), order),
+        mat_element(stored, content, order),
+    ]
+    return mat_element(14, b"".join(parts), order)
+
+
+def mat_file(*elements, order="<"):
+    mark = b"\x00\x01IM" if order == "<" else b"\x01\x00MI"
+    return b"MATLAB 5.0 MAT-file".ljust(124) + mark + b"".join(elements)
+
+
+@pytest.fixture
+def mat(tmp_path):
+    def written(content):
+        path = tmp_path / "made.mat"
+        path.write_bytes(content)
+        return path
+
+    return written
+
+
+@pytest.mark.parametrize("packed", [False, True])
+@pytest.mark.parametrize("dtype", ["f4", "f8", "i1", "u2", "i4", "i8"])
+@pytest.mark.parametrize("turned", [False, True])
+def test_mat_of_any_type_is_what_scipy_reads(tmp_path, packed, dtype, turned):
+    values = (50 * SAMPLES).astype(dtype) if dtype != "u2" else np.abs(50 * SAMPLES).astype(dtype)
+    path = tmp_path / "hit.mat"
+    savemat(path, {"x": values.T if turned else values, "Fs": 51_200, "unit": "kN"}, do_compression=packed)
+    recording, found = read(path)
+    expected = loadmat(path)["x"]
+    assert np.array_equal(found, (expected.T if turned else expected).astype(np.float64))
+    assert found.dtype == (np.float32 if dtype == "f4" else np.float64)
+    assert (recording.sampling_rate, units(recording), recording.format) == (51_200.0, ["kN"] * 3, "MATLAB")
+    assert np.array_equal(read(path, channel=2)[1][0], found[1])
+
+
+@pytest.mark.parametrize("packed", [False, True])
+def test_structs_texts_and_times_of_mat_are_found(tmp_path, packed):
+    path = tmp_path / "session.mat"
+    rig = {"acc": SAMPLES.T.astype(np.float32), "fs": 25_600.0, "units": "m/s^2", "note": "no unit"}
+    columns = {"force": SAMPLES[:1].T, "time": np.arange(N)[:, None] / 5000}
+    savemat(
+        path,
+        {"rig": rig, "columns": columns, "spectrum": SAMPLES + 1j, "flags": SAMPLES > 0, "cells": np.array([rig, rig])},
+        do_compression=packed,
+    )
+    message = refused(path)
+    assert "rig/acc (3 x 3001)" in message and "columns/force (3001)" in message
+    assert "spectrum" not in message and "flags" not in message
+    recording, found = read(path, variable="rig/acc")
+    assert np.array_equal(found, SAMPLES.astype(np.float32))
+    assert (recording.sampling_rate, units(recording)) == (25_600.0, ["m/s^2"] * 3)
+    recording, found = read(path, variable="columns")
+    assert np.array_equal(found, SAMPLES[:1]) and recording.sampling_rate == pytest.approx(5000, rel=1e-12)
+
+
+@pytest.mark.parametrize("order", ["<", ">"])
+@pytest.mark.parametrize("packed", [False, True])
+def test_mat_as_matlab_stores_it_narrow_and_of_either_byte_order(mat, order, packed):
+    # MATLAB stores a double array of small whole numbers in the smallest type that holds them.
+    values = np.arange(12).reshape(2, 6)
+    array = mat_array("x", (2, 6), 6, 2, values.T.astype("u1").tobytes(), order)
+    rate = mat_array("fs", (1, 1), 6, 4, struct.pack(f"{order}H", 1000), order)
+    elements = [array, rate]
+    if packed:
+        elements = [struct.pack(f"{order}II", 15, len(p := zlib.compress(one))) + p for one in elements]
+    path = mat(mat_file(*elements, order=order))
+    recording, found = read(path, length=4)
+    assert np.array_equal(found, values) and recording.sampling_rate == 1000.0
+    if order == "<":
+        assert np.array_equal(loadmat(path)["x"], values)
+
+
+def test_several_arrays_in_mat_are_listed_and_picked(tmp_path):
+    path = tmp_path / "exported.mat"
+    savemat(
+        path, {f"Data1_AI_{k}": SAMPLES[k - 1] for k in (1, 2, 3)} | {"Sample_rate": 100.0, "short": SAMPLES[0, :9]}
+    )
+    assert "--variable NAME" in refused(path) and "pattern" in refused(path)
+    recording, found = read(path, variable="Data1_AI_*")
+    assert np.array_equal(found, SAMPLES) and names(recording) == ["Data1_AI_1", "Data1_AI_2", "Data1_AI_3"]
+    assert recording.sampling_rate == 100.0
+    assert "one length" in refused(path, variable="*")
+
+
+def test_hostile_mat_is_refused_before_anything_is_allocated(mat):
+    huge = mat_array("x", (1, 2**31 - 1), 6, 9, b"")
+    assert "must hold 2147483647 numbers" in refused(mat(mat_file(huge)))
+    cube = mat_array("x", (10**4, 10**4, 10**4), 6, 9, SAMPLES.tobytes())
+    assert "must hold 1000000000000 numbers" in refused(mat(mat_file(cube)))
+    assert "damaged" in refused(mat(mat_file(mat_array("x", (-5, 3), 6, 9, SAMPLES.tobytes()))))
+    lying = zlib.compress(struct.pack("<II", 14, 2**32 - 16) + bytes(1000))
+    assert "declares 4294967288 bytes" in refused(mat(mat_file(struct.pack("<II", 15, len(lying)) + lying)))
+    assert "there is none" in refused(mat(mat_file(mat_array("x", (0, 5), 6, 9, b""))), sampling_rate=1.0)
+    bare = [mat_element(6, struct.pack("<II", 2, 0)), mat_element(5, struct.pack("<3i", 10**4, 10**4, 10**4))]
+    bare += [mat_element(1, b"s"), mat_element(5, struct.pack("<i", 8)), mat_element(1, b"")]
+    assert "there is none" in refused(mat(mat_file(mat_element(14, b"".join(bare)))), sampling_rate=1.0)
+    nested = SAMPLES[0].tobytes()
+    for _ in range(50):
+        nested = mat_element(
+            14,
+            mat_element(6, struct.pack("<II", 2, 0))
+            + mat_element(5, struct.pack("<2i", 1, 1))
+            + mat_element(1, b"s")
+            + mat_element(5, struct.pack("<i", 8))
+            + mat_element(1, b"deeper\0\0")
+            + nested,
+        )
+    assert "there is none" in refused(mat(mat_file(nested)))
+
+
+@pytest.mark.parametrize("packed", [False, True])
+def test_mat_cut_anywhere_is_refused_or_keeps_what_is_whole_with_a_warning(tmp_path, packed):
+    path = tmp_path / "cut.mat"
+    savemat(path, {"Fs": 100.0, "x": SAMPLES, "later": SAMPLES[:, :200]}, do_compression=packed)
+    content = path.read_bytes()
+    kept = 0
+    for place in [*range(1, 400, 7), *np.linspace(400, len(content) - 1, 30).astype(int)]:
+        path.write_bytes(content[:place])
+        try:
+            recording, found = read(path, variable="x")
+        except CgidError as error:
+            assert "\n" not in str(error)
+            continue
+        assert np.array_equal(found, SAMPLES) and "cut off" in recording.warnings[0]
+        kept += 1
+    assert kept
+
+
+def test_checksum_of_packed_mat_finds_what_changed(tmp_path):
+    path = tmp_path / "flipped.mat"
+    savemat(path, {"x": SAMPLES, "Fs": 100.0}, do_compression=True)
+    content = path.read_bytes()
+    for place in np.linspace(136, len(content) - 1, 60).astype(int):
+        changed = bytearray(content)
+        changed[place] ^= 0x10
+        path.write_bytes(changed)
+        refused(path, CgidError)
+
+
+# ---- TDMS ----
+
+
+def write_tdms(path, segments, about=None, group=None, root=None):
+    """Write a TDMS file: `segments` are lists of (group, channel, samples)."""
+    nptdms = pytest.importorskip("nptdms")
+    about = {"wf_increment": 1 / 25_600, "unit_string": "g"} if about is None else about
+    with nptdms.TdmsWriter(str(path)) as writer:
+        for segment in segments:
+            channels = [nptdms.ChannelObject(g, name, np.asarray(values), about) for g, name, values in segment]
+            groups = [nptdms.GroupObject(g, group or {}) for g in dict.fromkeys(g for g, _, _ in segment)]
+            writer.write_segment([nptdms.RootObject(root or {}), *groups, *channels])
+    return path
+
+
+def whole(samples=SAMPLES, group="beam", parts=4):
+    return [
+        [(group, f"cDAQ1Mod1/ai{k}", row) for k, row in enumerate(part)]
+        for part in np.array_split(samples, parts, axis=1)
+    ]
+
+
+@pytest.mark.parametrize("longest", [1 << 18, 100])
+@pytest.mark.parametrize("dtype", ["f4", "f8", "i2", "u4"])
+def test_tdms_is_what_nptdms_reads(tmp_path, monkeypatch, dtype, longest):
+    nptdms = pytest.importorskip("nptdms")
+    # Chunks longer than this go through a temporary file.
+    monkeypatch.setattr(tdms_reader, "_LONGEST_CHUNK", longest)
+    values = (100 * np.abs(SAMPLES)).astype(dtype)
+    path = write_tdms(tmp_path / "a.tdms", whole(values))
+    recording, found = read(path)
+    with nptdms.TdmsFile.open(path) as file:
+        expected = np.stack([channel[:] for channel in file["beam"].channels()])
+    assert np.array_equal(found, expected) and np.array_equal(found, values)
+    assert found.dtype == (np.float32 if dtype == "f4" and longest > N else np.float64)
+    assert recording.sampling_rate == 25_600.0 and units(recording) == ["g"] * 3
+    assert names(recording) == [f"cDAQ1Mod1/ai{k}" for k in range(3)]
+    assert np.array_equal(read(path, variable="cDAQ1Mod1/ai2")[1][0], values[2])
+    assert np.array_equal(read(path, variable="beam/cDAQ1Mod1/ai1", length=5000)[1][0], values[1])
+
+
+def test_tdms_of_one_interleaved_chunk_and_scaled_numbers(tmp_path):
+    nptdms = pytest.importorskip("nptdms")
+    raw = (1000 * SAMPLES).astype("i2")
+    scale = {
+        "NI_Number_Of_Scales": 1,
+        "NI_Scale[0]_Scale_Type": "Linear",
+        "NI_Scale[0]_Linear_Slope": 0.001,
+        "NI_Scale[0]_Linear_Y_Intercept": 2.0,
+        "NI_Scale[0]_Linear_Input_Source": 0xFFFFFFFF,
+        "wf_increment": 1e-5,
+    }
+    path = write_tdms(tmp_path / "scaled.tdms", whole(raw, parts=1), scale)
+    recording, found = read(path)
+    assert np.allclose(found, 0.001 * raw + 2.0, rtol=1e-12, atol=1e-12) and recording.sampling_rate == 100_000.0
+    # The same numbers sample by sample: the flag of the table of contents is all that tells.
+    plain = write_tdms(tmp_path / "plain.tdms", whole(raw, parts=1))
+    content = bytearray(plain.read_bytes())
+    content[4] |= 0x20
+    content[-raw.nbytes :] = raw.T.tobytes()
+    plain.write_bytes(content)
+    assert np.array_equal(read(plain)[1], raw)
+    with nptdms.TdmsFile.open(plain) as file:
+        assert np.array_equal(file["beam"]["cDAQ1Mod1/ai1"][:], raw[1])
+
+
+def test_tdms_properties_of_group_and_file_and_the_start(tmp_path):
+    start = {"wf_start_time": np.datetime64("2026-03-04T10:11:12.250"), "wf_start_offset": 1.5, "unit_string": "N"}
+    path = write_tdms(tmp_path / "start.tdms", whole(), start, group={"SamplingRate": 2000.0}, root={"fs": 1.0})
+    recording, _ = read(path)
+    assert recording.start_time == datetime(2026, 3, 4, 10, 11, 13, 750_000, UTC)
+    assert recording.sampling_rate == 2000.0 and units(recording) == ["N"] * 3
+    timed = [[("beam", "Time", np.arange(N) / 4000), ("beam", "force", SAMPLES[0])]]
+    recording, found = read(write_tdms(tmp_path / "timed.tdms", timed, {}))
+    assert recording.sampling_rate == pytest.approx(4000) and np.array_equal(found, SAMPLES[:1])
+    assert "--rate HZ" in refused(write_tdms(tmp_path / "none.tdms", whole(), {}), MissingOption)
+
+
+def test_tdms_of_several_groups_lengths_and_rates(tmp_path):
+    path = write_tdms(tmp_path / "groups.tdms", [whole(parts=1)[0] + whole(SAMPLES[:1, :50], "slow", 1)[0]])
+    message = refused(path)
+    assert "beam/cDAQ1Mod1/ai0 (3001)" in message and "slow/cDAQ1Mod1/ai0 (50)" in message and "--variable" in message
+    assert read(path, variable="beam")[1].shape == (3, N) and read(path, variable="slow")[1].shape == (1, 50)
+    assert "several" in refused(path, variable="cDAQ1Mod1/ai0")
+    uneven = [[("g", "a", SAMPLES[0]), ("g", "b", SAMPLES[1, :100]), ("g", "c", SAMPLES[2])]]
+    path = write_tdms(tmp_path / "uneven.tdms", uneven)
+    message = refused(path)
+    assert "one length" in message and "g/b (100)" in message and "--variable" in message
+    assert np.array_equal(read(path, variable="g/[ac]")[1], SAMPLES[[0, 2]])
+    nptdms = pytest.importorskip("nptdms")
+    with nptdms.TdmsWriter(str(tmp_path / "rates.tdms")) as writer:
+        rates = [nptdms.ChannelObject("g", str(k), SAMPLES[k], {"wf_increment": 0.1 * (k + 1)}) for k in range(2)]
+        writer.write_segment(rates)
+    assert "one sampling rate" in refused(tmp_path / "rates.tdms")
+
+
+def test_tdms_channels_without_samples_or_numbers_are_left_out_with_a_warning(tmp_path):
+    nptdms = pytest.importorskip("nptdms")
+    path = tmp_path / "empty.tdms"
+    with nptdms.TdmsWriter(str(path)) as writer:
+        about = {"wf_increment": 0.1}
+        channels = [nptdms.ChannelObject("g", "a", SAMPLES[0], about), nptdms.ChannelObject("g", "none", [], about)]
+        writer.write_segment([*channels, nptdms.ChannelObject("g", "said", ["one", "two"])])
+    recording, found = read(path)
+    assert np.array_equal(found, SAMPLES[:1])
+    assert any("g/none holds no samples" in one for one in recording.warnings)
+    assert any("g/said holds no numbers" in one for one in recording.warnings)
+    with nptdms.TdmsWriter(str(path)) as writer:
+        writer.write_segment([nptdms.ChannelObject("g", "none", np.zeros(0), about)])
+    assert "there is none" in refused(path)
+
+
+def test_tdms_cut_anywhere_keeps_what_is_whole_with_a_warning(tmp_path):
+    path = write_tdms(tmp_path / "cut.tdms", whole(SAMPLES[:, :400], parts=4))
+    content = path.read_bytes()
+    found_lengths = set()
+    for place in [*range(1, 600, 13), *range(600, len(content), 101), len(content) - 1]:
+        path.write_bytes(content[:place])
+        try:
+            recording, found = read(path)
+        except CgidError as error:
+            assert "\n" not in str(error)
+            continue
+        length = found.shape[1]
+        assert length < 400 or not recording.warnings
+        assert np.array_equal(found, SAMPLES[: len(found), :length])
+        # Cut right between two segments, the file is whole.
+        assert "cut off" in " ".join(recording.warnings) or length % 100 == 0
+        found_lengths.add(length)
+    assert {100, 200, 300} <= found_lengths and len(found_lengths) > 5
+
+
+def test_tdms_never_closed_by_labview_and_a_false_index_beside_it(tmp_path):
+    path = write_tdms(tmp_path / "open.tdms", whole(parts=1))
+    content = bytearray(path.read_bytes())
+    content[12:20] = b"\xff" * 8
+    path.write_bytes(content)
+    (tmp_path / "open.tdms_index").write_bytes(b"TDSh" + bytes(100))
+    recording, found = read(path)
+    assert np.array_equal(found, SAMPLES) and "never closed" in recording.warnings[0]
+
+
+@pytest.mark.parametrize("declared", [10**12, 2**62, 2**64 - 1])
+def test_hostile_counts_of_tdms_are_refused_or_end_with_the_file(tmp_path, declared):
+    path = write_tdms(tmp_path / "huge.tdms", whole(SAMPLES[:1], parts=1))
+    content = path.read_bytes()
+    path.write_bytes(content.replace(struct.pack("<IQ", 1, N), struct.pack("<IQ", 1, declared)))
+    try:
+        _, found = read(path)
+    except CgidError as error:
+        assert "\n" not in str(error)
+    else:
+        assert np.array_equal(found, SAMPLES[:1, : found.shape[1]]) and found.shape[1] <= N
+
+
+# ---- universal files ----
+
+
+def write_uff(path, sets, **options):
+    """Write data sets 58 by pyuff, which must be asked to add binary ones, as it loses the first when it overwrites."""
+    pyuff = pytest.importorskip("pyuff")
+    path.unlink(missing_ok=True)
+    file = pyuff.UFF(str(path))
+    with warnings.catch_warnings():
+        # pyuff leaves files open.
+        warnings.simplefilter("ignore", ResourceWarning)
+        for number, one in enumerate(sets, 1):
+            about = {
+                "func_type": 1,
+                "id1": f"mic {number}",
+                "id3": "04-Mar-26 10:11:12",
+                "rsp_node": number,
+                "rsp_dir": 3,
+                "ref_node": 0,
+                "ref_dir": 0,
+                "x": np.arange(len(one)) / 8192,
+                "data": one,
+                "abscissa_spacing": 1,
+                "abscissa_min": 0.0,
+                "abscissa_inc": 1 / 8192,
+                "abscissa_spec_data_type": 17,
+                "ordinate_spec_data_type": 15,
+                "ordinate_axis_units_lab": "Pa",
+                "orddenom_spec_data_type": 0,
+                "z_axis_spec_data_type": 0,
+                "ord_data_type": 4,
+            } | options
+            force = about["ord_data_type"] in (4, 6)
+            file.write_sets(pyuff.prepare_58(**about), mode="add", force_double=force)
+        gc.collect()
+    return path
+
+
+@pytest.mark.parametrize("binary", [0, 1])
+@pytest.mark.parametrize("precision", [2, 4])
+def test_uff_is_what_pyuff_reads(tmp_path, binary, precision):
+    pyuff = pytest.importorskip("pyuff")
+    path = write_uff(tmp_path / "a.uff", SAMPLES, binary=binary, ord_data_type=precision)
+    if binary and precision == 2:
+        # pyuff says single and writes double.
+        assert "must end where 3001 numbers of its type do" in refused(path)
+        content = path.read_bytes()
+        for row in SAMPLES:
+            content = content.replace(row.tobytes(), row.astype("f4").tobytes())
+        path.write_bytes(content)
+    recording, found = read(path)
+    expected = np.stack([pyuff.UFF(str(path)).read_sets(k)["data"][:N] for k in range(3)])
+    assert np.array_equal(found, expected)
+    assert np.allclose(found, SAMPLES, rtol=0, atol=1e-5 if precision == 2 else 1e-11)
+    assert found.dtype == (np.float32 if binary and precision == 2 else np.float64)
+    assert (recording.sampling_rate, recording.format) == (8192.0, "UFF")
+    assert units(recording) == ["Pa"] * 3 and names(recording) == ["mic 1", "mic 2", "mic 3"]
+    assert recording.start_time == datetime(2026, 3, 4, 10, 11, 12) and not recording.warnings
+    assert np.array_equal(read(path, variable="2", length=5)[1], found[1:2])
+    assert np.array_equal(read(path, variable="mic 3")[1], found[2:])
+    assert "mic 2" in refused(path, variable="4")
+
+
+def test_uff_of_high_bytes_first_and_of_exponents_with_d(tmp_path):
+    path = write_uff(tmp_path / "big.uff", SAMPLES[:1], binary=1)
+    content = path.read_bytes()
+    start = content.index(SAMPLES[0].tobytes())
+    path.write_bytes(
+        content[:start].replace(b"58b     1", b"58b     2")
+        + SAMPLES[0].astype(">f8").tobytes()
+        + content[start + 8 * N :]
+    )
+    assert np.array_equal(read(path)[1][0], SAMPLES[0])
+    text = write_uff(tmp_path / "d.uff", SAMPLES[:1], binary=0)
+    _, expected = read(text)
+    head, numbers = text.read_bytes()[:800], text.read_bytes()[800:]
+    text.write_bytes(head + numbers.replace(b"e+", b"D+").replace(b"e-", b"D-"))
+    assert np.array_equal(read(text)[1], expected)
+    # The same lines as another system ends them.
+    text.write_bytes(text.read_bytes().replace(b"\n", b"\r\n"))
+    assert np.array_equal(read(text)[1], expected)
+
+
+def test_uff_that_is_no_recording_is_refused(tmp_path):
+    path = tmp_path / "other.uff"
+    frf = write_uff(path, [SAMPLES[0] + 1j], func_type=4, ord_data_type=6, abscissa_spec_data_type=18)
+    assert "no data set is a response over time" in refused(frf)
+    assert "no response over time" in refused(frf, variable="1")
+    assert "complex" in refused(write_uff(path, [SAMPLES[0] + 1j], ord_data_type=6))
+    assert "uneven" in refused(write_uff(path, SAMPLES[:1], abscissa_spacing=0))
+    assert names(read(write_uff(path, SAMPLES[:2], id1="rig"))[0]) == ["1+Z", "2+Z"]
+    assert "one length and rate" in refused(write_uff(path, [SAMPLES[0], SAMPLES[1, :50]]))
+    assert read(path, variable="2")[1].shape == (1, 50)
+    path.write_bytes(b"    -1\n   151\n" + b"model\n" * 7 + b"    -1\n")
+    assert "data set 58" in refused(path)
+    # A column of numbers that begins like a universal file is none.
+    path.write_bytes(b"-1\n58\n3\n")
+    assert read(path, sampling_rate=1.0)[1].tolist() == [[-1, 58, 3]]
+
+
+@pytest.mark.parametrize("binary", [0, 1])
+def test_uff_cut_anywhere_is_refused_or_whole(tmp_path, binary):
+    path = write_uff(tmp_path / "cut.uff", SAMPLES[:2, :500], binary=binary)
+    _, whole = read(path)
+    content = path.read_bytes()
+    for place in [*range(1, 1000, 19), *np.linspace(1000, len(content) - 1, 40).astype(int)]:
+        path.write_bytes(content[:place])
+        try:
+            recording, found = read(path)
+        except CgidError as error:
+            assert "\n" not in str(error)
+            continue
+        assert np.array_equal(found, whole[: len(found)])
+        assert len(found) == 2 or recording.warnings or place < len(content) / 2 + 50
+
+
+@pytest.mark.parametrize("n_samples", [-4, 0, 10**9, 2**31])
+@pytest.mark.parametrize("binary", [0, 1])
+def test_absurd_counts_of_uff_are_refused(tmp_path, binary, n_samples):
+    path = write_uff(tmp_path / "huge.uff", SAMPLES[:1], binary=binary)
+    content = path.read_bytes()
+    path.write_bytes(content.replace(b"%10d" % N, b"%10d" % n_samples, 1))
+    refused(path)
+
+
+def test_damaged_lines_of_uff_are_refused_with_their_place(tmp_path):
+    path = write_uff(tmp_path / "text.uff", SAMPLES[:1], binary=0)
+    content = path.read_bytes()
+    lines = content.split(b"\n")
+    lines[113] = lines[113][:-1]
+    path.write_bytes(b"\n".join(lines))
+    assert "sample" in refused(path)
+    lines = content.split(b"\n")
+    lines[113] = lines[113].replace(b"e", b"x")
+    path.write_bytes(b"\n".join(lines))
+    assert "from sample 0 on" in refused(path)
+
+
+@pytest.mark.skipif(not REAL.is_dir(), reason=f"the measured recordings are not there: {REAL}")
+def test_the_real_universal_file_is_what_pyuff_reads():
+    pyuff = pytest.importorskip("pyuff")
+    path = REAL / "shock" / "mic_sample_uff58b.uff"
+    recording, found = read(path, length=4096)
+    expected = pyuff.UFF(str(path)).read_sets(0)
+    # pyuff takes the bytes of the end mark for two more samples.
+    assert np.array_equal(found[0], expected["data"][:79_292]) and found.shape == (1, 79_292)
+    assert (recording.sampling_rate, units(recording)) == (65_536.0, ["Pa"])
+    assert recording.start_time == datetime(2016, 4, 18, 13, 49, 58) and not recording.warnings
+
+
+# ---- Parquet ----
+
+
+@pytest.fixture
+def parquet(tmp_path):
+    """Write columns to a Parquet file by pyarrow."""
+    arrow = pytest.importorskip("pyarrow")
+    writer = pytest.importorskip("pyarrow.parquet")
+
+    def written(columns, metadata=None, fields=None, **options):
+        table = arrow.table(columns)
+        if fields:
+            own = [field.with_metadata(fields.get(field.name)) for field in table.schema]
+            table = table.cast(arrow.schema(own))
+        path = tmp_path / "table.parquet"
+        options = {"row_group_size": 800, "write_page_checksum": True} | options
+        writer.write_table(table.replace_schema_metadata(metadata), path, **options)
+        return path
+
+    return written
+
+
+@pytest.mark.parametrize("compression", ["none", "snappy", "gzip", "zstd"])
+def test_parquet_is_what_was_written(parquet, compression):
+    columns = {"t [ms]": np.arange(N) / 20, "force (kN)": SAMPLES[0], "n": (9 * SAMPLES[1]).astype("i2")}
+    path = parquet(columns | {"acc": SAMPLES[2].astype("f4")}, {"unit": "g"}, compression=compression)
+    recording, found = read(path)
+    expected = [SAMPLES[0], columns["n"], SAMPLES[2].astype("f4")]
+    assert np.array_equal(found, expected)
+    assert recording.sampling_rate == pytest.approx(20_000, rel=1e-12) and recording.format == "Parquet"
+    assert names(recording) == ["force", "n", "acc"] and units(recording) == ["kN", "g", "g"]
+    assert np.array_equal(read(path, channel=["acc", 1])[1], [expected[2], expected[0]])
+
+
+@pytest.mark.parametrize("unit", ["s", "ms", "us", "ns"])
+def test_timestamps_of_parquet_give_rate_and_start(parquet, unit):
+    ticks = np.arange(N) * {"s": 1, "ms": 20, "us": 20, "ns": 20_000}[unit]
+    when = np.datetime64("2026-03-04T10:11:12", unit) + ticks.astype(f"timedelta64[{unit}]")
+    recording, found = read(parquet({"when": when, "x": SAMPLES[0]}))
+    rate = {"s": 1.0, "ms": 50.0, "us": 50_000.0, "ns": 50_000.0}[unit]
+    assert recording.sampling_rate == pytest.approx(rate, rel=1e-9) and np.array_equal(found, SAMPLES[:1])
+    assert recording.start_time == datetime(2026, 3, 4, 10, 11, 12)
+
+
+def test_metadata_of_parquet_and_what_is_missing(parquet):
+    fields = {"x": {"unit": "m/s^2"}, "y": {"unit": "furlong"}}
+    path = parquet(
+        {"x": SAMPLES[0], "y": SAMPLES[1]}, {"sampling_rate": "51.2 kHz", "start_time": "2026-03-04"}, fields
+    )
+    recording, _ = read(path)
+    assert recording.sampling_rate == 51_200.0 and units(recording) == ["m/s^2", None]
+    assert recording.start_time == datetime(2026, 3, 4)
+    assert "--rate HZ" in refused(parquet({"x": SAMPLES[0]}), MissingOption)
+    contradicting = parquet({"time": np.arange(N) / 1000.0, "x": SAMPLES[0]}, {"fs": "2000"})
+    assert "fs says 2000 Hz and column time 1000 Hz" in refused(contradicting)
+
+
+def test_columns_of_parquet_that_are_no_channels(parquet):
+    words = ["a"] * N
+    recording, found = read(parquet({"x": SAMPLES[0], "said": words, "flag": SAMPLES[0] > 0}, {"fs": "10"}))
+    assert np.array_equal(found, SAMPLES[:1])
+    assert [one.partition(": ")[2].split(" holds")[0] for one in recording.warnings] == ["column said", "column flag"]
+    assert "there is none" in refused(parquet({"said": words}))
+    assert "there is none" in refused(parquet({"time": np.arange(N)}))
+    assert "there is none" in refused(parquet({"x": np.zeros(0)}, {"fs": "10"}))
+    arrow = pytest.importorskip("pyarrow")
+    path = parquet({"x": SAMPLES[0]})
+    pytest.importorskip("pyarrow.parquet").write_table(arrow.Table.from_arrays([SAMPLES[0]] * 2, ["x", "x"]), path)
+    assert "'x' is there twice" in refused(path, sampling_rate=1.0)
+    gap = [*SAMPLES[0, :100], None, *SAMPLES[0, 101:]]
+    assert "sample 100 is nan" in refused(parquet({"x": gap}, {"fs": "10"}))
+    times = np.arange(N) / 1000
+    times[2000:] += 0.001
+    assert "even" in refused(parquet({"time": times, "x": SAMPLES[0]}))
+    assert "there is no variable" in refused(parquet({"x": SAMPLES[0]}), InvalidValue, variable="x")
+    recording, found = read(parquet({"x": SAMPLES[0], "__index_level_0__": np.arange(N)}, {"fs": "10"}))
+    assert np.array_equal(found, SAMPLES[:1]) and "__index_level_0__ is an index" in recording.warnings[0]
+
+
+def test_damage_to_parquet_is_found_by_its_checksums(parquet):
+    path = parquet({"x": SAMPLES[0]}, {"fs": "10"}, compression="none", use_dictionary=False)
+    content = path.read_bytes()
+    start = content.index(SAMPLES[0, :100].tobytes())
+    changed = bytearray(content)
+    changed[start + 400] ^= 1
+    path.write_bytes(changed)
+    assert "damaged" in refused(path)
+    for place in [*range(4, 200, 11), *np.linspace(200, len(content) - 1, 40).astype(int)]:
+        path.write_bytes(content[:place])
+        refused(path)
+
+
+# ---- all ----
+
+
+@pytest.mark.parametrize(
+    ("library", "head", "extra"), [("nptdms", b"TDSm", "formats"), ("pyarrow", b"PAR1", "parquet")]
+)
+def test_a_missing_library_is_named_with_its_extra(tmp_path, monkeypatch, library, head, extra):
+    path = tmp_path / "hit.dat"
+    path.write_bytes(head + bytes(100))
+    monkeypatch.setitem(sys.modules, library, None)
+    message = refused(path, MissingExtra)
+    assert library in message and f"pip install 'cgid[{extra}]'" in message
+
+
+_MEMORY = """
+import resource, sys
+from cgid.recordings import open_recording
+
+def grown(path):
+    rate = 8192.0 if path.endswith(".uff") else 1000.0
+    recording = open_recording(path, sampling_rate=rate, variable=sys.argv[1] or None)
+    count = sum(block.shape[1] for block in recording.blocks(8192))
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss, count
+
+before, _ = grown(sys.argv[2])
+after, count = grown(sys.argv[3])
+print(after - before, count)
+"""
+
+
+def _write_long(kind, path, samples):
+    about = {"wf_increment": 0.001}
+    if kind == "tdms":
+        write_tdms(path, whole(samples, "x", parts=max(samples.shape[1] // 5000, 1)), about)
+    elif kind == "one chunk":
+        write_tdms(path, whole(samples, "x", parts=1), about)
+    elif kind == "hdf5":
+        with h5py.File(path, "w") as file:
+            file.create_dataset(
+                "x", data=samples.T, chunks=(5000, len(samples)), compression="gzip", compression_opts=1
+            )
+    elif kind.startswith("mat"):
+        savemat(path, {"x": samples.T}, do_compression=kind == "mat packed")
+    elif kind == "parquet":
+        pyarrow, writer = pytest.importorskip("pyarrow"), pytest.importorskip("pyarrow.parquet")
+        columns = {"time": np.arange(samples.shape[1]) / 1000} | {str(k): row for k, row in enumerate(samples)}
+        writer.write_table(pyarrow.table(columns), path, row_group_size=1 << 20, compression="none")
+    else:
+        write_uff(path, samples[:1], binary=1)
+
+
+@pytest.mark.parametrize("kind", ["hdf5", "mat", "mat packed", "tdms", "one chunk", "uff", "parquet"])
+def test_memory_does_not_grow_with_the_recording(tmp_path, kind):
+    # Whole they would take 16 MB, UFF half of that. A single chunk of TDMS is held for one channel.
+    n_samples = 1_000_000
+    _write_long(kind, tmp_path / f"short.{kind}", np.tile(SAMPLES[:2], 5))
+    _write_long(kind, tmp_path / f"long.{kind}", np.tile(SAMPLES[:2], n_samples // N + 1)[:, :n_samples].copy())
+    variable = "" if kind in ("uff", "parquet") else "x"
+    done = subprocess.run(
+        [sys.executable, "-c", _MEMORY, variable, str(tmp_path / f"short.{kind}"), str(tmp_path / f"long.{kind}")],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert not done.returncode, done.stderr
+    growth, count = map(int, done.stdout.split())
+    assert count == n_samples and growth < (20_000 if kind == "one chunk" else 6_000), f"{growth} kB"

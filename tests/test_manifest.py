@@ -1,0 +1,185 @@
+"""Manifests of labelled recordings: both formats, and everything that can be wrong in them, each in one line."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cgid.errors import BadData, CgidError, NoInput
+from cgid.identification.manifest import is_manifest, read_manifest
+
+ROOT = Path(__file__).parents[1]
+
+
+def written(folder: Path, content: str, name: str = "m.csv", encoding: str = "utf-8") -> Path:
+    path = folder / name
+    path.write_bytes(content.encode(encoding))
+    return path
+
+
+def test_rows_of_a_table_say_everything(tmp_path: Path) -> None:
+    text = (
+        "# our second support\n"
+        "Path;label;start;end;group;channel;gain;sensor;reference;rate;unit;variable\n"
+        "a.wav;coal;0.5;1.25;monday;1+left;6 dB;one;no;8000;g;x\n"
+        "\n"
+        "ref.wav;;;;;2;10;one;yes;;;\n"
+    )
+    coal, run = read_manifest(written(tmp_path, text, encoding="utf-8-sig")).annotations
+    assert coal.path == tmp_path / "a.wav"
+    assert (coal.label, coal.group, coal.start, coal.end) == ("coal", "monday", 0.5, 1.25)
+    assert coal.channels == ("1", "left")
+    assert coal.gain == pytest.approx(10 ** (6 / 20), rel=1e-12)
+    assert (coal.sensor, coal.reference, coal.sampling_rate, coal.unit, coal.variable) == ("one", False, 8000, "g", "x")
+    assert run.reference
+    assert (run.gain, run.channels, run.label) == (10.0, ("2",), "")
+
+
+def test_recordings_are_their_own_groups_and_last_to_their_ends(tmp_path: Path) -> None:
+    manifest = read_manifest(written(tmp_path, "path,label\na.wav,coal\nsub/b.wav,gangue\n"))
+    first, second = manifest.annotations
+    assert first.group != second.group
+    assert (first.start, first.end, first.channels, first.gain) == (0.0, math.inf, None, 1.0)
+    assert second.path == tmp_path / "sub" / "b.wav"
+    assert manifest.labels == ("coal", "gangue")
+
+
+def test_both_formats_say_the_same(tmp_path: Path) -> None:
+    table = (
+        "path,label,start,end,group,unit,channel\na.wav,coal,0,1,x,g,1\na.wav,gangue,1,2.5,x,g,1\nb.wav,coal,,,y,g,1\n"
+    )
+    toml = """
+        labels = ["coal", "gangue"]
+        unit = "g"
+        channel = "1"
+        [[recording]]
+        path = "a.wav"
+        group = "x"
+        intervals = [{ start = 0, end = 1, label = "coal" }, { start = 1, end = 2.5, label = "gangue" }]
+        [[recording]]
+        path = "b.wav"
+        label = "coal"
+        group = "y"
+    """
+    one = read_manifest(written(tmp_path, table)).annotations
+    assert one == read_manifest(written(tmp_path, toml, "m.toml")).annotations
+    assert len(one) == 3
+
+
+def test_a_scene_is_no_manifest(tmp_path: Path) -> None:
+    assert not is_manifest(ROOT / "datasets" / "reference.toml")
+    assert not is_manifest("reference")
+    assert not is_manifest(tmp_path)
+    assert not is_manifest(tmp_path / "gone.toml")
+    assert is_manifest(tmp_path / "gone.csv")
+    assert is_manifest(written(tmp_path, '[[recording]]\npath = "a"\n', "m.toml"))
+
+
+MISTAKES = {
+    "no rows": ("path,label\n", "there is none"),
+    "nothing": ("", "there is none"),
+    "unknown column": ("path,lable\na,b\n", "got 'lable'"),
+    "column twice": ("path,label,label\na,b,c\n", "'label' is there twice"),
+    "no path column": ("label,group\na,b\n", "must say the path"),
+    "too many cells": ("path,label\na,b,c\n", "row 2: must have 2 cells"),
+    "no label": ("path,label\na,\n", "row 2: label must be said"),
+    "reserved label": ("path,label\na,unknown\n", "must not be 'unknown'"),
+    "endless label": (f"path,label\na,{'x' * 101}\n", "at most 100 characters"),
+    "label with a bell": ("path,label\na,x\x07y\n", "label must be a word"),
+    "start behind the end": ("path,label,start,end\na,b,2,1\n", "start and end must rise"),
+    "negative start": ("path,label,start\na,b,-1\n", "start and end must rise"),
+    "start no number": ("path,label,start\na,b,soon\n", "start must be a number in s, got 'soon'"),
+    "start not finite": ("path,label,start\na,b,inf\n", "start and end must rise"),
+    "gain zero": ("path,label,gain\na,b,0\n", "gain must be above 0"),
+    "gain endless": ("path,label,gain\na,b,1e6 dB\n", "between -400 and 400 dB"),
+    "gain no number": ("path,label,gain\na,b,loud\n", "gain must be a number"),
+    "rate zero": ("path,label,rate\na,b,0\n", "rate must be above 0"),
+    "unknown unit": ("path,label,unit\na,b,stone\n", "unit must be one of the known ones"),
+    "channel twice": ("path,label,channel\na,b,1+1\n", "channel must be a name or a number"),
+    "reference neither yes nor no": ("path,label,reference\na,b,maybe\n", "reference must be yes or no"),
+    "reference without a sensor": ("path,label,reference\na,,yes\n", "must name its sensor"),
+    "reference with a label": ("path,label,sensor,reference\na,b,s,yes\n", "have no label"),
+    "sensor without a reference": ("path,label,sensor\na,b,left\n", "sensor left must have a reference run"),
+    "one sensor unsaid": ("path,label,sensor,reference\nr,,s,yes\na,b,s,no\nc,d,,no\n", "said of every recording"),
+    "overlapping intervals": ("path,label,start,end\na,b,0,2\na,c,1,3\n", "must not overlap, b and c do at 1 s"),
+    "recording twice": ("path,label\na,b\na,c\n", "must not overlap"),
+    "recording in two groups": ("path,label,start,end,group\na,b,0,1,x\na,c,1,2,y\n", "must lie in one group"),
+    "path with a zero byte": ("path,label\na\0b,c\n", "path must be the name of a file"),
+}
+TOML_MISTAKES = {
+    "no TOML": ("[[recording]\n", "must be TOML"),
+    "one recording, not a list": ('recording = "a"\n', "as [[recording]]"),
+    "unknown key": ('[[recording]]\npath = "a"\nlable = "b"\n', "recording 1: keys must be out of"),
+    "unknown key for all": ('lable = "b"\n[[recording]]\npath = "a"\nlabel = "b"\n', "keys must be out of"),
+    "unknown key of an interval": ('[[recording]]\npath = "a"\nintervals = [{ from = 1 }]\n', "keys of an interval"),
+    "intervals no list": ('[[recording]]\npath = "a"\nintervals = 3\n', "intervals must be a list"),
+    "label not allowed": (
+        'labels = ["x"]\n[[recording]]\npath = "a"\nlabel = "y"\n',
+        "label must be one of 'x', got 'y'",
+    ),
+    "labels no words": ('labels = [1]\n[[recording]]\npath = "a"\nlabel = "y"\n', "labels must be a list of words"),
+    "path a number": ("[[recording]]\npath = 3\nlabel = 'b'\n", "path must be the name of a file"),
+    "channel a truth": ("[[recording]]\npath = 'a'\nlabel = 'b'\nchannel = true\n", "channel must be"),
+    "start a truth": ("[[recording]]\npath = 'a'\nlabel = 'b'\nstart = true\n", "start must be a number"),
+    "nested without end": ("a = " + "[" * 3000, "must be TOML"),
+}
+
+
+@pytest.mark.parametrize("name", MISTAKES)
+def test_mistake_in_a_table_is_one_line(name: str, tmp_path: Path) -> None:
+    content, says = MISTAKES[name]
+    with pytest.raises(BadData) as error:
+        read_manifest(written(tmp_path, content))
+    assert says in str(error.value)
+    assert len(str(error.value).splitlines()) == 1
+    assert str(tmp_path / "m.csv") in str(error.value)
+
+
+@pytest.mark.parametrize("name", TOML_MISTAKES)
+def test_mistake_in_toml_is_one_line(name: str, tmp_path: Path) -> None:
+    content, says = TOML_MISTAKES[name]
+    with pytest.raises(BadData) as error:
+        read_manifest(written(tmp_path, content, "m.toml"))
+    assert says in str(error.value)
+    assert len(str(error.value).splitlines()) == 1
+
+
+def test_every_mistake_is_said_at_once(tmp_path: Path) -> None:
+    rows = "".join(f"a{k},b,{-k}\n" for k in range(1, 31))
+    with pytest.raises(BadData) as error:
+        read_manifest(written(tmp_path, "path,label,start\n" + rows))
+    lines = str(error.value).splitlines()
+    assert len(lines) == 21
+    assert "row 2" in lines[0]
+    assert "and 10 more mistakes" in lines[-1]
+
+
+def test_files_that_are_no_text_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(NoInput, match="cannot be read"):
+        read_manifest(tmp_path / "gone.csv")
+    with pytest.raises(NoInput, match="cannot be read"):
+        read_manifest(tmp_path)
+    with pytest.raises(BadData, match="must be UTF-8 text, byte 11"):
+        read_manifest(written(tmp_path, "path,label\n\xe9,b\n", encoding="latin-1"))
+
+
+def test_no_damage_is_more_than_an_error_of_ours(tmp_path: Path) -> None:
+    generator = np.random.default_rng(4)
+    contents = {
+        "m.csv": b"path,label,start,end,gain,channel\na.wav,coal,0,1,6 dB,1+2\nb.wav,gangue,0.5,2,3,left\n",
+        "m.toml": b'unit = "g"\n[[recording]]\npath = "a"\nintervals = [{ start = 0, end = 1, label = "coal" }]\n',
+    }
+    for name, content in contents.items():
+        for _ in range(400):
+            damaged = bytearray(content)
+            for place in generator.integers(0, len(content), generator.integers(1, 4)):
+                damaged[place] = generator.integers(0, 256)
+            cut = generator.integers(0, len(content)) if generator.random() < 0.3 else len(content)
+            (tmp_path / name).write_bytes(bytes(damaged[:cut]))
+            try:
+                read_manifest(tmp_path / name)
+            except CgidError as error:
+                assert all(line.startswith(str(tmp_path)) for line in str(error).splitlines())

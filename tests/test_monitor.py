@@ -1,0 +1,284 @@
+"""A live stream: what is said and when, that nothing is dropped, and how far behind it says it is."""
+
+from __future__ import annotations
+
+import io
+import json
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.io import wavfile
+
+from cgid.cli.answer_lines import AnswerLines
+from cgid.cli.inbox import Inbox, UnbufferedInput
+from cgid.cli.main import run
+from cgid.cli.monitor import _Delay
+from tests.streams_of_pulses import RATE, ROOT, stream, window_model
+
+LABELS = ["coal"] * 14 + ["gangue"] * 14
+RAW = ["--rate", str(RATE), "--channels", "1", "--sample-format", "f32le", "--unit", "N"]
+
+
+def rows_of(text: str, kind: str) -> list[dict]:
+    return [row for row in map(json.loads, text.splitlines()) if row["kind"] == kind]
+
+
+def monitored(content: bytes, *arguments: str) -> subprocess.CompletedProcess:
+    command = [sys.executable, "-m", "cgid", "monitor", "-", "--json", *arguments]
+    return subprocess.run(command, input=content, capture_output=True, cwd=ROOT)
+
+
+@pytest.fixture(scope="module")
+def force() -> np.ndarray:
+    return stream(LABELS, 0.02)
+
+
+@pytest.fixture
+def raw(tmp_path: Path, force: np.ndarray) -> Path:
+    (tmp_path / "stream.raw").write_bytes(force.astype("<f4").tobytes())
+    return tmp_path / "stream.raw"
+
+
+# -- what is said -----------------------------------------------------------------------------------------
+
+
+def test_monitor_says_what_predict_says(
+    raw: Path, tmp_path: Path, force: np.ndarray, capsys: pytest.CaptureFixture[str]
+) -> None:
+    np.save(tmp_path / "s.npy", force.astype(np.float32))
+    assert run(["predict", str(tmp_path / "s.npy"), "--rate", str(RATE), "--unit", "N", "--json"]) == 0
+    predicted = rows_of(capsys.readouterr().out, "impact")
+    assert run(["monitor", str(raw), *RAW, "--json", "--window", "0.24"]) == 0
+    out = capsys.readouterr().out
+    impacts = rows_of(out, "impact")
+    assert [row["label"] for row in impacts] == [row["label"] for row in predicted]
+    assert [row["time_s"] for row in impacts] == [row["time_s"] for row in predicted]
+    assert {row["source"] for row in impacts} == {str(raw)}
+    shares = rows_of(out, "share")
+    assert [row["to_s"] for row in shares] == pytest.approx(np.arange(1, len(shares) + 1) * 0.024)
+    assert len(shares) == 23
+    (shut,) = rows_of(out, "shut")
+    assert 0.28 < shut["time_s"] <= 0.56
+    (summary,) = rows_of(out, "summary")
+    assert (summary["impacts"], summary["duration_s"]) == (28, pytest.approx(0.56))
+
+
+def test_stdin_is_raw_numbers_or_wav(force: np.ndarray) -> None:
+    done = monitored(force.astype("<f4").tobytes(), *RAW)
+    assert done.returncode == 0, done.stderr
+    assert len(rows_of(done.stdout.decode(), "impact")) == 28
+    peak = 1.2 * np.abs(force).max()
+    file = io.BytesIO()
+    both = np.stack([force, force[::-1]], axis=1) / peak
+    wavfile.write(file, int(RATE), (both * 32767).astype(np.int16))
+    done = monitored(file.getvalue(), "--unit", "N", "--full-scale", repr(float(peak)))
+    assert done.returncode == 0, done.stderr
+    impacts = rows_of(done.stdout.decode(), "impact")
+    assert {row["channel"] for row in impacts} == {"1", "2"}
+    own = [row["label"] for row in impacts if row["channel"] == "1"]
+    assert np.mean([a == b for a, b in zip(own, LABELS, strict=True)]) > 0.85
+
+
+def test_events_leave_before_the_stream_goes_on(force: np.ndarray) -> None:
+    """The line of an impact is there while the writer still waits."""
+    command = [sys.executable, "-u", "-m", "cgid", "monitor", "-", "--json", *RAW]
+    process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, cwd=ROOT)
+    assert process.stdin is not None
+    assert process.stdout is not None
+    try:
+        part = force[: round(0.5 * RATE)].astype("<f4").tobytes()
+        process.stdin.write(part[:-2])  # even within a number
+        process.stdin.flush()
+        row = json.loads(process.stdout.readline())
+        assert (row["kind"], row["impact"]) == ("impact", 1)
+        process.stdin.close()
+        rest = process.stdout.read().decode()
+        assert len(rows_of(rest, "impact")) == 24
+        assert "left out" in rows_of(rest, "warning")[0]["message"]
+    finally:
+        process.kill()
+        process.wait()
+        process.stdout.close()
+
+
+def test_interruption_ends_with_a_summary(force: np.ndarray) -> None:
+    command = [sys.executable, "-u", "-m", "cgid", "monitor", "-", "--json", *RAW]
+    pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
+    process = subprocess.Popen(command, cwd=ROOT, **pipes)
+    assert process.stdin is not None
+    assert process.stdout is not None
+    assert process.stderr is not None
+    process.stdin.write(force.astype("<f4").tobytes())
+    process.stdin.flush()
+    json.loads(process.stdout.readline())
+    process.send_signal(signal.SIGINT)
+    out, err = process.communicate(timeout=30)
+    assert process.returncode == 130
+    assert json.loads(out.splitlines()[-1])["kind"] == "summary"
+    assert b"interrupted" in err
+    assert b"Traceback" not in err
+    assert b"Fatal" not in err
+
+
+def test_windows_are_monitored(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    rng = np.random.default_rng(4)
+    (tmp_path / "m.npz").write_bytes(window_model(hop_time=0.1).to_bytes())
+    (tmp_path / "n.raw").write_bytes((rng.normal(size=(8000, 2)) / 5).astype("<f4").tobytes())
+    arguments = ["monitor", str(tmp_path / "n.raw"), "--rate", "8000", "--channels", "2", "--sample-format", "f32le"]
+    assert run([*arguments, "--unit", "FS", "--model", str(tmp_path / "m.npz"), "--json"]) == 0
+    windows = rows_of(capsys.readouterr().out, "window")
+    assert [row["channel"] for row in windows] == ["1", "2"] * 10
+    assert {row["label"] for row in windows} == {"gangue"}
+
+
+@pytest.mark.parametrize(
+    ("content", "arguments", "code", "says"),
+    [
+        (b"", [], 65, "it is empty"),
+        (b"\0" * 4000, ["--channels", "1", "--sample-format", "f32le"], 2, "--rate HZ"),
+        (b"\0" * 4000, ["--rate", "1e5", "--sample-format", "f32le"], 2, "--channels N"),
+        (b"\0" * 4000, ["--rate", "1e5", "--channels", "1"], 2, "--sample-format"),
+        (b"\0" * 4000, [*RAW[:5], "f31le"], 65, "f31le"),
+        (b"\0" * 4000, RAW[:6], 2, "--unit"),
+        (b"\0" * 4000, [*RAW[:5], "s16le"], 65, "say with --unit what 1 stands for"),
+        (b"\xff" * 4000, RAW, 65, "samples must be finite"),
+        (b"RIFF" + b"\0" * 40, [], 65, "WAV"),
+        (b"\0" * 4000, [*RAW, "--full-scale", "0"], 65, "--full-scale must be above 0"),
+        (b"\0" * 4000, [*RAW, "--window", "-1"], 65, "--window must be above 0"),
+    ],
+)
+def test_streams_that_cannot_be_followed(content, arguments, code, says, tmp_path, capsys) -> None:
+    (tmp_path / "s").write_bytes(content)
+    assert run(["monitor", str(tmp_path / "s"), *arguments]) == code
+    err = capsys.readouterr().err
+    assert says in err
+    assert len([line for line in err.splitlines() if line.startswith("cgid: error: ")]) == 1
+    assert "Traceback" not in err
+
+
+def test_missing_stream_is_said(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["monitor", "nowhere/none"]) == 66
+    assert "nowhere/none" in capsys.readouterr().err
+
+
+def test_silence_is_followed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "s").write_bytes(np.zeros(200_000, "<f4").tobytes())
+    assert run(["monitor", str(tmp_path / "s"), *RAW, "--json", "--window", "0.5"]) == 0
+    out = capsys.readouterr().out
+    assert not rows_of(out, "impact")
+    assert rows_of(out, "summary")[0]["impacts"] == 0
+    assert {row["gangue_share"] for row in rows_of(out, "share")} == {None}  # still alive, and says so
+
+
+# -- nothing is dropped -----------------------------------------------------------------------------------
+
+
+def test_inbox_joins_what_waits_and_drops_nothing() -> None:
+    blocks = [np.full((2, n), float(k)) for k, n in enumerate([1, 5, 900, 3, 1, 1, 4000, 2])]
+    inbox = Inbox(iter(blocks), 1000.0)
+    taken = []
+    for block in inbox:
+        time.sleep(0.02)  # more comes meanwhile
+        taken.append(block)
+    np.testing.assert_array_equal(np.concatenate(taken, axis=1), np.concatenate(blocks, axis=1))
+    assert len(taken) < len(blocks)
+    assert inbox.n_taken == sum(block.shape[1] for block in blocks)
+
+
+def test_inbox_passes_on_what_went_wrong_after_what_came_before() -> None:
+    def broken():
+        yield np.ones((1, 3))
+        raise OSError("unplugged")
+
+    taken = []
+    with pytest.raises(OSError, match="unplugged"):
+        taken.extend(Inbox(broken(), 10.0))
+    assert sum(block.shape[1] for block in taken) == 3
+
+
+def test_inbox_that_is_full_makes_the_stream_wait() -> None:
+    block = np.zeros((1, 1000))
+
+    def blocks():
+        for _ in range(8):
+            yield block
+
+    inbox = Inbox(blocks(), 1e4, most_waiting=3 * block.nbytes)
+    iterator = iter(inbox)
+    total = next(iterator).shape[1]
+    deadline = time.monotonic() + 10
+    while not inbox.held_up and time.monotonic() < deadline:
+        time.sleep(0.01)
+    assert inbox.held_up
+    for part in iterator:
+        total += part.shape[1]
+    assert total == 8 * block.shape[1]
+
+
+class Clock:
+    """A stream whose delay is set by hand."""
+
+    held_up = False
+
+    def __init__(self) -> None:
+        self.behind = 0.0
+
+
+def test_delay_is_said_when_it_grows_and_when_it_is_over(capsys: pytest.CaptureFixture[str]) -> None:
+    inbox, delay = Clock(), _Delay("s", AnswerLines(True))
+    for behind in (0.2, 0.9, 1.5, 1.8, 2.9, 3.1, 2.0, 0.8, 0.3, 0.2):
+        inbox.behind = behind
+        delay.see(inbox)
+    inbox.behind, inbox.held_up = 0.9, True
+    delay.see(inbox)
+    delay.see(inbox)
+    out, err = capsys.readouterr()
+    said = [row["behind_s"] for row in rows_of(out, "delay")]
+    assert said == [1.5, 3.1, 0.3, 0.9]
+    assert err.count("cgid: warning: s: ") == 4
+
+
+def test_a_live_stream_is_behind_by_what_waits_and_a_file_is_not() -> None:
+    gate = threading.Event()
+
+    def live():
+        yield np.zeros((1, 50))
+        yield np.zeros((1, 50))
+        gate.set()
+        time.sleep(0.5)
+
+    inbox = Inbox(live(), 100.0)
+    iterator = iter(inbox)
+    first = next(iterator).shape[1]
+    gate.wait(5)
+    time.sleep(0.05)
+    if first == 50:  # half a second waits, but the clock is hardly ahead of the half second that was taken
+        assert inbox.behind < 0.1
+    time.sleep(0.3)
+    inbox.n_taken = 0  # as if nothing had been taken for as long as the clock runs
+    assert inbox.behind <= 0.5
+    assert sum(block.shape[1] for block in iterator) + first == 100
+
+
+def test_unbuffered_input_returns_what_there_is() -> None:
+    reading, writing = os.pipe()
+    try:
+        os.write(writing, b"abcdef")
+        file = UnbufferedInput(reading)
+        assert file.read(4) == b"abcd"
+        assert file.read1(100) == b"ef"
+        os.close(writing)
+        writing = -1
+        assert file.read1(10) == b""
+        assert file.read(3) == b""
+    finally:
+        os.close(reading)
+        if writing >= 0:
+            os.close(writing)

@@ -1,0 +1,330 @@
+"""Pictures of recordings: what they say is what is in the file, and `cgid plot` makes them."""
+
+from __future__ import annotations
+
+import itertools
+import json
+import wave
+import xml.etree.ElementTree as ElementTree
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy import signal as scipy_signal
+
+from cgid import shipped
+from cgid.cli.main import run
+from cgid.overview import OverviewStream
+from cgid.plots import COLOURS, FORMATS, Mark, overview_figure, picture, share_figure
+from cgid.plots.figure import NEUTRAL
+from cgid.recordings import Channel
+from cgid.scene import generate
+
+MAGIC = {".png": b"\x89PNG", ".svg": b"<?xml", ".pdf": b"%PDF"}
+RATE = 25600.0
+
+
+def figure_of(samples: np.ndarray, *channels: Channel, rate: float = RATE, **more: Any) -> Any:
+    stream = OverviewStream(rate, len(samples))
+    stream.feed(samples)
+    named = channels or tuple(Channel(name=str(k + 1), unit="m/s^2") for k in range(len(samples)))
+    return overview_figure(stream.overview(), named, title="a title", **more)
+
+
+def panel(figure: Any, ylabel: str) -> Any:
+    """Return the first axes whose label begins so."""
+    return next(axes for axes in figure.axes if axes.get_ylabel().startswith(ylabel))
+
+
+def bars(axes: Any) -> list[tuple[float, float, float]]:
+    """Return begin, end and row of every bar."""
+    boxes = [path.get_extents() for collection in axes.collections for path in collection.get_paths()]
+    return sorted((box.x0, box.x1, (box.y0 + box.y1) / 2) for box in boxes)
+
+
+@pytest.fixture
+def samples() -> np.ndarray:
+    rng = np.random.default_rng(0)
+    samples = rng.normal(size=(2, 30_000))
+    samples[1] += 5 * np.sin(2 * np.pi * 2000 * np.arange(30_000) / RATE)
+    samples[0, 12_345] = 40.0
+    return samples
+
+
+def test_the_panels_show_what_is_there(samples: np.ndarray) -> None:
+    figure = figure_of(samples, Channel(name="near", unit="m/s^2"), Channel(name="far", unit="m/s^2"))
+    waveform, spectrogram, spectrum = (panel(figure, name) for name in ("acceleration", "frequency", "power"))
+    assert waveform.get_ylabel() == "acceleration [m/s²]" and waveform.get_title(loc="left") == "channel near"
+    drawn = np.concatenate([path.vertices for path in waveform.collections[0].get_paths()])
+    # The spike of a single sample is there, where it is and as high as it is.
+    assert drawn[drawn[:, 1] == 40.0, 0] == pytest.approx(12_345 / RATE, abs=16 / RATE)
+    assert drawn[:, 1].min() == samples[0].min() and waveform.get_ylim()[1] > 40
+    assert waveform.get_xlim() == spectrogram.get_xlim() == (0, 30_000 / RATE)
+    assert spectrogram.get_xlabel() == "time [s]" and spectrogram.get_ylabel() == "frequency [Hz]"
+    assert spectrogram.get_ylim()[1] == RATE / 2
+    mesh = spectrogram.collections[0]
+    bottom, top = mesh.get_clim()
+    assert 30 <= top - bottom <= 90 and top % 5 == bottom % 5 == 0
+    assert [axes.get_ylabel() for axes in figure.axes].count("dB re 1 (m/s²)²/Hz") == 2
+    frequency, density = scipy_signal.welch(samples, RATE, nperseg=256)
+    for line, truth in zip(spectrum.lines, density, strict=True):
+        np.testing.assert_allclose(line.get_xdata(), frequency[1:])
+        np.testing.assert_allclose(line.get_ydata(), 10 * np.log10(truth[1:]), atol=1e-9)
+    assert [text.get_text() for text in spectrum.get_legend().get_texts()] == ["near", "far"]
+    low, high = spectrum.get_ylim()
+    assert low <= np.quantile(10 * np.log10(density[:, 1:]), 0.01) and high >= 10 * np.log10(density.max())
+
+
+def test_marks_stand_in_the_row_of_their_label(samples: np.ndarray) -> None:
+    marks = [
+        Mark(time=0.1, end=0.15, label="gangue", channel="1"),
+        Mark(time=0.5, end=0.5, label="coal", channel="1"),
+        Mark(time=0.7, end=0.72, label="unknown", channel="2"),
+        Mark(time=1.0, end=1.1, label="coal"),
+    ]
+    figure = figure_of(samples, marks=marks)
+    strips = figure.axes[0], figure.axes[4]
+    names = [[text.get_text() for text in strip.get_yticklabels()] for strip in strips]
+    assert names == [["coal (2)", "gangue (1)", "unknown (0)"], ["coal (1)", "gangue (0)", "unknown (1)"]]
+    (first, second) = (bars(strip) for strip in strips)
+    np.testing.assert_allclose(first, [(0.1, 0.15, 1), (0.5, 0.5 + 3e-3 * 30_000 / RATE, 0), (1.0, 1.1, 0)], atol=1e-9)
+    np.testing.assert_allclose(second, [(0.7, 0.72, 2), (1.0, 1.1, 0)], atol=1e-9)
+    colours = [collection.get_facecolor()[0] for collection in strips[0].collections if len(collection.get_paths())]
+    assert len({tuple(colour) for colour in colours}) == 2
+
+
+def test_few_marks_are_drawn_through_the_waveform(samples: np.ndarray) -> None:
+    def begins(marks: list[Mark]) -> list[float]:
+        waveform = panel(figure_of(samples[:1], marks=marks), "acceleration")
+        return [line.vertices[0, 0] for lines in waveform.collections[1:][1::2] for line in lines.get_paths()]
+
+    few = [Mark(time=0.1 * k, end=0.1 * k + 0.05, label="impact") for k in range(1, 10)]
+    assert begins(few) == pytest.approx([mark.time for mark in few])
+    assert begins([Mark(time=0.005 * k, end=0.005 * k, label="impact") for k in range(200)]) == []
+    # Windows that overlap would colour it all.
+    assert begins([Mark(time=0.05 * k, end=0.05 * k + 0.1, label="window") for k in range(20)]) == []
+
+
+def test_a_part_has_the_time_of_the_whole(samples: np.ndarray) -> None:
+    figure = figure_of(samples[:1, :2560], begin=7.0, marks=[Mark(time=7.02, end=7.03, label="impact")])
+    assert figure.axes[0].get_xlim() == (7.0, 7.1) and bars(figure.axes[0])[0][:2] == (7.02, 7.03)
+    assert panel(figure, "frequency").collections[0].get_coordinates()[0, :, 0].min() > 7.0
+
+
+def test_short_recordings_are_in_milliseconds() -> None:
+    times = np.arange(2000) / 2e5
+    pulse = 9e3 * np.sin(np.pi * np.clip((times - 3e-3) / 5e-4, 0, 1)) ** 1.5
+    figure = figure_of(pulse[None], Channel(name="1", unit="N"), rate=2e5)
+    (line,) = panel(figure, "force").lines
+    assert line.get_xdata()[np.argmax(line.get_ydata())] == pytest.approx(3.25)
+    assert panel(figure, "frequency").get_xlabel() == "time [ms]"
+
+
+@pytest.mark.parametrize(
+    ("samples", "says"),
+    [
+        (np.full((1, 3000), 3.0), "no spectrum: all samples are equal"),
+        (np.array([[1.0, 2.0, 5.0]]), "no spectrum: 3 samples are too few"),
+        (np.zeros((1, 1)), "no spectrum: 1 samples are too few"),
+        (np.array([[1e139, -1e139] * 100]), ""),
+    ],
+)
+def test_where_there_is_no_spectrum_it_says_why(samples: np.ndarray, says: str) -> None:
+    figure = figure_of(samples)
+    assert not says or says in {text.get_text() for axes in figure.axes for text in axes.texts}
+    assert picture(figure, ".png", dpi=40).startswith(MAGIC[".png"])
+
+
+@pytest.mark.parametrize("suffix", FORMATS)
+def test_every_format_takes_text_of_anybody(suffix: str) -> None:
+    evil = "$\\frac{ <b>&amp; 煤矿 \x00\n\ud800 ^_" + "x" * 300
+    samples = np.random.default_rng(1).normal(size=(2, 700)) * [[1e-30], [1e30]]
+    marks = [Mark(time=0.01, end=0.02, label=evil, channel=evil)]
+    channels = Channel(name=evil, unit=None), Channel(name="$", unit="µm/m")
+    content = picture(figure_of(samples, *channels, marks=marks, facts=evil), suffix, dpi=40)
+    assert content.startswith(MAGIC[suffix])
+    if suffix == ".svg":
+        root = ElementTree.fromstring(content)
+        links = [value for node in root.iter() for name, value in node.attrib.items() if name.endswith("href")]
+        assert all(link.startswith(("#", "data:image/png")) for link in links)
+
+
+@pytest.mark.parametrize("suffix", FORMATS)
+def test_equal_figures_give_equal_bytes(suffix: str) -> None:
+    samples = np.ones((1, 10))
+    assert picture(figure_of(samples), suffix, dpi=40) == picture(figure_of(samples), suffix, dpi=40)
+
+
+def test_colours_are_told_apart_by_everybody() -> None:
+    # Machado, Oliveira and Fernandes 2009, full severity: what is seen without one kind of cones, in linear RGB.
+    views = [
+        np.eye(3),
+        [[0.152286, 1.052583, -0.204868], [0.114503, 0.786281, 0.099216], [-0.003882, -0.048116, 1.051998]],
+        [[0.367322, 0.860646, -0.227968], [0.280085, 0.672501, 0.047413], [-0.011820, 0.042940, 0.968881]],
+        [[1.255528, -0.076749, -0.178779], [-0.078411, 0.930809, 0.147602], [0.004733, 0.691367, 0.303900]],
+    ]
+    to_xyz = np.array([[0.4124, 0.3576, 0.1805], [0.2126, 0.7152, 0.0722], [0.0193, 0.1192, 0.9505]])
+
+    def seen(colour: str, view: Any) -> np.ndarray:
+        value = np.array([int(colour[k : k + 2], 16) for k in (1, 3, 5)]) / 255
+        linear = np.where(value <= 0.04045, value / 12.92, ((value + 0.055) / 1.055) ** 2.4)
+        white = to_xyz @ np.ones(3)
+        ratio = np.cbrt(to_xyz @ np.clip(np.array(view) @ linear, 0, 1) / white)
+        return np.array([116 * ratio[1] - 16, 500 * (ratio[0] - ratio[1]), 200 * (ratio[1] - ratio[2])])
+
+    for view in views:
+        colours = [seen(colour, view) for colour in (*COLOURS, NEUTRAL)]
+        # One unit is just seen beside each other; ten times that on far away marks.
+        assert min(np.linalg.norm(a - b) for a, b in itertools.combinations(colours, 2)) > 15
+
+
+def test_the_picture_of_shares_shows_interval_threshold_and_turn() -> None:
+    from cgid.identification.share import ShareWindow
+    from cgid.identification.shutting import Shutting
+
+    window, rule = ShareWindow(20.0), Shutting(3.0)
+    shares, turns = [], []
+    for time in range(1, 60):
+        window.add(time, 0.02 if time < 30 else 0.98)
+        shares.append(window.at(time))
+        turns += [turn for turn in [rule.watch(shares[-1])] if turn is not None]
+    figure = share_figure(shares, turns, 60.0, threshold=rule.threshold)
+    (axes,) = figure.axes
+    share, threshold, turn = axes.lines
+    np.testing.assert_array_equal(share.get_ydata(), [one.share for one in shares])
+    band = axes.collections[0].get_paths()[0].vertices
+    assert band[:, 1].min() == min(one.low for one in shares) and band[:, 1].max() == max(one.high for one in shares)
+    assert set(threshold.get_ydata()) == {0.25} and set(turn.get_xdata()) == {turns[0].time}
+    assert axes.get_ylabel() == "share of gangue" and axes.texts[0].get_text() == "shut"
+
+
+@pytest.fixture
+def wav(tmp_path: Path) -> Path:
+    """Two channels of noise with four blows, 16 bit."""
+    rng = np.random.default_rng(3)
+    samples = rng.normal(0, 30, (2, 40_000))
+    ringing = 12_000 * np.exp(-np.arange(3000) / 300) * np.sin(2 * np.pi * 3000 * np.arange(3000) / RATE)
+    for row, start in ((0, 9000), (0, 20_000), (0, 31_000), (1, 20_000)):
+        samples[row, start : start + 3000] += ringing
+    path = tmp_path / "blows.wav"
+    with wave.open(str(path), "wb") as file:
+        file.setparams((2, 2, int(RATE), 0, "NONE", ""))
+        file.writeframes(samples.T.astype("<i2").tobytes())
+    return path
+
+
+def test_plot_finds_the_impacts(wav: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["plot", str(wav), "-o", str(tmp_path / "a.png"), "--json"]) == 0
+    out, err = capsys.readouterr()
+    told = json.loads(out)
+    assert told["impacts"] == 4 and told["channels"] == ["1", "2"] and told["duration_s"] == 40_000 / RATE
+    assert err == f"wrote {tmp_path / 'a.png'}\n" and (tmp_path / "a.png").read_bytes().startswith(MAGIC[".png"])
+    part = ["plot", str(wav), "-o", str(tmp_path / "b.SVG"), "--json", "--channel", "1", "--from", "0.6", "--to", "1"]
+    assert run(part) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert (told["impacts"], told["from_s"], told["channels"]) == (1, 0.6, ["1"])
+    assert told["duration_s"] == pytest.approx(0.4)
+    assert (tmp_path / "b.SVG").read_bytes().startswith(MAGIC[".svg"])
+
+
+def test_plot_passes_marks_on(wav: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    import cgid.plots
+
+    seen: dict[str, Any] = {}
+
+    def drawn(overview: Any, channels: Any, **more: Any) -> None:
+        seen.update(more, overview=overview)
+
+    monkeypatch.setattr(cgid.plots, "overview_figure", drawn)
+    monkeypatch.setattr(cgid.plots, "picture", lambda *_, **__: b"")
+    assert run(["plot", str(wav), "-o", str(tmp_path / "a.png"), "--from", "0.5"]) == 0
+    times = [(mark.time, mark.channel) for mark in seen["marks"]]
+    assert [channel for _, channel in sorted(times)] in (["1", "2", "1"], ["2", "1", "1"])
+    np.testing.assert_allclose(sorted(time for time, _ in times), np.array([20_000, 20_000, 31_000]) / RATE, atol=2e-3)
+    assert (seen["title"], seen["facts"]) == ("blows.wav", "WAV, 25.6 kHz, 1.062 s, 3 impacts found")
+    upright = seen["overview"]
+    assert run(["plot", str(wav), "-o", str(tmp_path / "b.png"), "--no-events", "--invert", "--from", "0.5"]) == 0
+    assert seen["marks"] == [] and seen["facts"] == "WAV, 25.6 kHz, 1.062 s"
+    np.testing.assert_array_equal(seen["overview"].highest, -upright.lowest)
+    # A force is looked at as pulses are, unless said otherwise.
+    sample = str(shipped.path_of("datasets", shipped.SAMPLE))
+    assert run(["plot", sample, "-o", str(tmp_path / "c.png")]) == 0
+    assert seen["facts"].endswith("6 impacts found")
+
+
+def test_plot_draws_one_signal_of_a_dataset(tmp_path: Path, reference_scene: Any, capsys: Any) -> None:
+    generate(reference_scene, tmp_path / "data.h5", 5, seed=1)
+    picked = ["plot", str(tmp_path / "data.h5"), "-o", str(tmp_path / "a.pdf"), "--index", "3", "--json"]
+    assert run(picked) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told["impacts"] == 1 and told["source"].endswith("data.h5 index 3")
+    assert run(["plot", str(tmp_path / "data.h5"), "-o", str(tmp_path / "b.pdf")]) == 65
+    assert "--index" in capsys.readouterr().err
+
+
+def test_plot_draws_eight_channels_and_says_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Any) -> None:
+    import cgid.plots
+
+    monkeypatch.setattr(cgid.plots, "picture", lambda *_, **__: b"")
+    monkeypatch.setattr(cgid.plots, "overview_figure", lambda *_, **__: None)
+    np.save(tmp_path / "ten.npy", np.random.default_rng(0).normal(size=(10, 5000)))
+    arguments = ["plot", str(tmp_path / "ten.npy"), "--rate", "1e4", "-o", str(tmp_path / "a.png"), "--no-events"]
+    assert run(arguments) == 0
+    assert "the first 8 of 10 channels are drawn; choose with --channel" in capsys.readouterr().err
+    assert run([*arguments, "--overwrite", "--channel", "9", "--channel", "10", "--json"]) == 0
+    out, err = capsys.readouterr()
+    assert json.loads(out)["channels"] == ["9", "10"] and "warning" not in err
+
+
+@pytest.mark.parametrize(
+    ("more", "code", "says"),
+    [
+        (["-o", "a.jpg"], 73, "must end in .png or .svg or .pdf, got '.jpg'"),
+        (["-o", "blows.wav"], 73, "must end in"),
+        (["-o", "old.png"], 73, "exists already"),
+        (["-o", "no/a.png"], 73, "the folder no must exist"),
+        ([], 2, "'-o'"),
+        (["-o", "a.png", "--from", "9"], 65, "--from must lie within the recording of 1.5625 s, got 9 s"),
+        (["-o", "a.png", "--from", "1", "--to", "0.5"], 65, "--to must lie after --from (1 s), got 0.5 s"),
+        (["-o", "a.png", "--from", "-1"], 65, "--from must be 0 or more, got -1 s"),
+        (["-o", "a.png", "--from", "nan"], 65, "--from must be finite"),
+        (["-o", "a.png", "--index", "1"], 65, "--index picks a signal of a dataset"),
+        (["-o", "a.png", "--channel", "3"], 65, "channel '3' is none of them"),
+        (["-o", "a.png", "--dead-time", "-1"], 65, "--dead-time must lie between"),
+    ],
+)
+def test_plot_refuses(
+    wav: Path, monkeypatch: pytest.MonkeyPatch, capsys: Any, more: list[str], code: int, says: str
+) -> None:
+    monkeypatch.chdir(wav.parent)
+    Path("old.png").write_bytes(b"old")
+    assert run(["plot", "blows.wav", *more]) == code
+    out, err = capsys.readouterr()
+    assert says in err and len(err.splitlines()) == 1 and out == ""
+    assert {path.name for path in Path().iterdir()} == {"blows.wav", "old.png"}
+    assert Path("old.png").read_bytes() == b"old"
+
+
+def test_silence_is_drawn_without_impacts(tmp_path: Path, capsys: Any) -> None:
+    np.save(tmp_path / "silence.npy", np.zeros(20_000, np.float32))
+    arguments = ["plot", str(tmp_path / "silence.npy"), "--rate", "1e4", "-o", str(tmp_path / "a.png"), "--json"]
+    assert run(arguments) == 0
+    assert json.loads(capsys.readouterr().out)["impacts"] == 0
+
+
+def test_without_matplotlib_the_extra_is_named(wav: Path, monkeypatch: pytest.MonkeyPatch, capsys: Any) -> None:
+    import sys
+
+    monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
+    assert run(["plot", str(wav), "-o", str(wav.with_name("a.png"))]) == 69
+    assert "pip install 'cgid[plot]'" in capsys.readouterr().err
+
+
+def test_real_recordings(real_data: Path, tmp_path: Path, capsys: Any) -> None:
+    for name, more, least in (
+        ("bulk_ramp/screws_1.wav", [], 20),
+        ("shock/acc_base_a0.txt", ["--kind", "pulse"], 1),
+    ):
+        assert run(["plot", str(real_data / name), "-o", str(tmp_path / "a.png"), "--overwrite", "--json", *more]) == 0
+        assert json.loads(capsys.readouterr().out)["impacts"] >= least

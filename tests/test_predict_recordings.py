@@ -1,0 +1,432 @@
+"""Recordings to answers: by blocks as at once, all channels in order of time, shares, turns, summaries, bad files."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.io import wavfile
+
+from cgid.cli.main import run
+from cgid.errors import BadData, InvalidValue
+from cgid.identification.answers import Answer, identify
+from cgid.identification.model import Model
+from cgid.identification.share import Share
+from cgid.identification.shutting import Turn
+from cgid.identification.stream_answers import (
+    Question,
+    identify_blocks,
+    identify_recording,
+    independence,
+    model_blocks,
+)
+from cgid.identification.watch import CavingWatch, ShareSettings
+from cgid.identification.windows import RunningVote, measure_windows
+from cgid.recordings import open_recording, read_recording
+from tests.streams_of_pulses import RATE, ROOT, stream, window_model
+
+LABELS = ["coal"] * 8 + ["gangue"] * 8
+
+
+@pytest.fixture(scope="module")
+def default_model() -> Model:
+    return Model.load(ROOT / "models" / "default.npz")
+
+
+@pytest.fixture(scope="module")
+def two_channels(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Coal, then gangue; on the second channel the other way round, between the impacts of the first."""
+    path = tmp_path_factory.mktemp("streams") / "two.npy"
+    first, second = stream(LABELS, 0.02, seed=1), np.roll(stream(LABELS[::-1], 0.02, seed=2), 1500)
+    np.save(path, np.stack([first, second]).astype(np.float32))
+    return path
+
+
+def lines_of(capsys: pytest.CaptureFixture[str]) -> list[dict]:
+    return [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+
+
+def of_kind(rows: list[dict], kind: str) -> list[dict]:
+    return [row for row in rows if row["kind"] == kind]
+
+
+# -- answers of a recording -------------------------------------------------------------------------------
+
+
+def test_answers_of_a_short_recording_are_those_of_its_signals(two_channels: Path, default_model: Model) -> None:
+    found = list(identify_recording(open_recording(two_channels, sampling_rate=RATE, unit="N"), default_model))
+    assert [answer.time for answer in found] == sorted(answer.time for answer in found)
+    assert len(found) == 32
+    for signal in read_recording(two_channels, sampling_rate=RATE, unit="N"):
+        alone = identify(signal, default_model)
+        own = [answer for answer in found if answer.channel == signal.channel]
+        assert [answer.time for answer in own] == [answer.time for answer in alone]
+        for answer, other in zip(own, alone, strict=True):
+            assert answer.label == other.label
+            assert answer.probabilities == pytest.approx(other.probabilities, abs=1e-12)
+            assert answer.end > answer.time
+
+
+@pytest.mark.parametrize("length", [37, 5000, 1 << 20])
+@pytest.mark.parametrize("batch", [1, 7, 256])
+def test_blocks_and_batches_change_nothing(two_channels: Path, default_model: Model, length: int, batch: int) -> None:
+    samples = np.load(two_channels)[:, :48_000].astype(float)
+    blocks = [samples[:, first : first + length] for first in range(0, samples.shape[1], length)]
+    question = Question(whole=0, batch=batch)
+    steps = list(identify_blocks(blocks, RATE, default_model, ("a", "b"), question))
+    (expected,) = identify_blocks([samples], RATE, default_model, ("a", "b"), Question(whole=1 << 30))
+    found = [answer for step in steps for answer in step.answers]
+    assert [(a.time, a.channel, a.label, a.end) for a in found] == [
+        (a.time, a.channel, a.label, a.end) for a in expected.answers
+    ]
+    for answer, other in zip(found, expected.answers, strict=True):
+        assert answer.probabilities == pytest.approx(other.probabilities, abs=1e-9)
+    untils = [step.until for step in steps]
+    assert untils == sorted(untils)
+    told = 0.0
+    for step in steps:  # no answer comes for what was said to be told
+        assert all(answer.time >= told for answer in step.answers)
+        told = step.until
+    assert told == pytest.approx(samples.shape[1] / RATE)
+
+
+def test_units_and_signs_become_the_models(tmp_path: Path, default_model: Model) -> None:
+    force = stream(LABELS[:4], 0.02)
+    answers = []
+    for name, samples, unit, how in (
+        ("n", force, "N", {}),
+        ("kn", force / 1e3, "kN", {}),
+        ("down", -force, "N", {"invert": True}),
+        ("striker", force / 2.5, "m/s^2", {"mass": 2.5}),
+    ):
+        np.save(tmp_path / f"{name}.npy", samples)
+        recording = open_recording(tmp_path / f"{name}.npy", sampling_rate=RATE, unit=unit)
+        answers.append([a.probabilities["coal"] for a in identify_recording(recording, default_model, **how)])
+    for other in answers[1:]:
+        assert other == pytest.approx(answers[0], rel=1e-6)
+
+
+def test_wrong_quantity_is_said_before_anything_is_read(tmp_path: Path, default_model: Model) -> None:
+    np.save(tmp_path / "v.npy", np.zeros(100))
+    recording = open_recording(tmp_path / "v.npy", sampling_rate=RATE, unit="V")
+    with pytest.raises(BadData, match=r"v.npy: the quantity must be the model's, force \[N\], got voltage \[V\]"):
+        model_blocks(recording, default_model, [0])
+
+
+def test_silent_channels_are_named_and_do_not_hide_the_others(default_model: Model) -> None:
+    force = stream(LABELS[:3], 0.02)
+    rng = np.random.default_rng(0)
+    samples = np.stack([force, rng.normal(0, 25, force.size), np.full(force.size, 3.0)])
+    for whole in (0, 1 << 30):
+        steps = list(identify_blocks([samples], RATE, default_model, ("1", "2", "3"), Question(whole=whole), "x"))
+        assert {answer.channel for step in steps for answer in step.answers} == {"1"}
+        silent = [message for step in steps for message in step.silent]
+        assert [message.split(":")[0] for message in silent] == ["x channel 2", "x channel 3"]
+        assert all("no impact" in message for message in silent)
+
+
+# -- windows ----------------------------------------------------------------------------------------------
+
+
+def noises(n_windows: int = 12) -> np.ndarray:
+    """Dull noise, then white noise, 0.1 s each a window at 8 kHz."""
+    rng = np.random.default_rng(4)
+    dull = np.cumsum(rng.normal(size=(2, 800 * n_windows // 2)), axis=1)
+    return np.concatenate([dull / np.abs(dull).max(), rng.normal(size=dull.shape) / 5], axis=1) / 2
+
+
+@pytest.mark.parametrize("n_channels", [1, 2])
+def test_windows_are_answered_by_their_vote(n_channels: int) -> None:
+    model, samples = window_model(n_channels), noises()
+    starts = np.arange(0, samples.shape[1] - 800 + 1, 400)
+    question = Question(vote_time=0.3)
+    blocks = [samples[:, first : first + 1000] for first in range(0, samples.shape[1], 1000)]
+    found = [a for s in identify_blocks(blocks, 8000.0, model, ("l", "r"), question) for a in s.answers]
+    groups = [("l+r", slice(0, 2))] if n_channels == 2 else [("l", slice(0, 1)), ("r", slice(1, 2))]
+    assert len(found) == len(groups) * len(starts)
+    for name, rows in groups:
+        own = [answer for answer in found if answer.channel == name]
+        windows = np.stack([samples[rows, start : start + 800] for start in starts])
+        raw = model.probabilities(measure_windows(windows, 8000.0, model.features))
+        logs = np.log(np.maximum(raw, 1e-6))
+        means = np.exp([logs[max(k - 4, 0) : k + 1].mean(axis=0) for k in range(len(starts))])
+        expected = means / means.sum(axis=1, keepdims=True)  # five windows, half overlapping, last 0.3 s
+        assert [a.time for a in own] == pytest.approx(starts / 8000)
+        assert [a.end - a.time for a in own] == pytest.approx([0.1] * len(starts))
+        assert [a.probabilities["gangue"] for a in own] == pytest.approx(expected[:, 1], abs=1e-9)
+    assert RunningVote.over(0.3, 0.1, 0.05).n_windows == 5
+
+
+def test_windows_without_a_vote_stand_alone() -> None:
+    model, samples = window_model(), noises()
+    (step,) = identify_blocks([samples[:1]], 8000.0, model, ("1",), Question(vote_time=0.0))
+    assert [a.label for a in step.answers if a.end <= 0.6] == ["coal"] * 11
+    assert [a.label for a in step.answers if a.time >= 0.6] == ["gangue"] * 11
+
+
+def test_windows_of_silence_are_unknown_and_have_no_vote() -> None:
+    model, samples = window_model(hop_time=0.1), noises()[:1]
+    samples[:, 1600:3200] = 0.0
+    (step,) = identify_blocks([samples], 8000.0, model, ("1",), Question(vote_time=0.2))
+    (other,) = identify_blocks(
+        [np.delete(samples, np.s_[1600:3200], 1)], 8000.0, model, ("1",), Question(vote_time=0.2)
+    )
+    assert [a.label for a in step.answers[2:4]] == ["unknown"] * 2
+    assert "silent" in step.answers[2].problem
+    told = [a.probabilities for a in step.answers[:2] + step.answers[4:]]
+    for one, two in zip(told, (a.probabilities for a in other.answers), strict=True):
+        assert one == pytest.approx(two, abs=1e-12)
+
+
+def test_a_model_of_two_channels_asks_for_two() -> None:
+    with pytest.raises(BadData, match="channels must be 2, which this model looks at together, got 3"):
+        list(identify_blocks([noises()], 8000.0, window_model(2), ("1", "2", "3"), Question()))
+
+
+def test_votes_that_overlap_count_less() -> None:
+    assert independence(window_model(), 0.0) == pytest.approx(0.5)
+    assert independence(window_model(), 0.5) == pytest.approx(0.1)
+
+
+# -- shares and turns -------------------------------------------------------------------------------------
+
+
+def answers_at(times: np.ndarray, probabilities: np.ndarray, channel: str = "1") -> list[Answer]:
+    return [
+        Answer(time=t, label="x", probabilities={"coal": 1 - p, "gangue": p}, novelty=0.5, channel=channel)
+        for t, p in zip(times.tolist(), probabilities.tolist(), strict=True)
+    ]
+
+
+def test_watch_tells_the_same_however_answers_come(default_model: Model) -> None:
+    rng = np.random.default_rng(2)
+    times = np.sort(rng.uniform(0, 30, 400))
+    answers = answers_at(times, np.clip(rng.normal(times / 30, 0.2), 0, 1))
+    settings = ShareSettings(length=6.0, step=2.0, gangue_cost=1.5)
+
+    def told(portion: int) -> list:
+        watch = CavingWatch(default_model, ("1",), settings)
+        said = []
+        for first in range(0, len(answers), portion):
+            part = answers[first : first + portion]
+            said += watch.feed(part, part[-1].time)
+        return said + watch.finish(30.0)
+
+    whole = told(400)
+    assert told(1) == whole
+    shares = [one for one in whole if isinstance(one, Share)]
+    turns = [one for one in whole if isinstance(one, Turn)]
+    assert [share.time for share in shares] == pytest.approx(np.arange(2.0, 31.0, 2.0))
+    assert [turn.shut for turn in turns] == [True]
+    first_over = next(share for share in shares if share.share > 0.4)
+    assert turns[0].share is first_over or turns[0].share == first_over
+
+
+def test_what_lies_outside_of_the_training_has_no_share(default_model: Model) -> None:
+    strange = [
+        Answer(time=k / 10, label="unknown", probabilities={"coal": 0.0, "gangue": 1.0}, novelty=1.5) for k in range(20)
+    ]
+    watch = CavingWatch(default_model, ("1",), ShareSettings(length=5.0, step=5.0))
+    (share,) = watch.feed([*answers_at(np.array([0.05]), np.array([0.02])), *strange], 5.0)
+    assert (share.n_impacts, share.n_unknown) == (1, 20)
+
+
+@pytest.mark.parametrize(
+    ("settings", "says"),
+    [
+        ({"gangue": ("granite",)}, "gangue label must be one of 'coal', 'gangue', got 'granite'"),
+        ({"gangue": ("coal", "gangue")}, "gangue labels must leave another one"),
+        ({"length": 0.0}, "window must be above 0"),
+        ({"gangue_cost": -1.0}, "gangue_cost must be above 0"),
+    ],
+)
+def test_settings_of_shares_are_checked(settings, says, default_model: Model) -> None:
+    with pytest.raises(InvalidValue, match=says):
+        CavingWatch(default_model, ("1",), ShareSettings(**settings))
+
+
+# -- the command ------------------------------------------------------------------------------------------
+
+
+def test_predict_tells_impacts_shares_and_a_summary(two_channels: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    how = ["--rate", str(RATE), "--unit", "N", "--window", "0.16", "--gangue-cost", "2"]
+    assert run(["predict", str(two_channels), "--json", *how]) == 0
+    rows = lines_of(capsys)
+    assert {row["version"] for row in rows} == {2}
+    impacts = of_kind(rows, "impact")
+    assert [row["time_s"] for row in impacts] == sorted(row["time_s"] for row in impacts)
+    assert [row["impact"] for row in impacts if row["channel"] == "2"] == list(range(1, 17))
+    for channel, labels in (("1", LABELS), ("2", LABELS[::-1])):
+        own = [row["label"] for row in impacts if row["channel"] == channel]
+        assert np.mean([a == b for a, b in zip(own, labels, strict=True)]) > 0.9
+    shares = [row for row in of_kind(rows, "share") if row["channel"] == "1"]
+    assert [row["to_s"] for row in shares] == pytest.approx([0.08, 0.16, 0.24, 0.32])
+    assert shares[1]["gangue_share"] < 0.35 < 0.6 < shares[3]["gangue_share"]
+    assert all(row["low"] < row["gangue_share"] < row["high"] for row in shares)
+    (summary,) = of_kind(rows, "summary")
+    assert (summary["impacts"], summary["duration_s"]) == (32, pytest.approx(0.32))
+    assert sum(summary["labels"].values()) == 32
+
+    assert run(["predict", str(two_channels), *how]) == 0
+    text = capsys.readouterr().out.splitlines()
+    assert text[0].split() == ["time", "[s]", "label", "probability", "novelty", "source"]
+    assert sum("channel 1" in line and not line.startswith("#") for line in text) == 16
+    assert sum(line.startswith("# gangue share") for line in text) == 8
+    assert text[-1].startswith(f"# {two_channels}: 32 impacts: ")
+
+
+def test_predict_says_when_to_shut(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    np.save(tmp_path / "s.npy", stream(["coal"] * 14 + ["gangue"] * 14, 0.02).astype(np.float32))
+    arguments = ["predict", str(tmp_path / "s.npy"), "--rate", str(RATE), "--unit", "N", "--window", "0.24"]
+    assert run([*arguments, "--json"]) == 0
+    rows = lines_of(capsys)
+    (shut,) = of_kind(rows, "shut")
+    assert 0.28 < shut["time_s"] <= 0.56
+    assert shut["cost"] == pytest.approx(2 * shut["gangue_share"] - 1)
+    assert not of_kind(rows, "open")
+    before = [row for row in of_kind(rows, "share") if row["to_s"] < shut["time_s"]]
+    assert all(row["gangue_share"] < 0.5 for row in before)
+    assert run(arguments) == 0
+    assert sum(line.startswith("SHUT ") for line in capsys.readouterr().out.splitlines()) == 1
+
+
+def test_one_impact_has_neither_share_nor_summary_unasked(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    np.save(tmp_path / "one.npy", stream(["coal"], 0.02))
+    arguments = ["predict", str(tmp_path / "one.npy"), "--rate", str(RATE), "--unit", "N", "--json"]
+    assert run(arguments) == 0
+    assert [row["kind"] for row in lines_of(capsys)] == ["impact"]
+    assert run([*arguments, "--window", "1"]) == 0
+    assert [row["kind"] for row in lines_of(capsys)] == ["impact", "share"]
+
+
+def test_channels_are_chosen_by_several_options(two_channels: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    arguments = ["predict", str(two_channels), "--rate", str(RATE), "--unit", "N", "--json"]
+    assert run([*arguments, "--channel", "2"]) == 0
+    assert {row["channel"] for row in of_kind(lines_of(capsys), "impact")} == {"2"}
+    assert run([*arguments, "--channel", "2", "--channel", "1"]) == 0
+    assert {row["channel"] for row in of_kind(lines_of(capsys), "impact")} == {"1", "2"}
+
+
+def test_silent_channel_is_a_warning_and_silence_an_error(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    force = stream(LABELS[:3], 0.02)
+    quiet = np.random.default_rng(0).normal(0, 25, force.size)
+    how = ["--rate", str(RATE), "--unit", "N", "--json"]
+    np.save(tmp_path / "a.npy", np.stack([force, quiet]))
+    assert run(["predict", str(tmp_path / "a.npy"), *how]) == 0
+    out, err = capsys.readouterr()
+    (warning,) = of_kind([json.loads(line) for line in out.splitlines()], "warning")
+    assert "channel 2: no impact" in warning["message"]
+    assert "channel 2: no impact" in err
+    np.save(tmp_path / "b.npy", np.stack([quiet, quiet]))
+    assert run(["predict", str(tmp_path / "b.npy"), *how]) == 65
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert err.count("\n") == 1
+
+
+def test_truncated_wav_is_answered_with_a_warning(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    force = stream(LABELS[:4], 0.02)
+    wavfile.write(tmp_path / "w.wav", int(RATE), (force / np.abs(force).max() * 32767).astype(np.int16))
+    raw = (tmp_path / "w.wav").read_bytes()
+    (tmp_path / "cut.wav").write_bytes(raw[: len(raw) * 15 // 16 + 1])
+    assert run(["predict", str(tmp_path / "cut.wav"), "--unit", "kN", "--json"]) == 0
+    out, err = capsys.readouterr()
+    rows = [json.loads(line) for line in out.splitlines()]
+    assert len(of_kind(rows, "impact")) == 4
+    messages = [row["message"] for row in of_kind(rows, "warning")]
+    assert messages
+    assert all(message in err for message in messages)
+
+
+def test_strict_stops_at_the_first_file_that_fails(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    np.save(tmp_path / "good.npy", stream(["coal"], 0.02))
+    (tmp_path / "empty.csv").write_text("")
+    arguments = ["predict", str(tmp_path / "empty.csv"), str(tmp_path / "good.npy"), "--rate", str(RATE), "--unit", "N"]
+    for command in ("predict", "features"):
+        arguments[0] = command
+        assert run([*arguments, "--json"]) == 65
+        assert len(capsys.readouterr().out.splitlines()) == 1
+        assert run([*arguments, "--json", "--strict"]) == 65
+        out, err = capsys.readouterr()
+        assert out == ""
+        assert err.count("\n") == 1
+
+
+def test_recordings_of_two_quantities_have_two_models(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    force = stream(LABELS[:2], 0.02)
+    times = np.arange(force.size) / RATE
+    rows = [f"{t!r},{f!r},{f / 40!r}" for t, f in zip(times.tolist(), force.tolist(), strict=True)]
+    (tmp_path / "m.csv").write_text("time (s),hammer (N),beam (m/s^2)\n" + "\n".join(rows) + "\n")
+    assert run(["predict", str(tmp_path / "m.csv"), "--json"]) == 0
+    out, err = capsys.readouterr()
+    impacts = of_kind([json.loads(line) for line in out.splitlines()], "impact")
+    assert [row["in_training_range"] for row in impacts if row["channel"] == "hammer"] == [True, True]
+    assert {row["channel"] for row in impacts} == {"hammer", "beam"}
+    assert "25600 Hz" in err  # the model of vibrations was trained there
+
+
+def test_model_of_windows_answers_windows(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "m.npz").write_bytes(window_model(hop_time=0.1).to_bytes())
+    wavfile.write(tmp_path / "n.wav", 8000, noises(24).T.astype(np.float32))
+    arguments = ["predict", str(tmp_path / "n.wav"), "--model", str(tmp_path / "m.npz"), "--json", "--vote", "0"]
+    assert run([*arguments, "--window", "1.2"]) == 0
+    rows = lines_of(capsys)
+    windows = [row for row in of_kind(rows, "window") if row["channel"] == "1"]
+    assert [row["window"] for row in windows] == list(range(1, 25))
+    assert [row["label"] for row in windows] == ["coal"] * 12 + ["gangue"] * 12
+    assert {row["channel"] for row in of_kind(rows, "shut")} == {"1", "2"}
+    (summary,) = of_kind(rows, "summary")
+    assert summary["windows"] == 48
+    assert run([*arguments, "--gangue", "granite"]) == 65
+    assert "gangue label must be one of" in capsys.readouterr().err
+    wavfile.write(tmp_path / "short.wav", 8000, noises(12).T[:500].astype(np.float32))
+    arguments[1] = str(tmp_path / "short.wav")
+    assert run(arguments) == 65
+    assert "must last a window of 0.1 s" in capsys.readouterr().err
+
+
+def test_models_without_gangue_have_no_share(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    model = window_model(hop_time=0.1)
+    object.__setattr__(model, "labels", ("nut", "screw"))
+    (tmp_path / "m.npz").write_bytes(model.to_bytes())
+    wavfile.write(tmp_path / "n.wav", 8000, noises(12).T.astype(np.float32))
+    arguments = ["predict", str(tmp_path / "n.wav"), "--model", str(tmp_path / "m.npz"), "--json"]
+    assert run(arguments) == 0
+    assert {row["kind"] for row in lines_of(capsys)} == {"window", "summary"}
+    assert run([*arguments, "--gangue-cost", "2"]) == 65
+    assert "gangue label must be one of 'nut', 'screw'" in capsys.readouterr().err
+    assert run([*arguments, "--gangue", "screw"]) == 0
+    assert "share" in {row["kind"] for row in lines_of(capsys)}
+
+
+def test_report_is_a_page_of_all_files(tmp_path: Path, two_channels: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    pytest.importorskip("matplotlib")
+    page = tmp_path / "page.html"
+    arguments = ["predict", str(two_channels), str(ROOT / "datasets" / "sample.csv"), "--rate", str(RATE)]
+    arguments += ["--unit", "N", "--window", "0.1", "--report", str(page)]
+    assert run(arguments) == 0
+    rows = capsys.readouterr().out
+    text = page.read_text()
+    assert text.count("<table") == 2
+    assert text.count("<tr>") >= sum(not line.startswith(("#", "SHUT", "OPEN")) for line in rows.splitlines())
+    assert "two.npy" in text
+    assert run(arguments) == 73
+    assert "--overwrite" in capsys.readouterr().err
+    assert run([*arguments, "--overwrite"]) == 0
+    assert run([*arguments[:-1], str(tmp_path / "page.txt")]) == 73
+    assert "html" in capsys.readouterr().err
+
+
+def test_predicting_recordings_imports_nothing_heavy(two_channels: Path) -> None:
+    arguments = ["predict", str(two_channels), "--rate", str(RATE), "--unit", "N"]
+    code = (
+        f"import sys; from cgid.cli.main import run; run({arguments!r}); "
+        "heavy = ('numba', 'sklearn', 'pandas', 'scipy', 'matplotlib', 'h5py'); "
+        "print([x for x in heavy if x in sys.modules], file=sys.stderr)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert done.stderr.strip() == "[]"

@@ -1,0 +1,706 @@
+"""Training on recordings: windows, groups that are left out as a whole, references, mixed training, the command."""
+
+from __future__ import annotations
+
+import io
+import json
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy import signal as filters
+from scipy import stats
+from scipy.io import wavfile
+from sklearn.discriminant_analysis import LinearDiscriminantAnalysis
+
+from cgid import shipped
+from cgid.bands import MEL_BANDS
+from cgid.cli.main import run
+from cgid.errors import BadData, InvalidValue, NoInput
+from cgid.features import FEATURES, extract_array, supported
+from cgid.identification.adaptation import in_unit, shift, thinned
+from cgid.identification.annotated import Reading
+from cgid.identification.card import write_card
+from cgid.identification.classifier import ImpactClassifier
+from cgid.identification.clustered import clustered_interval
+from cgid.identification.feature_sets import FEATURE_SETS, sets_for
+from cgid.identification.grouped import Candidate, Rows, choose, judge, leave_groups_out, require_groups
+from cgid.identification.interval import wilson_interval
+from cgid.identification.manifest import read_manifest
+from cgid.identification.measuring import measure
+from cgid.identification.model import Model
+from cgid.identification.recorded import Recorded, Slicing, record
+from cgid.identification.recorded_training import train_recorded
+from cgid.identification.shrunken import ShrunkenDiscriminant
+from cgid.identification.training import train
+from cgid.identification.windows import Grid, RunningVote, measure_windows, windows_of
+from cgid.scene import Scene, synthesise
+from cgid.signals import Batch
+
+RATE = 8000
+#: Few, so that training takes no time.
+NAMES = ("window_level", "window_kurtosis", "window_centroid", "window_mel_856_hz", "window_zero_crossing_rate")
+
+
+def flow(label: str, seed: int, seconds: float = 1.0, n_channels: int = 1) -> np.ndarray:
+    """Return a second of rustle; the two labels differ in where they sound."""
+    noise = np.random.default_rng(seed).normal(size=(n_channels, round(seconds * RATE)))
+    band = {"coal": (300, 900), "gangue": (700, 1500)}[label]
+    return 0.1 * filters.sosfilt(filters.butter(2, band, "bandpass", fs=RATE, output="sos"), noise)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Six recordings of a second, two labels, and manifests of them."""
+    path = tmp_path_factory.mktemp("recordings")
+    rows = []
+    for number in range(6):
+        label = ("coal", "gangue")[number % 2]
+        np.save(path / f"{number}.npy", flow(label, number))
+        rows.append(f"{number}.npy,{label},{RATE},g\n")
+    (path / "good.csv").write_text("path,label,rate,unit\n" + "".join(rows))
+    (path / "gone.csv").write_text("path,label,rate,unit\n" + "".join(rows) + f"gone.npy,coal,{RATE},g\n")
+    (path / "alone.csv").write_text("path,label,rate,unit\n" + "".join(rows) + f"extra.npy,cole,{RATE},g\n")
+    (path / "one_group.csv").write_text("path,label,rate,unit,group\n" + "".join(f"{r.strip()},x\n" for r in rows))
+    (path / "one_label.csv").write_text("path,label,rate,unit\n" + "".join(rows[::2]))
+    np.save(path / "extra.npy", flow("coal", 99))
+    return path
+
+
+@pytest.fixture(scope="module")
+def recorded(folder: Path) -> Recorded:
+    return record(read_manifest(folder / "good.csv"), NAMES)
+
+
+# -- windows ----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("length", "hop"), [(50, 20), (50, 50), (30, 77), (7, 1)])
+def test_windows_are_the_same_in_blocks_of_any_size(length: int, hop: int) -> None:
+    samples = np.random.default_rng(0).normal(size=(2, 700))
+    starts = range(0, samples.shape[1] - length + 1, hop)
+    expected = np.stack([samples[:, start : start + length] for start in starts])
+    for size in (1, 3, 49, 50, 333, 700):
+        blocks = (samples[:, first : first + size] for first in range(0, samples.shape[1], size))
+        found = [(first, windows.copy()) for first, windows in windows_of(blocks, 1.0, length, hop)]
+        assert np.concatenate([first for first, _ in found]).tolist() == list(starts)
+        assert (np.concatenate([windows for _, windows in found]) == expected).all()
+
+
+def test_windows_wait_for_no_more_than_they_need() -> None:
+    """Each leaves with the block that completes it, and nothing but the next window is kept."""
+
+    def blocks() -> Iterator[np.ndarray]:
+        for number in range(1000):
+            given.append(number)
+            yield np.full((1, 10), float(number))
+
+    given: list[int] = []
+    for first, windows in windows_of(blocks(), 1.0, 25.0, 10.0):
+        assert first[-1] + 25 <= 10 * len(given) < first[-1] + 45
+        assert windows.base is None or windows.shape[0] * windows.shape[2] < 100
+
+
+def test_a_window_of_too_few_samples_is_refused() -> None:
+    with pytest.raises(InvalidValue, match="window_time must be at least 6 samples"):
+        Grid.at(1000.0, 0.003, 0.1)
+    with pytest.raises(InvalidValue, match="hop_time must be above 0"):
+        Grid.at(1000.0, 0.1, 0.0)
+
+
+def test_features_stand_channel_after_channel() -> None:
+    windows = np.random.default_rng(1).normal(size=(5, 2, 800))
+    measured = measure_windows(windows, RATE, NAMES)
+    for channel in range(2):
+        alone = extract_array(windows[:, channel], RATE, NAMES)
+        np.testing.assert_array_equal(measured[:, channel * len(NAMES) : (channel + 1) * len(NAMES)], alone)
+
+
+def test_running_vote_is_the_mean_of_logarithms_in_any_portions() -> None:
+    probabilities = np.random.default_rng(2).dirichlet(np.ones(3), 60)
+    whole = RunningVote(7).feed(probabilities)
+    for row in range(60):
+        slow = np.exp(np.log(probabilities[max(row - 6, 0) : row + 1]).mean(axis=0))
+        np.testing.assert_allclose(whole[row], slow / slow.sum(), rtol=1e-12)
+    vote = RunningVote(7)
+    portions = [vote.feed(part) for part in np.split(probabilities, [1, 4, 30])]
+    assert (np.concatenate(portions) == whole).all()
+
+
+# -- from files to rows -----------------------------------------------------------------------------------
+
+
+def test_rows_are_those_of_the_windows_of_each_file(folder: Path, recorded: Recorded) -> None:
+    assert len(recorded.labels) == 6 * 19
+    assert recorded.groups == tuple(str(folder / f"{number}.npy") for number in range(6))
+    samples = np.load(folder / "3.npy")[0]
+    own = recorded.piece == 3
+    np.testing.assert_allclose(recorded.time[own], 0.05 * np.arange(19), atol=1e-12)
+    alone = extract_array(np.stack([samples[400 * k : 400 * k + 800] for k in range(19)]), RATE, NAMES)
+    np.testing.assert_array_equal(recorded.features[own], alone)
+    assert set(recorded.labels[own]) == {"gangue"}
+
+
+def test_windows_lie_in_their_intervals_as_a_whole(folder: Path, tmp_path: Path) -> None:
+    text = f"path,label,start,end,rate,unit\n{folder}/0.npy,a,0.13,0.4,{RATE},g\n{folder}/0.npy,b,0.55,,{RATE},g\n"
+    (tmp_path / "m.csv").write_text(text)
+    rows = record(read_manifest(tmp_path / "m.csv"), NAMES)
+    samples = np.load(folder / "0.npy")[0]
+    starts = [0.13, 0.18, 0.23, 0.28, *np.arange(0.55, 0.901, 0.05)]
+    np.testing.assert_allclose(rows.time, starts, atol=1e-9)
+    assert rows.labels.tolist() == ["a"] * 4 + ["b"] * 8
+    frames = np.stack([samples[round(s * RATE) :][:800] for s in starts])
+    np.testing.assert_array_equal(rows.features, extract_array(frames, RATE, NAMES))
+    assert rows.groups == (str(folder / "0.npy"),)
+
+
+def test_gain_and_unit_are_made_up_for(folder: Path, tmp_path: Path, recorded: Recorded) -> None:
+    np.save(tmp_path / "louder.npy", 4 * 9.80665 * np.load(folder / "3.npy"))
+    (tmp_path / "m.csv").write_text(
+        f"path,label,rate,unit,gain\n{folder}/0.npy,coal,{RATE},g,\nlouder.npy,gangue,{RATE},m/s^2,4\n"
+    )
+    rows = record(read_manifest(tmp_path / "m.csv"), NAMES)
+    assert rows.unit == "g"
+    np.testing.assert_allclose(rows.features[rows.piece == 1], recorded.features[recorded.piece == 3], rtol=1e-9)
+
+
+def test_a_bad_file_stops_nobody_unless_strict(folder: Path) -> None:
+    rows = record(read_manifest(folder / "gone.csv"), NAMES)
+    assert len(rows.labels) == 6 * 19
+    assert [type(error) for error in rows.failures] == [NoInput]
+    with pytest.raises(NoInput, match=r"gone\.npy"):
+        record(read_manifest(folder / "gone.csv"), NAMES, reading=Reading(strict=True))
+
+
+def test_a_file_that_breaks_off_in_numbers_adds_no_row(folder: Path, tmp_path: Path) -> None:
+    broken = np.load(folder / "1.npy")
+    broken[0, 7000] = np.nan
+    np.save(tmp_path / "broken.npy", broken)
+    text = f"path,label,rate,unit\n{folder}/0.npy,coal,{RATE},g\nbroken.npy,gangue,{RATE},g\n"
+    (tmp_path / "m.csv").write_text(text)
+    rows = record(read_manifest(tmp_path / "m.csv"), NAMES)
+    assert set(rows.labels) == {"coal"}
+    assert "sample 7000" in str(rows.failures[0])
+
+
+@pytest.mark.parametrize(
+    ("row", "says"),
+    [
+        (f"2.npy,gangue,{RATE},N", "one quantity, got force [N] after acceleration [g]"),
+        (f"two.npy,gangue,{RATE},g", "as many channels each, got 2 after 1"),
+        ("2.npy,gangue,,g", "--rate HZ"),
+        (f"2.npy,gangue,{RATE},", "--unit U"),
+    ],
+)
+def test_recordings_that_do_not_fit_are_said(row: str, says: str, folder: Path) -> None:
+    np.save(folder / "two.npy", flow("coal", 5, n_channels=2))
+    (folder / "odd.csv").write_text(f"path,label,rate,unit\n0.npy,coal,{RATE},g\n{row}\n")
+    rows = record(read_manifest(folder / "odd.csv"), NAMES)
+    assert [says in str(error) for error in rows.failures] == [True]
+
+
+def test_copies_in_different_groups_are_refused(folder: Path) -> None:
+    (folder / "copy.npy").write_bytes((folder / "0.npy").read_bytes())
+    (folder / "copies.csv").write_text(f"path,label,rate,unit\n0.npy,coal,{RATE},g\ncopy.npy,coal,{RATE},g\n")
+    with pytest.raises(BadData, match="it holds the same as"):
+        record(read_manifest(folder / "copies.csv"), NAMES)
+
+
+def test_nothing_to_learn_from_is_said(folder: Path) -> None:
+    (folder / "none.csv").write_text("path,label,rate,unit\nno.npy,coal,8000,g\nnor.npy,gangue,8000,g\n")
+    with pytest.raises(BadData, match=r"none.csv: there must be a recording that can be read.*no\.npy"):
+        record(read_manifest(folder / "none.csv"), NAMES)
+    (folder / "short.csv").write_text(f"path,label,start,end,rate,unit\n0.npy,coal,0.1,0.15,{RATE},g\n")
+    with pytest.raises(BadData, match="must hold a window with a label"):
+        record(read_manifest(folder / "short.csv"), NAMES)
+
+
+def test_impacts_are_taken_where_they_are_annotated(tmp_path: Path) -> None:
+    generator, times = np.random.default_rng(3), np.arange(0, 0.1, 1 / 50e3)
+    samples = generator.normal(0, 1e-3, 150_000)
+    for start in (0.5, 1.0, 1.5, 2.0, 2.5):
+        first = round(start * 50e3)
+        samples[first : first + times.size] += np.exp(-times / 5e-3) * np.sin(2 * np.pi * 900 * times)
+    np.save(tmp_path / "hits.npy", samples)
+    text = "path,label,start,end,rate,unit\nhits.npy,coal,0,1.2,50000,g\nhits.npy,gangue,1.2,2.2,50000,g\n"
+    (tmp_path / "m.csv").write_text(text)
+    rows = record(read_manifest(tmp_path / "m.csv"), slicing=Slicing(by="impact"))
+    assert rows.labels.tolist() == ["coal"] * 2 + ["gangue"] * 2
+    np.testing.assert_allclose(rows.time, [0.5, 1.0, 1.5, 2.0], atol=1e-3)
+    assert rows.kind == "vibration"
+
+
+def test_sets_that_promise_it_are_free_of_the_gain() -> None:
+    windows = np.random.default_rng(5).normal(size=(2, 1, 4800))
+    for name, features in FEATURE_SETS["window"].items():
+        both = [measure_windows(factor * windows, 48e3, features) for factor in (1.0, 7.3)]
+        assert np.allclose(*both, rtol=1e-6, atol=1e-9) == name.endswith("level-free"), name
+    assert all(name.endswith("level-free") for name in sets_for("window", level_free=True))
+
+
+# -- groups -----------------------------------------------------------------------------------------------
+
+
+def rows_of(labels: np.ndarray, group: np.ndarray, features: np.ndarray) -> Rows:
+    names = tuple(f"window_mel_{centre:.0f}_hz" for centre in MEL_BANDS.centres[: features.shape[1]])
+    return Rows(names=names, features=features, labels=labels, group=group)
+
+
+def test_each_group_is_left_out_once_and_as_a_whole() -> None:
+    generator = np.random.default_rng(0)
+    for n_groups in (7, 33):
+        group = generator.integers(0, n_groups, 400)
+        labels = np.where(group % 2, "a", "b")
+        synthetic = np.arange(400) < 50
+        group[synthetic] = -1
+        folds = list(leave_groups_out(labels, group, 0))
+        assert len(folds) == min(n_groups, 20)
+        assert (np.sum(folds, axis=0) == ~synthetic).all()
+        for fold in folds:
+            assert not np.intersect1d(group[fold], group[~fold]).size
+
+
+def test_who_knows_the_recordings_by_heart_gains_nothing() -> None:
+    """Features that name the recording and nothing else: any window on both sides would be right."""
+    generator, group = np.random.default_rng(6), np.repeat(np.arange(12), 20)
+    labels = np.where(generator.permutation(12)[group] < 6, "coal", "gangue")
+    places = generator.normal(size=(12, 6))
+    rows = rows_of(labels, group, places[group] + 0.01 * generator.normal(size=(240, 6)))
+    candidate = Candidate(name="all", features=rows.names, family="linear")
+    probabilities = judge(rows, [candidate], None, 0).probabilities
+    hits = np.unique(labels)[np.argmax(probabilities, axis=1)] == labels
+    assert hits.mean() < 0.75
+    leaked = ImpactClassifier("linear", linear=tuple(range(6))).fit(rows.features[::2], labels[::2])
+    assert np.mean(leaked.predict(rows.features[1::2]) == labels[1::2]) > hits.mean() + 0.1
+
+
+def test_what_judges_has_no_part_in_what_is_chosen(monkeypatch: pytest.MonkeyPatch) -> None:
+    """No classifier that answers for a group, or that helps to choose for it, has seen a row of it."""
+    generator, group = np.random.default_rng(7), np.repeat(np.arange(6), 10)
+    labels = np.where(group % 2, "a", "b")
+    rows = rows_of(labels, group, np.column_stack([group, generator.normal(size=60) + group % 2]).astype(float))
+    seen: list[set[int]] = []
+    fit = ImpactClassifier.fit
+
+    def watched(self: ImpactClassifier, X: Any, y: Any, groups: Any = None) -> ImpactClassifier:
+        seen.append(set(X[:, 0].astype(int).tolist()))
+        return fit(self, X, y, groups)
+
+    monkeypatch.setattr(ImpactClassifier, "fit", watched)
+    judge(rows, [Candidate(name=str(k), features=rows.names, family="linear") for k in range(2)], None, 0)
+    # For each group: two candidates without each of the five others, then the best without the group alone.
+    assert len(seen) == 6 * (2 * 5 + 1)
+    for one in range(6):
+        assert all(one not in groups for groups in seen[11 * one : 11 * (one + 1)])
+        assert seen[11 * one + 10] == set(range(6)) - {one}
+
+
+def test_the_better_features_are_chosen_and_the_first_if_none_is() -> None:
+    generator, group = np.random.default_rng(8), np.repeat(np.arange(8), 25)
+    labels = np.where(group % 2, "a", "b")
+    features = generator.normal(size=(200, 3))
+    features[:, 1] += 3.0 * (group % 2)
+    rows = rows_of(labels, group, features)
+    candidates = [Candidate(name=name, features=(name,), family="linear") for name in rows.names]
+    choice = choose(rows, candidates, None, 0)
+    assert choice.best == 1
+    assert choice.accuracies[1] > 0.85 > 0.65 > max(choice.accuracies[0], choice.accuracies[2])
+    noise = replace(rows, features=generator.normal(size=(200, 3)))
+    assert choose(noise, [candidates[0], candidates[0]], None, 0).best == 0
+
+
+@pytest.mark.parametrize(
+    ("labels", "group", "says"),
+    [
+        (["a", "a"], [0, 1], "at least 2 labels"),
+        (["a", "b"], [0, 0], "at least 2 groups, one to train and one to judge, got 1"),
+        (["a", "b", "b"], [0, 1, 2], "label a must have recordings in at least 2 groups"),
+    ],
+)
+def test_too_few_groups_are_said(labels: list[str], group: list[int], says: str) -> None:
+    with pytest.raises(BadData, match=says):
+        require_groups(np.array(labels), np.array(group))
+
+
+def test_interval_counts_groups_where_they_decide() -> None:
+    group = np.repeat(np.arange(20), 50)
+    alike = np.repeat(np.arange(20) < 15, 50)
+    shrink = (stats.norm.ppf(0.975) / stats.t.ppf(0.975, 19)) ** 2
+    np.testing.assert_allclose(clustered_interval(alike, group), wilson_interval(0.75, 20), rtol=1e-12)
+    independent = np.random.default_rng(0).random(1000) < 0.75
+    low, high = clustered_interval(independent, group)
+    assert wilson_interval(0.75, 1000 * shrink)[0] - 0.02 < low < high < wilson_interval(0.75, 1000 * shrink)[1] + 0.02
+    assert clustered_interval(np.ones(1000, bool), group) == pytest.approx(wilson_interval(1.0, 20))
+    assert clustered_interval(independent, np.zeros(1000, int)) == (0.0, 1.0)
+
+
+def test_interval_holds_the_truth_as_often_as_it_says() -> None:
+    generator, group = np.random.default_rng(1), np.repeat(np.arange(15), 30)
+    held = 0
+    for _ in range(400):
+        shares = generator.beta(8, 2, 15)
+        low, high = clustered_interval(generator.random(450) < shares[group], group)
+        held += low <= 0.8 <= high
+    assert 0.91 < held / 400 < 0.99
+
+
+# -- the linear family ------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("shrinkage", [None, 0.3, 1.0])
+@pytest.mark.parametrize(("n_features", "n_labels"), [(5, 2), (40, 3), (90, 5)])
+def test_discriminant_is_that_of_scikit_learn(n_features: int, n_labels: int, shrinkage: float | None) -> None:
+    generator = np.random.default_rng(n_features)
+    labels = np.arange(200) % n_labels
+    rows = generator.normal(size=(200, n_features)) @ generator.normal(size=(n_features, n_features))
+    rows += labels[:, None] * generator.normal(size=n_features)
+    theirs = LinearDiscriminantAnalysis(solver="lsqr", shrinkage="auto" if shrinkage is None else shrinkage)
+    expected = theirs.fit(rows, labels).decision_function(rows)
+    found = ShrunkenDiscriminant(shrinkage).fit(rows, labels)
+    np.testing.assert_allclose(found.decision_function(rows), expected, atol=1e-6 * np.abs(expected).max())
+    assert (found.predict(rows) == theirs.predict(rows)).all()
+    np.testing.assert_allclose(found.covariance_, theirs.covariance_, atol=1e-9 * np.abs(theirs.covariance_).max())
+
+
+def test_weights_make_up_for_how_often_a_label_comes() -> None:
+    """Weighting a label by three is having three of each of its rows."""
+    generator = np.random.default_rng(9)
+    labels = np.repeat(["coal", "gangue"], [300, 100])
+    features = generator.normal(size=(400, 2)) + (labels == "gangue")[:, None]
+    thrice = np.repeat(np.arange(400), np.where(labels == "gangue", 3, 1))
+    settings = {"linear": (0, 1), "calibration_folds": 0}
+    for family in ("logistic", "boosting", "discriminant"):
+        weighted = ImpactClassifier(family, class_weight={"gangue": 3.0}, **settings)
+        weighted.fit(features, labels)
+        # The same columns on both sides: the standardiser sees the rows, not their weights.
+        repeated = ImpactClassifier(family, **settings)
+        repeated.standardiser_ = weighted.standardiser_
+        assert np.mean(weighted.predict(features) == "gangue") > np.mean(
+            repeated.fit(features, labels).predict(features) == "gangue"
+        )
+    balanced = ImpactClassifier("linear", class_weight="balanced", **settings).fit(features, labels)
+    equal = ImpactClassifier("linear", class_weight={"gangue": 3.0}, **settings).fit(features, labels)
+    np.testing.assert_allclose(balanced.predict_proba(features), equal.predict_proba(features), rtol=1e-9)
+    counts = np.unique(balanced.predict(features[thrice]), return_counts=True)[1] / len(thrice)
+    assert abs(counts[0] - 0.5) < 0.08
+
+
+# -- training ---------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def model(recorded: Recorded) -> Model:
+    return train_recorded(recorded, features=NAMES).model
+
+
+def test_training_says_how_windows_recordings_and_votes_did(recorded: Recorded) -> None:
+    training = train_recorded(recorded, features=NAMES)
+    metrics, model = training.metrics, training.model
+    assert metrics["accuracy"] > 0.8
+    assert metrics["recordings"]["n"] == 6
+    assert [row["label"] for row in metrics["recordings"]["rows"]] == ["coal", "gangue"] * 3
+    half, whole = metrics["running"]
+    assert (half["n"], half["n_too_short"], whole["n"]) == (6 * (19 - 8), 0, 6)
+    assert half["accuracy"] >= metrics["accuracy"]
+    assert (model.kind, model.window_time, model.hop_time, model.n_channels) == ("window", 0.1, 0.05, 1)
+    card = write_card(model, "m.npz")
+    assert f"{metrics['accuracy']:.4f} (95 % interval" in card
+    assert "running vote over 0.5 s" in card
+    assert "| 0.npy | coal |" in card
+
+
+def test_shuffled_labels_of_recordings_score_at_chance(tmp_path: Path) -> None:
+    rows = []
+    for number in range(8):
+        label = ("coal", "gangue")[number % 2]
+        np.save(tmp_path / f"{number}.npy", flow(label, number, 0.5))
+        rows.append(f"{number}.npy,{label},{RATE},g\n")
+    (tmp_path / "m.csv").write_text("path,label,rate,unit\n" + "".join(rows))
+    shuffled = record(read_manifest(tmp_path / "m.csv"), NAMES)
+    accuracies = [
+        train_recorded(shuffled, features=NAMES, shuffle_labels=True, seed=seed).metrics["accuracy"]
+        for seed in range(4)
+    ]
+    assert np.mean(accuracies) < 0.65
+
+
+def test_model_of_windows_survives_its_file(model: Model, recorded: Recorded, tmp_path: Path) -> None:
+    (tmp_path / "m.npz").write_bytes(model.to_bytes())
+    loaded = Model.load(tmp_path / "m.npz")
+    assert loaded.header == model.header
+    np.testing.assert_array_equal(loaded.probabilities(recorded.features), model.probabilities(recorded.features))
+    assert (loaded.novelty(recorded.features) < 1.2).all()
+    assert loaded.novelty(recorded.features + 1e3).min() > 1
+
+
+def test_models_of_version_2_still_load(tmp_path: Path) -> None:
+    path = shipped.path_of("models", shipped.DEFAULT_MODEL)
+    whole = Model.load(path)
+    assert (whole.n_channels, whole.window_time, whole.sensors) == (1, 0.0, ())
+    new = ("window_time", "hop_time", "n_channels", "sensors")
+    header = {name: value for name, value in whole.header.items() if name not in new} | {"schema_version": 2}
+    stream = io.BytesIO()
+    np.savez(stream, header=np.frombuffer(json.dumps(header).encode(), np.uint8), **whole.arrays)
+    (tmp_path / "old.npz").write_bytes(stream.getvalue())
+    assert Model.load(tmp_path / "old.npz").header == whole.header
+
+
+def test_a_model_without_windows_must_not_say_their_length() -> None:
+    with pytest.raises(BadData, match="window_time and hop_time must be 0"):
+        replace(Model.load(shipped.path_of("models", shipped.DEFAULT_MODEL)), window_time=0.1, hop_time=0.1)
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        ({"window_time": 0.0}, "must be above 0"),
+        ({"hop_time": 1e9}, "at most 60 s"),
+        ({"n_channels": 2}, "must have shape"),
+        ({"sensors": ("a",)}, "reference.spectra must be there"),
+    ],
+)
+def test_windows_that_cannot_be_are_refused(change: dict[str, Any], says: str, model: Model) -> None:
+    with pytest.raises((BadData, InvalidValue), match=says):
+        replace(model, **change)
+
+
+def test_two_channels_are_looked_at_together(tmp_path: Path) -> None:
+    """Neither channel alone knows the label, both together do: it is whether they are equally loud."""
+    generator, rows = np.random.default_rng(11), []
+    for number in range(8):
+        loudness = np.exp(generator.normal(size=40)).repeat(RATE // 10)
+        second = loudness if number % 2 else loudness[::-1]
+        samples = generator.normal(size=(2, loudness.size)) * [loudness, second]
+        np.save(tmp_path / f"{number}.npy", samples)
+        rows.append(f"{number}.npy,{('unlike', 'alike')[number % 2]},{RATE},g\n")
+    (tmp_path / "m.csv").write_text("path,label,rate,unit\n" + "".join(rows))
+    both = record(read_manifest(tmp_path / "m.csv"), ["window_level"], slicing=Slicing(hop_time=0.1))
+    assert both.n_channels == 2
+    training = train_recorded(both, features=["window_level"], families=["discriminant"])
+    assert training.metrics["accuracy"] > 0.8
+    assert training.model.inputs == ("window_level of channel 1", "window_level of channel 2")
+    one = replace(both, features=both.features[:, :1], n_channels=1)
+    assert train_recorded(one, features=["window_level"], families=["discriminant"]).metrics["accuracy"] < 0.7
+
+
+def test_leave_one_recording_out_on_real_bulk(real_data: Path, tmp_path: Path) -> None:
+    """The set that comes first, without choosing: choosing takes a minute (`cgid train` does it)."""
+    files = sorted((real_data / "bulk_ramp").glob("*.wav"))
+    table = "".join(f"{file},{file.stem[:-2]},1\n" for file in files)
+    (tmp_path / "m.csv").write_text("path,label,channel\n" + table)
+    features = supported(FEATURE_SETS["window"]["even bands and shape"], 44_100.0, 4410)
+    rows = record(read_manifest(tmp_path / "m.csv"), features, slicing=Slicing(hop_time=0.1))
+    assert len(rows.groups) == 15
+    hits = []
+    for fold in leave_groups_out(rows.labels, rows.group, 0):
+        linear = tuple(k for k, name in enumerate(rows.names) if FEATURES[name].linear)
+        classifier = ImpactClassifier("linear", linear=linear, calibration_folds=0)
+        classifier.fit(rows.features[~fold], rows.labels[~fold])
+        hits.append(classifier.predict(rows.features[fold]) == rows.labels[fold])
+    assert np.concatenate(hits).mean() >= 0.87
+
+
+# -- reference runs ---------------------------------------------------------------------------------------
+
+
+def test_reference_runs_make_up_for_another_sensor(tmp_path: Path) -> None:
+    """What a second sensor with another response hears is measured as by the mean of both."""
+    dull = filters.butter(2, 400, fs=RATE, output="sos")
+    ways = {"bright": lambda x: x, "dull": lambda x: 2 * filters.sosfilt(dull, x)}
+    rows, flows = [], {label: flow(label, 21, 3.0) for label in ("coal", "gangue")}
+    run_of_both = np.random.default_rng(22).normal(size=(1, 6 * RATE))
+    for sensor, heard in ways.items():
+        np.save(tmp_path / f"{sensor}_run.npy", heard(run_of_both))
+        rows.append(f"{sensor}_run.npy,,{RATE},g,{sensor},yes\n")
+        for label, samples in flows.items():
+            np.save(tmp_path / f"{sensor}_{label}.npy", heard(samples))
+            rows.append(f"{sensor}_{label}.npy,{label},{RATE},g,{sensor},no\n")
+    head = "path,label,rate,unit,sensor,reference\n"
+    (tmp_path / "m.csv").write_text(head + "".join(rows))
+    bands = tuple(f"window_mel_{centre:.0f}_hz" for centre in MEL_BANDS.centres[2:12])
+    cured = record(read_manifest(tmp_path / "m.csv"), bands)
+    plain = [row.replace("bright,no", ",").replace("dull,no", ",") for row in rows if "yes" not in row]
+    (tmp_path / "plain.csv").write_text(head + "".join(plain))
+    left = record(read_manifest(tmp_path / "plain.csv"), bands)
+    assert sorted(cured.references) == ["bright", "dull"]
+
+    def apart(table: Recorded) -> float:
+        """Return by how many dB the sensors differ over the same flows, in the mean over bands."""
+        own = np.array([table.pieces[piece].startswith("bright") for piece in table.piece])
+        return 10 * float(np.abs(table.features[own].mean(axis=0) - table.features[~own].mean(axis=0)).mean())
+
+    assert apart(left) > 3
+    assert apart(cured) < 0.15 * apart(left)
+    model = train_recorded(cured, features=bands).model
+    (tmp_path / "m.npz").write_bytes(model.to_bytes())
+    loaded = Model.load(tmp_path / "m.npz")
+    (equalisation,) = loaded.equalisation("dull")
+    own = cured.piece == cured.pieces.index("dull_coal.npy")
+    (frames,) = [w for _, w in windows_of([np.load(tmp_path / "dull_coal.npy")], RATE, 0.1, 0.05)]
+    np.testing.assert_array_equal(measure_windows(frames, RATE, bands, [equalisation]), cured.features[own])
+    with pytest.raises(InvalidValue, match="sensor must be one of 'bright', 'dull'"):
+        loaded.equalisation("deaf")
+    for harm in (loaded.arrays["reference.spectra"] * 100, loaded.arrays["reference.spectra"][:, :, 1:]):
+        with pytest.raises((BadData, InvalidValue)):
+            replace(loaded, arrays={**loaded.arrays, "reference.spectra": harm})
+
+
+def test_a_reference_run_that_cannot_be_read_stops_all(folder: Path) -> None:
+    text = f"path,label,rate,unit,sensor,reference\nno.npy,,{RATE},g,s,yes\n0.npy,coal,{RATE},g,s,no\n"
+    (folder / "run.csv").write_text(text)
+    with pytest.raises(NoInput, match=r"no\.npy"):
+        record(read_manifest(folder / "run.csv"), NAMES)
+
+
+# -- mixed training ---------------------------------------------------------------------------------------
+
+
+def test_levels_are_moved_onto_those_of_the_recordings() -> None:
+    generator = np.random.default_rng(12)
+    names = ("level_1000_hz", "decay_time", "relative_level_1000_hz")
+    labels = np.array(["coal"] * 50 + ["gangue"] * 150 + ["coal"] * 90 + ["gangue"] * 10)
+    synthetic = np.arange(300) >= 200
+    features = generator.normal(size=(300, 3)) * 1e-3 + (labels == "gangue")[:, None]
+    features[synthetic] += [2.5, 1.0, -0.5]
+    np.testing.assert_allclose(shift(names, features, labels, synthetic), [-2.5, 0.0, 0.5], atol=2e-3)
+    with pytest.raises(BadData, match="a label in common"):
+        shift(names, features, np.where(synthetic, "shale", "coal"), synthetic)
+
+
+def test_synthetic_rows_never_outnumber_those_of_their_label() -> None:
+    labels = np.repeat(["coal", "gangue", "shale"], [100, 3, 50])
+    kept = thinned(labels, np.repeat(["coal", "gangue"], [20, 10]), 0)
+    assert dict(zip(*np.unique(labels[kept], return_counts=True), strict=True)) == {"coal": 20, "gangue": 3}
+
+
+def vibrations(labels: np.ndarray, seed: int, gain: float = 1.0, noise: float = 1e-3) -> Batch:
+    """Return single blows: gangue rings higher than coal."""
+    generator, times = np.random.default_rng(seed), np.arange(2048) / 20e3 - 0.01
+    middle = np.where(labels == "gangue", 1250.0, 1000.0) * np.exp(generator.normal(0, 0.1, len(labels)))
+    ringing = np.sin(2 * np.pi * middle[:, None] * times) * np.exp(-times / 0.01) * (times > 0)
+    rustle = generator.normal(0, 1, ringing.shape)
+    return Batch(
+        signals=gain * (ringing * np.exp(generator.normal(0, 0.3, (len(labels), 1))) + noise * rustle),
+        labels=labels,
+        sampling_rate=20e3,
+        unit="m/s^2",
+        pre_trigger=200,
+        specimen=np.arange(len(labels), dtype=np.uint64),
+    )
+
+
+def test_a_scene_teaches_what_four_recordings_do_not(tmp_path: Path) -> None:
+    """Few blows were recorded, with another gain and unit; many synthetic ones help when they are moved."""
+    rows = []
+    for number in range(4):
+        label = ("coal", "gangue")[number % 2]
+        batch = vibrations(np.array([label] * 6), number, gain=0.02 / 9.80665, noise=0.0)
+        blows = np.pad(batch.signals[:, 200:], ((0, 0), (3000, 2000))).ravel()
+        hum = np.random.default_rng(number).normal(0, 0.02e-3 / 9.80665, blows.size)
+        np.save(tmp_path / f"{number}.npy", blows + hum)
+        rows.append(f"{number}.npy,{label},20000,g\n")
+    (tmp_path / "m.csv").write_text("path,label,rate,unit\n" + "".join(rows))
+    names = ("level_800_hz", "level_1000_hz", "level_1250_hz", "level_1600_hz", "level_total")
+    few = record(read_manifest(tmp_path / "m.csv"), names, slicing=Slicing(by="impact"))
+    assert len(few.labels) == 24
+    scene = vibrations(np.array(["coal", "gangue"] * 200), 99)
+    synthetic = measure(in_unit([scene], few.unit, names), names)
+    assert synthetic.unit == "g"
+    training = train_recorded(few, features=names, synthetic=synthetic)
+    told = training.model.training["recorded"]["synthetic"]
+    assert told["n"] == 24
+    # A gain of 0.02 is -34 dB; both are in g.
+    assert told["moved_db"]["level_total"] == pytest.approx(20 * np.log10(0.02), abs=2.5)
+    assert training.metrics["n_impacts"] == 24
+    assert training.metrics["accuracy"] >= told["accuracy_without"] - 0.05
+    assert "24 synthetic impacts teach" in write_card(training.model, "m.npz")
+    with pytest.raises(BadData, match="label shale of the scene"):
+        train_recorded(few, features=names, synthetic=replace(synthetic, labels=np.full(400, "shale")))
+    with pytest.raises(InvalidValue, match="feature peak_amplitude must be left out"):
+        list(in_unit([scene], "V", ["level_total", "peak_amplitude"]))
+
+
+# -- the command ------------------------------------------------------------------------------------------
+
+FEW = ["--features", ",".join(NAMES)]
+
+
+def test_manifest_is_trained_on_from_the_command_line(folder: Path, tmp_path: Path, capsys: Any) -> None:
+    model = tmp_path / "m.npz"
+    assert run(["train", str(folder / "good.csv"), "-o", str(model), *FEW, "--json"]) == 0
+    out = json.loads(capsys.readouterr().out)
+    assert out["recordings"]["n"] == 6
+    assert [row["time"] for row in out["running"]] == [0.5, 1.0]
+    assert run(["train", str(folder / "good.csv"), "-o", str(model), *FEW, "--overwrite"]) == 0
+    said = capsys.readouterr().out
+    assert f"accuracy {out['accuracy']:.4f} (95 % interval" in said
+    assert "vote of a recording" in said
+    assert "0.npy: coal" in said
+    assert Model.load(model).labels == ("coal", "gangue")
+    assert (tmp_path / "m.md").exists()
+
+
+def test_a_file_that_is_gone_is_said_and_the_model_is_written(folder: Path, tmp_path: Path, capsys: Any) -> None:
+    arguments = ["train", str(folder / "gone.csv"), "-o", str(tmp_path / "m.npz"), *FEW]
+    assert run([*arguments, "--strict"]) == 66
+    assert not (tmp_path / "m.npz").exists()
+    capsys.readouterr()
+    assert run(arguments) == 66
+    assert capsys.readouterr().err.count("gone.npy") == 1
+    assert Model.load(tmp_path / "m.npz").training["recorded"]["failures"]
+
+
+@pytest.mark.parametrize(
+    ("manifest", "more", "says"),
+    [
+        ("alone.csv", [], "label cole must have recordings in at least 2 groups"),
+        ("one_group.csv", [], "at least 2 groups"),
+        ("one_label.csv", [], "at least 2 labels"),
+        ("good.csv", ["--test-share", "0.5"], "--test-share must be left out"),
+        ("good.csv", ["--window", "0"], "window_time must be above 0"),
+        ("good.csv", ["--class-weights", "cole=2"], "label of class_weights must be one of"),
+        ("good.csv", ["--class-weights", "coal:2"], "--class-weights must be balanced"),
+        ("good.csv", ["--by", "impact"], "features must be those of the impact"),
+        ("good.csv", ["reference"], "give --by impact"),
+        ("good.csv", ["one_label.csv"], "there must be one manifest"),
+    ],
+)
+def test_bad_manifests_are_one_line(
+    manifest: str, more: list[str], says: str, folder: Path, tmp_path: Path, capsys: Any, monkeypatch: Any
+) -> None:
+    monkeypatch.chdir(folder)
+    assert run(["train", manifest, *more, "-o", str(tmp_path / "m.npz"), *FEW]) == 65
+    err = capsys.readouterr().err
+    assert says in err
+    assert len(err.splitlines()) == 1
+    assert not (tmp_path / "m.npz").exists()
+
+
+def test_options_of_recordings_need_recordings(tmp_path: Path, capsys: Any) -> None:
+    assert run(["train", "reference", "--strict", "-o", str(tmp_path / "m.npz")]) == 65
+    assert "--strict must be left out, there is no manifest" in capsys.readouterr().err
+
+
+def test_class_weights_count_for_scenes_too(reference_scene: Scene) -> None:
+    share = {}
+    for weight in (1.0, 5.0):
+        training = train(synthesise(reference_scene, 800), class_weights={"gangue": weight})
+        share[weight] = training.metrics["recall"]["gangue"]
+    assert share[5.0] > share[1.0]
+    assert training.model.training["class_weights"] == {"gangue": 5.0}
+
+
+def test_wav_of_a_stranger_is_trained_on(tmp_path: Path) -> None:
+    rows = []
+    for number in range(4):
+        label = ("coal", "gangue")[number % 2]
+        samples = (flow(label, number, n_channels=2).T * 2**15).astype(np.int16)
+        wavfile.write(tmp_path / f"{number}.wav", RATE, samples)
+        rows.append(f"{number}.wav,{label}\n")
+    (tmp_path / "m.csv").write_text("path,label\n" + "".join(rows))
+    model = tmp_path / "m.npz"
+    assert run(["train", str(tmp_path / "m.csv"), "-o", str(model), *FEW, "--channel", "1", "--channel", "2"]) == 0
+    assert (Model.load(model).n_channels, Model.load(model).unit) == (2, "FS")

@@ -1,0 +1,784 @@
+"""Recordings by blocks: the same numbers as all at once, in flat memory; damaged ones; streams that never end."""
+
+import io
+import os
+import struct
+import tracemalloc
+from datetime import datetime
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.io import wavfile
+
+from cgid.errors import BadData, CgidError, InvalidValue, MissingOption
+from cgid.recordings import lvm as lvm_files
+from cgid.recordings import open_recording, read_recording, rows, text
+from cgid.recordings.live import live_stream
+
+
+@pytest.fixture
+def write(tmp_path):
+    def written(content, name="recording"):
+        file = tmp_path / name
+        file.write_bytes(content.encode() if isinstance(content, str) else content)
+        return file
+
+    return written
+
+
+@pytest.fixture
+def small_pieces(monkeypatch):
+    """Text is read by pieces of a few rows, as if the file were long."""
+
+    def shortened(size=200):
+        for module in (rows, text, lvm_files):
+            monkeypatch.setattr(module, "PIECE", size)
+
+    return shortened
+
+
+def whole(recording, length=1000):
+    return np.concatenate(list(recording.blocks(length)), axis=1)
+
+
+def peak_memory(recording):
+    tracemalloc.start()
+    try:
+        n_samples = sum(block.shape[1] for block in recording.blocks())
+        return n_samples, tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+
+
+# ---- text by pieces ----
+
+
+@settings(deadline=None, max_examples=40)
+@given(
+    seed=st.integers(0, 10**6),
+    n_samples=st.integers(60, 300),
+    size=st.integers(60, 900),
+    length=st.sampled_from([1, 7, 100, 10**6]),
+    comma=st.booleans(),
+    comments=st.booleans(),
+    encoding=st.sampled_from(["utf-8", "utf-16", "gbk"]),
+)
+def test_text_by_pieces_is_the_text_at_once(tmp_path_factory, seed, n_samples, size, length, comma, comments, encoding):
+    random = np.random.default_rng(seed)
+    table = random.normal(size=(n_samples, 2)).round(6)
+    lines = [f"{k / 1000:.3f};{a};{b}" for k, (a, b) in enumerate(table.tolist())]
+    if comma:
+        lines = [line.replace(".", ",") for line in lines]
+    if comments:
+        lines[30:30] = ["# a remark, in between", "", "% another one"]
+    path = tmp_path_factory.mktemp("text") / "long.csv"
+    path.write_bytes("\n".join(["时间 (s);左 (g);right (m/s^2)", *lines, ""]).encode(encoding))
+    with pytest.MonkeyPatch.context() as patch:
+        for module in (rows, text):
+            patch.setattr(module, "PIECE", size)
+        recording = open_recording(path)
+        blocks = list(recording.blocks(length))
+        (second,) = read_recording(path, channel="right")
+    assert max(block.shape[1] for block in blocks) <= length
+    assert np.array_equal(np.concatenate(blocks, axis=1), table.T)
+    assert second.samples.tolist() == table[:, 1].tolist()
+    assert recording.sampling_rate == pytest.approx(1000, rel=1e-9)
+    assert [(channel.name, channel.unit) for channel in recording.channels] == [("左", "g"), ("right", "m/s^2")]
+
+
+def long_text(n_samples=300, rate=44100, digits=6):
+    return ["t (s),a (g)", *(f"{k / rate:.{digits}f},{k % 7}" for k in range(n_samples))]
+
+
+def test_rate_of_a_long_text_is_that_of_its_ends(write, small_pieces):
+    small_pieces(6000)
+    # 500 samples of times rounded to 1 us tell the rate to 1e-4, both ends of 3000 tell it to 1.5e-5.
+    recording = open_recording(write("\n".join(long_text(3000))))
+    assert recording.sampling_rate == pytest.approx(44100, rel=1.5e-5)
+    assert whole(recording).shape == (1, 3000)
+    # Coarser digits leave the number of samples open; then the rate is at least not worse than the beginning tells.
+    recording = open_recording(write("\n".join(long_text(3000, digits=5))))
+    assert recording.sampling_rate == pytest.approx(44100, rel=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("at", "row", "words"),
+    [
+        (250, "0.1,oops", ["sample 249", "line 251", "'oops'"]),
+        (250, "0.005646258", ["sample 249", "line 251", "has 1"]),
+        (250, "0.005660,2", ["even steps to 1 %, sample 25", "resample"]),
+        (250, "0.001,2", ["increase", "sample 249"]),
+        (300, "0.0068,", ["sample 299", "line 301", "column 2 is empty"]),
+    ],
+)
+def test_faults_far_behind_the_first_piece_are_told_by_their_place(write, small_pieces, at, row, words):
+    small_pieces(600)
+    lines = long_text()
+    lines[at] = row
+    recording = open_recording(write("\n".join(lines) + "\n"))
+    with pytest.raises(BadData) as caught:
+        whole(recording)
+    assert [word for word in words if word not in str(caught.value)] == []
+
+
+def test_gap_between_pieces_is_found(write, small_pieces):
+    lines = long_text()
+    del lines[40:42]
+    for size in range(500, 700, 7):
+        small_pieces(size)
+        with pytest.raises(BadData, match="even steps to 1 %, sample 39"):
+            whole(open_recording(write("\n".join(lines) + "\n")))
+
+
+def test_decimal_mark_may_come_late_but_never_both(write, small_pieces):
+    small_pieces(100)
+    zeros = ["0;0"] * 100
+    assert whole(open_recording(write("\n".join([*zeros, "1,5;2", ""])), sampling_rate=1))[:, -1].tolist() == [1.5, 2]
+    recording = open_recording(write("\n".join([*zeros, "1.5;2", *zeros, "1,5;2", ""])), sampling_rate=1)
+    with pytest.raises(BadData, match=r"sample 201 \(line 202\) column 1 is '1,5'"):
+        whole(recording)
+
+
+def test_line_without_end_is_no_row(write, small_pieces):
+    with pytest.raises(BadData, match="columns"):
+        open_recording(write("1," * 2_000_000))
+    with pytest.raises(BadData, match="at most 262144 characters"):
+        whole(open_recording(write("1,2\n" * 10 + "1" * 3_000_000), sampling_rate=1))
+
+
+@pytest.mark.parametrize(
+    ("header", "rate"),
+    [
+        ("# Sampling interval: 20 us", 5e4),
+        ("dt = 1e-3", 1000),
+        ("Delta_X;0.5", 2),
+        ("采样率：51.2 kHz", 51200),
+        ("采样间隔（ms）：0.5", 2000),
+        ("Abtastrate: 10 kHz", 1e4),
+        ("# fs = 1000\n# sample rate: 1 kHz", 1000),
+    ],
+)
+def test_headers_that_give_the_rate(write, header, rate):
+    assert open_recording(write(f"{header}\n1\n2\n")).sampling_rate == pytest.approx(rate)
+
+
+def test_several_candidates_for_the_rate(write):
+    stated = "# sample rate: 1 kHz\n# fs: 2000 Hz\n"
+    with pytest.raises(BadData, match="1000 Hz and 2000 Hz"):
+        open_recording(write(stated + "1\n2\n"))
+    # Where times decide, one of them is borne out; where they contradict each other, none is.
+    assert open_recording(write(stated + "t,F\n0,1\n0.0005,2\n0.001,3\n")).sampling_rate == pytest.approx(2000)
+    two = "time a,a,time b,b\n0,1,0,5\n1,2,1,6\n2,3,2,7\n"
+    assert whole(open_recording(write(two))).tolist() == [[1, 2, 3], [5, 6, 7]]
+    with pytest.raises(BadData, match=r"'time a' gives 1 Hz and 'time b' 0\.5 Hz"):
+        open_recording(write("time a,a,time b,b\n0,1,0,5\n1,2,2,6\n2,3,4,7\n"))
+
+
+def test_start_time_of_a_text(write):
+    recording = open_recording(write("# Start time: 2026-03-04 10:11:12.5\nt,F\n0,1\n1,2\n"))
+    assert recording.start_time == datetime(2026, 3, 4, 10, 11, 12, 500000)
+
+
+@pytest.mark.parametrize(
+    ("header", "encoding", "names", "units"),
+    [
+        ("时间(s),振动加速度(m/s^2)", "gbk", ["振动加速度"], ["m/s^2"]),
+        ("时间（s），力（kN）", "gb18030", ["力"], ["kN"]),
+        ("t (s),Größe (µm)", "latin-1", ["Größe"], ["µm"]),
+        ("t (s),accélération (m/s²)", "latin-1", ["accélération"], ["m/s²"]),
+        ("t (s),Temperatur °C", "latin-1", ["Temperatur °C"], [None]),
+        ("t (µs),Ölfilm µ (µV)", "cp1252", ["Ölfilm µ"], ["µV"]),
+        ("時間 (s);加速度 (g)", "utf-8", ["加速度"], ["g"]),
+        ("时间 (s);力 (N)", "utf-16", ["力"], ["N"]),
+    ],
+)
+def test_headers_in_other_characters(write, header, encoding, names, units):
+    mark = ";" if ";" in header else ","
+    text = header + f"\n0{mark}1\n1{mark}2\n2{mark}5\n"
+    recording = open_recording(write(text.encode(encoding)))
+    # A single channel is called by its number, so what the header says is looked up by asking for it.
+    assert open_recording(write(text.encode(encoding)), channel=names[0]).channels == recording.channels
+    assert [channel.unit for channel in recording.channels] == units
+
+
+# ---- WAV ----
+
+
+def chunk(name, body):
+    return name + struct.pack("<I", len(body)) + body + b"\0" * (len(body) % 2)
+
+
+def wav_file(samples, *, before=b"", after=b"", size=None, outer=None, align=2, byte_rate=None, bits=16):
+    form = struct.pack("<HHIIHH", 1, 1, 1000, 1000 * align if byte_rate is None else byte_rate, align, bits)
+    data = b"data" + struct.pack("<I", len(samples) if size is None else size) + samples + b"\0" * (len(samples) % 2)
+    body = b"WAVE" + chunk(b"fmt ", form) + before + data + after
+    return b"RIFF" + struct.pack("<I", len(body) if outer is None else outer) + body
+
+
+WORDS = np.arange(1, 101, dtype="<i2")
+
+
+@pytest.mark.parametrize("subtype", ["PCM_U8", "PCM_16", "PCM_24", "PCM_32", "FLOAT", "DOUBLE"])
+@pytest.mark.parametrize("container", ["WAV", "WAVEX", "RF64", "RIFX"])
+def test_wav_is_what_libsndfile_reads(tmp_path, subtype, container):
+    soundfile = pytest.importorskip("soundfile")
+    path = tmp_path / "three.wav"
+    samples = np.random.default_rng(1).uniform(-0.99, 0.99, (1001, 3))
+    options = {"format": "WAV", "endian": "BIG"} if container == "RIFX" else {"format": container}
+    soundfile.write(path, samples, 44100, subtype=subtype, **options)
+    expected, rate = soundfile.read(path, always_2d=True)
+    recording = open_recording(path)
+    assert (recording.sampling_rate, recording.n_samples, recording.warnings) == (rate, 1001, ())
+    for length in (10, 2000):
+        assert np.array_equal(whole(recording, length), expected.T)
+    assert np.array_equal(whole(open_recording(path, channel=[3, 1])), expected.T[[2, 0]])
+
+
+def test_wav_of_scipy(tmp_path):
+    for dtype in ("uint8", "int16", "int32", "int64", "float32", "float64"):
+        samples = np.random.default_rng(2).integers(0, 100, (77, 2)).astype(dtype)
+        wavfile.write(tmp_path / "two.wav", 8000, samples)
+        full = {"u": 128.0, "i": 2.0 ** (8 * samples.itemsize - 1), "f": 1.0}[samples.dtype.kind]
+        offset = 128.0 if dtype == "uint8" else 0.0
+        recording = open_recording(tmp_path / "two.wav")
+        assert np.array_equal(whole(recording), (samples.T - offset) / full) and not recording.warnings
+
+
+def test_wav_cut_at_any_byte_gives_what_is_whole_and_a_warning(write):
+    content = wav_file(WORDS.tobytes(), before=chunk(b"note", b"x"))
+    expected = WORDS / 2**15
+    for length in range(1, len(content)):
+        path = write(content[:length])
+        n_samples = (length - 54) // 2
+        if n_samples < 1:
+            with pytest.raises(BadData, match=r"cut off|at least one|fields|numbers"):
+                read_recording(path, sampling_rate=1)
+            continue
+        (signal,) = read_recording(path)
+        assert signal.samples.tolist() == expected[:n_samples].tolist()
+        (warning,) = signal.warnings
+        assert f"declares 200 bytes of sound and {length - 54} follow" in warning
+
+
+@pytest.mark.parametrize("size", [0, 0xFFFFFFFF, 0x7FFFF024, 0x80000000])
+def test_wav_of_a_program_that_never_came_back(write, size):
+    (signal,) = read_recording(write(wav_file(WORDS.tobytes(), size=size, outer=size)))
+    assert signal.samples.tolist() == (WORDS / 2**15).tolist()
+    assert "was not closed" in signal.warnings[0]
+
+
+@pytest.mark.parametrize(
+    ("content", "word"),
+    [
+        (wav_file(WORDS.tobytes(), outer=5000), "must be of 5008 bytes by its header and is of 244"),
+        (wav_file(WORDS.tobytes(), outer=100), "must be of 108 bytes"),
+        (wav_file(WORDS.tobytes(), size=150), "50 bytes behind the declared sound"),
+        (wav_file(WORDS.tobytes()[:-1]), "not whole frames of 2; the last 1 were left out"),
+        (wav_file(WORDS.tobytes(), before=chunk(b"fact", struct.pack("<I", 99))), "says 99 samples a channel and"),
+        (wav_file(WORDS.tobytes(), byte_rate=4000), "1000 Hz of 2 bytes each are not 4000 bytes/s"),
+        (wav_file(WORDS.tobytes(), align=4), "16 bits do not take 4 bytes each"),
+    ],
+)
+def test_wav_that_contradicts_itself_is_told(write, content, word):
+    recording = open_recording(write(content))
+    assert [word in warning for warning in recording.warnings] == [True]
+
+
+def test_wav_with_chunks_around_and_a_date(write):
+    broadcast = b"\0" * 320 + b"2026-03-04" + b"10:11:12" + b"\0" * 264
+    content = wav_file(
+        WORDS.tobytes(), before=chunk(b"bext", broadcast) + chunk(b"odd!", b"123"), after=chunk(b"LIST", b"INFO")
+    )
+    recording = open_recording(write(content))
+    assert (recording.start_time, recording.warnings) == (datetime(2026, 3, 4, 10, 11, 12), ())
+    assert whole(recording).tolist() == [(WORDS / 2**15).tolist()]
+
+
+def test_absurd_headers_take_no_memory(write):
+    content = bytearray(wav_file(WORDS.tobytes(), size=4_000_000_000))
+    assert read_recording(write(content))[0].samples.size == 100
+    content[22:24] = struct.pack("<H", 65535)
+    content[32:34] = struct.pack("<H", 65535)
+    with pytest.raises(BadData):
+        read_recording(write(content))
+    # Many empty chunks, and one that is larger than the file.
+    for chunks in (chunk(b"fill", b"") * 5000, b"fill" + struct.pack("<I", 2**31)):
+        with pytest.raises(BadData, match="chunk of sound"):
+            read_recording(write(wav_file(WORDS.tobytes(), before=chunks)))
+
+
+def sparse(path, head, size):
+    with path.open("wb") as file:
+        file.write(head)
+        file.truncate(len(head) + size)
+    return path
+
+
+def test_memory_does_not_grow_with_the_recording(tmp_path, small_pieces):
+    size = 24_000_000
+    wav = sparse(tmp_path / "long.wav", wav_file(b"", size=size, outer=size + 36), size)
+    file = io.BytesIO()
+    np.lib.format.write_array_header_1_0(file, {"descr": "<f4", "fortran_order": False, "shape": (4, size // 16)})
+    npy = sparse(tmp_path / "long.npy", file.getvalue(), size)
+    np.savez_compressed(tmp_path / "long.npz", x=np.zeros((4, size // 32)), fs=1000.0)
+    for path, n_samples in ((wav, size // 2), (npy, size // 16), (tmp_path / "long.npz", size // 32)):
+        counted, peak = peak_memory(open_recording(path, sampling_rate=1000))
+        assert counted == n_samples and peak < 8e6, path
+    small_pieces(20_000)
+    text = tmp_path / "long.csv"
+    text.write_text("t,F\n" + "".join(f"{k / 1000:.3f},{k % 9}\n" for k in range(100_000)))
+    counted, peak = peak_memory(open_recording(text))
+    assert counted == 100_000 and peak < 1e6
+
+
+# ---- LabVIEW measurement files ----
+
+
+def lvm(
+    rows,
+    *,
+    x_columns="No",
+    separator="\t",
+    named="Tab",
+    decimal=".",
+    samples=None,
+    delta="1.000000E-3",
+    x0="0.0",
+    time="10:00:00.5",
+    names=("F", "a"),
+    units=("Newtons", "g"),
+    head=True,
+    special="",
+    tags="",
+):
+    """Return a file, or a further segment, as "Write To Measurement File" writes it."""
+    gap = separator if x_columns != "Multi" else separator * 2
+    n_samples = samples if samples is not None else [len(rows)] * len(names)
+
+    def line(tag, values):
+        return tag + separator + gap.join(map(str, values)) + separator
+
+    labels = (
+        separator.join(f"X_Value{separator}{name}" for name in names)
+        if x_columns == "Multi"
+        else separator.join(["X_Value", *names])
+    )
+    above = [
+        f"LabVIEW Measurement{separator}",
+        f"Writer_Version{separator}2",
+        f"Separator{separator}{named}",
+        f"Decimal_Separator{separator}{decimal}",
+        f"Multi_Headings{separator}Yes",
+        f"X_Columns{separator}{x_columns}",
+        f"Time_Pref{separator}Relative",
+        f"Date{separator}2026/03/04",
+        f"Time{separator}10:00:00.5",
+        f"***End_of_Header***{separator}",
+    ]
+    segment = [
+        separator,
+        *([special] if special else []),
+        line("Channels", [len(names)]),
+        line("Samples", n_samples),
+        line("Date", ["2026/03/04"] * len(names)),
+        line("Time", [time] * len(names)),
+        line("Y_Unit_Label", units),
+        line("X_Dimension", ["Time"] * len(names)),
+        line("X0", [x0] * len(names)),
+        line("Delta_X", [delta] * len(names)),
+        *([tags] if tags else []),
+        f"***End_of_Header***{separator}",
+        f"{labels}{separator}Comment",
+        *rows,
+    ]
+    return "\r\n".join([*(above if head else []), *segment, ""])
+
+
+def rows_of(table, x_columns="No", separator="\t", first=0, step=1e-3):
+    for k, values in enumerate(table, first):
+        x = f"{k * step:.6f}"
+        fields = [str(value) for value in values]
+        if x_columns == "Multi":
+            yield separator.join(f"{x}{separator}{field}" for field in fields)
+        else:
+            yield separator.join([x if x_columns == "One" else "", *fields])
+
+
+TABLE = np.random.default_rng(3).normal(size=(50, 2)).round(6)
+
+
+@pytest.mark.parametrize("x_columns", ["No", "One", "Multi"])
+@pytest.mark.parametrize(("separator", "named"), [("\t", "Tab"), (",", "Comma"), (";", ";")])
+@pytest.mark.parametrize("decimal", [".", ","])
+def test_lvm_in_every_way_of_writing_it(write, small_pieces, x_columns, separator, named, decimal):
+    if separator == decimal:
+        pytest.skip("one mark cannot do both")
+    text = lvm(
+        list(rows_of(TABLE, x_columns, separator)),
+        x_columns=x_columns,
+        separator=separator,
+        named=named,
+        decimal=decimal,
+        special="***Start_Special***\r\nBinary_Data\r\nanything, 1.5\r\n***End_Special***",
+    )
+    if decimal == ",":
+        text = text.replace(".", ",")
+    for size in (1 << 20, 300):
+        small_pieces(size)
+        recording = open_recording(write(text))
+        assert np.array_equal(whole(recording, 7), TABLE.T)
+        assert recording.sampling_rate == pytest.approx(1000, rel=1e-12)
+        assert [(channel.name, channel.unit) for channel in recording.channels] == [("F", "N"), ("a", "g")]
+        assert recording.start_time == datetime(2026, 3, 4, 10, 0, 0, 500000)
+        assert not recording.warnings
+
+
+def test_lvm_with_comments_and_channels_without_samples(write):
+    rows = [f"{row}\t\tseen, 1" if k == 3 else f"{row}\t" for k, row in enumerate(rows_of(TABLE, "One"))]
+    text = lvm(rows, x_columns="One", names=("F", "a", "none"), units=("kN", "m/s^2", ""), samples=[50, 50, 0])
+    recording = open_recording(write(text))
+    assert np.array_equal(whole(recording), TABLE.T)
+    assert "1 channels without samples were left out: none" in recording.warnings[0]
+
+
+def test_lvm_segments_that_follow_each_other_are_one_recording(write):
+    parts = np.split(TABLE, [20, 35])
+    by_time = [
+        lvm(list(rows_of(parts[0]))),
+        lvm(list(rows_of(parts[1])), head=False, time="10:00:00,52"),
+        lvm(list(rows_of(parts[2])), head=False, time="10:00:00,535"),
+    ]
+    by_x0 = [
+        lvm(list(rows_of(parts[0], "One")), x_columns="One"),
+        lvm(list(rows_of(parts[1], "One", first=20)), x_columns="One", head=False, x0="0.020"),
+        lvm(list(rows_of(parts[2], "One", first=35)), x_columns="One", head=False, x0="0.035"),
+    ]
+    for segments in (by_time, by_x0):
+        recording = open_recording(write("".join(segments)))
+        assert np.array_equal(whole(recording), TABLE.T) and not recording.warnings
+        (force, _) = read_recording(write("".join(segments)), variable="2")
+        assert force.samples.tolist() == parts[1][:, 0].tolist()
+    with pytest.raises(BadData, match=r"segment 2 .* must begin where the one before ends, .* --variable 1, 2"):
+        whole(open_recording(write("".join([by_time[0], by_time[2]]))))
+    other = lvm(list(rows_of(parts[1])), head=False, delta="2.000000E-3", time="10:00:00,52")
+    with pytest.raises(BadData, match=r"segment 2 .* must have the channels and the rate"):
+        whole(open_recording(write(by_time[0] + other)))
+    with pytest.raises(BadData, match="no segment 4, the last one is 3"):
+        open_recording(write("".join(by_time)), variable="4")
+
+
+def test_lvm_channels_of_different_length(write):
+    rows = list(rows_of(TABLE))
+    rows[30:] = [f"{row.rpartition(chr(9))[0]}\t" for row in rows[30:]]
+    path = write(lvm(rows, samples=[50, 30]))
+    with pytest.raises(BadData, match=r"'F' has 50 samples of 0.001 s and 'a' 30 .* --variable NAME"):
+        open_recording(path)
+    for name, index, count in (("F", 0, 50), ("a", 1, 30)):
+        (signal,) = read_recording(path, variable=name)
+        assert signal.samples.tolist() == TABLE[:count, index].tolist()
+    with pytest.raises(BadData, match="choose one of F, a by --variable"):
+        open_recording(path, variable="b")
+
+
+def test_lvm_rate_is_taken_from_the_digits_that_tell_it(write):
+    # Six decimals of 1/51200 s are 2 % wrong; the column of x knows better, and without it the rate is asked for.
+    rows = list(rows_of(TABLE, "One", step=1 / 51200))
+    recording = open_recording(write(lvm(rows, x_columns="One", delta="0.000020")))
+    assert recording.sampling_rate == pytest.approx(51200, rel=2e-3)
+    path = write(lvm(list(rows_of(TABLE)), delta="0.000020"))
+    with pytest.raises(MissingOption, match="--rate HZ"):
+        open_recording(path)
+    assert open_recording(path, sampling_rate=51200).sampling_rate == 51200
+    with pytest.raises(BadData, match="Delta_X says 1000 Hz and the column of x"):
+        open_recording(write(lvm(list(rows_of(TABLE, "One", step=0.0011)), x_columns="One")))
+
+
+def test_lvm_in_chinese(write):
+    text = lvm(list(rows_of(TABLE)), names=("加速度", "力"), units=("m/s^2", "N"), tags="Notes\t采煤工作面，测试")
+    recording = open_recording(write(text.encode("gbk")))
+    assert [channel.name for channel in recording.channels] == ["加速度", "力"]
+    assert np.array_equal(whole(recording), TABLE.T)
+
+
+def test_lvm_cut_at_any_byte_is_refused_or_gives_what_is_whole(write):
+    content = lvm(list(rows_of(TABLE[:6]))).encode()
+    complete = 0
+    for length in range(1, len(content)):
+        path = write(content[:length])
+        try:
+            signals = read_recording(path, sampling_rate=1000)
+        except CgidError as error:
+            assert "\n" not in str(error)
+            continue
+        n_samples = signals[0].samples.size
+        assert n_samples and signals[0].samples[:-1].tolist() == TABLE[: n_samples - 1, 0].tolist()
+        # Only a cut within the digits of the last number cannot be seen.
+        complete += not signals[0].warnings
+        assert signals[0].warnings or n_samples == 6
+    assert 0 < complete < 15
+
+
+@pytest.mark.parametrize(
+    ("change", "word"),
+    [
+        (("X_Columns\tNo", "X_Columns\tSome"), "X_Columns No, One or Multi"),
+        (("Channels\t2", "Channels\tmany"), "number of Channels, got 'many'"),
+        (("Channels\t2", "Channels\t999999"), "at most 4096 channels"),
+        (("X_Dimension\tTime", "X_Dimension\tFrequency"), "x axis must be time"),
+        ((f"{TABLE[7, 1]}", "NaN"), r"sample 7 \(line 29\) column 3 is 'NaN'"),
+        ((f"\t{TABLE[7, 1]}", ""), r"sample 7 \(line 29\) column 3 is empty"),
+        (("***End_of_Header***", "***End***"), "there is none"),
+        (("Samples\t50\t50", "Samples\t0\t0"), "no channel does"),
+    ],
+)
+def test_bad_lvm_is_refused(write, change, word):
+    text = lvm(list(rows_of(TABLE)))
+    assert change[0] in text
+    with pytest.raises(BadData, match=word):
+        read_recording(write(text.replace(*change)))
+
+
+# ---- NPY and NPZ ----
+
+
+@settings(deadline=None, max_examples=40)
+@given(
+    shape=st.sampled_from([(50,), (1, 50), (50, 1), (3, 50), (50, 3)]),
+    dtype=st.sampled_from(["<f8", ">f4", "<f2", "<i2", "|u1"]),
+    fortran=st.booleans(),
+    length=st.sampled_from([1, 7, 1000]),
+    archive=st.booleans(),
+    packed=st.booleans(),
+)
+def test_arrays_by_blocks_are_the_arrays(tmp_path_factory, shape, dtype, fortran, length, archive, packed):
+    array = np.random.default_rng(5).integers(0, 200, shape).astype(dtype)
+    array = np.asfortranarray(array) if fortran else array
+    path = tmp_path_factory.mktemp("array") / "x"
+    with path.open("wb") as file:
+        if archive:
+            (np.savez_compressed if packed else np.savez)(file, x=array)
+        else:
+            np.save(file, array)
+    recording = open_recording(path, sampling_rate=1)
+    rows = np.atleast_2d(array)
+    rows = rows.T if rows.shape[1] < rows.shape[0] else rows
+    assert np.array_equal(whole(recording, length), rows)
+    if len(rows) > 1:
+        assert np.array_equal(whole(open_recording(path, sampling_rate=1, channel=[3, 2]), length), rows[[2, 1]])
+
+
+def test_npz_says_rate_and_unit_by_named_values(tmp_path):
+    path = tmp_path / "x.npz"
+    samples = np.arange(40.0).reshape(2, 20)
+    np.savez(path, acc=samples, fs=51200.0, unit="g", channel_names=["front", "rear"], note="long ago")
+    recording = open_recording(path)
+    assert recording.sampling_rate == 51200
+    assert [(channel.name, channel.unit) for channel in recording.channels] == [("front", "g"), ("rear", "g")]
+    np.savez(path, acc=samples[0], t=np.arange(20) / 500)
+    assert open_recording(path).sampling_rate == pytest.approx(500)
+    np.savez(path, left=samples[0], right=samples[1], dt=1e-3)
+    with pytest.raises(BadData, match=r"left \(20\), right \(20\).*--variable NAME"):
+        open_recording(path)
+    (right,) = read_recording(path, variable="right")
+    assert (right.samples.tolist(), right.sampling_rate) == (samples[1].tolist(), pytest.approx(1000))
+    np.savez(path, acc=samples, fs=51200.0, sampling_rate=25600.0)
+    with pytest.raises(BadData, match="51200 Hz and sampling_rate says 25600 Hz"):
+        open_recording(path)
+
+
+def test_npz_damaged_anywhere_is_refused_or_the_same(tmp_path):
+    path = tmp_path / "x.npz"
+    samples = np.random.default_rng(6).normal(size=(3, 100))
+    np.savez_compressed(path, x=samples, fs=1000.0)
+    content = path.read_bytes()
+    refused = 0
+    for place in range(0, len(content), 11):
+        for damaged in (content[:place], content[:place] + bytes([content[place] ^ 16]) + content[place + 1 :]):
+            path.write_bytes(damaged)
+            try:
+                # Without the last channel, too, the checksum covers what was read.
+                found = whole(open_recording(path, sampling_rate=1000, channel=[1, 2]))
+            except CgidError as error:
+                refused += 1
+                assert "\n" not in str(error)
+            else:
+                assert np.array_equal(found, samples[:2])
+    assert refused > 300
+
+
+def test_npz_without_an_array_that_can_be_meant(tmp_path):
+    path = tmp_path / "x.npz"
+    for arrays in ({}, {"x": np.array(["a", "b"])}, {"x": np.zeros((2, 3, 4))}, {"x": np.array([None], object)}):
+        np.savez(path, **arrays)
+        with pytest.raises(BadData):
+            open_recording(path, sampling_rate=1)
+
+
+# ---- FLAC and OGG ----
+
+
+@pytest.fixture(scope="module")
+def flac(tmp_path_factory):
+    soundfile = pytest.importorskip("soundfile")
+    path = tmp_path_factory.mktemp("flac") / "x.flac"
+    samples = np.random.default_rng(7).uniform(-0.9, 0.9, (20_000, 2))
+    soundfile.write(path, samples, 48000, subtype="PCM_16")
+    return SimpleNamespace(path=path, content=path.read_bytes(), samples=soundfile.read(path)[0].T)
+
+
+def test_flac_is_what_libsndfile_reads(flac):
+    recording = open_recording(flac.path)
+    assert (recording.sampling_rate, recording.n_samples) == (48000, 20_000)
+    assert np.array_equal(whole(recording), flac.samples) and not recording.warnings
+
+
+def test_damaged_flac_is_refused_or_told(flac, tmp_path):
+    path = tmp_path / "damaged.flac"
+    read = 0
+    for place in range(0, len(flac.content), len(flac.content) // 60):
+        for damaged in (
+            flac.content[:place],
+            flac.content[:place] + bytes([flac.content[place] ^ 4]) + flac.content[place + 1 :],
+        ):
+            path.write_bytes(damaged)
+            try:
+                recording = open_recording(path, sampling_rate=48000)
+                found = whole(recording)
+            except CgidError as error:
+                assert "\n" not in str(error)
+                continue
+            assert recording.warnings
+            # What comes before the damage is whole.
+            assert np.array_equal(found, flac.samples[:, : found.shape[1]])
+            read += found.shape[1] > 5000
+    assert read > 30
+
+
+def test_ogg_cut_off_is_told(tmp_path):
+    soundfile = pytest.importorskip("soundfile")
+    path = tmp_path / "x.ogg"
+    soundfile.write(path, np.random.default_rng(8).uniform(-0.5, 0.5, (100_000, 1)), 48000, subtype="VORBIS")
+    recording = open_recording(path)
+    assert whole(recording).shape == (1, 100_000) and not recording.warnings
+    content = path.read_bytes()
+    path.write_bytes(content[: len(content) // 2])
+    recording = open_recording(path)
+    assert 0 < whole(recording).shape[1] < 100_000 and "no end" in recording.warnings[0]
+
+
+# ---- live streams ----
+
+
+class Trickle:
+    """A stream that gives what it likes, as pipes do."""
+
+    def __init__(self, content, seed=0):
+        self._file, self._random = io.BytesIO(content), np.random.default_rng(seed)
+
+    def read(self, size):
+        return self._file.read(size)
+
+    def read1(self, size):
+        return self._file.read(int(self._random.integers(1, min(size, 40) + 1)))
+
+
+@settings(deadline=None, max_examples=40)
+@given(
+    name=st.sampled_from(["u8", "s16le", "s16be", "s24le", "s24be", "s32le", "f32le", "f64be"]),
+    n_channels=st.integers(1, 5),
+    seed=st.integers(0, 10**6),
+)
+def test_raw_streams_are_what_was_written(name, n_channels, seed):
+    random = np.random.default_rng(seed)
+    order = ">" if name.endswith("be") else "<"
+    if name[0] == "f":
+        numbers = random.normal(size=(100, n_channels)).astype(f"{order}f{int(name[1:3]) // 8}")
+        content, expected = numbers.tobytes(), numbers
+    else:
+        bits = int(name.strip("usble"))
+        numbers = random.integers(-(2 ** (bits - 1)), 2 ** (bits - 1), (100, n_channels))
+        expected = numbers / 2 ** (bits - 1)
+        offset = 128 if name == "u8" else 0
+        content = b"".join(
+            int(number + offset).to_bytes(bits // 8, "big" if order == ">" else "little", signed=name != "u8")
+            for number in numbers.ravel()
+        )
+    stream = live_stream(Trickle(content, seed), sampling_rate=1000, n_channels=n_channels, sample_format=name)
+    blocks = list(stream)
+    assert all(block.shape[0] == n_channels and block.shape[1] for block in blocks)
+    assert np.array_equal(np.concatenate(blocks, axis=1), expected.T)
+    assert (stream.n_samples, stream.warnings, stream.unit) == (100, [], None if name[0] == "f" else "FS")
+
+
+def test_live_stream_does_not_wait_for_a_full_block():
+    reading, writing = os.pipe()
+    with os.fdopen(reading, "rb") as file, os.fdopen(writing, "wb", buffering=0) as source:
+        source.write(WORDS[:7].tobytes())
+        stream = live_stream(file, sampling_rate=10, n_channels=1, sample_format="s16le")
+        blocks = iter(stream)
+        # Nothing more comes and the stream is still open; a reader that waited would never return.
+        got = next(blocks).shape[1]
+        while got < 7:
+            got += next(blocks).shape[1]
+        source.write(WORDS[7:9].tobytes() + b"\1")
+        assert next(blocks).tolist() == [(WORDS[7:9] / 2**15).tolist()]
+        source.close()
+        assert list(blocks) == []
+    assert "ended within a sample of 2 bytes; the last 1 were left out" in stream.warnings[0]
+
+
+@pytest.mark.parametrize("size", [None, 0, 0xFFFFFFFF, 0x7FFFF000])
+def test_live_wav_is_known_by_its_header(size):
+    content = wav_file(WORDS.tobytes(), size=size, before=chunk(b"LIST", b"abc"), after=chunk(b"LIST", b"x" * 50))
+    if size is not None:
+        content = content[:-58]
+    stream = live_stream(Trickle(content))
+    assert (stream.sampling_rate, stream.n_channels, stream.unit) == (1000, 1, "FS")
+    assert np.concatenate(list(stream), axis=1).tolist() == [(WORDS / 2**15).tolist()]
+    assert not stream.warnings
+    with pytest.raises(InvalidValue, match="2000 Hz where the WAV header says 1000 Hz"):
+        live_stream(Trickle(content), sampling_rate=2000)
+    with pytest.raises(InvalidValue, match="got 3 where the WAV header says 1"):
+        live_stream(Trickle(content), n_channels=3)
+    with pytest.raises(InvalidValue, match="another"):
+        live_stream(Trickle(content), sample_format="f32le")
+
+
+def test_live_wav_that_breaks_off_is_told():
+    stream = live_stream(Trickle(wav_file(WORDS.tobytes(), size=300)))
+    assert sum(block.shape[1] for block in stream) == 100
+    assert "declares 100 more bytes" in stream.warnings[0]
+
+
+@pytest.mark.parametrize(
+    ("options", "error", "word"),
+    [
+        ({}, MissingOption, "how numbers are written"),
+        ({"sample_format": "s16le"}, MissingOption, "--rate HZ"),
+        ({"sample_format": "s16le", "sampling_rate": 8}, MissingOption, "number of channels"),
+        ({"sample_format": "s17le"}, InvalidValue, "s16le"),
+        ({"sampling_rate": -1}, InvalidValue, "above 0"),
+        ({"n_channels": 0}, InvalidValue, "n_channels"),
+        ({"n_channels": 10**6}, InvalidValue, "at most"),
+        ({"unit": "stone"}, InvalidValue, "stone"),
+    ],
+)
+def test_live_stream_asks_for_what_it_cannot_know(options, error, word):
+    with pytest.raises(error, match=word):
+        live_stream(io.BytesIO(bytes(100)), **options)
+
+
+def test_bad_live_streams():
+    raw = {"sampling_rate": 8, "n_channels": 2, "sample_format": "f32le"}
+    with pytest.raises(BadData, match="empty"):
+        live_stream(io.BytesIO(b""), **raw)
+    with pytest.raises(BadData, match="RIFF and WAVE"):
+        live_stream(io.BytesIO(b"RIFF1234AVI more"))
+    with pytest.raises(BadData, match="chunk of sound"):
+        live_stream(io.BytesIO(b"RIFF1234WAVE"))
+    stream = live_stream(io.BytesIO(np.array([1, 2, 3, np.nan], "<f4").tobytes()), **raw)
+    with pytest.raises(BadData, match="sample 1 of channel 2 is nan"):
+        list(stream)

@@ -1,0 +1,315 @@
+"""The report: one page, nothing of anybody's runs or is fetched, and its table can be sorted."""
+
+from __future__ import annotations
+
+import base64
+import html
+import json
+import re
+import shutil
+import socketserver
+import subprocess
+import threading
+from collections.abc import Iterator
+from dataclasses import replace
+from html.parser import HTMLParser
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cgid import shipped
+from cgid.errors import CannotCreate
+from cgid.identification.answers import Answer
+from cgid.identification.model import Model
+from cgid.identification.share import Share, ShareWindow
+from cgid.identification.shutting import Shutting
+from cgid.overview import OverviewStream
+from cgid.plots import Mark
+from cgid.recordings import open_recording
+from cgid.report import Report, model_facts, page, recording_facts, report_page, write_report
+
+CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+#: A name that would do harm wherever it is not escaped.
+EVIL = """"><img src="http://127.0.0.1:PORT/x"><script>document.title="broken"</script>'&amp;\x00\ud800 煤 $x"""
+
+
+def answer(time: float, label: str, probability: float, **more: object) -> Answer:
+    other = "gangue" if label == "coal" else "coal"
+    told = {"coal": 0.0, "gangue": 0.0} | {label: probability, other: 1 - probability}
+    return Answer(time=time, label=label, probabilities=told, novelty=0.5, in_training_range=True, **more)
+
+
+@pytest.fixture(scope="module")
+def report(tmp_path_factory: pytest.TempPathFactory) -> Report:
+    """Two channels of half a second, thirty answers, shares that turn."""
+    path = tmp_path_factory.mktemp("report") / "two.npy"
+    rng = np.random.default_rng(0)
+    np.save(path, rng.normal(size=(2, 12_800)).astype(np.float32))
+    recording = open_recording(path, sampling_rate=25600.0, unit="m/s^2")
+    model = Model.load(shipped.path_of("models", shipped.ACCELERATION_MODEL))
+    stream = OverviewStream(25600.0, 2)
+    for block in recording.blocks():
+        stream.feed(block)
+    overview = stream.overview()
+    answers = [
+        answer(0.016 * k, "gangue" if k > 12 else "coal", 0.99 - 0.01 * k, channel=str(1 + k % 2), end=0.016 * k + 0.01)
+        for k in range(29)
+    ]
+    answers.append(
+        Answer(time=0.49, label="unknown", probabilities={}, novelty=float("nan"), problem="too <short>", cut=True)
+    )
+    window, rule = ShareWindow(0.2), Shutting()
+    shares, turns = [], []
+    for one in answers:
+        window.add(one.time, one.probabilities.get("gangue", float("nan")))
+        shares.append(window.at(one.time))
+        turns += [turn for turn in [rule.watch(shares[-1])] if turn is not None]
+    assert turns[0].shut
+    return Report(
+        source=str(path),
+        recording=recording_facts(recording, overview, recording.channels),
+        model=model_facts(model, "mine.npz"),
+        overview=overview,
+        channels=recording.channels,
+        answers=answers,
+        shares=shares,
+        turns=turns,
+        threshold=rule.threshold,
+        warnings=["the last frame was cut off"],
+    )
+
+
+@pytest.fixture
+def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What is not about pictures need not wait for them."""
+    for name in ("overview_figure", "share_figure"):
+        monkeypatch.setattr(page, name, lambda *_, **__: None)
+    monkeypatch.setattr(page, "picture", lambda *_, **__: b"\x89PNG")
+
+
+class Page(HTMLParser):
+    """What a page holds: texts of cells, what it refers to, tags that are open."""
+
+    def __init__(self, page: str) -> None:
+        super().__init__()
+        self.rows: list[list[str]] = []
+        self.heads: list[str] = []
+        self.references: list[str] = []
+        self.open: list[str] = []
+        self.texts: list[str] = []
+        self.tags: set[str] = set()
+        self.feed(page)
+        self.close()
+
+    def handle_starttag(self, tag: str, attributes: list[tuple[str, str | None]]) -> None:
+        self.tags.add(tag)
+        if tag not in ("meta", "img"):
+            self.open.append(tag)
+        for name, value in attributes:
+            assert not name.startswith("on") and name != "style"
+            if name in ("src", "href", "action", "data", "srcset"):
+                self.references.append(value or "")
+        if tag == "tr":
+            self.rows.append([])
+        elif tag == "td":
+            self.rows[-1].append("")
+        elif tag == "th":
+            self.heads.append("")
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.open.pop() == tag
+
+    def handle_data(self, data: str) -> None:
+        self.texts.append(data)
+        if "td" in self.open:
+            self.rows[-1][-1] += data
+        elif "th" in self.open:
+            self.heads[-1] += data
+
+
+def test_the_page_holds_everything(report: Report) -> None:
+    seen = Page(report_page([report]))
+    assert not seen.open and seen.rows.pop(0) == []
+    columns = "number|time [s]|channel|length [ms]|label|probability|novelty|range|note"
+    assert "|".join(seen.heads) == columns
+    assert len(seen.rows) == 30
+    assert seen.rows[3] == ["4", "0.0480", "2", "10", "coal", "0.960", "0.5", "in", ""]
+    assert seen.rows[29] == ["30", "0.4900", "1", "-", "unknown", "-", "-", "out", "cut; too <short>"]
+    text = " ".join(seen.texts)
+    for told in ("coal (43%)", "gangue (53%)", "unknown (3%)", "the last frame was cut off", "mine.npz", "25.6 kHz"):
+        assert told in text
+    (turn,) = re.findall(r"Shut the window at (\d\.\d\d) s", text)
+    assert float(turn) == pytest.approx(report.turns[0].time, abs=0.006)
+    assert len(seen.references) == 2
+    for reference in seen.references:
+        kind, data = reference.split(",")
+        drawn = base64.b64decode(data)
+        assert kind == "data:image/png;base64" and drawn.startswith(b"\x89PNG")
+        assert int.from_bytes(drawn[16:20]) >= 1200
+
+
+def test_text_of_strangers_is_only_text(report: Report) -> None:
+    evil = replace(
+        report,
+        source=EVIL,
+        recording={EVIL: EVIL},
+        model={EVIL: EVIL},
+        warnings=[EVIL],
+        answers=[replace(one, label=EVIL, problem=EVIL, channel=EVIL) for one in report.answers[:2]],
+        channels=[replace(channel, name=EVIL) for channel in report.channels],
+        shares=[replace(share, channel=EVIL) for share in report.shares],
+    )
+    page = report_page([evil], title=EVIL)
+    page.encode()
+    seen = Page(page)
+    assert not seen.open
+    assert all(reference.startswith("data:image/png") for reference in seen.references)
+    assert "\x00" not in page and page.count("<script>") == 1
+    assert any('"><img src="http://127.0.0.1' in text for text in seen.texts)
+
+
+@pytest.mark.usefixtures("undrawn")
+def test_columns_are_there_when_something_is_in_them(report: Report) -> None:
+    plain = replace(report, answers=[answer(0.1, "coal", 0.9, prediction_set=("coal", "gangue"))], shares=(), turns=())
+    seen = Page(report_page([plain]))
+    assert "|".join(seen.heads) == "number|time [s]|label|probability|cannot be ruled out|novelty|range|note"
+    assert seen.rows[1][4] == "coal, gangue"
+    assert len(seen.references) == 1
+    assert Page(report_page([replace(report, answers=[])])).rows == [[]]
+
+
+def test_marks_are_those_of_the_channels_that_are_drawn(report: Report, monkeypatch: pytest.MonkeyPatch) -> None:
+    seen: list[tuple[float, float, str | None]] = []
+
+    def drawn(*_: object, marks: list[Mark], **__: object) -> None:
+        seen[:] = [(mark.time, mark.end, mark.channel) for mark in marks]
+
+    monkeypatch.setattr(page, "overview_figure", drawn)
+    monkeypatch.setattr(page, "picture", lambda *_, **__: b"")
+    channels = ("2", "1", "3", "1+2", "1+2+3", "2+3")
+    answers = [answer(float(k), "coal", 0.9, channel=name) for k, name in enumerate(channels)]
+    report_page([replace(report, answers=[replace(answers[0], end=0.5), *answers[1:]], shares=())])
+    # Channel 3 is not drawn; a window of it and of those that are is one of them all.
+    assert seen == [(0.0, 0.5, "2"), (1.0, 1.0, "1"), (3.0, 3.0, None), (4.0, 4.0, None)]
+
+
+@pytest.mark.usefixtures("undrawn")
+def test_a_share_is_drawn_where_it_goes_on(report: Report) -> None:
+    def seen(*shares: Share) -> tuple[int, list[str]]:
+        page = Page(report_page([replace(report, shares=shares, turns=())]))
+        return len(page.references), [text.strip() for text in page.texts if "gangue at the end" in text]
+
+    first, second = report.shares[:2]
+    unknown = replace(first, share=float("nan"), low=0.0, high=1.0, n_impacts=0)
+    assert seen(first) == (1, [f"gangue at the end ({first.low:.0%} to {first.high:.0%})"])
+    assert seen(first, second)[0] == 2
+    assert seen(first, unknown) == (1, ["gangue at the end (not known)"])
+    assert seen(first, replace(unknown, channel="2"))[1][1] == "gangue at the end (not known, channel 2)"
+
+
+@pytest.mark.usefixtures("undrawn")
+def test_many_recordings_are_one_page(report: Report) -> None:
+    four = [replace(report, source=f"folder/{name}.wav") for name in "abcd"]
+    text = report_page(four)
+    assert "<title>a.wav and 3 other recordings</title>" in text and text.count("<section>") == 4
+    assert "<title>a.wav, b.wav</title>" in report_page(four[:2])
+
+
+@pytest.mark.usefixtures("undrawn")
+def test_long_tables_say_that_they_end(report: Report, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(page, "MOST_ROWS", 7)
+    text = report_page([report])
+    assert "The first 7 of 30" in text and len(Page(text).rows) == 8
+
+
+@pytest.mark.usefixtures("undrawn")
+def test_a_report_has_a_name_of_its_own(report: Report, tmp_path: Path) -> None:
+    write_report(tmp_path / "a.html", [report])
+    assert (tmp_path / "a.html").read_text(encoding="utf-8") == report_page([report])
+    with pytest.raises(CannotCreate, match="exists already"):
+        write_report(tmp_path / "a.html", [report])
+    write_report(tmp_path / "a.html", [report], title="new", overwrite=True)
+    assert "<title>new</title>" in (tmp_path / "a.html").read_text(encoding="utf-8")
+    with pytest.raises(CannotCreate, match=r"must end in \.html or \.htm, got '\.pdf'"):
+        write_report(tmp_path / "a.pdf", [report])
+    with pytest.raises(CannotCreate, match=r"folder .* must exist"):
+        write_report(tmp_path / "no" / "a.html", [report])
+
+
+@pytest.fixture
+def visitors() -> Iterator[tuple[int, list[bytes]]]:
+    """A port on this machine, and what anybody has asked there."""
+    asked: list[bytes] = []
+
+    class Door(socketserver.StreamRequestHandler):
+        def handle(self) -> None:
+            asked.append(self.rfile.readline())
+            self.wfile.write(b"HTTP/1.0 404 no\r\n\r\n")
+
+    with socketserver.TCPServer(("127.0.0.1", 0), Door) as server:
+        thread = threading.Thread(target=server.serve_forever, daemon=True)
+        thread.start()
+        yield server.server_address[1], asked
+        server.shutdown()
+        thread.join()
+
+
+def browse(page: Path, folder: Path, *more: str) -> str:
+    """Return the page as Chromium has it after its scripts have run."""
+    if CHROMIUM is None:
+        pytest.skip("there is no Chromium to look at the page with")
+    options = "--headless --no-sandbox --disable-gpu --disable-background-networking --disable-component-update"
+    command = [CHROMIUM, *options.split(), "--disable-sync", "--no-first-run", f"--user-data-dir={folder}", *more]
+    done = subprocess.run(
+        [*command, "--virtual-time-budget=2000", "--dump-dom", page.as_uri()],
+        capture_output=True,
+        timeout=90,
+        check=True,
+    )
+    return done.stdout.decode()
+
+
+@pytest.mark.usefixtures("undrawn")
+def test_a_browser_shows_it_and_asks_nobody(report: Report, tmp_path: Path, visitors: tuple[int, list[bytes]]) -> None:
+    port, asked = visitors
+    evil = EVIL.replace("PORT", str(port))
+    told = replace(report, source=evil, warnings=[evil], answers=[replace(report.answers[0], problem=evil)])
+    text = report_page([told], title="quiet")
+    # The same without care: its picture is asked for, so the door is heard, unless the page's own rules forbid it.
+    careless = text.replace("<body>", f"<body><img src='http://127.0.0.1:{port}/y'>")
+    rules = re.compile(r'<meta http-equiv="Content-Security-Policy"[^>]*>')
+    for name, content in (("kept", text), ("ruled", careless), ("open", rules.sub("", careless))):
+        (tmp_path / f"{name}.html").write_text(content, encoding="utf-8")
+        shown = browse(tmp_path / f"{name}.html", tmp_path / f"browser-{name}")
+        assert "<title>quiet</title>" in shown
+        # The script has run, so the rules allow it.
+        assert '<button type="button">time [s]</button>' in shown and "1 of 1 rows" in shown
+        assert bool(asked) == (name == "open")
+
+
+@pytest.mark.usefixtures("undrawn")
+def test_the_table_sorts_and_chooses(report: Report, tmp_path: Path) -> None:
+    steps = """
+      const heads = [...document.querySelectorAll("th button")], of = name => heads.find(b => b.textContent === name);
+      const rows = () => [...document.querySelectorAll("tbody tr")].filter(row => !row.hidden);
+      const seen = () => rows().map(row => row.cells[0].textContent);
+      const told = {}, note = name => { told[name] = seen().join(" "); };
+      of("probability").click(); note("up"); of("probability").click(); note("down");
+      of("label").click(); note("label"); of("number").click(); note("number");
+      const select = document.querySelector("select"); select.value = "unknown";
+      select.dispatchEvent(new Event("change")); note("chosen");
+      document.title = JSON.stringify(told);
+    """
+    text = report_page([report])
+    ruleless = re.sub(r'<meta http-equiv="Content-Security-Policy"[^>]*>', "", text)
+    (tmp_path / "page.html").write_text(ruleless.replace("</body>", f"<script>{steps}</script></body>"), "utf-8")
+    shown = browse(tmp_path / "page.html", tmp_path / "browser")
+    told = json.loads(html.unescape(re.search("<title>(.*?)</title>", shown)[1]))
+    ordered = {name: [int(number) for number in numbers.split()] for name, numbers in told.items()}
+    # Probabilities fall with the number; what has none is last both ways.
+    assert ordered["up"] == [*range(29, 0, -1), 30]
+    assert ordered["down"] == [*range(1, 30), 30]
+    assert ordered["label"] == [*range(1, 31)]
+    assert ordered["number"] == [*range(1, 31)]
+    assert ordered["chosen"] == [30]

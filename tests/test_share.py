@@ -1,0 +1,239 @@
+"""The gangue share and its interval, against closed forms and simulation; the decision, against brute force."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy import stats
+from scipy.integrate import quad
+
+from cgid.errors import InvalidValue
+from cgid.identification.share import Share, ShareWindow
+from cgid.identification.shutting import FEWEST_IMPACTS, Shutting
+
+#: How far the scores of coal and gangue lie apart, in their deviations: right in 77 % of the impacts.
+SEPARATION = 1.5
+
+
+def share_of(probabilities, **settings) -> Share:
+    window = ShareWindow(1e6, **settings)
+    for time, probability in enumerate(probabilities):
+        window.add(float(time), probability)
+    return window.at(float(len(probabilities)))
+
+
+def drawn(rng, share, n_impacts, trained_share=0.5):
+    """Return which impacts are gangue, and what a perfect model trained at a share says of each."""
+    gangue = rng.random(n_impacts) < share
+    score = rng.normal(np.where(gangue, SEPARATION / 2, -SEPARATION / 2))
+    odds = np.exp(SEPARATION * score) * trained_share / (1 - trained_share)
+    return gangue, odds / (1 + odds)
+
+
+@pytest.mark.parametrize(("gangue", "coal"), [(3, 9), (0, 6), (40, 2), (200, 300)])
+def test_impacts_without_doubt_give_a_beta_density(gangue: int, coal: int) -> None:
+    found = share_of([1.0] * gangue + [0.0] * coal)
+    density = stats.beta(gangue + 1, coal + 1)
+    starts = np.linspace(0, 0.05, 2001)
+    ends = density.ppf(np.minimum(starts + 0.95, 1))
+    shortest = np.argmin(ends - density.ppf(starts))
+    assert found.share == pytest.approx(density.mean(), abs=1e-3)
+    assert found.low == pytest.approx(density.ppf(starts[shortest]), abs=8e-3)
+    assert found.high == pytest.approx(ends[shortest], abs=8e-3)
+    assert found.n_impacts == gangue + coal
+
+
+def test_mean_is_that_of_the_likelihood_integrated() -> None:
+    probabilities = np.array([0.2, 0.9, 0.6, 0.05, 0.3, 0.4])
+    trained = 0.3
+    ratio = probabilities / (1 - probabilities) * (1 - trained) / trained
+
+    def likelihood(q: float) -> float:
+        return float(np.prod(1 - q + q * ratio))
+
+    exact = quad(lambda q: q * likelihood(q), 0, 1)[0] / quad(likelihood, 0, 1)[0]
+    assert share_of(probabilities, trained_share=trained).share == pytest.approx(exact, abs=1e-5)
+
+
+def test_interval_holds_the_share_as_often_as_it_says() -> None:
+    rng = np.random.default_rng(7)
+    shares = rng.random(3000)
+    held = 0
+    for share in shares:
+        _, probabilities = drawn(rng, share, 50, trained_share=0.3)
+        found = share_of(probabilities, trained_share=0.3)
+        held += found.low <= share <= found.high
+    # Three deviations of the count of 3000; the nodes can only make it wider.
+    assert 0.938 < held / 3000 < 0.968
+
+
+@pytest.mark.parametrize("share", [0.0, 0.1, 0.5, 0.9, 1.0])
+def test_interval_holds_any_one_share(share: float) -> None:
+    rng = np.random.default_rng(int(share * 10))
+    held, means, plain = 0, [], []
+    for _ in range(400):
+        _, probabilities = drawn(rng, share, 80)
+        found = share_of(probabilities)
+        held += found.low <= share <= found.high
+        means.append(found.share)
+        plain.append(probabilities.mean())
+    assert held / 400 > 0.915
+    assert np.mean(means) == pytest.approx(share, abs=0.06)
+    if share != 0.5:  # what the mean of the probabilities would have said
+        assert abs(np.mean(plain) - share) > 2 * abs(np.mean(means) - share)
+        assert abs(np.mean(plain) - share) > 0.09
+
+
+def test_share_does_not_depend_on_the_mix_of_the_training() -> None:
+    rng = np.random.default_rng(1)
+    score = rng.normal(0.3, 1.0, 70)
+    found = []
+    for trained in (0.2, 0.5, 0.7):
+        odds = np.exp(SEPARATION * score) * trained / (1 - trained)
+        found.append(share_of(odds / (1 + odds), trained_share=trained))
+    assert [one.share for one in found] == pytest.approx([found[0].share] * 3, abs=2e-3)
+    assert found[0].low < found[0].share < found[0].high
+
+
+def test_the_same_said_twice_with_half_the_weight_is_said_once() -> None:
+    _, probabilities = drawn(np.random.default_rng(2), 0.4, 30)
+    once, twice = share_of(probabilities), share_of(np.repeat(probabilities, 2), weight=0.5)
+    assert (twice.share, twice.low, twice.high) == pytest.approx((once.share, once.low, once.high), abs=1e-9)
+
+
+def test_one_surely_wrong_answer_does_not_outweigh_all_others() -> None:
+    found = share_of([1e-300] * 100 + [1 - 1e-16])
+    assert found.share < 0.05
+
+
+def test_window_slides() -> None:
+    rng = np.random.default_rng(3)
+    times = np.sort(rng.uniform(0, 60, 300))
+    _, probabilities = drawn(rng, 0.5, 300)
+    probabilities[::7] = np.nan
+    window, place = ShareWindow(10.0, channel="left"), 0
+    for end in np.arange(5.0, 61.0, 5.0):
+        while place < 300 and times[place] <= end + 1.0:  # answers may be ahead of the window that is asked for
+            window.add(times[place], probabilities[place])
+            place += 1
+        inside = (times > end - 10.0) & (times <= end)
+        alone = share_of(probabilities[inside])
+        found = window.at(end)
+        assert (found.share, found.low, found.high) == (alone.share, alone.low, alone.high)
+        assert (found.start, found.time, found.channel) == (max(end - 10.0, 0.0), end, "left")
+        assert found.n_unknown == np.isnan(probabilities[inside]).sum()
+        assert found.n_impacts + found.n_unknown == inside.sum()
+
+
+@pytest.mark.parametrize("probabilities", [[], [np.nan, np.nan]])
+def test_nothing_told_is_nothing_known(probabilities) -> None:
+    found = share_of(probabilities)
+    assert np.isnan(found.share)
+    assert (found.low, found.high, found.n_impacts, found.n_unknown) == (0.0, 1.0, 0, len(probabilities))
+
+
+@pytest.mark.parametrize(
+    ("length", "settings", "says"),
+    [
+        (0.0, {}, "window must be above 0, got 0 s"),
+        (1.0, {"trained_share": 1.0}, "trained_share must lie between 0 and 1"),
+        (1.0, {"weight": 0.0}, "weight must lie above 0 and up to 1, got 0"),
+        (1.0, {"weight": 1.5}, "weight must lie above 0 and up to 1, got 1.5"),
+    ],
+)
+def test_settings_that_make_no_window(length, settings, says) -> None:
+    with pytest.raises(InvalidValue, match=says):
+        ShareWindow(length, **settings)
+
+
+@pytest.fixture(scope="module")
+def futures() -> tuple[np.ndarray, np.ndarray]:
+    """The share found in each of many windows, and that among the impacts after it: what really comes."""
+    rng = np.random.default_rng(11)
+    found, coming = [], []
+    for share in rng.random(4000):
+        _, probabilities = drawn(rng, share, 25)
+        found.append(share_of(probabilities).share)
+        coming.append((rng.random(200) < share).mean())
+    return np.array(found), np.array(coming)
+
+
+@pytest.mark.parametrize("gangue_cost", [0.5, 1.0, 3.0])
+def test_expected_cost_is_what_going_on_does_cost(futures, gangue_cost: float) -> None:
+    found, coming = futures
+    rule = Shutting(gangue_cost)
+    said = np.array([rule.cost(state(share)) for share in found])
+    cost = gangue_cost * coming - (1 - coming)
+    for part in np.array_split(np.argsort(said), 8):
+        error = cost[part].std() / np.sqrt(part.size)
+        assert said[part].mean() == pytest.approx(cost[part].mean(), abs=4 * error)
+
+
+@pytest.mark.parametrize("gangue_cost", [0.5, 1.0, 3.0])
+def test_no_other_threshold_costs_less(futures, gangue_cost: float) -> None:
+    found, coming = futures
+    cost = gangue_cost * coming - (1 - coming)  # of going on; shutting costs nothing more
+
+    def paid(threshold: float) -> float:
+        return float(np.where(found > threshold, 0.0, cost).mean())
+
+    others = [paid(threshold) for threshold in np.linspace(0.02, 0.98, 97)]
+    own = paid(Shutting(gangue_cost).threshold)
+    assert own < min(others) + 2e-3
+    assert own < paid(0.0) - 0.02  # better than never to draw
+    assert own < paid(1.0) - 0.02  # and than to draw all
+
+
+def state(share: float, n_impacts: int = 50, time: float = 1.0) -> Share:
+    return Share(time=time, start=0.0, share=share, low=0.0, high=1.0, n_impacts=n_impacts)
+
+
+def test_turns_are_said_when_they_come_and_only_then() -> None:
+    rule = Shutting(1.0)
+    shares = [0.2, 0.49, 0.51, 0.6, 0.4, 0.45, 0.7]
+    turns = [rule.watch(state(share, time=float(k))) for k, share in enumerate(shares)]
+    assert [(t.time, t.shut) for t in turns if t] == [(2.0, True), (4.0, False), (6.0, True)]
+    assert turns[2].cost == pytest.approx(0.51 - 0.49)
+
+
+def test_few_impacts_decide_nothing() -> None:
+    rule = Shutting(3.0)
+    assert rule.watch(state(0.9, FEWEST_IMPACTS - 1)) is None
+    assert rule.watch(state(float("nan"), 0)) is None
+    assert rule.watch(state(0.9, FEWEST_IMPACTS)).shut
+
+
+def test_caving_window_is_shut_close_to_the_best_time() -> None:
+    """The share rises over a minute; against every fixed time, and against the best one with hindsight."""
+    rng = np.random.default_rng(5)
+    gangue_cost, rate, regret, spans = 2.0, 8.0, [], []
+    fixed = np.zeros(61)
+    for _ in range(40):
+        middle = rng.uniform(15, 45)
+        times = np.sort(rng.uniform(0, 60, int(rate * 60)))
+        share = 1 / (1 + np.exp(-(times - middle) / 4))
+        gangue, probabilities = drawn(rng, share, times.size)
+        window, rule, shut_at = ShareWindow(5.0), Shutting(gangue_cost), 60.0
+        place = 0
+        for end in np.arange(1.0, 61.0):
+            while place < times.size and times[place] <= end:
+                window.add(times[place], probabilities[place])
+                place += 1
+            turn = rule.watch(window.at(end))
+            if turn:
+                shut_at = turn.time
+                break
+        cost = np.where(gangue, gangue_cost, -1.0)
+        paid = np.array([cost[times <= end].sum() for end in np.arange(61.0)])
+        fixed += paid
+        regret.append(paid[int(shut_at)] - paid.min())
+        spans.append(-paid.min())
+    lost = np.mean(regret) / np.mean(spans)
+    best_fixed = (fixed.min() / 40 + np.mean(spans)) / np.mean(spans)
+    assert lost < 0.13
+    assert lost < 0.7 * best_fixed
+
+
+def test_cost_must_be_above_zero() -> None:
+    with pytest.raises(InvalidValue, match="gangue_cost must be above 0"):
+        Shutting(0.0)
