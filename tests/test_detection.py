@@ -294,6 +294,15 @@ def test_silence_and_offsets_have_no_impact(kind):
     assert detected(np.empty((1, 0)), kind) == []
 
 
+@pytest.mark.parametrize(("least", "most"), [(1e-12, 1.0), (0.0, 1e-140), (1e-290, 1e140)])
+def test_what_comes_after_next_to_nothing_is_found(least, most):
+    samples = np.concatenate([least * blows([], 20_000), most * blows([20_000], 40_000)])
+    onsets = [event.onset for event in detected(samples)]
+    # Where noise begins, and then the blow; lost is only what is 1e15 times as large as all at the start.
+    assert onsets[0] == pytest.approx(20_000, abs=3)
+    assert onsets[1:] == ([] if most > 1e15 * least > 0 else pytest.approx([40_000], abs=3))
+
+
 def test_a_quantised_silence_has_no_pulse():
     # Most samples are 0, one in a hundred is a step above or below.
     samples = np.random.default_rng(0).choice([-1.0, 0.0, 1.0], p=[0.005, 0.99, 0.005], size=100_000)

@@ -107,7 +107,7 @@ class RingingOnsets:
         for channel in np.flatnonzero(self._scale == 0):
             highest = np.abs(moved[channel]).reshape(-1, self.chunk).max(axis=1)
             for size in highest[highest > 0][:1]:
-                self._scale[channel] = 2.0 ** -np.clip(np.frexp(size)[1], -1000, 1000)
+                self._scale[channel] = 2.0 ** -np.clip(np.frexp(size)[1], -500, 500)
         return _single(moved * self._scale)
 
     def _energies_of(self, samples: Singles) -> Singles:
@@ -246,7 +246,7 @@ class RingingOnsets:
             return -1
         assert self._offset is not None
         moved = (samples[: n_hops * self.hop] - self._offset[onset.channel]) * self._scale[onset.channel]
-        halves = _single(moved).reshape(n_hops, self.hop) @ self._atoms
+        halves = np.clip(moved, -_LARGEST, _LARGEST).reshape(n_hops, self.hop) @ self._atoms
         windows = halves[:-1, : 2 * self.n_bands] + halves[1:, 2 * self.n_bands :]
         windows *= windows
         energies = windows[:, : self.n_bands] + windows[:, self.n_bands :]
