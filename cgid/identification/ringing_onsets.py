@@ -1,4 +1,4 @@
-"""Where blows begin in vibrations that ring on: the sudden rise of the energy in some band.
+"""Where blows begin in vibrations that ring on: the sudden rise of the energy in most bands.
 
 A struck beam goes on ringing for longer than the next rock takes to fall, and motors hum all the time, so no level of
 the signal tells a blow. What does is that energy comes within a millisecond in several frequency bands at once, while
@@ -20,13 +20,14 @@ Singles = NDArray[np.float32]
 
 #: Energies are of windows of two hops, a hop apart [s]; a hop has so many samples at least,
 HOP_TIME, _SHORTEST_HOP = 0.5e-3, 8
-#: around these frequencies, as multiples of one over the window's length: 0.8 to 8 kHz. Those above
-#: `HIGHEST` of the sampling rate are left out.
+#: around these frequencies, as multiples of one over the window's length: 0.8 to 8 kHz with windows of 1 ms. Those
+#: above `HIGHEST` of the sampling rate are left out.
 BANDS = (0.8, 1.6, 2.4, 3.2, 4.0, 5.0, 6.0, 8.0)
 HIGHEST = 0.45
 #: A blow is where the rise passes this,
 RISE = 3.0
-#: and where it would over this many times less than the noise; white noise alone does not in ten minutes.
+#: and the energy is this many times that of the noise. White noise alone does not come there in ten minutes; at
+#: 10 kHz, where windows have few samples, it does two or three times.
 RISE_OVER_NOISE = 3.2
 #: Hops that are looked at from a place on, and before it with one hop between.
 _NOW, _BEFORE = 3, 8
