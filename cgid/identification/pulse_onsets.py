@@ -19,8 +19,10 @@ _WINDOW_TIME, _SHORTEST_WINDOW = 20e-3, 64
 #: of which about so many samples are looked at.
 _LOOKED_AT = 128
 _CHUNK_WINDOWS = 10
-#: The baseline is the median of so many windows (0.4 s), for it may drift; the noise that of so many (2 s).
-_BASELINE_WINDOWS, _NOISE_WINDOWS = 20, 100
+#: The baseline is the median of so many windows to either side (0.18 s in all), for it may drift,
+_BASELINE_WINDOWS = 4
+#: the noise that of so many before the end of the chunk (2 s).
+_NOISE_WINDOWS = 100
 #: The first chunks wait until so many are there to tell them.
 START_CHUNKS = 2
 #: What follows a first peak is a second one if both have this share of the highest, and that share lies between.
@@ -110,12 +112,12 @@ class PulseOnsets:
         length, step = (n_samples, 1) if short else (self._window, max(self._window // _LOOKED_AT, 1))
         whole = n_samples // length
         windows = samples[:, : whole * length].reshape(n_channels, whole, length)
-        medians, noises = _median_and_noise(windows[..., ::step])
+        medians, noises = _median_and_noise(windows, step)
         medians = np.concatenate([self._medians, medians], axis=1)
         noises = np.concatenate([self._noises, noises], axis=1)
         before = self._medians.shape[1]
         self._medians, self._noises = medians[:, -_NOISE_WINDOWS:], noises[:, -_NOISE_WINDOWS:]
-        shape = (n_channels, -(-n_samples // length))
+        shape, around = (n_channels, -(-n_samples // length)), np.arange(-_BASELINE_WINDOWS, _BASELINE_WINDOWS + 1)
         baseline, noise = np.empty(shape), np.empty(shape)
         for first in range(0, shape[1], _CHUNK_WINDOWS):
             stop = before + first + _CHUNK_WINDOWS
@@ -123,8 +125,10 @@ class PulseOnsets:
                 stop = max(stop, START_CHUNKS * _CHUNK_WINDOWS)
             stop = min(stop, medians.shape[1])
             chunk = slice(first, first + _CHUNK_WINDOWS)
-            baseline[:, chunk] = np.median(medians[:, max(stop - _BASELINE_WINDOWS, 0) : stop], axis=1)[:, None]
-            noise[:, chunk] = np.median(noises[:, max(stop - _NOISE_WINDOWS, 0) : stop], axis=1)[:, None]
+            # Of what comes after the chunk nothing is known yet.
+            near = np.clip(before + np.arange(first, min(chunk.stop, shape[1]))[:, None] + around, 0, stop - 1)
+            baseline[:, chunk] = np.median(medians[:, near], axis=2)
+            noise[:, chunk] = _typical(noises[:, max(stop - _NOISE_WINDOWS, 0) : stop])[:, None]
         highest = np.empty(shape)
         highest[:, :whole] = windows.max(axis=2)
         if shape[1] > whole:
@@ -201,16 +205,26 @@ class PulseOnsets:
         onset.doubled = _has_two_peaks(heights)
 
 
-def _median_and_noise(windows: Floats) -> tuple[Floats, Floats]:
-    """Return both for windows (..., n_samples)."""
-    median = np.median(windows, axis=-1)
-    noise = 1.4826 * np.median(np.abs(windows - median[..., None]), axis=-1)
+def _median_and_noise(windows: Floats, step: int) -> tuple[Floats, Floats]:
+    """Return both for windows (..., n_samples), from every so many of their samples."""
+    looked = windows[..., ::step]
+    median = np.median(looked, axis=-1)
+    noise = 1.4826 * np.median(np.abs(looked - median[..., None]), axis=-1)
     for place in np.argwhere(noise == 0):
         where = tuple(place)
         below = median[where] - windows[where]
         below = below[below > 0]
         noise[where] = below.min() if below.size else 0.0
     return median, noise
+
+
+def _typical(noises: Floats) -> Floats:
+    """Return the median noise (n_channels,) of windows (n_channels, n), of those that have any where most have none."""
+    found = np.median(noises, axis=1)
+    for channel in np.flatnonzero(found == 0):
+        some = noises[channel][noises[channel] > 0]
+        found[channel] = np.median(some) if some.size else 0.0
+    return np.asarray(found)
 
 
 def _has_two_peaks(heights: Floats) -> bool:

@@ -1,4 +1,4 @@
-"""Where blows begin in vibrations that ring on: the sudden rise of the energy in some band.
+"""Where blows begin in vibrations that ring on: the sudden rise of the energy in most bands.
 
 A struck beam goes on ringing for longer than the next rock takes to fall, and motors hum all the time, so no level of
 the signal tells a blow. What does is that energy comes within a millisecond in several frequency bands at once, while
@@ -20,13 +20,14 @@ Singles = NDArray[np.float32]
 
 #: Energies are of windows of two hops, a hop apart [s]; a hop has so many samples at least,
 HOP_TIME, _SHORTEST_HOP = 0.5e-3, 8
-#: around these frequencies, as multiples of one over the window's length: 0.8 to 8 kHz. Those above
-#: `HIGHEST` of the sampling rate are left out.
+#: around these frequencies, as multiples of one over the window's length: 0.8 to 8 kHz with windows of 1 ms. Those
+#: above `HIGHEST` of the sampling rate are left out.
 BANDS = (0.8, 1.6, 2.4, 3.2, 4.0, 5.0, 6.0, 8.0)
 HIGHEST = 0.45
 #: A blow is where the rise passes this,
 RISE = 3.0
-#: and where it would over this many times less than the noise; white noise alone does not in ten minutes.
+#: and the energy is this many times that of the noise. White noise alone does not come there in ten minutes; at
+#: 10 kHz, where windows have few samples, it does two or three times.
 RISE_OVER_NOISE = 3.2
 #: Hops that are looked at from a place on, and before it with one hop between.
 _NOW, _BEFORE = 3, 8
@@ -36,8 +37,8 @@ _REACH = 8
 _WINDOW_HOPS = 40
 #: of which every so many make a chunk;
 _CHUNK_WINDOWS = 10
-#: the one that this share of the latest windows (2 s) is below, for in most of the others something rings,
-_QUIET_SHARE, _WINDOWS_KEPT = 0.2, 100
+#: the one that this share of the latest windows (0.4 s) is below, for in most of the others something rings,
+_QUIET_SHARE, _WINDOWS_KEPT = 0.2, 20
 #: times this, what the mean of so many hops of white noise is over its lowest fifth.
 _QUIET_FACTOR = 1.2
 #: The first chunks wait until so many windows tell the noise.
@@ -107,7 +108,7 @@ class RingingOnsets:
         for channel in np.flatnonzero(self._scale == 0):
             highest = np.abs(moved[channel]).reshape(-1, self.chunk).max(axis=1)
             for size in highest[highest > 0][:1]:
-                self._scale[channel] = 2.0 ** -np.clip(np.frexp(size)[1], -1000, 1000)
+                self._scale[channel] = 2.0 ** -np.clip(np.frexp(size)[1], -500, 500)
         return _single(moved * self._scale)
 
     def _energies_of(self, samples: Singles) -> Singles:
@@ -246,7 +247,7 @@ class RingingOnsets:
             return -1
         assert self._offset is not None
         moved = (samples[: n_hops * self.hop] - self._offset[onset.channel]) * self._scale[onset.channel]
-        halves = _single(moved).reshape(n_hops, self.hop) @ self._atoms
+        halves = np.clip(moved, -_LARGEST, _LARGEST).reshape(n_hops, self.hop) @ self._atoms
         windows = halves[:-1, : 2 * self.n_bands] + halves[1:, 2 * self.n_bands :]
         windows *= windows
         energies = windows[:, : self.n_bands] + windows[:, self.n_bands :]
@@ -256,7 +257,7 @@ class RingingOnsets:
         top = int(np.argmax(smooth))
         over = smooth[top:] < max(END_SHARE * smooth[top], END_OVER_NOISE)
         place = int(np.argmax(over))
-        return (top + place) * self.hop if over[place] else -1
+        return max(top + place, 1) * self.hop if over[place] else -1
 
 
 def _single(samples: Floats) -> Singles:
