@@ -30,6 +30,7 @@ class Asked:
     decision : Decision
     drop_height, mass, dead_time, vote_time : float or None
     invert : bool
+    sensors : tuple of str
     settings : ShareSettings
     shares_asked : bool
         Whether an option speaks of shares, so that they must be told.
@@ -42,6 +43,7 @@ class Asked:
     dead_time: float | None
     vote_time: float | None
     invert: bool
+    sensors: tuple[str, ...]
     settings: Any
     shares_asked: bool
 
@@ -50,13 +52,28 @@ class Asked:
         """Return the arguments that `identify` and `identify_frames` share."""
         return {name: getattr(self.decision, name) for name in ("costs", "coverage", "class_conditional")}
 
+    def warn_of_sensor(self, source: str, model: Any) -> None:
+        """Say so if a model knows sensors and nobody says which one it is."""
+        if model.sensors and not self.sensors:
+            known = ", ".join(model.sensors)
+            click.echo(
+                f"cgid: warning: {source}: the model knows the response of some sensors, nothing makes up for that of "
+                f"this one; give --sensor NAME if it is one of {known}",
+                err=True,
+            )
+
     def question(self, **changes: Any) -> Any:
         """Return what is asked of every impact or window."""
-        from cgid.identification.stream_answers import Question
+        from cgid.identification.question import Question
 
         given: dict[str, Any] = {} if self.vote_time is None else {"vote_time": self.vote_time}
         return Question(
-            decision=self.decision, drop_height=self.drop_height, dead_time=self.dead_time, **given, **changes
+            decision=self.decision,
+            drop_height=self.drop_height,
+            dead_time=self.dead_time,
+            sensors=self.sensors,
+            **given,
+            **changes,
         )
 
 
@@ -79,6 +96,9 @@ def answering_options(command: F) -> F:
         ),
         click.option(
             "--vote", type=float, help="Windows are decided on together over so long [s], 0.5; 0: each alone."
+        ),
+        click.option(
+            "--sensor", multiple=True, metavar="NAME", help="Sensor of the model's reference runs; or one a channel."
         ),
         click.option("--window", type=float, help="The gangue share looks back so long [s], 10."),
         click.option("--gangue", multiple=True, metavar="LABEL", help="Label that is gangue; may be given again."),
@@ -121,6 +141,7 @@ def asked_of(options: dict[str, Any], dead_time: float | None, steps: int = 2) -
         dead_time=dead_time,
         vote_time=None if vote is None else float(validation.not_negative("--vote", vote, "s")),
         invert=bool(left.pop("invert")),
+        sensors=left.pop("sensor"),
         settings=settings,
         shares_asked=bool(gangue) or window is not None or gangue_cost is not None,
     )
@@ -159,8 +180,8 @@ class Telling:
         always: bool = False,
     ) -> None:
         from cgid.identification.shutting import Turn
-        from cgid.identification.stream_answers import answering_channels, independence
         from cgid.identification.watch import CavingWatch
+        from cgid.identification.window_answers import answering_channels, independence
 
         self.source, self.lines = source, lines
         self.kind = "window" if model.kind == "window" else "impact"
@@ -269,12 +290,15 @@ def _answer_channels(
     names, rate, source = [recording.channels[row].name for row in rows], recording.sampling_rate, recording.source
     passing = Passing() if pages is None else pages.drawing(recording, rows)
     blocks = model_blocks(recording, model, rows, mass=asked.mass, invert=asked.invert, seen=passing.see)
+    asked.warn_of_sensor(source, model)
     telling = Telling(source, model, names, rate, asked, lines, keep=pages is not None)
     warn_of_rate(telling.name(telling.channels[0]), rate, model)
     silent: tuple[str, ...] = ()
     for step in identify_blocks(blocks, rate, model, names, asked.question(), source):
         telling.feed(step.answers, step.until)
         silent += step.silent
+        for warning in step.warnings:
+            lines.warning(source, warning)
     telling.finish(passing.n_samples / rate, silent, recording.start_time)
     if pages is not None:
         pages.add(recording, passing, model, asked, telling)
