@@ -457,3 +457,35 @@ def test_predicting_recordings_imports_nothing_heavy(two_channels: Path) -> None
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
     assert done.stderr.strip() == "[]"
+
+
+# -- what a recording is ----------------------------------------------------------------------------------
+
+
+def test_info_of_a_long_recording_is_that_of_a_short_one(
+    two_channels: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    found = []
+    for most in (1 << 24, 0):
+        monkeypatch.setattr("cgid.cli.info._MOST_HELD", most)
+        assert run(["info", str(two_channels), "--rate", str(RATE), "--unit", "N", "--json"]) == 0
+        (row,) = lines_of(capsys)
+        found.append(row)
+    short, long = found
+    assert (short["format"], short["warnings"]) == ("NPY", "none")
+    samples = np.load(two_channels)
+    for row, channel in enumerate(("channel 1", "channel 2")):
+        assert short[channel].pop("median") == pytest.approx(np.median(samples[row]))
+        assert long[channel].pop("mean") == pytest.approx(samples[row].mean(dtype=float), rel=1e-6)
+        assert long[channel] == short[channel]
+        assert long[channel]["impacts"] == 16
+
+
+def test_info_tells_archives_of_arrays_from_models(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    np.savez(tmp_path / "a.npz", samples=stream(["coal"], 0.02), fs=RATE)
+    assert run(["info", str(tmp_path / "a.npz"), "--unit", "N", "--json"]) == 0
+    (row,) = lines_of(capsys)
+    assert (row["kind"], row["channel 1"]["impacts"]) == ("recording", 1)
+    (tmp_path / "m.npz").write_bytes(window_model().to_bytes())
+    assert run(["info", str(tmp_path / "m.npz"), "--json"]) == 0
+    assert lines_of(capsys)[0]["kind"] == "model"
