@@ -193,6 +193,7 @@ def fuzz(
     expected: dict[str, np.ndarray] = {}
     for specimen in specimens:
         path = folder / f"original{specimen.suffix}"
+        path.unlink(missing_ok=True)
         specimen.write(path, blows(n_samples), RATE)
         originals[specimen.name] = path.read_bytes()
         expected[specimen.name] = read(path, specimen.options)[0]

@@ -14,12 +14,18 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from cgid.bands import MEL_BANDS
 from cgid.energy_spectrum import LOWEST_SHARE, EnergySpectrum, passage
 from cgid.frames import Frames
 from cgid.validation import Floats
+from cgid.wavelets import packet_energies
 
 #: Time constant of the exponential window [s]. It widens a line by 1 / (pi WINDOW_TIME) = 21 Hz.
 WINDOW_TIME = 15e-3
+#: Maxima of the spectrum are further apart than this [Hz]: several widths of a line.
+APART = 100.0
+#: Length of the frames that say when the energy of a band comes [s].
+DELAY_FRAME = 10e-3
 #: Later than this after the onset nothing is looked at: the window has fallen to 2e-6 [s].
 LONGEST_EVENT = 0.2
 #: With less after the onset nothing can be said of a vibration [s].
@@ -261,9 +267,8 @@ class VibrationBatch(Frames):
         return EnergySpectrum.of(self.event[:, :count] * window, self.sampling_rate, finer=4), noise
 
     def _level(self, spectrum: EnergySpectrum, noise: Floats, low: float, high: float) -> Floats:
-        share = noise * ((high - low) / (0.5 * self.sampling_rate))
-        least = np.maximum(share, np.maximum(LOWEST_SHARE * spectrum.total, np.finfo(np.float64).tiny))
-        return np.asarray(np.log10(np.maximum(spectrum.between(low, high) - share, least)))
+        energy, width = spectrum.between(low, high)[:, None], np.array([high - low])
+        return self._levels(energy, spectrum.total, noise, width)[:, 0]
 
     @cached_property
     def clean_spectrum(self) -> EnergySpectrum:
@@ -272,6 +277,53 @@ class VibrationBatch(Frames):
         clean = np.maximum(energy - (self._noise_share / (energy.shape[1] - 1))[:, None], 0.0)
         # Where noise is all there is, all of it counts.
         return EnergySpectrum(self.spectrum.spacing, np.where((clean > 0).any(axis=1)[:, None], clean, energy))
+
+    @cached_property
+    def dominant_frequencies(self) -> Floats:
+        """Frequencies of the three strongest maxima of the clean spectrum [Hz], (n_signals, 3)."""
+        return self.clean_spectrum.dominant(3, APART)
+
+    # -- bands that overlap ---------------------------------------------------------------------------
+
+    @cached_property
+    def mel(self) -> Floats:
+        """Level of each of `MEL_BANDS` in the windowed event, (n_signals, n_bands)."""
+        bands = MEL_BANDS.within(0.5 * self.sampling_rate)
+        width = 0.5 * (bands.corners[2:] - bands.corners[:-2])
+        energy = bands.sums(self.spectrum.energy, self.spectrum.spacing)
+        return self._levels(energy, self.spectrum.total, self._noise_share, width)
+
+    @cached_property
+    def mel_delay(self) -> Floats:
+        """When the energy of each of `MEL_BANDS` comes after the onset, in the mean [s], (n_signals, n_bands).
+
+        From the windowed event in frames of `DELAY_FRAME` under Hann bells, the first about the onset: bands that die
+        slowly have their energy late.
+        """
+        length = 2 * max(round(0.5 * DELAY_FRAME * self.sampling_rate), 1)
+        bell = np.sin(np.pi * (np.arange(length) + 0.5) / length) ** 2
+        padded = np.pad(self.event * self._window, ((0, 0), (length // 2, length // 2)))
+        cut = np.lib.stride_tricks.sliding_window_view(padded, length, axis=1)[:, :: length // 2]
+        spectrum = EnergySpectrum.of((cut * bell).reshape(-1, length), self.sampling_rate, finer=2)
+        energy = MEL_BANDS.within(0.5 * self.sampling_rate).sums(
+            spectrum.energy.reshape(*cut.shape[:2], -1), spectrum.spacing
+        )
+        time = np.arange(cut.shape[1]) * (length // 2 / self.sampling_rate)
+        total = np.maximum(energy.sum(axis=1), np.finfo(np.float64).tiny)
+        return np.asarray((energy * time[:, None]).sum(axis=1) / total)
+
+    @cached_property
+    def packets(self) -> Floats:
+        """Level of each wavelet packet of the windowed event, (n_signals, n_packets)."""
+        energy = packet_energies(self.event * self._window) / self.sampling_rate
+        width = np.full(energy.shape[1], 0.5 * self.sampling_rate / energy.shape[1])
+        return self._levels(energy, energy.sum(axis=1), self._noise_share, width)
+
+    def _levels(self, energy: Floats, total: Floats, noise: Floats, width: Floats) -> Floats:
+        """Return levels of energies in bands (n_signals, n_bands) of widths [Hz], the share of the noise taken off."""
+        share = noise[:, None] * (width / (0.5 * self.sampling_rate))
+        least = np.maximum(share, np.maximum(LOWEST_SHARE * total, np.finfo(np.float64).tiny)[:, None])
+        return np.asarray(np.log10(np.maximum(energy - share, least)))
 
     # -- what is wrong with it ------------------------------------------------------------------------
 

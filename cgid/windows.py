@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from cgid.bands import EVEN_BANDS, MEL_BANDS, TriangularBands
 from cgid.energy_spectrum import LOWEST_SHARE, EnergySpectrum
 from cgid.validation import Floats
+from cgid.wavelets import packet_energies
 
 #: Length of a frame [s]; the next begins half of it later.
 FRAME_TIME = 10e-3
@@ -174,6 +175,12 @@ class WindowBatch:
     def band_level(self, low: float, high: float) -> Floats:
         """Return the logarithm (base 10) of the mean square between two frequencies [Hz]."""
         return np.log10(np.maximum(self._fine_spectrum.between(low, high), self._floor))
+
+    @cached_property
+    def packets(self) -> Floats:
+        """Logarithm (base 10) of the mean square in each wavelet packet, (n_windows, n_packets)."""
+        power = packet_energies(self.swing) / self.swing.shape[1]
+        return np.asarray(np.log10(np.maximum(power, self._floor[:, None])))
 
     @cached_property
     def _floor(self) -> Floats:

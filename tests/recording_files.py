@@ -159,7 +159,7 @@ def _hdf5(path: Path, samples: np.ndarray, rate: float) -> None:
     import h5py
 
     with h5py.File(path, "w") as file:
-        stored = file.create_dataset("measured/acceleration", data=samples, chunks=(1, 4096), fletcher32=True)
+        stored = file.create_dataset("measured/acceleration", data=samples, chunks=(1, 1024), fletcher32=True)
         stored.attrs["sampling_rate"] = rate
         stored.attrs["unit"] = np.bytes_(UNIT.encode())
 
@@ -215,7 +215,9 @@ def _uff(binary: int) -> Callable[[Path, np.ndarray, float], None]:
         with warnings.catch_warnings():
             # pyuff opens a binary file twice and leaves one of them to the collector.
             warnings.simplefilter("ignore", ResourceWarning)
-            pyuff.UFF(str(path)).write_sets(sets, mode="overwrite")
+            # Nor does it keep the first of several binary sets when it overwrites.
+            path.unlink(missing_ok=True)
+            pyuff.UFF(str(path)).write_sets(sets, mode="add")
             gc.collect()
 
     return write
@@ -260,6 +262,6 @@ SPECIMENS: tuple[Specimen, ...] = (
     Specimen("UFF-58 ASCII", ".uff", _uff(0), "pyuff", resolution=1e-11),
     Specimen("UFF-58 binary", ".uff", _uff(1), "pyuff"),
     Specimen("FLAC", ".flac", _sound("PCM_24", "FLAC"), "soundfile", resolution=2**-23, **_WITHOUT_UNIT),
-    Specimen("OGG", ".ogg", _sound("VORBIS", "OGG"), "soundfile", resolution=0.1, **_WITHOUT_UNIT),
+    Specimen("OGG", ".ogg", _sound("VORBIS", "OGG"), "soundfile", resolution=0.2, **_WITHOUT_UNIT),
     Specimen("Parquet", ".parquet", _parquet, "pyarrow"),
 )

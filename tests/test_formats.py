@@ -55,9 +55,7 @@ def test_what_a_file_does_not_say_is_asked_for(specimen, tmp_path):
 def test_blocks_are_the_whole_whatever_their_length(specimen, tmp_path):
     path = written(specimen, tmp_path, blows(3000))
     whole = np.stack([signal.samples for signal in read_recording(path, **specimen.options)])
-    for length in (1, 7, 1000, 5000):
-        if length == 1 and whole.shape[1] > 3000:
-            continue
+    for length in (7, 1000, 5000):
         blocks = list(open_recording(path, **specimen.options).blocks(length))
         assert max(block.shape[1] for block in blocks) <= length
         assert np.array_equal(np.concatenate(blocks, axis=1), whole)
@@ -88,7 +86,7 @@ def test_a_file_cut_off_is_refused_or_warned_of(specimen, tmp_path):
 @pytest.mark.filterwarnings("ignore")
 def test_damaged_files_are_never_more_than_refused(tmp_path):
     # The long form: python benchmarks/fuzz_recordings.py
-    found = fuzz(210, seed=11, folder=tmp_path, n_samples=1500)
+    found = fuzz(105, seed=11, folder=tmp_path, n_samples=1500)
     for name, rows in found.items():
         for mutation, outcome, _ in rows:
             assert outcome.name in OUTCOMES[:4] and outcome.memory < 512 << 20, (name, mutation, outcome)

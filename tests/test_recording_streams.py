@@ -211,8 +211,8 @@ def chunk(name, body):
     return name + struct.pack("<I", len(body)) + body + b"\0" * (len(body) % 2)
 
 
-def wav_file(samples, *, before=b"", after=b"", size=None, outer=None, align=2, byte_rate=None):
-    form = struct.pack("<HHIIHH", 1, 1, 1000, 1000 * align if byte_rate is None else byte_rate, align, 8 * align)
+def wav_file(samples, *, before=b"", after=b"", size=None, outer=None, align=2, byte_rate=None, bits=16):
+    form = struct.pack("<HHIIHH", 1, 1, 1000, 1000 * align if byte_rate is None else byte_rate, align, bits)
     data = b"data" + struct.pack("<I", len(samples) if size is None else size) + samples + b"\0" * (len(samples) % 2)
     body = b"WAVE" + chunk(b"fmt ", form) + before + data + after
     return b"RIFF" + struct.pack("<I", len(body) if outer is None else outer) + body
@@ -279,6 +279,7 @@ def test_wav_of_a_program_that_never_came_back(write, size):
         (wav_file(WORDS.tobytes()[:-1]), "not whole frames of 2; the last 1 were left out"),
         (wav_file(WORDS.tobytes(), before=chunk(b"fact", struct.pack("<I", 99))), "says 99 samples a channel and"),
         (wav_file(WORDS.tobytes(), byte_rate=4000), "1000 Hz of 2 bytes each are not 4000 bytes/s"),
+        (wav_file(WORDS.tobytes(), align=4), "16 bits do not take 4 bytes each"),
     ],
 )
 def test_wav_that_contradicts_itself_is_told(write, content, word):

@@ -50,6 +50,12 @@ def npy(array, **options):
     return file.getvalue()
 
 
+def npz(**arrays):
+    file = io.BytesIO()
+    np.savez(file, **arrays)
+    return file.getvalue()
+
+
 def npy_header(text, version=(1, 0)):
     text = text.encode("latin-1") + b"\n"
     return b"\x93NUMPY" + bytes(version) + struct.pack("<H" if version == (1, 0) else "<I", len(text)) + text
@@ -611,6 +617,15 @@ VALID = [
 ]
 
 
+VALID += [
+    b"clock;F (N)\n2026-03-04 10:00:00,5;1,5\n2026-03-04 10:00:01,0;2\n2026-03-04 10:00:01,5;3\n",
+    b"LabVIEW Measurement\nSeparator\tTab\nX_Columns\tOne\n***End_of_Header***\n\nChannels\t1\nSamples\t3\n"
+    b"Date\t2026/03/04\nTime\t10:00:00\nX0\t0\nDelta_X\t0.001000\n***End_of_Header***\nX_Value\tF\tComment\n"
+    b"0.000\t1.5\n0.001\t2.5\tseen\n0.002\t3\n",
+    npz(x=np.arange(12.0), fs=1000.0),
+]
+
+
 def fuzz(seed, rounds):
     draw = random.Random(seed)
     read = 0
@@ -629,4 +644,4 @@ def fuzz(seed, rounds):
 
 
 def test_damaged_files_raise_nothing_but_our_own_errors():
-    assert fuzz(20, 1200) > 50
+    assert fuzz(20, 1500) > 50

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from scipy import integrate, signal
 
+from cgid.bands import MEL_BANDS
 from cgid.energy_spectrum import EnergySpectrum
 from cgid.errors import BadData, InvalidValue
 from cgid.features import FEATURES, choose, extract, extract_array, kind_for, kind_of, supported
@@ -21,7 +22,7 @@ ALL = choose(None, "vibration")
 #: Those that frames of 80 ms at 25.6 kHz allow.
 NAMES = supported(ALL, RATE, N_SAMPLES)
 LEVELS = [name for name in NAMES if name.startswith(("level", "early"))]
-SPECTRAL = [name for name in NAMES if "level" in name or name.startswith("vibration")]
+SPECTRAL = [name for name in NAMES if any(word in name for word in ("level", "mel_", "vibration", "_frequency"))]
 TEMPORAL = [name for name in NAMES if name not in SPECTRAL]
 
 
@@ -203,6 +204,33 @@ def test_a_mode_is_in_its_own_band():
         relative = {name: value for name, value in found.items() if name.startswith("relative")}
         assert max(relative, key=relative.__getitem__) == f"relative_level_{middle}_hz"
         assert -0.2 < max(relative.values()) <= 0
+
+
+@pytest.mark.parametrize("band", [8, 15, 24])
+def test_a_mode_is_in_its_own_mel_band(band):
+    frequency = float(MEL_BANDS.centres[band])
+    found = measure(damped_sinusoid(frequency, 0.005))
+    relative = {name: value for name, value in found.items() if name.startswith("relative_mel")}
+    assert max(relative, key=relative.__getitem__) == f"relative_mel_{frequency:.0f}_hz"
+    assert -0.15 < max(relative.values()) <= 0
+    assert found[f"mel_{frequency:.0f}_hz"] == pytest.approx(max(relative.values()) + found["level_total"], abs=1e-12)
+    assert found["dominant_frequency"] == pytest.approx(frequency, abs=7)
+
+
+@pytest.mark.parametrize(("frequency", "damping"), [(1000, 0.01), (1000, 0.03), (3078, 0.01)])
+def test_energy_of_a_mel_band_comes_as_in_the_closed_form(frequency, damping):
+    # Of exp(-2 alpha t) in the mean after 1 / (2 alpha); a bell about the onset has half of its first energy before it.
+    alpha = damping * 2 * np.pi * frequency + 1 / WINDOW_TIME
+    found = measure(damped_sinusoid(frequency, damping), [f"mel_delay_{frequency}_hz"])
+    assert found[f"mel_delay_{frequency}_hz"] == pytest.approx(1 / (2 * alpha), rel=0.15, abs=4e-4)
+
+
+def test_levels_without_gain_are_the_levels_less_the_whole(rung):
+    table = dict(zip(NAMES, extract_array(rung, RATE, NAMES, pre_trigger=PRE_TRIGGER).T, strict=True))
+    relative = [name for name in NAMES if name.startswith("relative_")]
+    assert {name.split("_")[1] for name in relative} == {"level", "early", "mel"}
+    for name in relative:
+        assert table[name] == pytest.approx(table[name.removeprefix("relative_")] - table["level_total"], abs=1e-12)
 
 
 # -- noise ----------------------------------------------------------------------------------------------------
@@ -388,10 +416,12 @@ def count_transforms(monkeypatch):
 
 def test_one_transform_serves_all_bands(monkeypatch, rung):
     calls = count_transforms(monkeypatch)
-    extract_array(rung, RATE, [name for name in SPECTRAL if not name.startswith("early")], pre_trigger=PRE_TRIGGER)
-    assert len(calls) == 1
-    extract_array(rung, RATE, [name for name in SPECTRAL if name.startswith("early")], pre_trigger=PRE_TRIGGER)
-    assert len(calls) == 2
+    delays = [name for name in SPECTRAL if name.startswith("mel_delay")]
+    early = [name for name in SPECTRAL if name.startswith("early")]
+    whole = [name for name in SPECTRAL if "early" not in name and name not in delays]
+    for transforms, names in enumerate((whole, early, delays), start=1):
+        extract_array(rung, RATE, names, pre_trigger=PRE_TRIGGER)
+        assert len(calls) == transforms
 
 
 def test_no_transform_is_made_for_features_in_time(monkeypatch, rung):

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 
 import numpy as np
 
+from cgid.bands import MEL_BANDS
 from cgid.features.feature import Feature
 from cgid.validation import Floats
-from cgid.vibration import EARLY_TIME, WINDOW_TIME, VibrationBatch
+from cgid.vibration import APART, EARLY_TIME, WINDOW_TIME, VibrationBatch
+from cgid.wavelets import LEVEL, N_PACKETS, WAVELET
 
 #: Nominal mid-band frequencies of the third-octave bands [Hz] (IEC 61260-1:2014), as in their names.
 THIRD_OCTAVES = (
@@ -24,6 +27,8 @@ _Measure = Callable[[VibrationBatch], Floats]
 _LEAST_BANDWIDTH = 1000.0
 
 _IEC = "IEC 61260-1:2014 (exact mid-band frequencies, base ten, ideal edges)"
+_MEL = "Davis & Mermelstein 1980 (mel bands); O'Shaughnessy 1987 (mel)"
+PACKETS_SOURCE = "Coifman, Meyer & Wickerhauser 1992 (wavelet packets); PyWavelets"
 _PEETERS = "Peeters 2004, CUIDADO report (spectral shape)"
 _SCHROEDER = "Schroeder 1965 (backward integral); as T20 of ISO 3382-1, but from -5 to -15 dB, times 6"
 _WINDOWED = f"event x exp(-t/{WINDOW_TIME * 1e3:g} ms), the exponential window of impact testing (Fladung & Rost 1997)"
@@ -66,6 +71,14 @@ def _early_level(low: float, high: float) -> _Measure:
     return lambda vibration: vibration.early_level(low, high)
 
 
+def _relative_early_level(low: float, high: float) -> _Measure:
+    return lambda vibration: vibration.early_level(low, high) - vibration.total_level
+
+
+def _dominant(place: int) -> _Measure:
+    return lambda vibration: vibration.dominant_frequencies[:, place]
+
+
 def _vibration(
     name: str,
     unit: str,
@@ -76,6 +89,7 @@ def _vibration(
     positive: bool = False,
     highest_frequency: float = _LEAST_BANDWIDTH,
     shortest_frame: float = 0.0,
+    extra: str = "",
 ) -> Feature:
     return Feature(
         name,
@@ -87,6 +101,7 @@ def _vibration(
         kind="vibration",
         highest_frequency=max(highest_frequency, _LEAST_BANDWIDTH),
         shortest_frame=shortest_frame,
+        extra=extra,
     )
 
 
@@ -104,6 +119,46 @@ def _bands() -> list[Feature]:
         absolute.append(_band(name, "log10(U^2 s)", definition, number, _level(*edges)))
         definition = f"{name} minus level_total: the gain of the sensor cancels"
         relative.append(_band(f"relative_{name}", "1", definition, number, _relative_level(*edges)))
+    return absolute + relative
+
+
+def _mel_bands() -> list[Feature]:
+    def columns(number: int) -> tuple[_Measure, _Measure, _Measure]:
+        return (
+            lambda v: v.mel[:, number],
+            lambda v: v.mel[:, number] - v.total_level,
+            lambda v: v.mel_delay[:, number],
+        )
+
+    found: list[list[Feature]] = [[], [], []]
+    for number, centre in enumerate(MEL_BANDS.centres.tolist()):
+        low, high = (float(MEL_BANDS.corners[number + step]) for step in (0, 2))
+        band = partial(_vibration, source=_MEL, highest_frequency=high, shortest_frame=2 / (high - low))
+        name, (level, relative, delay) = f"mel_{centre:.0f}_hz", columns(number)
+        definition = f"log10 of the energy in the mel band at {centre:.0f} Hz, windowed as for level_total"
+        found[0].append(band(name, "log10(U^2 s)", definition, measure=level))
+        definition = f"{name} minus level_total: the gain of the sensor cancels"
+        found[1].append(band(f"relative_{name}", "1", definition, measure=relative))
+        definition = f"when the energy of {name} comes after the onset, in the mean; late where it dies slowly"
+        found[2].append(band(f"mel_delay_{centre:.0f}_hz", "s", definition, measure=delay))
+    return [feature for features in found for feature in features]
+
+
+def _packets() -> list[Feature]:
+    def columns(number: int) -> tuple[_Measure, _Measure]:
+        return (lambda v: v.packets[:, number]), (lambda v: v.packets[:, number] - v.total_level)
+
+    absolute, relative = [], []
+    for number in range(N_PACKETS):
+        packet = partial(_vibration, source=PACKETS_SOURCE, extra="wavelets")
+        name, (level, free) = f"packet_{number + 1}_of_{N_PACKETS}", columns(number)
+        definition = (
+            f"log10 of the energy in wavelet packet {number + 1} ({WAVELET}, level {LEVEL}, the lowest of {N_PACKETS} "
+            "equal bands up to half the sampling rate first), windowed as for level_total"
+        )
+        absolute.append(packet(name, "log10(U^2 s)", definition, measure=level))
+        definition = f"{name} minus level_total: the gain of the sensor cancels"
+        relative.append(packet(f"relative_{name}", "1", definition, measure=free))
     return absolute + relative
 
 
@@ -190,4 +245,51 @@ VIBRATION_FEATURES = (
         )
         for low, high in EARLY_BANDS
     ),
+    *(
+        _vibration(
+            f"relative_early_level_{low}_{high}_hz",
+            "1",
+            f"early_level_{low}_{high}_hz minus level_total: the gain of the sensor cancels",
+            "cgid",
+            _relative_early_level(float(low), float(high)),
+            highest_frequency=float(high),
+        )
+        for low, high in EARLY_BANDS
+    ),
+    _vibration(
+        "vibration_skewness",
+        "1",
+        "third standardised moment about vibration_centroid",
+        _PEETERS,
+        lambda v: v.clean_spectrum.standardised_moments[0],
+    ),
+    _vibration(
+        "vibration_kurtosis",
+        "1",
+        "fourth standardised moment about vibration_centroid",
+        _PEETERS,
+        lambda v: v.clean_spectrum.standardised_moments[1],
+        positive=True,
+    ),
+    _vibration(
+        "vibration_flatness",
+        "1",
+        "log10 of the geometric over the arithmetic mean of the same spectrum above 0 Hz, noise left in",
+        _PEETERS,
+        lambda v: v.spectrum.flatness,
+    ),
+    *(
+        _vibration(
+            f"{order}_frequency",
+            "Hz",
+            f"frequency of the {strength} maximum of the same spectrum, {APART:g} Hz or more from a stronger one",
+            _PEETERS,
+            _dominant(place),
+        )
+        for place, (order, strength) in enumerate(
+            (("dominant", "strongest"), ("second", "second strongest"), ("third", "third strongest"))
+        )
+    ),
+    *_mel_bands(),
+    *_packets(),
 )

@@ -10,8 +10,9 @@ from functools import partial
 
 from cgid.bands import EVEN_BANDS, MEL_BANDS, TriangularBands
 from cgid.features.feature import Feature
-from cgid.features.vibration import THIRD_OCTAVES, band_edges
+from cgid.features.vibration import PACKETS_SOURCE, THIRD_OCTAVES, band_edges
 from cgid.validation import Floats
+from cgid.wavelets import LEVEL, N_PACKETS, WAVELET
 from cgid.windows import BLOW_OVER_MEAN, BLOW_TIME, ENVELOPE_TIME, FRAME_TIME, WindowBatch
 
 _Measure = Callable[[WindowBatch], Floats]
@@ -42,6 +43,7 @@ def _window(
     positive: bool = False,
     highest_frequency: float = _LEAST_BANDWIDTH,
     shortest_frame: float = SHORTEST_WINDOW,
+    extra: str = "",
 ) -> Feature:
     return Feature(
         f"window_{name}",
@@ -53,6 +55,7 @@ def _window(
         kind="window",
         highest_frequency=max(highest_frequency, _LEAST_BANDWIDTH),
         shortest_frame=max(shortest_frame, SHORTEST_WINDOW),
+        extra=extra,
     )
 
 
@@ -96,6 +99,24 @@ def _third_octaves() -> list[Feature]:
         absolute.append(band(f"level_{middle}_hz", "log10(U^2)", definition, measure=level))
         definition = f"window_level_{middle}_hz minus window_level: the gain of the sensor cancels"
         free.append(band(f"relative_level_{middle}_hz", "1", definition, measure=relative))
+    return absolute + free
+
+
+def _packets() -> list[Feature]:
+    def columns(number: int) -> tuple[_Measure, _Measure]:
+        return (lambda w: w.packets[:, number]), (lambda w: w.packets[:, number] - w.level)
+
+    absolute, free = [], []
+    for number in range(N_PACKETS):
+        packet = partial(_window, source=PACKETS_SOURCE, extra="wavelets")
+        name, (level, relative) = f"packet_{number + 1}_of_{N_PACKETS}", columns(number)
+        definition = (
+            f"log10 of the mean square in wavelet packet {number + 1} ({WAVELET}, level {LEVEL}, the lowest of "
+            f"{N_PACKETS} equal bands up to half the sampling rate first)"
+        )
+        absolute.append(packet(name, "log10(U^2)", definition, measure=level))
+        definition = f"window_{name} minus window_level: the gain of the sensor cancels"
+        free.append(packet(f"relative_{name}", "1", definition, measure=relative))
     return absolute + free
 
 
@@ -235,4 +256,5 @@ WINDOW_FEATURES = (
     *_third_octaves(),
     *_triangular("mel", "mel band", _MEL, MEL_BANDS, lambda w: w.mel),
     *_triangular("even", "band of an even bank", "cgid", EVEN_BANDS, lambda w: w.even),
+    *_packets(),
 )

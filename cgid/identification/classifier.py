@@ -185,7 +185,8 @@ class ImpactClassifier(ClassifierMixin, BaseEstimator):  # type: ignore[misc]
 
     def decision_function(self, X: ArrayLike) -> Floats:
         """Return the scores that become probabilities, (n_impacts, n_classes), or (n_impacts,) for two classes."""
-        return np.asarray(self.estimator_.decision_function(self._inputs(self._standardised(X))))
+        inputs = self._inputs(self._standardised(X))
+        return np.asarray(self.estimator_.decision_function(inputs))
 
     def predict_proba(self, X: ArrayLike) -> Floats:
         """Return probabilities, (n_impacts, n_classes), in the order of `classes_`."""

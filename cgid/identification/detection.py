@@ -16,13 +16,14 @@ from cgid.identification.pulse_onsets import PulseOnsets
 from cgid.identification.ringing_onsets import START_CHUNKS as RINGING_START
 from cgid.identification.ringing_onsets import RingingOnsets
 from cgid.validation import Floats
+from cgid.vibration import SHORTEST_EVENT
 
 ImpactKind = Literal["pulse", "vibration"]
 
 #: What follows within this time belongs to the same blow: a struck body rings [s].
 DEAD_TIME = 2e-3
-#: The same for a vibration: what comes sooner leaves too little of it to be measured.
-VIBRATION_DEAD_TIME = 10e-3
+#: The same for a vibration: of what another follows sooner, too little is left to be measured.
+VIBRATION_DEAD_TIME = SHORTEST_EVENT
 #: What is larger is no measurement, and its square no number.
 LARGEST = 1e150
 #: About so many samples are looked at together: they and what is made of them stay in the processor's cache.

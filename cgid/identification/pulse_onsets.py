@@ -17,7 +17,7 @@ THRESHOLD_OVER_PEAK = 0.05
 #: Baseline and noise are told by windows of this length [s], or of so many samples,
 _WINDOW_TIME, _SHORTEST_WINDOW = 20e-3, 64
 #: of which about so many samples are looked at.
-_LOOKED_AT = 256
+_LOOKED_AT = 128
 _CHUNK_WINDOWS = 10
 #: The baseline is the median of so many windows (0.4 s), for it may drift; the noise that of so many (2 s).
 _BASELINE_WINDOWS, _NOISE_WINDOWS = 20, 100

@@ -11,20 +11,17 @@ from numpy.typing import NDArray
 
 from cgid import validation
 from cgid.errors import BadData, CgidError, InvalidValue
-from cgid.features import choose, extract_array, kind_for, kind_of, supported
+from cgid.features import choose, extract_array, kind_for, kind_of, require_supported, supported
 from cgid.features.feature import Kind
 from cgid.identification.annotated import AnnotatedFile, Failures, Reading, annotated_blocks, open_all
 from cgid.identification.annotation import Annotation
-from cgid.identification.events import find_impacts
+from cgid.identification.events import Event, ImpactDetector
 from cgid.identification.feature_sets import sets_for, union_of
 from cgid.identification.manifest import Manifest
 from cgid.identification.referenced import Equalisations, equalisations_of, reference_spectra
 from cgid.identification.windows import WINDOW_TIME, Grid, measure_windows, windows_of
 from cgid.signals import quantity_of
 from cgid.validation import Floats
-
-#: Frames of single impacts, for which bands are chosen that they are long enough for [s].
-_FRAME_TIME = {"pulse": 0.002, "vibration": 0.16}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -38,7 +35,7 @@ class Slicing:
     window_time, hop_time : float
         Length of a window, and from the start of one to that of the next [s].
     dead_time : float or None
-        Of impacts [s]: see `cgid.identification.events.find_impacts`.
+        Of impacts [s]: see `cgid.identification.events.ImpactDetector`.
     """
 
     by: Literal["window", "impact"] = "window"
@@ -199,6 +196,7 @@ def _names(
         raise InvalidValue(
             f"impacts must be those of one channel, got {n_channels}; choose with --channel, or decide on windows"
         )
+    kind: Kind = "window" if slicing.by == "window" else kind_for(quantity_of(files[0].unit))
     if features is not None:
         asked = choose(features)
         if (kind_of(asked) == "window") != (slicing.by == "window"):
@@ -206,14 +204,19 @@ def _names(
                 f"features must be those of the {slicing.by} that is decided on, got those of a {kind_of(asked)}; "
                 "choose others, or another --by"
             )
+        require_supported(asked, rate, _length(kind_of(asked), rate, slicing))
         return asked
-    kind: Kind = "window" if slicing.by == "window" else kind_for(quantity_of(files[0].unit))
-    grid = Grid.at(rate, slicing.window_time, slicing.hop_time)
-    length = grid.length if kind == "window" else round(_FRAME_TIME[kind] * rate)
-    names = supported(union_of(sets_for(kind, level_free=level_free)), rate, length)
+    names = supported(union_of(sets_for(kind, level_free=level_free)), rate, _length(kind, rate, slicing))
     if not names:
         raise BadData(f"recordings must be sampled fast enough for a feature, {rate:g} Hz is not; sample faster")
     return names
+
+
+def _length(kind: Kind, rate: float, slicing: Slicing) -> int:
+    """Return how many samples are measured together."""
+    if kind == "window":
+        return Grid.at(rate, slicing.window_time, slicing.hop_time).length
+    return ImpactDetector(rate, kind="pulse" if kind == "pulse" else "vibration").n_samples
 
 
 # -- one file ---------------------------------------------------------------------------------------------
@@ -269,20 +272,35 @@ def _windows(
 def _impacts(
     file: AnnotatedFile, names: tuple[str, ...], slicing: Slicing, unit: str, equalisations: Equalisations
 ) -> Measured:
-    """Yield annotation, times and features of the impacts in annotated intervals."""
-    (signal,) = file.recording.signals()
-    events = find_impacts(signal, kind=kind_of(names), dead_time=slicing.dead_time)
+    """Yield annotation, times and features of the impacts in annotated intervals; all of the recording is heard."""
+    recording = file.recording
+    detector = ImpactDetector(
+        recording.sampling_rate,
+        kind="vibration" if kind_of(names) == "vibration" else "pulse",
+        dead_time=slicing.dead_time,
+    )
+    for block in recording.blocks():
+        yield from _measured_events(detector.feed(block), file, names, unit, equalisations)
+    yield from _measured_events(detector.finish(), file, names, unit, equalisations)
+
+
+def _measured_events(
+    events: list[Event], file: AnnotatedFile, names: tuple[str, ...], unit: str, equalisations: Equalisations
+) -> Measured:
     for annotation in file.annotations:
-        scale = file.scale(annotation, unit)
-        for event in events:
-            if annotation.start <= event.time < annotation.end:
-                features = extract_array(
-                    event.signal.samples * scale,
-                    signal.sampling_rate,
-                    names,
-                    pre_trigger=event.signal.pre_trigger,
-                    invalid="nan",
-                    detection_limit=event.detection_limit,
-                    equalisation=equalisations[annotation.sensor][0] if annotation.sensor else None,
-                )
-                yield annotation, np.array([event.time]), features
+        own = [event for event in events if annotation.start <= event.time < annotation.end]
+        alike: dict[tuple[int | None, float], list[Event]] = {}
+        for event in own:
+            alike.setdefault((event.pre_trigger, event.detection_limit), []).append(event)
+        for (pre_trigger, detection_limit), some in alike.items():
+            features = extract_array(
+                np.stack([event.samples for event in some]) * file.scale(annotation, unit),
+                file.recording.sampling_rate,
+                names,
+                pre_trigger=pre_trigger,
+                invalid="nan",
+                detection_limit=detection_limit,
+                equalisation=equalisations[annotation.sensor][0] if annotation.sensor else None,
+            )
+            features[[bool(event.problem) for event in some]] = np.nan
+            yield annotation, np.array([event.time for event in some]), features

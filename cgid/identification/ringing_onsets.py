@@ -10,20 +10,24 @@ the rise. A root is used so that no single band decides: two modes that beat mak
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cgid.identification.onsets import Onset, Read
 from cgid.validation import Floats
 
-#: Energies are of windows of two hops, a hop apart [s],
-HOP_TIME = 0.5e-3
+#: Sums of some energies need no more digits, and half the memory is nearly half the time.
+Singles = NDArray[np.float32]
+
+#: Energies are of windows of two hops, a hop apart [s]; a hop has so many samples at least,
+HOP_TIME, _SHORTEST_HOP = 0.5e-3, 8
 #: around these frequencies, as multiples of one over the window's length: 0.8 to 8 kHz. Those above
 #: `HIGHEST` of the sampling rate are left out.
 BANDS = (0.8, 1.6, 2.4, 3.2, 4.0, 5.0, 6.0, 8.0)
 HIGHEST = 0.45
-#: A blow is where the rise passes this; by the ringing of the blow before it is reached in 1 of 100 s.
-RISE = 2.5
-#: The energy must be this many times that of the noise, too: passed by white noise about once in an hour.
-RISE_OVER_NOISE = 3.0
+#: A blow is where the rise passes this,
+RISE = 3.0
+#: and where it would over this many times less than the noise; white noise alone does not in ten minutes.
+RISE_OVER_NOISE = 3.2
 #: Hops that are looked at from a place on, and before it with one hop between.
 _NOW, _BEFORE = 3, 8
 #: What a blow makes of the rise itself is over after so many hops: another blow within the dead time can be told then.
@@ -40,6 +44,8 @@ _QUIET_FACTOR = 1.2
 START_CHUNKS = 2
 #: What is this far below the most that was seen so far is rounding, not vibration.
 _ROUNDING = 1e-10
+#: Samples are kept within this, energies above this.
+_LARGEST, _TINY = np.float32(1e15), np.float32(1e-30)
 #: The event is over when its energy, over that of the noise, has fallen to this share of its highest, or to this.
 END_SHARE, END_OVER_NOISE = 0.01, 2.0
 #: The onset is looked for in differences of the signal at no more than this rate [Hz].
@@ -70,25 +76,41 @@ class RingingOnsets:
     """
 
     def __init__(self, sampling_rate: float, n_channels: int, dead_time: float, joint: bool) -> None:
-        self.hop = max(round(HOP_TIME * sampling_rate), 4)
+        self.hop = max(round(HOP_TIME * sampling_rate), _SHORTEST_HOP)
         self.chunk = _CHUNK_WINDOWS * _WINDOW_HOPS * self.hop
         self.lag = 8 * self.hop
         self._sampling_rate = sampling_rate
-        self._atoms = _atoms(self.hop)
+        self._atoms = _atoms(self.hop).astype(np.float32)
         self.n_bands = self._atoms.shape[1] // 4
         self._dead = max(int(min(dead_time * sampling_rate / self.hop, 2.0**60)), _REACH)
         self._joint = joint
         self._n_hops = 0
-        self._halves = np.zeros((n_channels, 2 * self.n_bands))
-        self._energies = np.zeros((n_channels, _NOW + _BEFORE, self.n_bands))
-        self._windows = np.zeros((n_channels, 0, self.n_bands))
-        self._most = np.zeros((n_channels, 1, self.n_bands))
-        self._rises = np.zeros((n_channels, 0))
+        self._offset: Floats | None = None
+        self._scale = np.zeros((n_channels, 1))
+        self._halves = np.zeros((n_channels, 2 * self.n_bands), np.float32)
+        self._energies = np.zeros((n_channels, _NOW + _BEFORE, self.n_bands), np.float32)
+        self._windows = np.zeros((n_channels, 0, self.n_bands), np.float32)
+        self._most = np.zeros((n_channels, 1, self.n_bands), np.float32)
+        self._rises = np.zeros((n_channels, 0), np.float32)
         self._latest: list[tuple[int, Onset] | None] = [None] * (1 if joint else n_channels)
 
     # -- energies -------------------------------------------------------------------------------------
 
-    def _energies_of(self, samples: Floats) -> Floats:
+    def _scaled(self, samples: Floats) -> Singles:
+        """Return samples (n_channels, n) in single precision, about 1 in size.
+
+        Their zero is the first sample of each channel, their unit the largest of its first chunk that is not silent.
+        """
+        if self._offset is None:
+            self._offset = samples[:, :1].copy()
+        moved = samples - self._offset
+        for channel in np.flatnonzero(self._scale == 0):
+            highest = np.abs(moved[channel]).reshape(-1, self.chunk).max(axis=1)
+            for size in highest[highest > 0][:1]:
+                self._scale[channel] = 2.0 ** -np.clip(np.frexp(size)[1], -1000, 1000)
+        return _single(moved * self._scale)
+
+    def _energies_of(self, samples: Singles) -> Singles:
         """Return the energies (n_channels, n_hops, n_bands) of the windows that end with each hop."""
         n_channels, n_samples = samples.shape
         # A window is two hops, so every hop is turned into the half of two windows at once. Products are of matrices of
@@ -100,25 +122,31 @@ class RingingOnsets:
         late[:, 0] += self._halves
         self._halves = early[:, -1].copy()
         late *= late
-        energies: Floats = late[..., : self.n_bands] + late[..., self.n_bands :]
+        energies: Singles = late[..., : self.n_bands] + late[..., self.n_bands :]
         if self._n_hops == 0:
             energies[:, 0] = energies[:, 1]  # there is nothing before the first hop
         return energies
 
-    def _noise_of(self, energies: Floats, n_known: int) -> Floats:
-        """Return the noise of each chunk (n_channels, n_chunks, n_bands), told by the first n_known hops."""
-        n_channels, n_hops, n_bands = energies.shape
-        whole = n_known // _WINDOW_HOPS
+    def _floors_of(self, energies: Singles, n_known: int) -> tuple[Singles, Singles]:
+        """Return what is noise and what only rounding in each chunk, both (n_channels, n_chunks, n_bands).
+
+        Of the hops only the first n_known are there.
+        """
+        n_channels, _, n_bands = energies.shape
+        means = _window_means(energies)
+        highest = means.reshape(n_channels, -1, _CHUNK_WINDOWS, n_bands).max(axis=2)
+        most = np.maximum.accumulate(np.concatenate([self._most, highest], axis=1), axis=1)
+        self._most = most[:, -1:]
         n_kept = self._windows.shape[1]
-        length = _WINDOW_HOPS
-        if not n_kept and whole < _CHUNK_WINDOWS:
+        means = means[:, : n_known // _WINDOW_HOPS]
+        if not n_kept and means.shape[1] < _CHUNK_WINDOWS:
             # The recording is over before there are enough: shorter windows.
             length = max(n_known // (2 * _CHUNK_WINDOWS), 1)
-            whole = n_known // length
-        means = energies[:, : whole * length].reshape(n_channels, whole, length, n_bands).mean(axis=2)
+            shorter = energies[:, : n_known // length * length]
+            means = shorter.reshape(n_channels, -1, length, n_bands).mean(axis=2)
         windows = np.concatenate([self._windows, means], axis=1)
         self._windows = windows[:, -_WINDOWS_KEPT:]
-        noise = np.empty((n_channels, n_hops // (_CHUNK_WINDOWS * _WINDOW_HOPS), n_bands))
+        noise = np.empty_like(highest)
         for number in range(noise.shape[1]):
             stop = n_kept + _CHUNK_WINDOWS * (number + 1)
             if not self._n_hops:
@@ -126,17 +154,9 @@ class RingingOnsets:
             latest = windows[:, max(min(stop, windows.shape[1]) - _WINDOWS_KEPT, 0) : stop]
             place = int(_QUIET_SHARE * latest.shape[1])
             noise[:, number] = np.partition(latest, place, axis=1)[:, place]
-        return _QUIET_FACTOR * noise
+        return np.float32(_QUIET_FACTOR) * noise, np.float32(_ROUNDING) * most[:, 1:]
 
-    def _least_of(self, energies: Floats) -> Floats:
-        """Return what is only rounding in each chunk (n_channels, n_chunks, n_bands)."""
-        n_channels, _, n_bands = energies.shape
-        highest = energies.reshape(n_channels, -1, _CHUNK_WINDOWS * _WINDOW_HOPS, n_bands).max(axis=2)
-        most = np.maximum.accumulate(np.concatenate([self._most, highest], axis=1), axis=1)
-        self._most = most[:, -1:]
-        return _ROUNDING * most[:, 1:]
-
-    def _rises_of(self, energies: Floats, noise: Floats) -> Floats:
+    def _rises_of(self, energies: Singles, noise: Singles, rounding: Singles) -> Singles:
         """Return the rise at each hop (n_channels, n_hops), three hops late: what is coming must have come."""
         n_channels, n_hops, n_bands = energies.shape
         joined = np.concatenate([self._energies, energies], axis=1)
@@ -146,9 +166,9 @@ class RingingOnsets:
         before = before[:, :n_hops] + before[:, 4 : n_hops + 4]
         now = joined[:, 9 : n_hops + 9] + joined[:, 10 : n_hops + 10]
         now += joined[:, 11:]
-        least = np.maximum(RISE_OVER_NOISE / RISE * noise, self._least_of(energies))
+        least = np.maximum(np.maximum(np.float32(RISE_OVER_NOISE / RISE) * noise, rounding), _TINY)
         shape = (n_channels, noise.shape[1], -1, n_bands)
-        before = np.maximum(before.reshape(shape), _BEFORE * np.maximum(least, np.finfo(np.float64).tiny)[:, :, None])
+        before = np.maximum(before.reshape(shape), np.float32(_BEFORE) * least[:, :, None])
         ratio = now.reshape(shape)
         ratio /= before
         np.sqrt(ratio, out=ratio)
@@ -156,7 +176,7 @@ class RingingOnsets:
         rise = ratio[..., 0].copy()
         for band in range(1, n_bands):
             rise += ratio[..., band]
-        rise *= np.sqrt(_BEFORE / _NOW) / n_bands
+        rise *= np.float32(np.sqrt(_BEFORE / _NOW) / n_bands)
         rise *= rise
         return np.asarray(rise.reshape(n_channels, n_hops))
 
@@ -177,9 +197,9 @@ class RingingOnsets:
         known = n_hops if n_known is None else n_known // self.hop
         if known == 0:
             return []
-        energies = self._energies_of(samples)
-        noise = self._noise_of(energies, known)
-        rises = np.concatenate([self._rises, self._rises_of(energies, noise)], axis=1)
+        energies = self._energies_of(self._scaled(samples))
+        noise, rounding = self._floors_of(energies, known)
+        rises = np.concatenate([self._rises, self._rises_of(energies, noise, rounding)], axis=1)
         first = self._n_hops - self._rises.shape[1]
         self._n_hops += n_hops
         # A blow is placed where the rise is highest in three hops.
@@ -187,11 +207,12 @@ class RingingOnsets:
         self._rises = rises[:, n_decided:]
         rows = rises.max(axis=0, keepdims=True) if self._joint else rises
         found = []
+        there = min(rises.shape[1], n_decided + (2 if n_known is None else 0))
         for row in range(len(rows)):
             for place in np.flatnonzero(rows[row, :n_decided] > RISE).tolist():
                 if not self._is_new(row, first + place):
                     continue
-                top = place + int(np.argmax(rows[row, place : place + 3]))
+                top = place + int(np.argmax(rows[row, place : min(place + 3, there)]))
                 channel = int(np.argmax(rises[:, top])) if self._joint else row
                 # The chunk with which the place was decided.
                 chunk = (first + place + 2 - (self._n_hops - n_hops)) // (self.chunk // self.hop)
@@ -223,16 +244,36 @@ class RingingOnsets:
         n_hops = samples.size // self.hop
         if n_hops < 2:
             return -1
-        hops = samples[: n_hops * self.hop].reshape(n_hops, self.hop)
-        halves = hops @ self._atoms
+        assert self._offset is not None
+        moved = (samples[: n_hops * self.hop] - self._offset[onset.channel]) * self._scale[onset.channel]
+        halves = _single(moved).reshape(n_hops, self.hop) @ self._atoms
         windows = halves[:-1, : 2 * self.n_bands] + halves[1:, 2 * self.n_bands :]
-        energies = (windows**2).reshape(n_hops - 1, 2, self.n_bands).sum(axis=1)
-        floor = np.maximum(onset.noise, np.maximum(_ROUNDING * energies.max(axis=0), np.finfo(np.float64).tiny))
-        level = (energies / floor).mean(axis=1)
-        smooth = np.convolve(level, np.full(4, 0.25))[: level.size]
+        windows *= windows
+        energies = windows[:, : self.n_bands] + windows[:, self.n_bands :]
+        floor = np.maximum(onset.noise, np.maximum(_ROUNDING * energies.max(axis=0), _TINY))
+        level = energies @ (1 / floor)
+        smooth = np.convolve(level, np.full(4, 0.25 / self.n_bands))[: level.size]
         top = int(np.argmax(smooth))
         over = smooth[top:] < max(END_SHARE * smooth[top], END_OVER_NOISE)
-        return (top + int(np.argmax(over))) * self.hop if over.any() else -1
+        place = int(np.argmax(over))
+        return (top + place) * self.hop if over[place] else -1
+
+
+def _single(samples: Floats) -> Singles:
+    """Return samples in single precision, what has no square there made smaller."""
+    with np.errstate(over="ignore"):
+        return np.clip(samples.astype(np.float32), -_LARGEST, _LARGEST)
+
+
+def _window_means(energies: Singles) -> Singles:
+    """Return the means (n_channels, n_windows, n_bands) of the energies (n_channels, n_hops, n_bands) of windows."""
+    n_channels, n_hops, n_bands = energies.shape
+    # Halves upon each other, which are long rows, until five hops are left: several times faster than numpy's mean.
+    sums = energies.reshape(n_channels, n_hops // _WINDOW_HOPS, _WINDOW_HOPS * n_bands)
+    while sums.shape[2] > 5 * n_bands:
+        half = sums.shape[2] // 2
+        sums = sums[..., :half] + sums[..., half:]
+    return np.asarray(sums.reshape(n_channels, -1, 5, n_bands).sum(axis=2) / np.float32(_WINDOW_HOPS))
 
 
 def _atoms(hop: int) -> Floats:

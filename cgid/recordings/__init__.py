@@ -77,6 +77,13 @@ def open_recording(
 
     A recording made by `cgid generate` holds one channel, and says its rate and unit.
 
+    HDF5 and MATLAB files (version 5 and up) hold arrays by name; where there are several beside times, `variable` says
+    which is meant: an array, a group or struct of arrays of one length, or a pattern such as ``ch*``. Rate, unit, start
+    and channel names are taken from attributes and single values (``fs``, ``dt``, ``unit``, ...), the nearest first,
+    the rate else from an array of times. TDMS: the channels of one group with their waveform properties; `variable` is
+    a group or ``group/channel``. Universal files: the data sets 58 over time; `variable` is the number of one.
+    Parquet: columns, as of a text file.
+
     Parameters
     ----------
     path : str or Path

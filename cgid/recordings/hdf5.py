@@ -18,6 +18,10 @@ if TYPE_CHECKING:
     from cgid.store.foreign import ForeignArray
 
 
+#: Attributes of packed numbers and what is meant without them: CF conventions 1.11, section 8.1.
+_PACKING = {"scale_factor": 1.0, "add_offset": 0.0}
+
+
 def read_hdf5(path: Path, source: str, variable: str | None) -> Contents:
     """Return the channels of one array of an HDF5 file, or of several arrays of one length.
 
@@ -36,6 +40,8 @@ def read_hdf5(path: Path, source: str, variable: str | None) -> Contents:
         Two axes are channels and samples, the longer one that of the samples. The rate is what attributes or single
         values such as ``sampling_rate``, ``fs`` or ``dt`` of the array, its groups or the root say, the nearest
         first; else what an array of times beside it says. ``unit``, ``start_time`` and ``channel_names`` likewise.
+        Numbers packed after the Climate and Forecast conventions are unpacked by their ``scale_factor`` and
+        ``add_offset``.
 
     Raises
     ------
@@ -50,13 +56,17 @@ def read_hdf5(path: Path, source: str, variable: str | None) -> Contents:
         if variable not in (None, "samples"):
             raise InvalidValue(f"{source}: the variable of a recording of cgid is 'samples', got {variable!r}")
         return read_own(path, source, variable)
-    found = survey(path, source, is_telling)
+    found = survey(path, source, lambda name: name in _PACKING or is_telling(name))
     if not is_foreign(path):
         raise BadData(f"{source}: an HDF5 file is a dataset, not one recording; {DATASET_CURE}")
 
     def variable_of(array: ForeignArray, axes: tuple[int | None, int]) -> Variable:
+        about = dict(array.attributes)
+        factor, offset = (_number(about.pop(name, default)) for name, default in _PACKING.items())
+
         def blocks(length: int, channels: Sequence[int]) -> Iterator[NDArray[Any]]:
-            return array_blocks(path, source, array, axes, length, channels)
+            stored = array_blocks(path, source, array, axes, length, channels)
+            return stored if (factor, offset) == (1.0, 0.0) else (offset + factor * block for block in stored)
 
         across, along = axes
         return Variable(
@@ -65,10 +75,15 @@ def read_hdf5(path: Path, source: str, variable: str | None) -> Contents:
             n_channels=1 if across is None else array.shape[across],
             n_samples=array.shape[along],
             blocks=blocks,
-            about=array.attributes,
+            about=about,
             fault=array.fault,
             warning=array.warning,
         )
 
     variables = [variable_of(array, axes) for array in found.arrays if (axes := orientation(array.shape)) is not None]
     return contents_of(variables, found.said, source, variable, found.warnings)
+
+
+def _number(value: Any) -> float:
+    """Return a number as it is; anything else makes no sense of the samples, which are then not finite."""
+    return float(value) if isinstance(value, int | float) else float("nan")

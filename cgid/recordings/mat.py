@@ -134,7 +134,8 @@ def _look_into(stored: Stored, matrix: Element, array: _Array, name: str, found:
     raw = stored.read_at(names.start, names.size)
     fields = [raw[k : k + length].split(b"\0")[0].decode("latin-1") for k in range(0, len(raw) - length + 1, length)]
     place, end = names.end, matrix.start + matrix.size
-    for index in range(math.prod(array.shape)):
+    # Without fields there is nothing, however many structs are declared.
+    for index in range(math.prod(array.shape) if fields else 0):
         for part in fields:
             if place + 8 > end:
                 return

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from datetime import datetime
@@ -33,6 +34,8 @@ _BUFFER = 1 << 20
 _LONGEST_VALUE = 200
 #: Equal numbers take hardly any room, but a recording is not made of them.
 _MOST_ROWS_A_BYTE = 1000
+#: What pandas calls the column of an index that has no name.
+_INDEX = "__index_level_"
 _TICKS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 
 
@@ -64,9 +67,12 @@ def read_parquet(path: Path, source: str, variable: str | None) -> Contents:
     file = _Parquet(path, source)
     warnings, n_samples = list[str](), file.n_rows
     columns = []
+    file.require_unique_names()
     for name, kind, values in file.columns():
         if kind == "other":
             warnings.append(f"column {name} holds no numbers and is left out")
+        elif name.startswith(_INDEX) and kind == "number":
+            warnings.append(f"column {name} is an index without a name and is left out")
         else:
             columns.append((name, kind, values, column_of(name)))
     at = next((k for k, (_, kind, _, _) in enumerate(columns) if kind == "timestamp"), None)
@@ -154,6 +160,12 @@ class _Parquet:
             is_number = pa.types.is_integer(one.type) or pa.types.is_floating(one.type)
             is_stamp = pa.types.is_timestamp(one.type) or pa.types.is_duration(one.type)
             yield one.name, "number" if is_number else "timestamp" if is_stamp else "other", _texts(one.metadata)
+
+    def require_unique_names(self) -> None:
+        """Raise `BadData` if two columns have one name, as pyarrow then reads neither."""
+        twice = next((name for name, count in Counter(self._schema.names).items() if count > 1), None)
+        if twice is not None:
+            raise BadData(f"{self._source}: columns must differ in name, {twice!r} is there twice; rename one")
 
     def first_time(self, name: str) -> datetime | None:
         """Return the first timestamp of a column."""

@@ -128,6 +128,10 @@ def _head(chunks: dict[bytes, bytes], order: str, outer_size: int, data_size: in
             f"the header contradicts itself: {rate} Hz of {align} bytes each are not {byte_rate} bytes/s; check the "
             "sampling rate"
         )
+    if -(-bits // 8) != width:
+        warnings.append(
+            f"the header contradicts itself: {bits} bits do not take {width} bytes each; check the number of channels"
+        )
     if b"ds64" in chunks and len(chunks[b"ds64"]) >= 24:
         # The sizes proper of RF64, which do not fit into 32 bits.
         outer_size, data_size = struct.unpack("<QQ", chunks[b"ds64"][:16])

@@ -21,7 +21,6 @@ from cgid.recordings.layout import Layout, is_comment, layout_of
 from cgid.recordings.rows import PIECE, Body, Floats, with_decimal_mark
 from cgid.recordings.time_axis import EvenTimes, rate_of, refined_rate, seconds, time_columns
 
-
 #: What programs call the number of a row, if they call it anything.
 _NAMES_OF_COUNTERS = ("", "index", "no", "nr", "n", "i", "sample", "samples", "sample no", "point", "row", "序号")
 

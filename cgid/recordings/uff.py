@@ -26,6 +26,8 @@ _DELIMITER = re.compile(rb"[ ]{4}-1[ \t]*\r?\n?")
 #: Longer lines are none of text.
 _LONGEST_LINE = 512
 _TIME_RESPONSE, _UNKNOWN_FUNCTION, _TIME_AXIS = 1, 0, 17
+_AXES = enumerate(("X", "Y", "Z", "RX", "RY", "RZ"), 1)
+_DIRECTIONS = {sign * number: f"{'-' if sign < 0 else '+'}{axis}" for number, axis in _AXES for sign in (1, -1)}
 _DATES = ("%d-%b-%y %H:%M:%S", "%d-%b-%Y %H:%M:%S", "%d-%b-%y", "%d-%b-%Y")
 
 
@@ -35,6 +37,7 @@ class _DataSet:
 
     number: int
     name: str
+    place: str
     function: int
     abscissa: int
     is_even: bool
@@ -116,13 +119,19 @@ def read_uff(path: Path, source: str, variable: str | None) -> Contents:
         n_channels=len(chosen),
         blocks=blocks,
         n_samples=first.n_samples,
-        names=[one.name for one in chosen],
+        names=_names(chosen),
         units=[one.unit for one in chosen],
         sampling_rate=_rate(first.step),
         rate_from="increment of the abscissa",
         start_time=first.start_time,
         warnings=warnings,
     )
+
+
+def _names(chosen: Sequence[_DataSet]) -> list[str]:
+    """Return the names of the data sets; where they do not tell them apart, node and direction of the response."""
+    names = [one.name for one in chosen]
+    return names if len(set(names)) == len(names) else [one.place for one in chosen]
 
 
 def _rate(step: float) -> float:
@@ -215,6 +224,7 @@ def _header(file: BinaryIO, kind: bytes, number: int, source: str) -> _DataSet:
     return _DataSet(
         number=number,
         name=_text(lines[0]) or _text(lines[8][26:46]),
+        place=_place(lines[5]),
         function=function,
         abscissa=abscissa,
         is_even=spacing == 1,
@@ -230,6 +240,13 @@ def _header(file: BinaryIO, kind: bytes, number: int, source: str) -> _DataSet:
         per_line=4 if is_double else 6,
         line=line,
     )
+
+
+def _place(line: str) -> str:
+    """Return node and direction of the response, "" where the line does not say them."""
+    with suppress(ValueError):
+        return f"{int(line[41:51])}{_DIRECTIONS.get(int(line[51:55]), '')}"
+    return ""
 
 
 def _text(line: str) -> str:

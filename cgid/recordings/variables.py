@@ -7,7 +7,6 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import datetime
 from fnmatch import fnmatchcase
-from itertools import pairwise
 from typing import Any, TypeVar
 
 import numpy as np
@@ -24,7 +23,8 @@ from cgid.recordings.statements import (
 )
 from cgid.recordings.time_vector import rate_of_vector
 
-_TIME_NAME = re.compile(r"(?i)(.*[\s_.-])?(time|zeit|t)([\s_.(\[-].*)?")
+#: Of an array of times; a large T is as often a temperature or a torque.
+_TIME_NAME = re.compile(r"(?i:(?:.*[\s_.-])?(?:time|zeit)(?:[\s_.(\[-].*)?)|t(?:\s*[(\[].*|_(?:m|u|µ)?s)?")
 #: Names listed in a message.
 _LISTED = 12
 Answer = TypeVar("Answer")
@@ -140,7 +140,8 @@ def contents_of(
         )
     for one in chosen:
         _require_sound(one, source)
-    rates = [_rate(one, variables, said, source) for one in chosen]
+    rates_of = _Rates(variables, said, source, warnings)
+    rates = [rates_of.of(one) for one in chosen]
     for (rate, _), one in zip(rates[1:], chosen[1:], strict=True):
         if (rate is None) != (rates[0][0] is None) or (rate and rates[0][0] and not rates_agree(rate, rates[0][0])):
             raise BadData(
@@ -224,29 +225,52 @@ def _units(values: Values, n_channels: int) -> list[str | None] | None:
     return units if any(units) else None
 
 
-def _rate(
-    variable: Variable, variables: Sequence[Variable], said: Mapping[str, Values], source: str
-) -> tuple[float | None, str]:
-    stated = _first(list(_levels(variable, said)), lambda values: stated_rate(values, source))
-    if stated is not None:
-        return stated
-    times = [
-        one
-        for one in variables
-        if one.is_time and one is not variable and one.n_samples == variable.n_samples and one.group == variable.group
-    ]
-    if not times or variable.n_samples < 2:
-        return None, "header"
-    for one in times:
-        _require_sound(one, source)
-    rates = [rate_of_vector(one, f"{source}: {one.path}") for one in times]
-    for (earlier, a), (later, b) in pairwise(zip(times, rates, strict=True)):
-        if not rates_agree(a, b):
-            raise BadData(
-                f"{source}: the sampling rate must be one to 0.1 %, {earlier.path} gives {a:.10g} Hz and {later.path} "
-                f"{b:.10g} Hz; leave out one of them"
-            )
-    return rates[0], f"array {times[0].path}"
+class _Rates:
+    """The sampling rates of arrays, from what is said of them and from the times beside them."""
+
+    def __init__(
+        self, variables: Sequence[Variable], said: Mapping[str, Values], source: str, warnings: list[str]
+    ) -> None:
+        self._times = [one for one in variables if one.is_time]
+        self._said, self._source, self._warnings = said, source, warnings
+        # Times are looked through once, however many channels they belong to.
+        self._measured: dict[str, float | None] = {}
+
+    def of(self, variable: Variable) -> tuple[float | None, str]:
+        """Return the rate [Hz] and what says it; None if nothing does.
+
+        Raises
+        ------
+        BadData
+            What says it contradicts itself, or is no rate.
+        """
+        stated = _first(list(_levels(variable, self._said)), lambda values: stated_rate(values, self._source))
+        found = [] if stated is None else [stated]
+        for times in self._times:
+            if times is variable or (times.group, times.n_samples) != (variable.group, variable.n_samples):
+                continue
+            if times.path not in self._measured and times.n_samples > 1:
+                self._measured[times.path] = self._measure(times, None if stated is None else stated[1])
+            rate = self._measured.get(times.path)
+            if rate is not None:
+                found.append((rate, f"array {times.path}"))
+        for rate, name in found[1:]:
+            if not rates_agree(rate, found[0][0]):
+                raise BadData(
+                    f"{self._source}: the sampling rate must be one to 0.1 %, {found[0][1]} says {found[0][0]:.10g} Hz "
+                    f"and {name} {rate:.10g} Hz; correct one"
+                )
+        return found[0] if found else (None, "header")
+
+    def _measure(self, times: Variable, otherwise: str | None) -> float | None:
+        try:
+            _require_sound(times, self._source)
+            return rate_of_vector(times, f"{self._source}: {times.path}")
+        except BadData:
+            if otherwise is None:
+                raise
+            self._warnings.append(f"the times of {times.path} are not even, the rate is that of {otherwise}")
+            return None
 
 
 def _require_sound(variable: Variable, source: str) -> None:

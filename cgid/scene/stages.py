@@ -137,7 +137,7 @@ def _rest_of_frames(request: Request) -> Decision:
 
     if request.kept:
         return whole("whole signals are asked for")
-    if kinds_of_signal(request.features) == "vibration":
+    if kinds_of_signal(request.features) != "pulse":
         return whole("a vibration is measured all through the frame")
     if not look_at_the_beginning(request.features):
         everywhere = [name for name in request.features if FEATURES[name].whole_frame]
@@ -239,7 +239,7 @@ def _listed(names: list[str]) -> str:
 
 def kind_of(feature: str) -> str:
     """Return what a feature is read from: "vibrations", or of a pulse "fit", "spectrum" or "features in time"."""
-    if FEATURES[feature].kind == "vibration":
+    if FEATURES[feature].kind != "pulse":
         return "vibrations"
     if FEATURES[feature].fitted:
         return "fit"

@@ -1,4 +1,4 @@
-"""Text attributes of variable length, read in a process of its own that has a limit of time and memory.
+"""Texts of variable length, read in a process of its own that has a limit of time and memory.
 
 One flipped bit in the heap such texts lie in can make HDF5 search for ever, and nothing within a process can stop it.
 This file is also the script that process runs.
@@ -22,14 +22,14 @@ _LONGEST_LIST, _LONGEST_TEXT = 4096, 200
 
 
 def read_texts(path: Path, asked: Sequence[tuple[str, str]]) -> dict[tuple[str, str], Any] | None:
-    """Return the texts of attributes, as text or list of texts; None if they cannot be read in time.
+    """Return texts, each as text or list of texts; None if they cannot be read in time.
 
     Parameters
     ----------
     path : Path
         An HDF5 file.
     asked : sequence of (str, str)
-        Path of the group or dataset ("" is the root) and name of the attribute.
+        Path of the group or dataset ("" is the root) and name of the attribute, "" for the dataset's own value.
     """
     command = [sys.executable, "-P", str(Path(__file__).resolve()), str(path)]
     try:
@@ -61,7 +61,8 @@ def _main() -> None:
     found: list[Any] = []
     with h5py.File(sys.argv[1], "r") as file:
         for path, name in json.loads(sys.stdin.read()):
-            values = np.atleast_1d(np.asarray(file[path or "/"].attrs[name], dtype=object)).ravel().tolist()
+            item = file[path or "/"]
+            values = np.atleast_1d(np.asarray(item.attrs[name] if name else item[()], dtype=object)).ravel().tolist()
             texts = [value.decode("utf-8", "replace") if isinstance(value, bytes) else value for value in values]
             sound = len(texts) <= _LONGEST_LIST and all(isinstance(t, str) and len(t) <= _LONGEST_TEXT for t in texts)
             found.append((texts[0] if len(texts) == 1 else texts) if sound and texts else None)

@@ -116,7 +116,7 @@ def survey(path: Path, source: str, wanted: Any) -> ForeignFile:
             if isinstance(item, h5py.Group):
                 found.said.setdefault(name, {}).update(values)
             else:
-                _add(found, name, item, values, wanted)
+                _add(found, name, item, values, wanted, texts)
     if texts:
         _add_texts(found, texts, read_texts(path, texts))
     return found
@@ -248,11 +248,22 @@ def _plain(values: NDArray[Any]) -> Any:
     return float(values.ravel()[0]) if values.size == 1 else None
 
 
-def _add(found: ForeignFile, name: str, item: h5py.Dataset, values: dict[str, Any], wanted: Any) -> None:
+def _add(
+    found: ForeignFile,
+    name: str,
+    item: h5py.Dataset,
+    values: dict[str, Any],
+    wanted: Any,
+    texts: list[tuple[str, str]],
+) -> None:
     kind, shape = item.dtype.kind, item.shape
-    if shape is None or item.external or item.is_virtual or kind not in "biufS" or values.get("MATLAB_empty"):
-        return
     group, _, last = name.rpartition("/")
+    if shape is None or item.external or item.is_virtual or values.get("MATLAB_empty"):
+        return
+    if h5py.check_string_dtype(item.dtype) is not None and kind == "O" and item.size == 1 and wanted(last):
+        texts.append((name, ""))
+    if kind not in "biufS":
+        return
     matlab = values.get("MATLAB_class", "")
     if matlab == "char" or kind == "S" or item.size == 1:
         if wanted(last) and 0 < item.size * item.dtype.itemsize <= _LONGEST_ATTRIBUTE and not _fault(item):
@@ -311,13 +322,13 @@ def _add_texts(
     found: ForeignFile, asked: Sequence[tuple[str, str]], texts: Mapping[tuple[str, str], Any] | None
 ) -> None:
     if texts is None:
-        names = ", ".join(sorted({name for _, name in asked})[:5])
-        found.warnings.append(
-            f"text attributes of variable length ({names}) could not be read; the file may be damaged"
-        )
+        names = ", ".join(sorted({name or path for path, name in asked})[:5])
+        found.warnings.append(f"texts of variable length ({names}) could not be read; the file may be damaged")
         return
     arrays = {array.name: array.attributes for array in found.arrays}
-    for (path, name), value in texts.items():
+    for place, value in texts.items():
+        # Without the name of an attribute it is a value that lies in a group.
+        path, _, name = place[0].rpartition("/") if not place[1] else (place[0], "", place[1])
         owner = arrays.get(path)
         if owner is None:
             owner = found.said.setdefault(path, {})

@@ -1,0 +1,375 @@
+"""Impacts in recordings that come in blocks: against the truth of streams, whatever the blocks, noises and rates."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from cgid.errors import BadData, InvalidValue
+from cgid.features import extract_array
+from cgid.identification.detection import ImpactDetector
+from cgid.identification.ringing_onsets import onset_in
+from cgid.recordings import read_recording
+from tests.impact_truth import Stream, caving, score
+from tests.test_features import REAL_SHOCK
+
+RATE = 25_600.0
+
+
+def detected(samples, kind="vibration", sampling_rate=RATE, cuts=(), **options):
+    """Return the events of a recording fed in blocks that end at some samples."""
+    samples = np.atleast_2d(samples)
+    detector = ImpactDetector(sampling_rate, len(samples), kind=kind, **options)
+    events, told = [], 0
+    for block in np.split(samples, cuts, axis=1):
+        new = detector.feed(block)
+        # What was told is told: nothing comes later that begins before.
+        assert all(event.onset >= told for event in new)
+        told = detector.told
+        events += new
+        assert all(event.onset < told for event in events)
+    return events + detector.finish()
+
+
+def all_of(events):
+    return [(*(v for k, v in vars(event).items() if k != "samples"), event.samples.tobytes()) for event in events]
+
+
+def ringing(frequency=2000.0, damping=0.02, amplitude=100.0, sampling_rate=RATE, seconds=0.3):
+    t = np.arange(int(seconds * sampling_rate)) / sampling_rate
+    return amplitude * np.exp(-2 * np.pi * damping * frequency * t) * np.sin(2 * np.pi * frequency * t)
+
+
+def blows(places, n_samples, noise=1.0, seed=0, **options):
+    """Vibrations of both signs that begin at some samples, in white noise."""
+    samples = noise * np.random.default_rng(seed).normal(size=n_samples)
+    for number, place in enumerate(places):
+        own = ringing(**options)[: n_samples - place]
+        samples[place : place + own.size] += own * (-1) ** number
+    return samples
+
+
+# -- streams with truth ---------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def stream():
+    return Stream.of(caving(15.0), seed=4)
+
+
+@pytest.mark.parametrize(
+    ("decibels", "kind", "precision", "recall", "late"),
+    [
+        (30, "white", 0.97, 0.97, 14),
+        (20, "white", 0.95, 0.95, 14),
+        (10, "white", 0.95, 0.95, 16),
+        (0, "white", 0.95, 0.90, 20),
+        (20, "pink", 0.95, 0.95, 14),
+        (20, "hum", 0.95, 0.95, 14),
+    ],
+)
+def test_impacts_of_a_caving_window_are_found(stream, decibels, kind, precision, recall, late):
+    noise = stream.noise(decibels, kind)
+    found = score(stream, noise, [event.onset for event in detected(stream.samples + noise)])
+    assert found.n_counting >= 35
+    assert found.precision >= precision
+    assert found.recall >= recall
+    assert 0 <= np.median(found.errors) <= 6
+    assert np.quantile(found.errors, 0.95) <= late
+
+
+def test_thin_plate_that_rings_long_at_another_rate():
+    changes = {
+        "sampling": {"sampling_rate": "51.2 kHz"},
+        "tail_beam": {"thickness": "15 mm", "damping_ratio": "1 %"},
+    }
+    stream = Stream.of(caving(8.0, **changes), seed=5)
+    noise = stream.noise(20)
+    found = score(stream, noise, [event.onset for event in detected(stream.samples + noise, sampling_rate=51_200.0)])
+    assert found.n_counting >= 20
+    assert found.precision >= 0.95
+    assert found.recall >= 0.9
+
+
+def test_white_noise_alone_has_no_impact():
+    random = np.random.default_rng(0)
+    detector = ImpactDetector(RATE, 4, kind="vibration")
+    assert sum(len(detector.feed(random.normal(size=(4, 25_600)))) for _ in range(15)) == 0
+    assert detector.finish() == []
+
+
+def test_a_motor_that_starts_is_no_impact_and_hides_none_that_is_louder():
+    # Its noise comes up by 40 dB within a second.
+    growth = 10 ** np.interp(np.arange(6 * 25_600), [25_600, 2 * 25_600], [0, 2])
+    noise = growth * np.random.default_rng(3).normal(size=growth.size)
+    assert detected(noise) == []
+    truth = [12_800, 4 * 25_600, 5 * 25_600]
+    hits = noise + blows(truth[1:], growth.size, noise=0.0, amplitude=1000.0)
+    hits[truth[0] :] += blows([0], growth.size - truth[0], noise=0.0, amplitude=10.0)
+    assert [event.onset for event in detected(hits)] == pytest.approx(truth, abs=6)
+
+
+@pytest.mark.parametrize("scale", [1e-120, 1e-9, 1.0, 1e9, 1e120])
+@pytest.mark.parametrize("offset", [0.0, 1e4])
+def test_units_and_offsets_change_nothing(scale, offset):
+    samples = blows([9000, 20_000], 30_000)
+    expected = [(event.onset, event.end) for event in detected(samples)]
+    assert len(expected) == 2
+    assert [(event.onset, event.end) for event in detected(scale * (samples + offset))] == expected
+
+
+@pytest.mark.parametrize("sampling_rate", [10_000.0, 44_100.0, 100_000.0])
+@pytest.mark.parametrize("noise", [0.0, 1.0])
+def test_onsets_at_other_rates(sampling_rate, noise):
+    truth = [int(time * sampling_rate) for time in (0.3, 0.5, 0.9)]
+    samples = blows(truth, int(1.3 * sampling_rate), noise, sampling_rate=sampling_rate)
+    onsets = [event.onset for event in detected(samples, sampling_rate=sampling_rate)]
+    assert onsets == pytest.approx(truth, abs=max(2, 1e-4 * sampling_rate))
+
+
+def test_onset_is_where_the_likelihood_of_two_noises_is_highest():
+    random = np.random.default_rng(7)
+    for _ in range(20):
+        samples = np.cumsum(random.normal(size=80) * np.where(np.arange(80) < random.integers(20, 60), 1.0, 8.0))
+        differences = np.diff(samples)
+        likelihood = {}
+        for k in range(2, differences.size - 2):
+            parts = differences[:k], differences[k:]
+            likelihood[k] = sum(-0.5 * part.size * np.log(np.mean(part**2)) for part in parts)
+        assert onset_in(samples, 1) == max(likelihood, key=likelihood.get) + 1
+
+
+# -- the same answer whatever the blocks ----------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("joint", [False, True])
+@pytest.mark.parametrize("kind", ["vibration", "pulse"])
+def test_blocks_of_any_size_give_the_same(kind, joint):
+    samples = np.stack([blows([3000, 9000, 9400, 16_000], 24_000), blows([500, 9010, 23_800], 24_000, seed=1)])
+    expected = all_of(detected(samples, kind, joint=joint))
+    assert len(expected) >= 4
+    for size in (1, 97, 5200, 10_400, 11_000):
+        assert all_of(detected(samples, kind, cuts=range(size, 24_000, size), joint=joint)) == expected
+
+
+@settings(max_examples=25, deadline=None)
+@given(
+    st.sampled_from(["vibration", "pulse"]),
+    st.lists(st.integers(0, 29_999), max_size=12),
+    st.lists(st.integers(0, 30_000), max_size=8),
+    st.integers(1, 30_000),
+)
+def test_any_blocks_give_the_same(kind, places, cuts, n_samples):
+    samples = np.round(blows(sorted(places), 30_000, amplitude=30.0), 1)[:n_samples]
+    expected = all_of(detected(samples, kind))
+    assert all_of(detected(samples, kind, cuts=sorted(min(cut, n_samples) for cut in cuts))) == expected
+
+
+def test_a_block_may_be_used_again_by_who_fed_it():
+    samples, block = blows([9000], 20_000), np.empty((1, 100))
+    detector, events = ImpactDetector(RATE, kind="vibration"), []
+    for start in range(0, samples.size, 100):
+        block[0] = samples[start : start + 100]
+        events += detector.feed(block)
+    assert all_of(events + detector.finish()) == all_of(detected(samples))
+
+
+def test_memory_holds_some_tenths_of_a_second():
+    random = np.random.default_rng(2)
+    detector = ImpactDetector(RATE, kind="pulse", dead_time=1e300)
+    vibrations = ImpactDetector(RATE, kind="vibration")
+    for _ in range(20):
+        # An offset that stays, where a pulse never ends.
+        block = random.normal(size=25_600) + 1000.0
+        block[:2000] -= 1000.0
+        detector.feed(block)
+        vibrations.feed(block)
+    for one in (detector, vibrations):
+        assert one._samples.shape[1] + sum(part.shape[1] for part in one._blocks) < RATE
+
+
+# -- channels -------------------------------------------------------------------------------------------------
+
+
+def test_every_channel_has_its_own_impacts_or_all_have_the_same():
+    samples = np.stack([blows([4000, 12_000], 26_000), blows([12_100, 20_000], 26_000, seed=1)])
+    own = detected(samples)
+    assert [(event.channel, event.samples.ndim) for event in own] == [(0, 1), (0, 1), (1, 1), (1, 1)]
+    for channel in range(2):
+        alone = [(event.onset, event.end, event.samples.tobytes()) for event in detected(samples[channel])]
+        assert [(e.onset, e.end, e.samples.tobytes()) for e in own if e.channel == channel] == alone
+    joint = detected(samples, joint=True)
+    assert [event.channel for event in joint] == [0, 0, 1]
+    assert [event.onset for event in joint] == pytest.approx([4000, 12_000, 20_000], abs=4)
+    # What another channel hears within the dead time, more than its rise takes, is another hit.
+    assert [event.overlapping for event in joint] == [False, False, False]
+    event = joint[0]
+    start = event.onset - 256
+    assert np.array_equal(event.samples[:, :4000], samples[:, start : start + 4000])
+
+
+# -- frames and what is known of them -------------------------------------------------------------------------
+
+
+def test_frames_are_of_one_length_and_measure_as_the_whole():
+    truth = [3000, 9000, 15_000, 22_000]
+    events = detected(blows(truth, 30_000, noise=0.1))
+    frames = np.stack([event.samples for event in events])
+    detector = ImpactDetector(RATE, kind="vibration")
+    assert frames.shape == (4, detector.n_samples)
+    assert {event.pre_trigger for event in events} == {detector.pre_trigger} == {256 - 26}
+    decay, peak = extract_array(
+        frames, RATE, ["decay_time", "peak_amplitude"], pre_trigger=detector.pre_trigger, detection_limit=2.0
+    ).T
+    assert decay == pytest.approx(3 * np.log(10) / (2 * np.pi * 0.02 * 2000.0), rel=0.1)
+    assert peak == pytest.approx(97, rel=0.05)
+
+
+def test_the_end_is_where_one_percent_of_the_energy_is_left():
+    # The energy of 2 ms, exp(-2 pi 0.02 2000 t) twice over, reaches it after 9.2 ms; the noise is not reached.
+    (event,) = detected(blows([9000], 20_000, noise=0.01))
+    assert (event.end - event.onset) / RATE == pytest.approx(np.log(100) / (4 * np.pi * 0.02 * 2000.0), abs=2e-3)
+    # In noise that is as loud after 3 ms it ends there.
+    (event,) = detected(blows([9000], 20_000, noise=15.0))
+    assert 1e-3 < (event.end - event.onset) / RATE < 6e-3
+
+
+@pytest.mark.parametrize(("apart", "overlapping"), [(7e-3, True), (30e-3, False)])
+def test_overlapping_hits_are_marked(apart, overlapping):
+    second = 9000 + int(apart * RATE)
+    events = detected(blows([9000, second], 20_000, noise=0.01))
+    assert [event.overlapping for event in events] == [overlapping, overlapping]
+    assert events[0].end <= second + 4
+    # The first frame has nothing of the second.
+    assert np.ptp(events[0].samples[256 + second - 9000 - 5 :]) == 0
+
+
+def test_two_hits_within_the_dead_time_are_one_and_marked():
+    samples = blows([9000, 9000 + int(8e-3 * RATE)], 20_000, frequency=3000.0, damping=0.05)
+    (event,) = detected(samples, dead_time=20e-3)
+    assert event.overlapping
+    first, second = detected(samples)
+    assert first.onset < second.onset
+    (event,) = detected(samples[:9100], dead_time=20e-3)
+    assert not event.overlapping
+
+
+def test_two_pulses_within_the_dead_time_are_one_and_marked():
+    samples = np.random.default_rng(0).normal(size=20_000)
+    samples[5000:5010] += 500.0
+    samples[5020:5030] += 400.0
+    samples[9000:9010] += 500.0
+    assert [event.overlapping for event in detected(samples, "pulse")] == [True, False]
+
+
+@pytest.mark.parametrize("kind", ["vibration", "pulse"])
+def test_clipping_is_marked(kind):
+    samples = blows([9000, 15_000], 26_000, frequency=300.0)
+    assert [event.clipped for event in detected(samples, kind)] == [False, False]
+    assert [event.clipped for event in detected(np.clip(samples, -60.0, 60.0), kind)] == [True, True]
+
+
+def test_what_the_recording_cuts_is_marked():
+    samples = blows([0, 9000, 19_950], 20_000, damping=0.005)
+    first, whole, last = detected(samples[20:])
+    assert (first.cut, whole.cut, last.cut) == (True, False, True)
+    assert "cut off by its start" in first.problem
+    assert whole.problem == ""
+    assert "for 5 ms" in detected(blows([9000], 9060))[0].problem
+    assert {event.samples.size for event in (first, whole, last)} == {whole.samples.size}
+
+
+# -- anything at all ------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("kind", ["vibration", "pulse"])
+def test_silence_and_offsets_have_no_impact(kind):
+    for value in (0.0, -7.0, 1e100, 0.1):
+        assert detected(np.full((2, 60_000), value), kind) == []
+        assert detected(np.full((2, 60_000), np.float32(min(value, 1e30))), kind) == []
+    assert detected(np.empty((1, 0)), kind) == []
+
+
+def test_a_quantised_silence_has_no_pulse():
+    # Most samples are 0, one in a hundred is a step above or below.
+    samples = np.random.default_rng(0).choice([-1.0, 0.0, 1.0], p=[0.005, 0.99, 0.005], size=100_000)
+    assert detected(samples, "pulse") == []
+    samples[50_000:50_010] = 40.0
+    assert [event.onset for event in detected(samples, "pulse")] == [50_000]
+
+
+def test_a_drifting_baseline_hides_no_pulse():
+    samples = np.random.default_rng(0).normal(size=100_000) + np.linspace(0, 3000, 100_000)
+    truth = [5000, 30_000, 70_000, 95_000]
+    for place in truth:
+        samples[place : place + 20] += 200.0
+    assert [event.onset for event in detected(samples, "pulse", 1e5)] == truth
+
+
+def test_a_level_that_stays_is_one_pulse():
+    samples = np.random.default_rng(0).normal(size=100_000)
+    samples[40_000:45_000] += 1000.0
+    events = detected(samples, "pulse", 1e5)
+    assert [event.onset for event in events] == [40_000]
+    assert events[0].end - events[0].onset == 1500
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    st.sampled_from(["vibration", "pulse"]),
+    st.sampled_from([1e-3, 1.0, 3000.0, RATE, 1e6]),
+    st.integers(0, 3000),
+    st.sampled_from([1e-150, 1.0, 1e38, 1e149]),
+    st.integers(0, 2**32 - 1),
+)
+def test_any_samples_are_framed(kind, sampling_rate, n_samples, size, seed):
+    random = np.random.default_rng(seed)
+    samples = size * random.standard_cauchy(n_samples).clip(-9, 9)
+    detector = ImpactDetector(sampling_rate, kind=kind)
+    for event in detector.feed(samples) + detector.finish():
+        assert event.samples.shape == (detector.n_samples,)
+        assert np.isfinite(event.samples).all()
+        assert 0 <= event.onset < event.end <= n_samples
+
+
+def test_what_is_no_block_is_refused():
+    detector = ImpactDetector(RATE, 2, kind="vibration")
+    for block in (np.zeros(5), np.zeros((3, 5)), np.zeros((2, 5), complex), [["a"], ["b"]]):
+        with pytest.raises(InvalidValue, match=r"shape \(2, n\)"):
+            detector.feed(block)
+    for value in (np.nan, np.inf, 1e200):
+        with pytest.raises(BadData, match="must be finite and lie within"):
+            detector.feed(np.array([[0.0, 1.0], [2.0, value]]))
+    detector.finish()
+    with pytest.raises(InvalidValue, match="the recording is over"):
+        detector.feed(np.zeros((2, 5)))
+    assert detector.finish() == []
+
+
+@pytest.mark.parametrize(
+    ("options", "says"),
+    [
+        ({"kind": "window"}, "kind must be one of"),
+        ({"kind": "pulse", "n_channels": 0}, "n_channels must be at least 1"),
+        ({"kind": "pulse", "dead_time": -1.0}, "dead_time"),
+        ({"kind": "pulse", "event_time": 0.0}, "event_time"),
+        ({"kind": "pulse", "sampling_rate": 0.0}, "sampling_rate"),
+    ],
+)
+def test_what_is_no_option_is_refused(options, says):
+    with pytest.raises(InvalidValue, match=says):
+        ImpactDetector(**{"sampling_rate": RATE, **options})
+
+
+@pytest.mark.parametrize("number", range(4))
+def test_real_shocks(number):
+    if not REAL_SHOCK.is_dir():
+        pytest.skip("the real shocks are not beside this checkout (../shared/realdata/shock)")
+    (table,) = read_recording(REAL_SHOCK / f"acc_base_a{number}.txt")
+    (event,) = detected(table.samples, "pulse", table.sampling_rate)
+    assert event.onset < np.argmax(table.samples) < event.end
+    # The board rings with the shock; the recording begins 9 ms before.
+    (board,) = read_recording(REAL_SHOCK / f"acc_pcb_a{number}.txt")
+    event = detected(board.samples, sampling_rate=board.sampling_rate)[0]
+    assert event.time == pytest.approx(0.009, abs=1e-3)
+    assert not event.cut
