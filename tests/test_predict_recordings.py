@@ -367,6 +367,9 @@ def test_truncated_wav_is_answered_with_a_warning(tmp_path: Path, capsys: pytest
     messages = [row["message"] for row in of_kind(rows, "warning")]
     assert messages
     assert all(message in err for message in messages)
+    for command in ("features", "info"):
+        assert run([command, str(tmp_path / "cut.wav"), "--unit", "kN"]) == 0
+        assert all(message in capsys.readouterr().err for message in messages)
 
 
 def test_strict_stops_at_the_first_file_that_fails(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -394,6 +397,12 @@ def test_recordings_of_two_quantities_have_two_models(tmp_path: Path, capsys: py
     assert [row["in_training_range"] for row in impacts if row["channel"] == "hammer"] == [True, True]
     assert {row["channel"] for row in impacts} == {"hammer", "beam"}
     assert "25600 Hz" in err  # the model of vibrations was trained there
+    text = (tmp_path / "m.csv").read_text().replace("beam (m/s^2)", "heat (V)")
+    (tmp_path / "m.csv").write_text(text)
+    assert run(["predict", str(tmp_path / "m.csv"), "--json"]) == 0
+    rows = lines_of(capsys)
+    assert {row["channel"] for row in of_kind(rows, "impact")} == {"hammer"}
+    assert "channel heat: the quantity must be the model's" in of_kind(rows, "warning")[0]["message"]
 
 
 def test_model_of_windows_answers_windows(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -430,22 +439,26 @@ def test_models_without_gangue_have_no_share(tmp_path: Path, capsys: pytest.Capt
     assert "share" in {row["kind"] for row in lines_of(capsys)}
 
 
-def test_report_is_a_page_of_all_files(tmp_path: Path, two_channels: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_report_is_a_page_of_all_files(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     pytest.importorskip("matplotlib")
-    page = tmp_path / "page.html"
-    arguments = ["predict", str(two_channels), str(ROOT / "datasets" / "sample.csv"), "--rate", str(RATE)]
-    arguments += ["--unit", "N", "--window", "0.1", "--report", str(page)]
-    assert run(arguments) == 0
-    rows = capsys.readouterr().out
+    page, short = tmp_path / "page.html", tmp_path / "short.npy"
+    np.save(short, stream(["coal"], 0.02))
+    arguments = ["--rate", str(RATE), "--unit", "N", "--report"]
+    files = [str(short), str(tmp_path / "none.csv"), str(ROOT / "datasets" / "sample.csv")]
+    page.write_text("old")
+    assert run(["predict", *files, *arguments, str(page)]) == 73
+    assert "--overwrite" in capsys.readouterr().err
+    assert page.read_text() == "old"
+    assert run(["predict", *files, *arguments, str(tmp_path / "page.txt")]) == 73
+    assert ".html" in capsys.readouterr().err
+    assert run(["predict", *files, *arguments, str(page), "--overwrite"]) == 66  # the one that is missing
+    rows = [line for line in capsys.readouterr().out.splitlines() if not line.startswith("#")]
     text = page.read_text()
     assert text.count("<table") == 2
-    assert text.count("<tr>") >= sum(not line.startswith(("#", "SHUT", "OPEN")) for line in rows.splitlines())
-    assert "two.npy" in text
-    assert run(arguments) == 73
-    assert "--overwrite" in capsys.readouterr().err
-    assert run([*arguments, "--overwrite"]) == 0
-    assert run([*arguments[:-1], str(tmp_path / "page.txt")]) == 73
-    assert "html" in capsys.readouterr().err
+    assert len(rows) == 1 + 1 + 6
+    assert text.count("<tr>") == 2 + 1 + 6  # a head each, and the impacts
+    assert "short.npy" in text
+    assert "sample.csv" in text
 
 
 def test_predicting_recordings_imports_nothing_heavy(two_channels: Path) -> None:

@@ -11,6 +11,7 @@ import click
 
 from cgid.cli.answer_lines import AnswerLines, RecordingTally
 from cgid.cli.model_choice import Models, parse_cost, warn_of_rate
+from cgid.errors import CgidError
 
 if TYPE_CHECKING:
     from cgid.cli.report_pages import Pages
@@ -266,19 +267,29 @@ class Telling:
 
 
 def answer_recording(recording: Any, asked: Asked, lines: AnswerLines, pages: Pages | None = None) -> None:
-    """Print the answers for a recording, which is read block by block: once for each model that it needs.
+    """Print the answers for a recording, which is read block by block: once for each model that its channels need.
 
     Raises
     ------
     CgidError
         It cannot be read, is of another quantity, or nothing in it can be measured.
     """
+    groups = _models_of(recording, asked)
+    errors: list[CgidError] = []
     try:
-        for model, rows in _models_of(recording, asked):
-            _answer_channels(recording, model, rows, asked, lines, pages)
+        for model, rows in groups:
+            try:
+                _answer_channels(recording, model, rows, asked, lines, pages)
+            except CgidError as error:
+                errors.append(error)
     finally:
         for warning in recording.warnings:
             lines.warning(recording.source, warning)
+    if len(errors) == len(groups):
+        raise errors[0]
+    # Channels of another quantity do not hide those that can be answered for.
+    for unanswered in errors:
+        lines.warning(recording.source, str(unanswered))
 
 
 def _answer_channels(
