@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+import tracemalloc
 from pathlib import Path
 
 import numpy as np
@@ -123,6 +124,24 @@ def test_silent_channels_are_named_and_do_not_hide_the_others(default_model: Mod
         silent = [message for step in steps for message in step.silent]
         assert [message.split(":")[0] for message in silent] == ["x channel 2", "x channel 3"]
         assert all("no impact" in message for message in silent)
+
+
+def test_memory_does_not_grow_with_the_recording(default_model: Model) -> None:
+    piece = stream(LABELS[6:10], 0.05)[np.newaxis]
+
+    def peak(n_pieces: int) -> tuple[int, int]:
+        """Return the memory that answers took [bytes], and how many there were."""
+        tracemalloc.start()
+        steps = identify_blocks([piece] * n_pieces, RATE, default_model, ("1",), Question(whole=0, batch=8))
+        count = sum(len(step.answers) for step in steps)
+        _, most = tracemalloc.get_traced_memory()
+        tracemalloc.stop()
+        return most, count
+
+    peak(3)  # what is loaded and computed but once
+    (short, few), (long, many) = peak(6), peak(36)
+    assert (few, many) == (24, 144)
+    assert long < 1.1 * short
 
 
 # -- windows ----------------------------------------------------------------------------------------------
