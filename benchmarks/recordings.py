@@ -157,9 +157,10 @@ def main() -> None:
         share = 0.0
         for n_channels in (1, 8, 32):
             share = stream(folder, n_channels, 30)
-        sustained = int(0.7 * 32 / share)
-        stream(folder, sustained, 20)
-        live(folder, sustained, 20)
+        stream(folder, int(0.7 * 32 / share), 20)
+        half = int(0.35 * 32 / share)
+        stream(folder, half, 20)
+        live(folder, half, 20)
 
 
 if __name__ == "__main__":
