@@ -7,7 +7,9 @@ r = p / (1 - p) * (1 - s) / s times as likely a gangue as a coal, and where a sh
 
     1 - q + q r
 
-The product over the window, times an even density of q before anything fell, is the density of q.
+The product over the window, times an even density of q before anything fell, is the density of q. It takes the impacts
+for independent, each as good as those that the model was judged on: where a rock bounces, or the rig is another one,
+the interval is too narrow.
 """
 
 from __future__ import annotations

@@ -6,57 +6,20 @@ Memory holds what the detector holds and one batch of impacts, however long the 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
-from itertools import chain
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cgid.errors import BadData
-from cgid.identification.answers import Answer, Decision, answers_from, identify_events, suited, unmeasured
-from cgid.identification.detection import ImpactDetector, ImpactKind
-from cgid.identification.events import Event, find_impacts
+from cgid.identification.answers import Answer, suited
+from cgid.identification.impact_answers import impacts_answered
 from cgid.identification.model import Model
-from cgid.identification.windows import VOTE_TIME, RunningVote, measure_windows, windows_of
+from cgid.identification.question import Question, Step
+from cgid.identification.window_answers import windows_answered
 from cgid.signals import Signal
 
 if TYPE_CHECKING:
     from cgid.recordings import RecordingFile
-
-#: So many impacts are identified at once: a batch costs little more than a single one.
-BATCH = 256
-#: Samples that are held at once without a second thought.
-WHOLE = 1 << 22
-
-
-@dataclass(frozen=True, kw_only=True)
-class Question:
-    """What is asked of every impact or window of a recording.
-
-    Attributes
-    ----------
-    decision : Decision
-    drop_height : float or None
-        How far the rocks fell [m], for a model that needs to know.
-    dead_time : float or None
-        See `find_impacts` [s].
-    vote_time : float
-        Windows are decided on the mean of the logarithms of their probabilities over so long [s]; 0: each by itself.
-    batch : int
-        Impacts wait until they are so many; with 1 none waits.
-    whole : int
-        A recording of up to so many samples, of all channels, is looked at as a whole by `find_impacts`, which knows
-        its highest pulse; a longer one by `ImpactDetector` as it comes. With 0 every one is.
-    """
-
-    decision: Decision = field(default_factory=Decision)
-    drop_height: float | None = None
-    dead_time: float | None = None
-    vote_time: float = VOTE_TIME
-    batch: int = BATCH
-    whole: int = WHOLE
 
 
 def identify_recording(
@@ -141,50 +104,6 @@ def scaled(blocks: Iterable[NDArray[Any]], factors: Sequence[float]) -> Iterator
         yield block * column.astype(block.dtype)
 
 
-def answering_channels(model: Model, channels: Sequence[str]) -> tuple[str, ...]:
-    """Return the names under which a model answers: that of each channel, or one for all that it looks at together.
-
-    Raises
-    ------
-    BadData
-        The model looks at another number of channels.
-    """
-    if model.n_channels == 1:
-        return tuple(channels)
-    if model.n_channels != len(channels):
-        raise BadData(
-            f"channels must be {model.n_channels}, which this model looks at together, got {len(channels)}; pick them "
-            "with --channel"
-        )
-    return ("+".join(channels),)
-
-
-def independence(model: Model, vote_time: float = VOTE_TIME) -> float:
-    """Return what one answer counts beside others, in (0, 1]: windows that overlap, and votes, tell things again."""
-    if model.kind != "window":
-        return 1.0
-    return min(model.hop_time / max(model.window_time, vote_time), 1.0)
-
-
-@dataclass(frozen=True)
-class Step:
-    """Answers that have come.
-
-    Attributes
-    ----------
-    answers : list of Answer
-        In order of time.
-    until : float
-        No answer is still to come for what happened before this [s].
-    silent : tuple of str
-        Of which channels there was nothing to answer, and why; at the end.
-    """
-
-    answers: list[Answer]
-    until: float
-    silent: tuple[str, ...] = ()
-
-
 def identify_blocks(
     blocks: Iterable[NDArray[Any]],
     sampling_rate: float,
@@ -213,153 +132,5 @@ def identify_blocks(
     BadData
         A model of windows looks at several channels together, and there are others; or the samples are absurd.
     """
-    how = _windows_answered if model.kind == "window" else _impacts_answered
+    how = windows_answered if model.kind == "window" else impacts_answered
     return how(blocks, sampling_rate, model, channels, question, source)
-
-
-def _impacts_answered(
-    blocks: Iterable[NDArray[Any]],
-    sampling_rate: float,
-    model: Model,
-    channels: Sequence[str],
-    question: Question,
-    source: str,
-) -> Iterator[Step]:
-    """Yield the answers for impacts: of a short recording all at once, of a longer one as they come."""
-    coming = iter(blocks)
-    held: list[NDArray[Any]] = []
-    size = 0
-    while size <= question.whole and (block := next(coming, None)) is not None:
-        held.append(block)
-        size += block.size
-    if held and size <= question.whole:
-        samples = held[0] if len(held) == 1 else np.concatenate(held, axis=1)
-        yield _whole_answered(samples, sampling_rate, model, channels, question, source)
-        return
-    detector = ImpactDetector(sampling_rate, len(channels), kind=kind_found(model), dead_time=question.dead_time)
-    waiting: list[Event] = []
-    heard: set[int] = set()
-
-    def step(silent: tuple[str, ...] = ()) -> Step:
-        heard.update(event.channel for event in waiting)
-        answers = _events_answered(waiting, model, channels, question)
-        waiting.clear()
-        return Step(answers, detector.told / sampling_rate, silent)
-
-    with _named(source):
-        for block in chain(_emptied(held), coming):
-            waiting += detector.feed(block)
-            if not waiting or len(waiting) >= question.batch:
-                yield step()
-        waiting += detector.finish()
-    quiet = [channel for number, channel in enumerate(channels) if number not in heard | {e.channel for e in waiting}]
-    yield step(tuple(_silence(_name(source, channel), detector.told / sampling_rate) for channel in quiet))
-
-
-def _silence(name: str, duration: float) -> str:
-    return (
-        f"{name}: no impact in {duration:g} s: nothing rises above the noise; look at it with cgid plot, or record "
-        "nearer or with less noise"
-    )
-
-
-def _whole_answered(
-    samples: NDArray[Any], sampling_rate: float, model: Model, channels: Sequence[str], question: Question, source: str
-) -> Step:
-    """Return the answers for a recording (n_channels, n_samples) that is in memory."""
-    events: list[Event] = []
-    silent = []
-    for number, channel in enumerate(channels):
-        signal = Signal(samples=samples[number], sampling_rate=sampling_rate, source=source, channel=channel)
-        try:
-            found = find_impacts(signal, kind=kind_found(model), dead_time=question.dead_time)
-        except BadData as error:
-            silent.append(str(error))
-            continue
-        events += [replace(event, channel=number) for event in found]
-    events.sort(key=lambda event: (event.onset, event.channel))
-    answers = []
-    for first in range(0, len(events), BATCH):
-        answers += _events_answered(events[first : first + BATCH], model, channels, question)
-    return Step(answers, samples.shape[1] / sampling_rate, tuple(silent))
-
-
-def kind_found(model: Model) -> ImpactKind:
-    """Return what the impacts look like that a model answers for."""
-    return "pulse" if model.kind == "pulse" else "vibration"
-
-
-def _name(source: str, channel: str) -> str:
-    return source if channel == "1" else f"{source} channel {channel}"
-
-
-def _emptied(held: list[NDArray[Any]]) -> Iterator[NDArray[Any]]:
-    """Yield what is held, and hold it no longer."""
-    while held:
-        yield held.pop(0)
-
-
-@contextmanager
-def _named(source: str) -> Iterator[None]:
-    """Say which recording it is that the detector cannot take."""
-    try:
-        yield
-    except BadData as error:
-        text = str(error)
-        raise BadData(text if text.startswith(source) else f"{source}: {text}") from None
-
-
-def _events_answered(
-    events: Sequence[Event], model: Model, channels: Sequence[str], question: Question
-) -> list[Answer]:
-    return identify_events(events, model, question.decision, drop_height=question.drop_height, channels=channels)
-
-
-def _windows_answered(
-    blocks: Iterable[NDArray[Any]],
-    sampling_rate: float,
-    model: Model,
-    channels: Sequence[str],
-    question: Question,
-    source: str,
-) -> Iterator[Step]:
-    names = answering_channels(model, channels)
-    votes = [_vote(model, question) for _ in names]
-    seen = False
-    for first, windows in windows_of(blocks, sampling_rate, model.window_time, model.hop_time):
-        parts = [windows] if model.n_channels > 1 else [windows[:, [row]] for row in range(len(names))]
-        told = [
-            _judged(part, sampling_rate, model, question.decision, vote)
-            for part, vote in zip(parts, votes, strict=True)
-        ]
-        length, seen = windows.shape[2], True
-        answers = [
-            replace(answered[row], time=start / sampling_rate, end=(start + length) / sampling_rate, channel=name)
-            for row, start in enumerate(first.tolist())
-            for name, answered in zip(names, told, strict=True)
-        ]
-        yield Step(answers, answers[-1].time)
-    if not seen:
-        yield Step([], 0.0, (f"{source}: a recording must last a window of {model.window_time:g} s, it is shorter",))
-
-
-def _vote(model: Model, question: Question) -> RunningVote:
-    return RunningVote.over(max(question.vote_time, model.window_time), model.window_time, model.hop_time)
-
-
-def _judged(
-    windows: NDArray[np.floating], sampling_rate: float, model: Model, decision: Decision, vote: RunningVote
-) -> list[Answer]:
-    """Return one answer for each window (n_windows, n_channels, n_samples); what cannot be measured has no vote."""
-    n_windows, n_channels, _ = windows.shape
-    table = measure_windows(windows, sampling_rate, model.measured).reshape(n_windows, n_channels, -1)
-    inputs = table[:, :, : len(model.features)].reshape(n_windows, -1)
-    guards = table[:, :, len(model.features) :].max(axis=1)
-    sound = np.asarray(np.isfinite(table).all(axis=(1, 2)))
-    answers: Iterator[Answer] = iter(())
-    if sound.any():
-        probabilities = vote.feed(model.probabilities(inputs[sound]))
-        novelties = model.novelty(inputs[sound], guards[sound])
-        answers = answers_from(probabilities, novelties, model, decision, sampling_rate)
-    silent = unmeasured("the window cannot be measured: it is silent, constant or not a number")
-    return [next(answers) if known else silent for known in sound.tolist()]
