@@ -35,10 +35,11 @@ def _plain(name: str) -> bool:
 #: "level-free" promises that the gain of the sensor cancels.
 FEATURE_SETS: Mapping[Kind, Sets] = {
     "window": {
+        # First, for no gain was ever the same for long.
+        "even bands and shape, level-free": _windows(_starting("relative_even", "even_deviation"), _shape),
         "even bands and shape": _windows(_starting("even"), _plain),
         "mel bands and shape": _windows(_starting("mel"), _plain),
         "mel bands": _windows(_starting("mel")),
-        "even bands and shape, level-free": _windows(_starting("relative_even", "even_deviation"), _shape),
         "mel bands and shape, level-free": _windows(_starting("relative_mel", "mel_deviation"), _shape),
     },
     "vibration": {
