@@ -22,12 +22,12 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from cgid.identification.clustered import clustered_interval
-from cgid.identification.feature_sets import FEATURE_SETS
-from cgid.identification.grouped import Rows, candidates_for, judge
-from cgid.identification.manifest import read_manifest
-from cgid.identification.recorded import Recorded, Slicing, record
-from cgid.identification.recorded_training import train_recorded
+from cgid.identification.recorded.clustered import clustered_interval
+from cgid.identification.recorded.feature_sets import FEATURE_SETS
+from cgid.identification.recorded.grouped import Rows, candidates_for, judge
+from cgid.identification.recorded.manifest import read_manifest
+from cgid.identification.recorded.measuring import Recorded, Slicing, record
+from cgid.identification.recorded.training import train_recorded
 
 HERE = Path(__file__).parent
 REAL = HERE.parents[1] / "shared" / "realdata" / "bulk_ramp"

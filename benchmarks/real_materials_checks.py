@@ -27,8 +27,8 @@ from scipy import ndimage, signal
 from cgid.equalisation import Equalisation
 from cgid.features import FEATURES, extract_array, supported
 from cgid.identification.classifier import ImpactClassifier
-from cgid.identification.feature_sets import union_of
-from cgid.identification.recorded import Recorded
+from cgid.identification.recorded.feature_sets import union_of
+from cgid.identification.recorded.measuring import Recorded
 from cgid.identification.reference import MeanSpectrum
 from cgid.recordings import read_recording
 from cgid.validation import Floats

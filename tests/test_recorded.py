@@ -21,19 +21,19 @@ from cgid.bands import MEL_BANDS
 from cgid.cli.main import run
 from cgid.errors import BadData, InvalidValue, NoInput
 from cgid.features import FEATURES, extract_array, supported
-from cgid.identification.adaptation import in_unit, shift, thinned
-from cgid.identification.annotated import Reading
 from cgid.identification.card import write_card
 from cgid.identification.classifier import ImpactClassifier
-from cgid.identification.clustered import clustered_interval
-from cgid.identification.feature_sets import FEATURE_SETS, sets_for
-from cgid.identification.grouped import Candidate, Rows, choose, judge, leave_groups_out, require_groups
 from cgid.identification.interval import wilson_interval
-from cgid.identification.manifest import read_manifest
 from cgid.identification.measuring import measure
 from cgid.identification.model import Model
-from cgid.identification.recorded import Recorded, Slicing, record
-from cgid.identification.recorded_training import train_recorded
+from cgid.identification.recorded.adaptation import in_unit, shift, thinned
+from cgid.identification.recorded.annotated import Reading
+from cgid.identification.recorded.clustered import clustered_interval
+from cgid.identification.recorded.feature_sets import FEATURE_SETS, sets_for
+from cgid.identification.recorded.grouped import Candidate, Rows, choose, judge, leave_groups_out, require_groups
+from cgid.identification.recorded.manifest import read_manifest
+from cgid.identification.recorded.measuring import Recorded, Slicing, record
+from cgid.identification.recorded.training import train_recorded
 from cgid.identification.shrunken import ShrunkenDiscriminant
 from cgid.identification.training import train
 from cgid.identification.windows import Grid, RunningVote, measure_windows, windows_of

@@ -8,8 +8,8 @@ from scipy import stats
 from scipy.integrate import quad
 
 from cgid.errors import InvalidValue
-from cgid.identification.share import Share, ShareWindow
-from cgid.identification.shutting import FEWEST_IMPACTS, Shutting
+from cgid.identification.answering.share import Share, ShareWindow
+from cgid.identification.answering.shutting import FEWEST_IMPACTS, Shutting
 
 #: How far the scores of coal and gangue lie apart, in their deviations: right in 77 % of the impacts.
 SEPARATION = 1.5

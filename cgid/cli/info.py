@@ -173,7 +173,7 @@ def _long_channels(recording: Any) -> dict[str, Any]:
     import numpy as np
 
     from cgid.features import kind_for
-    from cgid.identification.detection import ImpactDetector
+    from cgid.identification.detection.detector import ImpactDetector
 
     names = recording.channels
     lowest, highest, total = np.full(len(names), np.inf), np.full(len(names), -np.inf), np.zeros(len(names))

@@ -53,7 +53,7 @@ def monitor(
     again. Nothing is dropped: whoever is slower than the stream says how far behind.
     """
     from cgid import validation
-    from cgid.recordings.live import live_stream
+    from cgid.recordings.sound.live import live_stream
 
     asked, _ = asked_of(options, dead_time_in_seconds(dead_time), steps=_STEPS)
     scale = 1.0 if full_scale is None else float(validation.positive("--full-scale", full_scale, unit or ""))
@@ -72,7 +72,7 @@ def monitor(
 
 def _follow(live: Any, scale: float, asked: Asked, lines: AnswerLines) -> None:
     """Print what a stream holds until it ends or is interrupted."""
-    from cgid.identification.stream_answers import factor_of, identify_blocks, scaled
+    from cgid.identification.answering.stream import factor_of, identify_blocks, scaled
     from cgid.signals import quantity_of
 
     model = asked.models.of(None if live.unit is None else quantity_of(live.unit))

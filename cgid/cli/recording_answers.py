@@ -65,7 +65,7 @@ class Asked:
 
     def question(self, **changes: Any) -> Any:
         """Return what is asked of every impact or window."""
-        from cgid.identification.question import Question
+        from cgid.identification.answering.question import Question
 
         given: dict[str, Any] = {} if self.vote_time is None else {"vote_time": self.vote_time}
         return Question(
@@ -118,8 +118,8 @@ def asked_of(options: dict[str, Any], dead_time: float | None, steps: int = 2) -
     A share is told so many times within its window.
     """
     from cgid import validation
+    from cgid.identification.answering.watch import GANGUE, SHARE_TIME, ShareSettings
     from cgid.identification.answers import Decision
-    from cgid.identification.watch import GANGUE, SHARE_TIME, ShareSettings
 
     left = dict(options)
     names = ("model_path", "mass", "drop_height", "costs", "coverage", "class_conditional")
@@ -180,9 +180,9 @@ class Telling:
         keep: bool = False,
         always: bool = False,
     ) -> None:
-        from cgid.identification.shutting import Turn
-        from cgid.identification.watch import CavingWatch
-        from cgid.identification.window_answers import answering_channels, independence
+        from cgid.identification.answering.shutting import Turn
+        from cgid.identification.answering.watch import CavingWatch
+        from cgid.identification.answering.windows import answering_channels, independence
 
         self.source, self.lines = source, lines
         self.kind = "window" if model.kind == "window" else "impact"
@@ -296,7 +296,7 @@ def _answer_channels(
     recording: Any, model: Any, rows: list[int], asked: Asked, lines: AnswerLines, pages: Pages | None
 ) -> None:
     """Print the answers for those channels of a recording that one model answers for."""
-    from cgid.identification.stream_answers import identify_blocks, model_blocks
+    from cgid.identification.answering.stream import identify_blocks, model_blocks
 
     names, rate, source = [recording.channels[row].name for row in rows], recording.sampling_rate, recording.source
     passing = Passing() if pages is None else pages.drawing(recording, rows)

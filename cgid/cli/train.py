@@ -92,8 +92,8 @@ def train(
     their level and spectrum moved to those of the recordings.
     """
     from cgid.features import choose
-    from cgid.identification.manifest import is_manifest
     from cgid.identification.output import check_model_output, write_model
+    from cgid.identification.recorded.manifest import is_manifest
 
     path = check_model_output(Path(output), plots=plots, overwrite=overwrite)
     names = asked.pop("names")
@@ -133,10 +133,10 @@ def _synthesised(_: list[str], data: list[str], asked: dict[str, Any]) -> tuple[
 def _recorded(manifests: list[str], others: list[str], asked: dict[str, Any]) -> tuple[Any, list[Any]]:
     """Return the training on recordings, and the errors of those that could not be read."""
     from cgid.cli.options import dead_time_in_seconds
-    from cgid.identification.annotated import Reading
-    from cgid.identification.manifest import read_manifest
-    from cgid.identification.recorded import Slicing, record
-    from cgid.identification.recorded_training import train_recorded
+    from cgid.identification.recorded.annotated import Reading
+    from cgid.identification.recorded.manifest import read_manifest
+    from cgid.identification.recorded.measuring import Slicing, record
+    from cgid.identification.recorded.training import train_recorded
 
     if len(manifests) > 1:
         raise InvalidValue(f"{manifests[1]}: there must be one manifest, got {len(manifests)}; put all into one")
@@ -188,8 +188,8 @@ def _measured(data: list[str], recorded: Any, asked: dict[str, Any]) -> tuple[An
 
     from cgid.errors import BadData
     from cgid.features import supported
-    from cgid.identification.adaptation import in_unit
     from cgid.identification.measuring import measure
+    from cgid.identification.recorded.adaptation import in_unit
 
     if recorded.kind == "window":
         raise InvalidValue(
