@@ -963,8 +963,8 @@ def _write_long(kind, path, samples):
 @pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="only Linux says the peak memory of a program")
 @pytest.mark.parametrize("kind", ["hdf5", "mat", "mat packed", "tdms", "one chunk", "uff", "parquet"])
 def test_memory_does_not_grow_with_the_recording(tmp_path, kind):
-    # Whole they would take 16 MB more, UFF half of that. A single chunk of TDMS is held for one channel, and pyarrow has
-    # buffers that fill up within the first million of rows.
+    # Whole they would take 16 MB more, UFF half of that. A single chunk of TDMS is held for one channel, and pyarrow
+    # has buffers that fill up within the first million of rows.
     lengths = (1_000_000, 3_000_000) if kind == "parquet" else (15_000, 1_000_000)
     for name, n_samples in zip(("short", "long"), lengths, strict=True):
         _write_long(kind, tmp_path / f"{name}.{kind}", np.tile(SAMPLES[:2], n_samples // N + 1)[:, :n_samples].copy())
