@@ -32,7 +32,7 @@ MAT_ORDERS: dict[bytes, Order] = {b"\x00\x01IM": "little", b"\x01\x00MI": "big"}
 _BEST_RATIO = 1032
 _PIECE = 1 << 18
 #: Unpacked bytes kept in memory before they go to a temporary file.
-_IN_MEMORY = 8 << 20
+_IN_MEMORY = 1 << 20
 
 
 @dataclass(frozen=True)
