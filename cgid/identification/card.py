@@ -245,7 +245,7 @@ _LIMITS = (
 
 _LIMITS_OF_VIBRATIONS = (
     "The levels are those of one beam, its sensor where it is and as sensitive as it is: on another beam, at another",
-    "place or with another gain the model must be trained again. Where two impacts follow each other within 20 ms",
+    "place or with another gain the model must be trained again. Where two impacts follow each other within 5 ms",
     "the second is taken for a part of the first.",
     "",
 )
