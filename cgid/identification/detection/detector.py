@@ -36,8 +36,8 @@ class ImpactDetector:
     What it has to say does not depend on the blocks: everything moves in chunks counted from the first sample. Memory
     holds some tenths of a second, however long the recording is.
 
-    A vibration's blow is a sudden rise of energy over ringing and noise (`ringing_onsets`), a pulse what rises above
-    the baseline (`pulse_onsets`).
+    A vibration's blow is a sudden rise of energy over ringing and noise (`ringing`), a pulse what rises above
+    the baseline (`pulses`).
 
     Parameters
     ----------

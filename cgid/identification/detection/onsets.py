@@ -1,4 +1,4 @@
-"""What the two ways to find the beginnings of impacts give: `ringing_onsets` and `pulse_onsets`."""
+"""What the two ways to find the beginnings of impacts give: `ringing` and `pulses`."""
 
 from __future__ import annotations
 
