@@ -157,6 +157,24 @@ def test_windows_lie_in_their_intervals_as_a_whole(folder: Path, tmp_path: Path)
     assert rows.groups == (str(folder / "0.npy"),)
 
 
+def test_channels_that_are_annotated_apart_are_recordings_of_their_own(tmp_path: Path) -> None:
+    rows = ["path,label,channel,rate,unit"]
+    for number in range(2):
+        both = np.concatenate([flow(label, number) for label in ("coal", "gangue")])
+        np.save(tmp_path / f"{number}.npy", both)
+        rows += [f"{number}.npy,coal,1,{RATE},g", f"{number}.npy,gangue,2,{RATE},g"]
+    (tmp_path / "m.csv").write_text("\n".join(rows))
+    found = record(read_manifest(tmp_path / "m.csv"), NAMES)
+    assert len(found.pieces) == 4
+    assert len(found.groups) == 2
+    for piece in range(4):
+        assert len(set(found.labels[found.piece == piece])) == 1
+        # A running vote must not go on from one channel to the other.
+        assert (np.diff(found.time[found.piece == piece]) > 0).all()
+    judged = train_recorded(found).metrics["recordings"]["rows"]
+    assert [(row["label"], row["vote"]) for row in judged] == [("coal", "coal"), ("gangue", "gangue")] * 2
+
+
 def test_gain_and_unit_are_made_up_for(folder: Path, tmp_path: Path, recorded: Recorded) -> None:
     np.save(tmp_path / "louder.npy", 4 * 9.80665 * np.load(folder / "3.npy"))
     (tmp_path / "m.csv").write_text(
