@@ -20,6 +20,7 @@ _HOMES = {
     "HuntCrossley": "cgid.impact",
     "Impact": "cgid.impact",
     "ImpactClassifier": "cgid.identification.classifier",
+    "ImpactDetector": "cgid.identification.events",
     "Material": "cgid.materials",
     "Model": "cgid.identification.model",
     "RIGID": "cgid.impact",
@@ -31,11 +32,16 @@ _HOMES = {
     "extract": "cgid.features",
     "fft_filter": "cgid.filters",
     "find_impacts": "cgid.identification.events",
+    "identify_recording": "cgid.identification.stream_answers",
     "load_scene": "cgid.scene",
+    "open_recording": "cgid.recordings",
+    "read_manifest": "cgid.identification.manifest",
     "read_recording": "cgid.recordings",
+    "record": "cgid.identification.recorded",
     "reproduce": "cgid.reproduction",
     "synthesise": "cgid.scene",
     "train": "cgid.identification.training",
+    "train_recorded": "cgid.identification.recorded_training",
 }
 
 __all__ = sorted([*_HOMES, "__version__"])  # pyright: ignore[reportUnsupportedDunderAll]

@@ -229,7 +229,7 @@ def _one_label() -> dict:
 CASES = (
     Case("missing file", ("predict", "none.csv"), 66, ("none.csv",)),
     Case("empty file", ("predict", "empty.csv"), 65, ("empty.csv", "empty")),
-    Case("binary junk", ("predict", "junk.csv"), 65, ("junk.csv", "neither text, NPY nor WAV")),
+    Case("binary junk", ("predict", "junk.csv"), 65, ("junk.csv", "neither text nor of another format")),
     Case("truncated WAV", ("predict", "truncated.wav"), 65, ("truncated.wav",)),
     Case("truncated NPY", ("predict", "truncated.npy", "--rate", "2e5", "--unit", "N"), 65, ("truncated.npy",)),
     Case("truncated dataset", ("predict", "truncated.h5"), 65, ("truncated.h5",)),
