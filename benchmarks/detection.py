@@ -2,10 +2,11 @@
 
     python benchmarks/detection.py [--seconds 30] [--quick]
 
-Streams of the scene `caving` are made without noise; noise of 30 to 0 dB is added. What dB, loud, alone, precision
-and recall are is said in `tests/impact_truth.py`. Further rows are other noises, among them the scene's own background
-(hum, rumble, the noise of the sensor), arrivals, sampling rates, beams. Onset errors, onset less touch, are in samples,
-of impacts that count: median, and from where to where nine of ten lie; the filter against aliasing delays, too.
+Streams of the scene `caving` are made without noise; noise of 30 to 0 dB is added. What dB, loud, alone, precision and
+recall are is said in `tests/impact_truth.py`. Further rows are other noises, among them the scene's own background
+(hum, rumble and the sensor's noise), arrivals, sampling rates and beams. Onset errors, onset less touch, are in
+samples, of impacts that count: median, and from where to where nine of ten lie; the filter against aliasing delays,
+too.
 
 Then: events in ten minutes of white noise alone, and processor time for each sample and channel where nothing happens,
 and for each event more.
@@ -16,7 +17,7 @@ import time
 
 import numpy as np
 
-from cgid.identification.detection import ImpactDetector
+from cgid.identification.detection.detector import ImpactDetector
 from cgid.scene import record
 from tests.impact_truth import Stream, caving, score
 

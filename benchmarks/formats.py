@@ -81,9 +81,10 @@ def _peak(path: Path, specimen: Specimen) -> int:
     if not child:
         warnings.simplefilter("ignore")
         program = (
-            "import sys, ast, resource; from cgid.recordings import open_recording\n"
+            "import sys, ast, re; from cgid.recordings import open_recording\n"
             "for block in open_recording(sys.argv[1], **ast.literal_eval(sys.argv[2])).blocks(): pass\n"
-            "print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)"
+            # ru_maxrss would begin with the peak of the process that started this one.
+            "print(re.search(r'VmHWM:\\s*(\\d+)', open('/proc/self/status').read())[1])"
         )
         os.dup2(writing, 1)
         os.execv(sys.executable, [sys.executable, "-c", program, str(path), repr(specimen.options)])

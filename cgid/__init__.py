@@ -32,16 +32,13 @@ _HOMES = {
     "extract": "cgid.features",
     "fft_filter": "cgid.filters",
     "find_impacts": "cgid.identification.events",
-    "identify_recording": "cgid.identification.stream_answers",
+    "identify_recording": "cgid.identification.answering.stream",
     "load_scene": "cgid.scene",
     "open_recording": "cgid.recordings",
-    "read_manifest": "cgid.identification.manifest",
     "read_recording": "cgid.recordings",
-    "record": "cgid.identification.recorded",
     "reproduce": "cgid.reproduction",
     "synthesise": "cgid.scene",
     "train": "cgid.identification.training",
-    "train_recorded": "cgid.identification.recorded_training",
 }
 
 __all__ = sorted([*_HOMES, "__version__"])  # pyright: ignore[reportUnsupportedDunderAll]

@@ -93,6 +93,7 @@ def make_files(folder: Path) -> None:
     _csv(folder / "acceleration.csv", good / 9.81, "# sampling_rate: 200000 Hz\nacceleration (g)\n")
     _csv(folder / "downwards.csv", -good)
     _csv(folder / "cut_off.csv", good[: 300 + 40])
+    _manifests(folder, good)
     (folder / "text.npz").write_text("no model")
     shutil.copy(shipped.path_of("models", shipped.DEFAULT_MODEL), folder / "model.npz")
     default = Model.load(folder / "model.npz")
@@ -201,6 +202,17 @@ _TABLES = {
     "ultrasound": _HEAD + "1e300,0.012,210,0.9,0.4\n",
     "still": _HEAD + "118.5,0.012,210,0.9,0\n187,0.010,180,0,-0.7\n",
 }
+
+
+def _manifests(folder: Path, good: np.ndarray) -> None:
+    """Write manifests of labelled recordings, each with one thing wrong."""
+    _csv(folder / "twice.csv", np.concatenate([good, good]))
+    (folder / "m_gone.csv").write_text("path,label\ngone.csv,coal\ngood.csv,gangue\n")
+    (folder / "m_label.toml").write_text(
+        'labels = ["coal", "gangue"]\n[[recording]]\npath = "good.csv"\nlabel = "cole"\n'
+    )
+    (folder / "m_group.csv").write_text("path,label,start,end\ntwice.csv,coal,0,0.005\ntwice.csv,gangue,0.005,\n")
+    (folder / "m_both.csv").write_text("path,label\ngood.csv,coal\ngood.csv,gangue\n")
 
 
 def _old_model(path: Path, model: Model) -> None:
@@ -322,6 +334,36 @@ CASES = (
         ("train", "reference.toml", "-n", "600", "--calibration-share", "0.9", "-o", "new.npz"),
         65,
         ("test and calibration share", "0.9"),
+    ),
+    Case(
+        "recording of a manifest is missing",
+        ("train", "m_gone.csv", "--strict", "-o", "new.npz"),
+        66,
+        ("gone.csv", "must exist"),
+    ),
+    Case(
+        "label that a manifest does not allow",
+        ("train", "m_label.toml", "-o", "new.npz"),
+        65,
+        ("m_label.toml", "recording 1", "'coal', 'gangue'", "'cole'"),
+    ),
+    Case(
+        "manifest of one group",
+        ("train", "m_group.csv", "--by", "impact", "-o", "new.npz"),
+        65,
+        ("at least 2 groups", "got 1"),
+    ),
+    Case(
+        "recording with two labels at once",
+        ("train", "m_both.csv", "-o", "new.npz"),
+        65,
+        ("good.csv", "must not overlap", "coal and gangue"),
+    ),
+    Case(
+        "manifest beside an option for datasets",
+        ("train", "m_group.csv", "--test-share", "0.5", "-o", "new.npz"),
+        65,
+        ("--test-share", "left out"),
     ),
     Case("model name without .npz", ("train", "two.h5", "-o", "new.txt"), 73, ("new.txt", ".npz")),
     Case("model exists", ("train", "two.h5", "-o", "model.npz"), 73, ("model.npz", "--overwrite")),

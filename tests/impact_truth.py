@@ -7,7 +7,8 @@ impact touches within `APART` before or after, and the power after touch is at l
 (else it drowns in the ringing of another). An impact **counts** if it is both.
 
 **Found**: an onset from `EARLY` before touch to `LATE` after it; each onset finds one impact at most, the nearest.
-Precision is the share of onsets that find any impact, loud or not; recall the share of those that count that are found.
+Precision is the share of onsets that find any impact, loud or not; recall the share of those that count which are
+found.
 """
 
 from __future__ import annotations

@@ -173,6 +173,8 @@ def _mat(path: Path, samples: np.ndarray, rate: float) -> None:
 def _mat73(path: Path, samples: np.ndarray, rate: float) -> None:
     import hdf5storage
 
+    # It adds to a file that is there.
+    path.unlink(missing_ok=True)
     hdf5storage.savemat(str(path), {"acceleration": samples.T, "fs": rate}, format="7.3")
 
 

@@ -9,6 +9,8 @@ from numpy.typing import NDArray
 
 from cgid.identification.classifier import ImpactClassifier
 from cgid.identification.model import Model
+from cgid.identification.reference import MeanSpectrum
+from cgid.identification.windows import measure_windows
 from cgid.recordings import read_recording
 
 ROOT = Path(__file__).parents[1]
@@ -41,11 +43,14 @@ def stream(labels: list[str], gap: float, seed: int = 0, noise: float = 25.0) ->
     return samples
 
 
-def window_model(n_channels: int = 1, hop_time: float = 0.05) -> Model:
-    """Return a model that tells windows of 0.1 s at 8 kHz of low noise ("coal") from those of high noise ("gangue")."""
-    names = ("window_zero_crossing_rate", "window_centroid")
-    from cgid.identification.windows import measure_windows
+def window_model(
+    n_channels: int = 1, hop_time: float = 0.05, references: dict[str, NDArray[np.float64]] | None = None
+) -> Model:
+    """Return a model that tells windows of 0.1 s at 8 kHz of dull noise ("coal") from those of white noise ("gangue").
 
+    It may know sensors by the windows (n_windows, 800) of their reference runs.
+    """
+    names = ("window_zero_crossing_rate", "window_centroid")
     rng = np.random.default_rng(1)
     white = rng.normal(size=(200, n_channels, 800))
     dull = np.cumsum(white, axis=2)
@@ -61,4 +66,11 @@ def window_model(n_channels: int = 1, hop_time: float = 0.05) -> Model:
         window_time=0.1,
         hop_time=hop_time,
         n_channels=n_channels,
+        references={name: np.stack([_levels(of)] * n_channels) for name, of in (references or {}).items()},
     )
+
+
+def _levels(windows: NDArray[np.float64]) -> NDArray[np.float64]:
+    spectrum = MeanSpectrum(8000.0)
+    spectrum.feed(windows)
+    return spectrum.levels

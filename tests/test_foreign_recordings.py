@@ -17,6 +17,7 @@ from scipy.io import loadmat, savemat
 from cgid.errors import BadData, CgidError, InvalidValue, MissingExtra, MissingOption
 from cgid.recordings import is_dataset, open_recording
 from cgid.recordings import tdms as tdms_reader
+from cgid.recordings.variables import Variable, contents_of
 from cgid.store import attribute_reading, foreign
 
 RANDOM = np.random.default_rng(20261121)
@@ -261,12 +262,31 @@ def test_packed_numbers_of_hdf5_are_unpacked(hdf5):
     assert "finite" in refused(hdf5(lambda file: fill(file, np.bytes_(b"often"))))
 
 
-def test_chunks_that_were_never_written_are_warned_of(hdf5):
-    def fill(file):
-        file.create_dataset("x", (3000,), "f8", chunks=(1000,), fillvalue=0.25).attrs["fs"] = 1.0
-        file["x"][:2000] = SAMPLES[0, :2000]
+@pytest.mark.parametrize("libver", ["earliest", "v110", "latest"])
+@pytest.mark.parametrize("maxshape", [(3, N), (3, None), (None, None)])
+@pytest.mark.parametrize("chunks", [(1, 250), (3, 77), (2, 5000)])
+def test_every_index_of_chunks_is_read(hdf5, libver, maxshape, chunks):
+    if maxshape == (3, N) and chunks[1] > N:
+        chunks = (3, N)
+    packing = {"compression": "gzip", "shuffle": True, "fletcher32": True}
+    path = hdf5(
+        lambda file: file.create_dataset("x", data=SAMPLES, chunks=chunks, maxshape=maxshape, **packing), libver=libver
+    )
+    recording, found = read(path, sampling_rate=1.0)
+    assert np.array_equal(found, SAMPLES) and not recording.warnings
 
-    recording, found = read(hdf5(fill))
+
+@pytest.mark.parametrize("libver", ["earliest", "latest"])
+@pytest.mark.parametrize("maxshape", [(3000,), (None,)])
+@pytest.mark.parametrize("packing", [{}, {"compression": "gzip"}, {"compression": "lzf", "fletcher32": True}])
+def test_chunks_that_were_never_written_are_warned_of(hdf5, libver, maxshape, packing):
+    def fill(file):
+        stored = file.create_dataset("x", (3000,), "f8", chunks=(1000,), maxshape=maxshape, fillvalue=0.25, **packing)
+        stored.attrs["fs"] = 1.0
+        stored[:2000] = [*SAMPLES[0, :1000], *np.zeros(1000)]
+
+    recording, found = read(hdf5(fill, libver=libver))
+    assert np.array_equal(found[0, :2000], [*SAMPLES[0, :1000], *np.zeros(1000)])
     assert (found[0, 2000:] == 0.25).all() and "x: 1 of 3 chunks were never written" in recording.warnings[0]
 
 
@@ -276,6 +296,21 @@ def test_checksums_of_hdf5_find_what_changed(hdf5):
     content[content.index(SAMPLES[:, 1000:1500].tobytes()) + 77] ^= 4
     path.write_bytes(content)
     assert "x cannot be read from sample 700 on" in refused(path, sampling_rate=1.0)
+
+
+def test_a_damaged_index_of_chunks_is_refused_before_it_crashes_hdf5(hdf5):
+    def fill(file):
+        stored = file.create_dataset("x", data=SAMPLES, chunks=(1, 500), compression="gzip", fletcher32=True)
+        stored.attrs["fs"] = 1.0
+
+    path = hdf5(fill)
+    with h5py.File(path) as file:
+        size = file["x"].id.get_chunk_info(3).size
+    content = path.read_bytes()
+    assert content.count(struct.pack("<II", size, 0)) >= 1
+    for wrong in (0, 3, 4, 10**9, 2**32 - 1):
+        path.write_bytes(content.replace(struct.pack("<II", size, 0), struct.pack("<II", wrong, 0)))
+        assert "damaged index of chunks" in refused(path) or wrong > 10**8
 
 
 def test_an_attribute_that_hangs_hdf5_costs_the_attribute_alone(hdf5, monkeypatch):
@@ -855,6 +890,26 @@ def test_damage_to_parquet_is_found_by_its_checksums(parquet):
 # ---- all ----
 
 
+def test_channels_that_come_in_pieces_of_different_length_stay_together():
+    def pieces(row, most):
+        def blocks(length, channels):
+            for first in range(0, len(row), min(length, most)):
+                yield row[None, first : first + min(length, most)]
+
+        return blocks
+
+    parts = [
+        Variable(name=f"c{k}", n_channels=1, n_samples=N, blocks=pieces(SAMPLES[k], most), about={"fs": 5.0})
+        for k, most in enumerate((100, 37, 1000))
+    ]
+    contents = contents_of(parts, {}, "made", "c*", [])
+    for channels in ((0, 1, 2), (2,), (1, 0)):
+        assert np.array_equal(np.concatenate(list(contents.blocks(64, channels)), axis=1), SAMPLES[list(channels)])
+    short = Variable(name="short", n_channels=1, n_samples=N, blocks=pieces(SAMPLES[0, :9], 5))
+    with pytest.raises(BadData, match="3001 samples are declared, 9 are there"):
+        list(contents_of([parts[0], short], {"": {"fs": 5.0}}, "made", "*", []).blocks(64, (0, 1)))
+
+
 @pytest.mark.parametrize(
     ("library", "head", "extra"), [("nptdms", b"TDSm", "formats"), ("pyarrow", b"PAR1", "parquet")]
 )
@@ -866,15 +921,17 @@ def test_a_missing_library_is_named_with_its_extra(tmp_path, monkeypatch, librar
     assert library in message and f"pip install 'cgid[{extra}]'" in message
 
 
-_MEMORY = """
-import resource, sys
+_MEMORY = r"""
+import re, sys
+from pathlib import Path
 from cgid.recordings import open_recording
 
 def grown(path):
     rate = 8192.0 if path.endswith(".uff") else 1000.0
     recording = open_recording(path, sampling_rate=rate, variable=sys.argv[1] or None)
     count = sum(block.shape[1] for block in recording.blocks(8192))
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss, count
+    # ru_maxrss would begin with the peak of the process that started this one.
+    return int(re.search(r"VmHWM:\s*(\d+)", Path("/proc/self/status").read_text())[1]), count
 
 before, _ = grown(sys.argv[2])
 after, count = grown(sys.argv[3])
@@ -903,12 +960,14 @@ def _write_long(kind, path, samples):
         write_uff(path, samples[:1], binary=1)
 
 
+@pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="only Linux says the peak memory of a program")
 @pytest.mark.parametrize("kind", ["hdf5", "mat", "mat packed", "tdms", "one chunk", "uff", "parquet"])
 def test_memory_does_not_grow_with_the_recording(tmp_path, kind):
-    # Whole they would take 16 MB, UFF half of that. A single chunk of TDMS is held for one channel.
-    n_samples = 1_000_000
-    _write_long(kind, tmp_path / f"short.{kind}", np.tile(SAMPLES[:2], 5))
-    _write_long(kind, tmp_path / f"long.{kind}", np.tile(SAMPLES[:2], n_samples // N + 1)[:, :n_samples].copy())
+    # Whole they would take 16 MB more, UFF half of that. A single chunk of TDMS is held for one channel, and pyarrow
+    # has buffers that fill up within the first million of rows.
+    lengths = (1_000_000, 3_000_000) if kind == "parquet" else (15_000, 1_000_000)
+    for name, n_samples in zip(("short", "long"), lengths, strict=True):
+        _write_long(kind, tmp_path / f"{name}.{kind}", np.tile(SAMPLES[:2], n_samples // N + 1)[:, :n_samples].copy())
     variable = "" if kind in ("uff", "parquet") else "x"
     done = subprocess.run(
         [sys.executable, "-c", _MEMORY, variable, str(tmp_path / f"short.{kind}"), str(tmp_path / f"long.{kind}")],

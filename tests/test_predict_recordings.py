@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+import tracemalloc
 from pathlib import Path
 
 import numpy as np
@@ -13,18 +14,14 @@ from scipy.io import wavfile
 
 from cgid.cli.main import run
 from cgid.errors import BadData, InvalidValue
+from cgid.identification.answering.question import Question
+from cgid.identification.answering.share import Share
+from cgid.identification.answering.shutting import Turn
+from cgid.identification.answering.stream import identify_blocks, identify_recording, model_blocks
+from cgid.identification.answering.watch import CavingWatch, ShareSettings
+from cgid.identification.answering.windows import independence
 from cgid.identification.answers import Answer, identify
 from cgid.identification.model import Model
-from cgid.identification.share import Share
-from cgid.identification.shutting import Turn
-from cgid.identification.stream_answers import (
-    Question,
-    identify_blocks,
-    identify_recording,
-    independence,
-    model_blocks,
-)
-from cgid.identification.watch import CavingWatch, ShareSettings
 from cgid.identification.windows import RunningVote, measure_windows
 from cgid.recordings import open_recording, read_recording
 from tests.streams_of_pulses import RATE, ROOT, stream, window_model
@@ -129,6 +126,24 @@ def test_silent_channels_are_named_and_do_not_hide_the_others(default_model: Mod
         assert all("no impact" in message for message in silent)
 
 
+def test_memory_does_not_grow_with_the_recording(default_model: Model) -> None:
+    piece = stream(LABELS[6:10], 0.05)[np.newaxis]
+
+    def peak(n_pieces: int) -> tuple[int, int]:
+        """Return the memory that answers took [bytes], and how many there were."""
+        tracemalloc.start()
+        steps = identify_blocks([piece] * n_pieces, RATE, default_model, ("1",), Question(whole=0, batch=8))
+        count = sum(len(step.answers) for step in steps)
+        _, most = tracemalloc.get_traced_memory()
+        tracemalloc.stop()
+        return most, count
+
+    peak(3)  # what is loaded and computed but once
+    (short, few), (long, many) = peak(6), peak(36)
+    assert (few, many) == (24, 144)
+    assert long < 1.1 * short
+
+
 # -- windows ----------------------------------------------------------------------------------------------
 
 
@@ -163,7 +178,7 @@ def test_windows_are_answered_by_their_vote(n_channels: int) -> None:
 
 def test_windows_without_a_vote_stand_alone() -> None:
     model, samples = window_model(), noises()
-    (step,) = identify_blocks([samples[:1]], 8000.0, model, ("1",), Question(vote_time=0.0))
+    step, _ = identify_blocks([samples[:1]], 8000.0, model, ("1",), Question(vote_time=0.0))
     assert [a.label for a in step.answers if a.end <= 0.6] == ["coal"] * 11
     assert [a.label for a in step.answers if a.time >= 0.6] == ["gangue"] * 11
 
@@ -171,8 +186,8 @@ def test_windows_without_a_vote_stand_alone() -> None:
 def test_windows_of_silence_are_unknown_and_have_no_vote() -> None:
     model, samples = window_model(hop_time=0.1), noises()[:1]
     samples[:, 1600:3200] = 0.0
-    (step,) = identify_blocks([samples], 8000.0, model, ("1",), Question(vote_time=0.2))
-    (other,) = identify_blocks(
+    step, _ = identify_blocks([samples], 8000.0, model, ("1",), Question(vote_time=0.2))
+    other, _ = identify_blocks(
         [np.delete(samples, np.s_[1600:3200], 1)], 8000.0, model, ("1",), Question(vote_time=0.2)
     )
     assert [a.label for a in step.answers[2:4]] == ["unknown"] * 2
@@ -190,6 +205,37 @@ def test_a_model_of_two_channels_asks_for_two() -> None:
 def test_votes_that_overlap_count_less() -> None:
     assert independence(window_model(), 0.0) == pytest.approx(0.5)
     assert independence(window_model(), 0.5) == pytest.approx(0.1)
+
+
+def test_sensors_are_made_up_for_and_their_drift_is_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    run_of = np.random.default_rng(8).normal(0, 0.1, (200, 802))
+    duller = run_of[:, 2:] + run_of[:, 1:-1] + run_of[:, :-2]
+    model = window_model(hop_time=0.1, references={"left": run_of[:, 2:], "right": duller})
+    white = np.random.default_rng(9).normal(0, 0.1, (1, 8000))
+    plain, _ = identify_blocks([white], 8000.0, model, ("1",), Question(vote_time=0.0))
+    *heard, last = identify_blocks([white], 8000.0, model, ("1",), Question(vote_time=0.0, sensors=("left",)))
+    windows = white.reshape(10, 1, 800)
+    table = measure_windows(windows, 8000.0, model.features, model.equalisation("left"))
+    expected = model.novelty(table)
+    assert [a.novelty for a in heard[0].answers] == pytest.approx(expected, rel=1e-9)
+    assert [a.novelty for a in plain.answers] != pytest.approx(expected, rel=0.05)
+    assert last.warnings == ()
+    *_, last = identify_blocks([white], 8000.0, model, ("1",), Question(sensors=("right",)), "x.wav")
+    (warning,) = last.warnings
+    assert "x.wav: sensor right must be within 3 dB of its reference run, it is " in warning
+    with pytest.raises(InvalidValue, match="sensor must be one of 'left', 'right', got 'top'"):
+        list(identify_blocks([white], 8000.0, model, ("1",), Question(sensors=("top",))))
+    with pytest.raises(InvalidValue, match="sensor must be one for all 1 channels or one for each, got 2"):
+        list(identify_blocks([white], 8000.0, model, ("1",), Question(sensors=("left", "right"))))
+
+    (tmp_path / "m.npz").write_bytes(model.to_bytes())
+    wavfile.write(tmp_path / "n.wav", 8000, white[0].astype(np.float32))
+    arguments = ["predict", str(tmp_path / "n.wav"), "--model", str(tmp_path / "m.npz"), "--json"]
+    assert run(arguments) == 0
+    assert "give --sensor NAME if it is one of left, right" in capsys.readouterr().err
+    assert run([*arguments, "--sensor", "right"]) == 0
+    (said,) = of_kind(lines_of(capsys), "warning")
+    assert "sensor right" in said["message"]
 
 
 # -- shares and turns -------------------------------------------------------------------------------------
@@ -341,6 +387,9 @@ def test_truncated_wav_is_answered_with_a_warning(tmp_path: Path, capsys: pytest
     messages = [row["message"] for row in of_kind(rows, "warning")]
     assert messages
     assert all(message in err for message in messages)
+    for command in ("features", "info"):
+        assert run([command, str(tmp_path / "cut.wav"), "--unit", "kN"]) == 0
+        assert all(message in capsys.readouterr().err for message in messages)
 
 
 def test_strict_stops_at_the_first_file_that_fails(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -368,6 +417,12 @@ def test_recordings_of_two_quantities_have_two_models(tmp_path: Path, capsys: py
     assert [row["in_training_range"] for row in impacts if row["channel"] == "hammer"] == [True, True]
     assert {row["channel"] for row in impacts} == {"hammer", "beam"}
     assert "25600 Hz" in err  # the model of vibrations was trained there
+    text = (tmp_path / "m.csv").read_text().replace("beam (m/s^2)", "heat (V)")
+    (tmp_path / "m.csv").write_text(text)
+    assert run(["predict", str(tmp_path / "m.csv"), "--json"]) == 0
+    rows = lines_of(capsys)
+    assert {row["channel"] for row in of_kind(rows, "impact")} == {"hammer"}
+    assert "channel heat: the quantity must be the model's" in of_kind(rows, "warning")[0]["message"]
 
 
 def test_model_of_windows_answers_windows(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -404,22 +459,26 @@ def test_models_without_gangue_have_no_share(tmp_path: Path, capsys: pytest.Capt
     assert "share" in {row["kind"] for row in lines_of(capsys)}
 
 
-def test_report_is_a_page_of_all_files(tmp_path: Path, two_channels: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_report_is_a_page_of_all_files(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     pytest.importorskip("matplotlib")
-    page = tmp_path / "page.html"
-    arguments = ["predict", str(two_channels), str(ROOT / "datasets" / "sample.csv"), "--rate", str(RATE)]
-    arguments += ["--unit", "N", "--window", "0.1", "--report", str(page)]
-    assert run(arguments) == 0
-    rows = capsys.readouterr().out
+    page, short = tmp_path / "page.html", tmp_path / "short.npy"
+    np.save(short, stream(["coal"], 0.02))
+    arguments = ["--rate", str(RATE), "--unit", "N", "--report"]
+    files = [str(short), str(tmp_path / "none.csv"), str(ROOT / "datasets" / "sample.csv")]
+    page.write_text("old")
+    assert run(["predict", *files, *arguments, str(page)]) == 73
+    assert "--overwrite" in capsys.readouterr().err
+    assert page.read_text() == "old"
+    assert run(["predict", *files, *arguments, str(tmp_path / "page.txt")]) == 73
+    assert ".html" in capsys.readouterr().err
+    assert run(["predict", *files, *arguments, str(page), "--overwrite"]) == 66  # the one that is missing
+    rows = [line for line in capsys.readouterr().out.splitlines() if not line.startswith("#")]
     text = page.read_text()
     assert text.count("<table") == 2
-    assert text.count("<tr>") >= sum(not line.startswith(("#", "SHUT", "OPEN")) for line in rows.splitlines())
-    assert "two.npy" in text
-    assert run(arguments) == 73
-    assert "--overwrite" in capsys.readouterr().err
-    assert run([*arguments, "--overwrite"]) == 0
-    assert run([*arguments[:-1], str(tmp_path / "page.txt")]) == 73
-    assert "html" in capsys.readouterr().err
+    assert len(rows) == 1 + 1 + 6
+    assert text.count("<tr>") == 2 + 1 + 6  # a head each, and the impacts
+    assert "short.npy" in text
+    assert "sample.csv" in text
 
 
 def test_predicting_recordings_imports_nothing_heavy(two_channels: Path) -> None:
@@ -431,3 +490,35 @@ def test_predicting_recordings_imports_nothing_heavy(two_channels: Path) -> None
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
     assert done.stderr.strip() == "[]"
+
+
+# -- what a recording is ----------------------------------------------------------------------------------
+
+
+def test_info_of_a_long_recording_is_that_of_a_short_one(
+    two_channels: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    found = []
+    for most in (1 << 24, 0):
+        monkeypatch.setattr("cgid.cli.info._MOST_HELD", most)
+        assert run(["info", str(two_channels), "--rate", str(RATE), "--unit", "N", "--json"]) == 0
+        (row,) = lines_of(capsys)
+        found.append(row)
+    short, long = found
+    assert (short["format"], short["warnings"]) == ("NPY", "none")
+    samples = np.load(two_channels)
+    for row, channel in enumerate(("channel 1", "channel 2")):
+        assert short[channel].pop("median") == pytest.approx(np.median(samples[row]))
+        assert long[channel].pop("mean") == pytest.approx(samples[row].mean(dtype=float), rel=1e-6)
+        assert long[channel] == short[channel]
+        assert long[channel]["impacts"] == 16
+
+
+def test_info_tells_archives_of_arrays_from_models(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    np.savez(tmp_path / "a.npz", samples=stream(["coal"], 0.02), fs=RATE)
+    assert run(["info", str(tmp_path / "a.npz"), "--unit", "N", "--json"]) == 0
+    (row,) = lines_of(capsys)
+    assert (row["kind"], row["channel 1"]["impacts"]) == ("recording", 1)
+    (tmp_path / "m.npz").write_bytes(window_model().to_bytes())
+    assert run(["info", str(tmp_path / "m.npz"), "--json"]) == 0
+    assert lines_of(capsys)[0]["kind"] == "model"

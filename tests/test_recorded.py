@@ -21,19 +21,19 @@ from cgid.bands import MEL_BANDS
 from cgid.cli.main import run
 from cgid.errors import BadData, InvalidValue, NoInput
 from cgid.features import FEATURES, extract_array, supported
-from cgid.identification.adaptation import in_unit, shift, thinned
-from cgid.identification.annotated import Reading
 from cgid.identification.card import write_card
 from cgid.identification.classifier import ImpactClassifier
-from cgid.identification.clustered import clustered_interval
-from cgid.identification.feature_sets import FEATURE_SETS, sets_for
-from cgid.identification.grouped import Candidate, Rows, choose, judge, leave_groups_out, require_groups
 from cgid.identification.interval import wilson_interval
-from cgid.identification.manifest import read_manifest
 from cgid.identification.measuring import measure
 from cgid.identification.model import Model
-from cgid.identification.recorded import Recorded, Slicing, record
-from cgid.identification.recorded_training import train_recorded
+from cgid.identification.recorded.adaptation import in_unit, shift, thinned
+from cgid.identification.recorded.annotated import Reading
+from cgid.identification.recorded.clustered import clustered_interval
+from cgid.identification.recorded.feature_sets import FEATURE_SETS, sets_for
+from cgid.identification.recorded.grouped import Candidate, Rows, choose, judge, leave_groups_out, require_groups
+from cgid.identification.recorded.manifest import read_manifest
+from cgid.identification.recorded.measuring import Recorded, Slicing, record
+from cgid.identification.recorded.training import train_recorded
 from cgid.identification.shrunken import ShrunkenDiscriminant
 from cgid.identification.training import train
 from cgid.identification.windows import Grid, RunningVote, measure_windows, windows_of
@@ -440,7 +440,7 @@ def test_shuffled_labels_of_recordings_score_at_chance(tmp_path: Path) -> None:
     shuffled = record(read_manifest(tmp_path / "m.csv"), NAMES)
     accuracies = [
         train_recorded(shuffled, features=NAMES, shuffle_labels=True, seed=seed).metrics["accuracy"]
-        for seed in range(4)
+        for seed in range(3)
     ]
     assert np.mean(accuracies) < 0.65
 
@@ -475,7 +475,9 @@ def test_a_model_without_windows_must_not_say_their_length() -> None:
     ("change", "says"),
     [
         ({"window_time": 0.0}, "must be above 0"),
-        ({"hop_time": 1e9}, "at most 60 s"),
+        ({"hop_time": 1e9}, "hop_time must lie between 0.01 of a window and 10 s"),
+        ({"hop_time": 1e-9}, "hop_time must lie between 0.01 of a window and 10 s"),
+        ({"window_time": 1e9}, "window_time must be at most 10 s"),
         ({"n_channels": 2}, "must have shape"),
         ({"sensors": ("a",)}, "reference.spectra must be there"),
     ],
@@ -588,10 +590,10 @@ def test_levels_are_moved_onto_those_of_the_recordings() -> None:
         shift(names, features, np.where(synthetic, "shale", "coal"), synthetic)
 
 
-def test_synthetic_rows_never_outnumber_those_of_their_label() -> None:
+def test_synthetic_rows_do_not_drown_those_of_their_label() -> None:
     labels = np.repeat(["coal", "gangue", "shale"], [100, 3, 50])
-    kept = thinned(labels, np.repeat(["coal", "gangue"], [20, 10]), 0)
-    assert dict(zip(*np.unique(labels[kept], return_counts=True), strict=True)) == {"coal": 20, "gangue": 3}
+    kept = thinned(labels, np.repeat(["coal", "gangue"], [7, 10]), 0)
+    assert dict(zip(*np.unique(labels[kept], return_counts=True), strict=True)) == {"coal": 70, "gangue": 3}
 
 
 def vibrations(labels: np.ndarray, seed: int, gain: float = 1.0, noise: float = 1e-3) -> Batch:
@@ -629,12 +631,12 @@ def test_a_scene_teaches_what_four_recordings_do_not(tmp_path: Path) -> None:
     assert synthetic.unit == "g"
     training = train_recorded(few, features=names, synthetic=synthetic)
     told = training.model.training["recorded"]["synthetic"]
-    assert told["n"] == 24
+    assert told["n"] == 240
     # A gain of 0.02 is -34 dB; both are in g.
     assert told["moved_db"]["level_total"] == pytest.approx(20 * np.log10(0.02), abs=2.5)
     assert training.metrics["n_impacts"] == 24
     assert training.metrics["accuracy"] >= told["accuracy_without"] - 0.05
-    assert "24 synthetic impacts teach" in write_card(training.model, "m.npz")
+    assert "240 synthetic impacts teach" in write_card(training.model, "m.npz")
     with pytest.raises(BadData, match="label shale of the scene"):
         train_recorded(few, features=names, synthetic=replace(synthetic, labels=np.full(400, "shale")))
     with pytest.raises(InvalidValue, match="feature peak_amplitude must be left out"):
@@ -679,6 +681,7 @@ def test_a_file_that_is_gone_is_said_and_the_model_is_written(folder: Path, tmp_
         ("one_label.csv", [], "at least 2 labels"),
         ("good.csv", ["--test-share", "0.5"], "--test-share must be left out"),
         ("good.csv", ["--window", "0"], "window_time must be above 0"),
+        ("good.csv", ["--hop", "1e-6"], "hop_time must lie between"),
         ("good.csv", ["--class-weights", "cole=2"], "label of class_weights must be one of"),
         ("good.csv", ["--class-weights", "coal:2"], "--class-weights must be balanced"),
         ("good.csv", ["--by", "impact"], "features must be those of the impact"),

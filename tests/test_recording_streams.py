@@ -14,9 +14,11 @@ from hypothesis import strategies as st
 from scipy.io import wavfile
 
 from cgid.errors import BadData, CgidError, InvalidValue, MissingOption
-from cgid.recordings import lvm as lvm_files
-from cgid.recordings import open_recording, read_recording, rows, text
-from cgid.recordings.live import live_stream
+from cgid.recordings import open_recording, read_recording
+from cgid.recordings.lvm import reader as lvm_files
+from cgid.recordings.sound.live import live_stream
+from cgid.recordings.text import reader as text
+from cgid.recordings.text import rows
 
 
 @pytest.fixture

@@ -52,7 +52,10 @@ def features(
         if asks_for_whole_dataset(path, **reading):
             _print_dataset(path, chosen, not keep_baseline, as_json, reading["invert"])
             return
-        for signal in read_signals(path, **reading):
+        signals = read_signals(path, **reading)
+        for warning in signals[0].warnings:
+            click.echo(f"cgid: warning: {warning}", err=True)
+        for signal in signals:
             _print(signal, chosen, not keep_baseline, gap, as_json)
 
     return each_file(files, treat, strict=strict)

@@ -8,13 +8,17 @@ import click
 
 from cgid.cli.options import print_json
 
+#: Samples of all channels that are held in memory; longer recordings are read block by block.
+_MOST_HELD = 1 << 24
+
 
 @click.command(short_help="Say what is in a dataset, a model or a recording.")
 @click.argument("file")
 @click.option("--rate", "sampling_rate", type=float, help="Sampling rate [Hz], where a recording does not say it.")
 @click.option("--unit", help="Unit of the samples, where a recording does not say it.")
+@click.option("--variable", help="Which array, table or group of a recording, where it holds several.")
 @click.option("--json", "as_json", is_flag=True, help="One JSON object.")
-def info(file: str, sampling_rate: float | None, unit: str | None, as_json: bool) -> None:
+def info(file: str, sampling_rate: float | None, unit: str | None, variable: str | None, as_json: bool) -> None:
     """Say what is in FILE: a dataset, a table, a model, or a recording (every channel)."""
     from cgid.recordings import is_dataset
     from cgid.store import is_table
@@ -23,10 +27,10 @@ def info(file: str, sampling_rate: float | None, unit: str | None, as_json: bool
         content = _table(file)
     elif is_dataset(file):
         content = _dataset(file)
-    elif file.endswith(".npz"):
+    elif _is_model(file):
         content = _model(file)
     else:
-        content = _recording(file, sampling_rate, unit)
+        content = _recording(file, sampling_rate, unit, variable)
     if as_json:
         print_json(content)
     else:
@@ -110,34 +114,99 @@ def _model(file: str) -> dict[str, Any]:
     }
 
 
-def _recording(file: str, sampling_rate: float | None, unit: str | None) -> dict[str, Any]:
+def _is_model(file: str) -> bool:
+    """Return whether a file is named like an archive and is none of plain arrays: then it is a model, or was one."""
+    import zipfile
+
+    if not file.endswith(".npz"):
+        return False
+    try:
+        with zipfile.ZipFile(file) as archive:
+            return "header.npy" in archive.namelist()
+    except (OSError, zipfile.BadZipFile):
+        return True
+
+
+def _recording(file: str, sampling_rate: float | None, unit: str | None, variable: str | None) -> dict[str, Any]:
+    from cgid.recordings import open_recording
+
+    recording = open_recording(file, sampling_rate=sampling_rate, unit=unit, variable=variable)
+    n_samples = recording.n_samples
+    short = n_samples is not None and n_samples * len(recording.channels) <= _MOST_HELD
+    channels = _held_channels(recording) if short else _long_channels(recording)
+    for warning in recording.warnings:
+        click.echo(f"cgid: warning: {warning}", err=True)
+    started = {} if recording.start_time is None else {"start_time": recording.start_time.isoformat()}
+    about = {"format": recording.format, **started, **channels, "warnings": list(recording.warnings) or "none"}
+    return {"kind": "recording", "file": file, **about, **_made(file)}
+
+
+def _held_channels(recording: Any) -> dict[str, Any]:
+    """Return what is in each channel of a recording that may be held in memory."""
     import numpy as np
 
     from cgid.errors import BadData
     from cgid.features import kind_for
     from cgid.identification.events import find_impacts
-    from cgid.recordings import read_recording
 
     channels = {}
-    for signal in read_recording(file, sampling_rate=sampling_rate, unit=unit):
+    for signal in recording.signals():
         samples = signal.samples
         try:
             impacts = len(find_impacts(signal, kind=kind_for(signal.quantity)))
         except BadData:
             impacts = 0
         channels[f"channel {signal.channel}"] = {
-            "samples": samples.size,
-            "sampling_rate_hz": signal.sampling_rate,
-            "duration_s": signal.duration,
-            "quantity": signal.quantity or "unknown",
-            "unit": signal.unit or "unknown",
-            "dtype": samples.dtype.name,
+            **_facts(recording, signal, samples.size, samples.dtype.name),
             "lowest": float(samples.min()),
             "median": float(np.median(samples)),
             "highest": float(samples.max()),
             "impacts": impacts,
         }
-    return {"kind": "recording", "file": file, **channels, **_made(file)}
+    return channels
+
+
+def _long_channels(recording: Any) -> dict[str, Any]:
+    """Return what is in each channel of a long recording, which is read block by block; a median would hold it all."""
+    from collections import Counter
+
+    import numpy as np
+
+    from cgid.features import kind_for
+    from cgid.identification.detection.detector import ImpactDetector
+
+    names = recording.channels
+    lowest, highest, total = np.full(len(names), np.inf), np.full(len(names), -np.inf), np.zeros(len(names))
+    rate, n_samples, dtype = recording.sampling_rate, 0, ""
+    detectors = [ImpactDetector(rate, kind="pulse" if kind_for(c.quantity) == "pulse" else "vibration") for c in names]
+    impacts: Counter[int] = Counter()
+    for block in recording.blocks():
+        lowest, highest = np.minimum(lowest, block.min(axis=1)), np.maximum(highest, block.max(axis=1))
+        total += block.sum(axis=1, dtype=np.float64)
+        n_samples, dtype = n_samples + block.shape[1], block.dtype.name
+        impacts.update({row: len(detector.feed(block[[row]])) for row, detector in enumerate(detectors)})
+    impacts.update({row: len(detector.finish()) for row, detector in enumerate(detectors)})
+    return {
+        f"channel {channel.name}": {
+            **_facts(recording, channel, n_samples, dtype),
+            "lowest": float(lowest[row]),
+            "mean": float(total[row] / n_samples),
+            "highest": float(highest[row]),
+            "impacts": impacts[row],
+        }
+        for row, channel in enumerate(names)
+    }
+
+
+def _facts(recording: Any, channel: Any, n_samples: int, dtype: str) -> dict[str, Any]:
+    return {
+        "samples": n_samples,
+        "sampling_rate_hz": recording.sampling_rate,
+        "duration_s": n_samples / recording.sampling_rate,
+        "quantity": channel.quantity or "unknown",
+        "unit": channel.unit or "unknown",
+        "dtype": dtype,
+    }
 
 
 def _made(file: str) -> dict[str, Any]:

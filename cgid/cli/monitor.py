@@ -33,7 +33,7 @@ _BEHIND = 1.0
 )
 @click.option("--invert", is_flag=True, help="Turn the signal over: impacts must point upwards.")
 @answering_options
-@click.option("--dead-time", type=float, help="Ringing after a blow [ms]; 2 for pulses, 20 for vibrations.")
+@click.option("--dead-time", type=float, help="Ringing after a blow [ms]; 2 for pulses, 5 for vibrations.")
 @click.option("--json", "as_json", is_flag=True, help="One JSON object a line.")
 def monitor(
     stream: str,
@@ -53,7 +53,7 @@ def monitor(
     again. Nothing is dropped: whoever is slower than the stream says how far behind.
     """
     from cgid import validation
-    from cgid.recordings.live import live_stream
+    from cgid.recordings.sound.live import live_stream
 
     asked, _ = asked_of(options, dead_time_in_seconds(dead_time), steps=_STEPS)
     scale = 1.0 if full_scale is None else float(validation.positive("--full-scale", full_scale, unit or ""))
@@ -72,12 +72,13 @@ def monitor(
 
 def _follow(live: Any, scale: float, asked: Asked, lines: AnswerLines) -> None:
     """Print what a stream holds until it ends or is interrupted."""
-    from cgid.identification.stream_answers import factor_of, identify_blocks, scaled
+    from cgid.identification.answering.stream import factor_of, identify_blocks, scaled
     from cgid.signals import quantity_of
 
     model = asked.models.of(None if live.unit is None else quantity_of(live.unit))
     factor = factor_of(model, live.unit, live.source, mass=asked.mass) * (-scale if asked.invert else scale)
     names = [str(number) for number in range(1, live.n_channels + 1)]
+    asked.warn_of_sensor(live.source, model)
     telling = Telling(live.source, model, names, live.sampling_rate, asked, lines, always=True)
     warn_of_rate(live.source, live.sampling_rate, model)
     inbox, delay = Inbox(live, live.sampling_rate), _Delay(live.source, lines)
@@ -86,6 +87,8 @@ def _follow(live: Any, scale: float, asked: Asked, lines: AnswerLines) -> None:
         for step in identify_blocks(blocks, live.sampling_rate, model, names, question, live.source):
             telling.feed(step.answers, step.until)
             delay.see(inbox)
+            for warning in step.warnings:
+                lines.warning(live.source, warning)
     finally:
         for warning in live.warnings:
             lines.warning(live.source, f"{live.source}: {warning}")

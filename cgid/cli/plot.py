@@ -13,7 +13,7 @@ from cgid.cli.options import dead_time_in_seconds, open_file, print_json, read_s
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from cgid.identification.detection import ImpactKind
+    from cgid.identification.detection.detector import ImpactKind
     from cgid.plots import Mark
     from cgid.recordings import Channel, RecordingFile
 
@@ -121,7 +121,7 @@ class _Finder:
         dead_time: float | None,
         begin: float,
     ) -> None:
-        from cgid.identification.detection import ImpactDetector
+        from cgid.identification.detection.detector import ImpactDetector
 
         self._rate, self._channels, self._begin = sampling_rate, channels, begin
         rows: dict[ImpactKind, list[int]] = {}

@@ -11,6 +11,7 @@ import click
 
 from cgid.cli.answer_lines import AnswerLines, RecordingTally
 from cgid.cli.model_choice import Models, parse_cost, warn_of_rate
+from cgid.errors import CgidError
 
 if TYPE_CHECKING:
     from cgid.cli.report_pages import Pages
@@ -30,6 +31,7 @@ class Asked:
     decision : Decision
     drop_height, mass, dead_time, vote_time : float or None
     invert : bool
+    sensors : tuple of str
     settings : ShareSettings
     shares_asked : bool
         Whether an option speaks of shares, so that they must be told.
@@ -42,6 +44,7 @@ class Asked:
     dead_time: float | None
     vote_time: float | None
     invert: bool
+    sensors: tuple[str, ...]
     settings: Any
     shares_asked: bool
 
@@ -50,13 +53,28 @@ class Asked:
         """Return the arguments that `identify` and `identify_frames` share."""
         return {name: getattr(self.decision, name) for name in ("costs", "coverage", "class_conditional")}
 
+    def warn_of_sensor(self, source: str, model: Any) -> None:
+        """Say so if a model knows sensors and nobody says which one it is."""
+        if model.sensors and not self.sensors:
+            known = ", ".join(model.sensors)
+            click.echo(
+                f"cgid: warning: {source}: the model knows the response of some sensors, nothing makes up for that of "
+                f"this one; give --sensor NAME if it is one of {known}",
+                err=True,
+            )
+
     def question(self, **changes: Any) -> Any:
         """Return what is asked of every impact or window."""
-        from cgid.identification.stream_answers import Question
+        from cgid.identification.answering.question import Question
 
         given: dict[str, Any] = {} if self.vote_time is None else {"vote_time": self.vote_time}
         return Question(
-            decision=self.decision, drop_height=self.drop_height, dead_time=self.dead_time, **given, **changes
+            decision=self.decision,
+            drop_height=self.drop_height,
+            dead_time=self.dead_time,
+            sensors=self.sensors,
+            **given,
+            **changes,
         )
 
 
@@ -80,6 +98,9 @@ def answering_options(command: F) -> F:
         click.option(
             "--vote", type=float, help="Windows are decided on together over so long [s], 0.5; 0: each alone."
         ),
+        click.option(
+            "--sensor", multiple=True, metavar="NAME", help="Sensor of the model's reference runs; or one a channel."
+        ),
         click.option("--window", type=float, help="The gangue share looks back so long [s], 10."),
         click.option("--gangue", multiple=True, metavar="LABEL", help="Label that is gangue; may be given again."),
         click.option(
@@ -97,8 +118,8 @@ def asked_of(options: dict[str, Any], dead_time: float | None, steps: int = 2) -
     A share is told so many times within its window.
     """
     from cgid import validation
+    from cgid.identification.answering.watch import GANGUE, SHARE_TIME, ShareSettings
     from cgid.identification.answers import Decision
-    from cgid.identification.watch import GANGUE, SHARE_TIME, ShareSettings
 
     left = dict(options)
     names = ("model_path", "mass", "drop_height", "costs", "coverage", "class_conditional")
@@ -121,6 +142,7 @@ def asked_of(options: dict[str, Any], dead_time: float | None, steps: int = 2) -
         dead_time=dead_time,
         vote_time=None if vote is None else float(validation.not_negative("--vote", vote, "s")),
         invert=bool(left.pop("invert")),
+        sensors=left.pop("sensor"),
         settings=settings,
         shares_asked=bool(gangue) or window is not None or gangue_cost is not None,
     )
@@ -158,9 +180,9 @@ class Telling:
         keep: bool = False,
         always: bool = False,
     ) -> None:
-        from cgid.identification.shutting import Turn
-        from cgid.identification.stream_answers import answering_channels, independence
-        from cgid.identification.watch import CavingWatch
+        from cgid.identification.answering.shutting import Turn
+        from cgid.identification.answering.watch import CavingWatch
+        from cgid.identification.answering.windows import answering_channels, independence
 
         self.source, self.lines = source, lines
         self.kind = "window" if model.kind == "window" else "impact"
@@ -245,36 +267,49 @@ class Telling:
 
 
 def answer_recording(recording: Any, asked: Asked, lines: AnswerLines, pages: Pages | None = None) -> None:
-    """Print the answers for a recording, which is read block by block: once for each model that it needs.
+    """Print the answers for a recording, which is read block by block: once for each model that its channels need.
 
     Raises
     ------
     CgidError
         It cannot be read, is of another quantity, or nothing in it can be measured.
     """
+    groups = _models_of(recording, asked)
+    errors: list[CgidError] = []
     try:
-        for model, rows in _models_of(recording, asked):
-            _answer_channels(recording, model, rows, asked, lines, pages)
+        for model, rows in groups:
+            try:
+                _answer_channels(recording, model, rows, asked, lines, pages)
+            except CgidError as error:
+                errors.append(error)
     finally:
         for warning in recording.warnings:
             lines.warning(recording.source, warning)
+    if len(errors) == len(groups):
+        raise errors[0]
+    # Channels of another quantity do not hide those that can be answered for.
+    for unanswered in errors:
+        lines.warning(recording.source, str(unanswered))
 
 
 def _answer_channels(
     recording: Any, model: Any, rows: list[int], asked: Asked, lines: AnswerLines, pages: Pages | None
 ) -> None:
     """Print the answers for those channels of a recording that one model answers for."""
-    from cgid.identification.stream_answers import identify_blocks, model_blocks
+    from cgid.identification.answering.stream import identify_blocks, model_blocks
 
     names, rate, source = [recording.channels[row].name for row in rows], recording.sampling_rate, recording.source
     passing = Passing() if pages is None else pages.drawing(recording, rows)
     blocks = model_blocks(recording, model, rows, mass=asked.mass, invert=asked.invert, seen=passing.see)
+    asked.warn_of_sensor(source, model)
     telling = Telling(source, model, names, rate, asked, lines, keep=pages is not None)
     warn_of_rate(telling.name(telling.channels[0]), rate, model)
     silent: tuple[str, ...] = ()
     for step in identify_blocks(blocks, rate, model, names, asked.question(), source):
         telling.feed(step.answers, step.until)
         silent += step.silent
+        for warning in step.warnings:
+            lines.warning(source, warning)
     telling.finish(passing.n_samples / rate, silent, recording.start_time)
     if pages is not None:
         pages.add(recording, passing, model, asked, telling)

@@ -92,8 +92,8 @@ def train(
     their level and spectrum moved to those of the recordings.
     """
     from cgid.features import choose
-    from cgid.identification.manifest import is_manifest
     from cgid.identification.output import check_model_output, write_model
+    from cgid.identification.recorded.manifest import is_manifest
 
     path = check_model_output(Path(output), plots=plots, overwrite=overwrite)
     names = asked.pop("names")
@@ -133,10 +133,10 @@ def _synthesised(_: list[str], data: list[str], asked: dict[str, Any]) -> tuple[
 def _recorded(manifests: list[str], others: list[str], asked: dict[str, Any]) -> tuple[Any, list[Any]]:
     """Return the training on recordings, and the errors of those that could not be read."""
     from cgid.cli.options import dead_time_in_seconds
-    from cgid.identification.annotated import Reading
-    from cgid.identification.manifest import read_manifest
-    from cgid.identification.recorded import Slicing, record
-    from cgid.identification.recorded_training import train_recorded
+    from cgid.identification.recorded.annotated import Reading
+    from cgid.identification.recorded.manifest import read_manifest
+    from cgid.identification.recorded.measuring import Slicing, record
+    from cgid.identification.recorded.training import train_recorded
 
     if len(manifests) > 1:
         raise InvalidValue(f"{manifests[1]}: there must be one manifest, got {len(manifests)}; put all into one")
@@ -162,7 +162,9 @@ def _recorded(manifests: list[str], others: list[str], asked: dict[str, Any]) ->
             level_free=asked["level_free"],
             progress=progress,
         )
-    synthetic = _measured(others, recorded, asked) if others else None
+    synthetic = None
+    if others:
+        recorded, synthetic = _measured(others, recorded, asked)
     for warning in recorded.warnings:
         click.echo(f"cgid: warning: {warning}", err=True)
     with progress_bar(None, "groups") as progress:
@@ -180,18 +182,34 @@ def _recorded(manifests: list[str], others: list[str], asked: dict[str, Any]) ->
     return training, list(recorded.failures)
 
 
-def _measured(data: list[str], recorded: Any, asked: dict[str, Any]) -> Any:
-    """Return the impacts of datasets and scenes, measured as recorded ones are."""
-    from cgid.identification.adaptation import in_unit
+def _measured(data: list[str], recorded: Any, asked: dict[str, Any]) -> tuple[Any, Any]:
+    """Return recorded impacts, and those of datasets and scenes measured alike: by what both can have."""
+    from itertools import chain
+
+    from cgid.errors import BadData
+    from cgid.features import supported
     from cgid.identification.measuring import measure
+    from cgid.identification.recorded.adaptation import in_unit
 
     if recorded.kind == "window":
         raise InvalidValue(
             f"{data[0]}: scenes hold single impacts; give --by impact to train on both, or leave them out"
         )
-    batches = in_unit(_batches(data, asked["n_signals"], asked["seed"]), recorded.unit, recorded.names)
+    batches = _batches(data, asked["n_signals"], asked["seed"])
+    first = next(batches, None)
+    if first is None:
+        raise BadData(f"{data[0]}: there must be signals to train on; there are none")
+    if asked["features"] is None:
+        names = supported(recorded.names, first.sampling_rate, first.signals.shape[1])
+        if not names:
+            raise BadData(
+                f"{data[0]}: frames of {first.signals.shape[1]} samples at {first.sampling_rate:g} Hz hold no feature "
+                "of the recordings; make longer ones"
+            )
+        recorded = recorded.only(names)
     with progress_bar(None, "signals") as progress:
-        return measure(batches, recorded.names, progress)
+        alike = in_unit(chain([first], batches), recorded.unit, recorded.names)
+        return recorded, measure(alike, recorded.names, progress)
 
 
 def _say(training: Any, path: Path, written: list[Path], as_json: bool) -> None:

@@ -87,7 +87,7 @@ def choose(features: Iterable[str] | None, kind: Kind = "pulse") -> tuple[str, .
 def require_known(name: str) -> None:
     """Raise `InvalidValue` unless there is such a feature; the message has the names that are most like it."""
     if not isinstance(name, str) or name not in FEATURES:
-        like = difflib.get_close_matches(str(name), FEATURES, n=5, cutoff=0.3)
+        like = difflib.get_close_matches(str(name)[:80], FEATURES, n=5, cutoff=0.3)
         raise InvalidValue(
             f"feature must be one of the {len(FEATURES)} that `cgid features --list` prints, got {name!r}; most "
             f"like it are {', '.join(like) or 'none'}"

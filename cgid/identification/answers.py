@@ -9,6 +9,7 @@ from itertools import compress
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from cgid.equalisation import Equalisation
 from cgid.errors import BadData, InvalidValue, MissingOption
 from cgid.features import MINIMUM_FRAME, extract_array, problems_of
 from cgid.frames import DETECTION_LIMIT
@@ -207,16 +208,19 @@ def identify_events(
     *,
     drop_height: float | None = None,
     channels: Sequence[str] = ("1",),
+    sensors: Sequence[str | None] = (None,),
 ) -> list[Answer]:
     """Return one answer for each impact that was found, in their order; those whose frames begin alike at once.
 
-    `channels` are the names of the channels that the events number; else as `identify`.
+    `channels` are the names of the channels that the events number, `sensors` the sensors of the model that they were
+    heard by, where known; else as `identify`.
     """
-    alike: dict[tuple[int | None, float, float], list[int]] = {}
+    alike: dict[tuple[int | None, float, float, str | None], list[int]] = {}
     for number, event in enumerate(events):
-        alike.setdefault((event.pre_trigger, event.detection_limit, event.sampling_rate), []).append(number)
+        key = (event.pre_trigger, event.detection_limit, event.sampling_rate, sensors[event.channel])
+        alike.setdefault(key, []).append(number)
     answers: dict[int, Answer] = {}
-    for (pre_trigger, limit, sampling_rate), numbers in alike.items():
+    for (pre_trigger, limit, sampling_rate, sensor), numbers in alike.items():
         found = identify_frames(
             np.stack([events[number].samples for number in numbers]),
             sampling_rate,
@@ -227,6 +231,7 @@ def identify_events(
             class_conditional=decision.class_conditional,
             drop_height=drop_height,
             detection_limit=limit,
+            equalisation=None if sensor is None else model.equalisation(sensor)[0],
         )
         answers |= dict(zip(numbers, found, strict=True))
     return [_placed(answers[number], event, channels) for number, event in enumerate(events)]
@@ -255,10 +260,11 @@ def identify_frames(
     class_conditional: bool = False,
     drop_height: ArrayLike | None = None,
     detection_limit: float = DETECTION_LIMIT,
+    equalisation: Equalisation | None = None,
 ) -> list[Answer]:
     """Return one answer for each frame (n_signals, n_samples) of a single impact; as `identify`.
 
-    The drop height is one number or one for each frame.
+    The drop height is one number or one for each frame. The equalisation makes up for the sensor's response.
     """
     decision = Decision(costs=costs or {}, coverage=coverage, class_conditional=class_conditional)
     known = known_columns(model.known, len(frames), drop_height)
@@ -272,6 +278,7 @@ def identify_frames(
         pre_trigger=pre_trigger,
         invalid="nan",
         detection_limit=detection_limit,
+        equalisation=equalisation,
     )
     sound = np.asarray(np.isfinite(measured).all(axis=1))
     time = 0.0 if pre_trigger is None else pre_trigger / sampling_rate

@@ -5,17 +5,17 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from cgid.identification.card_recorded import (
+from cgid.identification.card_tables import table
+from cgid.identification.events import VIBRATION_DEAD_TIME
+from cgid.identification.known import KNOWN
+from cgid.identification.model import Model
+from cgid.identification.recorded.card import (
     adaptation_lines,
     choice_table,
     identity_of_recorded,
     judgement_of_recorded,
     limits_of_recorded,
 )
-from cgid.identification.card_tables import table
-from cgid.identification.events import VIBRATION_DEAD_TIME
-from cgid.identification.known import KNOWN
-from cgid.identification.model import Model
 
 Rows = Sequence[Mapping[str, Any]]
 #: More features than this are not listed.

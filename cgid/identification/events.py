@@ -11,16 +11,16 @@ from cgid import validation
 from cgid.errors import BadData
 from cgid.features.feature import Kind
 from cgid.frames import DETECTION_LIMIT
-from cgid.identification.detection import (
+from cgid.identification.detection.detector import (
     DEAD_TIME,
     LARGEST,
     VIBRATION_DEAD_TIME,
     ImpactDetector,
     ImpactKind,
 )
-from cgid.identification.event_frames import FOUND_LIMIT, Event
-from cgid.identification.pulse_onsets import THRESHOLD_OVER_NOISE, THRESHOLD_OVER_PEAK
-from cgid.identification.ringing_onsets import RISE_OVER_NOISE
+from cgid.identification.detection.frames import FOUND_LIMIT, Event
+from cgid.identification.detection.pulses import THRESHOLD_OVER_NOISE, THRESHOLD_OVER_PEAK
+from cgid.identification.detection.ringing import RISE_OVER_NOISE
 from cgid.signals import Signal
 
 __all__ = [

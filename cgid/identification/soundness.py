@@ -13,9 +13,10 @@ from numpy.typing import NDArray
 from cgid import validation
 from cgid.bands import MEL_BANDS
 from cgid.errors import BadData
-from cgid.features import FEATURES
+from cgid.features import require_known
 from cgid.identification.families import BY_NAME
 from cgid.identification.known import KNOWN
+from cgid.identification.windows import require_times
 from cgid.signals import quantity_of
 
 if TYPE_CHECKING:
@@ -32,8 +33,6 @@ _UNSAID: dict[int, dict[str, Any]] = {
 }
 #: More channels than this no model looks at.
 MOST_CHANNELS = 64
-#: No window lasts longer [s]: it has to be held in memory.
-LONGEST_WINDOW = 60.0
 #: Arrays of every family -> the attribute of the standardiser, and the number of axes.
 SHARED = {
     "standardiser.logarithmic": ("logarithmic", 1),
@@ -111,7 +110,7 @@ def check_names(model: Model) -> None:
         if len(values) < least or not all(isinstance(v, str) and v for v in values) or len(set(values)) != len(values):
             raise BadData(f"{name} must be at least {least} different words")
     for feature in model.measured:
-        validation.choice("feature", feature, FEATURES)
+        require_known(feature)
     for name in model.known:
         validation.choice("known", name, dict(KNOWN))
     quantity_of(model.unit)
@@ -160,9 +159,7 @@ def _check_windows(model: Model) -> None:
         if model.window_time or model.hop_time:
             raise BadData(f"window_time and hop_time must be 0 for features of a {model.kind}")
     else:
-        times = validation.positive("window_time and hop_time", [model.window_time, model.hop_time], "s")
-        if (times > LONGEST_WINDOW).any():
-            raise BadData(f"window_time and hop_time must be at most {LONGEST_WINDOW:g} s")
+        require_times(model.window_time, model.hop_time)
     spectra = model.arrays.get("reference.spectra")
     if (spectra is not None) != bool(model.sensors):
         raise BadData("array reference.spectra must be there where sensors are named, and only there")

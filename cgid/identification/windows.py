@@ -23,10 +23,27 @@ from cgid.validation import Floats
 WINDOW_TIME = 0.1
 #: Decisions are averaged over this, where nobody says it [s].
 VOTE_TIME = 0.5
+#: No window lasts longer [s]: it has to be held in memory.
+LONGEST_WINDOW = 10.0
+#: The next window begins after this share of one at least, and within `LONGEST_WINDOW`.
+FINEST_HOP = 0.01
 #: Windows that leave at once, at most: what is measured on them takes memory.
 _MOST_WINDOWS = 512
 #: No probability is taken for less: one window must not rule a label out alone.
-_LEAST_PROBABILITY = 1e-6
+LEAST_PROBABILITY = 1e-6
+
+
+def require_times(window_time: float, hop_time: float) -> None:
+    """Raise `InvalidValue` unless windows of a length [s] that start so far from each other [s] can be looked at."""
+    validation.positive("window_time", window_time, "s")
+    validation.positive("hop_time", hop_time, "s")
+    if window_time > LONGEST_WINDOW:
+        raise InvalidValue(f"window_time must be at most {LONGEST_WINDOW:g} s, got {window_time:g} s")
+    if not FINEST_HOP * window_time <= hop_time <= LONGEST_WINDOW:
+        raise InvalidValue(
+            f"hop_time must lie between {FINEST_HOP:g} of a window and {LONGEST_WINDOW:g} s, got {hop_time:g} s for "
+            f"windows of {window_time:g} s"
+        )
 
 
 @dataclass(frozen=True)
@@ -152,6 +169,18 @@ def measure_windows(
     return np.concatenate(parts, axis=1)
 
 
+def columns_of(names: Sequence[str], chosen: Sequence[str], n_columns: int) -> list[int]:
+    """Return the columns of some features in a table that holds all `names` for one channel after the other.
+
+    Examples
+    --------
+    >>> columns_of(("a", "b", "c"), ("c", "a"), 6)
+    [2, 0, 5, 3]
+    """
+    own = [names.index(name) for name in chosen]
+    return [start + column for start in range(0, n_columns, len(names)) for column in own]
+
+
 class RunningVote:
     """Probabilities averaged over the last windows: the mean of their logarithms, as they come.
 
@@ -188,7 +217,7 @@ class RunningVote:
         >>> RunningVote(2).feed(np.array([[0.5, 0.5], [0.9, 0.1], [0.9, 0.1]])).round(2).tolist()
         [[0.5, 0.5], [0.75, 0.25], [0.9, 0.1]]
         """
-        logs = np.log(np.maximum(probabilities, _LEAST_PROBABILITY))
+        logs = np.log(np.maximum(probabilities, LEAST_PROBABILITY))
         before = np.zeros((self.n_windows - 1, logs.shape[1])) if self._last is None else self._last
         both = np.concatenate([before, logs])
         total = np.zeros_like(logs)

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from cgid.errors import BadData
 from cgid.recordings.contents import Contents
-from cgid.recordings.pcm import MOST_NUMBERS
+from cgid.recordings.sound.pcm import MOST_NUMBERS
 
 #: Longer headers are those of damaged files.
 HEADER_SIZE = 1 << 16

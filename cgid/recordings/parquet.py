@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 
 from cgid.errors import BadData, CgidError, MissingExtra
 from cgid.recordings.contents import Contents, rates_agree
-from cgid.recordings.header import TIME_UNITS, Column, column_of
 from cgid.recordings.statements import (
     Value,
     known_unit,
@@ -23,6 +22,7 @@ from cgid.recordings.statements import (
     stated_start,
     stated_units,
 )
+from cgid.recordings.text.header import TIME_UNITS, Column, column_of
 from cgid.recordings.time_vector import rate_of_vector
 from cgid.recordings.variables import Variable
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from cgid.errors import BadData, CgidError, NoInput
 from cgid.recordings.contents import Contents
-from cgid.recordings.pcm import MOST_NUMBERS
+from cgid.recordings.sound.pcm import MOST_NUMBERS
 from cgid.signals import Signal, quantity_of, require_rate
 
 #: Samples of a channel that are read at once if nobody says otherwise.

@@ -10,7 +10,7 @@ import numpy as np
 
 from cgid.errors import BadData
 from cgid.recordings.contents import rates_agree
-from cgid.recordings.header import TIME_UNITS, column_of
+from cgid.recordings.text.header import TIME_UNITS, column_of
 from cgid.signals import UNITS
 
 #: Values that files attach to names; lists are one value a channel.

@@ -79,8 +79,14 @@ class _Tdms:
         # Several chunks at once, as a part of one costs as much as all of it.
         step = length * -(-max(_CHUNKS * chunk, length) // length) if chunk <= _LONGEST_CHUNK else length
         for first in range(0, len(channel), step):
+            count = min(step, len(channel) - first)
             with self.understood():
-                samples = np.asarray(read(first, min(step, len(channel) - first)))
+                samples = np.asarray(read(first, count))
+            if len(samples) != count:
+                raise BadData(
+                    f"{self.source}: channel {channel.name} must hold {len(channel)} samples, {first + len(samples)} "
+                    "are there; the file is damaged, copy it again"
+                )
             kept = np.float32 if samples.dtype == np.float32 else np.float64
             for begin in range(0, len(samples), length):
                 yield samples[np.newaxis, begin : begin + length].astype(kept)

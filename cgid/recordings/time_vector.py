@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cgid.errors import BadData
-from cgid.recordings.header import Column
 from cgid.recordings.statements import stated_time_unit
-from cgid.recordings.time_axis import EVENNESS, rate_of, seconds
+from cgid.recordings.text.header import Column
+from cgid.recordings.text.time_axis import EVENNESS, rate_of, seconds
 
 if TYPE_CHECKING:
     from cgid.recordings.variables import Variable

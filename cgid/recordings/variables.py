@@ -158,7 +158,7 @@ def contents_of(
     start: datetime | None = _first(levels[0], stated_start)
     return Contents(
         n_channels=sum(one.n_channels for one in chosen),
-        blocks=first.blocks if len(chosen) == 1 else _together(chosen, n_samples),
+        blocks=first.blocks if len(chosen) == 1 else _together(chosen, n_samples, source),
         n_samples=n_samples,
         names=names,
         units=units or [],
@@ -282,16 +282,26 @@ def _hertz(rate: float | None) -> str:
     return "none" if rate is None else f"{rate:.10g} Hz"
 
 
-def _together(chosen: Sequence[Variable], n_samples: int) -> Blocks:
+def _together(chosen: Sequence[Variable], n_samples: int, source: str) -> Blocks:
     """Return the blocks of several arrays of one channel each, of so many samples."""
+    nothing: NDArray[Any] = np.empty((1, 0))
 
     def blocks(length: int, channels: Sequence[int]) -> Iterator[NDArray[Any]]:
-        done = 0
-        for rows in zip(*(chosen[channel].blocks(length, (0,)) for channel in channels), strict=False):
-            n = min(n_samples - done, *(row.shape[1] for row in rows))
-            yield np.concatenate([row[:, :n] for row in rows])
-            done += n
-            if done == n_samples:
-                return
+        streams = [chosen[channel].blocks(length, (0,)) for channel in channels]
+        waiting = [next(stream, nothing) for stream in streams]
+        left = n_samples
+        while left:
+            # Each may come in pieces of its own length.
+            n = min(left, *(piece.shape[1] for piece in waiting))
+            if not n:
+                raise BadData(
+                    f"{source}: {n_samples} samples are declared, {n_samples - left} are there; copy it again"
+                )
+            yield np.concatenate([piece[:, :n] for piece in waiting])
+            left -= n
+            waiting = [
+                piece[:, n:] if piece.shape[1] > n or not left else next(stream, nothing)
+                for piece, stream in zip(waiting, streams, strict=True)
+            ]
 
     return blocks

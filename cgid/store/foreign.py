@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from cgid.errors import BadData, CgidError
 from cgid.store.attribute_reading import read_texts
+from cgid.store.chunks import cache_size, missing_chunks, storage_fault
 from cgid.store.dataset import DAMAGE
 from cgid.store.shard import attributes_of
 
@@ -26,12 +27,8 @@ from cgid.store.shard import attributes_of
 _MOST_OBJECTS, _DEEPEST, _MOST_ATTRIBUTES = 10_000, 32, 256
 #: Longer attributes say nothing of a rate or a unit.
 _LONGEST_ATTRIBUTE = 4096
-#: HDF5 unpacks whole chunks; no sound writer makes larger ones.
-_LARGEST_CHUNK = 64 << 20
-#: Chunks that are kept, so that none is unpacked for every block anew: at least and at most so many bytes, slots.
-_LEAST_CACHE, _LARGEST_CACHE, _SLOTS = 1 << 20, 128 << 20, 10_007
-#: deflate packs no better, and what others pack better is no recording.
-_BEST_RATIO = 1100
+#: Of the table of chunks that are kept while rows of them are read.
+_SLOTS = 10_007
 #: Where MATLAB keeps what cells and objects refer to.
 _MATLAB_INNER = ("#refs#", "#subsystem#")
 _CURE = "save it again as plain arrays"
@@ -116,7 +113,7 @@ def survey(path: Path, source: str, wanted: Any) -> ForeignFile:
             if isinstance(item, h5py.Group):
                 found.said.setdefault(name, {}).update(values)
             else:
-                _add(found, name, item, values, wanted, texts)
+                _add(found, name, item, values, wanted, texts, path.stat().st_size)
     if texts:
         _add_texts(found, texts, read_texts(path, texts))
     return found
@@ -145,7 +142,8 @@ def array_blocks(
     """
     across, along = axes
     kept = np.float32 if array.dtype.kind == "f" and array.dtype.itemsize == 4 else np.float64
-    with _opened(path, source, rdcc_nbytes=_cache(array, across), rdcc_nslots=_SLOTS) as file:
+    cache = cache_size(array.shape, array.chunks, array.dtype.itemsize, across)
+    with _opened(path, source, rdcc_nbytes=cache, rdcc_nslots=_SLOTS) as file:
         dataset = file[array.name]
         if dataset.shape != array.shape:
             raise BadData(f"{source}: {array.name} has changed while it was read; read it again")
@@ -183,15 +181,6 @@ def _opened(path: Path, source: str, **options: int) -> Iterator[h5py.File]:
             f"{source}: the HDF5 file is cut off or damaged ({reason}); copy it again, or if it is a dataset, see what "
             "cgid.store or --index say of it"
         ) from None
-
-
-def _cache(array: ForeignArray, across: int | None) -> int:
-    """Return what the chunks take that hold one moment of all channels [bytes]."""
-    if array.chunks is None:
-        return _LEAST_CACHE
-    side_by_side = 1 if across is None else -(-array.shape[across] // array.chunks[across])
-    size = int(np.prod(array.chunks, dtype=np.int64)) * array.dtype.itemsize
-    return min(max(_LEAST_CACHE, side_by_side * size), _LARGEST_CACHE)
 
 
 def _walk(file: h5py.File, source: str) -> Iterator[tuple[str, Any]]:
@@ -255,6 +244,7 @@ def _add(
     values: dict[str, Any],
     wanted: Any,
     texts: list[tuple[str, str]],
+    size: int,
 ) -> None:
     kind, shape = item.dtype.kind, item.shape
     group, _, last = name.rpartition("/")
@@ -266,7 +256,7 @@ def _add(
         return
     matlab = values.get("MATLAB_class", "")
     if matlab == "char" or kind == "S" or item.size == 1:
-        if wanted(last) and 0 < item.size * item.dtype.itemsize <= _LONGEST_ATTRIBUTE and not _fault(item):
+        if wanted(last) and 0 < item.size * item.dtype.itemsize <= _LONGEST_ATTRIBUTE and not storage_fault(item, size):
             with suppress(*DAMAGE):
                 read = np.asarray(item[()])
                 # MATLAB keeps text as numbers of UTF-16, one a letter.
@@ -285,37 +275,10 @@ def _add(
             dtype=item.dtype,
             attributes=values,
             chunks=item.chunks,
-            fault=_fault(item),
-            warning=_warning(item),
+            fault=storage_fault(item, size),
+            warning=missing_chunks(item),
         )
     )
-
-
-def _fault(item: h5py.Dataset) -> str:
-    """Return why the samples must not or cannot be read, "" if they can."""
-    declared, stored = item.size * item.dtype.itemsize, item.id.get_storage_size()
-    if declared > _BEST_RATIO * stored:
-        return f"declares {declared} bytes and holds {stored}"
-    if item.chunks is not None and int(np.prod(item.chunks, dtype=np.int64)) * item.dtype.itemsize > _LARGEST_CHUNK:
-        return f"has chunks of more than {_LARGEST_CHUNK >> 20} MiB"
-    creation = item.id.get_create_plist()
-    for index in range(creation.get_nfilters()):
-        code, _, _, label = creation.get_filter(index)
-        if not h5py.h5z.filter_avail(code):
-            return f"is packed by filter {code} ({label.decode(errors='replace')}), which HDF5 does not have here"
-    return ""
-
-
-def _warning(item: h5py.Dataset) -> str:
-    if item.chunks is None:
-        return ""
-    expected = int(np.prod([-(-a // b) for a, b in zip(item.shape, item.chunks, strict=True)], dtype=np.int64))
-    # The number of chunks is the length of an index that damage may have reached.
-    with suppress(*DAMAGE):
-        there = item.id.get_num_chunks()
-        if there < expected:
-            return f"{expected - there} of {expected} chunks were never written; the fill value stands there"
-    return ""
 
 
 def _add_texts(

@@ -1,0 +1,273 @@
+"""Choosing and judging where few recordings hold many windows: groups are left out as a whole, twice over.
+
+Outside, each group in turn only judges. Inside, on what is left, each group in turn says which of the candidates to
+take and how much to trust its probabilities. So nothing that was chosen has seen what judges it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from sklearn.model_selection import StratifiedGroupKFold
+from threadpoolctl import threadpool_limits
+
+from cgid.errors import BadData
+from cgid.features import FEATURES
+from cgid.identification.classifier import ImpactClassifier, best_temperature
+from cgid.identification.recorded.adaptation import shift
+from cgid.identification.recorded.feature_sets import Sets
+from cgid.identification.selection import preferred
+from cgid.identification.transform import Neighbourhood, softmax
+from cgid.identification.windows import columns_of
+from cgid.validation import Floats
+
+#: Up to so many groups are left out one by one; more are left out together, in so many folds.
+MOST_FOLDS = 20
+#: A candidate further down the list must be better by this: of a few recordings, more tells little.
+MARGIN = 0.01
+Weights = dict[str, float] | str | None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Candidate:
+    """One way to make a classifier.
+
+    Attributes
+    ----------
+    name : str
+    features : tuple of str
+        Measured on each channel.
+    family : str
+        Out of `cgid.identification.classifier.FAMILIES`.
+    """
+
+    name: str
+    features: tuple[str, ...]
+    family: str
+
+
+def candidates_for(sets: Sets, measured: Sequence[str], families: Sequence[str]) -> tuple[Candidate, ...]:
+    """Return every set of features with every family; of a set, what could be measured."""
+    found = []
+    for family in families:
+        for name, wanted in sets.items():
+            features = tuple(feature for feature in wanted if feature in measured)
+            if features:
+                found.append(Candidate(name=name, features=features, family=family))
+    return tuple(found)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Rows:
+    """What is learned from: a row a window or an impact.
+
+    Attributes
+    ----------
+    names : tuple of str
+        Of the features of one channel.
+    features : ndarray, (n_rows, n_channels * n_names)
+    labels : ndarray of str, (n_rows,)
+    group : ndarray of int, (n_rows,)
+        Below 0: synthetic, which teaches and never judges.
+    """
+
+    names: tuple[str, ...]
+    features: Floats
+    labels: NDArray[np.str_]
+    group: NDArray[np.intp]
+
+    def __getitem__(self, chosen: NDArray[np.bool_]) -> Rows:
+        """Return some of the rows."""
+        return replace(self, features=self.features[chosen], labels=self.labels[chosen], group=self.group[chosen])
+
+    @property
+    def n_channels(self) -> int:
+        """Whose features stand beside each other."""
+        return int(self.features.shape[1] // len(self.names))
+
+    @property
+    def adapted(self) -> Rows:
+        """The rows with the synthetic ones moved to the level and spectrum of the others."""
+        synthetic = self.group < 0
+        if not synthetic.any():
+            return self
+        features = self.features.copy()
+        features[synthetic] += shift(self.names, features, self.labels, synthetic)
+        return replace(self, features=features)
+
+    def inputs(self, features: Sequence[str]) -> Floats:
+        """Return the columns of some features, channel after channel."""
+        return self.features[:, columns_of(self.names, features, self.features.shape[1])]
+
+
+@dataclass(frozen=True)
+class Choice:
+    """What the groups left out inside say of the candidates.
+
+    Attributes
+    ----------
+    best : int
+    accuracies : tuple of float
+        Of each candidate.
+    temperature : float
+        Of the best.
+    """
+
+    best: int
+    accuracies: tuple[float, ...]
+    temperature: float
+
+
+@dataclass(frozen=True, eq=False)
+class Judged:
+    """What candidates chosen inside answer for the groups left out.
+
+    Attributes
+    ----------
+    probabilities : ndarray, (n_rows, n_labels)
+        Of the recorded rows.
+    chosen : tuple of int
+        Which candidate each fold took.
+    """
+
+    probabilities: Floats
+    chosen: tuple[int, ...]
+
+
+def require_groups(labels: NDArray[np.str_], group: NDArray[np.intp]) -> None:
+    """Raise `BadData` unless every label can be trained on and judged by different groups."""
+    different = np.unique(labels)
+    if len(different) < 2:
+        raise BadData(
+            f"recordings must have at least 2 labels to tell apart, got {', '.join(different) or 'none'}; add others"
+        )
+    if len(np.unique(group)) < 2:
+        raise BadData(
+            "recordings must lie in at least 2 groups, one to train and one to judge, got 1; name groups in the "
+            "manifest (recording, day, support), or add recordings"
+        )
+    for label in different.tolist():
+        count = len(np.unique(group[labels == label]))
+        if count < 2:
+            raise BadData(
+                f"label {label} must have recordings in at least 2 groups, one to train and one to judge, got {count}; "
+                "add some, or correct the label"
+            )
+
+
+def leave_groups_out(labels: NDArray[np.str_], group: NDArray[np.intp], seed: int) -> Iterator[NDArray[np.bool_]]:
+    """Yield which rows are left out: each group in turn, or folds of groups where there are many."""
+    recorded = np.flatnonzero(group >= 0)
+    groups = np.unique(group[recorded])
+    if len(groups) <= MOST_FOLDS:
+        for one in groups:
+            yield group == one
+        return
+    splitter = StratifiedGroupKFold(MOST_FOLDS, shuffle=True, random_state=seed)
+    for _, test in splitter.split(recorded, labels[recorded], group[recorded]):
+        left_out = np.zeros(len(labels), bool)
+        left_out[recorded[test]] = True
+        yield left_out
+
+
+def choose(rows: Rows, candidates: Sequence[Candidate], weights: Weights, seed: int) -> Choice:
+    """Return which candidate answers best for groups left out, and its temperature."""
+    labels, accuracies, scores = np.unique(rows.labels), [], []
+    truth = np.searchsorted(labels, rows.labels)
+    judged = np.zeros(len(rows.labels), bool)
+    folds = [fold for fold in leave_groups_out(rows.labels, rows.group, seed) if _teaches_all(rows.labels, fold)]
+    for candidate in candidates:
+        own = np.zeros((len(truth), len(labels)))
+        for fold in folds:
+            own[fold] = _scores(candidate, rows, fold, weights, seed)
+        judged = np.any(folds, axis=0) if folds else judged
+        scores.append(own)
+        hits = np.argmax(own[judged], axis=1) == truth[judged]
+        accuracies.append(
+            float(np.average(hits, weights=_row_weights(rows.labels[judged], weights))) if hits.size else 0.0
+        )
+    best = preferred(accuracies, MARGIN)
+    temperature = 1.0
+    if judged.any():
+        temperature = best_temperature(scores[best][judged], truth[judged], _row_weights(rows.labels[judged], weights))
+    return Choice(best, tuple(accuracies), temperature)
+
+
+def judge(
+    rows: Rows,
+    candidates: Sequence[Candidate],
+    weights: Weights,
+    seed: int,
+    progress: Callable[[int], object] | None = None,
+) -> Judged:
+    """Return what is answered for each group by what was chosen and trained on the others."""
+    labels = np.unique(rows.labels)
+    probabilities, chosen = np.empty((len(rows.labels), len(labels))), []
+    with threadpool_limits(1):
+        for fold in leave_groups_out(rows.labels, rows.group, seed):
+            if not _teaches_all(rows.labels, fold):
+                raise BadData(
+                    "groups must leave recordings of every label to train on when one is left out; add recordings, or "
+                    "name smaller groups"
+                )
+            choice = choose(rows[~fold], candidates, weights, seed)
+            chosen.append(choice.best)
+            scores = _scores(candidates[choice.best], rows, fold, weights, seed)
+            probabilities[fold] = softmax(scores / choice.temperature)
+            if progress is not None:
+                progress(1)
+    return Judged(probabilities[rows.group >= 0], tuple(chosen))
+
+
+def final(rows: Rows, candidate: Candidate, temperature: float, weights: Weights, seed: int) -> ImpactClassifier:
+    """Return a candidate trained on all rows, its edge of the known where groups left out still lie inside."""
+    with threadpool_limits(1):
+        inputs = rows.inputs(candidate.features)
+        distances = []
+        for fold in leave_groups_out(rows.labels, rows.group, seed):
+            without = _fitted(candidate, rows[~fold], weights, seed, rejects=True)
+            distances.append(without.novelty(inputs[fold]) * without.neighbourhood_.limit)
+        classifier = _fitted(candidate, rows, weights, seed, rejects=True)
+    limit = float(np.quantile(np.concatenate(distances), Neighbourhood.INSIDE))
+    classifier.temperature_ = temperature
+    classifier.neighbourhood_ = replace(classifier.neighbourhood_, limit=limit)
+    return classifier
+
+
+def _teaches_all(labels: NDArray[np.str_], fold: NDArray[np.bool_]) -> bool:
+    return len(np.unique(labels[~fold])) == len(np.unique(labels))
+
+
+def _fitted(
+    candidate: Candidate, rows: Rows, weights: Weights, seed: int, *, rejects: bool = False
+) -> ImpactClassifier:
+    linear = [FEATURES[name].linear for name in candidate.features] * rows.n_channels
+    classifier = ImpactClassifier(
+        candidate.family,
+        linear=tuple(np.flatnonzero(linear).tolist()),
+        calibration_folds=0,  # by groups left out instead
+        class_weight=weights,
+        rejects=rejects,
+        random_state=seed,
+    )
+    return classifier.fit(rows.adapted.inputs(candidate.features), rows.labels)
+
+
+def _scores(candidate: Candidate, rows: Rows, fold: NDArray[np.bool_], weights: Weights, seed: int) -> Floats:
+    """Return what a candidate trained outside of a fold answers inside it, (n_rows, n_labels)."""
+    scores = _fitted(candidate, rows[~fold], weights, seed).decision_function(rows[fold].inputs(candidate.features))
+    return np.stack([np.zeros(len(scores)), scores], axis=1) if scores.ndim == 1 else scores
+
+
+def _row_weights(labels: NDArray[np.str_], weights: Weights) -> Floats | None:
+    """Return what each row counts; None where all count 1."""
+    if weights is None:
+        return None
+    different, own, counts = np.unique(labels, return_inverse=True, return_counts=True)
+    if weights == "balanced":
+        return np.asarray(1 / counts[own])
+    assert isinstance(weights, dict)
+    return np.array([weights.get(label, 1.0) for label in different.tolist()])[own]

@@ -1,0 +1,1 @@
+"""WAV, FLAC and OGG files, and live streams of samples."""

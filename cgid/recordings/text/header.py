@@ -1,0 +1,193 @@
+"""What the lines above the numbers say: names, units, sampling rate."""
+
+from __future__ import annotations
+
+import csv
+import math
+import re
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, replace
+from datetime import datetime
+
+from cgid.recordings.text.layout import Layout
+from cgid.signals import UNITS
+
+#: Time units of a column -> factor to seconds.
+TIME_UNITS = {
+    **dict.fromkeys(("s", "sec", "second", "seconds", "Sekunden"), 1.0),
+    **dict.fromkeys(("ms", "msec", "milliseconds"), 1e-3),
+    **dict.fromkeys(("us", "µs", "usec", "µsec", "microseconds"), 1e-6),
+}
+
+_KNOWN = frozenset(unit for units in UNITS.values() for unit in units)
+_TIME_NAME = re.compile(r"(?i:time|zeit|temps|tiempo|tempo|时间|時間)|t(?![^\W\d_])")
+_IN_BRACKETS = re.compile(r"(.*)[(\[{<]([^()\[\]{}<>]*)[)\]}>]")
+_STATED_RATE = re.compile(
+    r"[\s#%;/\"]*(?i:(?:sampling|sample)[ _-]?(?:rate|frequency|freq)|fs|abtastrate|abtastfrequenz|采样率|采样频率)"
+    r"[\s\"]*(?:[(\[]\s*([kKMG]?)(?i:hz)\s*[)\]])?"
+    r"[\s\":=,;]+([+-]?\d[\d.]*(?:[eE][+-]?\d+)?)[\s\",;]*(?:([kKMG]?)(?i:hz)|(?i:s/s|sps))?[\s\",;.]*"
+)
+_STATED_INTERVAL = re.compile(
+    r"[\s#%;/\"]*(?i:(?:sampling|sample|time)[ _-]?(?:interval|period|step)|delta[ _]?[tx]|dt|采样间隔|采样周期)[\s\"]*"
+    r"(?:[(\[]\s*([mnuµ]?s)\s*[)\]])?[\s\":=,;]+([+-]?\d[\d.]*(?:[eE][+-]?\d+)?)[\s\",;]*([mnuµ]?s(?:ec)?)?[\s\",;.]*"
+)
+_STATED_START = re.compile(
+    r"[\s#%;/\"]*(?i:start[ _-]?(?:date[ _-]?)?time|start(?:ed)?|recorded|date[ _-]?time)[\s\"]*[:=,;\t][\s\"]*"
+    r"(\d{4}-\d\d-\d\d[ T]\d\d:\d\d[\d:.+Z-]*)[\s\",;]*"
+)
+_STATED_UNIT = re.compile(r"[\s#%;/\"]*(?i:units?|单位)[\s\"]*[:=][\s\"]*([^\s\",;]+)[\s\",;]*")
+_COLUMNS_FOLLOW = re.compile(r"(?i:columns?|fields?|channels?|header)\s*[:=]\s*")
+_WORDS_WITH_BRACKETS = re.compile(r'"[^"]*"|[^\s()\[\]]+(?:\s*[(\[][^()\[\]]*[)\]])?|[(\[][^()\[\]]*[)\]]')
+_PREFIXES = {"": 1.0, "k": 1e3, "K": 1e3, "M": 1e6, "G": 1e9}
+_SECONDS = {"": 1.0, "s": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6, "ns": 1e-9}
+
+#: Greek mu to the micro sign, full-width marks of Chinese headers to those of ASCII.
+_SAME = str.maketrans("\u03bc（）［］：；，＝　", "µ()[]:;,= ")
+
+#: Longer texts are no names of columns.
+_LONGEST_NAME = 200
+
+
+@dataclass(frozen=True, kw_only=True)
+class Column:
+    """Name and unit of a column as its header gives them, "" where it does not."""
+
+    name: str = ""
+    unit: str = ""
+
+    @property
+    def is_named_time(self) -> bool:
+        """Whether the name is one for time."""
+        return bool(_TIME_NAME.match(self.name))
+
+    @property
+    def known_unit(self) -> str | None:
+        """The unit if it is one of `cgid.signals.UNITS`."""
+        return self.unit if self.unit in _KNOWN else None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Header:
+    """What the lines above the numbers say; no columns if none of them has as many fields as the rows.
+
+    Several lines may state a sampling rate [Hz].
+    """
+
+    columns: tuple[Column, ...] = ()
+    sampling_rates: tuple[float, ...] = ()
+    unit: str | None = None
+    start_time: datetime | None = None
+
+
+def column_of(text: str) -> Column:
+    """Return name and unit of one field of a header.
+
+    Examples
+    --------
+    >>> [(c.name, c.unit) for c in map(column_of, ["force [kN]", "F/kN", "time_s", "a (m/s^2)", "(ms)", "left"])]
+    [('force', 'kN'), ('F', 'kN'), ('time', 's'), ('a', 'm/s^2'), ('', 'ms'), ('left', '')]
+    """
+    text = " ".join(text.translate(_SAME).strip("\"' \t\r\n").split())
+    if len(text) > _LONGEST_NAME:
+        return Column(name=text[:_LONGEST_NAME])
+    if text in _KNOWN or text in TIME_UNITS:
+        return Column(unit=text)
+    if found := _IN_BRACKETS.fullmatch(text):
+        return Column(name=found[1].rstrip(" /_"), unit=found[2].strip())
+    for mark in "/_ ":
+        # A unit may hold a slash itself, a name rarely; so the first slash divides, but the last _ or blank.
+        name, _, unit = text.partition(mark) if mark == "/" else text.rpartition(mark)
+        name, unit = name.strip(), unit.strip()
+        is_time = unit in TIME_UNITS and _TIME_NAME.match(name)
+        if any(character.isalpha() for character in name) and (unit in _KNOWN or is_time):
+            return Column(name=name, unit=unit)
+    return Column(name=text)
+
+
+def read_header(lines: Iterable[str], layout: Layout) -> Header:
+    """Return what `lines`, those above the first row, say about rows of that layout.
+
+    The last line that has as many fields as the rows names the columns; one with a known unit or a name for
+    time is preferred. A line of units alone may follow the line of the names.
+    """
+    header = Header()
+    best: tuple[Column, ...] = ()
+    before: tuple[Column, ...] = ()
+    for written in lines:
+        line = written.translate(_SAME)
+        remark = line[:_LONGEST_NAME]
+        if (rate := _stated_rate(remark)) is not None:
+            header = replace(header, sampling_rates=(*header.sampling_rates, rate))
+        elif found := _STATED_START.fullmatch(remark):
+            header = replace(header, start_time=_date(found[1]) or header.start_time)
+        elif found := _STATED_UNIT.fullmatch(remark):
+            unit = found[1].strip("()[]")
+            header = replace(header, unit=unit if unit in _KNOWN else None)
+        elif columns := _columns(line, layout):
+            columns = _under(before, columns)
+            if _is_telling(columns) or not _is_telling(best):
+                best = columns
+            before = columns
+    named = tuple(replace(column, name=column.name or column.unit) for column in best)
+    return replace(header, columns=named)
+
+
+def _stated_rate(remark: str) -> float | None:
+    """Return the sampling rate [Hz] that a line states, by itself or by its interval."""
+    try:
+        if found := _STATED_RATE.fullmatch(remark):
+            return float(found[2]) * _PREFIXES[found[3] or found[1] or ""]
+        if found := _STATED_INTERVAL.fullmatch(remark):
+            interval = float(found[2]) * _SECONDS[(found[3] or found[1] or "").removesuffix("ec")]
+            return 1 / interval if interval else math.inf
+    except ValueError:
+        # Two points in one number.
+        pass
+    return None
+
+
+def _date(text: str) -> datetime | None:
+    try:
+        return datetime.fromisoformat(text)
+    except ValueError:
+        return None
+
+
+def _columns(line: str, layout: Layout) -> tuple[Column, ...]:
+    text = re.sub(r"^\s*(?:#+|%+|//+)", "", line).strip(" \r\n")
+    if text.startswith(";") and text.count(";") != layout.n_columns - 1:
+        text = text.lstrip("; ")
+    text = _COLUMNS_FOLLOW.sub("", text, count=1) if _COLUMNS_FOLLOW.match(text) else text
+    for fields in _divisions(text, layout):
+        while len(fields) > layout.n_columns and not fields[-1].strip():
+            fields = fields[:-1]
+        # "Operator: somebody" is a remark, not a name.
+        if len(fields) == layout.n_columns and any(map(str.strip, fields)) and not re.search("[:=]", "".join(fields)):
+            return tuple(map(column_of, fields))
+    return ()
+
+
+def _divisions(text: str, layout: Layout) -> Iterator[list[str]]:
+    marks = dict.fromkeys([layout.delimiter or "\t", ",", ";", "\t", "|"])
+    for mark in marks:
+        if len(mark) == 1 and mark in text:
+            try:
+                yield next(csv.reader([text], delimiter=mark, skipinitialspace=True))
+            except (csv.Error, StopIteration):
+                yield text.split(mark)
+    if layout.n_columns == 1:
+        yield [text]
+    yield re.split(r"\s\s+|\t", text)
+    if layout.delimiter in (None, "\t"):
+        yield _WORDS_WITH_BRACKETS.findall(text)
+        yield re.findall(r'"[^"]*"|\S+', text)
+
+
+def _under(names: tuple[Column, ...], units: tuple[Column, ...]) -> tuple[Column, ...]:
+    if not names or any(column.name for column in units):
+        return units
+    return tuple(Column(name=name.name, unit=unit.unit or name.unit) for name, unit in zip(names, units, strict=True))
+
+
+def _is_telling(columns: tuple[Column, ...]) -> bool:
+    return any(column.is_named_time or column.known_unit or column.unit in TIME_UNITS for column in columns)
