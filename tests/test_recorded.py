@@ -133,6 +133,11 @@ def test_running_vote_is_the_mean_of_logarithms_in_any_portions() -> None:
 # -- from files to rows -----------------------------------------------------------------------------------
 
 
+def test_a_vote_of_too_many_windows_is_refused() -> None:
+    with pytest.raises(InvalidValue, match=r"vote_time must be at most 10000 hops of 0.05 s, got 1e\+09 s"):
+        RunningVote.over(1e9, 0.1, 0.05)
+
+
 def test_rows_are_those_of_the_windows_of_each_file(folder: Path, recorded: Recorded) -> None:
     assert len(recorded.labels) == 6 * 19
     assert recorded.groups == tuple(str(folder / f"{number}.npy") for number in range(6))
@@ -173,6 +178,18 @@ def test_channels_that_are_annotated_apart_are_recordings_of_their_own(tmp_path:
         assert (np.diff(found.time[found.piece == piece]) > 0).all()
     judged = train_recorded(found).metrics["recordings"]["rows"]
     assert [(row["label"], row["vote"]) for row in judged] == [("coal", "coal"), ("gangue", "gangue")] * 2
+
+
+def test_an_interval_without_a_window_is_said(folder: Path, tmp_path: Path) -> None:
+    rows = ["path,label,start,end,rate,unit"]
+    for number in range(2):
+        rows += [f"{folder}/{number}.npy,{label},{RATE},g" for label in ("coal,0,0.5", "gangue,0.5,1", "coal,7,9")]
+    (tmp_path / "m.csv").write_text("\n".join(rows))
+    found = record(read_manifest(tmp_path / "m.csv"), NAMES)
+    assert [warning.partition(": ")[0] for warning in found.warnings] == [
+        f"{folder}/{number}.npy from 7 to 9 s" for number in range(2)
+    ]
+    assert all("there must be windows to be measured, there is none" in warning for warning in found.warnings)
 
 
 def test_gain_and_unit_are_made_up_for(folder: Path, tmp_path: Path, recorded: Recorded) -> None:
