@@ -328,6 +328,12 @@ CASES = (
     Case("dead time negative", ("predict", "good.csv", "--dead-time", "-1"), 65, ("--dead-time", "-1 ms")),
     Case("sampling rate absurd", ("predict", "whole.npy", "--rate", "1e300", "--unit", "N"), 65, ("sampling_rate",)),
     Case("unknown feature", ("features", "good.csv", "--features", "nose"), 65, ("nose", "most like")),
+    Case(
+        "features of windows of an impact",
+        ("features", "good.csv", "--features", "window_level"),
+        65,
+        ("good.csv", "must be those of impacts, got those of windows"),
+    ),
     Case("dataset of one class", ("train", "one.h5", "-o", "new.npz"), 65, ("at least 2 labels", "coal")),
     Case(
         "shares that leave nothing to train on",

@@ -21,6 +21,7 @@ from cgid.bands import MEL_BANDS
 from cgid.cli.main import run
 from cgid.errors import BadData, InvalidValue, NoInput
 from cgid.features import FEATURES, extract_array, supported
+from cgid.identification.answers import identify
 from cgid.identification.card import write_card
 from cgid.identification.classifier import ImpactClassifier
 from cgid.identification.interval import wilson_interval
@@ -38,7 +39,7 @@ from cgid.identification.shrunken import ShrunkenDiscriminant
 from cgid.identification.training import train
 from cgid.identification.windows import Grid, RunningVote, measure_windows, windows_of
 from cgid.scene import Scene, synthesise
-from cgid.signals import Batch
+from cgid.signals import Batch, Signal
 
 RATE = 8000
 #: Few, so that training takes no time.
@@ -481,6 +482,12 @@ def test_models_of_version_2_still_load(tmp_path: Path) -> None:
     np.savez(stream, header=np.frombuffer(json.dumps(header).encode(), np.uint8), **whole.arrays)
     (tmp_path / "old.npz").write_bytes(stream.getvalue())
     assert Model.load(tmp_path / "old.npz").header == whole.header
+
+
+def test_a_model_of_windows_answers_for_no_single_impact(model: Model) -> None:
+    signal = Signal(samples=np.arange(500.0), sampling_rate=RATE, unit="g", source="hit")
+    with pytest.raises(InvalidValue, match="hit: model must be one of impacts, this one answers for windows"):
+        identify(signal, model)
 
 
 def test_a_model_without_windows_must_not_say_their_length() -> None:
