@@ -715,6 +715,17 @@ def test_raw_streams_are_what_was_written(name, n_channels, seed):
     assert (stream.n_samples, stream.warnings, stream.unit) == (100, [], None if name[0] == "f" else "FS")
 
 
+def test_blocks_of_many_channels_are_short(tmp_path):
+    h5py = pytest.importorskip("h5py")
+    samples = np.arange(1500 * 8000, dtype=np.float32).reshape(8000, 1500)
+    with h5py.File(tmp_path / "wide.h5", "w") as file:
+        file.create_dataset("x", data=samples, chunks=(500, 1500)).attrs["fs"] = 1000.0
+    recording = open_recording(tmp_path / "wide.h5")
+    blocks = list(recording.blocks())
+    assert max(block.size for block in blocks) <= 1 << 22
+    assert (np.concatenate(blocks, axis=1) == samples.T).all()
+
+
 def test_live_stream_does_not_wait_for_a_full_block():
     reading, writing = os.pipe()
     with os.fdopen(reading, "rb") as file, os.fdopen(writing, "wb", buffering=0) as source:

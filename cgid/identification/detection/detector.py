@@ -116,7 +116,7 @@ class ImpactDetector:
         """All impacts that begin before this sample have been returned."""
         if self._ended:
             return self._fed
-        reach = max(self._taken - self._onsets.lag - self._framing.length, 0)
+        reach = max(self._taken - self._onsets.lag - self._framing.reach, 0)
         return min([reach, *(onset.sample for onset in self._pending)])
 
     def feed(self, block: ArrayLike) -> list[Event]:
@@ -211,7 +211,7 @@ class ImpactDetector:
     def _whole(self, found: list[Onset]) -> list[Event]:
         """Return the events whose frames are whole with what has been taken."""
         self._pending = sorted([*self._pending, *found], key=lambda onset: (onset.sample, onset.row))
-        reach = self._taken - self._onsets.lag - self._framing.length
+        reach = self._taken - self._onsets.lag - self._framing.reach
         stop = self._fed if self._ended else None
         events = []
         while self._pending:

@@ -179,7 +179,7 @@ def record(
         references=references,
         left_out=sum(rows.left_out for rows in measured),
         failures=tuple(failures),
-        warnings=tuple(warning for rows in measured for warning in rows.file.recording.warnings),
+        warnings=tuple(warning for rows in measured for warning in rows.warnings(slicing.by)),
     )
 
 
@@ -235,6 +235,13 @@ class _Rows:
     times: list[Floats] = field(default_factory=list)
     annotations: list[Annotation] = field(default_factory=list)
     left_out: int = 0
+
+    def warnings(self, by: str) -> tuple[str, ...]:
+        """Return what is damaged in the file, and which of its annotations speak of nothing."""
+        held = {one.name for one in self.annotations}
+        empty = [one.name for one in self.file.annotations if one.name not in held]
+        said = (f"{name}: there must be {by}s to be measured, there is none; check start and end" for name in empty)
+        return (*self.file.recording.warnings, *said)
 
 
 def _measured(
