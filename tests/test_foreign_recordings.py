@@ -744,6 +744,11 @@ def test_uff_of_high_bytes_first_and_of_exponents_with_d(tmp_path):
     assert np.array_equal(read(text)[1], expected)
 
 
+def test_uff_whose_label_contradicts_its_seconds_is_refused(tmp_path):
+    path = write_uff(tmp_path / "a.uff", SAMPLES, abscissa_axis_units_lab="ms")
+    assert "must be in s" in refused(path)
+
+
 def test_uff_that_is_no_recording_is_refused(tmp_path):
     path = tmp_path / "other.uff"
     frf = write_uff(path, [SAMPLES[0] + 1j], func_type=4, ord_data_type=6, abscissa_spec_data_type=18)
