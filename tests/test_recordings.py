@@ -1,5 +1,6 @@
 """Recordings: what is read back equal, what the header says, and every fault with its place and cure."""
 
+import errno
 import io
 import random
 import struct
@@ -15,7 +16,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from scipy.io import wavfile
 
-from cgid.errors import BadData, CgidError, InvalidValue, MissingOption, NoInput
+from cgid.errors import BadData, CgidError, InvalidValue, MissingOption, NoInput, WriteFailed
 from cgid.recordings import RecordingFile, is_dataset, read_recording
 from cgid.recordings.contents import MAX_CHANNELS
 
@@ -393,6 +394,15 @@ def test_inputs_that_cannot_be_opened(tmp_path, monkeypatch):
     monkeypatch.setattr(sys, "stdin", None)
     with pytest.raises(NoInput):
         read_recording("-")
+
+
+def test_a_full_disk_for_a_stream_is_told(monkeypatch):
+    def full(*_):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr("shutil.copyfileobj", full)
+    with pytest.raises(WriteFailed, match="room"):
+        read_bytes(b"1\n2\n", sampling_rate=1)
 
 
 def test_datasets_are_told_apart(tmp_path, write):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import shutil
 import sys
@@ -15,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from cgid import validation
-from cgid.errors import BadData, InvalidValue, NoInput
+from cgid.errors import BadData, InvalidValue, NoInput, WriteFailed
 from cgid.recordings.formats import HDF5_MAGIC, format_of
 from cgid.recordings.own import DATASET_CURE
 from cgid.recordings.recording_file import BLOCK_LENGTH, Channel, RecordingFile, told
@@ -217,8 +218,11 @@ def _spooled(stream: Any) -> Path:
     try:
         with os.fdopen(handle, "wb") as file:
             shutil.copyfileobj(stream, file, 1 << 20)
-    except BaseException:
+    except BaseException as error:
         _forget(Path(name))
+        if isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT):
+            folder = Path(name).parent
+            raise WriteFailed(f"{folder}: the disk must have room for the stream, it is full; set TMPDIR") from None
         raise
     return Path(name)
 
