@@ -18,6 +18,7 @@ from cgid import shipped
 from cgid.identification.model import Model
 from cgid.identification.training import train
 from cgid.scene import generate, load_scene, parse_scene, synthesise
+from tests.bad_recordings import RECORDING_CASES, make_recordings
 
 ROOT = Path(__file__).parents[1]
 RATE = 2e5
@@ -124,6 +125,8 @@ def make_files(folder: Path) -> None:
     _scene(folder / "plate.toml", lambda text: text.replace("= 0.30 }", '= 0.30, thickness = "80 mm" }'))
     _scene(folder / "silent.toml", lambda text: text.replace("relative_noise = 0.01", "relative_noise = 0.0"))
     (folder / "old.png").write_bytes(b"mine")
+    (folder / "old.html").write_bytes(b"mine")
+    make_recordings(folder)
     _scene(folder / "toml.toml", lambda text: text.replace("[impact]", "[impact"))
     _scene(
         folder / "three.toml",
@@ -241,7 +244,7 @@ def _one_label() -> dict:
 CASES = (
     Case("missing file", ("predict", "none.csv"), 66, ("none.csv",)),
     Case("empty file", ("predict", "empty.csv"), 65, ("empty.csv", "empty")),
-    Case("binary junk", ("predict", "junk.csv"), 65, ("junk.csv", "neither text, NPY nor WAV")),
+    Case("binary junk", ("predict", "junk.csv"), 65, ("junk.csv", "in no format that is known")),
     Case("truncated WAV", ("predict", "truncated.wav"), 65, ("truncated.wav",)),
     Case("truncated NPY", ("predict", "truncated.npy", "--rate", "2e5", "--unit", "N"), 65, ("truncated.npy",)),
     Case("truncated dataset", ("predict", "truncated.h5"), 65, ("truncated.h5",)),
@@ -515,6 +518,7 @@ CASES = (
     Case("plan for nothing", ("generate", "reference.toml", "--json", "-o", "new.h5"), 2, ("--json", "--explain")),
     Case("unknown command", ("foretell",), 2, ("foretell",)),
     Case("no file given", ("predict",), 2, ("FILE",)),
+    *(Case(*row) for row in RECORDING_CASES),
 )
 
 

@@ -218,6 +218,18 @@ def test_nothing_to_learn_from_is_said(folder: Path) -> None:
         record(read_manifest(folder / "short.csv"), NAMES)
 
 
+def test_intervals_without_a_row_are_said(folder: Path) -> None:
+    told = ("0.npy,coal,0,0.5", "0.npy,gangue,0.5,0.55", "1.npy,gangue,0,0.5", "1.npy,coal,7,8")
+    rows = "".join(f"{row},{RATE},g\n" for row in told)
+    (folder / "beyond.csv").write_text(f"path,label,start,end,rate,unit\n{rows}")
+    found = record(read_manifest(folder / "beyond.csv"), NAMES)
+    assert sorted(set(found.labels.tolist())) == ["coal", "gangue"]
+    where = ["0.npy from 0.5 to 0.55 s", "1.npy from 7 to 8 s"]
+    assert list(found.warnings) == [
+        f"{one}: no window that can be measured lies in it; correct start and end, or take it out" for one in where
+    ]
+
+
 def test_impacts_are_taken_where_they_are_annotated(tmp_path: Path) -> None:
     generator, times = np.random.default_rng(3), np.arange(0, 0.1, 1 / 50e3)
     samples = generator.normal(0, 1e-3, 150_000)

@@ -1,5 +1,6 @@
 """Recordings by blocks: the same numbers as all at once, in flat memory; damaged ones; streams that never end."""
 
+import errno
 import io
 import os
 import struct
@@ -13,7 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.io import wavfile
 
-from cgid.errors import BadData, CgidError, InvalidValue, MissingOption
+from cgid.errors import BadData, CgidError, InvalidValue, MissingOption, WriteFailed
 from cgid.recordings import open_recording, read_recording
 from cgid.recordings.lvm import reader as lvm_files
 from cgid.recordings.sound.live import live_stream
@@ -782,5 +783,23 @@ def test_bad_live_streams():
     with pytest.raises(BadData, match="chunk of sound"):
         live_stream(io.BytesIO(b"RIFF1234WAVE"))
     stream = live_stream(io.BytesIO(np.array([1, 2, 3, np.nan], "<f4").tobytes()), **raw)
+    before = []
     with pytest.raises(BadData, match="sample 1 of channel 2 is nan"):
-        list(stream)
+        before.extend(stream)
+    np.testing.assert_array_equal(np.concatenate(before, axis=1), [[1], [2]])  # what came before is not lost
+    with pytest.raises(BadData, match="ended before the first"):
+        list(live_stream(io.BytesIO(b"1234567"), **raw))
+    with pytest.raises(BadData, match="this is FLAC; give it to cgid predict"):
+        live_stream(io.BytesIO(b"fLaC" + bytes(100)), **raw)
+
+
+def test_a_stream_that_nothing_can_hold_is_said(monkeypatch, tmp_path):
+    def full(*_):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr("sys.stdin", SimpleNamespace(buffer=io.BytesIO(b"1\n2\n")))
+    monkeypatch.setattr("shutil.copyfileobj", full)
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    with pytest.raises(WriteFailed, match=r"no room .*set TMPDIR"):
+        open_recording("-")
+    assert list(tmp_path.iterdir()) == []

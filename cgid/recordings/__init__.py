@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import shutil
 import sys
@@ -15,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from cgid import validation
-from cgid.errors import BadData, InvalidValue, NoInput
+from cgid.errors import BadData, InvalidValue, NoInput, WriteFailed
 from cgid.recordings.formats import HDF5_MAGIC, format_of
 from cgid.recordings.own import DATASET_CURE
 from cgid.recordings.recording_file import BLOCK_LENGTH, Channel, RecordingFile, told
@@ -187,6 +188,8 @@ def _regular(path: str | Path, source: str) -> tuple[Path, bool]:
     try:
         with told(source):
             if str(path) == "-":
+                if sys.stdin is None:
+                    raise NoInput("stdin: the standard input must be open, it is closed; give a file, or pipe one in")
                 return _spooled(sys.stdin.buffer), True
             path = Path(path)
             if path.is_dir():
@@ -197,7 +200,7 @@ def _regular(path: str | Path, source: str) -> tuple[Path, bool]:
             # Opened once, so that what is wrong with it is said before anything else.
             path.open("rb").close()
             return path, False
-    except (BadData, NoInput):
+    except (BadData, NoInput, WriteFailed):
         raise
     # A closed standard input and a NUL byte in the name are ValueErrors, a missing standard input has no buffer.
     except (ValueError, AttributeError) as error:
@@ -210,8 +213,13 @@ def _spooled(stream: Any) -> Path:
     try:
         with os.fdopen(handle, "wb") as file:
             shutil.copyfileobj(stream, file, 1 << 20)
-    except BaseException:
+    except BaseException as error:
         _forget(Path(name))
+        if isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG):
+            raise WriteFailed(
+                f"{Path(name).parent}: a stream is kept there until it is read, there is no room ({error.strerror}); "
+                "give a file, or set TMPDIR to a larger place"
+            ) from None
         raise
     return Path(name)
 

@@ -51,7 +51,10 @@ def encoding_of(start: bytes, source: str) -> str:
     text = start.decode(encoding, "replace")
     # What is left undecoded of UTF-16 holds zeros.
     if _CONTROL.search(text):
-        raise BadData(f"{source}: the file is neither text, NPY nor WAV; export it as one of these")
+        raise BadData(
+            f"{source}: the file is in no format that is known; export it as text, WAV, NPY, MAT, HDF5, TDMS, "
+            "UFF, FLAC or Parquet"
+        )
     return encoding
 
 
