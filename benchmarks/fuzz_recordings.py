@@ -42,7 +42,6 @@ TIME_LIMIT, MEMORY_LIMIT = 5.0, 512 << 20
 RATE = 51_200.0
 #: What a child process says by its exit code; anything else is a crash.
 OUTCOMES = ("same", "refused", "warned", "changed", "traceback")
-HANG = 99
 
 
 @dataclass(frozen=True)
@@ -52,7 +51,14 @@ class Outcome:
     name: str
     seconds: float
     memory: int
+    #: What this process had when the other was forked from it [bytes].
+    floor: int
     told: str
+
+    @property
+    def failed(self) -> bool:
+        """Whether it is no answer, or took more memory than it may."""
+        return self.name not in OUTCOMES[:4] or self.memory - self.floor > MEMORY_LIMIT
 
 
 def read(path: Path, options: dict[str, Any]) -> tuple[np.ndarray, tuple[str, ...]]:
@@ -65,6 +71,7 @@ def read(path: Path, options: dict[str, Any]) -> tuple[np.ndarray, tuple[str, ..
 def judge(path: Path, specimen: Specimen, expected: np.ndarray) -> Outcome:
     """Return what becomes of a file, read in a process of its own."""
     reading, writing = os.pipe()
+    floor = _resident()
     started = time.perf_counter()
     child = os.fork()
     if not child:
@@ -76,10 +83,15 @@ def judge(path: Path, specimen: Specimen, expected: np.ndarray) -> Outcome:
     with os.fdopen(reading, "rb") as pipe:
         told = pipe.read().decode(errors="replace")
     if status is None:
-        return Outcome("hang", seconds, usage, told)
+        return Outcome("hang", seconds, usage, floor, told)
     code = os.waitstatus_to_exitcode(status)
     name = OUTCOMES[code] if 0 <= code < len(OUTCOMES) else f"crash ({code})"
-    return Outcome(name, seconds, usage, told)
+    return Outcome(name, seconds, usage, floor, told)
+
+
+def _resident() -> int:
+    """Return the memory that this process has now [bytes]."""
+    return int(Path("/proc/self/statm").read_text().split()[1]) * resource.getpagesize()
 
 
 def _await(child: int, deadline: float) -> tuple[int | None, int]:
@@ -220,13 +232,12 @@ def main() -> None:
     arguments = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
         found = fuzz(arguments.files, arguments.seed, Path(folder))
-    floor = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss << 10
     titles = (*OUTCOMES[:4], "failed", "slowest [s]", "most memory [MB]")
     print(f"| format | files | {' | '.join(titles)} |\n|{'---|' * (len(titles) + 2)}")
     bad: list[tuple[str, str, Outcome, bytes]] = []
     for name, rows in found.items():
         tally = Counter(outcome.name for _, outcome, _ in rows)
-        failed = [(name, *row) for row in rows if row[1].name not in OUTCOMES[:4] or row[1].memory > MEMORY_LIMIT]
+        failed = [(name, *row) for row in rows if row[1].failed or row[1].memory > MEMORY_LIMIT]
         bad += failed
         slowest = max(outcome.seconds for _, outcome, _ in rows)
         memory = max(outcome.memory for _, outcome, _ in rows) / 1e6
@@ -234,7 +245,9 @@ def main() -> None:
         print(
             f"| {name} | {len(rows)} | {' | '.join(map(str, counts))} | {len(failed)} | {slowest:.2f} | {memory:.0f} |"
         )
-    print(f"\n{sum(map(len, found.values()))} files, {len(bad)} failed; this process alone takes {floor / 1e6:.0f} MB")
+    print(
+        f"\n{sum(map(len, found.values()))} files, {len(bad)} failed; memory is that beyond Python's with all libraries"
+    )
     for name, mutation, outcome, _ in bad[:20]:
         print(f"{name}, {mutation}: {outcome.name} after {outcome.seconds:.1f} s: {outcome.told}")
     if arguments.keep:

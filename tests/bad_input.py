@@ -244,7 +244,7 @@ def _one_label() -> dict:
 CASES = (
     Case("missing file", ("predict", "none.csv"), 66, ("none.csv",)),
     Case("empty file", ("predict", "empty.csv"), 65, ("empty.csv", "empty")),
-    Case("binary junk", ("predict", "junk.csv"), 65, ("junk.csv", "in no format that is known")),
+    Case("binary junk", ("predict", "junk.csv"), 65, ("junk.csv", "neither text nor of another format")),
     Case("truncated WAV", ("predict", "truncated.wav"), 65, ("truncated.wav",)),
     Case("truncated NPY", ("predict", "truncated.npy", "--rate", "2e5", "--unit", "N"), 65, ("truncated.npy",)),
     Case("truncated dataset", ("predict", "truncated.h5"), 65, ("truncated.h5",)),
@@ -331,6 +331,12 @@ CASES = (
     Case("dead time negative", ("predict", "good.csv", "--dead-time", "-1"), 65, ("--dead-time", "-1 ms")),
     Case("sampling rate absurd", ("predict", "whole.npy", "--rate", "1e300", "--unit", "N"), 65, ("sampling_rate",)),
     Case("unknown feature", ("features", "good.csv", "--features", "nose"), 65, ("nose", "most like")),
+    Case(
+        "features of windows of an impact",
+        ("features", "good.csv", "--features", "window_level"),
+        65,
+        ("good.csv", "must be those of impacts, got those of windows"),
+    ),
     Case("dataset of one class", ("train", "one.h5", "-o", "new.npz"), 65, ("at least 2 labels", "coal")),
     Case(
         "shares that leave nothing to train on",

@@ -572,7 +572,8 @@ def test_real_shock_has_the_published_peak_and_width(remove_baseline):
         event.signal.samples, event.signal.sampling_rate, ["peak_force", "width_10"], remove_baseline=remove_baseline
     )
     assert event.signal.unit == "g"
-    assert 478 <= found["peak_force"][0] <= 486
+    # The recording begins in the foot of the shock and rests at -1.1 g behind it.
+    assert 478 <= found["peak_force"][0] <= (487.2 if remove_baseline else 486)
     assert 0.39e-3 <= found["width_10"][0] <= 0.41e-3
 
 

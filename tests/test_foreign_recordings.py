@@ -461,6 +461,22 @@ def test_hostile_mat_is_refused_before_anything_is_allocated(mat):
     assert "there is none" in refused(mat(mat_file(nested)))
 
 
+@pytest.mark.skipif(not Path("/proc/self/fd").is_dir(), reason="only Linux lists open files there")
+@pytest.mark.parametrize("packed", [False, True])
+def test_mat_is_closed_when_it_is_not_read(tmp_path, packed):
+    path = tmp_path / "x.mat"
+    savemat(path, {"x": SAMPLES, "Fs": 8000.0}, do_compression=packed)
+
+    def n_open():
+        return sum(path.samefile(one) for one in Path("/proc/self/fd").iterdir() if one.exists())
+
+    recording = open_recording(path)
+    assert n_open() == 0
+    for _ in range(2):
+        np.testing.assert_array_equal(np.concatenate(list(recording.blocks(1000)), axis=1), SAMPLES)
+        assert n_open() == 0
+
+
 @pytest.mark.parametrize("packed", [False, True])
 def test_mat_cut_anywhere_is_refused_or_keeps_what_is_whole_with_a_warning(tmp_path, packed):
     path = tmp_path / "cut.mat"
@@ -726,6 +742,11 @@ def test_uff_of_high_bytes_first_and_of_exponents_with_d(tmp_path):
     # The same lines as another system ends them.
     text.write_bytes(text.read_bytes().replace(b"\n", b"\r\n"))
     assert np.array_equal(read(text)[1], expected)
+
+
+def test_uff_whose_label_contradicts_its_seconds_is_refused(tmp_path):
+    path = write_uff(tmp_path / "a.uff", SAMPLES, abscissa_axis_units_lab="ms")
+    assert "must be in s" in refused(path)
 
 
 def test_uff_that_is_no_recording_is_refused(tmp_path):

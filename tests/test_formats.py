@@ -5,7 +5,7 @@ import warnings
 import numpy as np
 import pytest
 
-from benchmarks.fuzz_recordings import OUTCOMES, fuzz
+from benchmarks.fuzz_recordings import fuzz
 from cgid.errors import CgidError, MissingOption
 from cgid.recordings import open_recording, read_recording
 from tests.recording_files import NAMES, SPECIMENS, UNIT, blows
@@ -89,6 +89,6 @@ def test_damaged_files_are_never_more_than_refused(tmp_path):
     found = fuzz(105, seed=11, folder=tmp_path, n_samples=1500)
     for name, rows in found.items():
         for mutation, outcome, _ in rows:
-            assert outcome.name in OUTCOMES[:4] and outcome.memory < 512 << 20, (name, mutation, outcome)
+            assert not outcome.failed, (name, mutation, outcome)
             if name in CHECKSUMS:
                 assert outcome.name != "changed", (name, mutation)

@@ -287,6 +287,7 @@ def test_what_lies_outside_of_the_training_has_no_share(default_model: Model) ->
         ({"gangue": ("granite",)}, "gangue label must be one of 'coal', 'gangue', got 'granite'"),
         ({"gangue": ("coal", "gangue")}, "gangue labels must leave another one"),
         ({"length": 0.0}, "window must be above 0"),
+        ({"length": 1e-6}, "window must be at least 0.05 s, got 1e-06 s"),
         ({"gangue_cost": -1.0}, "gangue_cost must be above 0"),
     ],
 )

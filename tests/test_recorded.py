@@ -21,6 +21,7 @@ from cgid.bands import MEL_BANDS
 from cgid.cli.main import run
 from cgid.errors import BadData, InvalidValue, NoInput
 from cgid.features import FEATURES, extract_array, supported
+from cgid.identification.answers import identify
 from cgid.identification.card import write_card
 from cgid.identification.classifier import ImpactClassifier
 from cgid.identification.interval import wilson_interval
@@ -38,7 +39,7 @@ from cgid.identification.shrunken import ShrunkenDiscriminant
 from cgid.identification.training import train
 from cgid.identification.windows import Grid, RunningVote, measure_windows, windows_of
 from cgid.scene import Scene, synthesise
-from cgid.signals import Batch
+from cgid.signals import Batch, Signal
 
 RATE = 8000
 #: Few, so that training takes no time.
@@ -133,6 +134,11 @@ def test_running_vote_is_the_mean_of_logarithms_in_any_portions() -> None:
 # -- from files to rows -----------------------------------------------------------------------------------
 
 
+def test_a_vote_of_too_many_windows_is_refused() -> None:
+    with pytest.raises(InvalidValue, match=r"vote_time must be at most 10000 hops of 0.05 s, got 1e\+09 s"):
+        RunningVote.over(1e9, 0.1, 0.05)
+
+
 def test_rows_are_those_of_the_windows_of_each_file(folder: Path, recorded: Recorded) -> None:
     assert len(recorded.labels) == 6 * 19
     assert recorded.groups == tuple(str(folder / f"{number}.npy") for number in range(6))
@@ -155,6 +161,36 @@ def test_windows_lie_in_their_intervals_as_a_whole(folder: Path, tmp_path: Path)
     frames = np.stack([samples[round(s * RATE) :][:800] for s in starts])
     np.testing.assert_array_equal(rows.features, extract_array(frames, RATE, NAMES))
     assert rows.groups == (str(folder / "0.npy"),)
+
+
+def test_channels_that_are_annotated_apart_are_recordings_of_their_own(tmp_path: Path) -> None:
+    rows = ["path,label,channel,rate,unit"]
+    for number in range(2):
+        both = np.concatenate([flow(label, number) for label in ("coal", "gangue")])
+        np.save(tmp_path / f"{number}.npy", both)
+        rows += [f"{number}.npy,coal,1,{RATE},g", f"{number}.npy,gangue,2,{RATE},g"]
+    (tmp_path / "m.csv").write_text("\n".join(rows))
+    found = record(read_manifest(tmp_path / "m.csv"), NAMES)
+    assert len(found.pieces) == 4
+    assert len(found.groups) == 2
+    for piece in range(4):
+        assert len(set(found.labels[found.piece == piece])) == 1
+        # A running vote must not go on from one channel to the other.
+        assert (np.diff(found.time[found.piece == piece]) > 0).all()
+    judged = train_recorded(found).metrics["recordings"]["rows"]
+    assert [(row["label"], row["vote"]) for row in judged] == [("coal", "coal"), ("gangue", "gangue")] * 2
+
+
+def test_an_interval_without_a_window_is_said(folder: Path, tmp_path: Path) -> None:
+    rows = ["path,label,start,end,rate,unit"]
+    for number in range(2):
+        rows += [f"{folder}/{number}.npy,{label},{RATE},g" for label in ("coal,0,0.5", "gangue,0.5,1", "coal,7,9")]
+    (tmp_path / "m.csv").write_text("\n".join(rows))
+    found = record(read_manifest(tmp_path / "m.csv"), NAMES)
+    assert [warning.partition(": ")[0] for warning in found.warnings] == [
+        f"{folder}/{number}.npy from 7 to 9 s" for number in range(2)
+    ]
+    assert all("there must be windows to be measured, there is none" in warning for warning in found.warnings)
 
 
 def test_gain_and_unit_are_made_up_for(folder: Path, tmp_path: Path, recorded: Recorded) -> None:
@@ -216,18 +252,6 @@ def test_nothing_to_learn_from_is_said(folder: Path) -> None:
     (folder / "short.csv").write_text(f"path,label,start,end,rate,unit\n0.npy,coal,0.1,0.15,{RATE},g\n")
     with pytest.raises(BadData, match="must hold a window with a label"):
         record(read_manifest(folder / "short.csv"), NAMES)
-
-
-def test_intervals_without_a_row_are_said(folder: Path) -> None:
-    told = ("0.npy,coal,0,0.5", "0.npy,gangue,0.5,0.55", "1.npy,gangue,0,0.5", "1.npy,coal,7,8")
-    rows = "".join(f"{row},{RATE},g\n" for row in told)
-    (folder / "beyond.csv").write_text(f"path,label,start,end,rate,unit\n{rows}")
-    found = record(read_manifest(folder / "beyond.csv"), NAMES)
-    assert sorted(set(found.labels.tolist())) == ["coal", "gangue"]
-    where = ["0.npy from 0.5 to 0.55 s", "1.npy from 7 to 8 s"]
-    assert list(found.warnings) == [
-        f"{one}: no window that can be measured lies in it; correct start and end, or take it out" for one in where
-    ]
 
 
 def test_impacts_are_taken_where_they_are_annotated(tmp_path: Path) -> None:
@@ -458,6 +482,12 @@ def test_models_of_version_2_still_load(tmp_path: Path) -> None:
     np.savez(stream, header=np.frombuffer(json.dumps(header).encode(), np.uint8), **whole.arrays)
     (tmp_path / "old.npz").write_bytes(stream.getvalue())
     assert Model.load(tmp_path / "old.npz").header == whole.header
+
+
+def test_a_model_of_windows_answers_for_no_single_impact(model: Model) -> None:
+    signal = Signal(samples=np.arange(500.0), sampling_rate=RATE, unit="g", source="hit")
+    with pytest.raises(InvalidValue, match="hit: model must be one of impacts, this one answers for windows"):
+        identify(signal, model)
 
 
 def test_a_model_without_windows_must_not_say_their_length() -> None:

@@ -1,5 +1,6 @@
 """Recordings: what is read back equal, what the header says, and every fault with its place and cure."""
 
+import errno
 import io
 import random
 import struct
@@ -15,7 +16,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from scipy.io import wavfile
 
-from cgid.errors import BadData, CgidError, InvalidValue, MissingOption, NoInput
+from cgid.errors import BadData, CgidError, InvalidValue, MissingOption, NoInput, WriteFailed
 from cgid.recordings import RecordingFile, is_dataset, read_recording
 from cgid.recordings.contents import MAX_CHANNELS
 
@@ -309,8 +310,8 @@ def test_uneven_first_column_without_header_is_a_channel():
         ("0,1\n1\n2,3\n", ["sample 1", "line 2", "has 1"]),
         ("0,1\n1,2\n2", ["sample 2", "line 3", "cut off"]),
         ("0,1\n1,2\n2,1e", ["sample 2", "line 3", "cut off"]),
-        ("0,1\n1,2\n2,1 \x00", ["in no format that is known"]),
-        ("\x02\x03junk", ["in no format that is known"]),
+        ("0,1\n1,2\n2,1 \x00", ["neither text nor of another format"]),
+        ("\x02\x03junk", ["neither text nor of another format"]),
         ("0,05\n0,07\n", ["comma", "decimal"]),
         ("force (N)\n3,5\n4,5\n", ["comma", "decimal"]),
         ("t\n0\n1\n", ["channel beside time"]),
@@ -393,6 +394,15 @@ def test_inputs_that_cannot_be_opened(tmp_path, monkeypatch):
     monkeypatch.setattr(sys, "stdin", None)
     with pytest.raises(NoInput):
         read_recording("-")
+
+
+def test_a_full_disk_for_a_stream_is_told(monkeypatch):
+    def full(*_):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr("shutil.copyfileobj", full)
+    with pytest.raises(WriteFailed, match="room"):
+        read_bytes(b"1\n2\n", sampling_rate=1)
 
 
 def test_datasets_are_told_apart(tmp_path, write):

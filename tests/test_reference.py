@@ -1,5 +1,7 @@
 """Reference runs: what a gain and an unknown response cost, what makes up for them, and what drift is warned of."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from scipy import signal
@@ -11,6 +13,7 @@ from cgid.bands import MEL_BANDS
 from cgid.equalisation import LARGEST_GAIN, Equalisation
 from cgid.errors import BadData, InvalidValue
 from cgid.features import choose, extract_array, supported
+from cgid.identification.answering.drifts import Drifts
 from cgid.identification.reference import LARGEST_DRIFT, MeanSpectrum, drift, target_spectrum
 from cgid.recordings import read_recording
 
@@ -253,3 +256,24 @@ def test_responses_of_real_recordings_are_made_up_for(real_data):
         cured.append(model.score(extract_array(session, rate, names, equalisation=made_up), truth))
     assert np.mean(lost) < plain - 0.06
     assert np.mean(cured) > plain - 0.03
+
+
+@pytest.mark.parametrize(("hop", "kept"), [(0.1, range(30)), (0.05, range(0, 30, 2)), (0.03, range(0, 30, 4))])
+@pytest.mark.parametrize("portion", [1, 7, 30])
+def test_windows_that_overlap_count_once(hop, kept, portion):
+    windows = np.random.default_rng(3).normal(size=(30, 1, 800))
+    reference = MeanSpectrum(8000.0)
+    reference.feed(windows[list(kept), 0])
+    model = SimpleNamespace(
+        n_channels=1,
+        window_time=0.1,
+        hop_time=hop,
+        sensors=("left",),
+        arrays={"reference.spectra": reference.levels[None, None] - 0.5},
+    )
+    drifts = Drifts(model, ["left"], 8000.0)
+    for first in range(0, 30, portion):
+        drifts.see(0, windows[first : first + portion])
+    (said,) = drifts.warnings()
+    assert "+5.0 dB off" in said
+    assert "(+5.0 dB in the mean)" in said

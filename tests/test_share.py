@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+from typing import Any
+
 import numpy as np
 import pytest
 from scipy import stats
 from scipy.integrate import quad
 
 from cgid.errors import InvalidValue
-from cgid.identification.answering.share import Share, ShareWindow
+from cgid.identification.answering.share import Share, ShareWindow, trained_share
 from cgid.identification.answering.shutting import FEWEST_IMPACTS, Shutting
 
 #: How far the scores of coal and gangue lie apart, in their deviations: right in 77 % of the impacts.
@@ -53,6 +56,23 @@ def test_mean_is_that_of_the_likelihood_integrated() -> None:
 
     exact = quad(lambda q: q * likelihood(q), 0, 1)[0] / quad(likelihood, 0, 1)[0]
     assert share_of(probabilities, trained_share=trained).share == pytest.approx(exact, abs=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("training", "share"),
+    [
+        ({}, 0.1),
+        ({"class_weights": "balanced"}, 0.5),
+        ({"class_weights": {"gangue": 3.0}}, 0.25),
+        ({"recorded": {"class_weights": "balanced"}}, 0.5),
+        ({"recorded": {"class_weights": {"coal": 0.5, "gangue": 9.0}}}, 2 / 3),
+        ({"recorded": {"class_weights": None}}, 0.1),
+    ],
+)
+def test_class_weights_are_a_part_of_what_was_trained_on(training: dict[str, Any], share: float) -> None:
+    metrics = {"metrics": {"confusion": [[880, 20], [40, 60]]}}
+    model = SimpleNamespace(labels=("coal", "gangue"), training=metrics | training)
+    assert trained_share(model, ("gangue",)) == pytest.approx(share)  # type: ignore[arg-type]
 
 
 def test_interval_holds_the_share_as_often_as_it_says() -> None:

@@ -65,11 +65,16 @@ def _print(
     signal: Any, names: tuple[str, ...] | None, remove_baseline: bool, dead_time: float | None, as_json: bool
 ) -> None:
     """Print the impacts of one channel; those that cannot be measured have no numbers and say why."""
-    from cgid.errors import BadData
+    from cgid.errors import BadData, InvalidValue
     from cgid.features import extract_array, kind_for, kind_of
     from cgid.identification.events import find_impacts
 
     kind = kind_for(signal.quantity) if names is None else kind_of(names)
+    if kind == "window":
+        raise InvalidValue(
+            f"{signal.name}: features must be those of impacts, got those of windows; choose others by --features, "
+            "cgid features --list says of what each one is"
+        )
     events = find_impacts(signal, kind=kind, dead_time=dead_time)
     # All frames of a recording allow the same, but for the first, which may begin later.
     chosen = _chosen(names, kind, signal.sampling_rate, min(event.signal.samples.size for event in events))

@@ -33,7 +33,7 @@ _BEHIND = 1.0
 )
 @click.option("--invert", is_flag=True, help="Turn the signal over: impacts must point upwards.")
 @answering_options
-@click.option("--dead-time", type=float, help="Ringing after a blow [ms]; 2 for pulses, 10 for vibrations.")
+@click.option("--dead-time", type=float, help="Ringing after a blow [ms]; 2 for pulses, 5 for vibrations.")
 @click.option("--json", "as_json", is_flag=True, help="One JSON object a line.")
 def monitor(
     stream: str,

@@ -47,7 +47,7 @@ def reading_options(command: F) -> F:
         click.option("--variable", help="Which array, table or group of the file, where it holds several."),
         click.option("--index", type=int, help="Only this signal of a dataset, from 0; else all of them."),
         click.option("--invert", is_flag=True, help="Turn the signal over: impacts must point upwards."),
-        click.option("--dead-time", type=float, help="Ringing after a blow [ms]; 2 for pulses, 10 for vibrations."),
+        click.option("--dead-time", type=float, help="Ringing after a blow [ms]; 2 for pulses, 5 for vibrations."),
     ]
     for option in reversed(options):
         command = option(command)

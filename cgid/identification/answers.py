@@ -203,6 +203,10 @@ def identify(
         The model has no use for the drop height, or a choice is one that it cannot serve.
     """
     decision = Decision(costs=costs or {}, coverage=coverage, class_conditional=class_conditional)
+    if model.kind == "window":
+        raise InvalidValue(
+            f"{signal.name}: model must be one of impacts, this one answers for windows; give a whole recording"
+        )
     events = find_impacts(signal, kind=model.kind, dead_time=dead_time)
     return identify_events(events, model, decision, drop_height=drop_height, channels=(signal.channel,))
 

@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from cgid.identification.card_tables import table
+from cgid.identification.events import VIBRATION_DEAD_TIME
 from cgid.identification.known import KNOWN
 from cgid.identification.model import Model
 from cgid.identification.recorded.card import (
@@ -206,6 +207,15 @@ def _calibration(model: Model) -> list[str]:
         "by chance.",
         "",
     ]
+    if "recorded" in model.training:
+        # Rows of one recording err together: their errors by chance are larger, nobody knows by how much.
+        return [
+            f"The expected calibration error is {error:.4f}; were all rows independent, perfectly calibrated "
+            f"probabilities would show {chance:.4f} by chance, but those of one recording err together, so it is more.",
+            "",
+            "Recordings are too few to calibrate prediction sets: `--coverage` can promise nothing.",
+            "",
+        ]
     if not metrics["prediction_sets"]:
         return [*lines, "There were too few specimens to calibrate prediction sets: nothing can be rejected.", ""]
     rows = [
@@ -245,7 +255,8 @@ _LIMITS = (
 
 _LIMITS_OF_VIBRATIONS = (
     "The levels are those of one beam, its sensor where it is and as sensitive as it is: on another beam, at another",
-    "place or with another gain the model must be trained again. Where two impacts follow each other within 20 ms",
+    "place or with another gain the model must be trained again. Where two impacts follow each other within "
+    f"{VIBRATION_DEAD_TIME * 1e3:g} ms",
     "the second is taken for a part of the first.",
     "",
 )

@@ -54,7 +54,7 @@ class MeanSpectrum:
         self._sum, self._squares = np.zeros(self.n_bands), np.zeros(self.n_bands)
 
     def feed(self, windows: NDArray[np.floating]) -> None:
-        """Add windows (n_windows, n_samples); those that hold nothing are passed over."""
+        """Add windows (n_windows, n_samples) that do not overlap; those that hold nothing are passed over."""
         for first in range(0, len(windows), _ROWS):
             batch = WindowBatch(windows[first : first + _ROWS], self.sampling_rate)
             kept = np.setdiff1d(np.arange(len(batch.samples)), list(batch.problems()))

@@ -27,6 +27,8 @@ VOTE_TIME = 0.5
 LONGEST_WINDOW = 10.0
 #: The next window begins after this share of one at least, and within `LONGEST_WINDOW`.
 FINEST_HOP = 0.01
+#: So many windows vote together at most: each of them is added up for each vote.
+_MOST_VOTING = 10_000
 #: Windows that leave at once, at most: what is measured on them takes memory.
 _MOST_WINDOWS = 512
 #: No probability is taken for less: one window must not rule a label out alone.
@@ -205,6 +207,10 @@ class RunningVote:
         9
         """
         validation.positive("vote_time, window_time and hop_time", [vote_time, window_time, hop_time], "s")
+        if vote_time > _MOST_VOTING * hop_time:
+            raise InvalidValue(
+                f"vote_time must be at most {_MOST_VOTING} hops of {hop_time:g} s, got {vote_time:g} s; decide on less"
+            )
         return cls(max(int((vote_time - window_time) / hop_time + 1e-9) + 1, 1))
 
     def feed(self, probabilities: Floats) -> Floats:

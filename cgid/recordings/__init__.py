@@ -65,25 +65,32 @@ def open_recording(
 ) -> RecordingFile:
     r"""Open a recording; the format is told by the content, not by the file's name.
 
-    Text may use any of comma, semicolon, tab, bar and blanks between its columns, a decimal comma unless the
-    comma separates columns, comments, any number of header lines, UTF-8, UTF-16 or Latin-1. A header such as
-    ``time (ms), force [kN]`` gives names and units, ``# sampling_rate: 200 kHz`` and ``# unit: N`` say the rest.
-    A time column is in seconds unless its header says ms or us.
+    Text (CSV, TXT, ...) may use any of comma, semicolon, tab, bar and blanks between its columns, a decimal comma
+    unless the comma separates columns, comments, any number of header lines, UTF-8, UTF-16, GB 18030 or Latin-1. A
+    header such as ``time (ms), force [kN]`` gives names and units, ``# sampling_rate: 200 kHz`` and ``# unit: N`` say
+    the rest. A time column is in seconds unless its header says ms or us, or holds times of day.
+
+    LabVIEW measurement files (LVM): the channels of all segments that follow each other without a gap; `variable` is
+    the number of one segment, or the channel whose length and rate the others must have.
+
+    WAV (RIFF, RIFX, RF64) holds any number of channels; integers are scaled to a full scale of 1.0 and, like floats,
+    are in "FS" unless `unit` is given, which then is taken as the unit of the numbers between -1 and 1. FLAC and OGG
+    likewise (library soundfile).
 
     NPY holds one channel, (n_samples,), or several: (n_channels, n_samples), unless the second axis is the
     shorter one, which is then read as (n_samples, n_channels).
 
-    WAV holds any number of channels; integers are scaled to a full scale of 1.0 and, like floats, are in
-    "FS" unless `unit` is given, which then is taken as the unit of the numbers between -1 and 1.
+    NPZ, HDF5 and MATLAB files (version 5 and up) hold arrays by name; where there are several beside times, `variable`
+    says which is meant: an array, a group or struct of arrays of one length, or a pattern such as ``ch*``. Rate, unit,
+    start and channel names are taken from attributes and single values (``fs``, ``dt``, ``unit``, ...), the nearest
+    first, the rate else from an array of times. A recording made by `cgid generate` holds one channel, and says its
+    rate and unit.
 
-    A recording made by `cgid generate` holds one channel, and says its rate and unit.
+    TDMS (library nptdms): the channels of one group with their waveform properties; `variable` is a group or
+    ``group/channel``. Universal files (UFF, UNV): the data sets 58 over time; `variable` is the number or the name of
+    one. Parquet (library pyarrow): columns, as of a text file.
 
-    HDF5 and MATLAB files (version 5 and up) hold arrays by name; where there are several beside times, `variable` says
-    which is meant: an array, a group or struct of arrays of one length, or a pattern such as ``ch*``. Rate, unit, start
-    and channel names are taken from attributes and single values (``fs``, ``dt``, ``unit``, ...), the nearest first,
-    the rate else from an array of times. TDMS: the channels of one group with their waveform properties; `variable` is
-    a group or ``group/channel``. Universal files: the data sets 58 over time; `variable` is the number of one.
-    Parquet: columns, as of a text file.
+    Of a WAV, FLAC, OGG, LVM or TDMS file that is cut off what is whole is read, and `RecordingFile.warnings` say so.
 
     Parameters
     ----------
@@ -200,7 +207,7 @@ def _regular(path: str | Path, source: str) -> tuple[Path, bool]:
             # Opened once, so that what is wrong with it is said before anything else.
             path.open("rb").close()
             return path, False
-    except (BadData, NoInput, WriteFailed):
+    except (BadData, NoInput):
         raise
     # A closed standard input and a NUL byte in the name are ValueErrors, a missing standard input has no buffer.
     except (ValueError, AttributeError) as error:
@@ -215,11 +222,9 @@ def _spooled(stream: Any) -> Path:
             shutil.copyfileobj(stream, file, 1 << 20)
     except BaseException as error:
         _forget(Path(name))
-        if isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG):
-            raise WriteFailed(
-                f"{Path(name).parent}: a stream is kept there until it is read, there is no room ({error.strerror}); "
-                "give a file, or set TMPDIR to a larger place"
-            ) from None
+        if isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT):
+            folder = Path(name).parent
+            raise WriteFailed(f"{folder}: the disk must have room for the stream, it is full; set TMPDIR") from None
         raise
     return Path(name)
 

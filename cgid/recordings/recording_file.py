@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from cgid.errors import BadData, CgidError, NoInput
 from cgid.recordings.contents import Contents
+from cgid.recordings.sound.pcm import MOST_NUMBERS
 from cgid.signals import Signal, quantity_of, require_rate
 
 #: Samples of a channel that are read at once if nobody says otherwise.
@@ -138,6 +139,8 @@ class RecordingFile:
 
     def _blocks(self, length: int) -> Iterator[NDArray[Any]]:
         count = 0
+        # Memory does not grow with the number of channels either.
+        length = min(length, max(MOST_NUMBERS // self._contents.n_channels, 1))
         with told(self.source):
             for block in self._contents.blocks(length, self._selected):
                 count += block.shape[1]

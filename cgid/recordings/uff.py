@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from cgid.errors import BadData
 from cgid.recordings.contents import Contents, rates_agree
 from cgid.recordings.statements import known_unit
+from cgid.recordings.text.header import TIME_UNITS
 
 _DELIMITER = re.compile(rb"[ ]{4}-1[ \t]*\r?\n?")
 #: Longer lines are none of text.
@@ -216,6 +217,12 @@ def _header(file: BinaryIO, kind: bytes, number: int, source: str) -> _DataSet:
         raise BadData(
             f"{source}: data set {number} must hold IEEE numbers of type 2, 4, 5 or 6, it declares {n_samples} of type "
             f"{code}; export it again"
+        )
+    clock = _text(lines[7][47:67])
+    if abscissa == _TIME_AXIS and TIME_UNITS.get(clock, 1.0) != 1.0:
+        raise BadData(
+            f"{source}: the abscissa of data set {number} must be in s, as the format has it, its label says {clock}; "
+            "correct label or increment"
         )
     is_double = code in (4, 6)
     start = file.tell()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -25,12 +26,17 @@ class Drifts:
 
     def __init__(self, model: Model, sensors: Sequence[str | None], sampling_rate: float) -> None:
         self._model, self._sensors = model, sensors
+        # Windows that overlap tell the same again, and a spectrum would seem surer than it is.
+        self._every = max(math.ceil(model.window_time / model.hop_time - 1e-9), 1) if model.hop_time else 1
+        self._seen = [0] * len(sensors)
         self._spectra = [[MeanSpectrum(sampling_rate) for _ in range(model.n_channels)] if s else [] for s in sensors]
 
     def see(self, number: int, windows: NDArray[np.floating]) -> None:
-        """Look at windows (n_windows, n_channels, n_samples) of one of the sensors."""
+        """Look at the next windows (n_windows, n_channels, n_samples) of one of the sensors."""
+        apart = windows[-self._seen[number] % self._every :: self._every]
+        self._seen[number] += len(windows)
         for channel, spectrum in enumerate(self._spectra[number]):
-            spectrum.feed(windows[:, channel])
+            spectrum.feed(apart[:, channel])
 
     def warnings(self) -> tuple[str, ...]:
         """Return what is to be said of those that have drifted too far, one line each."""

@@ -15,7 +15,7 @@ the interval is too narrow.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from functools import cache
 
@@ -133,10 +133,15 @@ def trained_share(model: Model, gangue: Collection[str]) -> float:
     """Return the share of some labels in the training of a model, as far as its card knows.
 
     The impacts that judge are drawn as those that train, label by label; a model without them counts as trained on as
-    much of each label.
+    much of each label. Class weights make a label as frequent as its impacts count.
     """
     confusion = model.training.get("metrics", {}).get("confusion")
-    counts = np.ones(len(model.labels)) if confusion is None else np.sum(confusion, axis=1)
+    weights = model.training.get("class_weights") or model.training.get("recorded", {}).get("class_weights")
+    counts = np.ones(len(model.labels))
+    if confusion is not None and weights != "balanced":
+        counts *= np.sum(confusion, axis=1)
+    if isinstance(weights, Mapping):
+        counts *= [weights.get(label, 1.0) for label in model.labels]
     own = sum(count for label, count in zip(model.labels, counts.tolist(), strict=True) if label in gangue)
     return float(np.clip(own / counts.sum(), SUREST, 1.0 - SUREST))
 

@@ -17,6 +17,8 @@ from cgid.identification.model import Model
 GANGUE = "gangue"
 #: A share looks back over this, where nobody says it [s].
 SHARE_TIME = 10.0
+#: Over less there is nothing to share, and of an hour there would be millions of shares [s].
+SHORTEST_SHARE_TIME = 0.05
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -41,7 +43,8 @@ class ShareSettings:
     gangue_cost: float = 1.0
 
     def __post_init__(self) -> None:
-        validation.positive("window", self.length, "s")
+        if not validation.positive("window", self.length, "s") >= SHORTEST_SHARE_TIME:
+            raise InvalidValue(f"window must be at least {SHORTEST_SHARE_TIME:g} s, got {self.length:g} s")
         validation.positive("step", self.step, "s")
         validation.positive("gangue_cost", self.gangue_cost)
 

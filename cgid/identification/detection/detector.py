@@ -38,8 +38,8 @@ class ImpactDetector:
     What it has to say does not depend on the blocks: everything moves in chunks counted from the first sample. Memory
     holds some tenths of a second, however long the recording is.
 
-    A vibration's blow is a sudden rise of energy over ringing and noise (`ringing_onsets`), a pulse what rises above
-    the baseline (`pulse_onsets`).
+    A vibration's blow is a sudden rise of energy over ringing and noise (`ringing`), a pulse what rises above
+    the baseline (`pulses`).
 
     Parameters
     ----------
@@ -122,7 +122,7 @@ class ImpactDetector:
         """All impacts that begin before this sample have been returned."""
         if self._ended:
             return self._fed
-        reach = max(self._taken - self._onsets.lag - self._framing.length, 0)
+        reach = max(self._taken - self._onsets.lag - self._framing.reach, 0)
         return min([reach, *(onset.sample for onset in self._pending)])
 
     def feed(self, block: ArrayLike) -> list[Event]:
@@ -217,7 +217,7 @@ class ImpactDetector:
     def _whole(self, found: list[Onset]) -> list[Event]:
         """Return the events whose frames are whole with what has been taken."""
         self._pending = sorted([*self._pending, *found], key=lambda onset: (onset.sample, onset.row))
-        reach = self._taken - self._onsets.lag - self._framing.length
+        reach = self._taken - self._onsets.lag - self._framing.reach
         stop = self._fed if self._ended else None
         events = []
         while self._pending:

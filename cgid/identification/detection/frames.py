@@ -147,6 +147,16 @@ class Framing:
         """Of a whole frame."""
         return self.quiet + self.length
 
+    @property
+    def late(self) -> int:
+        """So long before the next onset what is seen of it may begin."""
+        return round(_LATE * self.sampling_rate)
+
+    @property
+    def reach(self) -> int:
+        """From the onset on: an impact that begins later has no part in the frame."""
+        return self.length + self.late + 1
+
 
 class _Ends(Protocol):
     def end_of(self, onset: Onset, samples: Floats) -> int: ...
@@ -198,7 +208,7 @@ class FrameCutter:
         ended_cut = end == stop
         start = max(onset.sample - framing.quiet, 0, 0 if before is None else (before.last or before.sample) + 1)
         if following is not None:
-            behind = min(behind, max(following.sample - round(_LATE * framing.sampling_rate), onset.sample + 1))
+            behind = min(behind, max(following.sample - framing.late, onset.sample + 1))
         rows = samples if self._joint else samples[onset.channel : onset.channel + 1]
         frame, baseline = self._frame(rows[:, start - first : behind - first], onset, start)
         mine = float(baseline[onset.channel if self._joint else 0])
@@ -209,7 +219,8 @@ class FrameCutter:
             samples=frame if self._joint else frame[0],
             sampling_rate=framing.sampling_rate,
             pre_trigger=framing.pre_trigger,
-            overlapping=bool(onset.doubled or running or interrupted),
+            # What is seen behind the frame may not be known yet: it depends on the blocks.
+            overlapping=running or interrupted or (onset.again is not None and onset.again < limit),
             clipped=_is_clipped(own[: end - onset.sample] - mine),
             cut=began_cut or ended_cut,
             problem=self._problem(began_cut, ended_cut, end - onset.sample),

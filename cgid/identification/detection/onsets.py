@@ -1,4 +1,4 @@
-"""What the two ways to find the beginnings of impacts give: `ringing_onsets` and `pulse_onsets`."""
+"""What the two ways to find the beginnings of impacts give: `ringing` and `pulses`."""
 
 from __future__ import annotations
 
@@ -29,8 +29,8 @@ class Onset:
         Of a pulse: the last sample above the threshold so far.
     closed : bool
         Whether no later sample can belong to it.
-    doubled : bool
-        Whether another one followed so closely that they are one.
+    again : int or None
+        Sample at which another one is seen that followed so closely that they are one.
     """
 
     row: int
@@ -39,4 +39,4 @@ class Onset:
     noise: Floats
     last: int | None = None
     closed: bool = True
-    doubled: bool = False
+    again: int | None = None

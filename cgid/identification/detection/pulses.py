@@ -202,7 +202,7 @@ class PulseOnsets:
         assert onset.last is not None
         onset.closed = True
         heights = read(onset.sample, onset.last + 1)[onset.channel] - onset.noise[onset.channel]
-        onset.doubled = _has_two_peaks(heights)
+        onset.again = onset.last if _has_two_peaks(heights) else None
 
 
 def _median_and_noise(windows: Floats, step: int) -> tuple[Floats, Floats]:

@@ -226,7 +226,7 @@ class RingingOnsets:
         if latest is None or place > latest[0] + self._dead:
             return True
         if place >= latest[0] + _REACH:
-            latest[1].doubled = True
+            latest[1].again = latest[1].again or place * self.hop
         return False
 
     def _blow(self, row: int, channel: int, place: int, noise: Floats, read: Read) -> Onset:

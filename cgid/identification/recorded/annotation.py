@@ -65,10 +65,12 @@ class Annotation:
 
     @property
     def name(self) -> str:
-        """The file, and the interval where it is one."""
+        """The file, the channels where they are chosen, and the interval where it is one: no two have the same."""
+        channels = "" if self.channels is None else f" channel {'+'.join(map(str, self.channels))}"
         if self.start == 0 and self.end == math.inf:
-            return self.written
-        return f"{self.written} from {self.start:g} to {'its end' if self.end == math.inf else f'{self.end:g} s'}"
+            return self.written + channels
+        end = "its end" if self.end == math.inf else f"{self.end:g} s"
+        return f"{self.written}{channels} from {self.start:g} to {end}"
 
 
 def annotation_of(row: Mapping[str, Any], folder: Path, labels: tuple[str, ...] | None) -> Annotation:

@@ -182,7 +182,7 @@ def record(
         references=references,
         left_out=sum(rows.left_out for rows in measured),
         failures=tuple(failures),
-        warnings=tuple(warning for rows in measured for warning in (*rows.file.recording.warnings, *rows.warnings)),
+        warnings=tuple(warning for rows in measured for warning in rows.warnings(slicing.by)),
     )
 
 
@@ -241,7 +241,13 @@ class _Rows:
     times: list[Floats] = field(default_factory=list)
     annotations: list[Annotation] = field(default_factory=list)
     left_out: int = 0
-    warnings: tuple[str, ...] = ()
+
+    def warnings(self, by: str) -> tuple[str, ...]:
+        """Return what is damaged in the file, and which of its annotations speak of nothing."""
+        held = {one.name for one in self.annotations}
+        empty = [one.name for one in self.file.annotations if one.name not in held]
+        said = (f"{name}: there must be {by}s to be measured, there is none; check start and end" for name in empty)
+        return (*self.file.recording.warnings, *said)
 
 
 def _measured(
@@ -262,12 +268,6 @@ def _measured(
         rows.annotations += [annotation] * int(sound.sum())
         if progress is not None:
             progress(len(times))
-    told = set(rows.annotations)
-    rows.warnings = tuple(
-        f"{one.name}: no {slicing.by} that can be measured lies in it; correct start and end, or take it out"
-        for one in file.annotations
-        if one not in told
-    )
     return rows
 
 

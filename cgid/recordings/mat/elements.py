@@ -60,14 +60,17 @@ class Stored(Protocol):
 
 
 class Plain:
-    """The bytes of a file as they are."""
+    """The bytes of a file as they are; it is open from the first reading until that is finished."""
 
     def __init__(self, path: Path, source: str) -> None:
-        self._file, self._source = path.open("rb"), source
-        self.size = self._file.seek(0, 2)
+        self._path, self._source = path, source
+        self._file: BinaryIO | None = None
+        self.size = path.stat().st_size
 
     def read_at(self, start: int, count: int) -> bytes:
         """Return so many bytes from there."""
+        if self._file is None:
+            self._file = self._path.open("rb")
         self._file.seek(start)
         # Never asks for more than there is: the size may come from a damaged header.
         found = self._file.read(count) if start + count <= self.size else b""
@@ -76,11 +79,14 @@ class Plain:
         return found
 
     def finish(self) -> None:
-        """Do nothing: what is not packed has no checksum."""
+        """Close the file: what is not packed has no checksum, and many recordings may be open at once."""
+        if self._file is not None:
+            self._file.close()
+            self._file = None
 
     def __del__(self) -> None:
         if hasattr(self, "_file"):
-            self._file.close()
+            self.finish()
 
 
 class Unpacked:
@@ -111,6 +117,7 @@ class Unpacked:
         """Unpack what is left, so that the checksum at the end is held against all that was read."""
         while not self._unpacker.eof:
             self._unpack()
+        self._packed.finish()
 
     def _unpack(self) -> None:
         unpacker = self._unpacker

@@ -94,7 +94,9 @@ def read_mat(path: Path, source: str, variable: str | None) -> Contents:
             _look(stored, element, "", found, 0)
     if warnings and not found.variables:
         raise BadData(f"{source}: {warnings[0]}, and nothing whole stands before it; copy it again")
-    return contents_of(found.variables, found.said, source, variable, warnings)
+    contents = contents_of(found.variables, found.said, source, variable, warnings)
+    stored.finish()
+    return contents
 
 
 def _look(stored: Stored, matrix: Element, name: str, found: _Found, depth: int) -> None:

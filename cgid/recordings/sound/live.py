@@ -43,7 +43,7 @@ class LiveStream:
     sampling_rate : float
         [Hz].
     unit : str or None
-        Of all channels; "FS" where integers are scaled to full scale and nobody says otherwise.
+        Of all channels; "FS" where integers are scaled to full scale, or a WAV comes, and nobody says otherwise.
     source : str
         Its name in messages.
     n_samples : int

@@ -52,8 +52,7 @@ def encoding_of(start: bytes, source: str) -> str:
     # What is left undecoded of UTF-16 holds zeros.
     if _CONTROL.search(text):
         raise BadData(
-            f"{source}: the file is in no format that is known; export it as text, WAV, NPY, MAT, HDF5, TDMS, "
-            "UFF, FLAC or Parquet"
+            f"{source}: the file is neither text nor of another format that is known; export it as text, WAV or HDF5"
         )
     return encoding
 
