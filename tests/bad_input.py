@@ -18,6 +18,7 @@ from cgid import shipped
 from cgid.identification.model import Model
 from cgid.identification.training import train
 from cgid.scene import generate, load_scene, parse_scene, synthesise
+from tests.bad_recordings import RECORDING_CASES, make_recordings
 
 ROOT = Path(__file__).parents[1]
 RATE = 2e5
@@ -124,6 +125,8 @@ def make_files(folder: Path) -> None:
     _scene(folder / "plate.toml", lambda text: text.replace("= 0.30 }", '= 0.30, thickness = "80 mm" }'))
     _scene(folder / "silent.toml", lambda text: text.replace("relative_noise = 0.01", "relative_noise = 0.0"))
     (folder / "old.png").write_bytes(b"mine")
+    (folder / "old.html").write_bytes(b"mine")
+    make_recordings(folder)
     _scene(folder / "toml.toml", lambda text: text.replace("[impact]", "[impact"))
     _scene(
         folder / "three.toml",
@@ -521,6 +524,7 @@ CASES = (
     Case("plan for nothing", ("generate", "reference.toml", "--json", "-o", "new.h5"), 2, ("--json", "--explain")),
     Case("unknown command", ("foretell",), 2, ("foretell",)),
     Case("no file given", ("predict",), 2, ("FILE",)),
+    *(Case(*row) for row in RECORDING_CASES),
 )
 
 

@@ -284,6 +284,20 @@ def test_closed_pipe_is_no_error() -> None:
     assert done.stderr == ""
 
 
+@pytest.mark.parametrize(
+    ("command", "code", "says"),
+    [
+        ("predict --sample >&-", 0, ""),
+        ("predict - <&-", 66, "stdin: the standard input must be open"),
+        ("monitor - <&-", 66, "stdin: the standard input must be open"),
+    ],
+)
+def test_closed_streams_are_no_crash(command: str, code: int, says: str) -> None:
+    done = subprocess.run(["bash", "-c", f"{sys.executable} -m cgid {command}"], capture_output=True, text=True)
+    assert done.returncode == code, done.stderr
+    assert says in done.stderr and done.stderr.count("\n") == bool(says)
+
+
 def test_full_output_is_an_error_and_not_a_crash() -> None:
     if not Path("/dev/full").exists():
         pytest.skip("this machine has no /dev/full")

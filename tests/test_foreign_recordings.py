@@ -18,7 +18,7 @@ from cgid.errors import BadData, CgidError, InvalidValue, MissingExtra, MissingO
 from cgid.recordings import is_dataset, open_recording
 from cgid.recordings import tdms as tdms_reader
 from cgid.recordings.variables import Variable, contents_of
-from cgid.store import attribute_reading, foreign
+from cgid.store import attribute_reading, foreign, is_table
 
 RANDOM = np.random.default_rng(20261121)
 N = 3001
@@ -842,6 +842,7 @@ def parquet(tmp_path):
 def test_parquet_is_what_was_written(parquet, compression):
     columns = {"t [ms]": np.arange(N) / 20, "force (kN)": SAMPLES[0], "n": (9 * SAMPLES[1]).astype("i2")}
     path = parquet(columns | {"acc": SAMPLES[2].astype("f4")}, {"unit": "g"}, compression=compression)
+    assert not is_table(path)
     recording, found = read(path)
     expected = [SAMPLES[0], columns["n"], SAMPLES[2].astype("f4")]
     assert np.array_equal(found, expected)

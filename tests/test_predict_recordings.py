@@ -368,6 +368,10 @@ def test_silent_channel_is_a_warning_and_silence_an_error(tmp_path: Path, capsys
     (warning,) = of_kind([json.loads(line) for line in out.splitlines()], "warning")
     assert "channel 2: no impact" in warning["message"]
     assert "channel 2: no impact" in err
+    np.save(tmp_path / "many.npy", np.stack([force, *[quiet] * 9]))
+    assert run(["predict", str(tmp_path / "many.npy"), *how]) == 0
+    told = [line.split(": ", 2)[2] for line in capsys.readouterr().err.splitlines()]
+    assert len(told) == 4 and told[3].endswith("and 6 more channels without impacts")
     np.save(tmp_path / "b.npy", np.stack([quiet, quiet]))
     assert run(["predict", str(tmp_path / "b.npy"), *how]) == 65
     out, err = capsys.readouterr()

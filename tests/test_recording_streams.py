@@ -793,5 +793,11 @@ def test_bad_live_streams():
     with pytest.raises(BadData, match="chunk of sound"):
         live_stream(io.BytesIO(b"RIFF1234WAVE"))
     stream = live_stream(io.BytesIO(np.array([1, 2, 3, np.nan], "<f4").tobytes()), **raw)
+    before = []
     with pytest.raises(BadData, match="sample 1 of channel 2 is nan"):
-        list(stream)
+        before.extend(stream)
+    np.testing.assert_array_equal(np.concatenate(before, axis=1), [[1], [2]])  # what came before is not lost
+    with pytest.raises(BadData, match="ended before the first"):
+        list(live_stream(io.BytesIO(b"1234567"), **raw))
+    with pytest.raises(BadData, match="this is FLAC; give it to cgid predict"):
+        live_stream(io.BytesIO(b"fLaC" + bytes(100)), **raw)

@@ -49,7 +49,8 @@ def run(arguments: list[str] | None = None) -> int:
     try:
         with heard():
             code = cli.main(args=arguments, prog_name="cgid", standalone_mode=False)
-        sys.stdout.flush()
+        if sys.stdout is not None:  # as it is where whoever called has closed it
+            sys.stdout.flush()
         return code if isinstance(code, int) else 0
     except click.ClickException as error:
         context = getattr(error, "ctx", None)

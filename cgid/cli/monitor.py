@@ -92,7 +92,8 @@ def _follow(live: Any, scale: float, asked: Asked, lines: AnswerLines) -> None:
     finally:
         for warning in live.warnings:
             lines.warning(live.source, f"{live.source}: {warning}")
-        telling.finish(inbox.n_taken / live.sampling_rate)
+        if inbox.n_taken:
+            telling.finish(inbox.n_taken / live.sampling_rate)
 
 
 class _Delay:
@@ -122,9 +123,11 @@ def _opened(stream: str) -> Iterator[Any]:
     """Open a stream so that what has come is there at once."""
     from cgid.errors import NoInput
 
+    if stream == "-" and sys.stdin is None:
+        raise NoInput("stdin: the standard input must be open, it is closed; pipe a stream in, or name one")
     with ExitStack() as stack:
         try:
-            # A standard input that is closed has no descriptor, a missing one is None.
+            # A standard input that is closed has no descriptor.
             file = sys.stdin if stream == "-" else stack.enter_context(Path(stream).open("rb", buffering=0))
             opened = UnbufferedInput(file.fileno())
         except (OSError, ValueError, AttributeError) as error:

@@ -186,12 +186,17 @@ def _between(recording: RecordingFile, begin: float, end: float | None) -> Itera
     Raises
     ------
     InvalidValue
-        The recording ends before it begins.
+        The recording ends before the part begins, or there is no sample in it.
     """
     from cgid.errors import InvalidValue
 
     first = round(begin * recording.sampling_rate)
     last = None if end is None else round(end * recording.sampling_rate)
+    if last is not None and last <= first:
+        raise InvalidValue(
+            f"{recording.source}: at least one sample must lie between --from and --to, got {begin:g} to {end:g} s at "
+            f"{recording.sampling_rate:g} Hz; set them further apart"
+        )
     passed = 0
     for block in recording.blocks():
         part = block[:, max(first - passed, 0) : None if last is None else max(last - passed, 0)]

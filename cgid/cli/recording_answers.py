@@ -19,6 +19,8 @@ if TYPE_CHECKING:
 F = TypeVar("F", bound=Callable[..., Any])
 #: So many rows wait at most for one that can be measured.
 _MOST_HELD = 1000
+#: So many channels without impacts are told one by one.
+_MOST_SILENT = 3
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -62,6 +64,15 @@ class Asked:
                 f"this one; give --sensor NAME if it is one of {known}",
                 err=True,
             )
+
+    def require_use(self, kind: str) -> None:
+        """Refuse what has no meaning for what a model decides on: it would be overlooked in silence."""
+        from cgid.errors import InvalidValue
+
+        stray = {"impact": ("--vote", self.vote_time), "window": ("--dead-time", self.dead_time)}
+        flag, given = stray[kind]
+        if given is not None:
+            raise InvalidValue(f"{flag} must be left out, this model decides on {kind}s")
 
     def question(self, **changes: Any) -> Any:
         """Return what is asked of every impact or window."""
@@ -186,6 +197,7 @@ class Telling:
 
         self.source, self.lines = source, lines
         self.kind = "window" if model.kind == "window" else "impact"
+        asked.require_use(self.kind)
         self.tally = RecordingTally(self.kind)
         self.channels = answering_channels(model, channels)
         self.answers: list[Any] = []
@@ -227,8 +239,11 @@ class Telling:
 
         if silent and not self.tally.total:
             raise BadData(silent[0])
-        for message in silent:
+        for message in silent[:_MOST_SILENT]:
             self.lines.warning(self.source, message)
+        if len(silent) > _MOST_SILENT:
+            more = f"{self.source}: and {len(silent) - _MOST_SILENT} more channels without {self.kind}s"
+            self.lines.warning(self.source, more)
         if not self._measured and self.tally.total:
             first = self._held_answers[0] if self._held_answers else None
             more = f" (and so for all {self.tally.total} {self.kind}s)" if self.tally.total > 1 else ""

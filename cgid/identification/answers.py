@@ -91,7 +91,7 @@ def suited(signal: Signal, model: Model, mass: float | None = None) -> Signal:
     if signal.unit is None:
         raise MissingOption(
             f"{signal.name}: the unit must be known, neither header nor option says it; give --unit, such as "
-            f"--unit {model.unit}"
+            f"{_unit_options(model)}"
         )
     if mass is not None:
         signal = signal.as_force(mass)
@@ -100,7 +100,7 @@ def suited(signal: Signal, model: Model, mass: float | None = None) -> Signal:
         if (signal.quantity, model.quantity) == ("acceleration", "force"):
             cure = "give --mass KG if the accelerated body is the striker (force = mass x acceleration)"
         elif signal.quantity == "level":
-            cure = f"say with --unit what 1 stands for, such as --unit {model.unit}"
+            cure = f"say with --unit what 1 stands for, such as {_unit_options(model)}"
         raise BadData(
             f"{signal.name}: the quantity must be the model's, {model.quantity} [{model.unit}], got {signal.quantity} "
             f"[{signal.unit}]; {cure}"
@@ -109,6 +109,12 @@ def suited(signal: Signal, model: Model, mass: float | None = None) -> Signal:
         return signal
     factor = UNITS[model.quantity][model.unit]
     return replace(signal, samples=signal.in_si().samples / factor, unit=model.unit)
+
+
+def _unit_options(model: Model) -> str:
+    """Return what to give where nobody said the unit: a force is what is believed where nothing is known."""
+    own = f"--unit {model.unit}"
+    return own if model.quantity != "force" else f"{own}, or --unit m/s^2 of an accelerometer"
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -34,6 +34,9 @@ __all__ = [
     "find_impacts",
 ]
 
+#: A recording of which more samples than this lie at its limits is clipped from its beginning to its end.
+_CLIPPED_SHARE = 0.5
+
 
 def find_impacts(signal: Signal, *, kind: Kind = "pulse", dead_time: float | None = None) -> list[Event]:
     """Return the impacts in a recording, in order.
@@ -71,10 +74,9 @@ def find_impacts(signal: Signal, *, kind: Kind = "pulse", dead_time: float | Non
             "the file read in the right format?"
         )
     if lowest == highest:
-        raise BadData(
-            f"{signal.name}: no impact: all {signal.samples.size} samples are {lowest:g}; check the sensor and its "
-            "cable"
-        )
+        count = signal.samples.size
+        told = f"all {count} samples are" if count > 1 else "its only sample is"
+        raise BadData(f"{signal.name}: no impact: {told} {lowest:g}; check the sensor and its cable")
     if signal.pre_trigger is not None:
         return [_whole_frame(signal, signal.pre_trigger)]
     found = _found(signal, impact_kind, dead_time)
@@ -129,16 +131,22 @@ def _nothing_in(signal: Signal, kind: ImpactKind) -> str:
     samples = signal.samples.astype(np.float64, copy=False)
     middle = float(np.median(samples))
     noise = 1.4826 * float(np.median(np.abs(samples - middle)))
-    highest, lowest = float(samples.max()) - middle, middle - float(samples.min())
+    limits = float(samples.max()), float(samples.min())
+    unit = f" {signal.unit}" if signal.unit else ""
+    if np.mean((samples == limits[0]) | (samples == limits[1])) > _CLIPPED_SHARE:
+        return (
+            f"{signal.name}: no impact: it is clipped throughout, at {limits[1]:.3g} and {limits[0]:.3g}{unit}; record "
+            "with a larger range"
+        )
+    highest, lowest = limits[0] - middle, middle - limits[1]
     if kind == "vibration":
         return (
             f"{signal.name}: no impact: the energy must rise at once to {RISE_OVER_NOISE:g} times that of the noise "
-            f"({noise:.3g}), it nowhere does; the farthest sample lies {max(highest, lowest):.3g} {signal.unit or ''} "
-            "from the median; record nearer or with less noise"
+            f"({noise:.3g}{unit}), it nowhere does; the farthest sample lies {max(highest, lowest):.3g}{unit} from the "
+            "median; record nearer or with less noise"
         )
     cure = "invert it" if lowest > THRESHOLD_OVER_NOISE * noise else "record nearer or with less noise"
     return (
-        f"{signal.name}: no impact: a sample must rise {THRESHOLD_OVER_NOISE:g} times the noise ({noise:.3g}) "
-        f"above the median, the highest rises {highest:.3g}, the deepest falls {lowest:.3g} "
-        f"{signal.unit or ''}; {cure}"
+        f"{signal.name}: no impact: a sample must rise {THRESHOLD_OVER_NOISE:g} times the noise ({noise:.3g}{unit}) "
+        f"above the median, the highest rises {highest:.3g}{unit}, the deepest falls {lowest:.3g}{unit}; {cure}"
     )

@@ -195,6 +195,8 @@ def _regular(path: str | Path, source: str) -> tuple[Path, bool]:
     try:
         with told(source):
             if str(path) == "-":
+                if sys.stdin is None:
+                    raise NoInput("stdin: the standard input must be open, it is closed; give a file, or pipe one in")
                 return _spooled(sys.stdin.buffer), True
             path = Path(path)
             if path.is_dir():

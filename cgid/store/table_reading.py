@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import os
+import struct
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -15,6 +17,10 @@ from cgid.errors import BadData, MissingExtra, NoInput
 from cgid.store.shard import attributes_of, plain_dataset, text_of
 from cgid.store.table import TABLE_FORMAT, TABLE_VERSION, Table, TableHeader, parquet_library
 
+#: What a table says of itself, in whichever format.
+_SAYS_SO = f'"format": "{TABLE_FORMAT}"'.encode()
+#: No footer of a table is longer [bytes].
+_LARGEST_FOOTER = 1 << 24
 #: What readers raise on damaged files.
 _DAMAGE = (OSError, RuntimeError, LookupError, ValueError, TypeError, ArithmeticError)
 
@@ -51,11 +57,10 @@ def is_table(path: str | Path) -> bool:
     suffix = Path(path).suffix.lower()
     try:
         if suffix == ".parquet":
-            with Path(path).open("rb") as stream:
-                return stream.read(4) == b"PAR1"
+            return _is_own_parquet(path)
         if suffix == ".csv":
             with Path(path).open("rb") as stream:
-                return f'"format": "{TABLE_FORMAT}"'.encode() in stream.read(200)
+                return _SAYS_SO in stream.read(200)
         with h5py.File(path, "r") as file:
             return bool(attributes_of(file).get("format") == TABLE_FORMAT)
     except _DAMAGE:
@@ -79,6 +84,17 @@ def _read_hdf5(path: str | Path) -> Table:
             specimen[:],
             {name: column[:] for name, column in stored.items()},
         )
+
+
+def _is_own_parquet(path: str | Path) -> bool:
+    """Return whether the footer of a Parquet file says so; the library need not be there."""
+    with Path(path).open("rb") as stream:
+        end = stream.seek(-8, os.SEEK_END)
+        size, magic = struct.unpack("<I4s", stream.read(8))
+        if magic != b"PAR1":
+            return False
+        stream.seek(max(end - min(size, _LARGEST_FOOTER), 0))
+        return _SAYS_SO in stream.read(_LARGEST_FOOTER)
 
 
 def _read_csv(path: str | Path) -> Table:

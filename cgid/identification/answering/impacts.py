@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from contextlib import contextmanager
 from dataclasses import replace
 from itertools import chain
 from typing import Any
@@ -52,14 +51,13 @@ def impacts_answered(
         waiting.clear()
         return Step(answers, detector.told / sampling_rate, silent)
 
-    with _named(source):
-        for block in chain(_emptied(held), coming):
-            waiting += detector.feed(block)
-            if not waiting or len(waiting) >= question.batch:
-                yield step()
-        waiting += detector.finish()
+    for block in chain(_emptied(held), coming):
+        waiting += detector.feed(block)
+        if not waiting or len(waiting) >= question.batch:
+            yield step()
+    waiting += detector.finish()
     quiet = [channel for number, channel in enumerate(channels) if number not in heard | {e.channel for e in waiting}]
-    yield step(tuple(_silence(_name(source, channel), detector.told / sampling_rate) for channel in quiet))
+    yield step(tuple(_silence(_name(source, channel, channels), detector.told / sampling_rate) for channel in quiet))
 
 
 def _silence(name: str, duration: float) -> str:
@@ -76,7 +74,12 @@ def _whole_answered(
     events: list[Event] = []
     silent = []
     for number, channel in enumerate(channels):
-        signal = Signal(samples=samples[number], sampling_rate=sampling_rate, source=source, channel=channel)
+        signal = Signal(
+            samples=samples[number],
+            sampling_rate=sampling_rate,
+            unit=model.unit,
+            source=_name(source, channel, channels),
+        )
         try:
             found = find_impacts(signal, kind=kind_found(model), dead_time=question.dead_time)
         except BadData as error:
@@ -95,24 +98,14 @@ def kind_found(model: Model) -> ImpactKind:
     return "pulse" if model.kind == "pulse" else "vibration"
 
 
-def _name(source: str, channel: str) -> str:
-    return source if channel == "1" else f"{source} channel {channel}"
+def _name(source: str, channel: str, channels: Sequence[str]) -> str:
+    return source if list(channels) == ["1"] else f"{source} channel {channel}"
 
 
 def _emptied(held: list[NDArray[Any]]) -> Iterator[NDArray[Any]]:
     """Yield what is held, and hold it no longer."""
     while held:
         yield held.pop(0)
-
-
-@contextmanager
-def _named(source: str) -> Iterator[None]:
-    """Say which recording it is that the detector cannot take."""
-    try:
-        yield
-    except BadData as error:
-        text = str(error)
-        raise BadData(text if text.startswith(source) else f"{source}: {text}") from None
 
 
 def _events_answered(

@@ -5,12 +5,15 @@ Memory holds what the detector holds and one batch of impacts, however long the 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from cgid.errors import BadData, InvalidValue
+from cgid.features import FEATURES
 from cgid.identification.answering.impacts import impacts_answered
 from cgid.identification.answering.question import Question, Step
 from cgid.identification.answering.windows import windows_answered
@@ -101,7 +104,9 @@ def scaled(blocks: Iterable[NDArray[Any]], factors: Sequence[float]) -> Iterator
         return
     column = np.array(factors)[:, np.newaxis]
     for block in blocks:
-        yield block * column.astype(block.dtype)
+        with np.errstate(over="ignore"):  # what is no number then is told where impacts are looked for
+            scaled_block = block * column.astype(block.dtype)
+        yield scaled_block
 
 
 def identify_blocks(
@@ -131,6 +136,25 @@ def identify_blocks(
     ------
     BadData
         A model of windows looks at several channels together, and there are others; or the samples are absurd.
+    InvalidValue
+        The recording is sampled too slowly for what the model measures, or absurdly fast.
     """
+    needed = 2 * max((FEATURES[name].highest_frequency for name in model.measured), default=0.0)
+    if sampling_rate < needed:
+        raise InvalidValue(
+            f"{source}: the sampling_rate must be at least {math.ceil(needed)} Hz for this model, got "
+            f"{sampling_rate:g} Hz; record faster, or train a model on recordings like this one"
+        )
     how = windows_answered if model.kind == "window" else impacts_answered
-    return how(blocks, sampling_rate, model, channels, question, source)
+    return _named(how(blocks, sampling_rate, model, channels, question, source), source)
+
+
+def _named(steps: Iterator[Step], source: str) -> Iterator[Step]:
+    """Yield steps; say which recording it is that cannot be answered for."""
+    try:
+        yield from steps
+    except (BadData, InvalidValue) as error:
+        text = str(error)
+        if text.startswith(source):
+            raise
+        raise type(error)(f"{source}: {text}") from None

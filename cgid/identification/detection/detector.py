@@ -26,6 +26,8 @@ DEAD_TIME = 2e-3
 VIBRATION_DEAD_TIME = SHORTEST_EVENT
 #: What is larger is no measurement, and its square no number.
 LARGEST = 1e150
+#: No recorder of impacts is faster: frames would fill the memory [Hz].
+FASTEST = 2e7
 #: About so many samples are looked at together: they and what is made of them stay in the processor's cache.
 _TOGETHER = 1 << 16
 
@@ -85,6 +87,10 @@ class ImpactDetector:
     ) -> None:
         validation.choice("kind", kind, get_args(ImpactKind))
         rate = float(validation.positive("sampling_rate", sampling_rate, "Hz"))
+        if rate > FASTEST:
+            raise InvalidValue(
+                f"sampling_rate must be at most {FASTEST:g} Hz where impacts are looked for, got {rate:g} Hz; check it"
+            )
         if n_channels < 1:
             raise InvalidValue(f"n_channels must be at least 1, got {n_channels}")
         if dead_time is None:

@@ -49,12 +49,13 @@ def in_unit(batches: Iterable[Batch], unit: str, features: Iterable[str]) -> Ite
             units = UNITS[quantity_of(unit)]
             factor = units[batch.unit] / units[unit]
         else:
-            for name in features:
-                if "U" in FEATURES[name].unit and not is_level(name):
-                    raise InvalidValue(
-                        f"feature {name} must be left out, it cannot be moved from {quantity_of(batch.unit)} "
-                        f"[{batch.unit}] of the scene to {quantity_of(unit)} [{unit}] of the recordings"
-                    )
+            fixed = [name for name in features if "U" in FEATURES[name].unit and not is_level(name)]
+            if fixed:
+                raise InvalidValue(
+                    f"feature {', '.join(fixed)} must be left out, it cannot be moved from {quantity_of(batch.unit)} "
+                    f"[{batch.unit}] of the scene to {quantity_of(unit)} [{unit}] of the recordings; name others by "
+                    "--features, or say the recordings' unit by --unit"
+                )
         yield replace(batch, signals=batch.signals * factor, unit=unit)
 
 

@@ -95,7 +95,7 @@ def annotation_of(row: Mapping[str, Any], folder: Path, labels: tuple[str, ...] 
         raise InvalidValue(f"label must not be {UNKNOWN!r}, which is what models answer strangers with; name it")
     elif labels is not None and label not in labels:
         raise InvalidValue(f"label must be one of {', '.join(map(repr, labels))}, got {label!r}")
-    start, end = _number("start", row.get("start", 0.0), "s"), _number("end", row.get("end", math.inf), "s")
+    start, end = _number("start", row.get("start", 0.0), " in s"), _number("end", row.get("end", math.inf), " in s")
     if not 0 <= start < end:
         raise InvalidValue(f"start and end must rise from 0 s, got {start:g} and {end:g} s")
     rate, unit, variable = row.get("rate"), row.get("unit"), row.get("variable")
@@ -125,18 +125,18 @@ def _word(name: str, value: Any) -> str:
     return text
 
 
-def _number(name: str, value: Any, unit: str) -> float:
+def _number(name: str, value: Any, what: str) -> float:
     try:
         number = math.nan if isinstance(value, bool) else float(value)
     except (TypeError, ValueError, OverflowError):
         number = math.nan
     if math.isnan(number):
-        raise InvalidValue(f"{name} must be a number in {unit}, got {value!r}")
+        raise InvalidValue(f"{name} must be a number{what}, got {value!r}")
     return number
 
 
 def _positive(name: str, value: Any, unit: str) -> float:
-    number = _number(name, value, unit)
+    number = _number(name, value, f" in {unit}")
     if not 0 < number < math.inf:
         raise InvalidValue(f"{name} must be above 0 and finite, got {number:g} {unit}")
     return number
@@ -145,11 +145,11 @@ def _positive(name: str, value: Any, unit: str) -> float:
 def _gain(value: Any) -> float:
     """Return a gain as a factor; a text may give it in dB."""
     if isinstance(value, str) and value.lower().endswith("db"):
-        level = _number("gain", value[:-2], "dB")
+        level = _number("gain", value[:-2], " in dB")
         if not abs(level) <= 400:
             raise InvalidValue(f"gain must lie between -400 and 400 dB, got {level:g} dB")
         return float(10.0 ** (level / 20))
-    number = _number("gain", value, 'none or "dB"')
+    number = _number("gain", value, ", a factor or with dB behind it")
     if not 0 < number < math.inf:
         raise InvalidValue(f"gain must be above 0 and finite, got {number:g}")
     return number

@@ -76,7 +76,7 @@ class Recorded:
     failures : tuple of CgidError
         The recordings that could not be read.
     warnings : tuple of str
-        What is damaged in others and was left out, one line each.
+        What is damaged in others and was left out, and intervals in which there is nothing; one line each.
     """
 
     slicing: Slicing
@@ -158,7 +158,10 @@ def record(
     annotations = [one for rows in measured for one in rows.annotations]
     if not annotations:
         told = "".join(f"; {error}" for error in failures[:1])
-        raise BadData(f"{manifest.source}: recordings must hold a {slicing.by} with a label, there is none{told}")
+        raise BadData(
+            f"{manifest.source}: recordings must hold a {slicing.by} with a label, there is none{told}; "
+            "correct start and end, or what is decided on"
+        )
     pieces, piece = _numbered([one.name for one in annotations])
     groups, group = _numbered([one.group for one in annotations])
     rates = [rows.file.recording.sampling_rate for rows in measured]
@@ -210,7 +213,10 @@ def _names(
             )
         require_supported(asked, rate, _length(kind_of(asked), rate, slicing))
         return asked
-    names = supported(union_of(sets_for(kind, level_free=level_free)), rate, _length(kind, rate, slicing))
+    wanted = union_of(sets_for(kind, level_free=level_free))
+    if not wanted:
+        raise InvalidValue(f"features of a {kind} must be named, there is no set of level-free ones; or allow all")
+    names = supported(wanted, rate, _length(kind, rate, slicing))
     if not names:
         raise BadData(f"recordings must be sampled fast enough for a feature, {rate:g} Hz is not; sample faster")
     return names

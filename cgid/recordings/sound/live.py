@@ -18,6 +18,16 @@ from cgid.signals import quantity_of, require_rate
 
 #: Numbers that are taken from the stream at once at most.
 _MOST_NUMBERS = 1 << 16
+#: What files begin with that have their numbers in order only as a whole.
+_FILES = {
+    b"\x93NUM": "an NPY file",
+    b"PK\3\4": "an archive",
+    b"\x89HDF": "an HDF5 file",
+    b"TDSm": "a TDMS file",
+    b"PAR1": "a Parquet file",
+    b"fLaC": "FLAC",
+    b"OggS": "OGG",
+}
 
 
 @dataclass(kw_only=True)
@@ -63,14 +73,14 @@ class LiveStream:
         Raises
         ------
         BadData
-            A float is not finite; the sample is named.
+            A float is not finite: the sample is named, and what came before it has been yielded. Or nothing came.
         """
         frame_size = self.n_channels * self.coding.width
         pending, left = self.head, self.size
         while True:
             whole = len(pending) - len(pending) % frame_size
             if whole:
-                yield self._block(pending[:whole])
+                yield from self._blocks(pending[:whole])
                 pending = pending[whole:]
             most = max(1, _MOST_NUMBERS // self.n_channels) * frame_size
             raw = _available(self.file, most if left is None else min(most, left))
@@ -85,18 +95,23 @@ class LiveStream:
             self.warnings.append(
                 f"the stream ended within a sample of {frame_size} bytes; the last {len(pending)} were left out"
             )
+        if not self.n_samples:
+            raise BadData(f"{self.source}: a stream must hold samples, it ended before the first; check what writes it")
 
-    def _block(self, raw: bytes) -> NDArray[Any]:
-        block = np.ascontiguousarray(self.coding.decoded(raw).reshape(-1, self.n_channels).T)
-        finite = np.isfinite(block)
-        if not finite.all():
-            channel, sample = np.argwhere(~finite)[0]
+    def _blocks(self, raw: bytes) -> Iterator[NDArray[Any]]:
+        """Yield the samples up to the first that is not finite, where there is one; then raise."""
+        samples = self.coding.decoded(raw).reshape(-1, self.n_channels)
+        broken = np.argwhere(~np.isfinite(samples))
+        good = len(samples) if not len(broken) else int(broken[0, 0])
+        if good:
+            self.n_samples += good
+            yield np.ascontiguousarray(samples[:good].T)
+        if len(broken):
+            sample, channel = broken[0]
             raise BadData(
-                f"{self.source}: samples must be finite, sample {self.n_samples + sample} of channel {channel + 1} is "
-                f"{block[channel, sample]}; check the sample format and the number of channels"
+                f"{self.source}: samples must be finite, sample {self.n_samples} of channel {channel + 1} is "
+                f"{samples[sample, channel]}; check the sample format and the number of channels"
             )
-        self.n_samples += block.shape[1]
-        return block
 
 
 def live_stream(
@@ -158,6 +173,9 @@ def live_stream(
         stream = _wave_stream(start, file, source)
         _require_agreement(stream, given, n_channels, coding)
         return replace(stream, sampling_rate=given or stream.sampling_rate, unit=unit or "FS")
+    for magic, name in _FILES.items():
+        if start == magic:
+            raise BadData(f"{source}: a stream must be raw numbers or WAV, this is {name}; give it to cgid predict -")
     for missing, what, option in (
         (coding is None, "how numbers are written", "--sample-format NAME, such as s16le"),
         (given is None, "the sampling rate", "--rate HZ"),

@@ -1,0 +1,127 @@
+"""Bad recordings, streams, pictures and manifests, as cases of `tests/bad_input.py`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from scipy.io import wavfile
+
+RATE = 25_600
+
+
+def ringing(n_samples: int = 12_800) -> np.ndarray:
+    """Return a blow in the middle of noise [m/s^2]."""
+    times = np.arange(n_samples // 2) / RATE
+    samples = np.random.default_rng(0).normal(0, 0.3, n_samples)
+    samples[n_samples - times.size :] += 200 * np.exp(-60 * times) * np.sin(2 * np.pi * 900 * times)
+    return samples
+
+
+def make_recordings(folder: Path) -> None:
+    """Write recordings that something is wrong with, and good ones to go wrong with."""
+    blow = ringing()
+    np.save(folder / "blow.npy", blow)
+    np.save(folder / "sample.npy", np.array([3.0]))
+    np.save(folder / "nothing.npy", np.zeros((2, 0)))
+    np.save(folder / "limits.npy", np.where(np.random.default_rng(1).random(9000) > 0.5, 500.0, -500.0))
+    np.save(folder / "hole.npy", np.where(np.arange(blow.size) == 77, np.nan, blow))
+    np.save(folder / "names.npy", np.array(["coal", "gangue"]))
+    np.save(folder / "cube.npy", np.zeros((3, 4, 5)))
+    np.savez(folder / "several.npz", a=blow, b=blow[:500], fs=float(RATE), unit="m/s^2")
+    wavfile.write(folder / "blow.wav", RATE, (blow / 300).astype(np.float32))
+    sound = (folder / "blow.wav").read_bytes()
+    (folder / "head.wav").write_bytes(sound[: sound.index(b"data") + 8])
+    (folder / "half.raw").write_bytes(b"abc")
+    (folder / "broken.raw").write_bytes(np.where(np.arange(50) == 0, np.nan, 1.0).astype("<f4").tobytes())
+    for name, text in _MANIFESTS.items():
+        (folder / f"{name}.csv").write_text(text)
+    (folder / "key.toml").write_text('[[recording]]\npaht = "blow.wav"\n')
+    (folder / "words.toml").write_text("recording = 3\n")
+
+
+_MANIFESTS = {
+    "bare": "path,label\n",
+    "lost": "path,label\ngone.wav,coal\n",
+    "day": "path,label,group\nblow.wav,coal,day\nblow.npy,gangue,day\n",
+    "colour": "path,label,colour\nblow.wav,coal,black\n",
+    "label": "path,label\nblow.wav,\n",
+    "interval": "path,label,start,end\nblow.wav,coal,3,2\n",
+    "beyond": "path,label,start,end\nblow.wav,coal,100,101\n",
+    "gain": "path,label,gain\nblow.wav,coal,loud\n",
+    "channel": "path,label,channel\nblow.wav,coal,7\n",
+}
+_SAID = ("--rate", "25600", "--unit", "m/s^2")
+_RAW = ("--rate", "25600", "--channels", "1", "--sample-format", "f32le", "--unit", "m/s^2")
+_MODEL_FREE = ("-o", "new.npz")
+
+#: Name, arguments, exit code, and what the line must say.
+RECORDING_CASES: tuple[tuple[str, tuple[str, ...], int, tuple[str, ...]], ...] = (
+    ("a single sample", ("predict", "sample.npy", *_SAID), 65, ("sample.npy", "its only sample is 3", "cable")),
+    ("channels of no length", ("predict", "nothing.npy", *_SAID), 65, ("nothing.npy", "(2, 0)")),
+    ("clipped throughout", ("predict", "limits.npy", *_SAID), 65, ("clipped", "-500 and 500 m/s^2", "larger range")),
+    ("hole in a recording", ("plot", "hole.npy", *_SAID, "-o", "new.png"), 65, ("hole.npy", "sample 77 is nan")),
+    ("words for numbers", ("predict", "names.npy", *_SAID), 65, ("names.npy", "real numbers", "<U")),
+    ("three axes", ("features", "cube.npy", *_SAID), 65, ("cube.npy", "(3, 4, 5)")),
+    ("several arrays", ("predict", "several.npz"), 65, ("a (12800), b (500)", "--variable NAME")),
+    ("unknown array", ("predict", "several.npz", "--variable", "c"), 65, ("'c'", "a (12800), b (500)")),
+    ("array of a format with one", ("info", "blow.wav", "--variable", "a"), 65, ("WAV", "leave out --variable")),
+    ("unit of a WAV not said", ("predict", "blow.wav"), 65, ("level [FS]", "--unit N", "--unit m/s^2")),
+    ("WAV without sound", ("predict", "head.wav", "--unit", "g"), 65, ("head.wav", "at least one sample")),
+    ("unknown channel", ("predict", "blow.npy", *_SAID, "--channel", "2"), 65, ("channel '2'", "--channel")),
+    (
+        "sampled too slowly for the model",
+        ("predict", "blow.npy", "--rate", "1000", "--unit", "m/s^2"),
+        65,
+        ("blow.npy: the sampling_rate must be at least 22", "got 1000 Hz", "record faster"),
+    ),
+    (
+        "sampled absurdly fast",
+        ("predict", "blow.npy", "--rate", "1e12", "--unit", "g"),
+        65,
+        ("blow.npy: sampling_rate", "2e+07 Hz", "got 1e+12 Hz"),
+    ),
+    ("vote of impacts", ("predict", "blow.npy", *_SAID, "--vote", "1"), 65, ("--vote", "left out", "impacts")),
+    ("share over no time", ("predict", "blow.npy", *_SAID, "--window", "0"), 65, ("--window", "above 0", "0 s")),
+    ("label that is no gangue", ("predict", "blow.npy", *_SAID, "--gangue", "ore"), 65, ("'gangue'", "'ore'")),
+    ("report of another ending", ("predict", "blow.npy", *_SAID, "--report", "r.pdf"), 73, ("r.pdf", ".html")),
+    ("report exists", ("predict", "blow.npy", *_SAID, "--report", "old.html"), 73, ("old.html", "--overwrite")),
+    ("folder of the report", ("predict", "blow.npy", *_SAID, "--report", "no/r.html"), 73, ("no",)),
+    ("plot of another ending", ("plot", "blow.npy", *_SAID, "-o", "new.jpg"), 73, (".png or .svg or .pdf", "'.jpg'")),
+    ("plot exists", ("plot", "blow.npy", *_SAID, "-o", "old.png"), 73, ("old.png", "--overwrite")),
+    ("plot without a name", ("plot", "blow.npy", *_SAID), 2, ("'-o'",)),
+    ("plot of the time after the end", ("plot", "blow.npy", *_SAID, "-o", "new.png", "--from", "9"), 65, ("0.5 s",)),
+    (
+        "plot of less than a sample",
+        ("plot", "blow.npy", *_SAID, "-o", "new.png", "--from", "0.1", "--to", "0.10001"),
+        65,
+        ("--from and --to", "0.1 to 0.10001 s at 25600 Hz", "further apart"),
+    ),
+    ("plot of an absurd rate", ("plot", "blow.npy", "--rate", "1e12", "-o", "new.png"), 65, ("2e+07 Hz",)),
+    ("no stream", ("monitor", "none.raw", *_RAW), 66, ("none.raw", "No such file")),
+    ("empty stream", ("monitor", "empty.csv", *_RAW), 65, ("empty.csv", "it is empty")),
+    ("stream of less than a sample", ("monitor", "half.raw", *_RAW), 65, ("half.raw", "ended before the first")),
+    ("stream of a head only", ("monitor", "head.wav", "--unit", "g"), 65, ("head.wav", "ended before the first")),
+    ("stream with a hole", ("monitor", "broken.raw", *_RAW), 65, ("sample 0 of channel 1 is nan", "sample format")),
+    ("stream that is a file", ("monitor", "blow.npy", *_RAW), 65, ("this is an NPY file", "cgid predict")),
+    ("stream of unknown numbers", ("monitor", "half.raw"), 2, ("--sample-format",)),
+    ("stream of odd numbers", ("monitor", "half.raw", *_RAW[:5], "s17le"), 65, ("s16le", "'s17le'")),
+    ("stream of no channels", ("monitor", "half.raw", "--channels", "0"), 65, ("n_channels", "got 0")),
+    ("stream of too many", ("monitor", "half.raw", "--channels", "5000"), 65, ("n_channels", "at most 4096")),
+    ("stream at another rate", ("monitor", "blow.wav", "--unit", "g", "--rate", "48000"), 65, ("25600 Hz", "--rate")),
+    ("no manifest", ("train", "none.csv", *_MODEL_FREE), 66, ("none.csv", "No such file")),
+    ("manifest of nothing", ("train", "bare.csv", *_MODEL_FREE), 65, ("bare.csv", "there is none")),
+    ("recordings that are gone", ("train", "lost.csv", *_MODEL_FREE), 65, ("lost.csv", "gone.wav")),
+    ("one group only", ("train", "day.csv", "--rate", "25600", "--unit", "FS", *_MODEL_FREE), 65, ("2 groups",)),
+    ("unknown column", ("train", "colour.csv", *_MODEL_FREE), 65, ("'colour'", "path, label")),
+    ("recording without a label", ("train", "label.csv", *_MODEL_FREE), 65, ("row 2", "label")),
+    ("interval that ends first", ("train", "interval.csv", *_MODEL_FREE), 65, ("row 2", "3 and 2 s")),
+    ("interval beyond the end", ("train", "beyond.csv", *_MODEL_FREE), 65, ("beyond.csv", "start and end")),
+    ("gain that is no number", ("train", "gain.csv", *_MODEL_FREE), 65, ("row 2", "gain", "dB", "'loud'")),
+    ("channel that is not there", ("train", "channel.csv", *_MODEL_FREE), 65, ("channel '7'",)),
+    ("two manifests", ("train", "lost.csv", "bare.csv", *_MODEL_FREE), 65, ("one manifest", "got 2")),
+    ("unknown key of a manifest", ("train", "key.toml", *_MODEL_FREE), 65, ("recording 1", "'paht'")),
+    ("manifest of a number", ("train", "words.toml", *_MODEL_FREE), 65, ("words.toml", "[[recording]]")),
+    ("hop of nothing", ("train", "day.csv", "--hop", "1e-9", *_MODEL_FREE), 65, ("hop_time", "1e-09 s")),
+    ("groups of a scene", ("train", "reference", "--by", "impact", *_MODEL_FREE), 65, ("--by", "no manifest")),
+)
