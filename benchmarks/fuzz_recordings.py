@@ -245,9 +245,8 @@ def main() -> None:
         print(
             f"| {name} | {len(rows)} | {' | '.join(map(str, counts))} | {len(failed)} | {slowest:.2f} | {memory:.0f} |"
         )
-    print(
-        f"\n{sum(map(len, found.values()))} files, {len(bad)} failed; Python with all libraries takes {_resident() / 1e6:.0f} MB"
-    )
+    n_files = sum(map(len, found.values()))
+    print(f"\n{n_files} files, {len(bad)} failed; Python with all libraries takes {_resident() / 1e6:.0f} MB")
     for name, mutation, outcome, _ in bad[:20]:
         print(f"{name}, {mutation}: {outcome.name} after {outcome.seconds:.1f} s: {outcome.told}")
     if arguments.keep:
