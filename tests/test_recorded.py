@@ -371,6 +371,9 @@ def test_interval_counts_groups_where_they_decide() -> None:
     assert wilson_interval(0.75, 1000 * shrink)[0] - 0.02 < low < high < wilson_interval(0.75, 1000 * shrink)[1] + 0.02
     assert clustered_interval(np.ones(1000, bool), group) == pytest.approx(wilson_interval(1.0, 20))
     assert clustered_interval(independent, np.zeros(1000, int)) == (0.0, 1.0)
+    # One miss of a thousand says no more of the recordings to come than none.
+    once = np.arange(1000) != 7
+    assert clustered_interval(once, group) == pytest.approx(wilson_interval(0.999, 20))
 
 
 def test_interval_holds_the_truth_as_often_as_it_says() -> None:

@@ -8,12 +8,16 @@ from scipy import stats
 
 from cgid.identification.interval import wilson_interval
 
+#: Misses (or hits) in fewer groups than this do not show how much groups differ.
+FEWEST_GROUPS = 3
+
 
 def clustered_interval(hits: NDArray[np.bool_], group: NDArray[np.intp]) -> tuple[float, float]:
     """Return the 95 % interval of a share of hits, of which those of a group are no independent trials.
 
     It is the score interval (Wilson 1927) of as many independent trials as would spread as much as the groups do (Korn
-    & Graubard 1998): never fewer than there are groups, never more than there are hits and misses.
+    & Graubard 1998): never fewer than there are groups, never more than there are hits and misses. Where fewer than
+    `FEWEST_GROUPS` have all the misses (or all the hits), a trial is a group.
 
     Parameters
     ----------
@@ -35,5 +39,7 @@ def clustered_interval(hits: NDArray[np.bool_], group: NDArray[np.intp]) -> tupl
     variance = np.sum(deviations**2) * n_groups / (n_groups - 1) / len(hits) ** 2
     trials = share * (1 - share) / variance if variance > 0 else 0.0
     trials *= (stats.norm.ppf(0.975) / stats.t.ppf(0.975, n_groups - 1)) ** 2
+    if min(np.unique(own[hits]).size, np.unique(own[~hits]).size) < FEWEST_GROUPS:
+        trials = 0.0
     low, high = wilson_interval(share, min(max(trials, n_groups), len(hits)))
     return max(float(low), 0.0), min(float(high), 1.0)
