@@ -372,6 +372,9 @@ def test_silent_channel_is_a_warning_and_silence_an_error(tmp_path: Path, capsys
     assert run(["predict", str(tmp_path / "many.npy"), *how]) == 0
     told = [line.split(": ", 2)[2] for line in capsys.readouterr().err.splitlines()]
     assert len(told) == 4 and told[3].endswith("and 6 more channels without impacts")
+    assert run(["features", str(tmp_path / "many.npy"), *how]) == 0
+    out, err = capsys.readouterr()
+    assert len(out.splitlines()) == 3 and err.count("no impact") == 3 and "and 6 more channels cannot" in err
     np.save(tmp_path / "b.npy", np.stack([quiet, quiet]))
     assert run(["predict", str(tmp_path / "b.npy"), *how]) == 65
     out, err = capsys.readouterr()

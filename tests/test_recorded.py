@@ -7,6 +7,7 @@ import json
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -19,6 +20,7 @@ from sklearn.discriminant_analysis import LinearDiscriminantAnalysis
 from cgid import shipped
 from cgid.bands import MEL_BANDS
 from cgid.cli.main import run
+from cgid.cli.train import _say
 from cgid.errors import BadData, InvalidValue, NoInput
 from cgid.features import FEATURES, extract_array, supported
 from cgid.identification.answers import identify
@@ -688,6 +690,18 @@ def test_manifest_is_trained_on_from_the_command_line(folder: Path, tmp_path: Pa
     assert "0.npy: coal" in said
     assert Model.load(model).labels == ("coal", "gangue")
     assert (tmp_path / "m.md").exists()
+
+
+@pytest.mark.parametrize(("without", "said"), [(0.9, "without them 0.9000; leave the scenes out"), (0.7, "")])
+def test_what_was_left_out_and_what_scenes_cost_is_said_beside_json(without: float, said: str, capsys: Any) -> None:
+    about = {"n_left_out": 3, "recorded": {"synthetic": {"accuracy_without": without}}}
+    training = SimpleNamespace(metrics={"accuracy": 0.8}, model=SimpleNamespace(kind="vibration", training=about))
+    _say(training, Path("m.npz"), [], as_json=True)
+    out, err = capsys.readouterr()
+    assert json.loads(out)["accuracy"] == 0.8
+    first, *more = err.splitlines()
+    assert first == "cgid: warning: 3 impacts could not be measured and were left out"
+    assert len(more) == bool(said) and said in err
 
 
 def test_a_file_that_is_gone_is_said_and_the_model_is_written(folder: Path, tmp_path: Path, capsys: Any) -> None:

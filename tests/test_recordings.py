@@ -180,6 +180,10 @@ def test_unknown_channel_lists_the_channels(choice):
 def test_name_of_two_channels_is_refused():
     with pytest.raises(InvalidValue, match="'a' is the name of several"):
         read_text("a,a\n1,2\n4,4\n", sampling_rate=10, channel="a")
+    both = read_text("a,a,b\n1,2,3\n4,4,4\n", sampling_rate=10)
+    assert [signal.channel for signal in both] == ["1 (a)", "2 (a)", "b"]  # answers are told apart by the name
+    (second,) = read_text("a,a,b\n1,2,3\n4,4,4\n", sampling_rate=10, channel="2 (a)")
+    assert second.samples.tolist() == [2, 4]
 
 
 @pytest.mark.parametrize(

@@ -15,6 +15,9 @@ from cgid.cli.options import (
     recording_options,
 )
 
+#: So many impacts, or channels, that cannot be measured are told one by one.
+_MOST_TOLD = 3
+
 
 @click.command(short_help="Measure the impacts in recordings: one row each.")
 @click.argument("files", nargs=-1, metavar="FILE...")
@@ -37,6 +40,7 @@ def features(
     Without --features these are the features of a vibration for acceleration, velocity and displacement, those of a
     pulse for all else.
     """
+    from cgid.errors import BadData
     from cgid.features import FEATURES, choose
 
     if as_list:
@@ -55,8 +59,21 @@ def features(
         signals = read_signals(path, **reading)
         for warning in signals[0].warnings:
             click.echo(f"cgid: warning: {warning}", err=True)
+        errors: list[BadData] = []
         for signal in signals:
-            _print(signal, chosen, not keep_baseline, gap, as_json)
+            try:
+                _print(signal, chosen, not keep_baseline, gap, as_json)
+            except BadData as error:
+                errors.append(error)
+        if len(errors) == len(signals):
+            raise errors[0]
+        # A silent channel does not hide the others.
+        for left_out in errors[:_MOST_TOLD]:
+            click.echo(f"cgid: warning: {left_out}", err=True)
+        if len(errors) > _MOST_TOLD:
+            click.echo(
+                f"cgid: warning: {path}: and {len(errors) - _MOST_TOLD} more channels cannot be measured", err=True
+            )
 
     return each_file(files, treat, strict=strict)
 
@@ -99,10 +116,12 @@ def _print(
             problems.append(f"impact {number} at {event.time:.6f} s: {problem}")
         about = {"sampling_rate_hz": signal.sampling_rate, "baseline_removed": remove_baseline, "problem": problem}
         columns.row(signal.name, number, event.time, values, about)
-    for problem in problems[:3]:
+    for problem in problems[:_MOST_TOLD]:
         click.echo(f"cgid: warning: {signal.name}: {problem}", err=True)
-    if len(problems) > 3:
-        click.echo(f"cgid: warning: {signal.name}: and {len(problems) - 3} more impacts cannot be measured", err=True)
+    if len(problems) > _MOST_TOLD:
+        click.echo(
+            f"cgid: warning: {signal.name}: and {len(problems) - _MOST_TOLD} more impacts cannot be measured", err=True
+        )
     if len(problems) == len(events):
         raise BadData(f"{signal.name}: none of its {len(events)} impacts can be measured; the first: {problems[0]}")
 

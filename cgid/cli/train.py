@@ -213,7 +213,14 @@ def _measured(data: list[str], recorded: Any, asked: dict[str, Any]) -> tuple[An
 
 
 def _say(training: Any, path: Path, written: list[Path], as_json: bool) -> None:
-    metrics = training.metrics
+    metrics, about = training.metrics, training.model.training
+    if about["n_left_out"]:
+        what = "windows" if training.model.kind == "window" else "impacts"
+        click.echo(f"cgid: warning: {about['n_left_out']} {what} could not be measured and were left out", err=True)
+    without = about.get("recorded", {}).get("synthetic", {}).get("accuracy_without")
+    if without is not None and without > metrics["accuracy"]:
+        told = f"{metrics['accuracy']:.4f} of the recorded impacts are answered right, without them {without:.4f}"
+        click.echo(f"cgid: warning: with synthetic impacts {told}; leave the scenes out", err=True)
     if as_json:
         print_json({"model": str(path), **metrics})
         return
@@ -230,10 +237,6 @@ def _say(training: Any, path: Path, written: list[Path], as_json: bool) -> None:
     click.echo(f"Brier score {metrics['brier_score']:.4f}")
     chance = metrics["calibration_error_by_chance"]
     click.echo(f"expected calibration error {metrics['expected_calibration_error']:.4f} (by chance alone {chance:.4f})")
-    left_out = training.model.training["n_left_out"]
-    if left_out:
-        what = "windows" if training.model.kind == "window" else "impacts"
-        click.echo(f"cgid: warning: {left_out} {what} could not be measured and were left out", err=True)
     click.echo("wrote " + ", ".join(map(str, written)), err=True)
 
 

@@ -87,24 +87,29 @@ class Contents:
         return self.names[index] if index < len(self.names) else ""
 
     def label(self, index: int) -> str:
-        """Return what a channel is called: its name, else its number from 1."""
+        """Return what a channel is called: its name, else its number from 1; both where several have the name."""
         # A single channel needs no name to be told apart.
-        return "1" if self.n_channels == 1 else self.name(index) or str(index + 1)
+        if self.n_channels == 1 or not self.name(index):
+            return str(index + 1)
+        name = self.name(index)
+        return name if self.names.count(name) == 1 else _numbered(index, name)
 
     def selected(self, channel: int | str, source: str) -> int:
-        """Return the index of the channel of this number (from 1) or name."""
+        """Return the index of the channel of this number (from 1) or name, or of both as `label` has them."""
         names = [self.name(index) for index in range(self.n_channels)]
         if isinstance(channel, str) and channel and names.count(channel) == 1:
             return names.index(channel)
+        labels = [_numbered(index, name) for index, name in enumerate(names)]
+        if channel in labels:
+            return labels.index(str(channel))
         wanted = str(channel)
         # By way of its text, as True would otherwise quietly be the first channel.
         if wanted.isascii() and wanted.isdigit() and len(wanted) < 9:
             number = int(wanted)
             if 1 <= number <= len(names):
                 return number - 1
-        listed = ", ".join(f"{k} ({name})" if name else str(k) for k, name in enumerate(names[:20], 1))
-        more = ", ..." if len(names) > 20 else ""
-        fault = "is the name of several" if names.count(wanted) > 1 else "is none of them"
+        listed, more = ", ".join(labels[:20]), ", ..." if len(names) > 20 else ""
+        fault = "is the name of several" if wanted and names.count(wanted) > 1 else "is none of them"
         raise InvalidValue(f"{source}: channel {channel!r} {fault}; choose one of {listed}{more} by --channel")
 
     def rate(self, given: float | None, source: str) -> float:
@@ -140,6 +145,10 @@ class Contents:
             f"({quantity_of(stated)}) and --unit says {given} ({quantity_of(given)}); leave out --unit or correct the "
             "header, or pick another channel with --channel"
         )
+
+
+def _numbered(index: int, name: str) -> str:
+    return f"{index + 1} ({name})" if name else str(index + 1)
 
 
 def rates_agree(first: float, second: float) -> bool:
