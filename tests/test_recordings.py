@@ -404,9 +404,17 @@ def test_a_full_disk_for_a_stream_is_told(monkeypatch):
     def full(*_):
         raise OSError(errno.ENOSPC, "No space left on device")
 
-    monkeypatch.setattr("shutil.copyfileobj", full)
+    monkeypatch.setattr("os.fdopen", full)
     with pytest.raises(WriteFailed, match="room"):
         read_bytes(b"1\n2\n", sampling_rate=1)
+
+
+def test_a_stream_without_end_is_refused(monkeypatch):
+    monkeypatch.setattr("cgid.recordings.LARGEST_STREAM", 1000)
+    monkeypatch.setattr("cgid.recordings._PIECE", 300)
+    assert len(read_bytes(b"1\n" * 500, sampling_rate=1)[0].samples) == 500
+    with pytest.raises(BadData, match="cgid monitor"):
+        read_bytes(b"1\n" * 5000, sampling_rate=1)
 
 
 def test_datasets_are_told_apart(tmp_path, write):

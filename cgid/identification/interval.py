@@ -6,7 +6,7 @@ from __future__ import annotations
 _Z = 1.959963984540054
 
 
-def wilson_interval(share: float, total: int) -> tuple[float, float]:
+def wilson_interval(share: float, total: float) -> tuple[float, float]:
     """Return the 95 % score interval of a share of so many independent trials (Wilson 1927).
 
     Examples

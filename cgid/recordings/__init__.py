@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import errno
 import os
-import shutil
 import sys
 import tempfile
 import weakref
@@ -23,6 +22,11 @@ from cgid.recordings.recording_file import BLOCK_LENGTH, Channel, RecordingFile,
 from cgid.signals import Signal, quantity_of
 
 __all__ = ["BLOCK_LENGTH", "Channel", "RecordingFile", "is_dataset", "open_recording", "read_recording"]
+
+
+#: A longer stream on the standard input is refused: it is put on the disk before it is read.
+LARGEST_STREAM = 32 << 30
+_PIECE = 1 << 20
 
 
 def is_dataset(path: str | Path) -> bool:
@@ -219,7 +223,13 @@ def _spooled(stream: Any) -> Path:
     handle, name = tempfile.mkstemp(prefix="cgid-", suffix=".recording")
     try:
         with os.fdopen(handle, "wb") as file:
-            shutil.copyfileobj(stream, file, 1 << 20)
+            while piece := stream.read(_PIECE):
+                if file.tell() > LARGEST_STREAM:
+                    raise BadData(
+                        f"stream: it must end within {LARGEST_STREAM >> 30} GiB to be read as a recording, it goes on; "
+                        "save it as a file, or follow it by cgid monitor"
+                    )
+                file.write(piece)
     except BaseException as error:
         _forget(Path(name))
         if isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT):
