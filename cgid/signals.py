@@ -39,6 +39,9 @@ UNITS: Mapping[str, Mapping[str, float]] = {
     "level": {"FS": 1.0},
 }
 
+#: Every unit that is known, as it is written.
+KNOWN_UNITS = frozenset(unit for units in UNITS.values() for unit in units)
+
 
 def quantity_of(unit: str) -> str:
     """Return the quantity that a unit belongs to.

@@ -37,8 +37,8 @@ def features(
 ) -> int:
     """Print the features of every impact in FILEs, tab-separated, in the unit of the file; - is stdin.
 
-    Without --features these are the features of a vibration for acceleration, velocity and displacement, those of a
-    pulse for all else.
+    Without --features these are the features of a vibration for motion and sound (acceleration, velocity, displacement,
+    pressure, level), those of a pulse for all else.
     """
     from cgid.errors import BadData
     from cgid.features import FEATURES, choose

@@ -246,4 +246,4 @@ def _make_recordings(scene: Any, output: str, n_signals: int, **options: Any) ->
     with progress_bar(n_signals * samples_of(scene), "samples") as progress:
         path = generate_recordings(scene, output, n_signals, progress=progress, **options)
     took = time.perf_counter() - start
-    click.echo(f"{path}: {n_signals} recordings, {seconds:g} s in {took:.1f} s", err=True)
+    click.echo(f"{path}: {n_signals} recording{'s' * (n_signals > 1)}, {seconds:g} s in {took:.1f} s", err=True)

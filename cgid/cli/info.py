@@ -178,7 +178,7 @@ def _long_channels(recording: Any) -> dict[str, Any]:
     names = recording.channels
     lowest, highest, total = np.full(len(names), np.inf), np.full(len(names), -np.inf), np.zeros(len(names))
     rate, n_samples, dtype = recording.sampling_rate, 0, ""
-    detectors = [ImpactDetector(rate, kind="pulse" if kind_for(c.quantity) == "pulse" else "vibration") for c in names]
+    detectors = [ImpactDetector(rate, kind=kind_for(c.quantity)) for c in names]
     impacts: Counter[int] = Counter()
     for block in recording.blocks():
         lowest, highest = np.minimum(lowest, block.min(axis=1)), np.maximum(highest, block.max(axis=1))

@@ -13,7 +13,7 @@ from cgid.cli.options import dead_time_in_seconds, open_file, print_json, read_s
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from cgid.identification.detection.detector import ImpactKind
+    from cgid.features.feature import ImpactKind
     from cgid.plots import Mark
     from cgid.recordings import Channel, RecordingFile
 
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 @click.option(
     "--kind",
     type=click.Choice(["pulse", "vibration"]),
-    help="What an impact looks like; a force is taken for pulses, all else for vibrations.",
+    help="What an impact looks like; motion and sound are taken for vibrations, all else for pulses.",
 )
 @click.option("--from", "begin", type=float, default=0.0, metavar="SECONDS", help="Draw what comes after this.")
 @click.option("--to", "end", type=float, metavar="SECONDS", help="Draw what comes before this.")
@@ -121,12 +121,13 @@ class _Finder:
         dead_time: float | None,
         begin: float,
     ) -> None:
+        from cgid.features import kind_for
         from cgid.identification.detection.detector import ImpactDetector
 
         self._rate, self._channels, self._begin = sampling_rate, channels, begin
         rows: dict[ImpactKind, list[int]] = {}
         for row, channel in enumerate(channels):
-            rows.setdefault(kind or ("pulse" if channel.quantity == "force" else "vibration"), []).append(row)
+            rows.setdefault(kind or kind_for(channel.quantity), []).append(row)
         self._detectors: list[tuple[list[int], Any]] = [
             (own, ImpactDetector(sampling_rate, len(own), kind=kind, dead_time=dead_time)) for kind, own in rows.items()
         ]

@@ -20,7 +20,7 @@ from cgid import validation
 from cgid.counting import count
 from cgid.equalisation import Equalisation
 from cgid.errors import BadData, InvalidValue
-from cgid.features.feature import Feature, Kind
+from cgid.features.feature import Feature, ImpactKind, Kind
 from cgid.features.pulse import PULSE_FEATURES
 from cgid.features.vibration import VIBRATION_FEATURES
 from cgid.features.window import WINDOW_FEATURES
@@ -47,12 +47,12 @@ MINIMUM_FRAME = 6
 FEATURES: dict[str, Feature] = {
     feature.name: feature for feature in PULSE_FEATURES + VIBRATION_FEATURES + WINDOW_FEATURES
 }
-#: What swings about zero when a structure is struck; anything else is taken for a pulse.
-SWINGING = ("acceleration", "velocity", "displacement")
+#: What swings about zero when a structure is struck (a level is that of a sound file); all else is taken for a pulse.
+SWINGING = ("acceleration", "velocity", "displacement", "pressure", "level")
 
 
-def kind_for(quantity: str | None) -> Kind:
-    """Return what a signal of this quantity is like, where nobody says more of it."""
+def kind_for(quantity: str | None) -> ImpactKind:
+    """Return what an impact looks like in a signal of this quantity, where nobody says more of it."""
     return "vibration" if quantity in SWINGING else "pulse"
 
 

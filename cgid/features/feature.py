@@ -10,7 +10,9 @@ from cgid.validation import Floats
 
 #: What a signal is like: a single positive pulse, a vibration of both signs that dies away, or a window of a recording
 #: in which anything may happen.
-Kind = Literal["pulse", "vibration", "window"]
+ImpactKind = Literal["pulse", "vibration"]
+#: What features are measured on: an impact, or a window of a recording, in which any number of them may lie.
+Kind = Literal[ImpactKind, "window"]
 
 
 @dataclass(frozen=True)

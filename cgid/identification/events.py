@@ -9,14 +9,13 @@ import numpy as np
 
 from cgid import validation
 from cgid.errors import BadData
-from cgid.features.feature import Kind
+from cgid.features.feature import ImpactKind, Kind
 from cgid.frames import DETECTION_LIMIT
 from cgid.identification.detection.detector import (
     DEAD_TIME,
     LARGEST,
     VIBRATION_DEAD_TIME,
     ImpactDetector,
-    ImpactKind,
 )
 from cgid.identification.detection.frames import FOUND_LIMIT, Event
 from cgid.identification.detection.pulses import THRESHOLD_OVER_NOISE, THRESHOLD_OVER_PEAK

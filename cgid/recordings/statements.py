@@ -11,7 +11,7 @@ import numpy as np
 from cgid.errors import BadData
 from cgid.recordings.contents import rates_agree
 from cgid.recordings.text.header import TIME_UNITS, column_of
-from cgid.signals import UNITS
+from cgid.signals import KNOWN_UNITS
 
 #: Values that files attach to names; lists are one value a channel.
 Value = float | str | datetime | list[str]
@@ -32,7 +32,6 @@ _RATE_FACTORS = {"": 1.0, "hz": 1.0, "s/s": 1.0, "sps": 1.0, "khz": 1e3, "mhz": 
 _TIME_FACTORS = {"": 1.0, "s": 1.0, "sec": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6, "ns": 1e-9}
 _NUMBER = re.compile(r"\s*([+-]?\d+(?:\.\d*)?(?:[eE][+-]?\d+)?)\s*([^\d\s]\S*)?\s*")
 _UNIT_BEHIND = re.compile(r"[\s_([]+(k?hz|mhz|s|sec|ms|us|µs)[\s)\]]*$")
-_KNOWN_UNITS = frozenset(unit for units in UNITS.values() for unit in units)
 
 
 def is_telling(name: str) -> bool:
@@ -115,7 +114,7 @@ def known_unit(text: str) -> str | None:
     ('m/s^2', None)
     """
     unit = text.replace("\u03bc", "µ").strip(" \t\0[]()")
-    return unit if unit in _KNOWN_UNITS else None
+    return unit if unit in KNOWN_UNITS else None
 
 
 def stated_names(values: Values, n_channels: int) -> list[str]:

@@ -149,6 +149,8 @@ def read_tdms(path: Path, source: str, variable: str | None) -> Contents:
                     warnings.append(f"channel {group.name}/{channel.name} holds no samples and is left out")
                 else:
                     warnings.append(f"channel {group.name}/{channel.name} holds no numbers and is left out")
+    if file.is_cut and not variables:
+        raise BadData(f"{source}: the TDMS file is cut off before its first sample; copy it again")
     return contents_of(variables, said, source, variable, warnings, group_is_one=True, is_cut=file.is_cut)
 
 

@@ -201,13 +201,13 @@ def opened(path: Path) -> Iterator[h5py.File]:
         if not path.exists():
             raise BadData(f"{path}: this shard of the dataset is missing; generate the dataset again") from None
         reason = "it is empty, truncated or no HDF5 file" if not isinstance(error, PermissionError) else "no permission"
-        raise BadData(f"{path}: must be a readable HDF5 file, {reason}; generate it again") from None
+        raise BadData(f"{path}: must be a readable HDF5 file, {reason}; copy it again, or generate it anew") from None
     try:
         yield file
     except CgidError:
         raise
     except DAMAGE as error:
-        raise BadData(f"{path}: is damaged ({error}); generate it again") from None
+        raise BadData(f"{path}: is damaged ({error}); copy it again, or generate it anew") from None
     finally:
         file.close()
 

@@ -11,9 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cgid.errors import BadData
+from cgid.features.feature import ImpactKind
 from cgid.identification.answering.question import BATCH, Question, Step
 from cgid.identification.answers import Answer, identify_events
-from cgid.identification.detection.detector import ImpactDetector, ImpactKind
+from cgid.identification.detection.detector import ImpactDetector
 from cgid.identification.events import Event, find_impacts
 from cgid.identification.model import Model
 from cgid.signals import Signal

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Any, Literal, get_args
+from typing import Any, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cgid import validation
 from cgid.errors import BadData, InvalidValue
+from cgid.features.feature import ImpactKind
 from cgid.identification.detection.frames import Event, FrameCutter, Framing
 from cgid.identification.detection.onsets import Onset
 from cgid.identification.detection.pulses import START_CHUNKS as PULSE_START
@@ -17,8 +18,6 @@ from cgid.identification.detection.ringing import START_CHUNKS as RINGING_START
 from cgid.identification.detection.ringing import RingingOnsets
 from cgid.validation import Floats
 from cgid.vibration import SHORTEST_EVENT
-
-ImpactKind = Literal["pulse", "vibration"]
 
 #: What follows within this time belongs to the same blow: a struck body rings [s].
 DEAD_TIME = 2e-3

@@ -14,12 +14,11 @@ from datetime import datetime, timedelta
 
 from cgid.errors import BadData
 from cgid.recordings.text.layout import NUMBER
-from cgid.signals import UNITS
+from cgid.signals import KNOWN_UNITS
 
 END_OF_HEAD = "***End_of_Header***"
 
 _SEPARATORS = {"tab": "\t", "comma": ",", "semicolon": ";", "space": " "}
-_KNOWN = frozenset(unit for units in UNITS.values() for unit in units)
 _SPELT_OUT = {
     "volts": "V", "volt": "V", "newtons": "N", "newton": "N", "pascals": "Pa", "pascal": "Pa", "meters": "m",
     "metres": "m", "millivolts": "mV", "strain": "m/m", "gs": "g",
@@ -104,8 +103,8 @@ class Segment:
     def unit(self, channel: int) -> str | None:
         """Return the unit if it is one of `cgid.signals.UNITS`."""
         label = self.field("Y_Unit_Label", channel).replace("\u03bc", "µ")
-        unit = label if label in _KNOWN else _SPELT_OUT.get(label.lower(), label)
-        return unit if unit in _KNOWN else None
+        unit = label if label in KNOWN_UNITS else _SPELT_OUT.get(label.lower(), label)
+        return unit if unit in KNOWN_UNITS else None
 
     def n_samples(self, channel: int) -> int | None:
         """Return the samples that are declared, None where they are not."""

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 from datetime import datetime
 
 from cgid.recordings.text.layout import Layout
-from cgid.signals import UNITS
+from cgid.signals import KNOWN_UNITS
 
 #: Time units of a column -> factor to seconds.
 TIME_UNITS = {
@@ -19,7 +19,6 @@ TIME_UNITS = {
     **dict.fromkeys(("us", "µs", "usec", "µsec", "microseconds"), 1e-6),
 }
 
-_KNOWN = frozenset(unit for units in UNITS.values() for unit in units)
 _TIME_NAME = re.compile(r"(?i:time|zeit|temps|tiempo|tempo|时间|時間)|t(?![^\W\d_])")
 _IN_BRACKETS = re.compile(r"(.*)[(\[{<]([^()\[\]{}<>]*)[)\]}>]")
 _STATED_RATE = re.compile(
@@ -63,7 +62,7 @@ class Column:
     @property
     def known_unit(self) -> str | None:
         """The unit if it is one of `cgid.signals.UNITS`."""
-        return self.unit if self.unit in _KNOWN else None
+        return self.unit if self.unit in KNOWN_UNITS else None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -90,7 +89,7 @@ def column_of(text: str) -> Column:
     text = " ".join(text.translate(_SAME).strip("\"' \t\r\n").split())
     if len(text) > _LONGEST_NAME:
         return Column(name=text[:_LONGEST_NAME])
-    if text in _KNOWN or text in TIME_UNITS:
+    if text in KNOWN_UNITS or text in TIME_UNITS:
         return Column(unit=text)
     if found := _IN_BRACKETS.fullmatch(text):
         return Column(name=found[1].rstrip(" /_"), unit=found[2].strip())
@@ -99,7 +98,7 @@ def column_of(text: str) -> Column:
         name, _, unit = text.partition(mark) if mark == "/" else text.rpartition(mark)
         name, unit = name.strip(), unit.strip()
         is_time = unit in TIME_UNITS and _TIME_NAME.match(name)
-        if any(character.isalpha() for character in name) and (unit in _KNOWN or is_time):
+        if any(character.isalpha() for character in name) and (unit in KNOWN_UNITS or is_time):
             return Column(name=name, unit=unit)
     return Column(name=text)
 
@@ -122,7 +121,7 @@ def read_header(lines: Iterable[str], layout: Layout) -> Header:
             header = replace(header, start_time=_date(found[1]) or header.start_time)
         elif found := _STATED_UNIT.fullmatch(remark):
             unit = found[1].strip("()[]")
-            header = replace(header, unit=unit if unit in _KNOWN else None)
+            header = replace(header, unit=unit if unit in KNOWN_UNITS else None)
         elif columns := _columns(line, layout):
             columns = _under(before, columns)
             if _is_telling(columns) or not _is_telling(best):
