@@ -11,10 +11,11 @@ from typing import Any
 import click
 
 from cgid.cli.answer_lines import AnswerLines
+from cgid.cli.asked import Asked, answering_options, asked_of
 from cgid.cli.inbox import Inbox, UnbufferedInput
 from cgid.cli.model_choice import warn_of_rate
 from cgid.cli.options import dead_time_in_seconds
-from cgid.cli.recording_answers import Asked, Telling, answering_options, asked_of
+from cgid.cli.telling import Telling
 
 #: Shares are told so many times within their window.
 _STEPS = 10

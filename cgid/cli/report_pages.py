@@ -5,7 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from cgid.cli.recording_answers import Asked, Passing, Telling
+from cgid.cli.asked import Asked
+from cgid.cli.recording_answers import Passing
+from cgid.cli.telling import Telling
 
 
 class Pages:
