@@ -23,6 +23,7 @@ from cgid.features import kind_of
 from cgid.features.feature import Kind
 from cgid.identification.conformal import Conformal
 from cgid.identification.families import BY_NAME, Family
+from cgid.identification.reference import equalisations_of
 from cgid.identification.soundness import (
     FORMAT,
     SCHEMA_VERSION,
@@ -214,13 +215,6 @@ class Model:
             )
         return self.conformal.prediction_set(probabilities, coverage, class_conditional=class_conditional)
 
-    @property
-    def reference_target(self) -> Floats:
-        """What sensors are made to sound like: the mean of their reference spectra, (n_channels, n_bands)."""
-        if not self.sensors:
-            raise InvalidValue("sensor must be left out, this model was trained without reference runs")
-        return np.asarray(self.arrays["reference.spectra"].mean(axis=0))
-
     def equalisation(self, sensor: str) -> tuple[Equalisation, ...]:
         """Return what makes a sensor sound as those of the training together, for each channel.
 
@@ -229,10 +223,11 @@ class Model:
         InvalidValue
             The model knows no such sensor.
         """
-        target = self.reference_target
+        if not self.sensors:
+            raise InvalidValue("sensor must be left out, this model was trained without reference runs")
         validation.choice("sensor", sensor, self.sensors)
-        own = self.arrays["reference.spectra"][self.sensors.index(sensor)]
-        return tuple(Equalisation.between(heard, meant) for heard, meant in zip(own, target, strict=True))
+        spectra = zip(self.sensors, self.arrays["reference.spectra"], strict=True)
+        return tuple(equalisations_of(dict(spectra))[sensor])
 
     def covers(self, sampling_rate: float) -> bool:
         """Return whether the model was trained at this sampling rate [Hz], within 1 %."""

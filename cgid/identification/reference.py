@@ -8,7 +8,7 @@ model; what is measured by a sensor is then first made to sound as the mean of t
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from cgid import validation
 from cgid.bands import MEL_BANDS
+from cgid.equalisation import Equalisation
 from cgid.errors import BadData, InvalidValue
 from cgid.validation import Floats
 from cgid.windows import WindowBatch
@@ -26,6 +27,8 @@ LARGEST_DRIFT = 3.0
 _STANDARD_ERRORS = 2.0
 #: Windows measured at once.
 _ROWS = 32
+#: Sensor -> what makes it sound as all of them together, one for each channel.
+Equalisations = Mapping[str, Sequence[Equalisation]]
 
 
 class MeanSpectrum:
@@ -105,6 +108,18 @@ def target_spectrum(references: Iterable[ArrayLike]) -> Floats:
     if not rows or any(row.shape != (len(MEL_BANDS),) for row in rows):
         raise InvalidValue(f"reference spectra must be one or more rows of {len(MEL_BANDS)} levels, got {len(rows)}")
     return np.asarray(np.mean(rows, axis=0))
+
+
+def equalisations_of(spectra: Mapping[str, Floats]) -> Equalisations:
+    """Return what makes sensors sound as the mean of them all, from their reference spectra."""
+    if not spectra:
+        return {}
+    n_channels = len(next(iter(spectra.values())))
+    targets = [target_spectrum([own[channel] for own in spectra.values()]) for channel in range(n_channels)]
+    return {
+        sensor: tuple(Equalisation.between(heard, meant) for heard, meant in zip(own, targets, strict=True))
+        for sensor, own in spectra.items()
+    }
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -18,7 +18,8 @@ from cgid.identification.recorded.annotated import AnnotatedFile, Failures, Read
 from cgid.identification.recorded.annotation import Annotation
 from cgid.identification.recorded.feature_sets import sets_for, union_of
 from cgid.identification.recorded.manifest import Manifest
-from cgid.identification.recorded.referenced import Equalisations, equalisations_of, reference_spectra
+from cgid.identification.recorded.referenced import reference_spectra
+from cgid.identification.reference import Equalisations, equalisations_of
 from cgid.identification.windows import WINDOW_TIME, Grid, columns_of, measure_windows, require_times, windows_of
 from cgid.signals import quantity_of
 from cgid.validation import Floats

@@ -1,21 +1,17 @@
-"""The reference runs of a manifest: the spectra of its sensors, and what makes them sound alike."""
+"""The reference runs of a manifest: the spectra of its sensors."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
-from cgid.equalisation import Equalisation
 from cgid.errors import BadData
 from cgid.identification.recorded.annotated import AnnotatedFile, annotated_blocks
-from cgid.identification.reference import MeanSpectrum, target_spectrum
+from cgid.identification.reference import MeanSpectrum
 from cgid.identification.windows import windows_of
 from cgid.signals import quantity_of
 from cgid.validation import Floats
-
-#: Sensor -> what makes it sound as all of them together, one for each channel.
-Equalisations = Mapping[str, Sequence[Equalisation]]
 
 
 def reference_spectra(files: Sequence[AnnotatedFile], labelled: AnnotatedFile, window_time: float) -> dict[str, Floats]:
@@ -52,15 +48,3 @@ def reference_spectra(files: Sequence[AnnotatedFile], labelled: AnnotatedFile, w
                 for channel, spectrum in enumerate(own):
                     spectrum.feed(windows[:, channel])
     return {sensor: np.stack([spectrum.levels for spectrum in own]) for sensor, own in spectra.items()}
-
-
-def equalisations_of(spectra: Mapping[str, Floats]) -> Equalisations:
-    """Return what makes sensors sound as the mean of them all, from their reference spectra."""
-    if not spectra:
-        return {}
-    n_channels = len(next(iter(spectra.values())))
-    targets = [target_spectrum([own[channel] for own in spectra.values()]) for channel in range(n_channels)]
-    return {
-        sensor: tuple(Equalisation.between(heard, meant) for heard, meant in zip(own, targets, strict=True))
-        for sensor, own in spectra.items()
-    }
