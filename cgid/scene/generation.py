@@ -4,11 +4,7 @@ from __future__ import annotations
 
 import os
 import platform
-import signal
-import threading
-import warnings
-from collections.abc import Callable, Generator, Iterator
-from concurrent.futures import Future, ThreadPoolExecutor
+from collections.abc import Callable
 from contextlib import closing
 from importlib.metadata import version
 from pathlib import Path
@@ -19,10 +15,9 @@ from cgid.errors import InvalidValue
 from cgid.scene.population import parameter_units
 from cgid.scene.scene import Scene
 from cgid.scene.synthesis import synthesise
-from cgid.signals import Batch
+from cgid.scene.workers import write_shards
 from cgid.store import FORMAT, SCHEMA_VERSION, DatasetWriter, check_output
 from cgid.store.shard import COMPRESSIONS, ShardPlan
-from cgid.store.writing import BuiltShard, ShardEntry
 
 #: Signals of a shard: 32 MiB of 2048 float32 samples, built in memory.
 SHARD_SIGNALS = 4096
@@ -102,7 +97,7 @@ def generate(
     writer.begin(overwrite)
     entries = []
     try:
-        with closing(_write_all(writer, scene, seed, dtype, jobs, progress)) as written:
+        with closing(write_shards(writer, scene, seed, dtype, jobs, progress)) as written:
             for entry in written:
                 entries.append(entry)
                 if progress is not None and jobs > 1:
@@ -112,68 +107,6 @@ def generate(
         raise
     writer.finish(entries)
     return path
-
-
-def _write_all(
-    writer: DatasetWriter,
-    scene: Scene,
-    seed: int,
-    dtype: Literal["float32", "float64"],
-    jobs: int,
-    progress: Callable[[int], object] | None,
-) -> Generator[ShardEntry, None, None]:
-    if jobs == 1:
-        # One thread hashes and writes a shard while the next one is made: neither holds Python's lock.
-        with ThreadPoolExecutor(max_workers=1) as disk:
-            waiting: Future[ShardEntry] | None = None
-            for shard in writer.shards:
-                built = _build(writer, scene, seed, dtype, shard, progress)
-                if waiting is not None:
-                    yield waiting.result()
-                waiting = disk.submit(writer.put, built)
-                del built  # the thread alone keeps it, until it is written
-            if waiting is not None:
-                yield waiting.result()
-        return
-    import joblib
-
-    work = (joblib.delayed(_write_one)(writer, scene, seed, dtype, shard) for shard in writer.shards)
-    results = joblib.Parallel(n_jobs=jobs, return_as="generator_unordered")(work)
-    try:
-        for entry in results:  # noqa: UP028 - `yield from` would pass an interruption on before the warning is off
-            yield entry
-    finally:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", UserWarning)  # that work is cancelled is what an interruption is for
-            results.close()
-
-
-def _write_one(
-    writer: DatasetWriter, scene: Scene, seed: int, dtype: Literal["float32", "float64"], shard: tuple[int, int, int]
-) -> ShardEntry:
-    # Ctrl-C reaches every process of the group; the one that waits for the workers answers it.
-    if threading.current_thread() is threading.main_thread():
-        signal.signal(signal.SIGINT, signal.SIG_IGN)
-    return writer.put(_build(writer, scene, seed, dtype, shard))
-
-
-def _build(
-    writer: DatasetWriter,
-    scene: Scene,
-    seed: int,
-    dtype: Literal["float32", "float64"],
-    shard: tuple[int, int, int],
-    progress: Callable[[int], object] | None = None,
-) -> BuiltShard:
-    number, first, count = shard
-
-    def batches() -> Iterator[Batch]:
-        for batch in synthesise(scene, count, seed, first=first, dtype=dtype):
-            yield batch
-            if progress is not None:
-                progress(len(batch))
-
-    return writer.build_shard(number, first, count, batches())
 
 
 def attributes_of(scene: Scene, seed: int) -> dict[str, Any]:

@@ -1,7 +1,7 @@
 """HDF5 datasets: the only room that knows h5py."""
 
 from cgid.store.dataset import Dataset
-from cgid.store.shard import FORMAT, SCHEMA_VERSION
+from cgid.store.header import FORMAT, SCHEMA_VERSION
 from cgid.store.table import Rows, Table, TableHeader, check_table_output, table_writer
 from cgid.store.table_reading import is_table, read_table
 from cgid.store.writing import DatasetWriter, check_output

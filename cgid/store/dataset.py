@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from cgid.errors import BadData, CgidError, InvalidValue, NoInput
 from cgid.signals import Batch, Signal, quantity_of
-from cgid.store.shard import FORMAT, SCHEMA_VERSION, ShardHeader, read_header, text_of
+from cgid.store.header import FORMAT, SCHEMA_VERSION, ShardHeader, read_header, text_of
 from cgid.store.writing import MANIFEST, SHARD_NAME
 
 #: Signals read at once.

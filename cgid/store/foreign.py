@@ -21,7 +21,7 @@ from cgid.errors import BadData, CgidError
 from cgid.store.attribute_reading import read_texts
 from cgid.store.chunks import cache_size, missing_chunks, storage_fault
 from cgid.store.dataset import DAMAGE
-from cgid.store.shard import attributes_of
+from cgid.store.header import attributes_of
 
 #: No recording has more parts.
 _MOST_OBJECTS, _DEEPEST, _MOST_ATTRIBUTES = 10_000, 32, 256

@@ -27,7 +27,7 @@ from cgid.errors import BadData, CannotCreate, InvalidValue, NoInput, WriteFaile
 from cgid.files import whole_file
 from cgid.signals import UNITS, Signal, quantity_of
 from cgid.store.dataset import opened
-from cgid.store.shard import LARGEST_SHARD, attributes_of, is_inside, plain_dataset, text_of
+from cgid.store.header import LARGEST_SHARD, attributes_of, is_inside, plain_dataset, text_of
 
 RECORDING_FORMAT = "cgid-recording"
 RECORDING_SCHEMA_VERSION = 1

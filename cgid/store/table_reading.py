@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cgid.errors import BadData, MissingExtra, NoInput
-from cgid.store.shard import attributes_of, plain_dataset, text_of
+from cgid.store.header import attributes_of, plain_dataset, text_of
 from cgid.store.table import TABLE_FORMAT, TABLE_VERSION, Table, TableHeader, parquet_library
 
 #: What a table says of itself, in whichever format.

@@ -16,7 +16,8 @@ from typing import Any
 from cgid.errors import CannotCreate, InvalidValue
 from cgid.files import write_whole
 from cgid.signals import Batch
-from cgid.store.shard import FORMAT, LARGEST_SHARD, SCHEMA_VERSION, ShardBuilder, ShardPlan
+from cgid.store.header import FORMAT, LARGEST_SHARD, SCHEMA_VERSION
+from cgid.store.shard import ShardBuilder, ShardPlan
 
 MANIFEST = "manifest.json"
 SHARD_NAME = r"shard-[0-9]{5,}\.h5"
