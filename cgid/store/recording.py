@@ -124,7 +124,7 @@ class RecordingWriter:
 
 
 @contextmanager
-def writing(path: str | Path, plan: RecordingPlan) -> Iterator[RecordingWriter]:
+def writing(path: str | Path, plan: RecordingPlan, *, overwrite: bool = True) -> Iterator[RecordingWriter]:
     """Yield the writer of a recording that bears its name when this context is left without an error.
 
     Raises
@@ -142,7 +142,7 @@ def writing(path: str | Path, plan: RecordingPlan) -> Iterator[RecordingWriter]:
             f"{path}: a recording must be at most {LARGEST_RECORDING / 2**30:g} GiB of samples, "
             f"{plan.n_samples} of {plan.dtype} make {plan.size / 2**30:.3g} GiB; make several"
         )
-    with whole_file(path) as temporary:
+    with whole_file(path, overwrite=overwrite) as temporary:
         with _told(path):
             file = h5py.File(temporary, "w", libver=("v110", "v110"))
         try:
