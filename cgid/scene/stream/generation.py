@@ -85,17 +85,18 @@ def generate_recordings(
     )
     plan.require_room(path.parent, n_recordings)
     if is_single_file(path):
-        _write(path, plan, scene, seed, 0, progress)
+        write_recording(path, plan, scene, seed, 0, progress)
         return path
     _make_folder(path, overwrite)
     for number in range(n_recordings):
-        _write(path / f"recording-{number:05d}.h5", plan, scene, seed, number, progress)
+        write_recording(path / f"recording-{number:05d}.h5", plan, scene, seed, number, progress)
     return path
 
 
-def _write(
+def write_recording(
     path: Path, plan: RecordingPlan, scene: Scene, seed: int, number: int, progress: Callable[[int], object] | None
 ) -> None:
+    """Write one recording of a stream, by its number; see `generate_recordings`."""
     dtype: Any = plan.dtype
     own = RecordingPlan(**{**vars(plan), "attributes": {**plan.attributes, "recording": number}})
     truth = []
