@@ -14,15 +14,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import h5py
 import numpy as np
 from numpy.typing import NDArray
 
 from cgid.counting import count
 from cgid.errors import CannotCreate, InvalidValue, MissingExtra
 from cgid.files import whole_file
+from cgid.store.header import TABLE_FORMAT, TABLE_VERSION
 
-TABLE_FORMAT, TABLE_VERSION = "cgid-table", 1
 #: Rows that are gathered before they are written, whole chunks of HDF5 or a row group of Parquet; and rows of a chunk.
 _ROWS, _CHUNK = 16384, 4096
 #: File names end in one of these.
@@ -186,6 +185,9 @@ def table_writer(path: str | Path, header: TableHeader, label_width: int) -> Ite
 class _Hdf5Writer(TableWriter):
     def __init__(self, path: Path, header: TableHeader, label_width: int) -> None:
         super().__init__(header)
+        # Who reads tables does without.
+        import h5py
+
         self._filled = 0
         self._file = h5py.File(path, "w", libver=("v110", "v110"))
         head = {"format": TABLE_FORMAT, "schema_version": TABLE_VERSION, "kind": header.kind}
