@@ -431,7 +431,7 @@ def test_wrong_schema_version(copy, version):
         del file.attrs["schema_version"]
         if version is not None:
             file.attrs["schema_version"] = version
-    refused(copy, "schema_version must be 1")
+    refused(copy, "schema_version 2 is newer.*upgrade" if version == 2 else "schema_version must be 1")
 
 
 @pytest.mark.parametrize("value", [np.array(["cgid-dataset", "cgid-dataset"], "S12"), "cgid-dataset", 3.0])
@@ -544,7 +544,7 @@ def test_a_dataset_without_parameters(copy):
 def test_a_huge_declared_size_is_refused_before_it_is_read(copy, name, shape, kind):
     chunks = tuple(min(length, 8) for length in shape)
     replaced(copy, name, lambda file, _: file.create_dataset(name, shape, kind, chunks=chunks))
-    refused(copy, f"{name} must be at most 2 GiB")
+    refused(copy, f"{name} declares [0-9]{{10,}} bytes and holds 0")
 
 
 @pytest.mark.parametrize(

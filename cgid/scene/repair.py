@@ -24,9 +24,9 @@ from cgid.scene.synthesis import synthesise
 from cgid.store import Dataset
 from cgid.store.examination import damaged_rows, examine_file
 from cgid.store.export import write_dataset
-from cgid.store.header import FORMAT, LARGEST_SHARD
+from cgid.store.header import FORMAT, LARGEST_SHARD, RECORDING_FORMAT
 from cgid.store.manifest import MANIFEST, Manifest, ShardEntry
-from cgid.store.recording import RECORDING_FORMAT, RecordingPlan
+from cgid.store.recording import RecordingPlan
 from cgid.store.shard import ShardBuilder, ShardPlan
 from cgid.store.verification import Finding, Verified
 

@@ -11,11 +11,11 @@ from typing import Any
 
 from cgid.errors import BadData, NoInput
 from cgid.store.examination import damaged_rows, examine_file
-from cgid.store.header import FORMAT
+from cgid.store.header import FORMAT, RECORDING_FORMAT, TABLE_FORMAT
 from cgid.store.journal import JOURNAL, Unfinished, read_journal
 from cgid.store.manifest import MANIFEST, SHARD_NAME, Manifest, ShardEntry, is_entry, read_manifest
-from cgid.store.recording import RECORDING_FORMAT, RECORDING_NAME
-from cgid.store.table import TABLE_FORMAT, TABLE_SUFFIXES
+from cgid.store.recording import RECORDING_NAME
+from cgid.store.table import TABLE_SUFFIXES
 from cgid.store.table_reading import read_table
 
 #: What a run that was killed leaves beside the files it was writing.
