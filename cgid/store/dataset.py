@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -159,13 +158,6 @@ class Dataset:
             pre_trigger=self.pre_trigger,
         )
 
-    def damaged_shards(self) -> list[str]:
-        """Return the shards whose SHA-256 is not that of the manifest (none for a single file: it has no manifest)."""
-        if self._entries is None:
-            return []
-        pairs = zip(self._shards, self._entries, strict=True)
-        return [str(shard) for shard, entry in pairs if _sha256(shard) != entry.sha256]
-
 
 @contextmanager
 def opened(path: Path) -> Iterator[h5py.File]:
@@ -185,8 +177,3 @@ def opened(path: Path) -> Iterator[h5py.File]:
         raise BadData(f"{path}: is damaged ({error}); copy it again, or generate it anew") from None
     finally:
         file.close()
-
-
-def _sha256(path: Path) -> str:
-    with path.open("rb") as stream:
-        return hashlib.file_digest(stream, "sha256").hexdigest()

@@ -12,7 +12,7 @@ import h5py
 from cgid.errors import BadData
 from cgid.store.chunks import missing_chunks, storage_fault
 from cgid.store.dataset import DAMAGE, opened
-from cgid.store.header import FORMAT, attributes_of, plain_dataset, read_header, require_scene
+from cgid.store.header import FORMAT, attributes_of, is_inside, plain_dataset, read_header, require_scene
 from cgid.store.recording import RECORDING_FORMAT, Recording
 from cgid.store.table import TABLE_FORMAT
 
@@ -58,7 +58,7 @@ def examine_file(path: str | Path, steps: Mapping[str, int] | None = None) -> di
             _require_header(file, str(path), found["attributes"].get("format"))
             require_scene(found["attributes"], str(path))
             size = Path(path).stat().st_size
-            for name in _names(file, found["attributes"]["format"]):
+            for name in _names(file, found["attributes"]["format"], str(path)):
                 found["chunks"][name] = _examine(plain_dataset(file, name, str(path)), size, (steps or {}).get(name))
             main = file[_BESIDE[found["attributes"]["format"]][0]]
             creation = main.id.get_create_plist()
@@ -97,10 +97,13 @@ def _require_header(file: h5py.File, path: str, kind: Any) -> None:
         raise BadData(f"{path}: this HDF5 file must be a dataset, a recording or a table of cgid; it is none")
 
 
-def _names(file: h5py.File, kind: str) -> list[str]:
+def _names(file: h5py.File, kind: str, path: str) -> list[str]:
     group = _COLUMNS[kind]
-    columns = [f"{group}/{name}" for name in file[group]] if file.id.links.exists(group.encode()) else []
-    return [*_BESIDE[kind], *columns]
+    if not file.id.links.exists(group.encode()):
+        return [*_BESIDE[kind]]
+    if not is_inside(file, group) or not isinstance(file[group], h5py.Group):
+        raise BadData(f"{path}: {group} must be a group of the file itself; it is a link or a dataset")
+    return [*_BESIDE[kind], *(f"{group}/{name}" for name in file[group])]
 
 
 def _examine(item: h5py.Dataset, file_size: int, step: int | None) -> list[tuple[int, int, str]]:

@@ -91,7 +91,7 @@ def generate_recordings(
     if is_single_file(path):
         if not (resume and path.exists() and _is_made(path, plan, overwrite)):
             plan.require_room(path.parent)
-            _write(path, plan, scene, seed, 0, progress, overwrite=overwrite)
+            write_recording(path, plan, scene, seed, 0, progress, overwrite=overwrite)
         return path
     goal = Goal(
         output=path,
@@ -117,11 +117,11 @@ def _write_missing(
     plan.require_room(run.folder, n_recordings - len(there))
     for number, name in enumerate(names):
         if name not in there:
-            _write(run.folder / name, plan, scene, seed, number, progress)
+            write_recording(run.folder / name, plan, scene, seed, number, progress)
             run.add(file_facts(run.folder / name))
 
 
-def _write(
+def write_recording(
     path: Path,
     plan: RecordingPlan,
     scene: Scene,
@@ -131,6 +131,7 @@ def _write(
     *,
     overwrite: bool = True,
 ) -> None:
+    """Write one recording of a stream, by its number; see `generate_recordings`."""
     dtype: Any = plan.dtype
     own = replace(plan, attributes={**plan.attributes, "recording": number})
     truth = []
