@@ -281,8 +281,12 @@ def test_a_single_file_has_no_manifest_to_compare_with(made):
 
 
 def rewrite(folder, **changes):
+    """Change what a manifest says and give it the SHA-256 of that, as whoever means to deceive would."""
     file = folder / "manifest.json"
-    file.write_text(json.dumps({**json.loads(file.read_text()), **changes}))
+    content = {**json.loads(file.read_text()), **changes}
+    del content["digest"]
+    digest = hashlib.sha256(json.dumps(content, sort_keys=True, separators=(",", ":")).encode()).hexdigest()
+    file.write_text(json.dumps({**content, "digest": digest}))
 
 
 def shards_of(folder):
@@ -302,9 +306,16 @@ def test_junk_for_a_manifest(folder, junk):
         Dataset(folder)
 
 
-def test_manifest_of_another_version(folder):
-    rewrite(folder, schema_version=2)
-    with pytest.raises(BadData, match="schema_version must be 1, got 2"):
+def test_manifest_of_a_newer_version(folder):
+    rewrite(folder, schema_version=7)
+    with pytest.raises(BadData, match=r"schema 7 is newer than this cgid \(reads 1 to 2\): upgrade cgid"):
+        Dataset(folder)
+
+
+@pytest.mark.parametrize("version", [0, -1, "2", 2.0, None, True])
+def test_manifest_of_no_version(folder, version):
+    rewrite(folder, schema_version=version)
+    with pytest.raises(BadData, match="schema_version must be a whole number"):
         Dataset(folder)
 
 
@@ -320,7 +331,7 @@ def test_file_names_outside_the_folder_are_refused(folder, name):
 
 
 @pytest.mark.parametrize(
-    "shards", [None, [], {}, "x", [1], [{}], [{"file": "shard-00000.h5", "n_signals": 0, "sha256": ""}]]
+    "shards", [None, [], {}, "x", [1], [{}], [{"file": "shard-00000.h5", "n_signals": 1, "sha256": "0" * 64}]]
 )
 def test_lists_of_shards_that_are_none(folder, shards):
     rewrite(folder, shards=shards)
@@ -711,11 +722,12 @@ def test_disk_full_keeps_the_old_file(copy, monkeypatch):
 
 
 def test_disk_full_in_the_middle_of_a_folder(tmp_path, monkeypatch):
-    sync, calls = os.fsync, []
+    sync, files = os.fsync, []
 
     def third_fails(descriptor):
-        calls.append(descriptor)
-        return no_space() if len(calls) == 3 else sync(descriptor)
+        if os.fstat(descriptor).st_size > 30_000:  # neither a folder nor a journal
+            files.append(descriptor)
+        return no_space() if len(files) == 3 else sync(descriptor)
 
     monkeypatch.setattr(os, "fsync", third_fails)
     with pytest.raises(WriteFailed, match=r"shard-00002\.h5"):

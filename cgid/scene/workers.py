@@ -13,7 +13,8 @@ from cgid.scene.scene import Scene
 from cgid.scene.synthesis import synthesise
 from cgid.signals import Batch
 from cgid.store import DatasetWriter
-from cgid.store.writing import BuiltShard, ShardEntry
+from cgid.store.manifest import ShardEntry
+from cgid.store.writing import BuiltShard
 
 
 def write_shards(

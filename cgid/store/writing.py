@@ -4,38 +4,23 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
-import json
 import re
 import shutil
 from collections import Counter
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from cgid.errors import CannotCreate, InvalidValue
 from cgid.files import write_whole
 from cgid.signals import Batch
-from cgid.store.header import FORMAT, LARGEST_SHARD, SCHEMA_VERSION
+from cgid.store.header import FORMAT, LARGEST_SHARD
+from cgid.store.manifest import MANIFEST, SHARD_NAME, Manifest, ShardEntry
 from cgid.store.shard import ShardBuilder, ShardPlan
 
-MANIFEST = "manifest.json"
-SHARD_NAME = r"shard-[0-9]{5,}\.h5"
 #: What a dataset folder may hold, with what a killed run leaves behind.
 _OURS = re.compile(rf"(manifest\.json|{SHARD_NAME})|\.(manifest\.json|{SHARD_NAME})\.[0-9a-f]+\.part")
 SUFFIXES = (".h5", ".hdf5")
-
-
-@dataclass(frozen=True)
-class ShardEntry:
-    """A line of the manifest."""
-
-    file: str
-    first_signal: int
-    n_signals: int
-    bytes: int
-    sha256: str
-    labels: dict[str, int]
 
 
 @dataclass(frozen=True)
@@ -184,12 +169,13 @@ class DatasetWriter:
         """Write the manifest of a folder; only now it is a dataset."""
         if is_single_file(self.output):
             return
-        listed = sorted(entries, key=lambda entry: entry.first_signal)
-        manifest: dict[str, Any] = {
-            "format": FORMAT,
-            "schema_version": SCHEMA_VERSION,
-            "n_signals": self.n_signals,
-            "attributes": dict(self.plan.attributes),
-            "shards": [vars(entry) for entry in listed],
-        }
-        write_whole(self.output / MANIFEST, (json.dumps(manifest, indent=1) + "\n").encode())
+        manifest = Manifest(
+            n_signals=self.n_signals,
+            shard_signals=self.shard_signals,
+            n_samples=self.plan.n_samples,
+            dtype=self.plan.dtype,
+            compression=self.plan.compression,
+            attributes=self.plan.attributes,
+            shards=tuple(sorted(entries, key=lambda entry: entry.first_signal)),
+        )
+        write_whole(self.output / MANIFEST, manifest.to_bytes())
