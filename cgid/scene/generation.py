@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from cgid import __version__, validation
+from cgid.cluster import workers
 from cgid.errors import InvalidValue
 from cgid.scene.population import parameter_units
 from cgid.scene.scene import Scene
@@ -36,6 +37,7 @@ def generate(
     shard_signals: int = SHARD_SIGNALS,
     compression: Literal["none", "gzip"] = "none",
     overwrite: bool = False,
+    scheduler: str | None = None,
     progress: Callable[[int], object] | None = None,
 ) -> Path:
     """Write a dataset and return its path.
@@ -56,13 +58,20 @@ def generate(
         gzip (level 4 after a byte shuffle) is about twenty times slower on noisy signals and saves a tenth.
     overwrite : bool
         Whether an old dataset may be replaced.
+    scheduler : str, optional
+        Address of a dask scheduler, such as tcp://192.168.0.7:8786, whose workers make the shards in place of `jobs`;
+        the output lies in a folder that all of them share, by the same name.
     progress : callable, optional
         Called with a number of signals whenever so many more are done.
 
     Raises
     ------
     CannotCreate
-        The output exists, or cannot be made.
+        The output exists, or cannot be made, or a worker does not share its folder.
+    ClusterFailed
+        The scheduler does not answer, has no workers, or has lost them.
+    MissingExtra
+        dask.distributed is not installed.
     WriteFailed
         The disk is full; finished shards stay, but without a manifest they are no dataset.
     InvalidValue
@@ -94,17 +103,18 @@ def generate(
     # More workers than shards or processors only cost memory.
     jobs = min(jobs, len(writer.shards), os.cpu_count() or 1)
     next(synthesise(scene, 1, seed))  # what is wrong with the scene or the seed shows before anything is written
-    writer.begin(overwrite)
-    entries = []
-    try:
-        with closing(write_shards(writer, scene, seed, dtype, jobs, progress)) as written:
-            for entry in written:
-                entries.append(entry)
-                if progress is not None and jobs > 1:
-                    progress(entry.n_signals)
-    except BaseException:
-        writer.abandon()
-        raise
+    with workers(jobs, scheduler) as crew:  # a cluster that does not answer is told before anything is written
+        writer.begin(overwrite)
+        entries = []
+        try:
+            with closing(write_shards(writer, scene, seed, dtype, crew, progress)) as written:
+                for entry in written:
+                    entries.append(entry)
+                    if progress is not None and not crew.alone:
+                        progress(entry.n_signals)
+        except BaseException:
+            writer.abandon()
+            raise
     writer.finish(entries)
     return path
 
