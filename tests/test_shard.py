@@ -137,6 +137,20 @@ def test_chunks_are_byte_for_byte_what_hdf5_writes():
             assert ours.read_direct_chunk(place) == theirs.read_direct_chunk(place)
 
 
+@pytest.mark.parametrize("compression", ["none", "gzip"])
+def test_who_holds_on_to_a_dataset_changes_no_byte(monkeypatch, compression):
+    expected, held, look_up = build((), compression=compression), [], h5py.Group.__getitem__
+
+    def looked_up(group, name):
+        found = look_up(group, name)
+        held.extend([found] if name == "specimen" else [])  # as a profiler does that looks at frames
+        return found
+
+    monkeypatch.setattr(h5py.Group, "__getitem__", looked_up)
+    assert build((), compression=compression) == expected
+    assert held
+
+
 def test_memory_that_was_taken_too_small_grows(monkeypatch):
     expected = build(())
     monkeypatch.setattr("cgid.store.shard.MemoryFile", lambda capacity: MemoryFile(capacity // 50))
