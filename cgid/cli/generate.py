@@ -34,7 +34,13 @@ _OF_DATASETS = (*_OF_RECORDINGS, "shard_signals", "compression", "jobs")
 @click.option("--jobs", type=int, default=1, show_default=True, help="Worker processes.")
 @click.option("--dtype", type=click.Choice(["float32", "float64"]), default="float32", show_default=True)
 @click.option("--shard-signals", type=int, default=4096, show_default=True, help="Signals in each shard of a folder.")
-@click.option("--compression", type=click.Choice(["none", "gzip"]), default="none", show_default=True)
+@click.option(
+    "--compression",
+    type=click.Choice(["none", "gzip", "zstd", "blosc2"]),
+    default="none",
+    show_default=True,
+    help="Of the signals. Everything reads gzip; zstd and blosc2 need the extra compression.",
+)
 @click.option("--overwrite", is_flag=True, help="Replace an old dataset.")
 @click.option("--features-only", is_flag=True, help="A table of features instead of signals.")
 @click.option("--features", help="Only these, with commas between them; by default those of a model.")

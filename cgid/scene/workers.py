@@ -5,15 +5,13 @@ from __future__ import annotations
 import signal
 import threading
 import warnings
-from collections.abc import Callable, Generator, Iterator
-from concurrent.futures import Future, ThreadPoolExecutor
+from collections.abc import Callable, Generator
 from typing import Literal
 
+from cgid.scene.overlap import write_in_turn
 from cgid.scene.scene import Scene
-from cgid.scene.synthesis import synthesise
-from cgid.signals import Batch
 from cgid.store import DatasetWriter
-from cgid.store.writing import BuiltShard, ShardEntry
+from cgid.store.writing import ShardEntry
 
 
 def write_shards(
@@ -26,17 +24,7 @@ def write_shards(
 ) -> Generator[ShardEntry, None, None]:
     """Make all shards of a dataset and write them; yield each one's line of the manifest as it is done."""
     if jobs == 1:
-        # One thread hashes and writes a shard while the next one is made: neither holds Python's lock.
-        with ThreadPoolExecutor(max_workers=1) as disk:
-            waiting: Future[ShardEntry] | None = None
-            for shard in writer.shards:
-                built = _build(writer, scene, seed, dtype, shard, progress)
-                if waiting is not None:
-                    yield waiting.result()
-                waiting = disk.submit(writer.put, built)
-                del built  # the thread alone keeps it, until it is written
-            if waiting is not None:
-                yield waiting.result()
+        yield from write_in_turn(writer, scene, seed, dtype, writer.shards, progress)
         return
     import joblib
 
@@ -57,23 +45,5 @@ def _write_one(
     # Ctrl-C reaches every process of the group; the one that waits for the workers answers it.
     if threading.current_thread() is threading.main_thread():
         signal.signal(signal.SIGINT, signal.SIG_IGN)
-    return writer.put(_build(writer, scene, seed, dtype, shard))
-
-
-def _build(
-    writer: DatasetWriter,
-    scene: Scene,
-    seed: int,
-    dtype: Literal["float32", "float64"],
-    shard: tuple[int, int, int],
-    progress: Callable[[int], object] | None = None,
-) -> BuiltShard:
-    number, first, count = shard
-
-    def batches() -> Iterator[Batch]:
-        for batch in synthesise(scene, count, seed, first=first, dtype=dtype):
-            yield batch
-            if progress is not None:
-                progress(len(batch))
-
-    return writer.build_shard(number, first, count, batches())
+    (entry,) = write_in_turn(writer, scene, seed, dtype, [shard])
+    return entry
