@@ -36,7 +36,13 @@ _OF_DATASETS = (*_OF_RECORDINGS, "shard_signals", "compression", "jobs", "schedu
 @click.option("--scheduler", help="Of a dask cluster, such as tcp://192.168.0.7:8786: its workers make the shards.")
 @click.option("--dtype", type=click.Choice(["float32", "float64"]), default="float32", show_default=True)
 @click.option("--shard-signals", type=int, default=4096, show_default=True, help="Signals in each shard of a folder.")
-@click.option("--compression", type=click.Choice(["none", "gzip"]), default="none", show_default=True)
+@click.option(
+    "--compression",
+    type=click.Choice(["none", "gzip", "zstd", "blosc2"]),
+    default="none",
+    show_default=True,
+    help="Of the signals. Everything reads gzip; zstd and blosc2 need the extra compression.",
+)
 @click.option("--overwrite", is_flag=True, help="Replace an old dataset when the new one is whole.")
 @click.option("--resume", is_flag=True, help="Go on with a run that was not finished, to the bytes it would have made.")
 @click.option("--features-only", is_flag=True, help="A table of features instead of signals.")

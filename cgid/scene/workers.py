@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import platform
 import time
-from collections.abc import Callable, Generator, Iterator
-from concurrent.futures import Future, ThreadPoolExecutor
+from collections.abc import Callable, Generator
 from contextlib import closing
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -13,12 +12,10 @@ from typing import Literal
 
 from cgid.cluster import Workers
 from cgid.errors import CannotCreate
+from cgid.scene.overlap import write_in_turn
 from cgid.scene.scene import Scene
-from cgid.scene.synthesis import synthesise
-from cgid.signals import Batch
 from cgid.store import DatasetWriter
 from cgid.store.manifest import ShardEntry
-from cgid.store.writing import BuiltShard
 
 #: What another machine has written may be seen here so much later [s]: network file systems remember what was missing.
 PATIENCE = 30.0
@@ -49,17 +46,7 @@ def write_shards(
     are called off.
     """
     if crew.alone:
-        # One thread hashes and writes a shard while the next one is made: neither holds Python's lock.
-        with ThreadPoolExecutor(max_workers=1) as disk:
-            waiting: Future[ShardEntry] | None = None
-            for shard in shards:
-                built = _build(writer, scene, seed, dtype, shard, progress)
-                if waiting is not None:
-                    yield waiting.result()
-                waiting = disk.submit(writer.put, built)
-                del built  # the thread alone keeps it, until it is written
-            if waiting is not None:
-                yield waiting.result()
+        yield from write_in_turn(writer, scene, seed, dtype, shards, progress)
         return
     asked = _Asked(writer=writer, scene=scene, seed=seed, dtype=dtype)
     if crew.elsewhere:
@@ -80,7 +67,8 @@ def _anywhere(asked: _Asked) -> _Asked:
 
 
 def _write_one(asked: _Asked, shard: tuple[int, int, int]) -> ShardEntry:
-    return asked.writer.put(_build(asked.writer, asked.scene, asked.seed, asked.dtype, shard))
+    (entry,) = write_in_turn(asked.writer, asked.scene, asked.seed, asked.dtype, [shard])
+    return entry
 
 
 def _write_shared(asked: _Asked, shard: tuple[int, int, int]) -> ShardEntry:
@@ -112,22 +100,3 @@ def _size(path: Path) -> int | None:
         return path.stat().st_size
     except OSError:
         return None
-
-
-def _build(
-    writer: DatasetWriter,
-    scene: Scene,
-    seed: int,
-    dtype: Literal["float32", "float64"],
-    shard: tuple[int, int, int],
-    progress: Callable[[int], object] | None = None,
-) -> BuiltShard:
-    number, first, count = shard
-
-    def batches() -> Iterator[Batch]:
-        for batch in synthesise(scene, count, seed, first=first, dtype=dtype):
-            yield batch
-            if progress is not None:
-                progress(len(batch))
-
-    return writer.build_shard(number, first, count, batches())
