@@ -227,7 +227,7 @@ def _versions() -> dict[str, str]:
 
 
 def _until_failure(parts: Iterable[Part], failures: list[BaseException]) -> Iterator[Part]:
-    """Yield the parts; a failure in making them ends them and is kept: joblib asks in threads, where it would be lost."""
+    """Yield the parts; a failure in making them ends them and is kept: joblib asks in threads, and would lose it."""
     try:
         yield from parts
     except Exception as error:
