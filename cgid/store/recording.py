@@ -125,7 +125,7 @@ class RecordingWriter:
 
 
 @contextmanager
-def writing(path: str | Path, plan: RecordingPlan) -> Iterator[RecordingWriter]:
+def writing(path: str | Path, plan: RecordingPlan, *, overwrite: bool = True) -> Iterator[RecordingWriter]:
     """Yield the writer of a recording that bears its name when this context is left without an error.
 
     Raises
@@ -143,7 +143,7 @@ def writing(path: str | Path, plan: RecordingPlan) -> Iterator[RecordingWriter]:
             f"{path}: a recording must be at most {LARGEST_RECORDING / 2**30:g} GiB of samples, "
             f"{plan.n_samples} of {plan.dtype} make {plan.size / 2**30:.3g} GiB; make several"
         )
-    with whole_file(path) as temporary, hdf5_on_disk(temporary) as output:
+    with whole_file(path, overwrite=overwrite) as temporary, hdf5_on_disk(temporary) as output:
         writer = RecordingWriter(output, plan)
         yield writer
         writer.require_whole()
