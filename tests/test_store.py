@@ -293,8 +293,12 @@ def test_a_single_file_has_no_manifest_to_compare_with(made):
 
 
 def rewrite(folder, **changes):
+    """Change what a manifest says and give it the SHA-256 of that, as whoever means to deceive would."""
     file = folder / "manifest.json"
-    file.write_text(json.dumps({**json.loads(file.read_text()), **changes}))
+    content = {**json.loads(file.read_text()), **changes}
+    del content["digest"]
+    digest = hashlib.sha256(json.dumps(content, sort_keys=True, separators=(",", ":")).encode()).hexdigest()
+    file.write_text(json.dumps({**content, "digest": digest}))
 
 
 def shards_of(folder):
@@ -314,9 +318,16 @@ def test_junk_for_a_manifest(folder, junk):
         Dataset(folder)
 
 
-def test_manifest_of_another_version(folder):
-    rewrite(folder, schema_version=2)
-    with pytest.raises(BadData, match="schema_version must be 1, got 2"):
+def test_manifest_of_a_newer_version(folder):
+    rewrite(folder, schema_version=7)
+    with pytest.raises(BadData, match=r"schema 7 is newer than this cgid \(reads 1 to 2\): upgrade cgid"):
+        Dataset(folder)
+
+
+@pytest.mark.parametrize("version", [0, -1, "2", 2.0, None, True])
+def test_manifest_of_no_version(folder, version):
+    rewrite(folder, schema_version=version)
+    with pytest.raises(BadData, match="schema_version must be a whole number"):
         Dataset(folder)
 
 
@@ -332,7 +343,7 @@ def test_file_names_outside_the_folder_are_refused(folder, name):
 
 
 @pytest.mark.parametrize(
-    "shards", [None, [], {}, "x", [1], [{}], [{"file": "shard-00000.h5", "n_signals": 0, "sha256": ""}]]
+    "shards", [None, [], {}, "x", [1], [{}], [{"file": "shard-00000.h5", "n_signals": 1, "sha256": "0" * 64}]]
 )
 def test_lists_of_shards_that_are_none(folder, shards):
     rewrite(folder, shards=shards)
@@ -605,7 +616,7 @@ def test_an_interrupted_run_leaves_no_manifest(tmp_path, reason, jobs):
     def progress(count):
         nonlocal done
         done += count
-        if done > 500:
+        if done > 700:  # one shard is finished and noted
             raise reason
 
     with pytest.raises(reason):
@@ -723,16 +734,21 @@ def test_disk_full_keeps_the_old_file(copy, monkeypatch):
 
 
 def test_disk_full_in_the_middle_of_a_folder(tmp_path, monkeypatch):
-    sync, calls = os.fsync, []
+    sync, files = os.fsync, []
 
     def third_fails(descriptor):
-        calls.append(descriptor)
-        return no_space() if len(calls) == 3 else sync(descriptor)
+        if os.fstat(descriptor).st_size > 30_000:  # neither a folder nor a journal
+            files.append(descriptor)
+        return no_space() if len(files) == 3 else sync(descriptor)
 
     monkeypatch.setattr(os, "fsync", third_fails)
     with pytest.raises(WriteFailed, match=r"shard-00002\.h5"):
         generate(scene_of(32), tmp_path / "data", 1000, shard_signals=256)
-    assert sorted(path.name for path in (tmp_path / "data").iterdir()) == ["shard-00000.h5", "shard-00001.h5"]
+    left = ["shard-00000.h5", "shard-00001.h5", "unfinished.jsonl"]
+    assert sorted(path.name for path in (tmp_path / "data").iterdir()) == left
+    monkeypatch.undo()
+    generate(scene_of(32), tmp_path / "data", 1000, shard_signals=256, resume=True)
+    assert len(Dataset(tmp_path / "data")) == 1000
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="there is no /dev/full to write to")

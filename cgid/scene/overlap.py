@@ -20,7 +20,7 @@ from cgid.scene.scene import Scene
 from cgid.scene.synthesis import synthesise
 from cgid.signals import Batch
 from cgid.store import DatasetWriter
-from cgid.store.writing import ShardEntry
+from cgid.store.manifest import ShardEntry
 
 #: Signals made ahead take at most so much memory [bytes], or one block, and are at most so many blocks.
 _AHEAD_BYTES, _AHEAD_BLOCKS = 32 << 20, 16

@@ -11,7 +11,7 @@ from typing import Literal
 from cgid.scene.overlap import write_in_turn
 from cgid.scene.scene import Scene
 from cgid.store import DatasetWriter
-from cgid.store.writing import ShardEntry
+from cgid.store.manifest import ShardEntry
 
 
 def write_shards(
@@ -19,16 +19,17 @@ def write_shards(
     scene: Scene,
     seed: int,
     dtype: Literal["float32", "float64"],
+    shards: list[tuple[int, int, int]],
     jobs: int,
     progress: Callable[[int], object] | None,
 ) -> Generator[ShardEntry, None, None]:
-    """Make all shards of a dataset and write them; yield each one's line of the manifest as it is done."""
+    """Make these shards of a dataset and write them; yield each one's line of the manifest as it is done."""
     if jobs == 1:
-        yield from write_in_turn(writer, scene, seed, dtype, writer.shards, progress)
+        yield from write_in_turn(writer, scene, seed, dtype, shards, progress)
         return
     import joblib
 
-    work = (joblib.delayed(_write_one)(writer, scene, seed, dtype, shard) for shard in writer.shards)
+    work = (joblib.delayed(_write_one)(writer, scene, seed, dtype, shard) for shard in shards)
     results = joblib.Parallel(n_jobs=jobs, return_as="generator_unordered")(work)
     try:
         for entry in results:  # noqa: UP028 - `yield from` would pass an interruption on before the warning is off

@@ -10,7 +10,6 @@ It lies beside its name until it is finished and flushed, and only then bears it
 
 from __future__ import annotations
 
-import contextlib
 import re
 import shutil
 from collections.abc import Iterator, Mapping
@@ -23,11 +22,12 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from cgid.errors import BadData, CannotCreate, InvalidValue, NoInput, WriteFailed
+from cgid.errors import BadData, CannotCreate, InvalidValue, NoInput
 from cgid.files import whole_file
 from cgid.signals import UNITS, Signal, quantity_of
 from cgid.store.dataset import opened
-from cgid.store.header import LARGEST_SHARD, attributes_of, is_inside, plain_dataset, text_of
+from cgid.store.disk import Hdf5OnDisk, hdf5_on_disk
+from cgid.store.header import LARGEST_SHARD, attributes_of, is_inside, plain_dataset, require_scene, text_of
 
 RECORDING_FORMAT = "cgid-recording"
 RECORDING_SCHEMA_VERSION = 1
@@ -80,17 +80,19 @@ class RecordingPlan:
 class RecordingWriter:
     """A recording on its way to the disk; see `writing`."""
 
-    def __init__(self, file: h5py.File, plan: RecordingPlan, path: Path) -> None:
-        self._file, self._plan, self._path, self._filled = file, plan, path, 0
+    def __init__(self, output: Hdf5OnDisk, plan: RecordingPlan) -> None:
+        self._output, self._plan, self._filled = output, plan, 0
         stored = {"format": RECORDING_FORMAT, "schema_version": RECORDING_SCHEMA_VERSION, **plan.attributes}
-        for name, value in stored.items():
-            file.attrs[name] = np.bytes_(value.encode()) if isinstance(value, str) else value
-        chunks = (min(_CHUNK_SAMPLES, plan.n_samples),)
-        self._samples = file.create_dataset("samples", (plan.n_samples,), plan.dtype, chunks=chunks, fletcher32=True)
-        self._samples.attrs["sampling_rate"] = plan.sampling_rate
-        self._samples.attrs["start"] = 0.0
-        self._samples.attrs["unit"] = np.bytes_(plan.unit.encode())
-        self._samples.attrs["quantity"] = np.bytes_(quantity_of(plan.unit).encode())
+        with output.step() as file:
+            for name, value in stored.items():
+                file.attrs[name] = np.bytes_(value.encode()) if isinstance(value, str) else value
+            chunks = (min(_CHUNK_SAMPLES, plan.n_samples),)
+            samples = file.create_dataset("samples", (plan.n_samples,), plan.dtype, chunks=chunks, fletcher32=True)
+            samples.attrs["sampling_rate"] = plan.sampling_rate
+            samples.attrs["start"] = 0.0
+            samples.attrs["unit"] = np.bytes_(plan.unit.encode())
+            samples.attrs["quantity"] = np.bytes_(quantity_of(plan.unit).encode())
+        self._samples = samples
 
     def add(self, samples: NDArray[Any]) -> None:
         """Append samples."""
@@ -98,20 +100,20 @@ class RecordingWriter:
         if behind > self._plan.n_samples:
             raise BadData(f"a recording of {self._plan.n_samples} samples was given {behind}")
         if samples.size:
-            with _told(self._path):
+            with self._output.step():
                 self._samples[self._filled : behind] = samples
         self._filled = behind
 
     def add_impacts(self, impacts: Mapping[str, NDArray[Any]], units: Mapping[str, str]) -> None:
         """Write the truth of all impacts: columns of one length, numbers in `units`, and text."""
         (count,) = {len(column) for column in impacts.values()}
-        self._file.attrs["n_impacts"] = count
-        with _told(self._path):
+        with self._output.step() as file:
+            file.attrs["n_impacts"] = count
             for name, column in impacts.items():
                 values = np.char.encode(column, "utf-8") if column.dtype.kind == "U" else column
                 # A chunk has a row even where there are no impacts.
                 chunks = (min(_CHUNK_IMPACTS, max(count, 1)),)
-                stored = self._file.create_dataset(
+                stored = file.create_dataset(
                     f"impacts/{name}", (count,), values.dtype, chunks=chunks, maxshape=(None,), fletcher32=True
                 )
                 stored[:] = values
@@ -124,7 +126,7 @@ class RecordingWriter:
 
 
 @contextmanager
-def writing(path: str | Path, plan: RecordingPlan) -> Iterator[RecordingWriter]:
+def writing(path: str | Path, plan: RecordingPlan, *, overwrite: bool = True) -> Iterator[RecordingWriter]:
     """Yield the writer of a recording that bears its name when this context is left without an error.
 
     Raises
@@ -142,29 +144,10 @@ def writing(path: str | Path, plan: RecordingPlan) -> Iterator[RecordingWriter]:
             f"{path}: a recording must be at most {LARGEST_RECORDING / 2**30:g} GiB of samples, "
             f"{plan.n_samples} of {plan.dtype} make {plan.size / 2**30:.3g} GiB; make several"
         )
-    with whole_file(path) as temporary:
-        with _told(path):
-            file = h5py.File(temporary, "w", libver=("v110", "v110"))
-        try:
-            writer = RecordingWriter(file, plan, path)
-            yield writer
-            writer.require_whole()
-        except BaseException:
-            with contextlib.suppress(OSError, RuntimeError):
-                file.close()
-            raise
-        with _told(path):
-            file.close()
-
-
-@contextmanager
-def _told(path: Path) -> Iterator[None]:
-    """Say what HDF5 says of a full or broken disk, which it tells as either of two errors."""
-    try:
-        yield
-    except (OSError, RuntimeError) as error:
-        reason = getattr(error, "strerror", None) or str(error).split(",")[0]
-        raise WriteFailed(f"{path}: writing failed ({reason}); nothing was left behind, free some space") from None
+    with whole_file(path, overwrite=overwrite) as temporary, hdf5_on_disk(temporary) as output:
+        writer = RecordingWriter(output, plan)
+        yield writer
+        writer.require_whole()
 
 
 def is_recording(path: str | Path) -> bool:
@@ -225,6 +208,7 @@ class Recording:
             raise BadData(
                 f"{path}: schema_version must be {RECORDING_SCHEMA_VERSION}, got {version}: use the cgid that wrote it"
             )
+        require_scene(self.attributes, path)
         samples = plain_dataset(file, "samples", path)
         if samples.ndim != 1 or samples.dtype not in (np.float32, np.float64) or not samples.size:
             raise BadData(f"{path}: samples must be a row of floats, got shape {samples.shape} of {samples.dtype}")
