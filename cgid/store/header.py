@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -31,6 +32,8 @@ class ShardHeader:
     unit: str
     parameter_units: Mapping[str, str]
     attributes: Mapping[str, Any]
+    #: Bytes of a stored label.
+    label_width: int
 
 
 def require_schema(source: str, version: Any, known: int) -> None:
@@ -39,6 +42,13 @@ def require_schema(source: str, version: Any, known: int) -> None:
         raise BadData(f"{source}: schema_version {version} is newer than this cgid, which reads {known}: upgrade cgid")
     if version != known:
         raise BadData(f"{source}: schema_version must be {known}, got {version!r}: use the cgid that wrote it")
+
+
+def require_scene(attributes: Mapping[str, Any], path: str) -> None:
+    """Raise `BadData` if the text of the scene is not the one that was hashed: HDF5 does not check long attributes."""
+    scene, digest = attributes.get("scene"), attributes.get("scene_sha256")
+    if scene is not None and hashlib.sha256(str(scene).encode()).hexdigest() != digest:
+        raise BadData(f"{path}: the text of the scene must fit scene_sha256, it does not; generate the file again")
 
 
 def text_of(labels: NDArray[np.bytes_]) -> NDArray[np.str_]:

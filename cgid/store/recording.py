@@ -10,7 +10,6 @@ It lies beside its name until it is finished and flushed, and only then bears it
 
 from __future__ import annotations
 
-import contextlib
 import re
 import shutil
 from collections.abc import Generator, Iterator, Mapping
@@ -22,14 +21,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cgid.errors import BadData, CannotCreate, InvalidValue, NoInput, WriteFailed
+from cgid.errors import BadData, CannotCreate, InvalidValue, NoInput
 from cgid.files import whole_file
 from cgid.signals import Signal, quantity_of
 from cgid.store import apart
 from cgid.store.header import LARGEST_SHARD, RECORDING_FORMAT, RECORDING_SCHEMA_VERSION, text_of
 
 if TYPE_CHECKING:
-    import h5py
+    from cgid.store.disk import Hdf5OnDisk
 
 #: No longer recording is made.
 LARGEST_RECORDING = LARGEST_SHARD
@@ -82,17 +81,19 @@ class RecordingPlan:
 class RecordingWriter:
     """A recording on its way to the disk; see `writing`."""
 
-    def __init__(self, file: h5py.File, plan: RecordingPlan, path: Path) -> None:
-        self._file, self._plan, self._path, self._filled = file, plan, path, 0
+    def __init__(self, output: Hdf5OnDisk, plan: RecordingPlan) -> None:
+        self._output, self._plan, self._filled = output, plan, 0
         stored = {"format": RECORDING_FORMAT, "schema_version": RECORDING_SCHEMA_VERSION, **plan.attributes}
-        for name, value in stored.items():
-            file.attrs[name] = np.bytes_(value.encode()) if isinstance(value, str) else value
-        chunks = (min(_CHUNK_SAMPLES, plan.n_samples),)
-        self._samples = file.create_dataset("samples", (plan.n_samples,), plan.dtype, chunks=chunks, fletcher32=True)
-        self._samples.attrs["sampling_rate"] = plan.sampling_rate
-        self._samples.attrs["start"] = 0.0
-        self._samples.attrs["unit"] = np.bytes_(plan.unit.encode())
-        self._samples.attrs["quantity"] = np.bytes_(quantity_of(plan.unit).encode())
+        with output.step() as file:
+            for name, value in stored.items():
+                file.attrs[name] = np.bytes_(value.encode()) if isinstance(value, str) else value
+            chunks = (min(_CHUNK_SAMPLES, plan.n_samples),)
+            samples = file.create_dataset("samples", (plan.n_samples,), plan.dtype, chunks=chunks, fletcher32=True)
+            samples.attrs["sampling_rate"] = plan.sampling_rate
+            samples.attrs["start"] = 0.0
+            samples.attrs["unit"] = np.bytes_(plan.unit.encode())
+            samples.attrs["quantity"] = np.bytes_(quantity_of(plan.unit).encode())
+        self._samples = samples
 
     def add(self, samples: NDArray[Any]) -> None:
         """Append samples."""
@@ -100,20 +101,20 @@ class RecordingWriter:
         if behind > self._plan.n_samples:
             raise BadData(f"a recording of {self._plan.n_samples} samples was given {behind}")
         if samples.size:
-            with _told(self._path):
+            with self._output.step():
                 self._samples[self._filled : behind] = samples
         self._filled = behind
 
     def add_impacts(self, impacts: Mapping[str, NDArray[Any]], units: Mapping[str, str]) -> None:
         """Write the truth of all impacts: columns of one length, numbers in `units`, and text."""
         (count,) = {len(column) for column in impacts.values()}
-        self._file.attrs["n_impacts"] = count
-        with _told(self._path):
+        with self._output.step() as file:
+            file.attrs["n_impacts"] = count
             for name, column in impacts.items():
                 values = np.char.encode(column, "utf-8") if column.dtype.kind == "U" else column
                 # A chunk has a row even where there are no impacts.
                 chunks = (min(_CHUNK_IMPACTS, max(count, 1)),)
-                stored = self._file.create_dataset(
+                stored = file.create_dataset(
                     f"impacts/{name}", (count,), values.dtype, chunks=chunks, maxshape=(None,), fletcher32=True
                 )
                 stored[:] = values
@@ -144,32 +145,13 @@ def writing(path: str | Path, plan: RecordingPlan) -> Iterator[RecordingWriter]:
             f"{path}: a recording must be at most {LARGEST_RECORDING / 2**30:g} GiB of samples, "
             f"{plan.n_samples} of {plan.dtype} make {plan.size / 2**30:.3g} GiB; make several"
         )
-    # Who reads recordings does without.
-    import h5py
+    # Who reads recordings does without h5py.
+    from cgid.store.disk import hdf5_on_disk
 
-    with whole_file(path) as temporary:
-        with _told(path):
-            file = h5py.File(temporary, "w", libver=("v110", "v110"))
-        try:
-            writer = RecordingWriter(file, plan, path)
-            yield writer
-            writer.require_whole()
-        except BaseException:
-            with contextlib.suppress(OSError, RuntimeError):
-                file.close()
-            raise
-        with _told(path):
-            file.close()
-
-
-@contextmanager
-def _told(path: Path) -> Iterator[None]:
-    """Say what HDF5 says of a full or broken disk, which it tells as either of two errors."""
-    try:
-        yield
-    except (OSError, RuntimeError) as error:
-        reason = getattr(error, "strerror", None) or str(error).split(",")[0]
-        raise WriteFailed(f"{path}: writing failed ({reason}); nothing was left behind, free some space") from None
+    with whole_file(path) as temporary, hdf5_on_disk(temporary) as output:
+        writer = RecordingWriter(output, plan)
+        yield writer
+        writer.require_whole()
 
 
 def is_recording(path: str | Path) -> bool:
