@@ -758,6 +758,8 @@ def test_a_file_above_2_gib_is_refused_with_the_cure(tmp_path):
         generate(scene_of(), tmp_path / "large.h5", n_signals)
     with pytest.raises(InvalidValue, match="ask for smaller"):
         generate(scene_of(), tmp_path / "large", n_signals, shard_signals=n_signals)
+    with pytest.raises(InvalidValue, match="shard_signals must be at least 4 for 1000000 signals, got 3"):
+        generate(scene_of(), tmp_path / "many", 10**6, shard_signals=3)
     assert list(tmp_path.iterdir()) == []
 
 
