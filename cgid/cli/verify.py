@@ -9,6 +9,9 @@ import click
 
 from cgid.cli.options import each_file, print_json, progress_bar
 
+#: Problems that are told, and left as they are.
+_KEPT = ("pending", "foreign")
+
 
 @click.command(short_help="Say what is damaged in a dataset; make it again.")
 @click.argument("data", nargs=-1, required=True, metavar="DATA...")
@@ -60,12 +63,12 @@ def _verify_data(path: str, repair: bool, scene: Any, as_json: bool) -> None:
     found = find(path)
     left = found.damage
     lines = [_line(finding.file, finding.problem, finding.what) for finding in found.findings]
-    if repair and any(finding.problem != "foreign" for finding in found.findings):
+    if repair and any(finding.problem not in _KEPT for finding in found.findings):
         repairs = _repaired(found, scene)
         lines = [
             _line(one.finding.file, one.finding.problem, one.finding.what) | {"repaired": one.done, "told": one.told}
             for one in repairs
-        ] + [line for line in lines if line["problem"] == "foreign"]
+        ] + [line for line in lines if line["problem"] in _KEPT]
         left = tuple(one.finding for one in repairs if not one.done)
     _tell(path, found.kind, found.n_files, lines, as_json)
     if left:
@@ -87,7 +90,7 @@ def _line(file: Path, problem: str, what: str) -> dict[str, Any]:
 
 def _tell(path: str, kind: str, n_files: int, lines: list[dict[str, Any]], as_json: bool) -> None:
     """Print what was found in one of the inputs, and what was done about it."""
-    whole = all(line.get("repaired", line["problem"] in ("leftover", "foreign")) for line in lines)
+    whole = all(line.get("repaired", line["problem"] in (*_KEPT, "leftover")) for line in lines)
     if as_json:
         print_json({"source": path, "kind": kind, "files": n_files, "whole": whole, "findings": lines})
         return

@@ -18,8 +18,9 @@ from cgid.scene.stream.capacity import MOST_RECORDINGS, require_capacity
 from cgid.scene.stream.synthesis import parts_of_recording
 from cgid.scene.stream.truth import impact_units, joined
 from cgid.store import check_output
+from cgid.store.header import RECORDING_FORMAT
 from cgid.store.journal import JOURNAL
-from cgid.store.recording import OURS, RECORDING_FORMAT, Recording, RecordingPlan, is_recording, writing
+from cgid.store.recording import OURS, Recording, RecordingPlan, is_recording, writing
 from cgid.store.run import Goal, Run, begun, file_facts, first_difference, require_same
 from cgid.store.writing import is_single_file
 
