@@ -29,6 +29,8 @@ from cgid.store import limits, wire
 #: Bytes of arrays of one answer, where the caller does not say more.
 LARGEST_ANSWER = 64 << 20
 _MAGIC = b"\x89HDF\r\n\x1a\n"
+#: Bytes on their way, where the system allows it.
+_PIPE = 1 << 20
 #: Processes that are kept while nothing is asked of them.
 _MOST_IDLE = 2
 _TOLD = {name: value for name, value in vars(errors).items() if isinstance(value, type)}
@@ -137,6 +139,10 @@ class _Child:
             start_new_session=True,  # Ctrl-C is for this process
         )
         _alive.add(self)
+        with suppress(ImportError, AttributeError, OSError):  # Linux alone has wide pipes
+            import fcntl
+
+            fcntl.fcntl(self._output, fcntl.F_SETPIPE_SZ, _PIPE)
         try:
             wire.receive(self._output, 0)
         except wire.BrokenWire:

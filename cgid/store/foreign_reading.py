@@ -22,6 +22,8 @@ from cgid.store.chunks import DAMAGE, cache_size, chunk_bytes, missing_chunks, s
 
 #: No recording has more parts.
 _MOST_OBJECTS, _DEEPEST, _MOST_ATTRIBUTES = 10_000, 32, 256
+#: So many are looked through in the time of one answer.
+_OBJECTS_IN_TIME = 500
 #: Longer attributes say nothing of a rate or a unit.
 _LONGEST_ATTRIBUTE = 4096
 #: Longer lists and texts are no units and no names.
@@ -188,13 +190,14 @@ def _walk(file: h5py.File, source: str) -> Iterator[tuple[str, Any]]:
         if place in seen:
             continue
         seen.add(place)
-        if len(seen) > _MOST_OBJECTS or depth > _DEEPEST:
-            raise BadData(
-                f"{source}: a recording has at most {_MOST_OBJECTS} parts and {_DEEPEST} levels, here are more; {_CURE}"
-            )
+        _require_few(len(seen), depth, source)
+        # Whoever gets on has not been caught in a loop.
+        if len(seen) % _OBJECTS_IN_TIME == 0:
+            limits.begin(file.filename)
         yield name, item
         if not isinstance(item, h5py.Group):
             continue
+        _require_few(len(seen) + len(stack) + len(item), depth, source)
         for key in reversed(list(item)):
             if key in _MATLAB_INNER or not isinstance(item.get(key, getlink=True), h5py.HardLink):
                 continue
@@ -203,6 +206,13 @@ def _walk(file: h5py.File, source: str) -> Iterator[tuple[str, Any]]:
                 part = item[key]
                 if isinstance(part, h5py.Group | h5py.Dataset):
                     stack.append((f"{name}/{key}" if name else key, part, depth + 1))
+
+
+def _require_few(n_objects: int, depth: int, source: str) -> None:
+    if n_objects > _MOST_OBJECTS or depth > _DEEPEST:
+        raise BadData(
+            f"{source}: a recording has at most {_MOST_OBJECTS} parts and {_DEEPEST} levels, here are more; {_CURE}"
+        )
 
 
 def _attributes(item: Any, path: str, wanted: frozenset[str], texts: list[tuple[str, str]]) -> dict[str, Any]:

@@ -116,6 +116,7 @@ class ShardBuilder:
         filled = self._filled - first
         if self._plan.compression in BY_PLUGIN:
             self._signals[first : self._filled] = self._chunk_signals[:filled]  # HDF5 asks its plugin
+            self._signals.flush()  # now, so that chunks lie in the order of the signals whatever HDF5 remembers
             return
         self._chunk_signals[filled:] = 0
         packed = self._chunk if self._plan.compression == "none" else self._deflated()
