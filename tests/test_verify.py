@@ -373,8 +373,9 @@ def test_an_export_of_what_is_damaged_leaves_nothing(copies: Path, tmp_path: Pat
 
 
 def test_an_export_is_no_other_than_its_data(copies: Path) -> None:
-    with pytest.raises(CannotCreate, match="another file"):
-        export(copies / "one.h5", copies / "one.h5", overwrite=True)
+    for data, output in (("one.h5", "one.h5"), ("folder", "folder/shard-00000.h5")):
+        with pytest.raises(CannotCreate, match="part of what it is made from"):
+            export(copies / data, copies / output, overwrite=True)
     with pytest.raises(CannotCreate, match="exists already"):
         export(copies / "folder", copies / "one.h5")
 
