@@ -9,9 +9,9 @@ The files made by hand are in `tests/hostile_models.py`. Mutants are golden mode
     mended    numbers of an array are changed and the archive's checksums made to fit: only the digest can tell
     signed    header or arrays are changed by somebody who computes digest and checksums anew
 
-Each is loaded, and answers for some impacts, in a process of its own. An audit hook in it (sys.addaudithook, PEP 578)
-notes every event but the opening of the file itself: code that is compiled, run, imported or unpickled, other files,
-processes, sockets. Its time and memory are watched. What comes back is
+Each is loaded, and answers for some impacts, in a process that is watched. An audit hook in it (sys.addaudithook, PEP
+578) notes every event but the opening of the file itself: code that is compiled, run, imported or unpickled, other
+files, processes, sockets. Its time and memory are measured. What comes back is
 
     refused   one line says what is wrong            same      it is the very model that it was made of
     another   it was signed anew, and answers with probabilities: a model of whoever signed it
@@ -24,8 +24,9 @@ from __future__ import annotations
 import argparse
 import contextlib
 import io
+import json
 import os
-import resource
+import select
 import signal
 import struct
 import sys
@@ -38,7 +39,7 @@ from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TextIO
 
 import numpy as np
 
@@ -53,7 +54,6 @@ from tests.hostile_models import CANARY, EXTREME, GOLDEN, HOSTILE, written
 TIME_LIMIT, MEMORY_LIMIT = 2.0, 256 << 20
 #: A process that sleeps or hangs is ended after this [s]; the clock on the wall says little on a busy machine.
 _DEADLINE = 60.0
-OUTCOMES = ("same", "refused", "another", "traceback", "event", "unsound")
 #: So many impacts are answered for.
 _ROWS = 16
 
@@ -64,7 +64,7 @@ class Outcome:
 
     name: str
     seconds: float
-    #: Beyond what the process had before [bytes].
+    #: At most, beyond what the process had before [bytes].
     memory: int
     told: str
 
@@ -74,65 +74,113 @@ class Outcome:
         return self.seconds <= TIME_LIMIT and self.memory <= MEMORY_LIMIT
 
 
-def judge(path: Path, original: Model | None = None) -> Outcome:
-    """Return what becomes of a file, in a process of its own; `original` is what it was made of."""
-    reading, writing = os.pipe()
-    child = os.fork()
-    if not child:
-        os.close(reading)
-        os._exit(_load_and_tell(path, original, writing))
-    os.close(writing)
-    status, usage = _await(child)
-    with os.fdopen(reading, "rb") as pipe:
-        memory, _, told = pipe.read().decode(errors="replace").partition("\n")
-    seconds = usage.ru_utime + usage.ru_stime
-    if status is None:
-        return Outcome("hang", seconds, 0, told)
-    code = os.waitstatus_to_exitcode(status)
-    name = OUTCOMES[code] if memory and 0 <= code < len(OUTCOMES) else f"crash ({code})"
-    return Outcome(name, seconds, int(memory or 0), told)
+class Watched:
+    """A process of its own that loads files one after the other; it is made anew when one of them ends it.
+
+    Examples
+    --------
+        with Watched() as watched:
+            outcome = watched.judge(path)
+    """
+
+    def __init__(self) -> None:
+        self._child = 0
+        self._asking: Any = None
+        self._hearing: Any = None
+
+    def __enter__(self) -> Watched:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._end()
+
+    def judge(self, path: Path, original: str | None = None) -> Outcome:
+        """Return what becomes of a file; `original` names the golden model that it was made of."""
+        if not self._child:
+            self._begin()
+        self._asking.write(json.dumps([str(path), original]) + "\n")
+        self._asking.flush()
+        ready, _, _ = select.select([self._hearing], [], [], _DEADLINE)
+        told = self._hearing.readline() if ready else ""
+        if told:
+            return Outcome(**json.loads(told))
+        status = self._end()
+        return Outcome(f"crash ({status})" if ready else "hang", 0.0, 0, "")
+
+    def _begin(self) -> None:
+        ours, theirs, back, forth = *os.pipe(), *os.pipe()
+        self._child = os.fork()
+        if not self._child:
+            os.close(theirs)
+            os.close(back)
+            try:
+                _serve(os.fdopen(ours), os.fdopen(forth, "w"))
+            finally:
+                os._exit(0)
+        os.close(ours)
+        os.close(forth)
+        self._asking, self._hearing = os.fdopen(theirs, "w"), os.fdopen(back)
+
+    def _end(self) -> int:
+        if not self._child:
+            return 0
+        os.kill(self._child, signal.SIGKILL)
+        _, status = os.waitpid(self._child, 0)
+        self._child = 0
+        with contextlib.suppress(BrokenPipeError):
+            self._asking.close()
+        self._hearing.close()
+        return os.waitstatus_to_exitcode(status)
 
 
-def _await(child: int) -> tuple[int | None, resource.struct_rusage]:
-    """Return the status of a child process (None: it had to be ended) and what it took."""
-    deadline = time.monotonic() + _DEADLINE
-    while time.monotonic() < deadline:
-        done, status, usage = os.wait4(child, os.WNOHANG)
-        if done:
-            return status, usage
-        time.sleep(0.001)
-    os.kill(child, signal.SIGKILL)
-    return None, os.wait4(child, 0)[2]
-
-
-def _load_and_tell(path: Path, original: Model | None, pipe: int) -> int:
+def _serve(asked: TextIO, answers: TextIO) -> None:
+    """Load what is asked for and answer with its outcome; an audit hook notes all that happens meanwhile."""
     events: list[str] = []
-    floor = int(Path("/proc/self/statm").read_text().split()[1]) * resource.getpagesize()
-    armed = True
+    loading: list[str] = []
 
     def hook(event: str, arguments: tuple[Any, ...]) -> None:
-        if armed and not (event == "open" and arguments[0] == str(path) and arguments[1] == "r"):
+        if loading and not (event == "open" and arguments[0] == loading[0] and arguments[1] == "r"):
             events.append(f"{event} {arguments!r:.200}")
 
     sys.addaudithook(hook)
+    for line in asked:
+        path, name = json.loads(line)
+        original = None if name is None else Model.load(GOLDEN / name)
+        floor, started = _reset_peak(), time.process_time()
+        loading.append(path)
+        outcome, told = _outcome(path, original)
+        loading.clear()
+        seconds, memory = time.process_time() - started, max(_peak() - floor, 0)
+        if events or Path(CANARY).exists():
+            outcome, told = "event", "; ".join(events) or "a pickle was loaded"
+            events.clear()
+        found = {"name": outcome, "seconds": seconds, "memory": memory, "told": told[:4000]}
+        answers.write(json.dumps(found) + "\n")
+        answers.flush()
+
+
+def _outcome(path: str, original: Model | None) -> tuple[str, str]:
     try:
-        try:
-            name, told = _answered(path, original)
-        except CgidError as error:
-            told = str(error)
-            name = "refused" if told.isprintable() and len(told) < 1000 else "unsound"
-        except BaseException as error:
-            name, told = "traceback", f"{type(error).__name__}: {error}"
-    finally:
-        armed = False
-    if events or Path(CANARY).exists():
-        name, told = "event", "; ".join(events) or "a pickle was loaded"
-    memory = (resource.getrusage(resource.RUSAGE_SELF).ru_maxrss << 10) - floor
-    os.write(pipe, f"{max(memory, 0)}\n{told}".encode(errors="replace")[:4000])
-    return OUTCOMES.index(name)
+        return _answered(path, original)
+    except CgidError as error:
+        told = str(error)
+        return "refused" if told.isprintable() and len(told) < 1000 else "unsound", told
+    except BaseException as error:
+        return "traceback", f"{type(error).__name__}: {error}"
 
 
-def _answered(path: Path, original: Model | None) -> tuple[str, str]:
+def _reset_peak() -> int:
+    """Return the memory that this process has now [bytes]; its peak is counted from here (proc(5), clear_refs)."""
+    Path("/proc/self/clear_refs").write_text("5")
+    return _peak()
+
+
+def _peak() -> int:
+    text = Path("/proc/self/status").read_text()
+    return int(text.split("VmHWM:")[1].split()[0]) << 10
+
+
+def _answered(path: str | Path, original: Model | None) -> tuple[str, str]:
     """Load a model and let it answer; return the outcome and what is wrong with it."""
     model = Model.load(path)
     random = np.random.default_rng(0)
@@ -162,10 +210,11 @@ def by_hand(folder: Path) -> dict[str, Outcome]:
     """Return what became of each hostile file: refused, or of the extreme ones answered by, within the limits."""
     _warm_up()
     found = {}
-    for name, make in (HOSTILE | EXTREME).items():
-        path = folder / "hostile.npz"
-        path.write_bytes(make())
-        found[name] = judge(path)
+    with Watched() as watched:
+        for name, make in (HOSTILE | EXTREME).items():
+            path = folder / "hostile.npz"
+            path.write_bytes(make())
+            found[name] = watched.judge(path)
     return found
 
 
@@ -282,16 +331,17 @@ def mutants(n_mutants: int, seed: int, folder: Path) -> list[tuple[Mutant, Outco
     contents = {path.name: path.read_bytes() for path in sorted(GOLDEN.glob("models-*.npz"))}
     models = {name: Model.from_bytes(content) for name, content in contents.items()}
     names, everything, found = list(contents), list(contents.values()), []
-    for number in range(n_mutants):
-        random = np.random.default_rng([seed, number])
-        kind = list(MUTANTS)[number % len(MUTANTS)]
-        # Only models of this schema have a digest that finds what was mended.
-        possible = [name for name in names if name.startswith("models-4")] if kind == "mended" else names
-        source = possible[int(random.integers(len(possible)))]
-        mutant = Mutant(kind, source, MUTANTS[kind](contents[source], models[source], random, everything))
-        path = folder / "mutant.npz"
-        path.write_bytes(mutant.content)
-        found.append((mutant, judge(path, models[source])))
+    with Watched() as watched:
+        for number in range(n_mutants):
+            random = np.random.default_rng([seed, number])
+            kind = list(MUTANTS)[number % len(MUTANTS)]
+            # Only models of this schema have a digest that finds what was mended.
+            possible = [name for name in names if name.startswith("models-4")] if kind == "mended" else names
+            source = possible[int(random.integers(len(possible)))]
+            mutant = Mutant(kind, source, MUTANTS[kind](contents[source], models[source], random, everything))
+            path = folder / "mutant.npz"
+            path.write_bytes(mutant.content)
+            found.append((mutant, watched.judge(path, source)))
     return found
 
 
