@@ -126,15 +126,22 @@ class RecordingWriter:
 
 
 @contextmanager
-def writing(path: str | Path, plan: RecordingPlan) -> Iterator[RecordingWriter]:
+def writing(path: str | Path, plan: RecordingPlan, *, overwrite: bool = True) -> Iterator[RecordingWriter]:
     """Yield the writer of a recording that bears its name when this context is left without an error.
+
+    Parameters
+    ----------
+    path : str or Path
+    plan : RecordingPlan
+    overwrite : bool
+        Whether it may take the place of what bears the name when it is whole.
 
     Raises
     ------
     InvalidValue
         It would be larger than a recording may be.
     CannotCreate
-        The folder is missing or not writable, or the disk has no room.
+        The folder is missing or not writable, or the name was taken meanwhile.
     WriteFailed
         The disk is full or broken; what was there before is untouched.
     """
@@ -144,7 +151,7 @@ def writing(path: str | Path, plan: RecordingPlan) -> Iterator[RecordingWriter]:
             f"{path}: a recording must be at most {LARGEST_RECORDING / 2**30:g} GiB of samples, "
             f"{plan.n_samples} of {plan.dtype} make {plan.size / 2**30:.3g} GiB; make several"
         )
-    with whole_file(path) as temporary, hdf5_on_disk(temporary) as output:
+    with whole_file(path, overwrite=overwrite) as temporary, hdf5_on_disk(temporary) as output:
         writer = RecordingWriter(output, plan)
         yield writer
         writer.require_whole()
