@@ -25,8 +25,6 @@ Floats = NDArray[np.float64]
 TABLE_PATH = Path(__file__).with_name("family.npz")
 #: The restitutions that the table covers.
 LOWEST_RESTITUTION, HIGHEST_RESTITUTION = 0.05, 1.0
-# The kernels are compiled with the sizes below, and numba's cache does not see a change here: save
-# `cgid/impact/_kernels.py` anew with it.
 #: Intervals of ln e, and coefficients of the polynomial on each.
 INTERVALS, ORDERS = 16, 9
 #: Segments of sigma in either half of a pulse, and coefficients of the polynomial on each (an even number).

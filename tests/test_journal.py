@@ -75,7 +75,7 @@ def test_a_manifest_of_version_1_is_read(tmp_path):
 @pytest.fixture
 def journal(tmp_path):
     """The content of a journal of three files, in a folder."""
-    with Journal(tmp_path, PLAN, ENTRIES[:1]) as written:
+    with Journal(tmp_path, PLAN, 3, "shards", ENTRIES[:1]) as written:
         for entry in ENTRIES[1:]:
             written.add(entry)
     return tmp_path / JOURNAL
@@ -85,6 +85,7 @@ def test_journal_there_and_back(journal):
     found = read_journal(journal.parent)
     assert (found.plan, list(found.entries)) == (PLAN, ENTRIES)
     assert str(os.getpid()) in found.process
+    assert found.progress.startswith("3 of 3 shards are there")
     journal.unlink()
     assert read_journal(journal.parent) is None
 
@@ -119,17 +120,17 @@ def test_flipped_bits_of_a_journal_lose_files_and_never_invent_any(journal):
 
 
 def test_a_full_disk_under_a_journal(journal):
-    with Journal(journal.parent, PLAN) as written:
+    with Journal(journal.parent, PLAN, 3, "shards") as written:
         os.dup2(os.open("/dev/full", os.O_WRONLY), written._stream.fileno())
         with pytest.raises(WriteFailed, match="No space left"):
             written.add(ENTRIES[0])
 
 
 def test_a_worker_of_an_earlier_run_is_refused(tmp_path):
-    with Journal(tmp_path, PLAN) as first:
+    with Journal(tmp_path, PLAN, 3, "shards") as first:
         with taking_part(tmp_path, first.run):
             pass
-        with Journal(tmp_path, PLAN), pytest.raises(CannotCreate, match="taken this folder over"):  # noqa: SIM117
+        with Journal(tmp_path, PLAN, 3, "shards"), pytest.raises(CannotCreate, match="taken this folder over"):  # noqa: SIM117
             with taking_part(tmp_path, first.run):
                 pytest.fail("the folder belongs to the second run")
         first.remove()
@@ -158,9 +159,8 @@ def test_a_lock_keeps_other_processes_out_and_goes_with_its_own(tmp_path):
 
 
 def test_shared_locks_and_one_alone(tmp_path):
-    with locked(tmp_path, shared=True), locked(tmp_path, shared=True):
-        with pytest.raises(BlockingIOError):
-            locked(tmp_path).__enter__()
+    with locked(tmp_path, shared=True), locked(tmp_path, shared=True), pytest.raises(BlockingIOError):
+        locked(tmp_path).__enter__()
     with locked(tmp_path):
         pass
 

@@ -18,7 +18,7 @@ _OF_SIGNALS = ("dtype", "shard_signals", "compression", "jobs")
 #: Those of them about signals that are not in one recording, and their defaults.
 _OF_MANY = {"jobs": 1, "shard_signals": 4096, "compression": "none"}
 #: What makers of recordings and datasets are told.
-_OF_RECORDINGS = ("output", "n_signals", "seed", "overwrite", "dtype")
+_OF_RECORDINGS = ("output", "n_signals", "seed", "overwrite", "resume", "dtype")
 _OF_DATASETS = (*_OF_RECORDINGS, "shard_signals", "compression", "jobs")
 
 
@@ -35,7 +35,8 @@ _OF_DATASETS = (*_OF_RECORDINGS, "shard_signals", "compression", "jobs")
 @click.option("--dtype", type=click.Choice(["float32", "float64"]), default="float32", show_default=True)
 @click.option("--shard-signals", type=int, default=4096, show_default=True, help="Signals in each shard of a folder.")
 @click.option("--compression", type=click.Choice(["none", "gzip"]), default="none", show_default=True)
-@click.option("--overwrite", is_flag=True, help="Replace an old dataset.")
+@click.option("--overwrite", is_flag=True, help="Replace an old dataset when the new one is whole.")
+@click.option("--resume", is_flag=True, help="Go on with a run that was not finished, to the bytes it would have made.")
 @click.option("--features-only", is_flag=True, help="A table of features instead of signals.")
 @click.option("--features", help="Only these, with commas between them; by default those of a model.")
 @click.option("--closed-form-only", is_flag=True, help="A table of what the impacts are without their pulses.")
@@ -91,6 +92,12 @@ def _checked_output(context: click.Context) -> str:
             raise click.UsageError(f"{_flag(name)} needs {_flag(needed)}; give both or neither", context)
     if options["as_json"] and not options["explain"]:
         raise click.UsageError("--json needs --explain: it prints the plan; give both or neither", context)
+    if only and options["resume"]:
+        raise click.UsageError(
+            f"--resume is for signals and recordings, a table ({_flag(only[0])}) is written whole or not at all; "
+            "leave --resume out",
+            context,
+        )
     for name in _OF_SIGNALS:
         if only and name in given:
             raise click.UsageError(

@@ -12,27 +12,21 @@ force. The cost of the nonlinear part does not know how many modes there are.
 
 Where 1 + D x' would become negative the beam runs from the sphere faster than the material recovers: the sphere is
 released, without attraction, until it parts or is pressed again.
-All kernels stay in this file: numba's cache does not see edits elsewhere.
 """
 
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from cgid.compiled import inner_jit, jit
 from cgid.impact.collocation import FROM_TOUCH, TO_SEPARATION, WITHIN, Collocation
 
 Array = NDArray[Any]
 
-_jit = numba.njit(cache=True, nogil=True, error_model="numpy")
-if TYPE_CHECKING:
-    _inner = _jit  # numba's own types know nothing of the two last options
-else:  # what only kernels call needs no way in from Python: a fifth less to compile
-    _inner = numba.njit(cache=True, nogil=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
 
 #: What became of an impact.
 SEPARATED, STAYS, OUT_OF_REACH = 0, 1, 2
@@ -108,7 +102,7 @@ class Scratch(NamedTuple):
     known: Array  # kind and length that the matrices belong to, length of the restriction
 
 
-@_jit
+@jit
 def tabulate(decay: Array, angular: Array, longest: float, times: Array, table: Array) -> None:
     """Fill table (modes, 2, k) with the real and imaginary part of exp(lambda t) over the longest step [s]."""
     for r in range(decay.size):
@@ -119,7 +113,7 @@ def tabulate(decay: Array, angular: Array, longest: float, times: Array, table: 
             table[r, 1, k] = size * math.sin(angular[r] * t)
 
 
-@_inner
+@inner_jit
 def _dot(a: Array, b: Array) -> float:
     """Return the scalar product in four sums, which are independent and so run side by side."""
     s0, s1, s2, s3 = 0.0, 0.0, 0.0, 0.0
@@ -134,7 +128,7 @@ def _dot(a: Array, b: Array) -> float:
     return (s0 + s1) + (s2 + s3)
 
 
-@_inner
+@inner_jit
 def _advance_modes(
     table: Array, share: Array, loss: Array, moments: Array, turn: Array, whole: bool, amplitude: Array, free: Array
 ) -> None:
@@ -156,7 +150,7 @@ def _advance_modes(
             free[k] += c * real[k] - s * imaginary[k]
 
 
-@_inner
+@inner_jit
 def _cardinal(rule: Collocation, at: float, out: Array) -> None:
     """Fill out (k,) with the polynomials that are 1 at one Chebyshev time and 0 at the others."""
     total = 0.0
@@ -173,7 +167,7 @@ def _cardinal(rule: Collocation, at: float, out: Array) -> None:
         out[k] *= total
 
 
-@_inner
+@inner_jit
 def _prepare(rule: Collocation, kind: int, h: float, longest: float, s: Scratch) -> None:
     """Bring what modes do into the time of a step of length h, and fill its matrices."""
     k_times, n = rule.times.size, rule.place.shape[1]
@@ -212,7 +206,7 @@ def _prepare(rule: Collocation, kind: int, h: float, longest: float, s: Scratch)
                 s.second[i, j] += weight * s.first[k, j]
 
 
-@_inner
+@inner_jit
 def _eliminate(matrix: Array) -> None:
     """Solve a system (n, n + 1) in place, its solution in the last column."""
     n = matrix.shape[0]
@@ -236,7 +230,7 @@ def _eliminate(matrix: Array) -> None:
         matrix[p, n] = value / matrix[p, p]
 
 
-@_inner
+@inner_jit
 def _attempt(
     rule: Collocation, kind: int, h: float, longest: float, damping: float, weight: float, state: Array, s: Scratch
 ) -> bool:
@@ -285,7 +279,7 @@ def _attempt(
     return converged
 
 
-@_inner
+@inner_jit
 def _legendre(coefficients: Array, s: float) -> tuple[float, float]:
     """Return value and slope of a Legendre series of 2 s - 1."""
     x = 2.0 * s - 1.0
@@ -300,7 +294,7 @@ def _legendre(coefficients: Array, s: float) -> tuple[float, float]:
     return value, 2.0 * rate
 
 
-@_inner
+@inner_jit
 def _passed(kind: int, s: float) -> float:
     """Return the time passed at s over the length of the step."""
     if kind == FROM_TOUCH:
@@ -308,7 +302,7 @@ def _passed(kind: int, s: float) -> float:
     return s * (2.0 - s) if kind == TO_SEPARATION else s
 
 
-@_inner
+@inner_jit
 def _crest(coefficients: Array, values: Array, rule: Collocation) -> tuple[float, float]:
     """Return the largest value of a Legendre series, and where: near the largest at the Gauss nodes."""
     n = values.size
@@ -333,7 +327,7 @@ def _crest(coefficients: Array, values: Array, rule: Collocation) -> tuple[float
     return _legendre(coefficients, low)[0], low
 
 
-@_inner
+@inner_jit
 def _tail(s: Scratch, scale: float) -> float:
     """Return what the series of the force leaves out, over the largest force."""
     n = s.force.size
@@ -343,7 +337,7 @@ def _tail(s: Scratch, scale: float) -> float:
     return left / scale
 
 
-@_inner
+@inner_jit
 def _separate(
     rule: Collocation, kind: int, guess: float, longest: float, damping: float, weight: float, state: Array, s: Scratch
 ) -> float:
@@ -364,7 +358,7 @@ def _separate(
     return 0.0
 
 
-@_inner
+@inner_jit
 def _release(rule: Collocation, kind: int, h: float, damping: float, s: Scratch) -> float:
     """Return when in this step the force would become attractive, 0 if it does not."""
     n = s.rate.size
@@ -389,7 +383,7 @@ def _release(rule: Collocation, kind: int, h: float, damping: float, s: Scratch)
     return h * _passed(kind, high)
 
 
-@_inner
+@inner_jit
 def _to_release(
     rule: Collocation,
     kind: int,
@@ -418,7 +412,7 @@ def _to_release(
     return 0.0
 
 
-@_inner
+@inner_jit
 def _pressed(s: Scratch) -> bool:
     """Tell if the sphere is in contact all through the step."""
     for i in range(s.depth.size):
@@ -427,7 +421,7 @@ def _pressed(s: Scratch) -> bool:
     return bool(s.ends[0] > 0.0)
 
 
-@_inner
+@inner_jit
 def _guess(rule: Collocation, kind: int, h: float, damping: float, state: Array, s: Scratch) -> None:
     """Start Newton from a sphere that is braked by the force of this moment, on a beam that goes on as it does."""
     rate = state[_Y] - s.free[0]
@@ -438,7 +432,7 @@ def _guess(rule: Collocation, kind: int, h: float, damping: float, state: Array,
         s.force[i] = max(depth, 0.0) ** 1.5 * max(1.0 + damping * (rate - start * t), 0.0)
 
 
-@_inner
+@inner_jit
 def _parting(damping: float, state: Array, s: Scratch) -> float:
     """Return about when the sphere leaves, infinity while it is pressed deeper.
 
@@ -452,7 +446,7 @@ def _parting(damping: float, state: Array, s: Scratch) -> float:
     return parting
 
 
-@_inner
+@inner_jit
 def _step(
     rule: Collocation,
     wish: float,
@@ -506,7 +500,7 @@ def _step(
     return kind, 0.0, False, wish
 
 
-@_inner
+@inner_jit
 def _energy(share: Array, loss: Array, amplitude: Array) -> float:
     """Return what the modes hold: mu (Q'^2 + w^2 Q^2) / 2."""
     total = 0.0
@@ -516,7 +510,7 @@ def _energy(share: Array, loss: Array, amplitude: Array) -> float:
     return total
 
 
-@_inner
+@inner_jit
 def _level(share: Array, angular: Array, amplitude: Array) -> tuple[float, float]:
     """Return the displacement of the point of impact, and what it never passes without a force."""
     level, most = 0.0, 0.0
@@ -526,7 +520,7 @@ def _level(share: Array, angular: Array, amplitude: Array) -> tuple[float, float
     return level, most
 
 
-@_inner
+@inner_jit
 def _between(rule: Collocation, values: Array, low: float, high: float, sign: float, room: Array) -> float:
     """Return where sign times the polynomial through values rises through zero between two times, by bisection."""
     for _ in range(60):
@@ -541,7 +535,7 @@ def _between(rule: Collocation, values: Array, low: float, high: float, sign: fl
     return high
 
 
-@_inner
+@inner_jit
 def _event(
     rule: Collocation, depth: Array, rate: Array, damping: float, released: bool, room: Array
 ) -> tuple[int, float]:
@@ -565,7 +559,7 @@ def _event(
     return _NEVER, 1.0
 
 
-@_inner
+@inner_jit
 def _fly(
     rule: Collocation,
     table: Array,
@@ -610,7 +604,7 @@ def _fly(
                 return _NEVER
 
 
-@_inner
+@inner_jit
 def _book(rule: Collocation, kind: int, h: float, damping: float, state: Array, s: Scratch, result: Array) -> None:
     """Enter a step into the results: work, loss, impulse and the largest values."""
     measure = rule.measure[kind]
@@ -629,7 +623,7 @@ def _book(rule: Collocation, kind: int, h: float, damping: float, state: Array, 
         result[_DEPTH], result[_TIME_OF_DEPTH] = value, state[_T] + h * _passed(kind, place)
 
 
-@_inner
+@inner_jit
 def _accept(
     rule: Collocation,
     table: Array,
@@ -657,7 +651,7 @@ def _accept(
     _advance_modes(table, share, loss, moments, turn, h == longest, s.amplitude, s.free)
 
 
-@_inner
+@inner_jit
 def _follow(
     rule: Collocation,
     table: Array,
@@ -727,7 +721,7 @@ def _follow(
     return MOST_STEPS
 
 
-@_inner
+@inner_jit
 def _scratch(n_modes: int, n: int, k: int) -> Scratch:
     return Scratch(
         np.empty((n_modes, 2)),
@@ -751,7 +745,7 @@ def _scratch(n_modes: int, n: int, k: int) -> Scratch:
     )
 
 
-@_jit
+@jit
 def follow(
     rule: Collocation,
     decay: Array,
@@ -795,7 +789,7 @@ def follow(
     return rows.size
 
 
-@_inner
+@inner_jit
 def _seek(course: Array, here: int, begin: int, end: int, tau: float) -> int:
     """Return the last step that has begun at time tau, seeking from here."""
     if here < begin or course[here, START] > tau:
@@ -805,7 +799,7 @@ def _seek(course: Array, here: int, begin: int, end: int, tau: float) -> int:
     return here
 
 
-@_inner
+@inner_jit
 def _quantity(step: Array, first: int, last: int, tau: float) -> float:
     """Return force or displacement, zero between two contacts."""
     share = (tau - step[START]) / step[LENGTH]
@@ -821,7 +815,7 @@ def _quantity(step: Array, first: int, last: int, tau: float) -> float:
     return max(_legendre(step[first:last], share)[0], 0.0)
 
 
-@_jit
+@jit
 def at_times(
     times: Array,
     course: Array,
@@ -849,7 +843,7 @@ def at_times(
                 out[i, k] = amplitude[i] * _quantity(course[here], first, first + n, tau)
 
 
-@_jit
+@jit
 def add_to_frames(
     frames: Array, onset: Array, step: Array, course: Array, begin: Array, end: Array, amplitude: Array, rows: Array
 ) -> None:

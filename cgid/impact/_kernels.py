@@ -1,8 +1,7 @@
 """Numba kernels of the tabulated pulses: floats and arrays in, arrays out, no checks, no strings.
 
 `cgid.family` says how a pulse is stored. No `fastmath`: the same table gives the same bits on every machine,
-whether or not it fuses multiplication and addition. All kernels stay in this file: numba's cache does not see
-edits elsewhere.
+whether or not it fuses multiplication and addition.
 """
 
 from __future__ import annotations
@@ -10,19 +9,18 @@ from __future__ import annotations
 import math
 from typing import Any
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from cgid.compiled import jit
 from cgid.family import CONTACT, CUT, INTERVALS, ORDERS, POWERS, SEGMENTS
 
 Array = NDArray[Any]
 
-_jit = numba.njit(cache=True, nogil=True, error_model="numpy")
 _MIDDLE = SEGMENTS * POWERS  # where the columns of the second half begin
 
 
-@_jit
+@jit
 def _blend(columns: Array, place: float, out: Array) -> None:
     """Evaluate the polynomials over ln e of one interval: columns (interval, order, column) -> out (column)."""
     interval = min(int(place), INTERVALS - 1)
@@ -35,7 +33,7 @@ def _blend(columns: Array, place: float, out: Array) -> None:
         out[j] = value
 
 
-@_jit
+@jit
 def _add_segment(
     samples: Array, coefficients: Array, segment: int, square: float, step: float, amplitude: float
 ) -> None:
@@ -57,13 +55,13 @@ def _add_segment(
         samples[k] += amplitude * ((even + u * odd) * sigma_square * sigma)
 
 
-@_jit
+@jit
 def _sample_after(place: float, n_samples: int) -> int:
     """Return the first sample strictly after a place on the sample grid, within 0 and n_samples."""
     return int(min(max(math.floor(place) + 1.0, 0.0), float(n_samples)))
 
 
-@_jit
+@jit
 def add_to_frames(
     frames: Array, onset: Array, step: Array, place: Array, amplitude: Array, columns: Array, rows: Array
 ) -> None:
@@ -98,7 +96,7 @@ def add_to_frames(
             here = end
 
 
-@_jit
+@jit
 def at_times(
     times: Array,
     place: Array,

@@ -13,16 +13,15 @@ from __future__ import annotations
 import math
 from typing import Any
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from cgid.compiled import jit
+
 Array = NDArray[Any]
 
-_jit = numba.njit(cache=True, nogil=True, error_model="numpy")
 
-
-@_jit
+@jit
 def _advance(state: Array, turn: Array, polynomials: Array, shares: Array, drive: Array, moments: Array) -> None:
     """Move the states (2, n_poles) by one sample; turn (2, n_poles) is exp(p) of it.
 
@@ -45,7 +44,7 @@ def _advance(state: Array, turn: Array, polynomials: Array, shares: Array, drive
             imaginary[r] += to_imaginary[r] * moment
 
 
-@_jit
+@jit
 def _output(state: Array, edge: Array, amplitude: Array, force: float) -> float:
     """Return the sum over poles of the real part of amplitude times z; edge is g1."""
     total = 0.0
@@ -55,7 +54,7 @@ def _output(state: Array, edge: Array, amplitude: Array, force: float) -> float:
     return total
 
 
-@_jit
+@jit
 def strike(
     frames: Array,
     row: Array,
@@ -97,7 +96,7 @@ def strike(
             ringing[i, 1, r] = amplitude[i, 0, r] * state[1, r] + amplitude[i, 1, r] * state[0, r]
 
 
-@_jit
+@jit
 def _add_ring(samples: Array, weights: Array, n_alive: int, table: Array, skipped: int) -> None:
     """Add the ringing of some poles to samples; table (2, n_poles, length) holds exp(p t), real and imaginary part.
 
@@ -110,7 +109,7 @@ def _add_ring(samples: Array, weights: Array, n_alive: int, table: Array, skippe
             samples[k] += re * cosine[k] - im * sine[k]
 
 
-@_jit
+@jit
 def ring(
     frames: Array, begin: Array, order: Array, start: Array, ringing: Array, table: Array, hop: Array, silence: float
 ) -> int:

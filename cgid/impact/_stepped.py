@@ -10,15 +10,14 @@ from __future__ import annotations
 import math
 from typing import Any
 
-import numba
 from numpy.typing import NDArray
+
+from cgid.compiled import jit
 
 Array = NDArray[Any]
 
-_jit = numba.njit(cache=True, nogil=True, error_model="numpy")
 
-
-@_jit
+@jit
 def _force(x: float, y: float, damping: float, zeta: float, inelasticity: float) -> float:
     if x <= 0.0:
         return 0.0
@@ -27,7 +26,7 @@ def _force(x: float, y: float, damping: float, zeta: float, inelasticity: float)
     return (x * root + loss * y) / (1.0 + inelasticity * loss)
 
 
-@_jit
+@jit
 def _step(x: float, y: float, h: float, parameters: Array) -> tuple[float, float]:
     """Return displacement and velocity of the sphere a step h later."""
     damping, zeta, inelasticity, weight = parameters[0], parameters[1], parameters[2], parameters[3]
@@ -45,7 +44,7 @@ def _step(x: float, y: float, h: float, parameters: Array) -> tuple[float, float
     return x + h * (u1 + 2.0 * (u2 + u3) + u4) / 6.0, y + h * (a1 + 2.0 * (a2 + a3) + a4) / 6.0
 
 
-@_jit
+@jit
 def add_to_frames(
     frames: Array,
     onset: Array,

@@ -10,7 +10,7 @@ w = 0 at both ends of the contact:
     w' = (y - lambda f) / 2,  y' = w (gamma - f),  tau' = w,  f = w r - lambda c f,  r = w^2 q + zeta y,
 
 with q = 1 + D y (carried as a state of its own: where it decays to nothing, it keeps its digits and its sign)
-and c = D w^3 + zeta w. All kernels stay in this file: numba's cache does not see edits elsewhere.
+and c = D w^3 + zeta w.
 """
 
 from __future__ import annotations
@@ -18,13 +18,13 @@ from __future__ import annotations
 import math
 from typing import Any
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from cgid.compiled import jit
+
 Array = NDArray[Any]
 
-_jit = numba.njit(cache=True, nogil=True, error_model="numpy")
 
 #: Order of the series (an argument of every kernel, for as a constant it would be compiled once more), and the share
 #: of their radius of convergence that a step takes: .15^20 is 1e-16.5.
@@ -55,7 +55,7 @@ RESULTS = (
 _LEAST_POWER = 1e-30  # below it the force is nothing beside its peak, and the rest is free flight
 
 
-@_jit
+@jit
 def _value(series: Array, row: int, order: int, s: float) -> float:
     value: float = series[row, order]
     for k in range(order - 1, -1, -1):
@@ -63,7 +63,7 @@ def _value(series: Array, row: int, order: int, s: float) -> float:
     return value
 
 
-@_jit
+@jit
 def _slope(series: Array, row: int, order: int, s: float) -> float:
     value: float = order * series[row, order]
     for k in range(order - 1, 0, -1):
@@ -71,7 +71,7 @@ def _slope(series: Array, row: int, order: int, s: float) -> float:
     return value
 
 
-@_jit
+@jit
 def _expand(
     step: Array, scratch: Array, order: int, q0: float, damping: float, zeta: float, inelasticity: float, weight: float
 ) -> None:
@@ -113,7 +113,7 @@ def _expand(
             plate[k + 1] = inelasticity * of_plate / (k + 1)
 
 
-@_jit
+@jit
 def _inverse_radius(series: Array, row: int, order: int, scale: float) -> float:
     """Return 1 / radius of convergence from the last coefficients (six: at touch only each fifth is not zero)."""
     largest = 0.0
@@ -122,7 +122,7 @@ def _inverse_radius(series: Array, row: int, order: int, scale: float) -> float:
     return largest
 
 
-@_jit
+@jit
 def _step_length(step: Array, scratch: Array, order: int, share: float) -> float:
     # The digits of w are wanted beside its largest value; at touch that is still to come, a rate of 1/2 away.
     inverse = max(_inverse_radius(step, _Y, order, 1.0), _inverse_radius(step, _W, order, max(step[_W, 0], 0.1)))
@@ -131,7 +131,7 @@ def _step_length(step: Array, scratch: Array, order: int, share: float) -> float
     return share / max(inverse, 1e-3)
 
 
-@_jit
+@jit
 def _root(series: Array, row: int, order: int, high: float) -> float:
     """Return where a series, positive just after 0 and not above 0 at high, falls to zero: Newton in a bracket."""
     low, s = 0.0, 0.5 * high
@@ -151,7 +151,7 @@ def _root(series: Array, row: int, order: int, high: float) -> float:
     return s
 
 
-@_jit
+@jit
 def _watch(
     step: Array, scratch: Array, order: int, watched: Array, viscoelastic: bool, rising: bool, compressing: int
 ) -> None:
@@ -173,7 +173,7 @@ def _watch(
             watched[_TURN, k] = step[_U, k]
 
 
-@_jit
+@jit
 def _happen(watched: Array, order: int, h: float, at: Array) -> float:
     """Fill at with where each event falls in a step of length h, -1 if it does not; return where the step ends."""
     for event in range(4):
@@ -187,7 +187,7 @@ def _happen(watched: Array, order: int, h: float, at: Array) -> float:
     return h
 
 
-@_jit
+@jit
 def _stays(step: Array, order: int, h: float, damping: float, zeta: float, weight: float, turned: bool) -> bool:
     """Tell at the end of a step whether gravity holds the sphere for good."""
     u = _value(step, _U, order, h)
@@ -200,7 +200,7 @@ def _stays(step: Array, order: int, h: float, damping: float, zeta: float, weigh
     return loss * loss > 100.0 * root and abs(_value(step, _F, order, h) - weight) < 1e-3 * weight
 
 
-@_jit
+@jit
 def _integrate(parameters: Array, order: int, fixed: float, steps: Array, lengths: Array, result: Array) -> int:
     """Fill steps (n, 7, order + 1) and lengths (n) of one impact, and its results; return the number of steps.
 
@@ -250,7 +250,7 @@ def _integrate(parameters: Array, order: int, fixed: float, steps: Array, length
     return 0
 
 
-@_jit
+@jit
 def summaries(parameters: Array, order: int, fixed: float, out: Array, rows: Array) -> None:
     """Fill some rows of out (n, len(RESULTS)) for impacts of parameters (n, 4), see `PARAMETERS`.
 
@@ -261,7 +261,7 @@ def summaries(parameters: Array, order: int, fixed: float, out: Array, rows: Arr
         _integrate(parameters[i], order, fixed, steps, lengths, out[i])
 
 
-@_jit
+@jit
 def _within_step(step: Array, order: int, wanted: float, guess: float, high: float) -> float:
     """Return s in [0, high] at which the time of this step reaches wanted; time grows at the rate w."""
     low, s = 0.0, min(max(guess, 0.0), high)
@@ -279,7 +279,7 @@ def _within_step(step: Array, order: int, wanted: float, guess: float, high: flo
     return s
 
 
-@_jit
+@jit
 def _march(steps: Array, lengths: Array, count: int, order: int, n: int, s: float, tau: float) -> tuple[int, float]:
     """Return the step and the place in it at time tau, seeking from (n, s)."""
     if tau < steps[n, _TAU, 0]:
@@ -294,13 +294,13 @@ def _march(steps: Array, lengths: Array, count: int, order: int, n: int, s: floa
     return n, _within_step(step, order, tau, guess, lengths[n])
 
 
-@_jit
+@jit
 def _quantity(step: Array, order: int, s: float, row: int) -> float:
     value = _value(step, row, order, s)
     return value * value if row == _W else max(value, 0.0)
 
 
-@_jit
+@jit
 def at_times(
     times: Array, parameters: Array, time_scale: Array, amplitude: Array, row: int, order: int, out: Array, rows: Array
 ) -> None:
@@ -322,7 +322,7 @@ def at_times(
                 out[i, k] = 0.0
 
 
-@_jit
+@jit
 def add_to_frames(
     frames: Array, onset: Array, step: Array, parameters: Array, amplitude: Array, order: int, rows: Array
 ) -> None:

@@ -6,7 +6,7 @@ be had without those before them. Only correctly rounded operations (+, -, *, /,
 `fastmath`: every machine gives the same bits.
 
 The loops run over short arrays that stay in the cache, from their start and of a fixed length, which is what lets the
-compiler take several at once. All kernels stay in this file: numba's cache does not see edits elsewhere.
+compiler take several at once.
 """
 
 from __future__ import annotations
@@ -14,9 +14,10 @@ from __future__ import annotations
 import math
 from typing import Any
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
+
+from cgid.compiled import jit
 
 Array = NDArray[Any]
 Word = np.uint64  # it holds 32 bits, and their products
@@ -42,10 +43,8 @@ _L3, _L5, _L7 = _real(1 / 3), _real(1 / 5), _real(1 / 7)
 _S3, _S5, _S7, _S9, _S11 = (_real((-1) ** (k // 2) / math.factorial(k)) for k in (3, 5, 7, 9, 11))
 _C2, _C4, _C6, _C8, _C10, _C12 = (_real((-1) ** (k // 2) / math.factorial(k)) for k in (2, 4, 6, 8, 10, 12))
 
-_jit = numba.njit(cache=True, nogil=True, error_model="numpy")
 
-
-@_jit
+@jit
 def random_words(first: int, row: Word, block: Word, high: Word, key_0: Word, key_1: Word, words: Array) -> None:
     """Write the random words of the counters (first + lane, row, block, high) to words (4, `LANES`)."""
     for lane in range(LANES):
@@ -60,7 +59,7 @@ def random_words(first: int, row: Word, block: Word, high: Word, key_0: Word, ke
         words[0, lane], words[1, lane], words[2, lane], words[3, lane] = a, b, c, d
 
 
-@_jit
+@jit
 def to_normal(words: Array, angles: Array, scratch: Array, normal: Array) -> None:
     """Turn words (`LANES`) and angles (`LANES`) of 32 random bits into normal (2, `LANES`); scratch is (2, `LANES`).
 
@@ -88,7 +87,7 @@ def to_normal(words: Array, angles: Array, scratch: Array, normal: Array) -> Non
         normal[0, k], normal[1, k] = radius * cosine, radius * sine
 
 
-@_jit
+@jit
 def add_normal(
     frames: Array, level: Array, first_sample: int, block: Word, high: Word, key_0: Word, key_1: Word
 ) -> None:

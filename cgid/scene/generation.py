@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import os
 import platform
 from collections.abc import Callable
@@ -36,6 +37,7 @@ def generate(
     shard_signals: int = SHARD_SIGNALS,
     compression: Literal["none", "gzip"] = "none",
     overwrite: bool = False,
+    resume: bool = False,
     progress: Callable[[int], object] | None = None,
 ) -> Path:
     """Write a dataset and return its path.
@@ -55,16 +57,20 @@ def generate(
     compression : {"none", "gzip"}
         gzip (level 4 after a byte shuffle) is about twenty times slower on noisy signals and saves a tenth.
     overwrite : bool
-        Whether an old dataset may be replaced.
+        Whether an old dataset may be replaced; it stays whole until the new one is.
+    resume : bool
+        Go on with a run that was not finished, to the bytes it would have made; nothing is done where all is there.
     progress : callable, optional
         Called with a number of signals whenever so many more are done.
 
     Raises
     ------
     CannotCreate
-        The output exists, or cannot be made.
+        The output exists, cannot be made, another run writes there, or the run to be resumed had other options.
+    BadData
+        What is to be resumed is damaged.
     WriteFailed
-        The disk is full; finished shards stay, but without a manifest they are no dataset.
+        The disk is full; finished shards stay, but without a manifest they are no dataset. The run can be resumed.
     InvalidValue
         A number breaks its rule, or the scene randomises its sampling rate.
     """
@@ -78,7 +84,8 @@ def generate(
             f"got {low:g} to {high:g} Hz; train on the scene itself (cgid train SCENE -o MODEL)"
         )
     validation.choice("compression", compression, COMPRESSIONS)
-    path = check_output(output, overwrite)
+    path = check_output(output, overwrite or resume)
+    next(synthesise(scene, 1, seed))  # what is wrong with the scene or the seed shows before anything is written
     plan = ShardPlan(
         n_samples=scene.sampling.samples,
         dtype=validation.choice("dtype", dtype, ("float32", "float64")),
@@ -90,32 +97,31 @@ def generate(
     if n_signals > MOST_SIGNALS:
         raise InvalidValue(f"n_signals must be at most {MOST_SIGNALS}, got {n_signals}; make several datasets")
     writer = DatasetWriter(path, plan, n_signals, shard_signals)
-    writer.require_room()
-    # More workers than shards or processors only cost memory.
-    jobs = min(jobs, len(writer.shards), os.cpu_count() or 1)
-    next(synthesise(scene, 1, seed))  # what is wrong with the scene or the seed shows before anything is written
-    writer.begin(overwrite)
-    entries = []
-    try:
-        with closing(write_shards(writer, scene, seed, dtype, jobs, progress)) as written:
+    with writer.begun(overwrite=overwrite, resume=resume) as run:
+        if progress is not None and run.entries:
+            progress(sum(entry.n_signals for entry in run.entries))
+        # More workers than shards or processors only cost memory.
+        jobs = max(1, min(jobs, len(run.missing), os.cpu_count() or 1))
+        with closing(write_shards(writer, scene, seed, dtype, run.missing, jobs, progress)) as written:
             for entry in written:
-                entries.append(entry)
+                run.add(entry)
                 if progress is not None and jobs > 1:
                     progress(entry.n_signals)
-    except BaseException:
-        writer.abandon()
-        raise
-    writer.finish(entries)
     return path
 
 
 def attributes_of(scene: Scene, seed: int) -> dict[str, Any]:
     """Return the root attributes of a dataset: how it was made."""
     packages = ", ".join(f"{name} {version(name)}" for name in ("numpy", "scipy", "numba", "h5py"))
-    return {
+    found = {
         "seed": seed,
         "scene_name": scene.name,
         "scene": scene.text,
         "scene_sha256": scene.sha256,
         "versions": f"cgid {__version__}, Python {platform.python_version()}, {packages}",
     }
+    if scene.background is not None and scene.background.recorded is not None:
+        content = (scene.folder / scene.background.recorded.path).read_bytes()
+        # The scene names the file only, and the samples depend on what is in it.
+        found["background_sha256"] = hashlib.sha256(content).hexdigest()
+    return found

@@ -22,15 +22,16 @@ def write_shards(
     scene: Scene,
     seed: int,
     dtype: Literal["float32", "float64"],
+    shards: list[tuple[int, int, int]],
     jobs: int,
     progress: Callable[[int], object] | None,
 ) -> Generator[ShardEntry, None, None]:
-    """Make all shards of a dataset and write them; yield each one's line of the manifest as it is done."""
+    """Make these shards of a dataset and write them; yield each one's line of the manifest as it is done."""
     if jobs == 1:
         # One thread hashes and writes a shard while the next one is made: neither holds Python's lock.
         with ThreadPoolExecutor(max_workers=1) as disk:
             waiting: Future[ShardEntry] | None = None
-            for shard in writer.shards:
+            for shard in shards:
                 built = _build(writer, scene, seed, dtype, shard, progress)
                 if waiting is not None:
                     yield waiting.result()
@@ -41,7 +42,7 @@ def write_shards(
         return
     import joblib
 
-    work = (joblib.delayed(_write_one)(writer, scene, seed, dtype, shard) for shard in writer.shards)
+    work = (joblib.delayed(_write_one)(writer, scene, seed, dtype, shard) for shard in shards)
     results = joblib.Parallel(n_jobs=jobs, return_as="generator_unordered")(work)
     try:
         for entry in results:  # noqa: UP028 - `yield from` would pass an interruption on before the warning is off

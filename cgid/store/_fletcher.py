@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from typing import Any
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
+
+from cgid.compiled import jit
 
 # So many words, each times its place, still fit 32 bits.
 _STEP = 256
@@ -14,16 +15,14 @@ _Sum, _Word = np.uint64, np.uint32
 _MODULUS, _ONE, _HALF = _Sum(65535), _Sum(1), _Sum(16)
 _BYTE, _LOW_BYTE = _Word(8), _Word(255)
 
-_jit = numba.njit(cache=True, nogil=True, error_model="numpy")
 
-
-@_jit
+@jit
 def _reduce(total: np.uint64) -> np.uint64:
     """Return the sum modulo 65535 as HDF5 leaves it: 0 for 0 alone, 65535 for its multiples."""
     return (total - _ONE) % _MODULUS + _ONE if total else total
 
 
-@_jit
+@jit
 def fletcher32(words: NDArray[Any]) -> np.uint64:
     """Return the checksum of little-endian 16-bit words (n,): the sum of the sums above the sum."""
     total, total_of_totals = _Sum(0), _Sum(0)

@@ -61,7 +61,7 @@ class Dataset:
             raise BadData(f"{path}: shards must hold as many signals as {MANIFEST} says; generate the dataset again")
 
     def _require_fit(self, shard: Path, header: ShardHeader) -> None:
-        for name in ("n_samples", "sampling_rate", "pre_trigger", "unit", "parameter_units"):
+        for name in ("n_samples", "sampling_rate", "pre_trigger", "unit", "parameter_units", "label_width"):
             here, there = getattr(header, name), getattr(self.header, name)
             if here != there:
                 raise BadData(f"{shard}: {name} must be that of the other shards, {there}, got {here}")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -31,6 +32,8 @@ class ShardHeader:
     unit: str
     parameter_units: Mapping[str, str]
     attributes: Mapping[str, Any]
+    #: Bytes of a stored label.
+    label_width: int
 
 
 def read_header(file: h5py.File, path: str) -> ShardHeader:
@@ -47,6 +50,7 @@ def read_header(file: h5py.File, path: str) -> ShardHeader:
     version = attributes.get("schema_version")
     if version != SCHEMA_VERSION:
         raise BadData(f"{path}: schema_version must be {SCHEMA_VERSION}, got {version}: use the cgid that wrote it")
+    require_scene(attributes, path)
     signals = plain_dataset(file, "signals", path)
     if signals.ndim != 2 or signals.dtype not in (np.float32, np.float64) or not all(signals.shape):
         raise BadData(f"{path}: signals must be rows of floats, got shape {signals.shape} of {signals.dtype}")
@@ -74,7 +78,15 @@ def read_header(file: h5py.File, path: str) -> ShardHeader:
         about["unit"],
         units,
         attributes,
+        file["labels"].dtype.itemsize,
     )
+
+
+def require_scene(attributes: Mapping[str, Any], path: str) -> None:
+    """Raise `BadData` if the text of the scene is not the one that was hashed: HDF5 does not check long attributes."""
+    scene, digest = attributes.get("scene"), attributes.get("scene_sha256")
+    if scene is not None and hashlib.sha256(str(scene).encode()).hexdigest() != digest:
+        raise BadData(f"{path}: the text of the scene must fit scene_sha256, it does not; generate the file again")
 
 
 def _parameter_units(file: h5py.File, path: str, n_signals: int) -> dict[str, str]:

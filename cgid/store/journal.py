@@ -3,7 +3,7 @@
 It lies in the folder until the run is whole, one JSON object a line, each with its own SHA-256:
 
     {"run": ..., "process": ..., "digest": ...}     which run, by which process
-    {"plan": ..., "digest": ...}                    what is settled before the first file is made
+    {"plan": ..., "n_files": ..., "noun": ..., ...} what is settled before the first file is made
     {"entry": ..., "digest": ...}                   a finished file, its size and SHA-256; one line for each
 
 A line is on the disk before the next file is counted as finished. A last line that was torn by a crash does not count.
@@ -44,6 +44,9 @@ class Unfinished:
         Who wrote it last.
     plan : dict
         What the run makes.
+    n_files : int
+        How many files it makes, and what they are called:
+    noun : str
     entries : tuple of dict
         The finished files, in the order in which they were finished.
     """
@@ -51,7 +54,15 @@ class Unfinished:
     run: str
     process: str
     plan: dict[str, Any]
+    n_files: int
+    noun: str
     entries: tuple[dict[str, Any], ...]
+
+    @property
+    def progress(self) -> str:
+        """How far it has come, and how it goes on."""
+        done = len({entry.get("file") for entry in self.entries})
+        return f"{done} of {self.n_files} {self.noun} are there; go on with cgid generate ... --resume"
 
 
 class Journal:
@@ -62,6 +73,9 @@ class Journal:
     folder : Path
         In which the files are made.
     plan : dict
+    n_files : int
+    noun : str
+        What the files are called, in the plural.
     entries : iterable of dict
         Files that are there already, in a run that goes on.
 
@@ -71,10 +85,13 @@ class Journal:
         The folder cannot be written to.
     """
 
-    def __init__(self, folder: Path, plan: Mapping[str, Any], entries: Iterable[Mapping[str, Any]] = ()) -> None:
+    def __init__(
+        self, folder: Path, plan: Mapping[str, Any], n_files: int, noun: str, entries: Iterable[Mapping[str, Any]] = ()
+    ) -> None:
         self.path, self.run = folder / JOURNAL, secrets.token_hex(16)
         first = {"run": self.run, "process": f"process {os.getpid()} on {socket.gethostname()}"}
-        lines = [_line(first), _line({"plan": plan}), *(_line({"entry": entry}) for entry in entries)]
+        second = {"plan": plan, "n_files": n_files, "noun": noun}
+        lines = [_line(first), _line(second), *(_line({"entry": entry}) for entry in entries)]
         # Whole or not at all, and without what a crash may have torn in the one before.
         write_whole(self.path, b"".join(lines))
         try:
@@ -123,13 +140,15 @@ def read_journal(folder: Path) -> Unfinished | None:
     except OSError as error:
         raise BadData(f"{file}: cannot be read ({error.strerror}); start again with --overwrite") from None
     first, second = (_content(line) for line in [*lines, b""][:2])
-    run, process, plan = first.get("run"), first.get("process"), second.get("plan")
-    if not isinstance(run, str) or not isinstance(process, str) or not isinstance(plan, dict):
-        raise BadData(f"{file}: is damaged, so that the run cannot go on; start again with --overwrite")
+    found = {**first, **second}
+    for name, kind in (("run", str), ("process", str), ("plan", dict), ("n_files", int), ("noun", str)):
+        if not isinstance(found.get(name), kind):
+            raise BadData(f"{file}: is damaged, so that the run cannot go on; start again with --overwrite")
     # A line that is torn or damaged is passed over: its file is made again.
     entries = [_content(line).get("entry") for line in lines[2:]]
     sound = tuple(entry for entry in entries if isinstance(entry, dict))
-    return Unfinished(run=run, process=process, plan=plan, entries=sound)
+    named = {name: found[name] for name in ("run", "process", "plan", "n_files", "noun")}
+    return Unfinished(entries=sound, **named)
 
 
 @contextmanager

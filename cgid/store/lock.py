@@ -54,6 +54,8 @@ def locked(path: Path, *, shared: bool = False, patience: float = 0.0) -> Iterat
                 if error.errno not in _NO_LOCKS:
                     raise
                 break
+        if not os.path.samestat(os.fstat(descriptor), path.stat()):
+            raise BlockingIOError(errno.EWOULDBLOCK, "another file has its name by now")
         yield
     finally:
         os.close(descriptor)

@@ -13,6 +13,7 @@ from typing import Any
 from cgid.errors import BadData
 from cgid.store.digest import is_sound, sealed
 from cgid.store.header import FORMAT
+from cgid.store.journal import read_journal
 
 MANIFEST = "manifest.json"
 #: Version 1 had neither digest nor the fields that `_ADDED` names.
@@ -83,13 +84,16 @@ def read_manifest(folder: Path) -> Manifest:
     Raises
     ------
     BadData
-        There is none, it is damaged, of a newer version, or another program's.
+        There is none (an unfinished run is told as such), it is damaged, of a newer version, or another program's.
     """
     file = folder / MANIFEST
     try:
         with file.open("rb") as stream:
             content = stream.read(LARGEST_MANIFEST + 1)
     except OSError:
+        unfinished = read_journal(folder)
+        if unfinished is not None:
+            raise BadData(f"{folder}: the run that makes it is not finished: {unfinished.progress}") from None
         raise BadData(
             f"{folder}: a dataset folder must hold {MANIFEST}; without it the run that made it was not "
             "finished: generate it again"

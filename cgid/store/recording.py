@@ -27,7 +27,7 @@ from cgid.files import whole_file
 from cgid.signals import UNITS, Signal, quantity_of
 from cgid.store.dataset import opened
 from cgid.store.disk import Hdf5OnDisk, hdf5_on_disk
-from cgid.store.header import LARGEST_SHARD, attributes_of, is_inside, plain_dataset, text_of
+from cgid.store.header import LARGEST_SHARD, attributes_of, is_inside, plain_dataset, require_scene, text_of
 
 RECORDING_FORMAT = "cgid-recording"
 RECORDING_SCHEMA_VERSION = 1
@@ -215,6 +215,7 @@ class Recording:
             raise BadData(
                 f"{path}: schema_version must be {RECORDING_SCHEMA_VERSION}, got {version}: use the cgid that wrote it"
             )
+        require_scene(self.attributes, path)
         samples = plain_dataset(file, "samples", path)
         if samples.ndim != 1 or samples.dtype not in (np.float32, np.float64) or not samples.size:
             raise BadData(f"{path}: samples must be a row of floats, got shape {samples.shape} of {samples.dtype}")

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cgid.errors import BadData, MissingExtra, NoInput
-from cgid.store.header import attributes_of, plain_dataset, text_of
+from cgid.store.header import attributes_of, plain_dataset, require_scene, text_of
 from cgid.store.table import TABLE_FORMAT, TABLE_VERSION, Table, TableHeader, parquet_library
 
 #: What a table says of itself, in whichever format.
@@ -73,6 +73,7 @@ def _read_hdf5(path: str | Path) -> Table:
         if attributes.pop("format", None) != TABLE_FORMAT:
             raise BadData(f"{path}: this HDF5 file must be a table (attribute format = {TABLE_FORMAT!r}); it is not")
         _require_version(path, attributes.pop("schema_version", None))
+        require_scene(attributes, str(path))
         kind = str(attributes.pop("kind", ""))
         labels, specimen = plain_dataset(file, "labels", str(path)), plain_dataset(file, "specimen", str(path))
         stored = {name: plain_dataset(file, f"columns/{name}", str(path)) for name in file["columns"]}

@@ -8,18 +8,17 @@ from __future__ import annotations
 import math
 from typing import Any
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
+
+from cgid.compiled import jit
 
 Array = NDArray[Any]
 
 _POINTS = 32  # taken together
 
-_jit = numba.njit(cache=True, nogil=True, error_model="numpy")
 
-
-@_jit
+@jit
 def sine_shapes(x: Array, y: Array, along: Array, across: Array, out: Array) -> None:
     """Fill out (points, modes) with `sin(i pi x) sin(j pi y)`, x and y within [0, 1], i = along, j = across."""
     sines_along, sines_across = np.zeros(along.max() + 1), np.zeros(across.max() + 1)
@@ -32,7 +31,7 @@ def sine_shapes(x: Array, y: Array, along: Array, across: Array, out: Array) -> 
             out[point, mode] = sines_along[along[mode]] * sines_across[across[mode]]
 
 
-@_jit
+@jit
 def _legendre(u: float, out: Array) -> None:
     """Fill out (degrees) with the Legendre polynomials at u, by Bonnet's recurrence."""
     before, value = 0.0, 1.0
@@ -41,7 +40,7 @@ def _legendre(u: float, out: Array) -> None:
         before, value = value, ((2 * degree + 1) * u * value - degree * before) / (degree + 1)
 
 
-@_jit
+@jit
 def polynomial_shapes(x: Array, y: Array, along: Array, across: Array, coefficients: Array, out: Array) -> None:
     """Fill out (points, modes) with sums of `P_i(2x - 1) P_j(2y - 1)`, i = along, j = across (terms).
 

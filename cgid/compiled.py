@@ -1,0 +1,192 @@
+"""How kernels are compiled: the same options for all, and a cache on the disk that can only help.
+
+numba's own cache is an index and data files for each function. Two processes that compile at once may mix them up, a
+damaged file ends the run or changes the numbers, an edit in another file goes unseen, and as its files are pickles,
+whoever may write where they lie can run code. So here every compiled kernel is one file, named by all that it depends
+on and beginning with the SHA-256 of the rest, in a folder that nobody else can write to. What cannot be read is
+compiled anew, what cannot be written stays in memory: no fault of the disk ends a run.
+
+The folder is `kernels-<digest>` in `NUMBA_CACHE_DIR`, or else in the user's cache folder (`XDG_CACHE_HOME`,
+~/.cache/cgid on Linux); the digest is of the kernels' sources and the versions of Python, numpy, numba and llvmlite.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import os
+import pickle
+import shutil
+import stat
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from functools import cache
+from pathlib import Path
+from typing import Any, TypeVar
+
+import llvmlite
+import numba
+import numpy as np
+from numba.core.caching import NullCache
+from numba.core.compiler import CompileResult
+from numba.core.serialize import dumps
+from numba.core.sigutils import normalize_signature
+from numba.misc.appdirs import AppDirs
+
+Function = TypeVar("Function", bound=Callable[..., Any])
+
+#: Files whose text is in the compiled kernels: those with kernels, and those they take constants from.
+SOURCES = (
+    "compiled.py",
+    "family.py",
+    "impact/_coupled.py",
+    "impact/_kernels.py",
+    "impact/_response.py",
+    "impact/_stepped.py",
+    "impact/_taylor.py",
+    "impact/collocation.py",
+    "impact/tail_beam/_shapes.py",
+    "scene/_noise.py",
+    "store/_fletcher.py",
+)
+#: After so many seconds (30 days) without a new kernel, the folder of other sources or versions is cleared away.
+_FORGOTTEN = 30 * 86400.0
+_OPTIONS = {"nogil": True, "error_model": "numpy"}
+
+
+def jit(function: Function) -> Function:
+    """Return the function compiled when first called (or taken from the cache), which lets go of Python's lock."""
+    return _compiled(function, _OPTIONS)
+
+
+def inner_jit(function: Function) -> Function:
+    """Return the same for what only kernels call: no way in from Python is a fifth less to compile."""
+    return _compiled(function, _OPTIONS | {"no_cpython_wrapper": True, "no_cfunc_wrapper": True})
+
+
+def _compiled(function: Function, options: dict[str, Any]) -> Function:
+    dispatcher: Any = numba.njit(**options)(function)
+    dispatcher._cache = KernelCache(function, kernel_folder)
+    result: Function = dispatcher
+    return result
+
+
+class KernelCache(NullCache):
+    """What numba asks for a compiled function and hands it to.
+
+    Parameters
+    ----------
+    function : callable
+        As Python has it.
+    folder : callable
+        Says where the files lie, or None where there is no place for them; asked when something is compiled.
+    """
+
+    def __init__(self, function: Callable[..., Any], folder: Callable[[], Path | None]) -> None:
+        self._name = f"{function.__module__}.{function.__qualname__}"
+        self._folder = folder
+
+    @property
+    def cache_path(self) -> str | None:
+        """The folder."""
+        folder = self._folder()
+        return None if folder is None else str(folder)
+
+    def load_overload(self, sig: Any, target_context: Any) -> Any:
+        """Return the function compiled for these types of arguments, None where that is not to be had."""
+        target_context.refresh()
+        # Whatever is wrong with the file or the disk: compiling helps.
+        with contextlib.suppress(Exception):
+            payload = _read(self._file(sig, target_context.codegen()))
+            if payload is not None:
+                return CompileResult._rebuild(target_context, *pickle.loads(payload))
+        return None
+
+    def save_overload(self, sig: Any, data: Any) -> None:
+        """Keep a compiled function if that can be."""
+        with contextlib.suppress(Exception):
+            if not data.library.has_dynamic_globals:  # addresses of this process
+                _write(self._file(sig, data.codegen), dumps(data._reduce()))
+
+    def _file(self, sig: Any, codegen: Any) -> Path:
+        folder = self._folder()
+        if folder is None:
+            raise FileNotFoundError
+        types, _ = normalize_signature(sig)
+        # With the processor: a home folder may be seen from several machines.
+        identity = repr((self._name, [str(one) for one in types], codegen.magic_tuple()))
+        return folder / f"{self._name}-{hashlib.sha256(identity.encode()).hexdigest()[:16]}"
+
+
+@cache
+def kernel_folder() -> Path | None:
+    """Return the folder of this version's compiled kernels, made if need be; None where none can be trusted."""
+    try:
+        asked, usual = getattr(numba.config, "CACHE_DIR", ""), Path(AppDirs("cgid", False).user_cache_dir)
+        if not asked and not usual.is_absolute():  # there is no home folder
+            return None
+        folder = (Path(asked).absolute() if asked else usual) / f"kernels-{digest(Path(__file__).parent)}"
+        if not folder.exists():
+            folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+            _clear_forgotten(folder)
+        return folder if stat.S_ISDIR(folder.lstat().st_mode) and _private(folder.lstat()) else None
+    except (OSError, ValueError):
+        return None
+
+
+def digest(package: Path) -> str:
+    """Return what tells kernels of other sources or versions from these: 16 hexadecimal digits.
+
+    Parameters
+    ----------
+    package : Path
+        The folder below which the `SOURCES` are.
+    """
+    versions = (sys.implementation.cache_tag, np.__version__, numba.__version__, llvmlite.__version__)
+    found = hashlib.sha256(repr(versions).encode())
+    for name in SOURCES:
+        found.update(hashlib.sha256((package / name).read_bytes()).digest())
+    return found.hexdigest()[:16]
+
+
+def _private(status: os.stat_result) -> bool:
+    """Whether nobody else (but the administrator) can have made or changed it: pickles run code."""
+    if not hasattr(os, "getuid"):  # Windows: a user's cache folder is that user's
+        return True
+    return status.st_uid in (os.getuid(), 0) and not status.st_mode & (stat.S_IWGRP | stat.S_IWOTH)
+
+
+def _read(path: Path) -> bytes | None:
+    """Return what was written, None where the file is damaged or another's."""
+    # Not to wait for what is no file.
+    file = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0))
+    with os.fdopen(file, "rb") as stream:
+        status = os.fstat(file)
+        if not stat.S_ISREG(status.st_mode) or not _private(status):
+            return None
+        checksum, payload = stream.read(32), stream.read()
+    return payload if hashlib.sha256(payload).digest() == checksum else None
+
+
+def _write(path: Path, payload: bytes) -> None:
+    """Write a file whole or not; it need not outlive a power cut, so nothing waits for the disk."""
+    file, name = tempfile.mkstemp(prefix=".", dir=path.parent)
+    temporary = Path(name)
+    try:
+        with os.fdopen(file, "wb") as stream:
+            stream.write(hashlib.sha256(payload).digest() + payload)
+        temporary.replace(path)
+    except BaseException:
+        temporary.unlink(missing_ok=True)
+        raise
+
+
+def _clear_forgotten(folder: Path) -> None:
+    """Remove the folders of other sources and versions that have got nothing new for long."""
+    for other in folder.parent.glob("kernels-*"):
+        with contextlib.suppress(OSError):
+            status = other.lstat()
+            if other != folder and _private(status) and time.time() - status.st_mtime > _FORGOTTEN:
+                shutil.rmtree(other, ignore_errors=True)
