@@ -53,7 +53,7 @@ def examine_file(path: str | Path, steps: Mapping[str, int] | None = None) -> di
     found: dict[str, Any] = {"fault": "", "attributes": {}, "filters": [], "dtype": "", "chunks": {}}
     try:
         with opened(str(path), str(path)) as file:
-            found["attributes"] = attributes_of(file)
+            found["attributes"] = attributes_of(file, str(path))
             _require_header(file, str(path), found["attributes"].get("format"))
             require_scene(found["attributes"], str(path))
             size = Path(path).stat().st_size
