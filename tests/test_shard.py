@@ -142,6 +142,20 @@ def test_chunks_are_byte_for_byte_what_hdf5_writes(compression):
             assert ours.read_direct_chunk(place) == theirs.read_direct_chunk(place)
 
 
+@pytest.mark.parametrize("compression", COMPRESSIONS)
+def test_who_holds_on_to_a_dataset_changes_no_byte(monkeypatch, compression):
+    expected, held, look_up = build((), compression=compression), [], h5py.Group.__getitem__
+
+    def looked_up(group, name):
+        found = look_up(group, name)
+        held.extend([found] if name == "specimen" else [])  # as a profiler does that looks at frames
+        return found
+
+    monkeypatch.setattr(h5py.Group, "__getitem__", looked_up)
+    assert build((), compression=compression) == expected
+    assert held
+
+
 def filters_of(file):
     creation = file["signals"].id.get_create_plist()
     return [creation.get_filter(index) for index in range(creation.get_nfilters())]

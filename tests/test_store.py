@@ -286,20 +286,6 @@ def test_manifest_counts_the_labels(made):
         assert entry["labels"] == {label: part.count(label) for label in ("coal", "gangue")}
 
 
-def test_manifest_finds_one_flipped_bit_anywhere(folder):
-    assert Dataset(folder).damaged_shards() == []
-    shard = folder / "shard-00002.h5"
-    content = bytearray(shard.read_bytes())
-    content[-1] ^= 1
-    dataset = Dataset(folder)
-    shard.write_bytes(content)
-    assert dataset.damaged_shards() == [str(shard)]
-
-
-def test_a_single_file_has_no_manifest_to_compare_with(made):
-    assert Dataset(made / "one.h5").damaged_shards() == []
-
-
 def rewrite(folder, **changes):
     """Change what a manifest says and give it the SHA-256 of that, as whoever means to deceive would."""
     file = folder / "manifest.json"
@@ -465,7 +451,7 @@ def test_wrong_schema_version(copy, version):
         del file.attrs["schema_version"]
         if version is not None:
             file.attrs["schema_version"] = version
-    refused(copy, "schema_version must be 1")
+    refused(copy, "schema_version 2 is newer.*upgrade" if version == 2 else "schema_version must be 1")
 
 
 @pytest.mark.parametrize("value", [np.array(["cgid-dataset", "cgid-dataset"], "S12"), "cgid-dataset", 3.0])
@@ -578,7 +564,7 @@ def test_a_dataset_without_parameters(copy):
 def test_a_huge_declared_size_is_refused_before_it_is_read(copy, name, shape, kind):
     chunks = tuple(min(length, 8) for length in shape)
     replaced(copy, name, lambda file, _: file.create_dataset(name, shape, kind, chunks=chunks))
-    refused(copy, f"{name} must be at most 2 GiB")
+    refused(copy, f"{name} declares [0-9]{{10,}} bytes and holds 0")
 
 
 @pytest.mark.parametrize(

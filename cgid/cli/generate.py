@@ -15,12 +15,12 @@ from cgid.cli.saying import say
 _ONLY = {"features_only": "features", "closed_form_only": "closed-form", "parameters_only": "parameters"}
 _WHICH = {"features": "features_only", "quantities": "closed_form_only"}
 #: Options about signals on the disk.
-_OF_SIGNALS = ("dtype", "shard_signals", "compression", "jobs")
+_OF_SIGNALS = ("dtype", "shard_signals", "compression", "jobs", "scheduler")
 #: Those of them about signals that are not in one recording, and their defaults.
-_OF_MANY = {"jobs": 1, "shard_signals": 4096, "compression": "none"}
+_OF_MANY = {"jobs": 1, "scheduler": None, "shard_signals": 4096, "compression": "none"}
 #: What makers of recordings and datasets are told.
 _OF_RECORDINGS = ("output", "n_signals", "seed", "overwrite", "resume", "dtype")
-_OF_DATASETS = (*_OF_RECORDINGS, "shard_signals", "compression", "jobs")
+_OF_DATASETS = (*_OF_RECORDINGS, "shard_signals", "compression", "jobs", "scheduler")
 
 
 @click.command(short_help="Make a dataset from a scene.")
@@ -33,6 +33,7 @@ _OF_DATASETS = (*_OF_RECORDINGS, "shard_signals", "compression", "jobs")
 @click.option("-n", "--signals", "n_signals", type=int, help="How many signals (10000), or recordings of a stream (1).")
 @click.option("--seed", type=int, default=0, show_default=True, help="The same seed gives the same signals.")
 @click.option("--jobs", type=int, default=1, show_default=True, help="Worker processes.")
+@click.option("--scheduler", help="Of a dask cluster, such as tcp://192.168.0.7:8786: its workers make the shards.")
 @click.option("--dtype", type=click.Choice(["float32", "float64"]), default="float32", show_default=True)
 @click.option("--shard-signals", type=int, default=4096, show_default=True, help="Signals in each shard of a folder.")
 @click.option(
@@ -97,6 +98,8 @@ def _checked_output(context: click.Context) -> str:
     for name, needed in _WHICH.items():
         if name in given and needed not in only:
             raise click.UsageError(f"{_flag(name)} needs {_flag(needed)}; give both or neither", context)
+    if options["scheduler"] is not None and "jobs" in given:
+        raise click.UsageError("--jobs is for this machine, --scheduler for a cluster; give one of them", context)
     if options["as_json"] and not options["explain"]:
         raise click.UsageError("--json needs --explain: it prints the plan; give both or neither", context)
     if only and options["resume"]:

@@ -53,13 +53,14 @@ def _dataset(file: str) -> dict[str, Any]:
     from collections import Counter
 
     from cgid.store import Dataset
+    from cgid.store.verification import damaged_shards
 
     dataset = Dataset(file)
     labels: Counter[str] = Counter()
     for batch in dataset.batches():
         labels.update(batch.labels.tolist())
     about = dataset.header.attributes
-    damaged = dataset.damaged_shards()
+    damaged = damaged_shards(file)
     return {
         "kind": "dataset",
         "file": file,

@@ -13,6 +13,7 @@ import click
 from cgid import __version__
 from cgid.cli.ceiling import ceiling
 from cgid.cli.check import check
+from cgid.cli.export import export
 from cgid.cli.features import features
 from cgid.cli.generate import generate
 from cgid.cli.info import info
@@ -24,6 +25,7 @@ from cgid.cli.predict import predict
 from cgid.cli.reproduce import reproduce
 from cgid.cli.saying import say
 from cgid.cli.train import train
+from cgid.cli.verify import verify
 from cgid.errors import CgidError
 
 _INTERRUPTED, _INTERNAL, _OUTPUT_FAILED = 130, 70, 74
@@ -35,7 +37,7 @@ def cli() -> None:
     """Tell coal from gangue by how a falling rock hits steel."""
 
 
-for command in (generate, check, ceiling, train, predict, monitor, features, info, plot, reproduce):
+for command in (generate, check, ceiling, train, predict, monitor, features, info, plot, reproduce, verify, export):
     cli.add_command(command)
 
 

@@ -65,6 +65,8 @@ def arrays_of(content: bytes) -> Iterator[tuple[str, NDArray[Any]]]:
     BadData
         The archive or an array is not as `numpy.savez` writes it, or damaged.
     """
+    if not content.startswith(_LOCAL):
+        raise BadData("it must be an .npz archive of numbers")
     entries: list[_Entry] = []
     place = 0
     while content[place : place + 4] == _LOCAL:
@@ -121,7 +123,7 @@ def _check_directory(content: bytes, place: int, entries: list[_Entry]) -> None:
             raise BadData(f"the directory of its archive must agree with array {entry.name.decode()}")
         place += _CENTRAL_HEAD.size + len(name)
     end = _END_RECORD.pack(_END, 0, 0, len(entries), len(entries), place - first, first, 0)
-    if not entries or content[place:] != end:
+    if content[place:] != end:
         raise BadData("its archive must be whole, and end where its directory does")
 
 

@@ -23,8 +23,8 @@ _UNSAID: dict[int, dict[str, Any]] = {
     3: {},
     4: {},
 }
-#: A longer header is none: it would say a hundred bytes of each of forty thousand recordings.
-LARGEST_HEADER = 4 << 20
+#: A longer header is none: it would say a hundred bytes of each of twenty thousand recordings.
+LARGEST_HEADER = 2 << 20
 #: Lists and objects within each other; ours have seven.
 _DEEPEST = 32
 #: Numbers beyond this in either direction measure nothing, and squares of them are still numbers.

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from cgid import __version__, validation
+from cgid.cluster import workers
 from cgid.errors import InvalidValue
 from cgid.scene.population import parameter_units
 from cgid.scene.scene import Scene
@@ -39,6 +40,7 @@ def generate(
     compression: Literal["none", "gzip", "zstd", "blosc2"] = "none",
     overwrite: bool = False,
     resume: bool = False,
+    scheduler: str | None = None,
     progress: Callable[[int], object] | None = None,
 ) -> Path:
     """Write a dataset and return its path.
@@ -63,15 +65,23 @@ def generate(
         Whether an old dataset may be replaced; it stays whole until the new one is.
     resume : bool
         Go on with a run that was not finished, to the bytes it would have made; nothing is done where all is there.
+    scheduler : str, optional
+        Address of a dask scheduler, such as tcp://192.168.0.7:8786, whose workers make the shards in place of `jobs`;
+        the output lies in a folder that all of them share, by the same name.
     progress : callable, optional
         Called with a number of signals whenever so many more are done.
 
     Raises
     ------
     CannotCreate
-        The output exists, cannot be made, another run writes there, or the run to be resumed had other options.
+        The output exists, cannot be made, another run writes there, the run to be resumed had other options, or a
+        worker does not share the folder.
     BadData
         What is to be resumed is damaged.
+    ClusterFailed
+        The scheduler does not answer, has no workers, or has lost them.
+    MissingExtra
+        dask.distributed is not installed.
     WriteFailed
         The disk is full; finished shards stay, but without a manifest they are no dataset. The run can be resumed.
     InvalidValue
@@ -100,15 +110,16 @@ def generate(
     if n_signals > MOST_SIGNALS:
         raise InvalidValue(f"n_signals must be at most {MOST_SIGNALS}, got {n_signals}; make several datasets")
     writer = DatasetWriter(path, plan, n_signals, shard_signals)
-    with writer.begun(overwrite=overwrite, resume=resume) as run:
+    # More workers than shards or processors only cost memory.
+    jobs = min(jobs, len(writer.shards), os.cpu_count() or 1)
+    # A cluster that does not answer is told before anything is written.
+    with workers(jobs, scheduler) as crew, writer.begun(overwrite=overwrite, resume=resume) as run:
         if progress is not None and run.entries:
             progress(sum(entry.n_signals for entry in run.entries))
-        # More workers than shards or processors only cost memory.
-        jobs = max(1, min(jobs, len(run.missing), os.cpu_count() or 1))
-        with closing(write_shards(writer, scene, seed, dtype, run.missing, jobs, progress)) as written:
+        with closing(write_shards(writer, scene, seed, dtype, run.missing, crew, progress)) as written:
             for entry in written:
                 run.add(entry)
-                if progress is not None and jobs > 1:
+                if progress is not None and not crew.alone:
                     progress(entry.n_signals)
     return path
 

@@ -139,9 +139,16 @@ class ShardBuilder:
         """Return the finished file; it lies where it was built."""
         if self._filled != self._n_signals:
             raise BadData(f"a shard of {self._n_signals} signals was given {self._filled}")
-        self._file["labels"][:] = np.char.encode(np.concatenate([part.labels for part in self._columns]), "utf-8")
-        self._file["specimen"][:] = np.concatenate([part.specimen for part in self._columns])
+        self._write("labels", np.char.encode(np.concatenate([part.labels for part in self._columns]), "utf-8"))
+        self._write("specimen", np.concatenate([part.specimen for part in self._columns]))
         for name in self._plan.parameter_units:
-            self._file[f"parameters/{name}"][:] = np.concatenate([part.parameters[name] for part in self._columns])
+            self._write(f"parameters/{name}", np.concatenate([part.parameters[name] for part in self._columns]))
         self._close()
         return self._memory.content()
+
+    def _write(self, name: str, column: NDArray[Any]) -> None:
+        dataset = self._file[name]
+        dataset[:] = column
+        # Its place in the file is that of its turn. HDF5 would give it one when the last that knows the dataset lets go
+        # of it, and who looks at frames from another thread, as profilers do, holds on to it a while.
+        dataset.flush()
