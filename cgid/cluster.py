@@ -6,7 +6,6 @@ what is its own, so its result is the same whoever does it.
 
 from __future__ import annotations
 
-import asyncio
 import logging
 import platform
 import re
@@ -227,7 +226,7 @@ def _versions() -> dict[str, str]:
 
 
 def _until_failure(parts: Iterable[Part], failures: list[BaseException]) -> Iterator[Part]:
-    """Yield the parts; what fails in making them ends them and is kept: joblib asks in threads, where it would be lost."""
+    """Yield the parts; what fails in making them ends them and is kept: joblib asks in threads, where it is lost."""
     try:
         yield from parts
     except Exception as error:
@@ -256,6 +255,8 @@ def _backend(client: Any) -> Any:
     joblib's own hears of results and of what a function raises. It never hears of a part that dask has given up, takes
     one that was cancelled for a result, and waits for ever where no worker is left.
     """
+    import asyncio
+
     from joblib._dask import DaskDistributedBackend
 
     class Backend(DaskDistributedBackend):  # type: ignore[misc]
@@ -296,7 +297,6 @@ def _told(error: Exception) -> ClusterFailed | Exception:
     """Return what dask raises in words of ours; what a function has raised stays as it is."""
     from concurrent.futures import CancelledError
 
-    from distributed.client import FutureCancelledError
     from distributed.scheduler import KilledWorker
 
     if isinstance(error, KilledWorker):
@@ -304,7 +304,7 @@ def _told(error: Exception) -> ClusterFailed | Exception:
             "cluster: several workers have died of the same part, as they do where memory is short; give them more of "
             "it, fewer threads, or ask for smaller shards"
         )
-    if isinstance(error, CancelledError | asyncio.CancelledError | FutureCancelledError):
+    if isinstance(error, CancelledError):
         return ClusterFailed("cluster: the scheduler is lost, or has dropped the work; start it again, and go on")
     return error
 
