@@ -165,8 +165,8 @@ class ImpactClassifier(ClassifierMixin, BaseEstimator):  # type: ignore[misc]
     ) -> ImpactClassifier:
         """Fit to features (n_impacts, n_features) and labels (n_impacts,).
 
-        Impacts of the same of `groups` (n_impacts,), their specimens, are never on both sides of a fold. The `crew` fits
-        the folds. One thread does each fit: sums made by several would differ in their last digits.
+        Impacts of the same of `groups` (n_impacts,), their specimens, are never on both sides of a fold. The `crew`
+        fits the folds, one thread each: sums made by several would differ in their last digits.
         """
         validation.choice("family", self.family, tuple(self.ESTIMATORS))
         features, labels = validate_data(self, X, y, dtype=np.float64, ensure_min_samples=2)
