@@ -104,7 +104,7 @@ def train(
     _refuse_stray_options(context, _OF_DATASETS if manifests else _OF_RECORDINGS, bool(manifests))
     others = [item for item in data if item not in manifests]
     training, failures = (_recorded if manifests else _synthesised)(manifests, others, asked)
-    written = write_model(training, path, plots=plots)
+    written = write_model(training, path, plots=plots, overwrite=overwrite)
     _say(training, path, written, as_json)
     for error in failures:
         say_error(error)
