@@ -8,6 +8,7 @@ from typing import Any
 import click
 
 from cgid.cli.options import each_file, print_json, progress_bar
+from cgid.cli.saying import say
 
 
 @click.command(short_help="Say what is damaged in a dataset; make it again.")
@@ -92,7 +93,7 @@ def _tell(path: str, kind: str, n_files: int, lines: list[dict[str, Any]], as_js
         print_json({"source": path, "kind": kind, "files": n_files, "whole": whole, "findings": lines})
         return
     state = ("repaired" if any(line.get("repaired") for line in lines) else "whole") if whole else "damaged"
-    click.echo(f"{path}: {kind} of {n_files} file{'s' * (n_files > 1)}, {state}")
+    say(f"{path}: {kind} of {n_files} file{'s' * (n_files > 1)}, {state}")
     for line in lines:
         told = f"; {'repaired' if line['repaired'] else 'not repaired'}: {line['told']}" if "repaired" in line else ""
-        click.echo(f"  {line['file']}: {line['problem']}: {line['what'].removeprefix(line['file'] + ': ')}{told}")
+        say(f"  {line['file']}: {line['problem']}: {line['what'].removeprefix(line['file'] + ': ')}{told}")
