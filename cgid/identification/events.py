@@ -9,7 +9,7 @@ import numpy as np
 
 from cgid import validation
 from cgid.errors import BadData
-from cgid.features.feature import ImpactKind, Kind
+from cgid.features.feature import ImpactKind
 from cgid.frames import DETECTION_LIMIT
 from cgid.identification.detection.detector import (
     DEAD_TIME,
@@ -37,7 +37,7 @@ __all__ = [
 _CLIPPED_SHARE = 0.5
 
 
-def find_impacts(signal: Signal, *, kind: Kind = "pulse", dead_time: float | None = None) -> list[Event]:
+def find_impacts(signal: Signal, *, kind: ImpactKind = "pulse", dead_time: float | None = None) -> list[Event]:
     """Return the impacts in a recording, in order.
 
     What `ImpactDetector` finds, but for pulses whose highest sample does not rise to `THRESHOLD_OVER_PEAK` of that of
@@ -63,7 +63,6 @@ def find_impacts(signal: Signal, *, kind: Kind = "pulse", dead_time: float | Non
         The signal is constant or absurdly large, or nothing rises above the noise.
     """
     validation.choice("kind", kind, get_args(ImpactKind))
-    impact_kind: ImpactKind = "pulse" if kind == "pulse" else "vibration"
     if dead_time is not None:
         dead_time = float(validation.not_negative("dead_time", dead_time, "s"))
     lowest, highest = float(signal.samples.min()), float(signal.samples.max())
@@ -78,9 +77,9 @@ def find_impacts(signal: Signal, *, kind: Kind = "pulse", dead_time: float | Non
         raise BadData(f"{signal.name}: no impact: {told} {lowest:g}; check the sensor and its cable")
     if signal.pre_trigger is not None:
         return [_whole_frame(signal, signal.pre_trigger)]
-    found = _found(signal, impact_kind, dead_time)
+    found = _found(signal, kind, dead_time)
     if not found:
-        raise BadData(_nothing_in(signal, impact_kind))
+        raise BadData(_nothing_in(signal, kind))
     if kind == "pulse":
         found = _high_ones(signal, found)
     else:

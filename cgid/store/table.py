@@ -12,17 +12,17 @@ from abc import abstractmethod
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TextIO
 
-import h5py
 import numpy as np
 from numpy.typing import NDArray
 
 from cgid.counting import count
 from cgid.errors import CannotCreate, InvalidValue, MissingExtra
 from cgid.files import whole_file
+from cgid.store.disk import Hdf5OnDisk, hdf5_on_disk
+from cgid.store.header import TABLE_FORMAT, TABLE_VERSION
 
-TABLE_FORMAT, TABLE_VERSION = "cgid-table", 1
 #: Rows that are gathered before they are written, whole chunks of HDF5 or a row group of Parquet; and rows of a chunk.
 _ROWS, _CHUNK = 16384, 4096
 #: File names end in one of these.
@@ -132,23 +132,20 @@ class TableWriter:
             self._waiting, self._n_waiting = [_part(joined, slice(full, None))], self._n_waiting - full
 
     def finish(self) -> None:
-        """Write what still waits, and close the file."""
+        """Write what still waits."""
         if self._n_waiting:
             self._write(_joined(self._waiting))
         self._waiting, self._n_waiting = [], 0
-        self.close()
 
     @abstractmethod
     def _write(self, rows: Rows) -> None:
         """Write some rows."""
 
-    @abstractmethod
-    def close(self) -> None:
-        """Let go of the file, whatever is in it."""
-
 
 @contextlib.contextmanager
-def table_writer(path: str | Path, header: TableHeader, label_width: int) -> Iterator[TableWriter]:
+def table_writer(
+    path: str | Path, header: TableHeader, label_width: int, *, overwrite: bool = True
+) -> Iterator[TableWriter]:
     """Open a table to write rows to; its name bears the whole table or what it bore before.
 
     Parameters
@@ -158,102 +155,79 @@ def table_writer(path: str | Path, header: TableHeader, label_width: int) -> Ite
     header : TableHeader
     label_width : int
         Bytes of the longest label.
+    overwrite : bool
+        Whether it may take the place of what bears the name when it is whole.
 
     Raises
     ------
     CannotCreate
-        The folder is missing or not writable.
+        The folder is missing or not writable, or the name was taken meanwhile.
     WriteFailed
         The disk is full or broken; nothing is left behind.
     """
     suffix = Path(path).suffix.lower()
-    with whole_file(path) as temporary:
+    with whole_file(path, overwrite=overwrite) as temporary, contextlib.ExitStack() as stack:
         if suffix == ".csv":
-            writer: TableWriter = _CsvWriter(temporary, header)
+            stream = stack.enter_context(temporary.open("w", encoding="utf-8", newline=""))
+            writer: TableWriter = _CsvWriter(stream, header)
         elif suffix == ".parquet":
-            writer = _ParquetWriter(temporary, header)
+            writer = _ParquetWriter(stack, temporary, header)
         else:
-            writer = _Hdf5Writer(temporary, header, label_width)
-        try:
-            yield writer
-            writer.finish()
-        except BaseException:
-            with contextlib.suppress(Exception):  # the first error is the one to tell
-                writer.close()
-            raise
+            writer = _Hdf5Writer(stack.enter_context(hdf5_on_disk(temporary)), header, label_width)
+        yield writer
+        writer.finish()
 
 
 class _Hdf5Writer(TableWriter):
-    def __init__(self, path: Path, header: TableHeader, label_width: int) -> None:
+    def __init__(self, output: Hdf5OnDisk, header: TableHeader, label_width: int) -> None:
         super().__init__(header)
-        self._filled = 0
-        self._file = h5py.File(path, "w", libver=("v110", "v110"))
+        self._output, self._filled = output, 0
         head = {"format": TABLE_FORMAT, "schema_version": TABLE_VERSION, "kind": header.kind}
-        for name, value in {**header.attributes, **head}.items():
-            self._file.attrs[name] = np.bytes_(value.encode()) if isinstance(value, str) else value
-        self._create("labels", f"S{label_width}")
-        self._create("specimen", "uint64")
-        self._file.create_group("columns", track_order=True)
-        for name, unit in header.units.items():
-            self._create(f"columns/{name}", "float64")
-            self._file[f"columns/{name}"].attrs["unit"] = np.bytes_(unit.encode())
-
-    def _create(self, name: str, dtype: str) -> None:
-        self._file.create_dataset(name, (0,), dtype, maxshape=(None,), chunks=(_CHUNK,), fletcher32=True)
+        columns: dict[str, str] = {"labels": f"S{label_width}", "specimen": "uint64"}
+        columns |= {f"columns/{name}": "float64" for name in header.units}
+        with output.step() as file:
+            for name, value in {**header.attributes, **head}.items():
+                file.attrs[name] = np.bytes_(value.encode()) if isinstance(value, str) else value
+            file.create_group("columns", track_order=True)
+            for name, dtype in columns.items():
+                file.create_dataset(name, (0,), dtype, maxshape=(None,), chunks=(_CHUNK,), fletcher32=True)
+            for name, unit in header.units.items():
+                file[f"columns/{name}"].attrs["unit"] = np.bytes_(unit.encode())
 
     def _write(self, rows: Rows) -> None:
         place = slice(self._filled, self._filled + len(rows))
         values: dict[str, Any] = {f"columns/{name}": rows.columns[name] for name in self._header.units}
         values |= {"labels": np.char.encode(rows.labels, "utf-8"), "specimen": rows.specimen}
-        with _as_os_error():
+        with self._output.step() as file:
             for name, column in values.items():
-                self._file[name].resize((place.stop,))
-                self._file[name][place] = column
+                file[name].resize((place.stop,))
+                file[name][place] = column
         self._filled = place.stop
-
-    def close(self) -> None:
-        with _as_os_error():
-            self._file.close()
-
-
-@contextlib.contextmanager
-def _as_os_error() -> Iterator[None]:
-    """Turn what HDF5 says of a full disk into what everybody says."""
-    try:
-        yield
-    except RuntimeError as error:
-        raise OSError(str(error)) from None
 
 
 class _CsvWriter(TableWriter):
-    def __init__(self, path: Path, header: TableHeader) -> None:
+    def __init__(self, stream: TextIO, header: TableHeader) -> None:
         super().__init__(header)
-        self._stream = path.open("w", encoding="utf-8", newline="")
+        self._stream = stream
         self._stream.write(f"# {header.text}\n")
         self._stream.write(",".join(["label", "specimen", *header.units]) + "\n")
 
     def _write(self, rows: Rows) -> None:
         _frame(rows, self._header).to_csv(self._stream, header=False, index=False, lineterminator="\n")
 
-    def close(self) -> None:
-        self._stream.close()
-
 
 class _ParquetWriter(TableWriter):
-    def __init__(self, path: Path, header: TableHeader) -> None:
+    def __init__(self, stack: contextlib.ExitStack, path: Path, header: TableHeader) -> None:
         super().__init__(header)
         arrow, parquet = parquet_library()
         fields = [("label", arrow.string()), ("specimen", arrow.uint64())]
         fields += [(name, arrow.float64()) for name in header.units]
         self._schema = arrow.schema(fields, metadata={"cgid": header.text})
-        self._arrow, self._file = arrow, parquet.ParquetWriter(path, self._schema)
+        self._arrow, self._file = arrow, stack.enter_context(parquet.ParquetWriter(path, self._schema))
 
     def _write(self, rows: Rows) -> None:
         columns = [rows.labels.tolist(), rows.specimen, *(rows.columns[name] for name in self._header.units)]
         self._file.write_table(self._arrow.table(columns, schema=self._schema))
-
-    def close(self) -> None:
-        self._file.close()
 
 
 def _frame(rows: Rows, header: TableHeader) -> Any:
