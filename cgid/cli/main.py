@@ -6,6 +6,7 @@ import contextlib
 import os
 import sys
 import warnings
+from pathlib import Path
 from typing import Any
 
 import click
@@ -22,10 +23,11 @@ from cgid.cli.options import say_error
 from cgid.cli.plot import plot
 from cgid.cli.predict import predict
 from cgid.cli.reproduce import reproduce
+from cgid.cli.streams import drop, open_missing, say
 from cgid.cli.train import train
 from cgid.errors import CgidError
 
-_INTERRUPTED, _INTERNAL, _OUTPUT_FAILED = 130, 70, 74
+_INTERRUPTED, _INTERNAL, _OUTPUT_FAILED, _NO_INPUT = 130, 70, 74, 66
 
 
 @click.group(context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110})
@@ -46,6 +48,7 @@ def main(arguments: list[str] | None = None) -> None:
 def run(arguments: list[str] | None = None) -> int:
     """Run the command line and return its exit code."""
     warnings.showwarning = _one_line_warning
+    open_missing()
     try:
         with heard():
             code = cli.main(args=arguments, prog_name="cgid", standalone_mode=False)
@@ -55,38 +58,48 @@ def run(arguments: list[str] | None = None) -> int:
     except click.ClickException as error:
         context = getattr(error, "ctx", None)
         cure = f"; see {context.command_path} --help" if context is not None else ""
-        click.echo(f"cgid: error: {' '.join(error.format_message().split()).rstrip('.')}{cure}", err=True)
+        say(f"cgid: error: {' '.join(error.format_message().split()).rstrip('.')}{cure}")
         return error.exit_code
     except CgidError as error:
         say_error(error)
         return error.exit_code
     except (click.Abort, KeyboardInterrupt):
-        click.echo("cgid: interrupted; nothing half-written is left", err=True)
+        say("cgid: interrupted; nothing half-written is left")
         return _INTERRUPTED
     except (BrokenPipeError, SystemExit):
         # Whoever read our output has seen enough (click turns that into SystemExit). Python would complain
         # again when it closes stdout.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        drop(sys.stdout)
         return 0
     except OSError as error:
+        if _is_adrift():
+            say("cgid: error: the current folder must exist, it has been removed; go to another one")
+            return _NO_INPUT
         # Our own files raise errors of ours: what is left is the standard output, or the machine.
-        with contextlib.suppress(OSError):
+        with contextlib.suppress(OSError, AttributeError):
             sys.stdout.flush()
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        click.echo(
-            f"cgid: error: output: writing failed ({error.strerror}); make room or choose another place", err=True
-        )
+        drop(sys.stdout)
+        say(f"cgid: error: output: writing failed ({error.strerror}); make room or choose another place")
         return _OUTPUT_FAILED
     except MemoryError:
-        click.echo("cgid: error: memory: the input must fit into it, it does not; use a smaller one", err=True)
+        say("cgid: error: memory: the input must fit into it, it does not; use a smaller one")
         return 65
     except Exception as error:
         if os.environ.get("CGID_DEBUG"):
             raise
         text = " ".join(f"{type(error).__name__}: {error}".split())
-        click.echo(f"cgid: internal error: {text}; please report it (CGID_DEBUG=1 shows where)", err=True)
+        say(f"cgid: internal error: {text}; please report it (CGID_DEBUG=1 shows where)")
         return _INTERNAL
 
 
+def _is_adrift() -> bool:
+    """Return whether the current folder is gone, without which some libraries cannot be loaded."""
+    try:
+        Path.cwd()
+    except OSError:
+        return True
+    return False
+
+
 def _one_line_warning(message: Warning | str, *_: Any, **__: Any) -> None:
-    click.echo(f"cgid: warning: {' '.join(str(message).split())}", err=True)
+    say(f"cgid: warning: {' '.join(str(message).split())}")

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import click
 
 from cgid.cli.interruption import stop_if_asked
+from cgid.cli.streams import say
 from cgid.errors import CgidError, InvalidValue
 from cgid.signals import Signal
 
@@ -129,7 +130,7 @@ def each_file(files: Iterable[str], treat: Callable[[str], None], *, strict: boo
 def say_error(error: CgidError) -> None:
     """Say what is wrong on stderr, a line for each mistake."""
     for line in str(error).splitlines():
-        click.echo(f"cgid: error: {line}", err=True)
+        say(f"cgid: error: {line}")
 
 
 def print_json(content: dict[str, Any], version: int = JSON_VERSION) -> None:
