@@ -16,8 +16,8 @@ import h5py
 from cgid.errors import BadData, CgidError
 from cgid.store.chunks import BEST_RATIO, DAMAGE, missing_chunks, storage_fault
 
-#: What we write has a few dozen [objects of a group], [bytes of all attributes of an object].
-MOST_MEMBERS, _LARGEST_ATTRIBUTES = 4096, 8 << 20
+#: What we write has a few dozen [objects of a group], [attributes of an object], [bytes of these].
+MOST_MEMBERS, _MOST_ATTRIBUTES, _LARGEST_ATTRIBUTES = 4096, 256, 8 << 20
 #: Datasets whose index of chunks has been gone through, as long as their file stays as it was.
 _found_sound: set[tuple[Any, ...]] = set()
 
@@ -106,15 +106,17 @@ def members(file: h5py.File, name: str, source: str) -> list[str]:
     return list(group)
 
 
-def attributes_of(item: h5py.HLObject) -> dict[str, Any]:
+def attributes_of(item: h5py.HLObject, source: str) -> dict[str, Any]:
     """Return the attributes that are one number or one string of fixed length; no others are written, or even read."""
     found: dict[str, Any] = {}
     room = _LARGEST_ATTRIBUTES
+    if len(item.attrs) > _MOST_ATTRIBUTES:
+        raise BadData(f"{source}: {item.name} must have at most {_MOST_ATTRIBUTES} attributes, got {len(item.attrs)}")
     for name in item.attrs:
         stored = item.attrs.get_id(name)
         room -= stored.dtype.itemsize + len(name)
-        if len(found) >= MOST_MEMBERS or room < 0:
-            raise BadData(f"{item.file.filename}: attributes must take at most {_LARGEST_ATTRIBUTES >> 20} MiB")
+        if room < 0:
+            raise BadData(f"{source}: attributes of {item.name} must take at most {_LARGEST_ATTRIBUTES >> 20} MiB")
         if stored.shape == () and stored.dtype.kind in "biufS":
             value = item.attrs[name]
             found[name] = value.decode(errors="replace") if isinstance(value, bytes) else value.item()
