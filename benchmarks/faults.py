@@ -70,6 +70,14 @@ _SHARDS = r"(data|\.data\.[^/]*)/(shard-\d+\.h5|recording-\d+\.h5|unfinished\.js
 _SIGNALS = "generate {inputs}/short.toml -n 48 --seed"
 _TABLE = "generate reference -n 400 --features-only --features peak_force,width_50 --seed"
 _STREAM = "generate {inputs}/brief.toml --seed"
+#: A stream instead of single signals: 1.6 MB of samples.
+_BRIEF = """
+[stream]
+duration = "2 s"
+arrivals = { rate = "8 Hz" }
+mixture = { times = ["0 s", "2 s"], gangue = [0.1, 0.9] }
+rebounds = { most = 1, least_speed = "0.1 m/s" }
+"""
 COMMANDS = (
     _command("generate: folder", f"{_SIGNALS} 1 --shard-signals 16 -o {{here}}/data", unfinished=_SHARDS),
     _command("generate: file", f"{_SIGNALS} 1 -o {{here}}/data.h5"),
@@ -319,15 +327,7 @@ def inputs(server: Server, folder: Path) -> Iterator[Path]:
     folder.mkdir()
     reference = (scenes / "reference.toml").read_text()
     (folder / "short.toml").write_text(re.sub(r"\nsamples = \d+", "\nsamples = 512", reference))
-    caving = (scenes / "caving.toml").read_text()
-    brief = (
-        caving.replace('duration = "60 s"', 'duration = "4 s"')
-        .replace("25.6 kHz", "4 kHz")
-        .replace("10 kHz", "1.5 kHz")
-    )
-    (folder / "brief.toml").write_text(
-        re.sub(r"(times = \[)[^\]]*\], gangue = \[[^\]]*", r'\1"0 s", "4 s"], gangue = [0.1, 0.9', brief)
-    )
+    (folder / "brief.toml").write_text(re.sub("relative_noise = .*", 'absolute_noise = "10 N"', reference) + _BRIEF)
     shutil.copy(scenes / "sample.csv", folder)
     made = server.run(["generate", "reference", "-n", "800", "-o", str(folder / "data.h5")])
     assert made.codes == [0], made.err

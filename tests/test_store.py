@@ -9,9 +9,11 @@ import random
 import shutil
 import subprocess
 import tracemalloc
+import zlib
 from pathlib import Path
 
 import h5py
+import hdf5plugin
 import numpy as np
 import pytest
 
@@ -59,6 +61,8 @@ def made(tmp_path_factory):
         generate(scene_of(), folder / f"cut{shard_signals}", N, 7, shard_signals=shard_signals)
     generate(scene_of(), folder / "jobs", N, 7, shard_signals=300, jobs=2)
     generate(scene_of(), folder / "packed.h5", N, 7, compression="gzip")
+    generate(scene_of(), folder / "zstd", N, 7, compression="zstd", shard_signals=300)
+    generate(scene_of(), folder / "blosc2", N, 7, compression="blosc2", shard_signals=300, jobs=2)
     return folder
 
 
@@ -99,7 +103,7 @@ def assert_equal(found, expected):
 # ---- round trip ------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("name", ["one.h5", "cut256", "cut300", "cut1000", "jobs", "packed.h5"])
+@pytest.mark.parametrize("name", ["one.h5", "cut256", "cut300", "cut1000", "jobs", "packed.h5", "zstd", "blosc2"])
 def test_what_comes_back_is_what_was_synthesised(made, name):
     batches = list(synthesise(scene_of(), N, 7))
     expected = {key: np.concatenate([getattr(b, key) for b in batches]) for key in ("signals", "labels", "specimen")}
@@ -206,6 +210,14 @@ def test_root_attributes_say_how_it_was_made(made):
     assert f"h5py {h5py.__version__}".encode() in about["versions"]
 
 
+@pytest.mark.parametrize(
+    ("name", "library"),
+    [("packed.h5", f"zlib {zlib.ZLIB_RUNTIME_VERSION}"), ("zstd/shard-00000.h5", f"hdf5plugin {hdf5plugin.version}")],
+)
+def test_what_has_packed_is_named(made, name, library):
+    assert items(made / name)[1]["/"]["versions"].decode().endswith(f", {library}")
+
+
 def test_units_stand_beside_the_numbers(made):
     about = items(made / "one.h5")[1]
     signals = about["signals"]
@@ -264,20 +276,6 @@ def test_manifest_counts_the_labels(made):
     for entry in manifest["shards"]:
         part = labels[entry["first_signal"] :][: entry["n_signals"]].tolist()
         assert entry["labels"] == {label: part.count(label) for label in ("coal", "gangue")}
-
-
-def test_manifest_finds_one_flipped_bit_anywhere(folder):
-    assert Dataset(folder).damaged_shards() == []
-    shard = folder / "shard-00002.h5"
-    content = bytearray(shard.read_bytes())
-    content[-1] ^= 1
-    dataset = Dataset(folder)
-    shard.write_bytes(content)
-    assert dataset.damaged_shards() == [str(shard)]
-
-
-def test_a_single_file_has_no_manifest_to_compare_with(made):
-    assert Dataset(made / "one.h5").damaged_shards() == []
 
 
 def rewrite(folder, **changes):
@@ -445,7 +443,7 @@ def test_wrong_schema_version(copy, version):
         del file.attrs["schema_version"]
         if version is not None:
             file.attrs["schema_version"] = version
-    refused(copy, "schema_version must be 1")
+    refused(copy, "schema_version 2 is newer.*upgrade" if version == 2 else "schema_version must be 1")
 
 
 @pytest.mark.parametrize("value", [np.array(["cgid-dataset", "cgid-dataset"], "S12"), "cgid-dataset", 3.0])
@@ -558,7 +556,7 @@ def test_a_dataset_without_parameters(copy):
 def test_a_huge_declared_size_is_refused_before_it_is_read(copy, name, shape, kind):
     chunks = tuple(min(length, 8) for length in shape)
     replaced(copy, name, lambda file, _: file.create_dataset(name, shape, kind, chunks=chunks))
-    refused(copy, f"{name} must be at most 2 GiB")
+    refused(copy, f"{name} declares [0-9]{{10,}} bytes and holds 0")
 
 
 @pytest.mark.parametrize(
@@ -781,7 +779,10 @@ def test_options_that_cannot_be_write_nothing(tmp_path, options):
     assert list(tmp_path.iterdir()) == []
 
 
-def test_memory_does_not_grow_with_the_number_of_signals(tmp_path):
+def test_memory_does_not_grow_with_the_number_of_signals(tmp_path, monkeypatch):
+    # How many blocks there are at once is a matter of chance up to the most, which tests/test_overlap.py holds.
+    monkeypatch.setattr("cgid.scene.overlap._AHEAD_BLOCKS", 1)
+
     def peak(n_signals):
         tracemalloc.reset_peak()
         generate(scene_of(256), tmp_path / str(n_signals), n_signals, shard_signals=256)

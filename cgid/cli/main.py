@@ -14,6 +14,7 @@ import click
 from cgid import __version__
 from cgid.cli.ceiling import ceiling
 from cgid.cli.check import check
+from cgid.cli.export import export
 from cgid.cli.features import features
 from cgid.cli.generate import generate
 from cgid.cli.info import info
@@ -23,8 +24,10 @@ from cgid.cli.options import say_error
 from cgid.cli.plot import plot
 from cgid.cli.predict import predict
 from cgid.cli.reproduce import reproduce
-from cgid.cli.streams import drop, open_missing, say
+from cgid.cli.saying import say
+from cgid.cli.streams import drop, open_missing
 from cgid.cli.train import train
+from cgid.cli.verify import verify
 from cgid.errors import CgidError
 
 _INTERRUPTED, _INTERNAL, _OUTPUT_FAILED, _NO_INPUT = 130, 70, 74, 66
@@ -36,7 +39,7 @@ def cli() -> None:
     """Tell coal from gangue by how a falling rock hits steel."""
 
 
-for command in (generate, check, ceiling, train, predict, monitor, features, info, plot, reproduce):
+for command in (generate, check, ceiling, train, predict, monitor, features, info, plot, reproduce, verify, export):
     cli.add_command(command)
 
 
@@ -58,13 +61,13 @@ def run(arguments: list[str] | None = None) -> int:
     except click.ClickException as error:
         context = getattr(error, "ctx", None)
         cure = f"; see {context.command_path} --help" if context is not None else ""
-        say(f"cgid: error: {' '.join(error.format_message().split()).rstrip('.')}{cure}")
+        say(f"cgid: error: {' '.join(error.format_message().split()).rstrip('.')}{cure}", err=True)
         return error.exit_code
     except CgidError as error:
         say_error(error)
         return error.exit_code
     except (click.Abort, KeyboardInterrupt):
-        say("cgid: interrupted; nothing half-written is left")
+        say("cgid: interrupted; nothing half-written is left", err=True)
         return _INTERRUPTED
     except (BrokenPipeError, SystemExit):
         # Whoever read our output has seen enough (click turns that into SystemExit). Python would complain
@@ -73,22 +76,22 @@ def run(arguments: list[str] | None = None) -> int:
         return 0
     except OSError as error:
         if _is_adrift():
-            say("cgid: error: the current folder must exist, it has been removed; go to another one")
+            say("cgid: error: the current folder must exist, it has been removed; go to another one", err=True)
             return _NO_INPUT
         # Our own files raise errors of ours: what is left is the standard output, or the machine.
         with contextlib.suppress(OSError, AttributeError):
             sys.stdout.flush()
         drop(sys.stdout)
-        say(f"cgid: error: output: writing failed ({error.strerror}); make room or choose another place")
+        say(f"cgid: error: output: writing failed ({error.strerror}); make room or choose another place", err=True)
         return _OUTPUT_FAILED
     except MemoryError:
-        say("cgid: error: memory: the input must fit into it, it does not; use a smaller one")
+        say("cgid: error: memory: the input must fit into it, it does not; use a smaller one", err=True)
         return 65
     except Exception as error:
         if os.environ.get("CGID_DEBUG"):
             raise
         text = " ".join(f"{type(error).__name__}: {error}".split())
-        say(f"cgid: internal error: {text}; please report it (CGID_DEBUG=1 shows where)")
+        say(f"cgid: internal error: {text}; please report it (CGID_DEBUG=1 shows where)", err=True)
         return _INTERNAL
 
 
@@ -102,4 +105,4 @@ def _is_adrift() -> bool:
 
 
 def _one_line_warning(message: Warning | str, *_: Any, **__: Any) -> None:
-    say(f"cgid: warning: {' '.join(str(message).split())}")
+    say(f"cgid: warning: {' '.join(str(message).split())}", err=True)

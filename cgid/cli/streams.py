@@ -7,8 +7,6 @@ import os
 import sys
 from typing import TextIO
 
-import click
-
 
 def open_missing() -> None:
     """Put an empty device where a standard stream is closed.
@@ -22,14 +20,6 @@ def open_missing() -> None:
             os.open(os.devnull, os.O_RDWR)  # the lowest that is free: this one
     if sys.stderr is None:
         sys.stderr = open(os.devnull, "w", encoding="utf-8")  # noqa: PTH123, SIM115 - until the process ends
-
-
-def say(text: str) -> None:
-    """Say something on stderr; that it cannot be written there is no reason to fail otherwise."""
-    try:
-        click.echo(text, err=True)
-    except OSError:
-        drop(sys.stderr)
 
 
 def drop(stream: TextIO | None) -> None:

@@ -13,10 +13,13 @@ from typing import Any
 
 import h5py
 import numpy as np
+from numpy.typing import NDArray
 
 from cgid.counting import count
 from cgid.errors import BadData
 from cgid.signals import Batch, quantity_of
+from cgid.store.compression import BY_PLUGIN, keywords
+from cgid.store.deflate import deflated
 from cgid.store.memory import MemoryFile
 
 #: Bytes of a chunk of signals, about.
@@ -26,7 +29,6 @@ _COLUMN_ROWS = 4096
 _CHECKSUM = np.dtype("<u4")
 #: Bytes that headers and indices may take before the memory of a shard has to grow.
 _MARGIN = 1 << 20
-COMPRESSIONS = ("none", "gzip")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -44,7 +46,7 @@ class ShardPlan:
         The stored parameters and their units.
     attributes : dict
         Root attributes: numbers and strings that say how the data was made.
-    compression : {"none", "gzip"}
+    compression : {"none", "gzip", "zstd", "blosc2"}
     """
 
     n_samples: int
@@ -55,6 +57,46 @@ class ShardPlan:
     compression: str = "none"
 
 
+def lay_out(file: h5py.File, plan: ShardPlan, first: int, n_signals: int) -> h5py.Dataset:
+    """Make all datasets of a shard, still empty, with the attributes of its root, and return that of the signals.
+
+    Parameters
+    ----------
+    file : h5py.File
+        A new one, of `libver` v110.
+    plan : ShardPlan
+    first, n_signals : int
+        Number of the first signal, and how many there are.
+    """
+    for name, value in {**plan.attributes, "first_signal": first}.items():
+        file.attrs[name] = np.bytes_(value.encode()) if isinstance(value, str) else value
+
+    def create(name: str, tail: tuple[int, ...], dtype: str, chunk_rows: int, **extra: Any) -> h5py.Dataset:
+        chunks = (min(chunk_rows, n_signals), *tail)
+        return file.create_dataset(name, (n_signals, *tail), dtype, chunks=chunks, fletcher32=True, **extra)
+
+    rows = _chunk_rows(plan, n_signals)
+    signals = create("signals", (plan.n_samples,), plan.dtype, rows, **keywords(plan.compression))
+    create("labels", (), f"S{plan.label_width}", _COLUMN_ROWS)
+    create("specimen", (), "uint64", _COLUMN_ROWS)
+    for name, unit in plan.parameter_units.items():
+        create(f"parameters/{name}", (), "float64", _COLUMN_ROWS).attrs["unit"] = np.bytes_(unit.encode())
+    return signals
+
+
+def say_kind(signals: h5py.Dataset, batch: Batch) -> None:
+    """Attach to stored signals what a batch of them is."""
+    signals.attrs["sampling_rate"] = batch.sampling_rate
+    signals.attrs["pre_trigger"] = batch.pre_trigger
+    signals.attrs["unit"] = np.bytes_(batch.unit.encode())
+    signals.attrs["quantity"] = np.bytes_(quantity_of(batch.unit).encode())
+
+
+def _chunk_rows(plan: ShardPlan, n_signals: int) -> int:
+    """Return how many signals a chunk holds."""
+    return min(max(1, _CHUNK_BYTES // (plan.n_samples * np.dtype(plan.dtype).itemsize)), n_signals)
+
+
 class ShardBuilder:
     """A shard in memory, filled batch by batch."""
 
@@ -62,29 +104,16 @@ class ShardBuilder:
         self._plan, self._filled, self._n_signals = plan, 0, n_signals
         self._columns: list[Batch] = []
         row = plan.n_samples * np.dtype(plan.dtype).itemsize
-        rows = min(max(1, _CHUNK_BYTES // row), n_signals)
+        rows = _chunk_rows(plan, n_signals)
         columns = plan.label_width + 8 * (1 + len(plan.parameter_units))
         self._memory = MemoryFile(n_signals * row + rows * row + (n_signals + _COLUMN_ROWS) * columns + _MARGIN)
         self._file = h5py.File(self._memory, "w", libver=("v110", "v110"))
         # HDF5 writes to the memory when it closes, which must not be left to the end of the interpreter.
         self._close = weakref.finalize(self, self._file.close)
-        for name, value in {**plan.attributes, "first_signal": first}.items():
-            self._file.attrs[name] = np.bytes_(value.encode()) if isinstance(value, str) else value
-        extra = {"compression": "gzip", "compression_opts": 4, "shuffle": True} if plan.compression == "gzip" else {}
-        self._signals = self._create("signals", (plan.n_samples,), plan.dtype, rows, **extra)
+        self._signals = lay_out(self._file, plan, first, n_signals)
         # Room for a chunk as it lies in the file: the signals and their checksum.
         self._chunk = np.zeros(rows * row + _CHECKSUM.itemsize, np.uint8)
         self._chunk_signals = self._chunk[: rows * row].view(plan.dtype).reshape(rows, plan.n_samples)
-        self._create("labels", (), f"S{plan.label_width}", _COLUMN_ROWS)
-        self._create("specimen", (), "uint64", _COLUMN_ROWS)
-        for name, unit in plan.parameter_units.items():
-            column = self._create(f"parameters/{name}", (), "float64", _COLUMN_ROWS)
-            column.attrs["unit"] = np.bytes_(unit.encode())
-
-    def _create(self, name: str, tail: tuple[int, ...], dtype: str, chunk_rows: int, **extra: Any) -> h5py.Dataset:
-        shape = (self._n_signals, *tail)
-        chunks = (min(chunk_rows, self._n_signals), *tail)
-        return self._file.create_dataset(name, shape, dtype, chunks=chunks, fletcher32=True, **extra)
 
     def add(self, batch: Batch) -> None:
         """Append the signals of a batch."""
@@ -92,11 +121,7 @@ class ShardBuilder:
         if self._filled + len(batch) > self._n_signals:
             raise BadData(f"a shard of {self._n_signals} signals was given {self._filled + len(batch)}")
         if not self._filled:
-            about = self._signals.attrs
-            about["sampling_rate"] = batch.sampling_rate
-            about["pre_trigger"] = batch.pre_trigger
-            about["unit"] = np.bytes_(batch.unit.encode())
-            about["quantity"] = np.bytes_(quantity_of(batch.unit).encode())
+            say_kind(self._signals, batch)
         done, rows = 0, len(self._chunk_signals)
         while done < len(batch):
             place = self._filled % rows
@@ -113,25 +138,41 @@ class ShardBuilder:
         rows = len(self._chunk_signals)
         first = (self._filled - 1) // rows * rows
         filled = self._filled - first
-        if self._plan.compression != "none":
-            self._signals[first : self._filled] = self._chunk_signals[:filled]
+        if self._plan.compression in BY_PLUGIN:
+            self._signals[first : self._filled] = self._chunk_signals[:filled]  # HDF5 asks its plugin
+            self._signals.flush()  # now, so that chunks lie in the order of the signals whatever HDF5 remembers
             return
+        self._chunk_signals[filled:] = 0
+        packed = self._chunk if self._plan.compression == "none" else self._deflated()
         # numba is not for those who only read datasets.
         from cgid.store._fletcher import fletcher32
 
-        # What HDF5 would write after four copies and a checksum four times slower.
-        self._chunk_signals[filled:] = 0
-        size = self._chunk.size - _CHECKSUM.itemsize
-        self._chunk[size:].view(_CHECKSUM)[0] = fletcher32(self._chunk[:size].view("<u2"))
-        self._signals.id.write_direct_chunk((first, 0), self._chunk)
+        # What HDF5 would write after four copies and a checksum four times slower. An odd byte counts as a high one.
+        size = packed.size - _CHECKSUM.itemsize
+        words = packed[:size] if size % 2 == 0 else np.append(packed[:size], np.uint8(0))
+        packed[size:] = np.frombuffer(np.array(fletcher32(words.view("<u2")), _CHECKSUM), np.uint8)
+        self._signals.id.write_direct_chunk((first, 0), packed)
+
+    def _deflated(self) -> NDArray[np.uint8]:
+        """Return the chunk packed, with room for the checksum."""
+        samples = self._chunk_signals.reshape(-1)
+        planes = samples.view(np.uint8).reshape(samples.size, samples.itemsize).T
+        return np.frombuffer(bytearray(deflated(np.ascontiguousarray(planes)) + bytes(_CHECKSUM.itemsize)), np.uint8)
 
     def image(self) -> memoryview:
         """Return the finished file; it lies where it was built."""
         if self._filled != self._n_signals:
             raise BadData(f"a shard of {self._n_signals} signals was given {self._filled}")
-        self._file["labels"][:] = np.char.encode(np.concatenate([part.labels for part in self._columns]), "utf-8")
-        self._file["specimen"][:] = np.concatenate([part.specimen for part in self._columns])
+        self._write("labels", np.char.encode(np.concatenate([part.labels for part in self._columns]), "utf-8"))
+        self._write("specimen", np.concatenate([part.specimen for part in self._columns]))
         for name in self._plan.parameter_units:
-            self._file[f"parameters/{name}"][:] = np.concatenate([part.parameters[name] for part in self._columns])
+            self._write(f"parameters/{name}", np.concatenate([part.parameters[name] for part in self._columns]))
         self._close()
         return self._memory.content()
+
+    def _write(self, name: str, column: NDArray[Any]) -> None:
+        dataset = self._file[name]
+        dataset[:] = column
+        # Its place in the file is that of its turn. HDF5 would give it one when the last that knows the dataset lets go
+        # of it, and who looks at frames from another thread, as profilers do, holds on to it a while.
+        dataset.flush()

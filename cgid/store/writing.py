@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import hashlib
 import re
 import shutil
@@ -119,6 +120,18 @@ class DatasetWriter:
         """Number, first signal and number of signals of each shard."""
         starts = range(0, self.n_signals, self.shard_signals)
         return [(k, first, min(self.shard_signals, self.n_signals - first)) for k, first in enumerate(starts)]
+
+    @property
+    def folder(self) -> Path:
+        """Where files are written; for a folder of shards, within `begun`."""
+        return self.output.parent if self._folder is None else self._folder
+
+    def from_anywhere(self) -> DatasetWriter:
+        """Return the same for processes that stand in another folder."""
+        found = copy.copy(self)
+        found.output = self.output.absolute()
+        found._folder = None if self._folder is None else self._folder.absolute()
+        return found
 
     def require_room(self, n_signals: int) -> None:
         """Raise `CannotCreate` if the disk has less room than so many signals alone will take."""

@@ -18,8 +18,9 @@ from cgid.scene.stream.capacity import MOST_RECORDINGS, require_capacity
 from cgid.scene.stream.synthesis import parts_of_recording
 from cgid.scene.stream.truth import impact_units, joined
 from cgid.store import check_output
+from cgid.store.header import RECORDING_FORMAT
 from cgid.store.journal import JOURNAL
-from cgid.store.recording import OURS, RECORDING_FORMAT, Recording, RecordingPlan, is_recording, writing
+from cgid.store.recording import OURS, Recording, RecordingPlan, is_recording, writing
 from cgid.store.run import Goal, Run, begun, file_facts, first_difference, require_same
 from cgid.store.writing import is_single_file
 
@@ -91,7 +92,7 @@ def generate_recordings(
     if is_single_file(path):
         if not (resume and path.exists() and _is_made(path, plan, overwrite)):
             plan.require_room(path.parent)
-            _write(path, plan, scene, seed, 0, progress, overwrite=overwrite)
+            write_recording(path, plan, scene, seed, 0, progress, overwrite=overwrite)
         return path
     goal = Goal(
         output=path,
@@ -117,11 +118,11 @@ def _write_missing(
     plan.require_room(run.folder, n_recordings - len(there))
     for number, name in enumerate(names):
         if name not in there:
-            _write(run.folder / name, plan, scene, seed, number, progress)
+            write_recording(run.folder / name, plan, scene, seed, number, progress)
             run.add(file_facts(run.folder / name))
 
 
-def _write(
+def write_recording(
     path: Path,
     plan: RecordingPlan,
     scene: Scene,
@@ -131,6 +132,7 @@ def _write(
     *,
     overwrite: bool = True,
 ) -> None:
+    """Write one recording of a stream, by its number; see `generate_recordings`."""
     dtype: Any = plan.dtype
     own = replace(plan, attributes={**plan.attributes, "recording": number})
     truth = []
