@@ -87,6 +87,7 @@ COMMANDS = (
     _command("generate: table, HDF5", f"{_TABLE} 1 -o {{here}}/table.h5"),
     _command("generate: table, CSV", f"{_TABLE} 1 -o {{here}}/table.csv"),
     _command("generate: table, Parquet", f"{_TABLE} 1 -o {{here}}/table.parquet"),
+    _command("export", "export {inputs}/data.h5 -o {here}/one.h5"),
     _command("train", "train {inputs}/data.h5 --plots -o {here}/m.npz", computes=True),
     _command("plot: PNG", "plot {inputs}/sample.csv -o {here}/p.png"),
     _command("plot: SVG", "plot {inputs}/sample.csv -o {here}/p.svg"),
@@ -160,8 +161,6 @@ class Server:
         self.process.stdin.write(json.dumps(asked) + "\n")
         self.process.stdin.flush()
         answer = json.loads(self.process.stdout.readline())
-        if asked.get("here"):
-            return Ending(answer["codes"], 0, 0.0, "", "")
         texts = (Path(asked[name]) for name in ("out", "err"))
         return Ending(**answer, **{name: text_of(path) for name, path in zip(("out", "err"), texts, strict=True)})
 
@@ -339,7 +338,8 @@ def load(server: Server, command: Command, folder: Path, inputs: Path) -> None:
     here = folder / "load"
     here.mkdir()
     words = [word.replace("{here}", str(here)).replace("{inputs}", str(inputs)) for word in command.arguments]
-    assert server.run(words, here=True).codes == [0], words
+    loaded = server.run(words, here=True)
+    assert loaded.codes == [0], loaded.err
     shutil.rmtree(here)
 
 
