@@ -66,7 +66,7 @@ def _command(name: str, arguments: str, *, older: str = "", **rest: Any) -> Comm
 
 
 #: Shards that are whole, and what says that a run is not finished; or the same of a new folder beside the old.
-_SHARDS = r"(data|\.data\.[^/]*)/(shard-\d+\.h5|recording-\d+\.h5|unfinished\.jsonl)"
+_SHARDS = r"(data|\.data\.[^/]*)/(|shard-\d+\.h5|recording-\d+\.h5|unfinished\.jsonl)"
 _SIGNALS = "generate {inputs}/short.toml -n 48 --seed"
 _TABLE = "generate reference -n 400 --features-only --features peak_force,width_50 --seed"
 _STREAM = "generate {inputs}/brief.toml --seed"
@@ -288,9 +288,7 @@ def _not_as_before(trial: Trial, left: Files) -> str:
     for name in left.keys() - trial.old.keys():
         if name.endswith(".part"):
             return f"temporary {name} is left"
-        if not re.match(
-            trial.command.unfinished.split("/")[0] if name.endswith("/") else trial.command.unfinished, name
-        ):
+        if not re.fullmatch(trial.command.unfinished, name):
             return f"{name} is left"
     return ""
 
@@ -326,7 +324,8 @@ def inputs(server: Server, folder: Path) -> Iterator[Path]:
     folder.mkdir()
     reference = (scenes / "reference.toml").read_text()
     (folder / "short.toml").write_text(re.sub(r"\nsamples = \d+", "\nsamples = 512", reference))
-    (folder / "brief.toml").write_text(re.sub("relative_noise = .*", 'absolute_noise = "10 N"', reference) + _BRIEF)
+    brief = re.sub(r"\n(samples|pre_trigger|jitter) = .*", "", reference)
+    (folder / "brief.toml").write_text(re.sub("relative_noise = .*", 'absolute_noise = "10 N"', brief) + _BRIEF)
     shutil.copy(scenes / "sample.csv", folder)
     made = server.run(["generate", "reference", "-n", "800", "-o", str(folder / "data.h5")])
     assert made.codes == [0], made.err

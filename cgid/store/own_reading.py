@@ -67,7 +67,7 @@ def recording_header(path: str, source: str) -> dict[str, Any]:
         It is no recording, of another version, or incomplete.
     """
     with opened(path, source) as file:
-        attributes = attributes_of(file)
+        attributes = attributes_of(file, source)
         if attributes.get("format") != RECORDING_FORMAT:
             raise BadData(
                 f"{source}: this HDF5 file must be a cgid recording (attribute format = {RECORDING_FORMAT!r}); it is "
@@ -78,11 +78,11 @@ def recording_header(path: str, source: str) -> dict[str, Any]:
         samples = plain_dataset(file, "samples", source, _UNPACKED)
         if samples.ndim != 1 or samples.dtype not in (np.float32, np.float64) or not samples.size:
             raise BadData(f"{source}: samples must be a row of floats, got shape {samples.shape} of {samples.dtype}")
-        about = attributes_of(samples)
+        about = attributes_of(samples, source)
         require_rate_and_unit(source, "samples", about)
         start = about.get("start")
         if not isinstance(start, float) or not np.isfinite(start):
-            raise BadData(f"{source}: samples must have a sound attribute start, got {start!r}")
+            raise BadData(f"{source}: samples must have a sound attribute start, got {start!r:.80}")
         n_impacts, units = _impact_columns(file, source, attributes.get("n_impacts"))
         return {
             "attributes": attributes,
@@ -179,7 +179,7 @@ def _part(dataset: h5py.Dataset, part: slice, source: str) -> NDArray[Any]:
 
 
 def _read_header(file: h5py.File, source: str) -> ShardHeader:
-    attributes = attributes_of(file)
+    attributes = attributes_of(file, source)
     if attributes.get("format") != FORMAT:
         raise BadData(f"{source}: this HDF5 file must be a cgid dataset (attribute format = {FORMAT!r}); it is not")
     require_schema(source, attributes.get("schema_version"), SCHEMA_VERSION)
