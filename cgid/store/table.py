@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from cgid.counting import count
 from cgid.errors import CannotCreate, InvalidValue, MissingExtra
-from cgid.files import whole_file
+from cgid.files import looking_at, whole_file
 from cgid.store.digest import sealed
 from cgid.store.disk import Hdf5OnDisk, hdf5_on_disk
 from cgid.store.header import TABLE_FORMAT, TABLE_VERSION
@@ -98,17 +98,13 @@ def check_table_output(output: str | Path, overwrite: bool = False) -> Path:
         raise InvalidValue(f"{path}: the name of a table must end in {', '.join(TABLE_SUFFIXES)}; choose such a name")
     if path.suffix.lower() == ".parquet":
         parquet_library()
-    try:
+    with looking_at(path):
         if not path.parent.is_dir():
             raise CannotCreate(f"{path}: the folder {path.parent} must exist; make it first")
         if path.is_dir():
             raise CannotCreate(f"{path}: is a folder; choose another name for the file")
         if path.exists() and not overwrite:
             raise CannotCreate(f"{path}: exists already; choose another name or say --overwrite")
-    except CannotCreate:
-        raise
-    except OSError as error:
-        raise CannotCreate(f"{path}: cannot be looked at ({error.strerror}); choose another name") from None
     return path
 
 
