@@ -52,9 +52,9 @@ def _verify_model(path: str, as_json: bool) -> None:
     try:
         Model.load(path)
     except BadData as error:
-        _tell(path, "model", 1, [_line(Path(path), "damaged", str(error))], as_json)
+        _tell(path, "model", 1, [_line(Path(path), "damaged", str(error))], False, as_json)
         raise
-    _tell(path, "model", 1, [], as_json)
+    _tell(path, "model", 1, [], True, as_json)
 
 
 def _verify_data(path: str, repair: bool, scene: Any, as_json: bool) -> None:
@@ -70,8 +70,8 @@ def _verify_data(path: str, repair: bool, scene: Any, as_json: bool) -> None:
             _line(one.finding.file, one.finding.problem, one.finding.what) | {"repaired": one.done, "told": one.told}
             for one in repairs
         ] + [line for line in lines if line["problem"] in _KEPT]
-        left = tuple(one.finding for one in repairs if not one.done)
-    _tell(path, found.kind, found.n_files, lines, as_json)
+        left = tuple(one.finding for one in repairs if one.finding.harmful and not one.done)
+    _tell(path, found.kind, found.n_files, lines, not left, as_json)
     if left:
         files = f"{len(left)} of its files are" if len(left) > 1 else f"{left[0].file.name} is"
         cure = "see above why --repair does not help" if repair else "cgid verify --repair makes again what can be"
@@ -89,9 +89,8 @@ def _line(file: Path, problem: str, what: str) -> dict[str, Any]:
     return {"file": str(file), "problem": problem, "what": what}
 
 
-def _tell(path: str, kind: str, n_files: int, lines: list[dict[str, Any]], as_json: bool) -> None:
+def _tell(path: str, kind: str, n_files: int, lines: list[dict[str, Any]], whole: bool, as_json: bool) -> None:
     """Print what was found in one of the inputs, and what was done about it."""
-    whole = all(line.get("repaired", line["problem"] in (*_KEPT, "leftover")) for line in lines)
     if as_json:
         print_json({"source": path, "kind": kind, "files": n_files, "whole": whole, "findings": lines})
         return

@@ -201,7 +201,10 @@ def _write_dataset(
 def _shard(
     plan: ShardPlan, first: int, n_signals: int, scene: Scene, seed: int, progress: Progress | None
 ) -> memoryview:
-    """Return the content of a shard."""
+    """Return the content of a shard; raises `BadData` for one that no honest manifest lists."""
+    size = n_signals * plan.n_samples * np.dtype(plan.dtype).itemsize
+    if size > LARGEST_SHARD:
+        raise BadData(f"a shard must be at most {LARGEST_SHARD >> 30} GiB, got {size / 2**30:.3g} GiB of signals")
     builder, dtype = ShardBuilder(plan, first, n_signals), plan.dtype
     kind: Any = dtype
     for batch in synthesise(scene, n_signals, seed, first=first, dtype=kind):

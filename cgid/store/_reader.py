@@ -37,11 +37,11 @@ def _main() -> None:
     # Libraries may print; the answers have a way of their own.
     answers = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)
-    limits.settle()
     wire.send(answers, {})
     with open(os.devnull, "wb") as nowhere:  # noqa: PTH123
         os.dup2(nowhere.fileno(), 1)
         os.dup2(nowhere.fileno(), 2)
+    limits.settle()
     requests = sys.stdin.buffer
     for line in requests:
         request = json.loads(line)

@@ -202,7 +202,7 @@ class _Child:
         """Return how the process ended."""
         self.end()
         code = self._process.returncode
-        if self._late or code == -getattr(signal, "SIGXCPU", 0):
+        if self._late or code == -getattr(signal, "SIGPROF", 0):
             return "did not come to an end"
         if isinstance(error, wire.BrokenWire) and code == -getattr(signal, "SIGKILL", 0):
             return "gave an answer that makes no sense"

@@ -38,6 +38,9 @@ def storage_fault(item: h5py.Dataset, file_size: int, best_ratio: float = BEST_R
     MissingExtra
         They are packed by Zstandard or Blosc2, and the library is not installed.
     """
+    # HDF5 would go through them all to say what is stored; each that is there takes a byte.
+    if (n_chunks := _chunks_declared(item)) > file_size:
+        return f"declares {n_chunks} chunks in a file of {file_size} bytes"
     declared, stored = item.size * item.dtype.itemsize, item.id.get_storage_size()
     if declared > best_ratio * stored or stored > file_size:
         return f"declares {declared} bytes and holds {min(stored, file_size)}"
@@ -69,7 +72,7 @@ def missing_chunks(item: h5py.Dataset) -> str:
     """Return how many chunks were never written, "" if all were."""
     if item.chunks is None:
         return ""
-    expected = math.prod(-(-length // chunk) for length, chunk in zip(item.shape, item.chunks, strict=True))
+    expected = _chunks_declared(item)
     with suppress(*DAMAGE):
         there = item.id.get_num_chunks()
         if there < expected:
@@ -92,6 +95,12 @@ def chunk_bytes(item: h5py.Dataset) -> int:
 
 def _chunk_size(chunks: tuple[int, ...], itemsize: int) -> int:
     return math.prod(chunks) * itemsize
+
+
+def _chunks_declared(item: h5py.Dataset) -> int:
+    return math.prod(
+        -(-length // chunk) for length, chunk in zip(item.shape, item.chunks or item.shape, strict=True) if chunk
+    )
 
 
 def _is_unpacked(code: int) -> bool:

@@ -52,7 +52,7 @@ def examine(path: str, source: str, steps: Mapping[str, int]) -> Iterator[dict[s
         The headers are damaged, or those of another file.
     """
     with opened(path, source) as file:
-        attributes = attributes_of(file)
+        attributes = attributes_of(file, source)
         yield {"attributes": attributes}
         kind = attributes.get("format")
         if kind not in _HEADERS:

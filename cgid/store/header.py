@@ -41,7 +41,7 @@ def require_schema(source: str, version: Any, known: int) -> None:
     if type(version) is int and version > known:
         raise BadData(f"{source}: schema_version {version} is newer than this cgid, which reads {known}: upgrade cgid")
     if version != known:
-        raise BadData(f"{source}: schema_version must be {known}, got {version!r}: use the cgid that wrote it")
+        raise BadData(f"{source}: schema_version must be {known}, got {version!r:.80}: use the cgid that wrote it")
 
 
 def require_scene(source: str, attributes: Mapping[str, Any]) -> None:

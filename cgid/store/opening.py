@@ -16,8 +16,8 @@ import h5py
 from cgid.errors import BadData, CgidError
 from cgid.store.chunks import BEST_RATIO, BEST_RATIO_OF_SILENCE, DAMAGE, missing_chunks, packs_silence, storage_fault
 
-#: What we write has a few dozen [objects of a group], [bytes of all attributes of an object].
-MOST_MEMBERS, _LARGEST_ATTRIBUTES = 4096, 8 << 20
+#: What we write has a few dozen [objects of a group], [attributes of an object], [bytes of these].
+MOST_MEMBERS, _MOST_ATTRIBUTES, _LARGEST_ATTRIBUTES = 4096, 256, 8 << 20
 #: Datasets whose index of chunks has been gone through, as long as their file stays as it was.
 _found_sound: set[tuple[Any, ...]] = set()
 
@@ -58,19 +58,13 @@ def plain_dataset(file: h5py.File, name: str, source: str, best_ratio: float = B
     best_ratio : float
         Declared bytes over stored ones, at most.
     """
-    dataset = inner_dataset(file, name, source)
-    _require_borne_out(file, dataset, source, best_ratio)
-    return dataset
-
-
-def inner_dataset(file: h5py.File, name: str, source: str) -> h5py.Dataset:
-    """Return a plain dataset that lies in this very file, whatever it declares."""
     for part in (name.split("/")[0], name):
         if not is_inside(file, part):
             raise BadData(f"{source}: {part} must be part of the file itself; it is missing or a link")
     dataset = file[name]
     if not isinstance(dataset, h5py.Dataset) or dataset.external or dataset.is_virtual or dataset.dtype.hasobject:
         raise BadData(f"{source}: {name} must be a plain dataset inside the file")
+    _require_borne_out(file, dataset, source, best_ratio)
     return dataset
 
 
@@ -108,15 +102,17 @@ def members(file: h5py.File, name: str, source: str) -> list[str]:
     return list(group)
 
 
-def attributes_of(item: h5py.HLObject) -> dict[str, Any]:
+def attributes_of(item: h5py.HLObject, source: str) -> dict[str, Any]:
     """Return the attributes that are one number or one string of fixed length; no others are written, or even read."""
     found: dict[str, Any] = {}
     room = _LARGEST_ATTRIBUTES
+    if len(item.attrs) > _MOST_ATTRIBUTES:
+        raise BadData(f"{source}: {item.name} must have at most {_MOST_ATTRIBUTES} attributes, got {len(item.attrs)}")
     for name in item.attrs:
         stored = item.attrs.get_id(name)
         room -= stored.dtype.itemsize + len(name)
-        if len(found) >= MOST_MEMBERS or room < 0:
-            raise BadData(f"{item.file.filename}: attributes must take at most {_LARGEST_ATTRIBUTES >> 20} MiB")
+        if room < 0:
+            raise BadData(f"{source}: attributes of {item.name} must take at most {_LARGEST_ATTRIBUTES >> 20} MiB")
         if stored.shape == () and stored.dtype.kind in "biufS":
             value = item.attrs[name]
             found[name] = value.decode(errors="replace") if isinstance(value, bytes) else value.item()

@@ -67,7 +67,7 @@ def recording_header(path: str, source: str) -> dict[str, Any]:
         It is no recording, of another version, or incomplete.
     """
     with opened(path, source) as file:
-        attributes = attributes_of(file)
+        attributes = attributes_of(file, source)
         if attributes.get("format") != RECORDING_FORMAT:
             raise BadData(
                 f"{source}: this HDF5 file must be a cgid recording (attribute format = {RECORDING_FORMAT!r}); it is "
@@ -78,11 +78,11 @@ def recording_header(path: str, source: str) -> dict[str, Any]:
         samples = plain_dataset(file, "samples", source, _UNPACKED)
         if samples.ndim != 1 or samples.dtype not in (np.float32, np.float64) or not samples.size:
             raise BadData(f"{source}: samples must be a row of floats, got shape {samples.shape} of {samples.dtype}")
-        about = attributes_of(samples)
+        about = attributes_of(samples, source)
         require_rate_and_unit(source, "samples", about)
         start = about.get("start")
         if not isinstance(start, float) or not np.isfinite(start):
-            raise BadData(f"{source}: samples must have a sound attribute start, got {start!r}")
+            raise BadData(f"{source}: samples must have a sound attribute start, got {start!r:.80}")
         n_impacts, units = _impact_columns(file, source, attributes.get("n_impacts"))
         return {
             "attributes": attributes,
@@ -102,7 +102,7 @@ def _impact_columns(file: h5py.File, source: str, count: Any) -> tuple[int, dict
         column = plain_dataset(file, f"impacts/{name}", source, _UNPACKED)
         if column.shape != (count,) or not _is_column(column, "fiuS"):
             raise BadData(f"{source}: impacts/{name} must be one value an impact, got shape {column.shape}")
-        units[name] = str(attributes_of(column).get("unit", ""))
+        units[name] = str(attributes_of(column, source).get("unit", ""))
     if type(count) is not int or "time" not in units:
         raise BadData(f"{source}: impacts must have a column time and their number in n_impacts; generate it again")
     return count, units
@@ -117,7 +117,7 @@ def table_header(path: str, source: str) -> dict[str, Any]:
         It is no table, of another version, or incomplete.
     """
     with opened(path, source) as file:
-        attributes = attributes_of(file)
+        attributes = attributes_of(file, source)
         if attributes.pop("format", None) != TABLE_FORMAT:
             raise BadData(f"{source}: this HDF5 file must be a table (attribute format = {TABLE_FORMAT!r}); it is not")
         require_schema(source, attributes.pop("schema_version", None), TABLE_VERSION)
@@ -131,7 +131,7 @@ def table_header(path: str, source: str) -> dict[str, Any]:
         return {
             "kind": str(attributes.pop("kind", "")),
             "attributes": attributes,
-            "units": {name[8:]: str(attributes_of(stored[name]).get("unit", "")) for name in columns},
+            "units": {name[8:]: str(attributes_of(stored[name], source).get("unit", "")) for name in columns},
             "n_rows": n_rows[0],
             "row_bytes": sum(bytes_of(one) for one in stored.values()),
         }
@@ -179,7 +179,7 @@ def _part(dataset: h5py.Dataset, part: slice, source: str) -> NDArray[Any]:
 
 
 def _read_header(file: h5py.File, source: str) -> ShardHeader:
-    attributes = attributes_of(file)
+    attributes = attributes_of(file, source)
     if attributes.get("format") != FORMAT:
         raise BadData(f"{source}: this HDF5 file must be a cgid dataset (attribute format = {FORMAT!r}); it is not")
     require_schema(source, attributes.get("schema_version"), SCHEMA_VERSION)
@@ -193,11 +193,11 @@ def _read_header(file: h5py.File, source: str) -> ShardHeader:
             raise BadData(f"{source}: {name} must be one value a signal, got shape {dataset.shape} of {dataset.dtype}")
     units = _parameter_units(file, source, signals.shape[0])
     n_signals, n_samples = signals.shape
-    about = attributes_of(signals)
+    about = attributes_of(signals, source)
     before = about.get("pre_trigger")
     require_rate_and_unit(source, "signals", about)
     if type(before) is not int or not 0 <= before < n_samples:
-        raise BadData(f"{source}: signals must have a sound attribute pre_trigger, got {before!r}")
+        raise BadData(f"{source}: signals must have a sound attribute pre_trigger, got {before!r:.80}")
     return ShardHeader(
         n_signals,
         n_samples,
@@ -219,7 +219,7 @@ def require_rate_and_unit(source: str, name: str, about: dict[str, Any]) -> None
         ("unit", unit, any(unit in units for units in UNITS.values())),
     ):
         if not holds:
-            raise BadData(f"{source}: {name} must have a sound attribute {attribute}, got {value!r}")
+            raise BadData(f"{source}: {name} must have a sound attribute {attribute}, got {value!r:.80}")
 
 
 def _parameter_units(file: h5py.File, source: str, n_signals: int) -> dict[str, str]:
@@ -230,7 +230,7 @@ def _parameter_units(file: h5py.File, source: str, n_signals: int) -> dict[str, 
         dataset = plain_dataset(file, f"parameters/{name}", source)
         if dataset.shape != (n_signals,) or not _is_column(dataset, "f"):
             raise BadData(f"{source}: parameters/{name} must be one number a signal, got shape {dataset.shape}")
-        units[name] = str(attributes_of(dataset).get("unit", ""))
+        units[name] = str(attributes_of(dataset, source).get("unit", ""))
     return units
 
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from cgid.errors import BadData, NoInput
+from cgid.errors import BadData, CgidError, NoInput
 from cgid.store.examination import damaged_rows, examine_file
 from cgid.store.header import FORMAT, RECORDING_FORMAT, TABLE_FORMAT
 from cgid.store.journal import JOURNAL, read_journal
@@ -96,16 +96,21 @@ def verify(path: str | Path) -> Verified:
     Raises
     ------
     NoInput
-        There is nothing.
+        There is nothing, or its folder cannot be looked into.
     """
     path = Path(path)
     if not path.exists():
         raise NoInput(f"{path}: no such file or folder; give a dataset, recording, table or model of cgid")
-    if not path.is_dir():
-        return _verify_file(path)
-    if any(re.fullmatch(RECORDING_NAME, entry.name) for entry in path.iterdir()):
-        return _verify_recordings(path)
-    return _verify_dataset(path)
+    try:
+        if not path.is_dir():
+            return _verify_file(path)
+        if any(re.fullmatch(RECORDING_NAME, name) for name in _names(path)):
+            return _verify_recordings(path)
+        return _verify_dataset(path)
+    except CgidError:
+        raise
+    except OSError as error:
+        raise NoInput(f"{path}: cannot be looked into ({error.strerror}); see to the permissions") from None
 
 
 def damaged_shards(path: str | Path) -> list[str]:
