@@ -53,10 +53,11 @@ def is_dataset(path: str | Path) -> bool:
                 return False
     except (OSError, ValueError):
         return False
-    from cgid.store.foreign import is_foreign
-    from cgid.store.recording import is_recording
+    from cgid.store.apart import format_said
+    from cgid.store.header import RECORDING_FORMAT
 
-    return not is_recording(path) and not is_foreign(path)
+    said = format_said(Path(path))
+    return said is None or (said.startswith("cgid") and said != RECORDING_FORMAT)
 
 
 def open_recording(

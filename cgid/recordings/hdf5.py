@@ -49,15 +49,17 @@ def read_hdf5(path: Path, source: str, variable: str | None) -> Contents:
         The file is damaged, a dataset of cgid, holds no array of numbers or several, or the array lies elsewhere,
         declares more than is stored, or is packed in a way that HDF5 does not know here.
     """
-    from cgid.store.foreign import array_blocks, is_foreign, survey
-    from cgid.store.recording import is_recording
+    from cgid.store.apart import format_said
+    from cgid.store.foreign import array_blocks, survey
+    from cgid.store.header import RECORDING_FORMAT
 
-    if is_recording(path):
+    said = format_said(path)
+    if said == RECORDING_FORMAT:
         if variable not in (None, "samples"):
             raise InvalidValue(f"{source}: the variable of a recording of cgid is 'samples', got {variable!r}")
-        return read_own(path, source, variable)
+        return read_own(path)
     found = survey(path, source, lambda name: name in _PACKING or is_telling(name))
-    if not is_foreign(path):
+    if said is None or said.startswith("cgid"):
         raise BadData(f"{source}: an HDF5 file is a dataset, not one recording; {DATASET_CURE}")
 
     def variable_of(array: ForeignArray, axes: tuple[int | None, int]) -> Variable:

@@ -3,30 +3,28 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
 from numpy.typing import NDArray
 
-from cgid.errors import BadData
 from cgid.recordings.contents import Contents
 
 #: What to do with a dataset where a recording is wanted.
 DATASET_CURE = "read it with cgid.store, or pick one of its signals with --index"
 
 
-def read_own(path: Path, source: str, variable: str | None) -> Contents:
+def read_own(path: Path) -> Contents:
     """Return the one channel of a recording made by `cgid generate`."""
-    from cgid.store.recording import Recording, is_recording
+    from cgid.store.recording import Recording
 
-    if not is_recording(path):
-        raise BadData(f"{source}: an HDF5 file is a dataset, not one recording; {DATASET_CURE}")
     recording = Recording(path)
 
     def blocks(length: int, channels: Sequence[int]) -> Iterator[NDArray[Any]]:
-        for first in range(0, recording.n_samples, length):
-            row = recording.samples(first, min(first + length, recording.n_samples))
-            yield row[None][list(channels)]
+        with closing(recording.blocks(length)) as rows:
+            for row in rows:
+                yield row[None][list(channels)]
 
     return Contents(
         n_channels=1,

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import copy
 import platform
 import time
-from collections.abc import Callable, Generator, Iterator
-from concurrent.futures import Future, ThreadPoolExecutor
+from collections.abc import Callable, Generator
 from contextlib import closing
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -14,11 +12,12 @@ from typing import Literal
 
 from cgid.cluster import Workers
 from cgid.errors import CannotCreate
+from cgid.scene.overlap import write_in_turn
 from cgid.scene.scene import Scene
-from cgid.scene.synthesis import synthesise
-from cgid.signals import Batch
 from cgid.store import DatasetWriter
-from cgid.store.writing import BuiltShard, ShardEntry, is_single_file
+from cgid.store.journal import JOURNAL
+from cgid.store.manifest import ShardEntry
+from cgid.store.writing import is_single_file
 
 #: What another machine has written may be seen here so much later [s]: network file systems remember what was missing.
 PATIENCE = 30.0
@@ -39,32 +38,23 @@ def write_shards(
     scene: Scene,
     seed: int,
     dtype: Literal["float32", "float64"],
+    shards: list[tuple[int, int, int]],
     crew: Workers,
     progress: Callable[[int], object] | None,
 ) -> Generator[ShardEntry, None, None]:
-    """Make all shards of a dataset and write them; yield each one's line of the manifest as it is done.
+    """Make these shards of a dataset and write them; yield each one's line of the manifest as it is done.
 
     On a cluster each worker writes into the same folder by the same name, and ends the shard it is at when the others
     are called off.
     """
     if crew.alone:
-        # One thread hashes and writes a shard while the next one is made: neither holds Python's lock.
-        with ThreadPoolExecutor(max_workers=1) as disk:
-            waiting: Future[ShardEntry] | None = None
-            for shard in writer.shards:
-                built = _build(writer, scene, seed, dtype, shard, progress)
-                if waiting is not None:
-                    yield waiting.result()
-                waiting = disk.submit(writer.put, built)
-                del built  # the thread alone keeps it, until it is written
-            if waiting is not None:
-                yield waiting.result()
+        yield from write_in_turn(writer, scene, seed, dtype, shards, progress)
         return
     asked = _Asked(writer=writer, scene=scene, seed=seed, dtype=dtype)
     if crew.elsewhere:
         asked = _anywhere(asked)
     write = _write_shared if crew.elsewhere else _write_one
-    with closing(crew.each(write, asked, writer.shards, ordered=False)) as entries:
+    with closing(crew.each(write, asked, shards, ordered=False)) as entries:
         for entry in entries:
             if crew.elsewhere:
                 _require_shared(writer, entry)
@@ -73,19 +63,19 @@ def write_shards(
 
 def _anywhere(asked: _Asked) -> _Asked:
     """Return the same for processes that stand in another folder."""
-    writer, scene = copy.copy(asked.writer), asked.scene.model_copy()
-    writer.output = writer.output.absolute()
+    scene = asked.scene.model_copy()
     scene.__dict__["folder"] = scene.folder.absolute()
-    return replace(asked, writer=writer, scene=scene)
+    return replace(asked, writer=asked.writer.from_anywhere(), scene=scene)
 
 
 def _write_one(asked: _Asked, shard: tuple[int, int, int]) -> ShardEntry:
-    return asked.writer.put(_build(asked.writer, asked.scene, asked.seed, asked.dtype, shard))
+    (entry,) = write_in_turn(asked.writer, asked.scene, asked.seed, asked.dtype, [shard])
+    return entry
 
 
 def _write_shared(asked: _Asked, shard: tuple[int, int, int]) -> ShardEntry:
-    folder = _folder(asked.writer)
-    if not folder.is_dir():
+    folder = asked.writer.folder
+    if not folder.is_dir() or not (is_single_file(asked.writer.output) or (folder / JOURNAL).exists()):
         raise CannotCreate(
             f"{folder}: must be a folder that all workers share, {platform.node()} has none; choose one they share, or "
             "mount it there by the same name"
@@ -95,7 +85,7 @@ def _write_shared(asked: _Asked, shard: tuple[int, int, int]) -> ShardEntry:
 
 def _require_shared(writer: DatasetWriter, entry: ShardEntry) -> None:
     """Raise `CannotCreate` unless a shard that a worker has written lies here, too."""
-    path, until = _folder(writer) / entry.file, time.monotonic() + PATIENCE
+    path, until = writer.folder / entry.file, time.monotonic() + PATIENCE
     while (size := _size(path)) != entry.bytes:
         if time.monotonic() > until:
             raise CannotCreate(
@@ -112,26 +102,3 @@ def _size(path: Path) -> int | None:
         return path.stat().st_size
     except OSError:
         return None
-
-
-def _folder(writer: DatasetWriter) -> Path:
-    return writer.output.parent if is_single_file(writer.output) else writer.output
-
-
-def _build(
-    writer: DatasetWriter,
-    scene: Scene,
-    seed: int,
-    dtype: Literal["float32", "float64"],
-    shard: tuple[int, int, int],
-    progress: Callable[[int], object] | None = None,
-) -> BuiltShard:
-    number, first, count = shard
-
-    def batches() -> Iterator[Batch]:
-        for batch in synthesise(scene, count, seed, first=first, dtype=dtype):
-            yield batch
-            if progress is not None:
-                progress(len(batch))
-
-    return writer.build_shard(number, first, count, batches())

@@ -1,10 +1,16 @@
-"""HDF5 datasets: the only room that knows h5py."""
+"""HDF5 datasets: the only room that knows h5py; its names are loaded when first used."""
 
-from cgid.store.dataset import Dataset
-from cgid.store.header import FORMAT, SCHEMA_VERSION
-from cgid.store.table import Rows, Table, TableHeader, check_table_output, table_writer
-from cgid.store.table_reading import is_table, read_table
-from cgid.store.writing import DatasetWriter, check_output
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from cgid.store.dataset import Dataset
+    from cgid.store.header import FORMAT, SCHEMA_VERSION
+    from cgid.store.table import Rows, Table, TableHeader, check_table_output, table_writer
+    from cgid.store.table_reading import is_table, read_table
+    from cgid.store.writing import DatasetWriter, check_output
 
 __all__ = [
     "FORMAT",
@@ -20,3 +26,29 @@ __all__ = [
     "read_table",
     "table_writer",
 ]
+
+#: Where each public name lives.
+_HOMES = {
+    "FORMAT": "header",
+    "SCHEMA_VERSION": "header",
+    "Dataset": "dataset",
+    "DatasetWriter": "writing",
+    "Rows": "table",
+    "Table": "table",
+    "TableHeader": "table",
+    "check_output": "writing",
+    "check_table_output": "table",
+    "is_table": "table_reading",
+    "read_table": "table_reading",
+    "table_writer": "table",
+}
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOMES:
+        raise AttributeError(f"module 'cgid.store' has no attribute {name!r}")
+    return getattr(import_module(f"cgid.store.{_HOMES[name]}"), name)
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *_HOMES})

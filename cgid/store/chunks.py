@@ -1,4 +1,4 @@
-"""Whether the chunks of a foreign dataset can be unpacked, by what the file says of them.
+"""Whether the chunks of a dataset can be unpacked, by what the file says of them.
 
 HDF5 believes the index of chunks: one of no bytes crashes its checksum (2.0.0, `H5Zfletcher32`), one of too few leaves
 another's numbers. So every entry is held against the file before anything is read.
@@ -12,8 +12,10 @@ from typing import Any
 
 import h5py
 
-from cgid.store.dataset import DAMAGE
+from cgid.errors import MissingExtra
 
+#: What h5py raises on damaged files.
+DAMAGE = (OSError, RuntimeError, LookupError, ValueError, TypeError, ArithmeticError)
 #: HDF5 unpacks whole chunks; no sound writer makes larger ones [bytes].
 LARGEST_CHUNK = 64 << 20
 #: deflate packs no better, and what others pack better is no recording.
@@ -21,23 +23,30 @@ BEST_RATIO = 1100
 #: Chunks that are kept, so that none is unpacked for every block anew: at least and at most so many bytes.
 _LEAST_CACHE, _LARGEST_CACHE = 1 << 20, 128 << 20
 _DEFLATE, _CHECKSUM = 1, 3
-#: Packings whose parameters lie in the file and are believed: szip, n-bit, scale-offset.
-_NOT_UNPACKED = (4, 5, 6)
+#: What is unpacked: deflate, shuffle, checksum, LZF; and with hdf5plugin Zstandard and Blosc2. Others, such as n-bit
+#: and scale-offset, believe parameters that lie in the file.
+_UNPACKED, _WITH_PLUGIN = (_DEFLATE, 2, _CHECKSUM, 32000), {32015: "Zstandard", 32026: "Blosc2"}
 
 
-def storage_fault(item: h5py.Dataset, file_size: int) -> str:
-    """Return why the samples of a dataset must not or cannot be read, "" if they can."""
+def storage_fault(item: h5py.Dataset, file_size: int, best_ratio: float = BEST_RATIO) -> str:
+    """Return why the samples of a dataset must not or cannot be read, "" if they can.
+
+    Raises
+    ------
+    MissingExtra
+        They are packed by Zstandard or Blosc2, and the library is not installed.
+    """
     declared, stored = item.size * item.dtype.itemsize, item.id.get_storage_size()
-    if declared > BEST_RATIO * stored or stored > file_size:
+    if declared > best_ratio * stored or stored > file_size:
         return f"declares {declared} bytes and holds {min(stored, file_size)}"
     if item.chunks is None:
         return ""
-    if _chunk_size(item.chunks, item.dtype.itemsize) > LARGEST_CHUNK:
+    if chunk_bytes(item) > LARGEST_CHUNK:
         return f"has chunks of more than {LARGEST_CHUNK >> 20} MiB"
     creation = item.id.get_create_plist()
     filters = [creation.get_filter(index) for index in range(creation.get_nfilters())]
     for code, _, _, label in filters:
-        if code in _NOT_UNPACKED or not h5py.h5z.filter_avail(code):
+        if not _is_unpacked(code):
             return f"is packed by filter {code} ({label.decode(errors='replace')}), which is not unpacked here"
     try:
         return _index_fault(item, file_size, [code for code, *_ in filters])
@@ -65,8 +74,25 @@ def cache_size(shape: tuple[int, ...], chunks: tuple[int, ...] | None, itemsize:
     return min(max(_LEAST_CACHE, side_by_side * _chunk_size(chunks, itemsize)), _LARGEST_CACHE)
 
 
+def chunk_bytes(item: h5py.Dataset) -> int:
+    """Return what a chunk takes, unpacked; nothing where there are none."""
+    return _chunk_size(item.chunks, item.dtype.itemsize) if item.chunks else 0
+
+
 def _chunk_size(chunks: tuple[int, ...], itemsize: int) -> int:
     return math.prod(chunks) * itemsize
+
+
+def _is_unpacked(code: int) -> bool:
+    if code in _WITH_PLUGIN:
+        try:
+            import hdf5plugin  # noqa: F401
+        except ImportError:
+            raise MissingExtra(
+                f"files packed by {_WITH_PLUGIN[code]} need hdf5plugin, which is not installed: pip install "
+                "'cgid[compression]'"
+            ) from None
+    return (code in _UNPACKED or code in _WITH_PLUGIN) and bool(h5py.h5z.filter_avail(code))
 
 
 def _index_fault(item: h5py.Dataset, file_size: int, filters: list[int]) -> str:

@@ -2,27 +2,22 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
-import re
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
-import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from cgid.errors import BadData, CgidError, InvalidValue, NoInput
+from cgid.errors import BadData, InvalidValue, NoInput
 from cgid.signals import Batch, Signal, quantity_of
-from cgid.store.header import FORMAT, SCHEMA_VERSION, ShardHeader, read_header, text_of
-from cgid.store.writing import MANIFEST, SHARD_NAME
+from cgid.store import apart
+from cgid.store.header import ShardHeader, text_of
+from cgid.store.manifest import MANIFEST, read_manifest
 
-#: Signals read at once.
-_ROWS = 1024
-#: What h5py raises on damaged headers.
-DAMAGE = (OSError, RuntimeError, LookupError, ValueError, TypeError, ArithmeticError)
+#: Signals read at once, and what they may take [bytes].
+_ROWS, _LARGEST_BATCH = 1024, 32 << 20
 
 
 class Dataset:
@@ -47,43 +42,19 @@ class Dataset:
         self.path = Path(path)
         if not self.path.exists():
             raise NoInput(f"{path}: no such file or folder; give a dataset made by cgid generate")
-        self._entries = self._read_manifest() if self.path.is_dir() else None
-        names = [entry["file"] for entry in self._entries] if self._entries is not None else [self.path.name]
+        self._entries = read_manifest(self.path).shards if self.path.is_dir() else None
+        names = [entry.file for entry in self._entries] if self._entries is not None else [self.path.name]
         folder = self.path if self.path.is_dir() else self.path.parent
         self._shards = [folder / name for name in names]
         self._counts: list[int] = []
         for shard in self._shards:
-            with opened(shard) as file:
-                header = read_header(file, str(shard))
+            header = ShardHeader(**apart.call("shard_header", shard))
             if not self._counts:
                 self.header = header
             self._require_fit(shard, header)
             self._counts.append(header.n_signals)
-        if self._entries is not None and self._counts != [entry["n_signals"] for entry in self._entries]:
+        if self._entries is not None and self._counts != [entry.n_signals for entry in self._entries]:
             raise BadData(f"{path}: shards must hold as many signals as {MANIFEST} says; generate the dataset again")
-
-    def _read_manifest(self) -> list[dict[str, Any]]:
-        file = self.path / MANIFEST
-        try:
-            manifest = json.loads(file.read_bytes())
-        except OSError:
-            raise BadData(
-                f"{self.path}: a dataset folder must hold {MANIFEST}; without it the run that made it was not "
-                "finished: generate it again"
-            ) from None
-        except (ValueError, RecursionError):
-            raise BadData(f"{file}: must be JSON, it is not; generate the dataset again") from None
-        if not isinstance(manifest, dict) or manifest.get("format") != FORMAT:
-            raise BadData(f"{file}: must have format {FORMAT!r}; this is another manifest")
-        if manifest.get("schema_version") != SCHEMA_VERSION:
-            raise BadData(f"{file}: schema_version must be {SCHEMA_VERSION}, got {manifest.get('schema_version')}")
-        entries = manifest.get("shards")
-        if not isinstance(entries, list) or not entries or not all(map(_is_entry, entries)):
-            raise BadData(f"{file}: shards must be a list of file, n_signals, sha256; generate the dataset again")
-        total = sum(entry["n_signals"] for entry in entries)
-        if len({entry["file"] for entry in entries}) < len(entries) or manifest.get("n_signals") != total:
-            raise BadData(f"{file}: every shard must be listed, and once, {total} signals in all; generate it again")
-        return entries
 
     def _require_fit(self, shard: Path, header: ShardHeader) -> None:
         for name in ("n_samples", "sampling_rate", "pre_trigger", "unit", "parameter_units", "label_width"):
@@ -122,8 +93,13 @@ class Dataset:
     def __iter__(self) -> Iterator[Batch]:
         return self.batches()
 
-    def batches(self, n_rows: int = _ROWS) -> Iterator[Batch]:
-        """Yield the signals in order, at most `n_rows` at once.
+    def batches(self, n_rows: int | None = None) -> Iterator[Batch]:
+        """Yield the signals in order.
+
+        Parameters
+        ----------
+        n_rows : int, optional
+            Signals at once, at most; without it as many as are read quickly: 1024, fewer of long ones.
 
         Raises
         ------
@@ -131,28 +107,25 @@ class Dataset:
             A checksum does not fit: the file is damaged.
         """
         for shard, count in zip(self._shards, self._counts, strict=True):
-            with opened(shard) as file:
-                for first in range(0, count, n_rows):
-                    yield self._batch(file, shard, slice(first, min(first + n_rows, count)))
+            yield from self._read(shard, 0, count, n_rows)
 
-    def _batch(self, file: h5py.File, shard: Path, rows: slice) -> Batch:
-        try:
-            signals: NDArray[Any] = file["signals"][rows]
-            labels, specimen = file["labels"][rows], file["specimen"][rows]
-            parameters = {name: file[f"parameters/{name}"][rows] for name in self.header.parameter_units}
-        except OSError:
-            raise BadData(
-                f"{shard}: signals {rows.start} to {rows.stop - 1} must fit their checksum, they do not: the file is "
-                "damaged; generate it again"
-            ) from None
+    def _read(self, shard: Path, first: int, stop: int, n_rows: int | None) -> Iterator[Batch]:
+        row = self.header.n_samples * np.dtype(self.header.dtype).itemsize
+        length = n_rows or max(1, min(_ROWS, _LARGEST_BATCH // row))
+        names = ["signals", "labels", "specimen", *(f"parameters/{name}" for name in self.header.parameter_units)]
+        largest = max(apart.LARGEST_ANSWER, 2 * length * row)
+        with closing(apart.stream("rows", shard, names, first, stop, length, largest=largest)) as parts:
+            yield from map(self._batch, parts)
+
+    def _batch(self, part: dict[str, NDArray[Any]]) -> Batch:
         return Batch(
-            signals=signals,
-            labels=text_of(labels),
+            signals=part["signals"],
+            labels=text_of(part["labels"]),
             sampling_rate=self.sampling_rate,
             unit=self.unit,
             pre_trigger=self.pre_trigger,
-            specimen=specimen.astype(np.uint64),
-            parameters=parameters,
+            specimen=part["specimen"].astype(np.uint64),
+            parameters={name: part[f"parameters/{name}"] for name in self.header.parameter_units},
             source=self.source,
         )
 
@@ -169,8 +142,8 @@ class Dataset:
         first = 0
         for shard, count in zip(self._shards, self._counts, strict=True):
             if index < first + count:
-                with opened(shard) as file:
-                    return self._batch(file, shard, slice(index - first, index - first + 1))
+                (batch,) = self._read(shard, index - first, index - first + 1, 1)
+                return batch
             first += count
         raise AssertionError("unreachable: the index was checked")
 
@@ -183,44 +156,3 @@ class Dataset:
             source=f"{self.path} index {index}",
             pre_trigger=self.pre_trigger,
         )
-
-    def damaged_shards(self) -> list[str]:
-        """Return the shards whose SHA-256 is not that of the manifest (none for a single file: it has no manifest)."""
-        if self._entries is None:
-            return []
-        pairs = zip(self._shards, self._entries, strict=True)
-        return [str(shard) for shard, entry in pairs if _sha256(shard) != entry["sha256"]]
-
-
-@contextmanager
-def opened(path: Path) -> Iterator[h5py.File]:
-    """Yield an HDF5 file open for reading; what h5py raises on a damaged one becomes `BadData`."""
-    try:
-        file = h5py.File(path, "r")
-    except OSError as error:
-        if not path.exists():
-            raise BadData(f"{path}: this shard of the dataset is missing; generate the dataset again") from None
-        reason = "it is empty, truncated or no HDF5 file" if not isinstance(error, PermissionError) else "no permission"
-        raise BadData(f"{path}: must be a readable HDF5 file, {reason}; copy it again, or generate it anew") from None
-    try:
-        yield file
-    except CgidError:
-        raise
-    except DAMAGE as error:
-        raise BadData(f"{path}: is damaged ({error}); copy it again, or generate it anew") from None
-    finally:
-        file.close()
-
-
-def _is_entry(entry: Any) -> bool:
-    if not isinstance(entry, dict):
-        return False
-    file, count, digest = entry.get("file"), entry.get("n_signals"), entry.get("sha256")
-    if not (isinstance(file, str) and isinstance(digest, str) and type(count) is int):
-        return False
-    return re.fullmatch(SHARD_NAME, file) is not None and count > 0
-
-
-def _sha256(path: Path) -> str:
-    with path.open("rb") as stream:
-        return hashlib.file_digest(stream, "sha256").hexdigest()

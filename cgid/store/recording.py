@@ -12,31 +12,30 @@ from __future__ import annotations
 
 import re
 import shutil
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Generator, Iterator, Mapping
+from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import h5py
 import numpy as np
 from numpy.typing import NDArray
 
 from cgid.errors import BadData, CannotCreate, InvalidValue, NoInput
 from cgid.files import whole_file
-from cgid.signals import UNITS, Signal, quantity_of
-from cgid.store.dataset import opened
+from cgid.signals import Signal, quantity_of
+from cgid.store import apart
 from cgid.store.disk import Hdf5OnDisk, hdf5_on_disk
-from cgid.store.header import LARGEST_SHARD, attributes_of, is_inside, plain_dataset, require_scene, text_of
+from cgid.store.header import LARGEST_SHARD, RECORDING_FORMAT, RECORDING_SCHEMA_VERSION, text_of
 
-RECORDING_FORMAT = "cgid-recording"
-RECORDING_SCHEMA_VERSION = 1
-#: A file of more samples is not read back: a recording is analysed in memory.
+#: No longer recording is made.
 LARGEST_RECORDING = LARGEST_SHARD
 #: What a folder of recordings holds, with what a killed run leaves behind.
 RECORDING_NAME = r"recording-[0-9]{5,}\.h5"
 OURS = re.compile(rf"{RECORDING_NAME}|\.{RECORDING_NAME}\.[0-9a-f]+\.part")
 _CHUNK_SAMPLES, _CHUNK_IMPACTS = 1 << 16, 4096
+#: Samples, and impacts, that are read at once.
+_BLOCK, _ROWS = 1 << 20, 1 << 16
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -126,7 +125,7 @@ class RecordingWriter:
 
 
 @contextmanager
-def writing(path: str | Path, plan: RecordingPlan) -> Iterator[RecordingWriter]:
+def writing(path: str | Path, plan: RecordingPlan, *, overwrite: bool = True) -> Iterator[RecordingWriter]:
     """Yield the writer of a recording that bears its name when this context is left without an error.
 
     Raises
@@ -144,7 +143,7 @@ def writing(path: str | Path, plan: RecordingPlan) -> Iterator[RecordingWriter]:
             f"{path}: a recording must be at most {LARGEST_RECORDING / 2**30:g} GiB of samples, "
             f"{plan.n_samples} of {plan.dtype} make {plan.size / 2**30:.3g} GiB; make several"
         )
-    with whole_file(path) as temporary, hdf5_on_disk(temporary) as output:
+    with whole_file(path, overwrite=overwrite) as temporary, hdf5_on_disk(temporary) as output:
         writer = RecordingWriter(output, plan)
         yield writer
         writer.require_whole()
@@ -152,11 +151,7 @@ def writing(path: str | Path, plan: RecordingPlan) -> Iterator[RecordingWriter]:
 
 def is_recording(path: str | Path) -> bool:
     """Return whether this is an HDF5 file that says it is a recording; False for what cannot be read."""
-    try:
-        with h5py.File(path, "r") as file:
-            return attributes_of(file).get("format") == RECORDING_FORMAT
-    except (OSError, RuntimeError, LookupError, ValueError, TypeError):
-        return False
+    return apart.format_said(Path(path)) == RECORDING_FORMAT
 
 
 class Recording:
@@ -169,6 +164,8 @@ class Recording:
     Attributes
     ----------
     n_samples : int
+    dtype : str
+        Of the samples.
     n_impacts : int
     sampling_rate : float
         [Hz].
@@ -193,53 +190,15 @@ class Recording:
         self.path = Path(path)
         if not self.path.exists():
             raise NoInput(f"{path}: no such file; give a recording made by cgid generate")
-        with opened(self.path) as file:
-            self._read_header(file)
-
-    def _read_header(self, file: h5py.File) -> None:
-        path = str(self.path)
-        self.attributes = attributes_of(file)
-        if self.attributes.get("format") != RECORDING_FORMAT:
-            raise BadData(
-                f"{path}: this HDF5 file must be a cgid recording (attribute format = {RECORDING_FORMAT!r}); it is not"
-            )
-        version = self.attributes.get("schema_version")
-        if version != RECORDING_SCHEMA_VERSION:
-            raise BadData(
-                f"{path}: schema_version must be {RECORDING_SCHEMA_VERSION}, got {version}: use the cgid that wrote it"
-            )
-        require_scene(self.attributes, path)
-        samples = plain_dataset(file, "samples", path)
-        if samples.ndim != 1 or samples.dtype not in (np.float32, np.float64) or not samples.size:
-            raise BadData(f"{path}: samples must be a row of floats, got shape {samples.shape} of {samples.dtype}")
-        about = attributes_of(samples)
-        rate, start, unit = about.get("sampling_rate"), about.get("start"), about.get("unit")
-        for name, value, holds in (
-            ("sampling_rate", rate, isinstance(rate, float) and 0 < rate < np.inf),
-            ("start", start, isinstance(start, float) and np.isfinite(start)),
-            ("unit", unit, any(unit in units for units in UNITS.values())),
-        ):
-            if not holds:
-                raise BadData(f"{path}: samples must have a sound attribute {name}, got {value!r}")
-        self.n_samples: int = samples.size
+        about = apart.call("recording_header", self.path)
+        self.attributes: dict[str, Any] = about["attributes"]
+        self.n_samples: int = about["n_samples"]
+        self.dtype: str = about["dtype"]
+        self.n_impacts: int = about["n_impacts"]
         self.sampling_rate: float = about["sampling_rate"]
         self.start: float = about["start"]
         self.unit: str = about["unit"]
-        self.n_impacts, self.impact_units = self._read_columns(file, path)
-
-    def _read_columns(self, file: h5py.File, path: str) -> tuple[int, dict[str, str]]:
-        if not is_inside(file, "impacts") or not isinstance(file["impacts"], h5py.Group):
-            raise BadData(f"{path}: impacts must be a group of the file itself; it is missing or a link")
-        count = self.attributes.get("n_impacts")
-        units = {}
-        for name in file["impacts"]:
-            column = plain_dataset(file, f"impacts/{name}", path)
-            if column.shape != (count,) or column.dtype.kind not in "fiuS":
-                raise BadData(f"{path}: impacts/{name} must be one value an impact, got shape {column.shape}")
-            units[name] = str(attributes_of(column).get("unit", ""))
-        if type(count) is not int or "time" not in units:
-            raise BadData(f"{path}: impacts must have a column time and their number in n_impacts; generate it again")
-        return count, units
+        self.impact_units: dict[str, str] = about["impact_units"]
 
     def samples(self, first: int = 0, stop: int | None = None) -> NDArray[Any]:
         """Return the samples from number `first` up to, without, `stop`.
@@ -256,23 +215,29 @@ class Recording:
             raise InvalidValue(
                 f"{self.path}: samples must be asked for between 0 and {self.n_samples}, got {first} to {stop}"
             )
-        return self._read("samples", slice(first, stop))
+        found = np.empty(stop - first, self.dtype)
+        place = 0
+        for block in self.blocks(_BLOCK, first, stop):
+            found[place : place + block.size] = block
+            place += block.size
+        return found
+
+    def blocks(self, length: int, first: int = 0, stop: int | None = None) -> Generator[NDArray[Any], None, None]:
+        """Yield samples in order, at most `length` at once; `first`, `stop` and errors as those of `samples`."""
+        last = self.n_samples if stop is None else stop
+        size = np.dtype(self.dtype).itemsize * length
+        largest = max(apart.LARGEST_ANSWER, size)
+        with closing(apart.stream("rows", self.path, ["samples"], first, last, length, largest=largest)) as parts:
+            for part in parts:
+                yield part["samples"]
 
     def impacts(self) -> dict[str, NDArray[Any]]:
         """Return the truth of all impacts, one column for each of `impact_units`; raises `BadData` where damaged."""
-        found = {name: self._read(f"impacts/{name}", slice(None)) for name in self.impact_units}
-        return {name: text_of(column) if column.dtype.kind == "S" else column for name, column in found.items()}
+        names = {name: f"impacts/{name}" for name in self.impact_units}
+        found = list(apart.stream("rows", self.path, list(names.values()), 0, self.n_impacts, _ROWS))
+        columns = {name: np.concatenate([part[stored] for part in found]) for name, stored in names.items()}
+        return {name: text_of(column) if column.dtype.kind == "S" else column for name, column in columns.items()}
 
     def signal(self) -> Signal:
         """Return the whole recording as a signal."""
         return Signal(samples=self.samples(), sampling_rate=self.sampling_rate, unit=self.unit, source=str(self.path))
-
-    def _read(self, name: str, rows: slice) -> NDArray[Any]:
-        with opened(self.path) as file:
-            try:
-                found: NDArray[Any] = file[name][rows]
-            except OSError:
-                raise BadData(
-                    f"{self.path}: {name} must fit its checksums, it does not: the file is damaged; generate it again"
-                ) from None
-        return found

@@ -21,8 +21,8 @@ from cgid.counting import count
 from cgid.errors import CannotCreate, InvalidValue, MissingExtra
 from cgid.files import whole_file
 from cgid.store.disk import Hdf5OnDisk, hdf5_on_disk
+from cgid.store.header import TABLE_FORMAT, TABLE_VERSION
 
-TABLE_FORMAT, TABLE_VERSION = "cgid-table", 1
 #: Rows that are gathered before they are written, whole chunks of HDF5 or a row group of Parquet; and rows of a chunk.
 _ROWS, _CHUNK = 16384, 4096
 #: File names end in one of these.

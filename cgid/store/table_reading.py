@@ -9,18 +9,20 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-import h5py
 import numpy as np
 from numpy.typing import NDArray
 
 from cgid.errors import BadData, MissingExtra, NoInput
-from cgid.store.header import attributes_of, plain_dataset, require_scene, text_of
-from cgid.store.table import TABLE_FORMAT, TABLE_VERSION, Table, TableHeader, parquet_library
+from cgid.store import apart
+from cgid.store.header import TABLE_FORMAT, TABLE_VERSION, require_schema, text_of
+from cgid.store.table import Table, TableHeader, parquet_library
 
 #: What a table says of itself, in whichever format.
 _SAYS_SO = f'"format": "{TABLE_FORMAT}"'.encode()
 #: No footer of a table is longer [bytes].
 _LARGEST_FOOTER = 1 << 24
+#: Rows that are read at once, at most.
+_ROWS = 1 << 14
 #: What readers raise on damaged files.
 _DAMAGE = (OSError, RuntimeError, LookupError, ValueError, TypeError, ArithmeticError)
 
@@ -61,30 +63,20 @@ def is_table(path: str | Path) -> bool:
         if suffix == ".csv":
             with Path(path).open("rb") as stream:
                 return _SAYS_SO in stream.read(200)
-        with h5py.File(path, "r") as file:
-            return bool(attributes_of(file).get("format") == TABLE_FORMAT)
+        return apart.format_said(Path(path)) == TABLE_FORMAT
     except _DAMAGE:
         return False
 
 
 def _read_hdf5(path: str | Path) -> Table:
-    with h5py.File(path, "r") as file:
-        attributes = attributes_of(file)
-        if attributes.pop("format", None) != TABLE_FORMAT:
-            raise BadData(f"{path}: this HDF5 file must be a table (attribute format = {TABLE_FORMAT!r}); it is not")
-        _require_version(path, attributes.pop("schema_version", None))
-        require_scene(attributes, str(path))
-        kind = str(attributes.pop("kind", ""))
-        labels, specimen = plain_dataset(file, "labels", str(path)), plain_dataset(file, "specimen", str(path))
-        stored = {name: plain_dataset(file, f"columns/{name}", str(path)) for name in file["columns"]}
-        units = {name: str(attributes_of(column).get("unit", "")) for name, column in stored.items()}
-        return _checked(
-            path,
-            TableHeader(kind=kind, units=units, attributes=attributes),
-            text_of(labels[:]),
-            specimen[:],
-            {name: column[:] for name, column in stored.items()},
-        )
+    about = apart.call("table_header", Path(path))
+    header = TableHeader(kind=about["kind"], units=about["units"], attributes=about["attributes"])
+    names = ["labels", "specimen", *(f"columns/{name}" for name in header.units)]
+    length = max(1, min(_ROWS, apart.LARGEST_ANSWER // about["row_bytes"]))
+    parts = list(apart.stream("rows", Path(path), names, 0, about["n_rows"], length))
+    stored = {name: np.concatenate([part[name] for part in parts]) for name in names}
+    columns = {name: stored[f"columns/{name}"] for name in header.units}
+    return _checked(path, header, text_of(stored["labels"]), stored["specimen"], columns)
 
 
 def _is_own_parquet(path: str | Path) -> bool:
@@ -125,16 +117,11 @@ def _header_of(path: str | Path, text: str) -> TableHeader:
         content = None
     if not isinstance(content, dict) or content.get("format") != TABLE_FORMAT:
         raise BadData(f"{path}: must begin with what cgid says of its tables; this is another file")
-    _require_version(path, content.get("schema_version"))
+    require_schema(str(path), content.get("schema_version"), TABLE_VERSION)
     units, attributes = content.get("units"), content.get("attributes")
     if not isinstance(units, dict) or not isinstance(attributes, dict):
         raise BadData(f"{path}: must say its units and attributes, it does not; make it again")
     return TableHeader(kind=str(content.get("kind")), units=units, attributes=attributes)
-
-
-def _require_version(path: str | Path, version: Any) -> None:
-    if version != TABLE_VERSION:
-        raise BadData(f"{path}: schema_version must be {TABLE_VERSION}, got {version}: use the cgid that wrote it")
 
 
 def _checked(

@@ -1,0 +1,239 @@
+"""What the reading process says of files that cgid made: their headers, checked, and their rows."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack
+from dataclasses import asdict
+from typing import Any
+
+import h5py
+import numpy as np
+from numpy.typing import NDArray
+
+from cgid.errors import BadData
+from cgid.signals import UNITS
+from cgid.store import limits
+from cgid.store.chunks import DAMAGE, chunk_bytes
+from cgid.store.header import (
+    FORMAT,
+    RECORDING_FORMAT,
+    RECORDING_SCHEMA_VERSION,
+    SCHEMA_VERSION,
+    TABLE_FORMAT,
+    TABLE_VERSION,
+    ShardHeader,
+    require_scene,
+    require_schema,
+)
+from cgid.store.opening import attributes_of, bytes_of, members, opened, plain_dataset
+
+#: Labels and names are shorter [bytes].
+_WIDEST_TEXT = 4096
+#: Recordings and tables are not packed: they declare no more than is stored.
+_UNPACKED = 1.0
+
+
+def format_said(path: str, source: str) -> str | None:
+    """Return what the root says it is, "" for nothing; None for what cannot be opened."""
+    try:
+        with opened(path, source) as file:
+            said = file.attrs.get_id("format") if "format" in file.attrs else None
+            if said is None or said.shape != () or said.dtype.kind != "S" or said.dtype.itemsize > _WIDEST_TEXT:
+                return ""
+            return bytes(file.attrs["format"]).decode(errors="replace")
+    except BadData:
+        return None
+
+
+def shard_header(path: str, source: str) -> dict[str, Any]:
+    """Return the checked header of a shard, as a dict of `ShardHeader`.
+
+    Raises
+    ------
+    BadData
+        It is no cgid dataset, of another version, incomplete, or holds what a dataset must not hold.
+    """
+    with opened(path, source) as file:
+        return asdict(_read_header(file, source))
+
+
+def recording_header(path: str, source: str) -> dict[str, Any]:
+    """Return what a recording says of itself, checked, and its columns of impacts.
+
+    Raises
+    ------
+    BadData
+        It is no recording, of another version, or incomplete.
+    """
+    with opened(path, source) as file:
+        attributes = attributes_of(file)
+        if attributes.get("format") != RECORDING_FORMAT:
+            raise BadData(
+                f"{source}: this HDF5 file must be a cgid recording (attribute format = {RECORDING_FORMAT!r}); it is "
+                "not"
+            )
+        require_schema(source, attributes.get("schema_version"), RECORDING_SCHEMA_VERSION)
+        require_scene(source, attributes)
+        samples = plain_dataset(file, "samples", source, _UNPACKED)
+        if samples.ndim != 1 or samples.dtype not in (np.float32, np.float64) or not samples.size:
+            raise BadData(f"{source}: samples must be a row of floats, got shape {samples.shape} of {samples.dtype}")
+        about = attributes_of(samples)
+        require_rate_and_unit(source, "samples", about)
+        start = about.get("start")
+        if not isinstance(start, float) or not np.isfinite(start):
+            raise BadData(f"{source}: samples must have a sound attribute start, got {start!r}")
+        n_impacts, units = _impact_columns(file, source, attributes.get("n_impacts"))
+        return {
+            "attributes": attributes,
+            "n_samples": int(samples.size),
+            "dtype": samples.dtype.name,
+            "n_impacts": n_impacts,
+            "sampling_rate": about["sampling_rate"],
+            "start": start,
+            "unit": about["unit"],
+            "impact_units": units,
+        }
+
+
+def _impact_columns(file: h5py.File, source: str, count: Any) -> tuple[int, dict[str, str]]:
+    units = {}
+    for name in members(file, "impacts", source):
+        column = plain_dataset(file, f"impacts/{name}", source, _UNPACKED)
+        if column.shape != (count,) or not _is_column(column, "fiuS"):
+            raise BadData(f"{source}: impacts/{name} must be one value an impact, got shape {column.shape}")
+        units[name] = str(attributes_of(column).get("unit", ""))
+    if type(count) is not int or "time" not in units:
+        raise BadData(f"{source}: impacts must have a column time and their number in n_impacts; generate it again")
+    return count, units
+
+
+def table_header(path: str, source: str) -> dict[str, Any]:
+    """Return what a table says of itself, checked, its columns and number of rows.
+
+    Raises
+    ------
+    BadData
+        It is no table, of another version, or incomplete.
+    """
+    with opened(path, source) as file:
+        attributes = attributes_of(file)
+        if attributes.pop("format", None) != TABLE_FORMAT:
+            raise BadData(f"{source}: this HDF5 file must be a table (attribute format = {TABLE_FORMAT!r}); it is not")
+        require_schema(source, attributes.pop("schema_version", None), TABLE_VERSION)
+        require_scene(source, attributes)
+        columns = [f"columns/{name}" for name in members(file, "columns", source)]
+        stored = {name: plain_dataset(file, name, source, _UNPACKED) for name in ("labels", "specimen", *columns)}
+        n_rows = stored["labels"].shape
+        for name, kinds in (("labels", "S"), ("specimen", "u"), *((name, "f") for name in columns)):
+            if stored[name].shape != n_rows or not _is_column(stored[name], kinds):
+                raise BadData(f"{source}: must hold all columns that it names, all of one length; {name} is not")
+        return {
+            "kind": str(attributes.pop("kind", "")),
+            "attributes": attributes,
+            "units": {name[8:]: str(attributes_of(stored[name]).get("unit", "")) for name in columns},
+            "n_rows": n_rows[0],
+            "row_bytes": sum(bytes_of(one) for one in stored.values()),
+        }
+
+
+def rows(
+    path: str, source: str, names: Sequence[str], first: int, stop: int, length: int
+) -> Iterator[dict[str, NDArray[Any]]]:
+    """Yield rows of several datasets of one length, at most `length` at once.
+
+    Parameters
+    ----------
+    path, source : str
+    names : sequence of str
+    first, stop : int
+        Rows from the first up to, without, the last.
+    length : int
+
+    Raises
+    ------
+    BadData
+        A checksum does not fit: the file is damaged.
+    """
+    with ExitStack() as stack:
+        file = stack.enter_context(opened(path, source))
+        stored = {name: plain_dataset(file, name, source) for name in names}
+        row, chunk = (sum(size(one) for one in stored.values()) for size in (bytes_of, chunk_bytes))
+        # Nothing is a part, too: of no length, but of the types of all.
+        for begin in range(first, max(stop, first + 1), length):
+            part = slice(begin, min(begin + length, stop))
+            # As read, turned round where the bytes are, and the next that is read before the last has gone.
+            limits.allow(3 * (row * (part.stop - part.start) + chunk))
+            yield {name: _part(one, part, source) for name, one in stored.items()}
+
+
+def _part(dataset: h5py.Dataset, part: slice, source: str) -> NDArray[Any]:
+    try:
+        found: NDArray[Any] = dataset[part]
+    except DAMAGE:
+        raise BadData(
+            f"{source}: {dataset.name[1:]} {part.start} to {part.stop - 1} must fit their checksums, they do not: the "
+            "file is damaged; generate it again"
+        ) from None
+    return found
+
+
+def _read_header(file: h5py.File, source: str) -> ShardHeader:
+    attributes = attributes_of(file)
+    if attributes.get("format") != FORMAT:
+        raise BadData(f"{source}: this HDF5 file must be a cgid dataset (attribute format = {FORMAT!r}); it is not")
+    require_schema(source, attributes.get("schema_version"), SCHEMA_VERSION)
+    require_scene(source, attributes)
+    signals = plain_dataset(file, "signals", source)
+    if signals.ndim != 2 or signals.dtype not in (np.float32, np.float64) or not all(signals.shape):
+        raise BadData(f"{source}: signals must be rows of floats, got shape {signals.shape} of {signals.dtype}")
+    for name, kind in (("labels", "S"), ("specimen", "u")):
+        dataset = plain_dataset(file, name, source)
+        if dataset.shape != signals.shape[:1] or not _is_column(dataset, kind):
+            raise BadData(f"{source}: {name} must be one value a signal, got shape {dataset.shape} of {dataset.dtype}")
+    units = _parameter_units(file, source, signals.shape[0])
+    n_signals, n_samples = signals.shape
+    about = attributes_of(signals)
+    before = about.get("pre_trigger")
+    require_rate_and_unit(source, "signals", about)
+    if type(before) is not int or not 0 <= before < n_samples:
+        raise BadData(f"{source}: signals must have a sound attribute pre_trigger, got {before!r}")
+    return ShardHeader(
+        n_signals,
+        n_samples,
+        signals.dtype.name,
+        about["sampling_rate"],
+        about["pre_trigger"],
+        about["unit"],
+        units,
+        attributes,
+        file["labels"].dtype.itemsize,
+    )
+
+
+def require_rate_and_unit(source: str, name: str, about: dict[str, Any]) -> None:
+    """Raise `BadData` unless samples have a positive sampling rate and a known unit."""
+    rate, unit = about.get("sampling_rate"), about.get("unit")
+    for attribute, value, holds in (
+        ("sampling_rate", rate, isinstance(rate, float) and 0 < rate < np.inf),
+        ("unit", unit, any(unit in units for units in UNITS.values())),
+    ):
+        if not holds:
+            raise BadData(f"{source}: {name} must have a sound attribute {attribute}, got {value!r}")
+
+
+def _parameter_units(file: h5py.File, source: str, n_signals: int) -> dict[str, str]:
+    if not file.id.links.exists(b"parameters"):
+        return {}
+    units = {}
+    for name in members(file, "parameters", source):
+        dataset = plain_dataset(file, f"parameters/{name}", source)
+        if dataset.shape != (n_signals,) or not _is_column(dataset, "f"):
+            raise BadData(f"{source}: parameters/{name} must be one number a signal, got shape {dataset.shape}")
+        units[name] = str(attributes_of(dataset).get("unit", ""))
+    return units
+
+
+def _is_column(dataset: h5py.Dataset, kinds: str) -> bool:
+    """Return whether these are numbers or short texts of these kinds, one a row."""
+    return dataset.ndim == 1 and dataset.dtype.kind in kinds and dataset.dtype.itemsize <= _WIDEST_TEXT
