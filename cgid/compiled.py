@@ -3,8 +3,8 @@
 numba's own cache is an index and data files for each function. Two processes that compile at once may mix them up, a
 damaged file ends the run or changes the numbers, an edit in another file goes unseen, and as its files are pickles,
 whoever may write where they lie can run code. So here every compiled kernel is one file, named by all that it depends
-on and beginning with the SHA-256 of the rest, in a folder that nobody else can write to. What cannot be read is
-compiled anew, what cannot be written stays in memory: no fault of the disk ends a run.
+on and beginning with the SHA-256 of that name and the rest, in a folder that nobody else can write to. What cannot be
+read is compiled anew, what cannot be written stays in memory: no fault of the disk ends a run.
 
 The folder is `kernels-<digest>` in `NUMBA_CACHE_DIR`, or else in the user's cache folder (`XDG_CACHE_HOME`,
 ~/.cache/cgid on Linux); the digest is of the kernels' sources and the versions of Python, numpy, numba and llvmlite.
@@ -53,6 +53,7 @@ SOURCES = (
 )
 #: After so many seconds (30 days) without a new kernel, the folder of other sources or versions is cleared away.
 _FORGOTTEN = 30 * 86400.0
+_CHECKSUM = 32  # bytes of it that a file begins with
 _OPTIONS = {"nogil": True, "error_model": "numpy"}
 
 
@@ -166,8 +167,12 @@ def _read(path: Path) -> bytes | None:
         status = os.fstat(file)
         if not stat.S_ISREG(status.st_mode) or not _private(status):
             return None
-        checksum, payload = stream.read(32), stream.read()
-    return payload if hashlib.sha256(payload).digest() == checksum else None
+        checksum, payload = stream.read(_CHECKSUM), stream.read()
+    return payload if _checksum(path, payload) == checksum else None
+
+
+def _checksum(path: Path, payload: bytes) -> bytes:
+    return hashlib.sha256(path.name.encode() + payload).digest()
 
 
 def _write(path: Path, payload: bytes) -> None:
@@ -176,7 +181,7 @@ def _write(path: Path, payload: bytes) -> None:
     temporary = Path(name)
     try:
         with os.fdopen(file, "wb") as stream:
-            stream.write(hashlib.sha256(payload).digest() + payload)
+            stream.write(_checksum(path, payload) + payload)
         temporary.replace(path)
     except BaseException:
         temporary.unlink(missing_ok=True)

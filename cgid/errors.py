@@ -42,6 +42,12 @@ class MissingExtra(CgidError, ImportError):
     exit_code = 69
 
 
+class ClusterFailed(CgidError, ConnectionError):
+    """A cluster does not answer, has no workers, or has lost them (exit code 69)."""
+
+    exit_code = 69
+
+
 class CannotCreate(CgidError, OSError):
     """An output cannot be created (exit code 73)."""
 

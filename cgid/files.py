@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import os
 import secrets
 from collections.abc import Collection, Iterator
@@ -10,21 +11,32 @@ from pathlib import Path
 
 from cgid.errors import CannotCreate, CgidError, WriteFailed
 
+#: What file systems without hard links say when asked for one.
+_NO_LINKS = {errno.EPERM, errno.EOPNOTSUPP, errno.ENOTSUP, errno.ENOSYS, errno.EMLINK, errno.EINVAL}
+#: Of renameat2(2).
+_AT_FDCWD, _RENAME_EXCHANGE = -100, 2
 
-def write_whole(path: str | Path, content: bytes | memoryview) -> None:
+
+def write_whole(path: str | Path, content: bytes | memoryview, *, overwrite: bool = True) -> None:
     """Write a file so that its name only ever bears the old content or all of the new; raises as `whole_file`."""
-    with whole_file(path) as temporary, temporary.open("wb") as stream:
+    with whole_file(path, overwrite=overwrite) as temporary, temporary.open("wb") as stream:
         stream.write(content)
 
 
 @contextlib.contextmanager
-def whole_file(path: str | Path) -> Iterator[Path]:
+def whole_file(path: str | Path, *, overwrite: bool = True) -> Iterator[Path]:
     """Yield the name of an empty file to be filled and closed, which then bears the name asked for, if all went well.
+
+    Parameters
+    ----------
+    path : str or Path
+    overwrite : bool
+        Whether the file may take the place of another that has the name when this one is whole.
 
     Raises
     ------
     CannotCreate
-        The folder is missing or not writable.
+        The folder is missing or not writable, or the name was taken meanwhile and is not to be overwritten.
     WriteFailed
         The disk is full or broken; what was there before is untouched.
     """
@@ -41,10 +53,16 @@ def whole_file(path: str | Path) -> Iterator[Path]:
         yield temporary
         with temporary.open("rb+") as stream:
             os.fsync(stream.fileno())
-        temporary.replace(path)
+        if overwrite:
+            temporary.replace(path)
+        else:
+            _publish_new(temporary, path)
     except IsADirectoryError:
         _remove(temporary)
         raise CannotCreate(f"{path}: is a folder; choose another name or move it away") from None
+    except FileExistsError:
+        _remove(temporary)
+        raise CannotCreate(f"{path}: has come into being meanwhile; choose another name or say --overwrite") from None
     except CgidError:
         _remove(temporary)
         raise
@@ -56,6 +74,46 @@ def whole_file(path: str | Path) -> Iterator[Path]:
     except BaseException:
         _remove(temporary)
         raise
+    sync_folder(path.parent)
+
+
+def _publish_new(temporary: Path, path: Path) -> None:
+    """Give a file its name unless another has it; raises `FileExistsError`."""
+    try:
+        os.link(temporary, path)
+    except OSError as error:
+        if error.errno not in _NO_LINKS:
+            raise
+        if path.exists():
+            raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST)) from None
+        temporary.replace(path)
+    else:
+        _remove(temporary)
+
+
+def sync_folder(folder: Path) -> None:
+    """Flush a folder to the disk, so that a rename in it outlasts a power cut.
+
+    Not every system can. What was renamed is whole under its name by then, so a failure is no reason to call it failed.
+    """
+    with contextlib.suppress(OSError):
+        descriptor = os.open(folder, os.O_RDONLY)
+        try:
+            os.fsync(descriptor)
+        finally:
+            os.close(descriptor)
+
+
+def exchange(one: Path, other: Path) -> bool:
+    """Let two files or folders change names in one step, and return whether this system can."""
+    import ctypes
+
+    try:
+        rename = ctypes.CDLL(None, use_errno=True).renameat2
+    except (AttributeError, OSError, TypeError):
+        return False  # no Linux, or one before glibc 2.28
+    done: int = rename(_AT_FDCWD, os.fsencode(one), _AT_FDCWD, os.fsencode(other), _RENAME_EXCHANGE)
+    return done == 0
 
 
 def check_new(path: Path, what: str, endings: Collection[str], *, overwrite: bool = False) -> Path:

@@ -281,7 +281,7 @@ CASES = (
         "model of an older version",
         ("predict", "good.csv", "--model", "old.npz"),
         65,
-        ("old.npz", "2 or 3, got 1", "again"),
+        ("old.npz", "2 to 4, got 1", "again"),
     ),
     Case(
         "drop height of no use",

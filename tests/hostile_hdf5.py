@@ -203,7 +203,7 @@ def _virtual(file: h5py.File, kind: Kind, outside: Outside) -> None:
 
 
 def _one_chunk_of_many(file: h5py.File, kind: Kind, outside: Outside) -> None:
-    _stored(shape=(10**12,), chunks=(1000,))(file, kind, outside)
+    _stored(shape=(10**9,), chunks=(1000,))(file, kind, outside)
     file[kind.main][:1000] = np.ones(1000, file[kind.main].dtype)
 
 
@@ -328,7 +328,7 @@ ATTACKS: dict[str, Attack] = {
     "complex numbers": _stored(dtype=np.complex128),
     "the other byte order": _stored(dtype=">f4"),
     "a million million values in no bytes": _stored(shape=(10**12,), chunks=(1000,)),
-    "a million million values, one chunk of them there": _one_chunk_of_many,
+    "a thousand million values, one chunk of them there": _one_chunk_of_many,
     "a whole in one piece that was never written": _stored(shape=(10**9,)),
     "thirty-two axes": _stored(shape=(2,) * 32, chunks=(1,) * 32),
     "a chunk of 100 MB": _stored(shape=(25 << 20,), chunks=(25 << 20,), compression="gzip"),

@@ -1,9 +1,11 @@
 """How a shard is built in memory: its file, its checksums, its chunks."""
 
 import io
+import shutil
 import signal
 import subprocess
 import sys
+import zlib
 
 import h5py
 import numpy as np
@@ -11,9 +13,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cgid.errors import BadData
+from cgid.errors import BadData, MissingExtra
 from cgid.signals import Batch
 from cgid.store._fletcher import fletcher32
+from cgid.store.compression import COMPRESSIONS, keywords, require
+from cgid.store.deflate import deflated
 from cgid.store.memory import MemoryFile
 from cgid.store.shard import ShardBuilder, ShardPlan
 
@@ -110,7 +114,7 @@ def build(cuts, dtype="float32", compression="none"):
 
 
 @pytest.mark.parametrize("dtype", ["float32", "float64"])
-@pytest.mark.parametrize("compression", ["none", "gzip"])
+@pytest.mark.parametrize("compression", COMPRESSIONS)
 def test_chunks_hold_what_was_added_however_it_was_cut(dtype, compression):
     image = build((), dtype, compression)
     assert all(build(cuts, dtype, compression) == image for cuts in [(1, 2, 299), (87,), (86, 88, 175)])
@@ -124,17 +128,111 @@ def test_chunks_hold_what_was_added_however_it_was_cut(dtype, compression):
         np.testing.assert_array_equal(file["specimen"][:], np.arange(N))
 
 
-def test_chunks_are_byte_for_byte_what_hdf5_writes():
-    with h5py.File(io.BytesIO(build(()))) as file, h5py.File.in_memory() as other:
-        ours = file["signals"].id
-        theirs = other.create_dataset(
-            "signals", data=batch(0, N).signals, chunks=file["signals"].chunks, fletcher32=True
-        ).id
+@pytest.mark.parametrize("compression", ["none", "zstd", "blosc2"])
+def test_chunks_are_byte_for_byte_what_hdf5_writes(compression):
+    with h5py.File(io.BytesIO(build((), compression=compression))) as file, h5py.File.in_memory() as other:
+        ours, chunks = file["signals"].id, file["signals"].chunks
+        packing = keywords(compression)
+        theirs = other.create_dataset("signals", data=batch(0, N).signals, chunks=chunks, fletcher32=True, **packing).id
         other.flush()
         assert ours.get_num_chunks() == theirs.get_num_chunks() > 1
         for number in range(ours.get_num_chunks()):
             place = ours.get_chunk_info(number).chunk_offset
             assert ours.read_direct_chunk(place) == theirs.read_direct_chunk(place)
+
+
+@pytest.mark.parametrize("compression", ["none", "gzip"])
+def test_who_holds_on_to_a_dataset_changes_no_byte(monkeypatch, compression):
+    expected, held, look_up = build((), compression=compression), [], h5py.Group.__getitem__
+
+    def looked_up(group, name):
+        found = look_up(group, name)
+        held.extend([found] if name == "specimen" else [])  # as a profiler does that looks at frames
+        return found
+
+    monkeypatch.setattr(h5py.Group, "__getitem__", looked_up)
+    assert build((), compression=compression) == expected
+    assert held
+
+
+@pytest.mark.parametrize(
+    ("compression", "codes"), [("none", [3]), ("gzip", [2, 1, 3]), ("zstd", [2, 32015, 3]), ("blosc2", [32026, 3])]
+)
+def test_the_checksum_comes_last(compression, codes):
+    with h5py.File(io.BytesIO(build((), compression=compression))) as file:
+        creation = file["signals"].id.get_create_plist()
+        assert [creation.get_filter(index)[0] for index in range(creation.get_nfilters())] == codes
+
+
+@pytest.mark.parametrize("compression", COMPRESSIONS)
+def test_no_flipped_bit_of_a_packed_chunk_is_read_as_numbers(compression):
+    image = bytearray(build((), compression=compression))
+    with h5py.File(io.BytesIO(image)) as file:
+        start, size = (getattr(file["signals"].id.get_chunk_info(1), name) for name in ("byte_offset", "size"))
+    rng = np.random.default_rng(1)
+    for place, bit in zip(start + rng.integers(0, size, 40), rng.integers(0, 8, 40), strict=True):
+        image[place] ^= 1 << bit
+        with h5py.File(io.BytesIO(image)) as file, pytest.raises(OSError, match=r"checksum|filter"):
+            file["signals"][:]
+        image[place] ^= 1 << bit
+
+
+# ---- deflate ---------------------------------------------------------------------------------------------------------
+
+
+def planes_of(signals):
+    return np.ascontiguousarray(signals.reshape(-1).view(np.uint8).reshape(signals.size, signals.itemsize).T)
+
+
+@given(
+    planes=st.integers(1, 8).flatmap(
+        lambda itemsize: st.lists(st.binary(min_size=itemsize, max_size=itemsize), min_size=1, max_size=200)
+    ),
+    times=st.sampled_from([1, 40, 700]),
+)
+def test_any_zlib_unpacks_it(planes, times):
+    laid = np.frombuffer(b"".join(planes * times), np.uint8).reshape(len(planes[0]), -1)
+    stream = zlib.decompressobj()
+    assert stream.decompress(deflated(laid)) == laid.tobytes()
+    # The stream ends where it says, with the sum of all of it.
+    assert stream.eof
+    assert not stream.unused_data
+
+
+@pytest.mark.parametrize("dtype", ["float32", "float64"])
+def test_noise_is_packed_no_worse_than_by_gzip(dtype):
+    planes = planes_of(batch(0, N, dtype).signals)
+    assert len(deflated(planes)) < len(zlib.compress(planes, 4)) < 0.95 * planes.size
+
+
+def test_silence_is_packed_no_worse_than_by_gzip():
+    signals = batch(0, N).signals
+    signals[:, 100:] = 0
+    planes = planes_of(signals)
+    assert len(deflated(planes)) < len(zlib.compress(planes, 4)) < 0.07 * planes.size
+
+
+def test_what_cannot_be_packed_hardly_grows():
+    planes = np.random.default_rng(0).integers(0, 256, (4, 1 << 17), np.uint8)
+    assert len(deflated(planes)) < 1.0002 * planes.size
+
+
+def test_h5dump_unpacks_it(tmp_path):
+    if shutil.which("h5dump") is None:
+        pytest.skip("h5dump is not on the PATH")
+    (tmp_path / "packed.h5").write_bytes(build((), compression="gzip"))
+    raw = tmp_path / "raw.bin"
+    command = ["h5dump", "-d", "signals", "-b", "LE", "-o", str(raw), str(tmp_path / "packed.h5")]
+    subprocess.run(command, capture_output=True, check=True)
+    assert raw.read_bytes() == batch(0, N).signals.tobytes()
+
+
+def test_a_compression_that_is_not_installed(monkeypatch):
+    monkeypatch.setitem(sys.modules, "hdf5plugin", None)
+    for compression in ("zstd", "blosc2"):
+        with pytest.raises(MissingExtra, match=r"hdf5plugin.*cgid\[compression\]"):
+            require(compression)
+    require("gzip")
 
 
 def test_memory_that_was_taken_too_small_grows(monkeypatch):

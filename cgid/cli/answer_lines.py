@@ -6,9 +6,8 @@ from collections import Counter
 from collections.abc import Iterable
 from typing import Any
 
-import click
-
 from cgid.cli.options import print_json
+from cgid.cli.saying import say
 
 #: Version of the lines that --json prints of answers: since 2 each says its kind, and there are others than impacts.
 ANSWERS_VERSION = 2
@@ -52,13 +51,13 @@ class AnswerLines:
             self._json(content | ({} if truth is None else {"truth": truth}))
             return
         if not self._titled:  # once, above the first row
-            click.echo(_TITLES)
+            say(_TITLES)
             self._titled = True
         notes = [*([answer.problem] if answer.problem else []), *marks_of(answer)]
         note = f"  ({'; '.join(notes)})" if notes else ""
         note += "" if truth is None else f"  truth: {truth}"
         probability, novelty = _number(answer.probability), _number(answer.novelty)
-        click.echo(_ROW.format(f"{answer.time:.6f}", answer.label, probability, novelty, source + note))
+        say(_ROW.format(f"{answer.time:.6f}", answer.label, probability, novelty, source + note))
 
     def share(self, source: str, share: Any) -> None:
         """Print the gangue share of a window."""
@@ -80,7 +79,7 @@ class AnswerLines:
         unknown = f", {share.n_unknown} more unknown" if share.n_unknown else ""
         told = f"{share.share:.2f} ({share.low:.2f} to {share.high:.2f})" if share.n_impacts else "not known"
         span = f"{share.start:.6g} to {share.time:.6g} s"
-        click.echo(f"# gangue share {told}, {span}, {share.n_impacts} answers{unknown}  {source}")
+        say(f"# gangue share {told}, {span}, {share.n_impacts} answers{unknown}  {source}")
 
     def turn(self, source: str, turn: Any, gangue_cost: float) -> None:
         """Print that going on has begun to cost more than it brings, or less again."""
@@ -101,24 +100,24 @@ class AnswerLines:
         word = "SHUT" if turn.shut else "OPEN"
         says = f"going on costs {turn.cost:.2f} coal an impact" if turn.shut else "going on pays again"
         share = f"gangue share {turn.share.share:.2f}, {1 / (1 + gangue_cost):.2f} is the limit"
-        click.echo(f"{word} {turn.time:.6g} s: {says} ({share} where a gangue costs {gangue_cost:g} coal)  {source}")
+        say(f"{word} {turn.time:.6g} s: {says} ({share} where a gangue costs {gangue_cost:g} coal)  {source}")
 
     def summary(self, source: str, tally: RecordingTally, duration: float, start_time: Any = None) -> None:
         """Print what a recording held."""
         if self.as_json:
             self._json({"kind": "summary", "source": source, "duration_s": duration, **tally.content(start_time)})
             return
-        click.echo(f"# {source}: {tally.text()} in {duration:.6g} s")
+        say(f"# {source}: {tally.text()} in {duration:.6g} s")
 
     def warning(self, source: str, message: str) -> None:
         """Say on stderr what is wrong with a recording that is read all the same, and in JSON as well."""
-        click.echo(f"cgid: warning: {message}", err=True)
+        say(f"cgid: warning: {message}", err=True)
         if self.as_json:
             self._json({"kind": "warning", "source": source, "message": message})
 
     def delay(self, source: str, behind: float, message: str) -> None:
         """Say on stderr how far the answers are behind a live stream [s], and in JSON as well."""
-        click.echo(f"cgid: warning: {source}: {behind:.1f} s behind: {message}", err=True)
+        say(f"cgid: warning: {source}: {behind:.1f} s behind: {message}", err=True)
         if self.as_json:
             self._json({"kind": "delay", "source": source, "behind_s": behind, "message": message})
 

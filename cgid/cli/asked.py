@@ -9,6 +9,7 @@ from typing import Any, TypeVar
 import click
 
 from cgid.cli.model_choice import Models, parse_cost
+from cgid.cli.saying import say
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -49,7 +50,7 @@ class Asked:
         """Say so if a model knows sensors and nobody says which one it is."""
         if model.sensors and not self.sensors:
             known = ", ".join(model.sensors)
-            click.echo(
+            say(
                 f"cgid: warning: {source}: the model knows the response of some sensors, nothing makes up for that of "
                 f"this one; give --sensor NAME if it is one of {known}",
                 err=True,

@@ -8,6 +8,7 @@ from typing import Any
 import click
 
 from cgid.cli.options import print_json, progress_bar
+from cgid.cli.saying import say
 
 #: Signals at each point of the survey.
 _SURVEYED = 2000
@@ -49,7 +50,7 @@ def ceiling(
     sizes = () if learner is None else sizes_up_to(learner)
     path = None if picture is None else _checked(Path(picture), overwrite)
     if problem := untrusted(loaded):
-        click.echo(f"cgid: warning: do not rely on this ceiling: {problem}", err=True)
+        say(f"cgid: warning: do not rely on this ceiling: {problem}", err=True)
     total = n_signals + (n_signals + max(sizes) if sizes else 0)
     with progress_bar(total, "signals") as progress:
         limit = ceiling_of(loaded, n_signals, seed, drop_height_known=drop_height, progress=progress)
@@ -70,7 +71,7 @@ def ceiling(
     else:
         _say(content)
     if path is not None:
-        click.echo(f"wrote {path}", err=True)
+        say(f"wrote {path}", err=True)
 
 
 def _checked(path: Path, overwrite: bool) -> Path:
@@ -122,34 +123,34 @@ def _survey(scene: Any, n_signals: int, seed: int, path: Path) -> dict[str, Any]
 
 def _say(content: dict[str, Any]) -> None:
     known = "known" if content["drop_height_known"] else "not known"
-    click.echo(f"{content['scene']}: {content['n_signals']} signals, drop height {known}")
-    click.echo(f"highest accuracy possible {content['accuracy']:.4f} +- {content['accuracy_error']:.4f}")
-    click.echo(f"right answers of Bayes' rule {content['right_answers']:.4f}")
-    click.echo(f"Brier score {content['brier_score']:.4f} +- {content['brier_error']:.4f}")
-    click.echo("area under ROC " + ", ".join(f"{label} {area:.4f}" for label, area in content["roc_area"].items()))
+    say(f"{content['scene']}: {content['n_signals']} signals, drop height {known}")
+    say(f"highest accuracy possible {content['accuracy']:.4f} +- {content['accuracy_error']:.4f}")
+    say(f"right answers of Bayes' rule {content['right_answers']:.4f}")
+    say(f"Brier score {content['brier_score']:.4f} +- {content['brier_error']:.4f}")
+    say("area under ROC " + ", ".join(f"{label} {area:.4f}" for label, area in content["roc_area"].items()))
     if "learners" in content:
-        click.echo("trained on  learner    accuracy            below the ceiling   by its probabilities")
+        say("trained on  learner    accuracy            below the ceiling   by its probabilities")
     for one in content.get("learners", ()):
         accuracy, below, regret = (
             f"{one[name]:.4f} +- {one[f'{name}_error']:.4f}" for name in ("accuracy", "difference", "regret")
         )
-        click.echo(f"{one['n_signals']:>10}  {one['kind']:<9}  {accuracy}    {below}    {regret}")
+        say(f"{one['n_signals']:>10}  {one['kind']:<9}  {accuracy}    {below}    {regret}")
     if content.get("unmeasured"):
-        click.echo(f"cgid: warning: {content['unmeasured']} signals could not be measured and were guessed", err=True)
+        say(f"cgid: warning: {content['unmeasured']} signals could not be measured and were guessed", err=True)
     if "survey" in content:
         _say_survey(content["survey"])
 
 
 def _say_survey(survey: dict[str, Any]) -> None:
-    click.echo(f"survey, {survey['n_signals']} signals a point")
-    click.echo(f"{'':<9}  {'':>8}  drop height not known  known")
+    say(f"survey, {survey['n_signals']} signals a point")
+    say(f"{'':<9}  {'':>8}  drop height not known  known")
     for point in survey["points"]:
         value = "" if point["axis"] == "present" else f"{point['value']:g}"
         head = f"{_NAMES[point['axis']]:<9}  {value:>8}  "
         if point["left_out"]:
-            click.echo(f"{head}left out: {point['left_out']}")
+            say(f"{head}left out: {point['left_out']}")
             continue
-        click.echo(
+        say(
             f"{head}{point['accuracy']:.4f} +- {point['accuracy_error']:.4f}       "
             f"{point['accuracy_known']:.4f} +- {point['accuracy_known_error']:.4f}"
         )

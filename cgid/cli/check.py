@@ -7,6 +7,7 @@ from typing import Any
 import click
 
 from cgid.cli.options import print_json
+from cgid.cli.saying import say
 
 #: Blocks of 256 impacts that are drawn for the preview.
 _BLOCKS = 16
@@ -30,25 +31,25 @@ def check(scene: str, seed: int, as_json: bool) -> None:
     if as_json:
         print_json(preview)
         return
-    click.echo(f"{preview['name']}: {preview['description']}")
-    click.echo(f"scene SHA-256: {preview['scene_sha256']}")
+    say(f"{preview['name']}: {preview['description']}")
+    say(f"scene SHA-256: {preview['scene_sha256']}")
     drawn = preview["randomised"]
     rate = "a drawn rate" if "sampling_rate [Hz]" in drawn else f"{loaded.sampling.sampling_rate:g} Hz"
     samples = loaded.sampling.samples
     if loaded.stream is None:
-        click.echo(f"frames: {samples} samples at {rate}, {samples * 4} bytes a signal in float32")
+        say(f"frames: {samples} samples at {rate}, {samples * 4} bytes a signal in float32")
     else:
         told = ", ".join(f"{name} {value:.6g}" for name, value in preview["stream"].items())
-        click.echo(f"recording at {rate}: {told}")
+        say(f"recording at {rate}: {told}")
     if preview["tail_beam"]:
-        click.echo("tail beam: " + ", ".join(f"{name} {value:.4g}" for name, value in preview["tail_beam"].items()))
+        say("tail beam: " + ", ".join(f"{name} {value:.4g}" for name, value in preview["tail_beam"].items()))
     for name, (low, high) in drawn.items():
-        click.echo(f"drawn for each block of 256 signals: {name} {low:g} to {high:g}")
-    click.echo("share of the labels: " + ", ".join(f"{k} {v:.3f}" for k, v in preview["labels"].items()))
+        say(f"drawn for each block of 256 signals: {name} {low:g} to {high:g}")
+    say("share of the labels: " + ", ".join(f"{k} {v:.3f}" for k, v in preview["labels"].items()))
     for name, (low, middle, high) in preview["quantiles_5_50_95"].items():
-        click.echo(f"{name:<28} 5 % {low:>11.4g}   median {middle:>11.4g}   95 % {high:>11.4g}")
+        say(f"{name:<28} 5 % {low:>11.4g}   median {middle:>11.4g}   95 % {high:>11.4g}")
     for text, share in preview["warnings"].items():
-        click.echo(f"cgid: warning: {share:.2%} of the impacts {text}", err=True)
+        say(f"cgid: warning: {share:.2%} of the impacts {text}", err=True)
 
 
 def _preview(scene: Any, seed: int) -> dict[str, Any]:

@@ -7,10 +7,9 @@ from dataclasses import dataclass, field
 from itertools import count
 from typing import Any
 
-import click
-
 from cgid.cli.answer_lines import AnswerLines
 from cgid.cli.model_choice import Models, warn_of_rate
+from cgid.cli.saying import say
 
 
 def identify_dataset(
@@ -46,7 +45,7 @@ def identify_dataset(
             lines.answer(f"{path} index {next(number)}", 1, answer, truth=truth)
             tally.add(answer, truth, specimen)
     if tally.measured:
-        click.echo(f"{path}: {tally.summary(len(dataset))}", err=True)
+        say(f"{path}: {tally.summary(len(dataset))}", err=True)
 
 
 def heights(path: str, batch: Any, model: Any, given: float | None) -> Any:

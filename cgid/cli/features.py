@@ -14,6 +14,7 @@ from cgid.cli.options import (
     read_signals,
     recording_options,
 )
+from cgid.cli.saying import say
 
 #: So many impacts, or channels, that cannot be measured are told one by one.
 _MOST_TOLD = 3
@@ -45,7 +46,7 @@ def features(
 
     if as_list:
         for feature in FEATURES.values():
-            click.echo("\t".join([feature.name, feature.unit, feature.definition, feature.source, feature.kind]))
+            say("\t".join([feature.name, feature.unit, feature.definition, feature.source, feature.kind]))
         return 0
     if not files:
         raise click.UsageError("give at least one FILE, or --list for the table of features")
@@ -58,7 +59,7 @@ def features(
             return
         signals = read_signals(path, **reading)
         for warning in signals[0].warnings:
-            click.echo(f"cgid: warning: {warning}", err=True)
+            say(f"cgid: warning: {warning}", err=True)
         errors: list[BadData] = []
         for signal in signals:
             try:
@@ -69,11 +70,9 @@ def features(
             raise errors[0]
         # A silent channel does not hide the others.
         for left_out in errors[:_MOST_TOLD]:
-            click.echo(f"cgid: warning: {left_out}", err=True)
+            say(f"cgid: warning: {left_out}", err=True)
         if len(errors) > _MOST_TOLD:
-            click.echo(
-                f"cgid: warning: {path}: and {len(errors) - _MOST_TOLD} more channels cannot be measured", err=True
-            )
+            say(f"cgid: warning: {path}: and {len(errors) - _MOST_TOLD} more channels cannot be measured", err=True)
 
     return each_file(files, treat, strict=strict)
 
@@ -117,11 +116,9 @@ def _print(
         about = {"sampling_rate_hz": signal.sampling_rate, "baseline_removed": remove_baseline, "problem": problem}
         columns.row(signal.name, number, event.time, values, about)
     for problem in problems[:_MOST_TOLD]:
-        click.echo(f"cgid: warning: {signal.name}: {problem}", err=True)
+        say(f"cgid: warning: {signal.name}: {problem}", err=True)
     if len(problems) > _MOST_TOLD:
-        click.echo(
-            f"cgid: warning: {signal.name}: and {len(problems) - _MOST_TOLD} more impacts cannot be measured", err=True
-        )
+        say(f"cgid: warning: {signal.name}: and {len(problems) - _MOST_TOLD} more impacts cannot be measured", err=True)
     if len(problems) == len(events):
         raise BadData(f"{signal.name}: none of its {len(events)} impacts can be measured; the first: {problems[0]}")
 
@@ -160,7 +157,7 @@ def _print_dataset(
             number += 1
             unmeasured += any(value != value for value in values)
     if unmeasured:
-        click.echo(f"cgid: warning: {path}: {unmeasured} of {len(dataset)} signals cannot be measured", err=True)
+        say(f"cgid: warning: {path}: {unmeasured} of {len(dataset)} signals cannot be measured", err=True)
 
 
 class _Columns:
@@ -178,14 +175,14 @@ class _Columns:
         if self.as_json:
             return
         baseline = "baseline removed" if remove_baseline else "baseline kept"
-        click.echo(f"# {name}: {rate:.8g} Hz, impacts: {n_impacts}, {baseline}")
+        say(f"# {name}: {rate:.8g} Hz, impacts: {n_impacts}, {baseline}")
         titles = (f"{title} [{unit}]" for title, unit in zip(self.titles, self.units, strict=True))
-        click.echo("\t".join(["time [s]", *titles]))
+        say("\t".join(["time [s]", *titles]))
 
     def row(self, source: str, number: int, time: float, values: list[float], about: dict[str, Any]) -> None:
         """Print the row of one impact."""
         if not self.as_json:
-            click.echo("\t".join([f"{time:.6f}", *("-" if value != value else f"{value:.6g}" for value in values)]))
+            say("\t".join([f"{time:.6f}", *("-" if value != value else f"{value:.6g}" for value in values)]))
             return
         features, units = (dict(zip(self.titles, column, strict=True)) for column in (values, self.units))
         head = {"source": source, "impact": number, "time_s": time}

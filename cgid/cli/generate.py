@@ -9,17 +9,18 @@ from typing import Any
 import click
 
 from cgid.cli.options import print_json, progress_bar
+from cgid.cli.saying import say
 
 #: Options that leave signals out, with what they ask for and the option that says which of it.
 _ONLY = {"features_only": "features", "closed_form_only": "closed-form", "parameters_only": "parameters"}
 _WHICH = {"features": "features_only", "quantities": "closed_form_only"}
 #: Options about signals on the disk.
-_OF_SIGNALS = ("dtype", "shard_signals", "compression", "jobs")
+_OF_SIGNALS = ("dtype", "shard_signals", "compression", "jobs", "scheduler")
 #: Those of them about signals that are not in one recording, and their defaults.
-_OF_MANY = {"jobs": 1, "shard_signals": 4096, "compression": "none"}
+_OF_MANY = {"jobs": 1, "scheduler": None, "shard_signals": 4096, "compression": "none"}
 #: What makers of recordings and datasets are told.
-_OF_RECORDINGS = ("output", "n_signals", "seed", "overwrite", "dtype")
-_OF_DATASETS = (*_OF_RECORDINGS, "shard_signals", "compression", "jobs")
+_OF_RECORDINGS = ("output", "n_signals", "seed", "overwrite", "resume", "dtype")
+_OF_DATASETS = (*_OF_RECORDINGS, "shard_signals", "compression", "jobs", "scheduler")
 
 
 @click.command(short_help="Make a dataset from a scene.")
@@ -32,10 +33,18 @@ _OF_DATASETS = (*_OF_RECORDINGS, "shard_signals", "compression", "jobs")
 @click.option("-n", "--signals", "n_signals", type=int, help="How many signals (10000), or recordings of a stream (1).")
 @click.option("--seed", type=int, default=0, show_default=True, help="The same seed gives the same signals.")
 @click.option("--jobs", type=int, default=1, show_default=True, help="Worker processes.")
+@click.option("--scheduler", help="Of a dask cluster, such as tcp://192.168.0.7:8786: its workers make the shards.")
 @click.option("--dtype", type=click.Choice(["float32", "float64"]), default="float32", show_default=True)
 @click.option("--shard-signals", type=int, default=4096, show_default=True, help="Signals in each shard of a folder.")
-@click.option("--compression", type=click.Choice(["none", "gzip"]), default="none", show_default=True)
-@click.option("--overwrite", is_flag=True, help="Replace an old dataset.")
+@click.option(
+    "--compression",
+    type=click.Choice(["none", "gzip", "zstd", "blosc2"]),
+    default="none",
+    show_default=True,
+    help="Of the signals. Everything reads gzip; zstd and blosc2 need the extra compression.",
+)
+@click.option("--overwrite", is_flag=True, help="Replace an old dataset when the new one is whole.")
+@click.option("--resume", is_flag=True, help="Go on with a run that was not finished, to the bytes it would have made.")
 @click.option("--features-only", is_flag=True, help="A table of features instead of signals.")
 @click.option("--features", help="Only these, with commas between them; by default those of a model.")
 @click.option("--closed-form-only", is_flag=True, help="A table of what the impacts are without their pulses.")
@@ -89,8 +98,16 @@ def _checked_output(context: click.Context) -> str:
     for name, needed in _WHICH.items():
         if name in given and needed not in only:
             raise click.UsageError(f"{_flag(name)} needs {_flag(needed)}; give both or neither", context)
+    if options["scheduler"] is not None and "jobs" in given:
+        raise click.UsageError("--jobs is for this machine, --scheduler for a cluster; give one of them", context)
     if options["as_json"] and not options["explain"]:
         raise click.UsageError("--json needs --explain: it prints the plan; give both or neither", context)
+    if only and options["resume"]:
+        raise click.UsageError(
+            f"--resume is for signals and recordings, a table ({_flag(only[0])}) is written whole or not at all; "
+            "leave --resume out",
+            context,
+        )
     for name in _OF_SIGNALS:
         if only and name in given:
             raise click.UsageError(
@@ -146,7 +163,7 @@ def _write_dataset(asked: Any, options: dict[str, Any]) -> None:
         path = generate_dataset(scene, progress=progress, **{name: options[name] for name in _OF_DATASETS})
     seconds = time.perf_counter() - start
     megabytes = n_signals * asked.request.signal_bytes / 1e6
-    click.echo(
+    say(
         f"{path}: {n_signals} signals of {scene.sampling.samples} samples in {seconds:.1f} s: "
         f"{n_signals / seconds:.0f} signals/s, {megabytes / seconds:.0f} MB/s",
         err=True,
@@ -165,7 +182,7 @@ def _warn_of_plate(scene: Any, seed: int) -> None:
     with unwarned():
         largest = draw(scene, seed, 0).inelasticity.max(initial=0.0)
     if largest > INELASTICITY_LIMIT:
-        click.echo(
+        say(
             f"cgid: warning: {scene.name}: lambda of the thin plate reaches {largest:.3g}, Zener's theory holds to "
             f"{INELASTICITY_LIMIT:g}: {BEYOND_THIN_PLATE}",
             err=True,
@@ -180,12 +197,12 @@ def _write_table(asked: Any, options: dict[str, Any]) -> None:
     with progress_bar(n_signals, "signals") as progress:
         written = tabulate(asked, progress=progress, **{name: options[name] for name in taken})
     seconds = time.perf_counter() - start
-    click.echo(
+    say(
         f"{written.path}: {asked.kind} of {n_signals} signals in {seconds:.1f} s: {n_signals / seconds:.0f} signals/s",
         err=True,
     )
     if written.n_unmeasured:
-        click.echo(
+        say(
             f"cgid: warning: {written.path}: {written.n_unmeasured} of {n_signals} signals cannot be measured "
             "and are nan",
             err=True,
@@ -216,14 +233,14 @@ def _explain(asked: Any, n_signals: int, as_json: bool) -> None:
             }
         )
         return
-    click.echo(f"{asked.request.scene.name}: {asked.kind}; costs are estimates for one thread")
-    click.echo(f"{'stage':<23}{'':<9}{f'us/{noun}':>13}{'error':>9}  why")
+    say(f"{asked.request.scene.name}: {asked.kind}; costs are estimates for one thread")
+    say(f"{'stage':<23}{'':<9}{f'us/{noun}':>13}{'error':>9}  why")
     for stage in stages:
         cost, runs = (f"{stage.microseconds:.2f}", "run") if stage.runs else ("-", "skipped")
-        click.echo(f"{stage.name:<23}{runs:<9}{cost:>13}{stage.error_bound:>9.2g}  {stage.why}")
-    click.echo(f"{'sum':<32}{microseconds:>13.2f}{'':>9}  {size} bytes a {noun}")
+        say(f"{stage.name:<23}{runs:<9}{cost:>13}{stage.error_bound:>9.2g}  {stage.why}")
+    say(f"{'sum':<32}{microseconds:>13.2f}{'':>9}  {size} bytes a {noun}")
     seconds, megabytes = microseconds * n_signals * 1e-6, size * n_signals / 1e6
-    click.echo(f"{n_signals} {noun}s: {seconds:.3g} s, {megabytes:.4g} MB")
+    say(f"{n_signals} {noun}s: {seconds:.3g} s, {megabytes:.4g} MB")
 
 
 def _require_recordings(scene: Any, options: dict[str, Any]) -> None:
@@ -246,4 +263,4 @@ def _make_recordings(scene: Any, output: str, n_signals: int, **options: Any) ->
     with progress_bar(n_signals * samples_of(scene), "samples") as progress:
         path = generate_recordings(scene, output, n_signals, progress=progress, **options)
     took = time.perf_counter() - start
-    click.echo(f"{path}: {n_signals} recording{'s' * (n_signals > 1)}, {seconds:g} s in {took:.1f} s", err=True)
+    say(f"{path}: {n_signals} recording{'s' * (n_signals > 1)}, {seconds:g} s in {took:.1f} s", err=True)

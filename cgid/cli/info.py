@@ -7,9 +7,12 @@ from typing import Any
 import click
 
 from cgid.cli.options import print_json
+from cgid.cli.saying import say
 
 #: Samples of all channels that are held in memory; longer recordings are read block by block.
 _MOST_HELD = 1 << 24
+#: What an archive's first entry begins with is so long [bytes]; its name follows: that of a model's header.
+_LOCAL_HEAD, _HEADER = 30, b"header.npy"
 
 
 @click.command(short_help="Say what is in a dataset, a model or a recording.")
@@ -40,23 +43,24 @@ def info(file: str, sampling_rate: float | None, unit: str | None, variable: str
 def _print(content: dict[str, Any], indent: str = "") -> None:
     for name, value in content.items():
         if isinstance(value, dict):
-            click.echo(f"{indent}{name}:")
+            say(f"{indent}{name}:")
             _print(value, indent + "  ")
         else:
-            click.echo(f"{indent}{name}: {f'{value:.8g}' if isinstance(value, float) else value}")
+            say(f"{indent}{name}: {f'{value:.8g}' if isinstance(value, float) else value}")
 
 
 def _dataset(file: str) -> dict[str, Any]:
     from collections import Counter
 
     from cgid.store import Dataset
+    from cgid.store.verification import damaged_shards
 
     dataset = Dataset(file)
     labels: Counter[str] = Counter()
     for batch in dataset.batches():
         labels.update(batch.labels.tolist())
     about = dataset.header.attributes
-    damaged = dataset.damaged_shards()
+    damaged = damaged_shards(file)
     return {
         "kind": "dataset",
         "file": file,
@@ -116,15 +120,17 @@ def _model(file: str) -> dict[str, Any]:
 
 def _is_model(file: str) -> bool:
     """Return whether a file is named like an archive and is none of plain arrays: then it is a model, or was one."""
-    import zipfile
+    from pathlib import Path
 
     if not file.endswith(".npz"):
         return False
     try:
-        with zipfile.ZipFile(file) as archive:
-            return "header.npy" in archive.namelist()
-    except (OSError, zipfile.BadZipFile):
+        with Path(file).open("rb") as stream:
+            start = stream.read(_LOCAL_HEAD + len(_HEADER))
+    except OSError:
         return True
+    # The directory at the end of an archive may be made to take long.
+    return not start.startswith(b"PK") or start[_LOCAL_HEAD:] == _HEADER
 
 
 def _recording(file: str, sampling_rate: float | None, unit: str | None, variable: str | None) -> dict[str, Any]:
@@ -135,7 +141,7 @@ def _recording(file: str, sampling_rate: float | None, unit: str | None, variabl
     short = n_samples is not None and n_samples * len(recording.channels) <= _MOST_HELD
     channels = _held_channels(recording) if short else _long_channels(recording)
     for warning in recording.warnings:
-        click.echo(f"cgid: warning: {warning}", err=True)
+        say(f"cgid: warning: {warning}", err=True)
     started = {} if recording.start_time is None else {"start_time": recording.start_time.isoformat()}
     about = {"format": recording.format, **started, **channels, "warnings": list(recording.warnings) or "none"}
     return {"kind": "recording", "file": file, **about, **_made(file)}

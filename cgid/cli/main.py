@@ -13,6 +13,7 @@ import click
 from cgid import __version__
 from cgid.cli.ceiling import ceiling
 from cgid.cli.check import check
+from cgid.cli.export import export
 from cgid.cli.features import features
 from cgid.cli.generate import generate
 from cgid.cli.info import info
@@ -22,7 +23,9 @@ from cgid.cli.options import say_error
 from cgid.cli.plot import plot
 from cgid.cli.predict import predict
 from cgid.cli.reproduce import reproduce
+from cgid.cli.saying import say
 from cgid.cli.train import train
+from cgid.cli.verify import verify
 from cgid.errors import CgidError
 
 _INTERRUPTED, _INTERNAL, _OUTPUT_FAILED = 130, 70, 74
@@ -34,7 +37,7 @@ def cli() -> None:
     """Tell coal from gangue by how a falling rock hits steel."""
 
 
-for command in (generate, check, ceiling, train, predict, monitor, features, info, plot, reproduce):
+for command in (generate, check, ceiling, train, predict, monitor, features, info, plot, reproduce, verify, export):
     cli.add_command(command)
 
 
@@ -55,13 +58,13 @@ def run(arguments: list[str] | None = None) -> int:
     except click.ClickException as error:
         context = getattr(error, "ctx", None)
         cure = f"; see {context.command_path} --help" if context is not None else ""
-        click.echo(f"cgid: error: {' '.join(error.format_message().split()).rstrip('.')}{cure}", err=True)
+        say(f"cgid: error: {' '.join(error.format_message().split()).rstrip('.')}{cure}", err=True)
         return error.exit_code
     except CgidError as error:
         say_error(error)
         return error.exit_code
     except (click.Abort, KeyboardInterrupt):
-        click.echo("cgid: interrupted; nothing half-written is left", err=True)
+        say("cgid: interrupted; nothing half-written is left", err=True)
         return _INTERRUPTED
     except (BrokenPipeError, SystemExit):
         # Whoever read our output has seen enough (click turns that into SystemExit). Python would complain
@@ -73,20 +76,18 @@ def run(arguments: list[str] | None = None) -> int:
         with contextlib.suppress(OSError):
             sys.stdout.flush()
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        click.echo(
-            f"cgid: error: output: writing failed ({error.strerror}); make room or choose another place", err=True
-        )
+        say(f"cgid: error: output: writing failed ({error.strerror}); make room or choose another place", err=True)
         return _OUTPUT_FAILED
     except MemoryError:
-        click.echo("cgid: error: memory: the input must fit into it, it does not; use a smaller one", err=True)
+        say("cgid: error: memory: the input must fit into it, it does not; use a smaller one", err=True)
         return 65
     except Exception as error:
         if os.environ.get("CGID_DEBUG"):
             raise
         text = " ".join(f"{type(error).__name__}: {error}".split())
-        click.echo(f"cgid: internal error: {text}; please report it (CGID_DEBUG=1 shows where)", err=True)
+        say(f"cgid: internal error: {text}; please report it (CGID_DEBUG=1 shows where)", err=True)
         return _INTERNAL
 
 
 def _one_line_warning(message: Warning | str, *_: Any, **__: Any) -> None:
-    click.echo(f"cgid: warning: {' '.join(str(message).split())}", err=True)
+    say(f"cgid: warning: {' '.join(str(message).split())}", err=True)

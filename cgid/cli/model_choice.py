@@ -8,6 +8,8 @@ from typing import Any
 
 import click
 
+from cgid.cli.saying import say
+
 
 class Models:
     """The model asked for; else the default model of each quantity, loaded and checked when a signal needs it.
@@ -61,7 +63,7 @@ def warn_of_rate(name: str, rate: float, model: Any) -> None:
     low, high = model.sampling_rates
     if not model.covers(rate):
         trained = f"{low:g}" if low == high else f"{low:g} to {high:g}"
-        click.echo(f"cgid: warning: {name}: sampled at {rate:g} Hz, the model was trained at {trained} Hz", err=True)
+        say(f"cgid: warning: {name}: sampled at {rate:g} Hz, the model was trained at {trained} Hz", err=True)
 
 
 def _load(path: str | None, drop_height: float | None) -> Any:

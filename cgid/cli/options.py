@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import sys
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
@@ -11,6 +12,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import click
 
 from cgid.cli.interruption import stop_if_asked
+from cgid.cli.saying import say
 from cgid.errors import CgidError, InvalidValue
 from cgid.signals import Signal
 
@@ -128,19 +130,20 @@ def each_file(files: Iterable[str], treat: Callable[[str], None], *, strict: boo
 
 def say_error(error: CgidError) -> None:
     """Say what is wrong on stderr, a line for each mistake."""
-    for line in str(error).splitlines():
-        click.echo(f"cgid: error: {line}", err=True)
+    for line in str(error).split("\n"):
+        say(f"cgid: error: {line}", err=True)
 
 
 def print_json(content: dict[str, Any], version: int = JSON_VERSION) -> None:
     """Print one object on a line of its own; what is not a number becomes null."""
-    click.echo(json.dumps({"version": version, **_finite(content)}))
+    # JSON escapes every sign that is not ASCII, and of the others all that a terminal obeys, but for one.
+    say(json.dumps({"version": version, **_finite(content)}).replace("\x7f", "\\u007f"))
 
 
 def _finite(value: Any) -> Any:
     if isinstance(value, dict):
         return {key: _finite(item) for key, item in value.items()}
-    return None if isinstance(value, float) and value != value else value
+    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 @contextmanager

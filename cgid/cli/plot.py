@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from cgid.cli.options import dead_time_in_seconds, open_file, print_json, read_signals, reading_options
+from cgid.cli.saying import say
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -61,7 +62,7 @@ def plot(
     recording = _opened(file, **reading)
     channels = recording.channels[:MOST_CHANNELS]
     if len(channels) < len(recording.channels):
-        click.echo(
+        say(
             f"cgid: warning: {recording.source}: the first {len(channels)} of {len(recording.channels)} channels are "
             "drawn; choose with --channel",
             err=True,
@@ -75,7 +76,7 @@ def plot(
             finder.feed(drawn)
     marks = [] if finder is None else finder.finish()
     for warning in recording.warnings:
-        click.echo(f"cgid: warning: {warning}", err=True)
+        say(f"cgid: warning: {warning}", err=True)
     overview = stream.overview()
     facts = _facts(recording, overview.duration, marks if events else None)
     figure = overview_figure(
@@ -94,7 +95,7 @@ def plot(
                 "warnings": list(recording.warnings),
             }
         )
-    click.echo(f"wrote {path}", err=True)
+    say(f"wrote {path}", err=True)
 
 
 class _Finder:

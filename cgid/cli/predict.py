@@ -20,6 +20,7 @@ from cgid.cli.options import (
 )
 from cgid.cli.recording_answers import answer_recording
 from cgid.cli.report_pages import Pages
+from cgid.cli.saying import say
 
 
 @click.command(short_help="Identify the material of the impacts in recordings.")
@@ -70,7 +71,7 @@ def predict(
 
     code = each_file(files, treat, strict=strict)
     if pages is not None and pages.write():
-        click.echo(f"wrote {report}", err=True)
+        say(f"wrote {report}", err=True)
     return code
 
 

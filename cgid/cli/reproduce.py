@@ -5,6 +5,7 @@ from __future__ import annotations
 import click
 
 from cgid.cli.options import progress_bar
+from cgid.cli.saying import say
 
 
 @click.command(short_help="Compute the paper's figures and tables, and a report.")
@@ -22,4 +23,4 @@ def reproduce(output: str, overwrite: bool) -> None:
     with progress_bar(N_STEPS, "pieces") as progress:
         written = reproduce_paper(output, overwrite=overwrite, progress=progress)
     for path in written:
-        click.echo(str(path))
+        say(str(path))

@@ -9,6 +9,7 @@ from typing import Any
 import click
 
 from cgid.cli.options import print_json, progress_bar, say_error
+from cgid.cli.saying import say
 from cgid.errors import InvalidValue
 
 #: Options that belong to the recordings of a manifest, and those that do not.
@@ -166,7 +167,7 @@ def _recorded(manifests: list[str], others: list[str], asked: dict[str, Any]) ->
     if others:
         recorded, synthetic = _measured(others, recorded, asked)
     for warning in recorded.warnings:
-        click.echo(f"cgid: warning: {warning}", err=True)
+        say(f"cgid: warning: {warning}", err=True)
     with progress_bar(None, "groups") as progress:
         training = train_recorded(
             recorded,
@@ -216,28 +217,28 @@ def _say(training: Any, path: Path, written: list[Path], as_json: bool) -> None:
     metrics, about = training.metrics, training.model.training
     if about["n_left_out"]:
         what = "windows" if training.model.kind == "window" else "impacts"
-        click.echo(f"cgid: warning: {about['n_left_out']} {what} could not be measured and were left out", err=True)
+        say(f"cgid: warning: {about['n_left_out']} {what} could not be measured and were left out", err=True)
     without = about.get("recorded", {}).get("synthetic", {}).get("accuracy_without")
     if without is not None and without > metrics["accuracy"]:
         told = f"{metrics['accuracy']:.4f} of the recorded impacts are answered right, without them {without:.4f}"
-        click.echo(f"cgid: warning: with synthetic impacts {told}; leave the scenes out", err=True)
+        say(f"cgid: warning: with synthetic impacts {told}; leave the scenes out", err=True)
     if as_json:
         print_json({"model": str(path), **metrics})
         return
-    click.echo(f"accuracy {_share(metrics)}")
+    say(f"accuracy {_share(metrics)}")
     for vote in metrics.get("running", []):
         told = f"{_share(vote)} of {vote['n']}" if vote["n"] else "no recording is that long"
-        click.echo(f"running vote over {vote['time']:g} s {told}")
+        say(f"running vote over {vote['time']:g} s {told}")
     if "recordings" in metrics:
-        click.echo(f"vote of a recording {_share(metrics['recordings'])} of {metrics['recordings']['n']}")
+        say(f"vote of a recording {_share(metrics['recordings'])} of {metrics['recordings']['n']}")
         for row in metrics["recordings"]["rows"]:
             wrong = "" if row["vote"] == row["label"] else f", taken for {row['vote']}"
-            click.echo(f"  {row['name']}: {row['label']}{wrong}, {row['accuracy']:.4f} of {row['n']}")
-    click.echo("recall " + ", ".join(f"{label} {value:.4f}" for label, value in metrics["recall"].items()))
-    click.echo(f"Brier score {metrics['brier_score']:.4f}")
+            say(f"  {row['name']}: {row['label']}{wrong}, {row['accuracy']:.4f} of {row['n']}")
+    say("recall " + ", ".join(f"{label} {value:.4f}" for label, value in metrics["recall"].items()))
+    say(f"Brier score {metrics['brier_score']:.4f}")
     chance = metrics["calibration_error_by_chance"]
-    click.echo(f"expected calibration error {metrics['expected_calibration_error']:.4f} (by chance alone {chance:.4f})")
-    click.echo("wrote " + ", ".join(map(str, written)), err=True)
+    say(f"expected calibration error {metrics['expected_calibration_error']:.4f} (by chance alone {chance:.4f})")
+    say("wrote " + ", ".join(map(str, written)), err=True)
 
 
 def _share(metrics: dict[str, Any]) -> str:

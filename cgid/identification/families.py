@@ -17,8 +17,8 @@ from cgid.identification.transform import squares
 from cgid.validation import Floats
 
 Arrays = Mapping[str, NDArray[Any]]
-#: Rows scored at once.
-_ROWS = 2048
+#: More trees, and longer ways through one, no training makes: each row walks through all of them.
+_MOST_TREES, _LONGEST_WAY = 1 << 15, 256
 
 
 class Family(ABC):
@@ -45,6 +45,11 @@ class Family(ABC):
         """Return the scores of the classes; one column for two classes: that of the second."""
 
     @property
+    @abstractmethod
+    def width(self) -> int:
+        """Numbers that are held for a row while it is scored."""
+
+    @property
     def n_scores(self) -> int:
         """Columns of scores: one for two classes."""
         return 1 if self.n_classes == 2 else self.n_classes
@@ -69,6 +74,11 @@ class Logistic(Family):
         self._require("coefficients", (self.n_scores, self.n_features + self.n_features * (self.n_features + 1) // 2))
         self._require("intercepts", (self.n_scores,))
 
+    @property
+    def width(self) -> int:
+        """The features and their products."""
+        return int(self.arrays["coefficients"].shape[1])
+
     def scores(self, standardised: Floats) -> Floats:
         """Return `x w + b`."""
         scores = squares(standardised) @ self.arrays["coefficients"].T + self.arrays["intercepts"]
@@ -89,6 +99,11 @@ class Linear(Family):
         """Shapes follow from the numbers of features and classes."""
         self._require("coefficients", (self.n_scores, self.n_features))
         self._require("intercepts", (self.n_scores,))
+
+    @property
+    def width(self) -> int:
+        """The features."""
+        return self.n_features
 
     def scores(self, standardised: Floats) -> Floats:
         """Return `x w + b`."""
@@ -120,6 +135,11 @@ class Discriminant(Family):
         self._require("log_priors", (self.n_classes,))
         if not (self.arrays["variances"] > 0).all():
             raise BadData("array variances must be above 0")
+
+    @property
+    def width(self) -> int:
+        """The features, turned, for each class."""
+        return self.n_classes * int(self.arrays["variances"].shape[1])
 
     def scores(self, standardised: Floats) -> Floats:
         """Return the logarithms of the class densities times the priors."""
@@ -192,22 +212,43 @@ class Boosting(Family):
             raise BadData(f"array columns must lie between 0 and {self.n_scores - 1}")
         if (a["feature"] < 0).any() or (a["feature"] >= self.n_features).any():
             raise BadData(f"array feature must lie between 0 and {self.n_features - 1}")
+        if len(roots) > _MOST_TREES:
+            raise BadData(f"array roots must name at most {_MOST_TREES} trees, got {len(roots)}")
         own = np.arange(n_nodes)
         end = np.append(roots[1:], n_nodes)[np.searchsorted(roots, own, side="right") - 1]
         leaf = (a["left"] == own) & (a["right"] == own)
         for name in ("left", "right"):
             if not (leaf | ((a[name] > own) & (a[name] < end))).all():
                 raise BadData(f"array {name} must point to a later node of the same tree")
+        self._check_ways(own[~leaf])
+
+    def _check_ways(self, inner: NDArray[np.intp]) -> None:
+        """Raise unless each node but the roots is the child of one node, and no way to a leaf is too long."""
+        a = self.arrays
+        parents = np.bincount(np.append(a["left"][inner], a["right"][inner]), minlength=len(a["feature"]))
+        parents[a["roots"]] += 1
+        if (parents != 1).any():
+            raise BadData("arrays left and right must name each node once, but for the roots")
+        level = a["roots"]
+        for _ in range(_LONGEST_WAY):
+            level = level[a["left"][level] != level]
+            level = np.append(a["left"][level], a["right"][level])
+            if not level.size:
+                return
+        raise BadData(f"arrays left and right must lead to a leaf in {_LONGEST_WAY} steps")
+
+    @property
+    def width(self) -> int:
+        """A node of each tree."""
+        return len(self.arrays["roots"])
 
     def scores(self, standardised: Floats) -> Floats:
         """Walk all trees at once, level by level, and add up their leaves in the order of training."""
         out = np.empty((len(standardised), self.n_scores))
-        for first in range(0, len(standardised), _ROWS):
-            rows = standardised[first : first + _ROWS]
-            leaves = self.arrays["value"][self._walk(rows)]
-            for column in range(self.n_scores):
-                own = leaves[:, self.arrays["columns"] == column]
-                out[first : first + _ROWS, column] = self.arrays["baseline"][column] + own.sum(axis=1)
+        leaves = self.arrays["value"][self._walk(standardised)]
+        for column in range(self.n_scores):
+            own = leaves[:, self.arrays["columns"] == column]
+            out[:, column] = self.arrays["baseline"][column] + own.sum(axis=1)
         return out[:, 0] if self.n_scores == 1 else out
 
     def _walk(self, rows: Floats) -> NDArray[np.int32]:
@@ -248,6 +289,11 @@ class Network(Family):
             self._require(f"weights_{layer}", (n_inputs, n_units))
             self._require(f"biases_{layer}", (n_units,))
             n_inputs = n_units
+
+    @property
+    def width(self) -> int:
+        """The larger of the layers."""
+        return max(len(self.arrays[f"biases_{k}"]) for k in (1, 2))
 
     def scores(self, standardised: Floats) -> Floats:
         """Return what the last layer adds up, before scikit-learn makes probabilities of it."""

@@ -6,8 +6,8 @@ A model file is an uncompressed .npz archive: `header`, a JSON text, and arrays 
 from __future__ import annotations
 
 import io
-import json
-from collections.abc import Mapping
+import textwrap
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -21,18 +21,12 @@ from cgid.equalisation import Equalisation
 from cgid.errors import BadData, InvalidValue, NoInput
 from cgid.features import kind_of
 from cgid.features.feature import Kind
+from cgid.identification.archive import arrays_of
 from cgid.identification.conformal import Conformal
 from cgid.identification.families import BY_NAME, Family
+from cgid.identification.header import FORMAT, SCHEMA_VERSION, NewerSchema, fields_of, read_header, signed
 from cgid.identification.reference import equalisations_of
-from cgid.identification.soundness import (
-    FORMAT,
-    SCHEMA_VERSION,
-    SHARED,
-    check_names,
-    check_numbers,
-    read_arrays,
-    read_header,
-)
+from cgid.identification.soundness import SHARED, check_names, check_numbers, check_training
 from cgid.identification.transform import Neighbourhood, Standardiser, softmax
 from cgid.signals import quantity_of
 from cgid.validation import Floats
@@ -42,6 +36,10 @@ if TYPE_CHECKING:
 
 #: A larger file is no model of ours.
 LARGEST_FILE = 64 << 20
+#: What is wrong with one is said in so many letters.
+_LONGEST_MESSAGE = 400
+#: Numbers that are held at once while rows are answered for.
+_MOST_HELD = 1 << 20
 #: The answer for an impact that lies outside of what the model was trained on.
 UNKNOWN = "unknown"
 
@@ -57,6 +55,16 @@ def inputs_of(features: tuple[str, ...], n_channels: int) -> tuple[str, ...]:
     if n_channels == 1:
         return features
     return tuple(f"{name} of channel {k}" for k in range(1, n_channels + 1) for name in features)
+
+
+def _in_blocks(answer: Callable[[Floats], Floats], rows: Floats, width: int) -> Floats:
+    """Return the answers for rows, so many of them at once that the memory holds what a row needs."""
+    most = max(1, _MOST_HELD // width)
+    # Numbers that grow too large are seen in the answer, and said once.
+    with np.errstate(all="ignore"):
+        if len(rows) <= most:
+            return answer(rows)
+        return np.concatenate([answer(rows[first : first + most]) for first in range(0, len(rows), most)])
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -113,6 +121,7 @@ class Model:
     def __post_init__(self) -> None:
         check_names(self)
         check_numbers(self)
+        check_training(self)
         _ = self._classifier, self.conformal  # check their arrays
 
     @property
@@ -134,6 +143,11 @@ class Model:
     def inputs(self) -> tuple[str, ...]:
         """What the probabilities follow from: the features, channel after channel, then what is known."""
         return inputs_of(self.features, self.n_channels) + self.known
+
+    @property
+    def references(self) -> dict[str, Floats]:
+        """Reference spectra of each sensor, (n_channels, n_bands); none where the model knows no sensor."""
+        return dict(zip(self.sensors, self.arrays["reference.spectra"], strict=True)) if self.sensors else {}
 
     @cached_property
     def conformal(self) -> Conformal | None:
@@ -164,7 +178,16 @@ class Model:
         inputs : ndarray, (n_impacts, n_inputs)
             In the order of `self.inputs`.
         """
-        return softmax(self._classifier.scores(self._standardised(inputs)) / self.temperature)
+        found = _in_blocks(
+            lambda rows: softmax(self._classifier.scores(rows) / self.temperature),
+            self._standardised(inputs),
+            self._classifier.width,
+        )
+        if not np.isfinite(found).all():
+            raise BadData(
+                f"the {self.family} model gives no probabilities for this, its numbers grow too large; train it again"
+            )
+        return found
 
     def novelty(self, inputs: Floats, guards: Floats | None = None) -> Floats:
         """Return how far each impact lies from the training, (n_impacts,): above 1 is outside.
@@ -179,7 +202,8 @@ class Model:
         guards : ndarray, (n_impacts, n_guards), optional
             In the order of `self.guards`; needed where the model has any.
         """
-        distance = self._neighbourhood.novelty(self._standardised(inputs))
+        near = self._neighbourhood
+        distance = _in_blocks(near.novelty, self._standardised(inputs), near.centres.size)
         if guards is None and not self.guards:
             return distance
         rows = len(inputs), len(self.guards)
@@ -226,8 +250,7 @@ class Model:
         if not self.sensors:
             raise InvalidValue("sensor must be left out, this model was trained without reference runs")
         validation.choice("sensor", sensor, self.sensors)
-        spectra = zip(self.sensors, self.arrays["reference.spectra"], strict=True)
-        return tuple(equalisations_of(dict(spectra))[sensor])
+        return tuple(equalisations_of(self.references)[sensor])
 
     def covers(self, sampling_rate: float) -> bool:
         """Return whether the model was trained at this sampling rate [Hz], within 1 %."""
@@ -295,6 +318,8 @@ class Model:
             arrays |= {"conformal.scores": conformal.scores, "conformal.labels": conformal.labels}
         if references:
             arrays["reference.spectra"] = np.stack(list(references.values()))
+        # As they will be read: the last digit of a product may depend on the order in memory.
+        arrays = {name: np.ascontiguousarray(array) for name, array in arrays.items()}
         return cls(
             family=classifier.family,
             labels=tuple(str(label) for label in classifier.classes_),
@@ -341,8 +366,8 @@ class Model:
     def to_bytes(self) -> bytes:
         """Return the content of the model file; the same model gives the same bytes."""
         stream = io.BytesIO()
-        text = json.dumps(self.header, sort_keys=True).encode()
-        np.savez(stream, header=np.frombuffer(text, np.uint8), **dict(sorted(self.arrays.items())))  # type: ignore[arg-type]
+        header = np.frombuffer(signed(self.header, self.arrays), np.uint8)
+        np.savez(stream, header=header, **dict(sorted(self.arrays.items())))  # type: ignore[arg-type]
         return stream.getvalue()
 
     @classmethod
@@ -366,7 +391,22 @@ class Model:
         try:
             if len(content) > LARGEST_FILE:
                 raise BadData(f"it must be at most {LARGEST_FILE >> 20} MiB, it is larger")
-            arrays = read_arrays(content)
-            return cls(**read_header(arrays), arrays=arrays)
+            return cls.from_bytes(content)
+        except NewerSchema as error:
+            raise NewerSchema(f"{path}: {error}") from None
         except (BadData, InvalidValue) as error:
-            raise BadData(f"{path}: no sound model: {error}; train it again") from None
+            # A stranger's text in it may be long.
+            told = textwrap.shorten(str(error), _LONGEST_MESSAGE, placeholder=" ...")
+            raise BadData(f"{path}: no sound model: {told}; train it again") from None
+
+    @classmethod
+    def from_bytes(cls, content: bytes) -> Model:
+        """Return the model of the content of a file, checked in full; raises `BadData` or `InvalidValue`."""
+        stored = arrays_of(content)
+        name, text = next(stored, ("", None))
+        if name != "header" or text is None or text.dtype != np.uint8 or text.ndim != 1:
+            raise BadData("it must be an .npz archive that begins with a header of JSON")
+        # Before the rest: arrays of a later version may be of kinds unheard of.
+        header = read_header(text)
+        arrays = dict(stored)
+        return cls(**fields_of(header, arrays), arrays=arrays)

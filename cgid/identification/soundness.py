@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-import io
-import json
-import zipfile
-from typing import TYPE_CHECKING, Any
+from collections.abc import Mapping
+from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cgid import validation
 from cgid.bands import MEL_BANDS
@@ -16,21 +13,13 @@ from cgid.errors import BadData
 from cgid.features import require_known
 from cgid.identification.families import BY_NAME
 from cgid.identification.known import KNOWN
+from cgid.identification.reference import equalisations_of
 from cgid.identification.windows import require_times
 from cgid.signals import quantity_of
 
 if TYPE_CHECKING:
     from cgid.identification.model import Model
 
-FORMAT = "cgid-model"
-#: 2: what must be known, guards, the calibration of prediction sets, networks.
-#: 3: windows, several channels, reference spectra of sensors, linear discriminants.
-SCHEMA_VERSION = 3
-#: What an older header does not say, by its version.
-_UNSAID: dict[int, dict[str, Any]] = {
-    2: {"window_time": 0.0, "hop_time": 0.0, "n_channels": 1, "sensors": []},
-    3: {},
-}
 #: More channels than this no model looks at.
 MOST_CHANNELS = 64
 #: Arrays of every family -> the attribute of the standardiser, and the number of axes.
@@ -40,61 +29,12 @@ SHARED = {
     "standardiser.mean": ("mean", 1),
     "standardiser.scale": ("scale", 1),
 }
-#: What the header must say beside the format, and as what.
-_KINDS: dict[str, type | tuple[type, ...]] = {
-    "family": str,
-    "labels": list,
-    "features": list,
-    "known": list,
-    "guards": list,
-    "guard_limits": list,
-    "unit": str,
-    "sampling_rates": list,
-    "temperature": (int, float),
-    "neighbourhood_limit": (int, float),
-    "training": dict,
-    "window_time": (int, float),
-    "hop_time": (int, float),
-    "n_channels": int,
-    "sensors": list,
-}
-
-
-def read_header(arrays: dict[str, NDArray[Any]]) -> dict[str, Any]:
-    """Take the header out of the arrays of a model file and return what it says, lists as tuples."""
-    try:
-        header = json.loads(arrays.pop("header").tobytes())
-    except (KeyError, ValueError, RecursionError):
-        raise BadData("it must have a header of JSON") from None
-    if not isinstance(header, dict) or header.get("format") != FORMAT:
-        raise BadData(f"format must be {FORMAT!r}")
-    version = header.get("schema_version")
-    if type(version) is not int or version not in _UNSAID:
-        raise BadData(f"schema_version must be {' or '.join(map(str, _UNSAID))}, got {version}")
-    header = _UNSAID[version] | header
-    for name, kind in _KINDS.items():
-        if not isinstance(header.get(name), kind):
-            raise BadData(f"{name} is missing or of a wrong kind in the header")
-    return {name: tuple(header[name]) if kind is list else header[name] for name, kind in _KINDS.items()}
-
-
-def read_arrays(content: bytes) -> dict[str, NDArray[Any]]:
-    """Return the arrays of a model file, the header among them."""
-    try:
-        with zipfile.ZipFile(io.BytesIO(content)) as archive:
-            entries = archive.infolist()
-        # Stored, not deflated: what is declared cannot be larger than the file.
-        if (
-            any(e.compress_type != zipfile.ZIP_STORED or e.file_size > len(content) for e in entries)
-            or len(entries) > 64
-        ):
-            raise BadData("its arrays must be stored uncompressed")
-        with np.load(io.BytesIO(content), allow_pickle=False) as stored:
-            return {name: stored[name] for name in stored.files}
-    except BadData:
-        raise
-    except Exception as error:  # zipfile and numpy raise many kinds on damaged archives; all mean the same here
-        raise BadData(f"it must be an .npz archive of numbers ({type(error).__name__})") from None
+#: More labels, or more references of sensors, than this no model tells apart.
+MOST_LABELS, _MOST_SENSORS = 1000, 1000
+#: No label and no name of a sensor has more letters.
+_LONGEST_WORD = 100
+#: What no standardised feature, and no weight of one, is larger than: products of three of them are still numbers.
+_LARGEST_NUMBER = 1e100
 
 
 def check_names(model: Model) -> None:
@@ -107,8 +47,13 @@ def check_names(model: Model) -> None:
         ("known", model.known, 0),
         ("sensors", model.sensors, 0),
     ):
-        if len(values) < least or not all(isinstance(v, str) and v for v in values) or len(set(values)) != len(values):
-            raise BadData(f"{name} must be at least {least} different words")
+        if len(values) < least or not all(map(_is_word, values)) or len(set(values)) != len(values):
+            raise BadData(
+                f"{name} must be at least {least} different words of 1 to {_LONGEST_WORD} letters that can be printed"
+            )
+    for name, values, most in (("labels", model.labels, MOST_LABELS), ("sensors", model.sensors, _MOST_SENSORS)):
+        if len(values) > most:
+            raise BadData(f"{name} must be at most {most}, got {len(values)}")
     for feature in model.measured:
         require_known(feature)
     for name in model.known:
@@ -139,14 +84,54 @@ def check_numbers(model: Model) -> None:
             raise BadData(f"array {name} must have shape {shape}")
     if ("conformal.scores" in model.arrays) != ("conformal.labels" in model.arrays):
         raise BadData("arrays conformal.scores and conformal.labels must both be there, or none")
+    _check_arrays(model)
+    if model.sensors:
+        equalisations_of(model.references)  # checks their gains
+
+
+def check_training(model: Model) -> None:
+    """Raise unless what answers and reports take from the record of the training is of its kind."""
+    training, n_labels = model.training, len(model.labels)
+    metrics, recorded = training.get("metrics", {}), training.get("recorded", {})
+    if not isinstance(metrics, Mapping) or not isinstance(recorded, Mapping):
+        raise BadData("metrics and recorded must be objects in the header, where they are told")
+    shapes: dict[str, tuple[int, ...]] = {
+        "accuracy": (),
+        "accuracy_interval_95": (2,),
+        "confusion": (n_labels, n_labels),
+    }
+    for name, shape in shapes.items():
+        if name in metrics and validation.not_negative(name, metrics[name]).shape != shape:
+            raise BadData(f"{name} must be numbers of shape {shape}")
+    if "confusion" in metrics and not np.sum(metrics["confusion"]):
+        raise BadData("confusion must count at least one impact")
+    for weights in (training.get("class_weights"), recorded.get("class_weights")):
+        if isinstance(weights, Mapping):
+            validation.positive("class_weights", list(weights.values()))
+        elif weights not in (None, "balanced"):
+            raise BadData("class_weights must be 'balanced' or a number for each label")
+
+
+def _is_word(value: object) -> bool:
+    """Return whether a value is a word that a terminal can be shown; escapes and signs that turn a line are none."""
+    return isinstance(value, str) and 0 < len(value) <= _LONGEST_WORD and value.isprintable()
+
+
+def _check_arrays(model: Model) -> None:
+    """Raise unless all arrays are those of a model of this family, and hold numbers that can be reckoned with."""
+    own = {f"family.{name}" for name in BY_NAME[model.family].AXES}
+    beside = {"conformal.scores", "conformal.labels", "reference.spectra", "neighbourhood.centres"}
+    known = own | beside | SHARED.keys() | {"neighbourhood.whitening"}
     for name, array in model.arrays.items():
+        if name not in known:
+            raise BadData(f"array {name!r} must be left out, a model of family {model.family} has none such")
         kinds = "b" if name == "standardiser.logarithmic" else "fi"
-        if array.dtype.kind not in kinds or not np.isfinite(array).all():
+        plain = array.dtype.kind in kinds and array.size > 0
+        # Without the absolute values: they would be another copy of it. False for nan.
+        if not plain or not (array.min() >= -_LARGEST_NUMBER and array.max() <= _LARGEST_NUMBER):
             raise BadData(f"array {name} must hold finite numbers, got {array.dtype}")
     if not (model.arrays["standardiser.scale"] > 0).all() or not (model.arrays["standardiser.floor"] > 0).all():
         raise BadData("arrays standardiser.scale and standardiser.floor must be above 0")
-    for sensor in model.sensors:
-        model.equalisation(sensor)  # checks its gains
 
 
 def _check_windows(model: Model) -> None:

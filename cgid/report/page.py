@@ -16,6 +16,7 @@ from cgid.identification.answers import Answer
 from cgid.plots import COLOURS, Mark, colours_of, overview_figure, picture, share_figure
 from cgid.plots.figure import NEUTRAL
 from cgid.report.content import Report
+from cgid.terminal import printable
 
 #: What the name of a report may end in.
 ENDINGS = (".html", ".htm")
@@ -231,8 +232,8 @@ def _number(value: float, form: str) -> str:
 
 
 def _text(value: str) -> str:
-    """Return text of anybody as HTML shows it; what no page may hold becomes a box."""
-    return escape("".join(sign if sign.isprintable() else "�" for sign in value))
+    """Return text of anybody as HTML shows it; what no page may hold stands as its escape."""
+    return escape(printable(value))
 
 
 def _swatches() -> str:

@@ -1,19 +1,34 @@
-"""Who makes the shards of a dataset: this process, or several at once."""
+"""Who makes the shards of a dataset: this process, several at once, or those of a cluster that share the folder."""
 
 from __future__ import annotations
 
-import signal
-import threading
-import warnings
-from collections.abc import Callable, Generator, Iterator
-from concurrent.futures import Future, ThreadPoolExecutor
+import platform
+import time
+from collections.abc import Callable, Generator
+from contextlib import closing
+from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Literal
 
+from cgid.cluster import Workers
+from cgid.errors import CannotCreate
+from cgid.scene.overlap import write_in_turn
 from cgid.scene.scene import Scene
-from cgid.scene.synthesis import synthesise
-from cgid.signals import Batch
 from cgid.store import DatasetWriter
-from cgid.store.writing import BuiltShard, ShardEntry
+from cgid.store.manifest import ShardEntry
+
+#: What another machine has written may be seen here so much later [s]: network file systems remember what was missing.
+PATIENCE = 30.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Asked:
+    """What all shards have in common."""
+
+    writer: DatasetWriter
+    scene: Scene
+    seed: int
+    dtype: Literal["float32", "float64"]
 
 
 def write_shards(
@@ -21,59 +36,67 @@ def write_shards(
     scene: Scene,
     seed: int,
     dtype: Literal["float32", "float64"],
-    jobs: int,
+    shards: list[tuple[int, int, int]],
+    crew: Workers,
     progress: Callable[[int], object] | None,
 ) -> Generator[ShardEntry, None, None]:
-    """Make all shards of a dataset and write them; yield each one's line of the manifest as it is done."""
-    if jobs == 1:
-        # One thread hashes and writes a shard while the next one is made: neither holds Python's lock.
-        with ThreadPoolExecutor(max_workers=1) as disk:
-            waiting: Future[ShardEntry] | None = None
-            for shard in writer.shards:
-                built = _build(writer, scene, seed, dtype, shard, progress)
-                if waiting is not None:
-                    yield waiting.result()
-                waiting = disk.submit(writer.put, built)
-                del built  # the thread alone keeps it, until it is written
-            if waiting is not None:
-                yield waiting.result()
+    """Make these shards of a dataset and write them; yield each one's line of the manifest as it is done.
+
+    On a cluster each worker writes into the same folder by the same name, and ends the shard it is at when the others
+    are called off.
+    """
+    if crew.alone:
+        yield from write_in_turn(writer, scene, seed, dtype, shards, progress)
         return
-    import joblib
-
-    work = (joblib.delayed(_write_one)(writer, scene, seed, dtype, shard) for shard in writer.shards)
-    results = joblib.Parallel(n_jobs=jobs, return_as="generator_unordered")(work)
-    try:
-        for entry in results:  # noqa: UP028 - `yield from` would pass an interruption on before the warning is off
+    asked = _Asked(writer=writer, scene=scene, seed=seed, dtype=dtype)
+    if crew.elsewhere:
+        asked = _anywhere(asked)
+    write = _write_shared if crew.elsewhere else _write_one
+    with closing(crew.each(write, asked, shards, ordered=False)) as entries:
+        for entry in entries:
+            if crew.elsewhere:
+                _require_shared(writer, entry)
             yield entry
-    finally:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", UserWarning)  # that work is cancelled is what an interruption is for
-            results.close()
 
 
-def _write_one(
-    writer: DatasetWriter, scene: Scene, seed: int, dtype: Literal["float32", "float64"], shard: tuple[int, int, int]
-) -> ShardEntry:
-    # Ctrl-C reaches every process of the group; the one that waits for the workers answers it.
-    if threading.current_thread() is threading.main_thread():
-        signal.signal(signal.SIGINT, signal.SIG_IGN)
-    return writer.put(_build(writer, scene, seed, dtype, shard))
+def _anywhere(asked: _Asked) -> _Asked:
+    """Return the same for processes that stand in another folder."""
+    scene = asked.scene.model_copy()
+    scene.__dict__["folder"] = scene.folder.absolute()
+    return replace(asked, writer=asked.writer.from_anywhere(), scene=scene)
 
 
-def _build(
-    writer: DatasetWriter,
-    scene: Scene,
-    seed: int,
-    dtype: Literal["float32", "float64"],
-    shard: tuple[int, int, int],
-    progress: Callable[[int], object] | None = None,
-) -> BuiltShard:
-    number, first, count = shard
+def _write_one(asked: _Asked, shard: tuple[int, int, int]) -> ShardEntry:
+    (entry,) = write_in_turn(asked.writer, asked.scene, asked.seed, asked.dtype, [shard])
+    return entry
 
-    def batches() -> Iterator[Batch]:
-        for batch in synthesise(scene, count, seed, first=first, dtype=dtype):
-            yield batch
-            if progress is not None:
-                progress(len(batch))
 
-    return writer.build_shard(number, first, count, batches())
+def _write_shared(asked: _Asked, shard: tuple[int, int, int]) -> ShardEntry:
+    folder = asked.writer.folder
+    if not folder.is_dir():
+        raise CannotCreate(
+            f"{folder}: must be a folder that all workers share, {platform.node()} has none; choose one they share, or "
+            "mount it there by the same name"
+        )
+    return _write_one(asked, shard)
+
+
+def _require_shared(writer: DatasetWriter, entry: ShardEntry) -> None:
+    """Raise `CannotCreate` unless a shard that a worker has written lies here, too."""
+    path, until = writer.folder / entry.file, time.monotonic() + PATIENCE
+    while (size := _size(path)) != entry.bytes:
+        if time.monotonic() > until:
+            raise CannotCreate(
+                f"{path}: must be here with the {entry.bytes} bytes a worker has written, "
+                f"{'is not' if size is None else f'has {size}'}; choose a folder that all machines share"
+            )
+        time.sleep(0.2)
+        next(path.parent.iterdir(), None)  # it is read anew
+
+
+def _size(path: Path) -> int | None:
+    """Return the bytes of a file, None where there is none."""
+    try:
+        return path.stat().st_size
+    except OSError:
+        return None

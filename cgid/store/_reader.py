@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import json
 import os
+import signal
 import sys
 from collections.abc import Callable, Iterator, Mapping
 from inspect import isgenerator
@@ -15,11 +16,12 @@ from typing import Any
 import numpy as np
 
 from cgid.errors import CgidError
-from cgid.store import foreign_reading, limits, own_reading, wire
+from cgid.store import examining, foreign_reading, limits, own_reading, wire
 
 #: What can be asked. Each is given the path, its name in messages, and what else it needs; it returns what JSON can
 #: hold or a dict of arrays, or yields such dicts.
 FUNCTIONS: Mapping[str, Callable[..., Any]] = {
+    "examine": examining.examine,
     "foreign_blocks": foreign_reading.foreign_blocks,
     "foreign_names": foreign_reading.foreign_names,
     "foreign_survey": foreign_reading.foreign_survey,
@@ -33,6 +35,7 @@ FUNCTIONS: Mapping[str, Callable[..., Any]] = {
 
 
 def _main() -> None:
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
     # Libraries may print; the answers have a way of their own.
     answers = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
-import re
 from collections.abc import Iterator
 from contextlib import closing
 from pathlib import Path
@@ -16,8 +13,8 @@ from numpy.typing import NDArray
 from cgid.errors import BadData, InvalidValue, NoInput
 from cgid.signals import Batch, Signal, quantity_of
 from cgid.store import apart
-from cgid.store.header import FORMAT, SCHEMA_VERSION, ShardHeader, text_of
-from cgid.store.writing import MANIFEST, SHARD_NAME
+from cgid.store.header import ShardHeader, text_of
+from cgid.store.manifest import MANIFEST, read_manifest
 
 #: Signals read at once, and what they may take [bytes].
 _ROWS, _LARGEST_BATCH = 1024, 32 << 20
@@ -45,8 +42,8 @@ class Dataset:
         self.path = Path(path)
         if not self.path.exists():
             raise NoInput(f"{path}: no such file or folder; give a dataset made by cgid generate")
-        self._entries = self._read_manifest() if self.path.is_dir() else None
-        names = [entry["file"] for entry in self._entries] if self._entries is not None else [self.path.name]
+        self._entries = read_manifest(self.path).shards if self.path.is_dir() else None
+        names = [entry.file for entry in self._entries] if self._entries is not None else [self.path.name]
         folder = self.path if self.path.is_dir() else self.path.parent
         self._shards = [folder / name for name in names]
         self._counts: list[int] = []
@@ -56,31 +53,8 @@ class Dataset:
                 self.header = header
             self._require_fit(shard, header)
             self._counts.append(header.n_signals)
-        if self._entries is not None and self._counts != [entry["n_signals"] for entry in self._entries]:
+        if self._entries is not None and self._counts != [entry.n_signals for entry in self._entries]:
             raise BadData(f"{path}: shards must hold as many signals as {MANIFEST} says; generate the dataset again")
-
-    def _read_manifest(self) -> list[dict[str, Any]]:
-        file = self.path / MANIFEST
-        try:
-            manifest = json.loads(file.read_bytes())
-        except OSError:
-            raise BadData(
-                f"{self.path}: a dataset folder must hold {MANIFEST}; without it the run that made it was not "
-                "finished: generate it again"
-            ) from None
-        except (ValueError, RecursionError):
-            raise BadData(f"{file}: must be JSON, it is not; generate the dataset again") from None
-        if not isinstance(manifest, dict) or manifest.get("format") != FORMAT:
-            raise BadData(f"{file}: must have format {FORMAT!r}; this is another manifest")
-        if manifest.get("schema_version") != SCHEMA_VERSION:
-            raise BadData(f"{file}: schema_version must be {SCHEMA_VERSION}, got {manifest.get('schema_version')}")
-        entries = manifest.get("shards")
-        if not isinstance(entries, list) or not entries or not all(map(_is_entry, entries)):
-            raise BadData(f"{file}: shards must be a list of file, n_signals, sha256; generate the dataset again")
-        total = sum(entry["n_signals"] for entry in entries)
-        if len({entry["file"] for entry in entries}) < len(entries) or manifest.get("n_signals") != total:
-            raise BadData(f"{file}: every shard must be listed, and once, {total} signals in all; generate it again")
-        return entries
 
     def _require_fit(self, shard: Path, header: ShardHeader) -> None:
         for name in ("n_samples", "sampling_rate", "pre_trigger", "unit", "parameter_units", "label_width"):
@@ -182,24 +156,3 @@ class Dataset:
             source=f"{self.path} index {index}",
             pre_trigger=self.pre_trigger,
         )
-
-    def damaged_shards(self) -> list[str]:
-        """Return the shards whose SHA-256 is not that of the manifest (none for a single file: it has no manifest)."""
-        if self._entries is None:
-            return []
-        pairs = zip(self._shards, self._entries, strict=True)
-        return [str(shard) for shard, entry in pairs if _sha256(shard) != entry["sha256"]]
-
-
-def _is_entry(entry: Any) -> bool:
-    if not isinstance(entry, dict):
-        return False
-    file, count, digest = entry.get("file"), entry.get("n_signals"), entry.get("sha256")
-    if not (isinstance(file, str) and isinstance(digest, str) and type(count) is int):
-        return False
-    return re.fullmatch(SHARD_NAME, file) is not None and count > 0
-
-
-def _sha256(path: Path) -> str:
-    with path.open("rb") as stream:
-        return hashlib.file_digest(stream, "sha256").hexdigest()

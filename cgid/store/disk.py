@@ -16,9 +16,10 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from types import FrameType
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import h5py
+if TYPE_CHECKING:
+    import h5py
 
 
 class DiskFile(io.RawIOBase):
@@ -106,6 +107,9 @@ class Hdf5OnDisk:
     """An HDF5 file on its way to the disk; made by `hdf5_on_disk`."""
 
     def __init__(self, path: Path) -> None:
+        # Who reads recordings and tables does without.
+        import h5py
+
         self._disk = DiskFile(path)
         with undisturbed():
             self._file = h5py.File(self._disk, "w", libver=("v110", "v110"))
@@ -164,7 +168,7 @@ def hdf5_on_disk(path: Path) -> Iterator[Hdf5OnDisk]:
 
     Examples
     --------
-    >>> import tempfile
+    >>> import h5py, tempfile
     >>> with tempfile.TemporaryDirectory() as folder:
     ...     path = Path(folder) / "some.h5"
     ...     path.touch()

@@ -44,11 +44,11 @@ def require_schema(source: str, version: Any, known: int) -> None:
         raise BadData(f"{source}: schema_version must be {known}, got {version!r:.80}: use the cgid that wrote it")
 
 
-def require_scene(attributes: Mapping[str, Any], path: str) -> None:
+def require_scene(source: str, attributes: Mapping[str, Any]) -> None:
     """Raise `BadData` if the text of the scene is not the one that was hashed: HDF5 does not check long attributes."""
     scene, digest = attributes.get("scene"), attributes.get("scene_sha256")
     if scene is not None and hashlib.sha256(str(scene).encode()).hexdigest() != digest:
-        raise BadData(f"{path}: the text of the scene must fit scene_sha256, it does not; generate the file again")
+        raise BadData(f"{source}: the text of the scene must fit scene_sha256, it does not; generate the file again")
 
 
 def text_of(labels: NDArray[np.bytes_]) -> NDArray[np.str_]:

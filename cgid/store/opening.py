@@ -58,19 +58,13 @@ def plain_dataset(file: h5py.File, name: str, source: str, best_ratio: float = B
     best_ratio : float
         Declared bytes over stored ones, at most.
     """
-    dataset = inner_dataset(file, name, source)
-    _require_borne_out(file, dataset, source, best_ratio)
-    return dataset
-
-
-def inner_dataset(file: h5py.File, name: str, source: str) -> h5py.Dataset:
-    """Return a plain dataset that lies in this very file, whatever it declares."""
     for part in (name.split("/")[0], name):
         if not is_inside(file, part):
             raise BadData(f"{source}: {part} must be part of the file itself; it is missing or a link")
     dataset = file[name]
     if not isinstance(dataset, h5py.Dataset) or dataset.external or dataset.is_virtual or dataset.dtype.hasobject:
         raise BadData(f"{source}: {name} must be a plain dataset inside the file")
+    _require_borne_out(file, dataset, source, best_ratio)
     return dataset
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import ExitStack
 from dataclasses import asdict
 from typing import Any
@@ -28,16 +28,10 @@ from cgid.store.header import (
 )
 from cgid.store.opening import attributes_of, bytes_of, members, opened, plain_dataset
 
-#: How a dataset is found and found good enough: the file, its name, the file's name in messages.
-Find = Callable[[h5py.File, str, str], h5py.Dataset]
 #: Labels and names are shorter [bytes].
 _WIDEST_TEXT = 4096
 #: Recordings and tables are not packed: they declare no more than is stored.
 _UNPACKED = 1.0
-
-
-def _unpacked_dataset(file: h5py.File, name: str, source: str) -> h5py.Dataset:
-    return plain_dataset(file, name, source, _UNPACKED)
 
 
 def format_said(path: str, source: str) -> str | None:
@@ -61,7 +55,7 @@ def shard_header(path: str, source: str) -> dict[str, Any]:
         It is no cgid dataset, of another version, incomplete, or holds what a dataset must not hold.
     """
     with opened(path, source) as file:
-        return asdict(read_header(file, source))
+        return asdict(_read_header(file, source))
 
 
 def recording_header(path: str, source: str) -> dict[str, Any]:
@@ -73,43 +67,39 @@ def recording_header(path: str, source: str) -> dict[str, Any]:
         It is no recording, of another version, or incomplete.
     """
     with opened(path, source) as file:
-        return read_recording_header(file, source, _unpacked_dataset)
+        attributes = attributes_of(file, source)
+        if attributes.get("format") != RECORDING_FORMAT:
+            raise BadData(
+                f"{source}: this HDF5 file must be a cgid recording (attribute format = {RECORDING_FORMAT!r}); it is "
+                "not"
+            )
+        require_schema(source, attributes.get("schema_version"), RECORDING_SCHEMA_VERSION)
+        require_scene(source, attributes)
+        samples = plain_dataset(file, "samples", source, _UNPACKED)
+        if samples.ndim != 1 or samples.dtype not in (np.float32, np.float64) or not samples.size:
+            raise BadData(f"{source}: samples must be a row of floats, got shape {samples.shape} of {samples.dtype}")
+        about = attributes_of(samples, source)
+        require_rate_and_unit(source, "samples", about)
+        start = about.get("start")
+        if not isinstance(start, float) or not np.isfinite(start):
+            raise BadData(f"{source}: samples must have a sound attribute start, got {start!r:.80}")
+        n_impacts, units = _impact_columns(file, source, attributes.get("n_impacts"))
+        return {
+            "attributes": attributes,
+            "n_samples": int(samples.size),
+            "dtype": samples.dtype.name,
+            "n_impacts": n_impacts,
+            "sampling_rate": about["sampling_rate"],
+            "start": start,
+            "unit": about["unit"],
+            "impact_units": units,
+        }
 
 
-def read_recording_header(file: h5py.File, source: str, find: Find) -> dict[str, Any]:
-    """Return the checked header of an open recording, whose datasets `find` has found good enough."""
-    attributes = attributes_of(file, source)
-    if attributes.get("format") != RECORDING_FORMAT:
-        raise BadData(
-            f"{source}: this HDF5 file must be a cgid recording (attribute format = {RECORDING_FORMAT!r}); it is not"
-        )
-    require_schema(source, attributes.get("schema_version"), RECORDING_SCHEMA_VERSION)
-    require_scene(attributes, source)
-    samples = find(file, "samples", source)
-    if samples.ndim != 1 or samples.dtype not in (np.float32, np.float64) or not samples.size:
-        raise BadData(f"{source}: samples must be a row of floats, got shape {samples.shape} of {samples.dtype}")
-    about = attributes_of(samples, source)
-    require_rate_and_unit(source, "samples", about)
-    start = about.get("start")
-    if not isinstance(start, float) or not np.isfinite(start):
-        raise BadData(f"{source}: samples must have a sound attribute start, got {start!r:.80}")
-    n_impacts, units = _impact_columns(file, source, attributes.get("n_impacts"), find)
-    return {
-        "attributes": attributes,
-        "n_samples": int(samples.size),
-        "dtype": samples.dtype.name,
-        "n_impacts": n_impacts,
-        "sampling_rate": about["sampling_rate"],
-        "start": start,
-        "unit": about["unit"],
-        "impact_units": units,
-    }
-
-
-def _impact_columns(file: h5py.File, source: str, count: Any, find: Find) -> tuple[int, dict[str, str]]:
+def _impact_columns(file: h5py.File, source: str, count: Any) -> tuple[int, dict[str, str]]:
     units = {}
     for name in members(file, "impacts", source):
-        column = find(file, f"impacts/{name}", source)
+        column = plain_dataset(file, f"impacts/{name}", source, _UNPACKED)
         if column.shape != (count,) or not _is_column(column, "fiuS"):
             raise BadData(f"{source}: impacts/{name} must be one value an impact, got shape {column.shape}")
         units[name] = str(attributes_of(column, source).get("unit", ""))
@@ -131,9 +121,9 @@ def table_header(path: str, source: str) -> dict[str, Any]:
         if attributes.pop("format", None) != TABLE_FORMAT:
             raise BadData(f"{source}: this HDF5 file must be a table (attribute format = {TABLE_FORMAT!r}); it is not")
         require_schema(source, attributes.pop("schema_version", None), TABLE_VERSION)
-        require_scene(attributes, source)
+        require_scene(source, attributes)
         columns = [f"columns/{name}" for name in members(file, "columns", source)]
-        stored = {name: _unpacked_dataset(file, name, source) for name in ("labels", "specimen", *columns)}
+        stored = {name: plain_dataset(file, name, source, _UNPACKED) for name in ("labels", "specimen", *columns)}
         n_rows = stored["labels"].shape
         for name, kinds in (("labels", "S"), ("specimen", "u"), *((name, "f") for name in columns)):
             if stored[name].shape != n_rows or not _is_column(stored[name], kinds):
@@ -188,21 +178,20 @@ def _part(dataset: h5py.Dataset, part: slice, source: str) -> NDArray[Any]:
     return found
 
 
-def read_header(file: h5py.File, source: str, find: Find = plain_dataset) -> ShardHeader:
-    """Return the checked header of an open shard, whose datasets `find` has found good enough."""
+def _read_header(file: h5py.File, source: str) -> ShardHeader:
     attributes = attributes_of(file, source)
     if attributes.get("format") != FORMAT:
         raise BadData(f"{source}: this HDF5 file must be a cgid dataset (attribute format = {FORMAT!r}); it is not")
     require_schema(source, attributes.get("schema_version"), SCHEMA_VERSION)
-    require_scene(attributes, source)
-    signals = find(file, "signals", source)
+    require_scene(source, attributes)
+    signals = plain_dataset(file, "signals", source)
     if signals.ndim != 2 or signals.dtype not in (np.float32, np.float64) or not all(signals.shape):
         raise BadData(f"{source}: signals must be rows of floats, got shape {signals.shape} of {signals.dtype}")
     for name, kind in (("labels", "S"), ("specimen", "u")):
-        dataset = find(file, name, source)
+        dataset = plain_dataset(file, name, source)
         if dataset.shape != signals.shape[:1] or not _is_column(dataset, kind):
             raise BadData(f"{source}: {name} must be one value a signal, got shape {dataset.shape} of {dataset.dtype}")
-    units = _parameter_units(file, source, signals.shape[0], find)
+    units = _parameter_units(file, source, signals.shape[0])
     n_signals, n_samples = signals.shape
     about = attributes_of(signals, source)
     before = about.get("pre_trigger")
@@ -218,7 +207,7 @@ def read_header(file: h5py.File, source: str, find: Find = plain_dataset) -> Sha
         about["unit"],
         units,
         attributes,
-        find(file, "labels", source).dtype.itemsize,
+        file["labels"].dtype.itemsize,
     )
 
 
@@ -233,12 +222,12 @@ def require_rate_and_unit(source: str, name: str, about: dict[str, Any]) -> None
             raise BadData(f"{source}: {name} must have a sound attribute {attribute}, got {value!r:.80}")
 
 
-def _parameter_units(file: h5py.File, source: str, n_signals: int, find: Find) -> dict[str, str]:
+def _parameter_units(file: h5py.File, source: str, n_signals: int) -> dict[str, str]:
     if not file.id.links.exists(b"parameters"):
         return {}
     units = {}
     for name in members(file, "parameters", source):
-        dataset = find(file, f"parameters/{name}", source)
+        dataset = plain_dataset(file, f"parameters/{name}", source)
         if dataset.shape != (n_signals,) or not _is_column(dataset, "f"):
             raise BadData(f"{source}: parameters/{name} must be one number a signal, got shape {dataset.shape}")
         units[name] = str(attributes_of(dataset, source).get("unit", ""))

@@ -16,7 +16,7 @@ from collections.abc import Generator, Iterator, Mapping
 from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,10 +25,8 @@ from cgid.errors import BadData, CannotCreate, InvalidValue, NoInput
 from cgid.files import whole_file
 from cgid.signals import Signal, quantity_of
 from cgid.store import apart
+from cgid.store.disk import Hdf5OnDisk, hdf5_on_disk
 from cgid.store.header import LARGEST_SHARD, RECORDING_FORMAT, RECORDING_SCHEMA_VERSION, text_of
-
-if TYPE_CHECKING:
-    from cgid.store.disk import Hdf5OnDisk
 
 #: No longer recording is made.
 LARGEST_RECORDING = LARGEST_SHARD
@@ -127,7 +125,7 @@ class RecordingWriter:
 
 
 @contextmanager
-def writing(path: str | Path, plan: RecordingPlan) -> Iterator[RecordingWriter]:
+def writing(path: str | Path, plan: RecordingPlan, *, overwrite: bool = True) -> Iterator[RecordingWriter]:
     """Yield the writer of a recording that bears its name when this context is left without an error.
 
     Raises
@@ -145,10 +143,7 @@ def writing(path: str | Path, plan: RecordingPlan) -> Iterator[RecordingWriter]:
             f"{path}: a recording must be at most {LARGEST_RECORDING / 2**30:g} GiB of samples, "
             f"{plan.n_samples} of {plan.dtype} make {plan.size / 2**30:.3g} GiB; make several"
         )
-    # Who reads recordings does without h5py.
-    from cgid.store.disk import hdf5_on_disk
-
-    with whole_file(path) as temporary, hdf5_on_disk(temporary) as output:
+    with whole_file(path, overwrite=overwrite) as temporary, hdf5_on_disk(temporary) as output:
         writer = RecordingWriter(output, plan)
         yield writer
         writer.require_whole()

@@ -13,10 +13,13 @@ from typing import Any
 
 import h5py
 import numpy as np
+from numpy.typing import NDArray
 
 from cgid.counting import count
 from cgid.errors import BadData
 from cgid.signals import Batch, quantity_of
+from cgid.store.compression import BY_PLUGIN, keywords
+from cgid.store.deflate import deflated
 from cgid.store.memory import MemoryFile
 
 #: Bytes of a chunk of signals, about.
@@ -26,7 +29,6 @@ _COLUMN_ROWS = 4096
 _CHECKSUM = np.dtype("<u4")
 #: Bytes that headers and indices may take before the memory of a shard has to grow.
 _MARGIN = 1 << 20
-COMPRESSIONS = ("none", "gzip")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -44,7 +46,7 @@ class ShardPlan:
         The stored parameters and their units.
     attributes : dict
         Root attributes: numbers and strings that say how the data was made.
-    compression : {"none", "gzip"}
+    compression : {"none", "gzip", "zstd", "blosc2"}
     """
 
     n_samples: int
@@ -70,8 +72,7 @@ class ShardBuilder:
         self._close = weakref.finalize(self, self._file.close)
         for name, value in {**plan.attributes, "first_signal": first}.items():
             self._file.attrs[name] = np.bytes_(value.encode()) if isinstance(value, str) else value
-        extra = {"compression": "gzip", "compression_opts": 4, "shuffle": True} if plan.compression == "gzip" else {}
-        self._signals = self._create("signals", (plan.n_samples,), plan.dtype, rows, **extra)
+        self._signals = self._create("signals", (plan.n_samples,), plan.dtype, rows, **keywords(plan.compression))
         # Room for a chunk as it lies in the file: the signals and their checksum.
         self._chunk = np.zeros(rows * row + _CHECKSUM.itemsize, np.uint8)
         self._chunk_signals = self._chunk[: rows * row].view(plan.dtype).reshape(rows, plan.n_samples)
@@ -113,25 +114,41 @@ class ShardBuilder:
         rows = len(self._chunk_signals)
         first = (self._filled - 1) // rows * rows
         filled = self._filled - first
-        if self._plan.compression != "none":
-            self._signals[first : self._filled] = self._chunk_signals[:filled]
+        if self._plan.compression in BY_PLUGIN:
+            self._signals[first : self._filled] = self._chunk_signals[:filled]  # HDF5 asks its plugin
+            self._signals.flush()  # now, so that chunks lie in the order of the signals whatever HDF5 remembers
             return
+        self._chunk_signals[filled:] = 0
+        packed = self._chunk if self._plan.compression == "none" else self._deflated()
         # numba is not for those who only read datasets.
         from cgid.store._fletcher import fletcher32
 
-        # What HDF5 would write after four copies and a checksum four times slower.
-        self._chunk_signals[filled:] = 0
-        size = self._chunk.size - _CHECKSUM.itemsize
-        self._chunk[size:].view(_CHECKSUM)[0] = fletcher32(self._chunk[:size].view("<u2"))
-        self._signals.id.write_direct_chunk((first, 0), self._chunk)
+        # What HDF5 would write after four copies and a checksum four times slower. An odd byte counts as a high one.
+        size = packed.size - _CHECKSUM.itemsize
+        words = packed[:size] if size % 2 == 0 else np.append(packed[:size], np.uint8(0))
+        packed[size:] = np.frombuffer(np.array(fletcher32(words.view("<u2")), _CHECKSUM), np.uint8)
+        self._signals.id.write_direct_chunk((first, 0), packed)
+
+    def _deflated(self) -> NDArray[np.uint8]:
+        """Return the chunk packed, with room for the checksum."""
+        samples = self._chunk_signals.reshape(-1)
+        planes = samples.view(np.uint8).reshape(samples.size, samples.itemsize).T
+        return np.frombuffer(bytearray(deflated(np.ascontiguousarray(planes)) + bytes(_CHECKSUM.itemsize)), np.uint8)
 
     def image(self) -> memoryview:
         """Return the finished file; it lies where it was built."""
         if self._filled != self._n_signals:
             raise BadData(f"a shard of {self._n_signals} signals was given {self._filled}")
-        self._file["labels"][:] = np.char.encode(np.concatenate([part.labels for part in self._columns]), "utf-8")
-        self._file["specimen"][:] = np.concatenate([part.specimen for part in self._columns])
+        self._write("labels", np.char.encode(np.concatenate([part.labels for part in self._columns]), "utf-8"))
+        self._write("specimen", np.concatenate([part.specimen for part in self._columns]))
         for name in self._plan.parameter_units:
-            self._file[f"parameters/{name}"][:] = np.concatenate([part.parameters[name] for part in self._columns])
+            self._write(f"parameters/{name}", np.concatenate([part.parameters[name] for part in self._columns]))
         self._close()
         return self._memory.content()
+
+    def _write(self, name: str, column: NDArray[Any]) -> None:
+        dataset = self._file[name]
+        dataset[:] = column
+        # Its place in the file is that of its turn. HDF5 would give it one when the last that knows the dataset lets go
+        # of it, and who looks at frames from another thread, as profilers do, holds on to it a while.
+        dataset.flush()

@@ -12,7 +12,7 @@ from abc import abstractmethod
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TextIO
+from typing import Any, TextIO
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,10 +20,8 @@ from numpy.typing import NDArray
 from cgid.counting import count
 from cgid.errors import CannotCreate, InvalidValue, MissingExtra
 from cgid.files import whole_file
+from cgid.store.disk import Hdf5OnDisk, hdf5_on_disk
 from cgid.store.header import TABLE_FORMAT, TABLE_VERSION
-
-if TYPE_CHECKING:
-    from cgid.store.disk import Hdf5OnDisk
 
 #: Rows that are gathered before they are written, whole chunks of HDF5 or a row group of Parquet; and rows of a chunk.
 _ROWS, _CHUNK = 16384, 4096
@@ -171,9 +169,6 @@ def table_writer(path: str | Path, header: TableHeader, label_width: int) -> Ite
         elif suffix == ".parquet":
             writer = _ParquetWriter(stack, temporary, header)
         else:
-            # Who reads tables does without h5py.
-            from cgid.store.disk import hdf5_on_disk
-
             writer = _Hdf5Writer(stack.enter_context(hdf5_on_disk(temporary)), header, label_width)
         yield writer
         writer.finish()

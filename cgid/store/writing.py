@@ -2,40 +2,29 @@
 
 from __future__ import annotations
 
-import contextlib
+import copy
 import hashlib
-import json
 import re
 import shutil
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from cgid.errors import CannotCreate, InvalidValue
 from cgid.files import write_whole
 from cgid.signals import Batch
-from cgid.store.header import FORMAT, LARGEST_SHARD, SCHEMA_VERSION
+from cgid.store.dataset import Dataset
+from cgid.store.header import FORMAT, LARGEST_SHARD
+from cgid.store.journal import taking_part
+from cgid.store.manifest import MANIFEST, SHARD_NAME, Manifest, ShardEntry, is_entry, read_manifest
+from cgid.store.run import JOURNAL_FILES, Goal, Run, begun, exists_already, first_difference, require_same
 from cgid.store.shard import ShardBuilder, ShardPlan
 
-MANIFEST = "manifest.json"
-SHARD_NAME = r"shard-[0-9]{5,}\.h5"
-#: What a dataset folder may hold, with what a killed run leaves behind.
+#: What a dataset folder may hold beside a journal, with what a killed run leaves behind.
 _OURS = re.compile(rf"(manifest\.json|{SHARD_NAME})|\.(manifest\.json|{SHARD_NAME})\.[0-9a-f]+\.part")
 SUFFIXES = (".h5", ".hdf5")
-
-
-@dataclass(frozen=True)
-class ShardEntry:
-    """A line of the manifest."""
-
-    file: str
-    first_signal: int
-    n_signals: int
-    bytes: int
-    sha256: str
-    labels: dict[str, int]
 
 
 @dataclass(frozen=True)
@@ -83,8 +72,8 @@ def _require_room(path: Path, overwrite: bool, ours: re.Pattern[str]) -> None:
         raise CannotCreate(f"{path}: is a file; choose another name for the folder, or one ending in .h5")
     content = sorted(entry.name for entry in path.iterdir()) if path.is_dir() else None
     if path.exists() and content != [] and not overwrite:
-        raise CannotCreate(f"{path}: exists already; choose another name or say --overwrite")
-    foreign = [name for name in content or () if not ours.fullmatch(name)]
+        raise exists_already(path)
+    foreign = [name for name in content or () if not ours.fullmatch(name) and not JOURNAL_FILES.fullmatch(name)]
     if (path / MANIFEST).is_file() and f'"{FORMAT}"'.encode() not in (path / MANIFEST).read_bytes():
         foreign.append(MANIFEST)
     if foreign:
@@ -114,6 +103,9 @@ class DatasetWriter:
 
     def __init__(self, output: Path, plan: ShardPlan, n_signals: int, shard_signals: int) -> None:
         self.output, self.plan, self.n_signals = output, plan, n_signals
+        self._folder: Path | None = None
+        self._run: str | None = None
+        self._overwrites = False
         self.shard_signals = n_signals if is_single_file(output) else min(shard_signals, n_signals)
         size = self.shard_signals * plan.n_samples * (8 if plan.dtype == "float64" else 4)
         if size > LARGEST_SHARD:
@@ -129,11 +121,23 @@ class DatasetWriter:
         starts = range(0, self.n_signals, self.shard_signals)
         return [(k, first, min(self.shard_signals, self.n_signals - first)) for k, first in enumerate(starts)]
 
-    def require_room(self) -> None:
-        """Raise `CannotCreate` if the disk has less room than the signals alone will take."""
+    @property
+    def folder(self) -> Path:
+        """Where files are written; for a folder of shards, within `begun`."""
+        return self.output.parent if self._folder is None else self._folder
+
+    def from_anywhere(self) -> DatasetWriter:
+        """Return the same for processes that stand in another folder."""
+        found = copy.copy(self)
+        found.output = self.output.absolute()
+        found._folder = None if self._folder is None else self._folder.absolute()
+        return found
+
+    def require_room(self, n_signals: int) -> None:
+        """Raise `CannotCreate` if the disk has less room than so many signals alone will take."""
         if self.plan.compression != "none":
             return
-        needed = self.n_signals * self.plan.n_samples * (8 if self.plan.dtype == "float64" else 4)
+        needed = n_signals * self.plan.n_samples * (8 if self.plan.dtype == "float64" else 4)
         free = shutil.disk_usage(self.output.parent).free
         if needed > free:
             raise CannotCreate(
@@ -141,19 +145,71 @@ class DatasetWriter:
                 "free; make room, or fewer signals"
             )
 
-    def begin(self, overwrite: bool) -> None:
-        """Make room: an old manifest goes first, so that no mixture looks whole."""
+    @contextmanager
+    def begun(self, *, overwrite: bool = False, resume: bool = False) -> Iterator[DatasetRun]:
+        """Yield the run that makes the shards; when this context is left without an error the dataset is whole.
+
+        Parameters
+        ----------
+        overwrite : bool
+            Whether an older dataset may be replaced; it stays whole until the new one is.
+        resume : bool
+            Whether an unfinished run may go on; a dataset that is whole and the same is left as it is.
+
+        Raises
+        ------
+        CannotCreate
+            Something is there already, another run is writing there, or the one to be resumed had other options.
+        BadData
+            What is to be resumed is damaged.
+        WriteFailed
+            The disk is full or broken; finished shards stay, and the run can be resumed.
+        """
+        self._overwrites = overwrite
         if is_single_file(self.output):
+            yield DatasetRun(self.shards if self._must_be_made(overwrite, resume) else [])
             return
-        try:
-            self.output.mkdir(exist_ok=True)
-            if overwrite:
-                (self.output / MANIFEST).unlink(missing_ok=True)
-                for old in self.output.iterdir():
-                    if _OURS.fullmatch(old.name):
-                        old.unlink()
-        except OSError as error:
-            raise CannotCreate(f"{self.output}: cannot be written ({error.strerror}); choose another place") from None
+        goal = Goal(
+            output=self.output,
+            plan=self._manifest(()).plan,
+            n_files=len(self.shards),
+            noun="shards",
+            ours=_OURS,
+            plan_of=lambda folder: read_manifest(folder).plan if (folder / MANIFEST).exists() else None,
+        )
+        with begun(goal, overwrite=overwrite, resume=resume) as run:
+            if run is None:
+                yield DatasetRun([])
+                return
+            self._folder, self._run = run.folder, run.token
+            made = DatasetRun(self.shards, run)
+            self.require_room(sum(n_signals for _, _, n_signals in made.missing))
+            yield made
+            listed = tuple(sorted(made.entries, key=lambda entry: entry.first_signal))
+            write_whole(run.folder / MANIFEST, self._manifest(listed).to_bytes())
+
+    def _must_be_made(self, overwrite: bool, resume: bool) -> bool:
+        """Return whether a single file is not there already."""
+        if not resume or not self.output.exists():
+            return True
+        there = Dataset(self.output)
+        found = {**vars(there.header), "n_signals": len(there)}
+        asked = self._manifest(()).plan
+        plan = {name: value for name, value in found.items() if name in asked}
+        if not overwrite:
+            require_same(self.output, plan, asked)
+        return first_difference(plan, asked) is not None
+
+    def _manifest(self, shards: tuple[ShardEntry, ...]) -> Manifest:
+        return Manifest(
+            n_signals=self.n_signals,
+            shard_signals=self.shard_signals,
+            n_samples=self.plan.n_samples,
+            dtype=self.plan.dtype,
+            compression=self.plan.compression,
+            attributes=self.plan.attributes,
+            shards=shards,
+        )
 
     def build_shard(self, number: int, first: int, n_signals: int, batches: Iterable[Batch]) -> BuiltShard:
         """Build one shard in memory."""
@@ -166,30 +222,36 @@ class DatasetWriter:
 
     def put(self, shard: BuiltShard) -> ShardEntry:
         """Put a built shard on the disk whole, and return its line of the manifest."""
-        path = self.output if is_single_file(self.output) else self.output / f"shard-{shard.number:05d}.h5"
-        write_whole(path, shard.content)
+        if self._folder is None or self._run is None:
+            path = self.output
+            write_whole(path, shard.content, overwrite=self._overwrites)
+        else:
+            path = self._folder / f"shard-{shard.number:05d}.h5"
+            with taking_part(self._folder, self._run):
+                write_whole(path, shard.content)
         digest = hashlib.sha256(shard.content).hexdigest()
         return ShardEntry(path.name, shard.first, shard.n_signals, len(shard.content), digest, shard.labels)
 
-    def abandon(self) -> None:
-        """Remove what a worker that was stopped has left half-written; finished shards stay."""
-        if not is_single_file(self.output):
-            for part in self.output.glob(".*.part"):
-                if _OURS.fullmatch(part.name):
-                    part.unlink(missing_ok=True)
-            with contextlib.suppress(OSError):
-                self.output.rmdir()  # only if nothing is in it
 
-    def finish(self, entries: Iterable[ShardEntry]) -> None:
-        """Write the manifest of a folder; only now it is a dataset."""
-        if is_single_file(self.output):
-            return
-        listed = sorted(entries, key=lambda entry: entry.first_signal)
-        manifest: dict[str, Any] = {
-            "format": FORMAT,
-            "schema_version": SCHEMA_VERSION,
-            "n_signals": self.n_signals,
-            "attributes": dict(self.plan.attributes),
-            "shards": [vars(entry) for entry in listed],
-        }
-        write_whole(self.output / MANIFEST, (json.dumps(manifest, indent=1) + "\n").encode())
+class DatasetRun:
+    """A run that makes a dataset.
+
+    Attributes
+    ----------
+    missing : list of tuple
+        Number, first signal and number of signals of each shard that is not there yet.
+    entries : list of ShardEntry
+        Of the shards that are there.
+    """
+
+    def __init__(self, shards: list[tuple[int, int, int]], run: Run | None = None) -> None:
+        self._run = run
+        self.entries = [] if run is None else [ShardEntry(**entry) for entry in run.finished if is_entry(entry)]
+        there = {(entry.first_signal, entry.n_signals) for entry in self.entries}
+        self.missing = [shard for shard in shards if shard[1:] not in there]
+
+    def add(self, entry: ShardEntry) -> None:
+        """Note that a shard is finished."""
+        self.entries.append(entry)
+        if self._run is not None:
+            self._run.add(vars(entry))

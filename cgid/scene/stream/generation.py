@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal
 
 from cgid import validation
-from cgid.errors import CannotCreate, InvalidValue
+from cgid.errors import InvalidValue
 from cgid.scene.background_noise import background_of
 from cgid.scene.generation import attributes_of
 from cgid.scene.randomness import require_seed
@@ -18,7 +18,10 @@ from cgid.scene.stream.capacity import MOST_RECORDINGS, require_capacity
 from cgid.scene.stream.synthesis import parts_of_recording
 from cgid.scene.stream.truth import impact_units, joined
 from cgid.store import check_output
-from cgid.store.recording import OURS, RecordingPlan, writing
+from cgid.store.header import RECORDING_FORMAT
+from cgid.store.journal import JOURNAL
+from cgid.store.recording import OURS, Recording, RecordingPlan, is_recording, writing
+from cgid.store.run import Goal, Run, begun, file_facts, first_difference, require_same
 from cgid.store.writing import is_single_file
 
 
@@ -30,6 +33,7 @@ def generate_recordings(
     *,
     dtype: Literal["float32", "float64"] = "float32",
     overwrite: bool = False,
+    resume: bool = False,
     progress: Callable[[int], object] | None = None,
 ) -> Path:
     """Write recordings of a stream, each with the truth of its impacts, and return the path.
@@ -46,7 +50,9 @@ def generate_recordings(
     dtype : {"float32", "float64"}
         Of the samples.
     overwrite : bool
-        Whether old recordings may be replaced.
+        Whether old recordings may be replaced; they stay until all new ones are whole.
+    resume : bool
+        Go on with a run that was not finished; nothing is done where all is there.
     progress : callable, optional
         Called with a number of samples whenever so many more are done.
 
@@ -55,11 +61,11 @@ def generate_recordings(
     InvalidValue
         The scene has no stream, a number breaks its rule, or a recording would be too large.
     CannotCreate
-        The output exists, or cannot be made.
+        The output exists, cannot be made, another run writes there, or the run to be resumed had other options.
     NoInput, BadData
-        The recorded background of the scene cannot be used.
+        The recorded background of the scene cannot be used, or what is to be resumed is damaged.
     WriteFailed
-        The disk is full; finished recordings of a folder stay.
+        The disk is full; finished recordings of a folder stay, and the run can be resumed.
     """
     if scene.stream is None:
         raise InvalidValue(f"scene {scene.name} must have a section stream to make a recording of; it has none")
@@ -75,31 +81,62 @@ def generate_recordings(
     require_seed(seed)
     require_capacity(scene, dtype)
     background_of(scene)
-    path = check_output(path, overwrite, ours=OURS)
+    path = check_output(path, overwrite or resume, ours=OURS)
     plan = RecordingPlan(
         n_samples=samples_of(scene),
         dtype=dtype,
         sampling_rate=scene.sampling.sampling_rate,
         unit=scene.sensor.unit,
-        attributes={**_attributes(scene, seed), "recording": 0},
+        attributes=attributes_of(scene, seed),
     )
-    plan.require_room(path.parent, n_recordings)
     if is_single_file(path):
-        _write(path, plan, scene, seed, 0, progress)
+        if not (resume and path.exists() and _is_made(path, plan, overwrite)):
+            plan.require_room(path.parent)
+            write_recording(path, plan, scene, seed, 0, progress, overwrite=overwrite)
         return path
-    _make_folder(path, overwrite)
-    for number in range(n_recordings):
-        _write(path / f"recording-{number:05d}.h5", plan, scene, seed, number, progress)
+    goal = Goal(
+        output=path,
+        plan=_content(plan, n_recordings),
+        n_files=n_recordings,
+        noun="recordings",
+        ours=OURS,
+        plan_of=_content_of,
+    )
+    with begun(goal, overwrite=overwrite, resume=resume) as run:
+        if run is not None:
+            _write_missing(run, n_recordings, plan, scene, seed, progress)
     return path
 
 
-def _write(
-    path: Path, plan: RecordingPlan, scene: Scene, seed: int, number: int, progress: Callable[[int], object] | None
+def _write_missing(
+    run: Run, n_recordings: int, plan: RecordingPlan, scene: Scene, seed: int, progress: Callable[[int], object] | None
 ) -> None:
+    names = [f"recording-{number:05d}.h5" for number in range(n_recordings)]
+    there = {entry["file"] for entry in run.finished}.intersection(names)
+    if progress is not None and there:
+        progress(len(there) * plan.n_samples)
+    plan.require_room(run.folder, n_recordings - len(there))
+    for number, name in enumerate(names):
+        if name not in there:
+            write_recording(run.folder / name, plan, scene, seed, number, progress)
+            run.add(file_facts(run.folder / name))
+
+
+def write_recording(
+    path: Path,
+    plan: RecordingPlan,
+    scene: Scene,
+    seed: int,
+    number: int,
+    progress: Callable[[int], object] | None,
+    *,
+    overwrite: bool = True,
+) -> None:
+    """Write one recording of a stream, by its number; see `generate_recordings`."""
     dtype: Any = plan.dtype
-    own = RecordingPlan(**{**vars(plan), "attributes": {**plan.attributes, "recording": number}})
+    own = replace(plan, attributes={**plan.attributes, "recording": number})
     truth = []
-    with writing(path, own) as writer:
+    with writing(path, own, overwrite=overwrite) as writer:
         for part in parts_of_recording(scene, seed, number, dtype=dtype):
             writer.add(part.samples)
             truth.append(part.truth)
@@ -108,21 +145,34 @@ def _write(
         writer.add_impacts(joined(scene, truth), impact_units(scene))
 
 
-def _make_folder(path: Path, overwrite: bool) -> None:
-    try:
-        path.mkdir(exist_ok=True)
-        if overwrite:
-            for old in path.iterdir():
-                old.unlink()  # nothing but recordings of ours: check_output has seen to that
-    except OSError as error:
-        raise CannotCreate(f"{path}: cannot be written ({error.strerror}); choose another place") from None
+def _content(plan: RecordingPlan, n_recordings: int) -> dict[str, Any]:
+    """Return all that the recordings of a folder depend on."""
+    return {"format": RECORDING_FORMAT, "n_recordings": n_recordings, **vars(plan)}
 
 
-def _attributes(scene: Scene, seed: int) -> dict[str, Any]:
-    """Return how a recording is made; the formats are the store's own."""
-    found = {key: value for key, value in attributes_of(scene, seed).items() if key not in ("format", "schema_version")}
-    if scene.background is not None and scene.background.recorded is not None:
-        content = (scene.folder / scene.background.recorded.path).read_bytes()
-        # The scene names the file only, and the samples depend on what is in it.
-        found["background_sha256"] = hashlib.sha256(content).hexdigest()
-    return found
+def _content_of(folder: Path) -> dict[str, Any] | None:
+    """Return what the recordings of a folder have been made of; None where a run has not finished them."""
+    files = sorted(path for path in folder.iterdir() if is_recording(path))
+    if not files or (folder / JOURNAL).exists():
+        return None
+    return _content(_plan_of(files[0]), len(files))
+
+
+def _is_made(path: Path, plan: RecordingPlan, overwrite: bool) -> bool:
+    """Return whether a file holds the first recording that a plan makes; raise `CannotCreate` if not, nor may it go."""
+    there, asked = _content(_plan_of(path), 1), _content(plan, 1)
+    if not overwrite:
+        require_same(path, there, asked)
+    return first_difference(there, asked) is None
+
+
+def _plan_of(path: Path) -> RecordingPlan:
+    """Return how a recording was made."""
+    made = Recording(path)
+    return RecordingPlan(
+        n_samples=made.n_samples,
+        dtype=made.samples(0, 1).dtype.name,
+        sampling_rate=made.sampling_rate,
+        unit=made.unit,
+        attributes=made.attributes,
+    )

@@ -1,0 +1,285 @@
+"""Bits that flip and files that are cut off: what readers make of them.
+
+    python benchmarks/bit_flips.py            # every bit and every length of a small shard, and more: some minutes
+    python benchmarks/bit_flips.py --bits 300 --lengths 100 --large-bits 100
+
+Every damaged file is read to its end: a shard by itself, a shard of 1 MB, and of a folder its shard, its manifest
+and the journal of an unfinished run. What comes back is
+
+    refused   one line says what is wrong
+    same      all numbers, labels and attributes are those of the file before: what flipped means nothing
+    CHANGED   something else, and not a word          ERROR, CRASH, HANG   no answer
+
+and may only be one of the first two. `cgid verify` must moreover find every one of them in a folder, whose manifest
+knows the SHA-256 of its shards. The reading is done in a process of its own, so that a crash or a hang is counted.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import random
+import select
+import signal
+import sys
+import tempfile
+import time
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cgid.errors import BadData, NoInput
+from cgid.scene import generate, parse_scene
+from cgid.store import Dataset
+from cgid.store.journal import JOURNAL, Journal, read_journal
+from cgid.store.manifest import read_manifest
+from cgid.store.verification import verify
+
+#: An answer that takes longer is none [s].
+TIME_LIMIT = 20.0
+OUTCOMES = ("same", "refused", "CHANGED", "ERROR", "CRASH", "HANG")
+#: What a damaged file may come to.
+SOUND = frozenset(("same", "refused"))
+
+Damage = Callable[[bytes], bytes]
+
+
+@dataclass(frozen=True)
+class Flip:
+    """One bit turned over."""
+
+    bit: int
+
+    def __call__(self, content: bytes) -> bytes:
+        """Return the damaged content."""
+        damaged = bytearray(content)
+        damaged[self.bit // 8] ^= 1 << self.bit % 8
+        return bytes(damaged)
+
+
+@dataclass(frozen=True)
+class Cut:
+    """Only the beginning is left."""
+
+    length: int
+
+    def __call__(self, content: bytes) -> bytes:
+        """Return the damaged content."""
+        return content[: self.length]
+
+
+def some(numbers: int, wanted: int | None, seed: int = 2018) -> Iterable[int]:
+    """Return all whole numbers below `numbers`, or a sample of them in ascending order."""
+    if wanted is None or wanted >= numbers:
+        return range(numbers)
+    return sorted(random.Random(seed).sample(range(numbers), wanted))
+
+
+def flips(file: Path, wanted: int | None = None) -> list[Damage]:
+    """Return flips of every bit of a file, or of some."""
+    return [Flip(bit) for bit in some(8 * file.stat().st_size, wanted)]
+
+
+def cuts(file: Path, wanted: int | None = None) -> list[Damage]:
+    """Return every length that a file can be cut to, or some."""
+    return [Cut(length) for length in some(file.stat().st_size, wanted)]
+
+
+def small_scene(samples: int = 16) -> Any:
+    """Return a scene of short text whose signals are short."""
+    rock = {"youngs_modulus": 3e9, "poisson_ratio": 0.3, "restitution": 0.5, "drop_height": 1, "radius": 0.02}
+    return parse_scene(
+        {
+            "name": "small",
+            "impact": {"stiffness": "hertz", "dissipation": "hunt-crossley", "target": "rigid"},
+            "sampling": {"sampling_rate": 1e5, "samples": samples, "pre_trigger": 4},
+            "populations": [{**rock, "label": "coal", "density": 1400}, {**rock, "label": "gangue", "density": 2400}],
+        }
+    )
+
+
+def everything_in(path: Path) -> dict[str, Any]:
+    """Return all that a dataset gives to those who read it."""
+    dataset = Dataset(path)
+    batches = list(dataset.batches())
+    found = {name: np.concatenate([getattr(b, name) for b in batches]) for name in ("signals", "labels", "specimen")}
+    for name in dataset.header.parameter_units:
+        found[f"parameters/{name}"] = np.concatenate([batch.parameters[name] for batch in batches])
+    about = (dataset.sampling_rate, dataset.unit, dataset.pre_trigger, dict(dataset.header.parameter_units))
+    return found | {"about": about, "attributes": dict(dataset.header.attributes)}
+
+
+def is_same(found: dict[str, Any], expected: dict[str, Any]) -> bool:
+    """Return whether two readings hold the same to the last bit."""
+    if found.keys() != expected.keys():
+        return False
+    for name, value in expected.items():
+        other = found[name]
+        if isinstance(value, np.ndarray):
+            if value.dtype != other.dtype or value.shape != other.shape or value.tobytes() != other.tobytes():
+                return False
+        elif value != other:
+            return False
+    return True
+
+
+def judge(target: Path, read: Callable[[], dict[str, Any]], damages: Sequence[Damage]) -> Counter[str]:
+    """Return how often what came of damage to `target`, which `read` reads, itself or as part of something.
+
+    The file is as it was before when this returns.
+    """
+    whole, expected = target.read_bytes(), read()
+    try:
+        outcomes: Counter[str] = Counter()
+        done = 0
+        while done < len(damages):
+            for outcome in _outcomes(target, whole, read, expected, damages[done:]):
+                outcomes[outcome] += 1
+                done += 1
+        return outcomes
+    finally:
+        target.write_bytes(whole)
+
+
+def _outcomes(
+    target: Path, whole: bytes, read: Callable[[], dict[str, Any]], expected: dict[str, Any], damages: Sequence[Damage]
+) -> Iterator[str]:
+    """Yield what came of one damage after the other, until all are done or the process that reads has died."""
+    reading, writing = os.pipe()
+    child = os.fork()
+    if not child:
+        os.close(reading)
+        os.dup2(os.open(os.devnull, os.O_WRONLY), 2)  # what HDF5 says of damage is not ours to show
+        for damage in damages:
+            target.write_bytes(damage(whole))
+            os.write(writing, bytes([OUTCOMES.index(_outcome(read, expected))]))
+        os._exit(0)
+    os.close(writing)
+    try:
+        for _ in damages:
+            if not select.select([reading], [], [], TIME_LIMIT)[0]:
+                yield "HANG"
+                return
+            told = os.read(reading, 1)
+            yield OUTCOMES[told[0]] if told else "CRASH"
+            if not told:
+                return
+    finally:
+        os.close(reading)
+        os.kill(child, signal.SIGKILL)
+        os.waitpid(child, 0)
+
+
+def _outcome(read: Callable[[], dict[str, Any]], expected: dict[str, Any]) -> str:
+    try:
+        return "same" if is_same(read(), expected) else "CHANGED"
+    except (BadData, NoInput):
+        return "refused"
+    except BaseException:
+        return "ERROR"
+
+
+def journal_reader(folder: Path) -> Callable[[], dict[str, Any]]:
+    """Return a function that reads the journal of an unfinished run, as its resumption does.
+
+    A finished file that the journal has lost is made again: that is told, and no silent change.
+    """
+    known = [entry for journal in [read_journal(folder)] if journal is not None for entry in journal.entries]
+
+    def read() -> dict[str, Any]:
+        journal = read_journal(folder)
+        if journal is None:
+            raise NoInput(f"{folder}: there is no journal")
+        if all(entry in known for entry in journal.entries) and len(journal.entries) < len(known):
+            raise BadData(f"{folder}: {len(journal.entries)} of {len(known)} files are there")
+        return {"plan": journal.plan, "entries": list(journal.entries)}
+
+    return read
+
+
+def verified(path: Path) -> dict[str, Any]:
+    """Return nothing of a dataset but that it is whole."""
+    damage = verify(path).damage
+    if damage:
+        raise BadData(damage[0].what)
+    return {}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Subject:
+    """Something that is damaged, and read.
+
+    Attributes
+    ----------
+    name : str
+    file : Path
+        Which is damaged.
+    read : callable
+        Returns what its readers get, or raises.
+    damages : list
+    sound : frozenset of str
+        What may come of it.
+    """
+
+    name: str
+    file: Path
+    read: Callable[[], dict[str, Any]]
+    damages: list[Damage]
+    sound: frozenset[str] = SOUND
+
+    def outcomes(self) -> Counter[str]:
+        """Return how often what came of it."""
+        return judge(self.file, self.read, self.damages)
+
+
+def subjects(
+    folder: Path, bits: int | None, lengths: int | None, large_bits: int, verified_bits: int
+) -> Iterator[Subject]:
+    """Yield what is damaged, made in an empty folder; None is every bit and every length."""
+    small = generate(small_scene(), folder / "small.h5", 8)
+    damages = [*flips(small, bits), *cuts(small, lengths)]
+    yield Subject(name="small shard", file=small, read=lambda: everything_in(small), damages=damages)
+    large = generate(small_scene(2048), folder / "large.h5", 128)
+    yield Subject(name="shard of 1 MB", file=large, read=lambda: everything_in(large), damages=flips(large, large_bits))
+    whole = generate(small_scene(), folder / "folder", 16, shard_signals=8)
+    shard, manifest = whole / "shard-00001.h5", whole / "manifest.json"
+    found = frozenset(("refused",))
+    damages = [*flips(shard, verified_bits), *cuts(shard, verified_bits)]
+    yield Subject(name="shard, by verify", file=shard, read=lambda: verified(whole), damages=damages, sound=found)
+    damages = [*flips(manifest, bits), *cuts(manifest, lengths)]
+    yield Subject(name="manifest", file=manifest, read=lambda: everything_in(whole), damages=damages)
+    with Journal(folder, {"seed": 7, "n_signals": 16}) as journal:
+        for entry in read_manifest(whole).shards:
+            journal.add(vars(entry))
+    file = folder / JOURNAL
+    damages = [*flips(file, bits), *cuts(file, lengths)]
+    yield Subject(name="journal", file=file, read=journal_reader(folder), damages=damages)
+
+
+def main() -> int:
+    """Print what came of each kind of damage; return 1 if any of it must not be."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
+    parser.add_argument("--bits", type=int, help="of small files; all by default")
+    parser.add_argument("--lengths", type=int, help="of small files; all by default")
+    parser.add_argument("--large-bits", type=int, default=2000)
+    parser.add_argument("--verified-bits", type=int, default=5000)
+    sizes = parser.parse_args()
+    failed = 0
+    with tempfile.TemporaryDirectory() as folder:
+        for subject in subjects(Path(folder), sizes.bits, sizes.lengths, sizes.large_bits, sizes.verified_bits):
+            size, start = subject.file.stat().st_size, time.perf_counter()
+            outcomes = subject.outcomes()
+            failed += sum(count for name, count in outcomes.items() if name not in subject.sound)
+            told = ", ".join(f"{name} {outcomes[name]}" for name in OUTCOMES if outcomes[name])
+            seconds = time.perf_counter() - start
+            print(f"{subject.name:<17}{size:>9} bytes, {outcomes.total():>6} damages in {seconds:>4.0f} s: {told}")
+    print(f"silent changes, errors, crashes, hangs: {failed}")
+    return int(failed > 0)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

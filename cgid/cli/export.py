@@ -1,0 +1,25 @@
+"""`cgid export`: a dataset as one plain file, for other tools."""
+
+from __future__ import annotations
+
+import click
+
+from cgid.cli.options import progress_bar
+
+
+@click.command(short_help="Write a dataset as one plain HDF5 file.")
+@click.argument("data")
+@click.option("-o", "--output", required=True, help="Ending in .h5 or .hdf5.")
+@click.option("--overwrite", is_flag=True, help="Replace an old file.")
+def export(data: str, output: str, overwrite: bool) -> None:
+    """Write the dataset DATA, a folder or a file, as one HDF5 file that h5dump, h5py or MATLAB open as it is.
+
+    It holds signals, labels, specimen, parameters and all attributes, uncompressed and with checksums, and is a dataset
+    of cgid itself.
+    """
+    from cgid.store import Dataset
+    from cgid.store.export import export as export_dataset
+
+    with progress_bar(len(Dataset(data)), "signals") as progress:
+        path = export_dataset(data, output, overwrite=overwrite, progress=progress)
+    click.echo(f"{path}: {path.stat().st_size / 1e6:.4g} MB", err=True)

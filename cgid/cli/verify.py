@@ -1,0 +1,98 @@
+"""`cgid verify`: what is damaged in a dataset, a recording, a table or a model; and its repair."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import click
+
+from cgid.cli.options import each_file, print_json, progress_bar
+
+
+@click.command(short_help="Say what is damaged in a dataset; make it again.")
+@click.argument("data", nargs=-1, required=True, metavar="DATA...")
+@click.option("--repair", is_flag=True, help="Make again what is damaged, and remove what stopped runs have left.")
+@click.option("--scene", help="Scene file a dataset was made of, where that names a recorded background.")
+@click.option("--json", "as_json", is_flag=True, help="One JSON object for each DATA.")
+def verify(data: tuple[str, ...], repair: bool, scene: str | None, as_json: bool) -> int:
+    """Say what is damaged in DATA: datasets (folders or files), recordings, tables, models; the exit code is 65 then.
+
+    The shards of a folder are held against the SHA-256 of its manifest, all else against its own checksums. With
+    --repair what is damaged or missing is made again from the scene and the seed that the files say, to the same bytes,
+    and nothing else is touched. What does not belong to a dataset is told, and is no damage.
+    """
+    if scene is not None and not repair:
+        raise click.UsageError("--scene needs --repair: it says what to make files again from; give both or neither")
+    given = None
+    if scene is not None:
+        from cgid import shipped
+        from cgid.scene import load_scene
+
+        given = load_scene(shipped.scene_path(scene))
+
+    def treat(path: str) -> None:
+        if path.endswith(".npz"):
+            _verify_model(path, as_json)
+        else:
+            _verify_data(path, repair, given, as_json)
+
+    return each_file(data, treat)
+
+
+def _verify_model(path: str, as_json: bool) -> None:
+    """Say that a model is whole, or raise what is wrong with it; a model is trained and not made again."""
+    from cgid.errors import BadData
+    from cgid.identification.model import Model
+
+    try:
+        Model.load(path)
+    except BadData as error:
+        _tell(path, "model", 1, [_line(Path(path), "damaged", str(error))], as_json)
+        raise
+    _tell(path, "model", 1, [], as_json)
+
+
+def _verify_data(path: str, repair: bool, scene: Any, as_json: bool) -> None:
+    from cgid.errors import BadData
+    from cgid.store.verification import verify as find
+
+    found = find(path)
+    left = found.damage
+    lines = [_line(finding.file, finding.problem, finding.what) for finding in found.findings]
+    if repair and any(finding.problem != "foreign" for finding in found.findings):
+        repairs = _repaired(found, scene)
+        lines = [
+            _line(one.finding.file, one.finding.problem, one.finding.what) | {"repaired": one.done, "told": one.told}
+            for one in repairs
+        ] + [line for line in lines if line["problem"] == "foreign"]
+        left = tuple(one.finding for one in repairs if not one.done)
+    _tell(path, found.kind, found.n_files, lines, as_json)
+    if left:
+        files = f"{len(left)} of its files are" if len(left) > 1 else f"{left[0].file.name} is"
+        cure = "see above why --repair does not help" if repair else "cgid verify --repair makes again what can be"
+        raise BadData(f"{path}: must be whole, {files} damaged, missing or unfinished; {cure}")
+
+
+def _repaired(found: Any, scene: Any) -> list[Any]:
+    from cgid.scene.repair import repair
+
+    with progress_bar(None, "values") as progress:
+        return list(repair(found, scene, progress))
+
+
+def _line(file: Path, problem: str, what: str) -> dict[str, Any]:
+    return {"file": str(file), "problem": problem, "what": what}
+
+
+def _tell(path: str, kind: str, n_files: int, lines: list[dict[str, Any]], as_json: bool) -> None:
+    """Print what was found in one of the inputs, and what was done about it."""
+    whole = all(line.get("repaired", line["problem"] in ("leftover", "foreign")) for line in lines)
+    if as_json:
+        print_json({"source": path, "kind": kind, "files": n_files, "whole": whole, "findings": lines})
+        return
+    state = ("repaired" if any(line.get("repaired") for line in lines) else "whole") if whole else "damaged"
+    click.echo(f"{path}: {kind} of {n_files} file{'s' * (n_files > 1)}, {state}")
+    for line in lines:
+        told = f"; {'repaired' if line['repaired'] else 'not repaired'}: {line['told']}" if "repaired" in line else ""
+        click.echo(f"  {line['file']}: {line['problem']}: {line['what'].removeprefix(line['file'] + ': ')}{told}")

@@ -1,0 +1,321 @@
+"""Who does work that falls into parts: this process, several on this machine, or those of a cluster.
+
+joblib hands the parts out, on a cluster by dask.distributed. A part is a function of what all have in common and of
+what is its own, so its result is the same whoever does it.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import platform
+import re
+import signal
+import threading
+import time
+import warnings
+from collections.abc import Callable, Generator, Iterable, Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from functools import cache
+from importlib.metadata import version
+from typing import Any, TypeVar
+
+from cgid.errors import CgidError, ClusterFailed, InvalidValue, MissingExtra
+
+#: The scheduler must answer, and have a worker, within this time [s].
+PATIENCE = 10.0
+#: A run goes on without any worker for so long [s]: one that has died may be started again.
+DESERTED = 60.0
+#: What all parts have in common is sent with each up to this size, which outlives every worker; else once to each.
+_SMALL = 1 << 20
+#: What decides on the last digits of a result, or on whether it arrives.
+_LIBRARIES = ("cgid", "numpy", "scipy", "numba", "h5py", "scikit-learn", "joblib", "distributed")
+_ADDRESS = re.compile(r"(tcp|tls)://.+:[0-9]+")
+
+Common = TypeVar("Common")
+Part = TypeVar("Part")
+Result = TypeVar("Result")
+
+
+@dataclass(frozen=True)
+class Workers:
+    """Who does the work; see `workers`.
+
+    Attributes
+    ----------
+    jobs : int
+        Processes on this machine; 1: this one.
+    client : distributed.Client or None
+        The connection to a cluster.
+    """
+
+    jobs: int = 1
+    client: Any = None
+
+    @property
+    def alone(self) -> bool:
+        """Whether this process does everything itself."""
+        return self.jobs == 1 and self.client is None
+
+    @property
+    def elsewhere(self) -> bool:
+        """Whether other machines may do the work, which share no more than was agreed on."""
+        return self.client is not None
+
+    def each(
+        self,
+        function: Callable[[Common, Part], Result],
+        common: Common,
+        parts: Iterable[Part],
+        *,
+        ordered: bool = True,
+    ) -> Generator[Result, None, None]:
+        """Yield `function(common, part)` for each part; closing the generator drops what is not done.
+
+        What is running on a cluster then cannot be stopped: it ends, and nobody asks for what it has made.
+
+        Parameters
+        ----------
+        function : callable
+            Of a module that the workers have, too.
+        common, parts
+            Can be pickled.
+        ordered : bool
+            Whether results come in the order of the parts, or as they are done.
+
+        Raises
+        ------
+        ClusterFailed
+            The scheduler is lost, no worker is left, or a part has ended several workers.
+        CgidError
+            What the function raises, whoever runs it.
+
+        Examples
+        --------
+        >>> list(Workers().each(pow, 2, [1, 2, 3]))
+        [2, 4, 8]
+        """
+        if self.alone:
+            for part in parts:
+                yield function(common, part)
+            return
+        import joblib
+
+        failures: list[BaseException] = []
+        fed = _until_failure(parts, failures)
+        way = "generator" if ordered else "generator_unordered"
+        if self.client is None:
+            tasks = (joblib.delayed(_do)(function, common, part) for part in fed)
+            results = joblib.Parallel(n_jobs=self.jobs, batch_size=1, return_as=way)(tasks)
+        else:
+            results = self._on_cluster(function, common, fed, way)
+        try:
+            for result in results:  # noqa: UP028 - `yield from` would pass an interruption on before the warning is off
+                yield result
+            if failures:
+                raise failures[0]
+        except CgidError:
+            raise
+        except Exception as error:
+            if self.client is None:
+                raise
+            raise _told(error) from error
+        finally:
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore", UserWarning)  # that work is cancelled is what an interruption is for
+                results.close()
+
+    def _on_cluster(self, function: Any, common: Any, parts: Iterable[Any], way: str) -> Any:
+        import cloudpickle
+        import joblib
+
+        given = common
+        if len(cloudpickle.dumps(common)) > _SMALL:
+            # Not known by its hash: what was sent before and is just being forgotten would be taken for it.
+            given = self.client.scatter(common, broadcast=True, hash=False)
+        expected = _versions()
+        tasks = (joblib.delayed(_do_alike)(expected, function, given, part) for part in parts)
+        return joblib.Parallel(backend=_backend(self.client), batch_size=1, return_as=way)(tasks)
+
+
+#: This process, which does everything itself.
+ALONE = Workers()
+
+
+@contextmanager
+def workers(jobs: int = 1, scheduler: str | None = None) -> Iterator[Workers]:
+    """Yield who does the work, within this context.
+
+    Parameters
+    ----------
+    jobs : int
+        Processes on this machine, of no account with a scheduler.
+    scheduler : str, optional
+        Address of a dask scheduler, such as tcp://192.168.0.7:8786: all workers it has, or gets, do the work.
+
+    Raises
+    ------
+    ClusterFailed
+        The scheduler does not answer, has no workers, or a worker has other versions of what decides on the results.
+    InvalidValue
+        This is no address, or `jobs` is below 1.
+    MissingExtra
+        dask.distributed is not installed.
+    """
+    if jobs < 1:
+        raise InvalidValue(f"jobs must be 1 or more, got {jobs}")
+    if scheduler is None:
+        yield Workers(jobs)
+        return
+    if not _ADDRESS.fullmatch(scheduler):
+        raise InvalidValue(f"scheduler must be an address such as tcp://192.168.0.7:8786, got {scheduler!r}")
+    try:
+        from distributed import Client
+    except ImportError:
+        raise MissingExtra(
+            "a cluster needs dask.distributed, which is not installed: pip install 'cgid[cluster]'"
+        ) from None
+    with _quiet():
+        try:
+            client = Client(scheduler, timeout=PATIENCE, set_as_default=False)
+        except (OSError, ValueError, RuntimeError):
+            raise ClusterFailed(
+                f"{scheduler}: a dask scheduler must answer there within {PATIENCE:g} s, none does; start one (dask "
+                "scheduler), or correct the address"
+            ) from None
+        try:
+            _require_workers(client, scheduler)
+            yield Workers(jobs, client)
+        finally:
+            with suppress(OSError, TimeoutError, RuntimeError):
+                client.close(timeout=2)
+
+
+def _require_workers(client: Any, scheduler: str) -> None:
+    """Raise `ClusterFailed` unless there is a worker, and all have what this process has."""
+    try:
+        client.wait_for_workers(1, timeout=PATIENCE)
+    except TimeoutError:
+        raise ClusterFailed(
+            f"{scheduler}: must have workers, none came within {PATIENCE:g} s; start some (dask worker {scheduler})"
+        ) from None
+    for worker, found in client.run(_versions, on_error="return").items():
+        _require_alike(_versions(), found, worker)
+
+
+def _require_alike(expected: dict[str, str], found: Any, worker: str) -> None:
+    if isinstance(found, Exception):
+        raise ClusterFailed(f"worker {worker}: must have cgid {expected['cgid']}, and cannot load it ({found})")
+    for name, here in expected.items():
+        there = found.get(name)
+        if there != here:
+            raise ClusterFailed(
+                f"worker {worker}: must have {name} {here} as this process, for the same results, got "
+                f"{there or 'none'}; install alike"
+            )
+
+
+@cache
+def _versions() -> dict[str, str]:
+    def of(name: str) -> str:
+        with suppress(ImportError):
+            return version(name)
+        return ""
+
+    return {"Python": ".".join(platform.python_version_tuple()[:2])} | {name: of(name) for name in _LIBRARIES}
+
+
+def _until_failure(parts: Iterable[Part], failures: list[BaseException]) -> Iterator[Part]:
+    """Yield the parts; a failure in making them ends them and is kept: joblib asks in threads, and would lose it."""
+    try:
+        yield from parts
+    except Exception as error:
+        failures.append(error)
+
+
+def _do_alike(expected: dict[str, str], function: Any, common: Any, part: Any) -> Any:
+    """Do a part on a worker, which may have come after all were asked for their versions."""
+    _require_alike(expected, _versions(), platform.node())
+    return _do(function, common, part)
+
+
+def _do(function: Any, common: Any, part: Any) -> Any:
+    # Ctrl-C reaches every process of the group; the one that waits for the workers answers it.
+    if threading.current_thread() is threading.main_thread():
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
+    return function(common, part)
+
+
+# -- joblib's backend, and what it leaves to wait for ever ------------------------------------------------------
+
+
+def _backend(client: Any) -> Any:
+    """Return joblib's backend for dask, which learns of every end of a part.
+
+    joblib's own hears of results and of what a function raises. It never hears of a part that dask has given up, takes
+    one that was cancelled for a result, and waits for ever where no worker is left.
+    """
+    from joblib._dask import DaskDistributedBackend
+
+    class Backend(DaskDistributedBackend):  # type: ignore[misc]
+        def submit(self, func: Any, callback: Any = None) -> Any:
+            future = super().submit(func, callback)
+            future.add_done_callback(lambda done: done.exception() and callback(done.exception()))
+            return future
+
+        def retrieve_result_callback(self, out: Any) -> Any:
+            if isinstance(out, BaseException):
+                raise out
+            return super().retrieve_result_callback(out)
+
+        def start_call(self) -> None:
+            super().start_call()
+            self.client.loop.add_callback(self._watch)
+
+        async def _watch(self) -> None:
+            seen = time.monotonic()
+            while self._continue:
+                with suppress(OSError, RuntimeError):  # a lost connection is dask's to tell
+                    if await self.client.scheduler.ncores(workers=None):
+                        seen = time.monotonic()
+                if time.monotonic() - seen > DESERTED:
+                    for waiting in list(self._results):
+                        self._callbacks.pop(waiting, None)
+                        self._results.pop(waiting).set_exception(
+                            ClusterFailed(
+                                f"cluster: no worker is left since {DESERTED:g} s; start some, and go on with --resume"
+                            )
+                        )
+                await asyncio.sleep(min(1.0, DESERTED / 4))
+
+    return Backend(client=client)
+
+
+def _told(error: Exception) -> ClusterFailed | Exception:
+    """Return what dask raises in words of ours; what a function has raised stays as it is."""
+    from concurrent.futures import CancelledError
+
+    from distributed.client import FutureCancelledError
+    from distributed.scheduler import KilledWorker
+
+    if isinstance(error, KilledWorker):
+        return ClusterFailed(
+            "cluster: several workers have died of the same part, as they do where memory is short; give them more of "
+            "it, fewer threads, or ask for smaller shards"
+        )
+    if isinstance(error, CancelledError | asyncio.CancelledError | FutureCancelledError):
+        return ClusterFailed("cluster: the scheduler is lost, or has dropped the work; start it again, and go on")
+    return error
+
+
+@contextmanager
+def _quiet() -> Iterator[None]:
+    """Keep dask's log off the terminal: what matters of it is raised."""
+    log = logging.getLogger("distributed")
+    before = log.level
+    log.setLevel(logging.CRITICAL + 1)
+    try:
+        yield
+    finally:
+        log.setLevel(before)

@@ -1,0 +1,280 @@
+"""What is damaged is made again: everything follows from the scene and the seed that every file says."""
+
+from __future__ import annotations
+
+import hashlib
+import tempfile
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, replace
+from itertools import accumulate
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cgid.errors import BadData, CgidError
+from cgid.files import whole_file, write_whole
+from cgid.scene.generation import attributes_of
+from cgid.scene.provenance import compression_of, in_order, plan_of, scene_of, shard_plan, whole_number
+from cgid.scene.scene import Scene
+from cgid.scene.stream.axis import samples_of
+from cgid.scene.stream.generation import write_recording
+from cgid.scene.synthesis import synthesise
+from cgid.store import Dataset
+from cgid.store.examination import damaged_rows, examine_file
+from cgid.store.export import write_dataset
+from cgid.store.header import FORMAT, LARGEST_SHARD, RECORDING_FORMAT
+from cgid.store.manifest import MANIFEST, Manifest, ShardEntry
+from cgid.store.recording import RecordingPlan
+from cgid.store.shard import ShardBuilder, ShardPlan
+from cgid.store.verification import Finding, Verified
+
+#: Datasets whose last digits depend on the versions of libraries.
+_MAIN = ("signals", "samples")
+
+Progress = Callable[[int], object]
+Chunks = Mapping[str, list[tuple[int, int, str]]]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Repair:
+    """What became of a finding.
+
+    Attributes
+    ----------
+    finding : Finding
+    done : bool
+    told : str
+        What was done, or why it was not.
+    """
+
+    finding: Finding
+    done: bool
+    told: str
+
+
+def repair(verified: Verified, scene: Scene | None = None, progress: Progress | None = None) -> Iterator[Repair]:
+    """Make again what is damaged or missing, each file whole or not at all, and remove what killed runs have left.
+
+    A shard that a manifest speaks of must come out with the very SHA-256. Where other versions of libraries give other
+    bytes, and in files without a manifest, what is undamaged must be equal to what is made; else nothing is replaced.
+
+    Parameters
+    ----------
+    verified : Verified
+    scene : Scene, optional
+        From the file that it was made of; needed where the scene names a recording that is to be read.
+    progress : callable, optional
+        Called with a number of signals or samples whenever so many more are made.
+
+    Yields
+    ------
+    Repair
+        One for each finding that is not foreign.
+    """
+    manifest = verified.manifest
+    # The manifest comes last: it is made from the shards.
+    for finding in sorted(verified.findings, key=lambda finding: finding.file.name == MANIFEST):
+        if finding.problem == "foreign":
+            continue
+        try:
+            if finding.problem == "leftover":
+                finding.file.unlink(missing_ok=True)
+                told = "removed"
+            elif finding.problem == "unfinished":
+                raise BadData(finding.what)
+            elif finding.file.name == MANIFEST:
+                told = _mend_manifest(finding.file)
+            elif finding.entry is not None and manifest is not None:
+                told, manifest = _mend_shard(finding, finding.entry, verified, manifest, scene, progress)
+            else:
+                told = _mend_file(finding, scene, progress)
+        except (CgidError, OSError) as error:
+            yield Repair(finding=finding, done=False, told=str(error))
+        else:
+            yield Repair(finding=finding, done=True, told=told)
+
+
+# ---- a file by itself ------------------------------------------------------------------------------------------------
+
+
+def _mend_file(finding: Finding, given: Scene | None, progress: Progress | None) -> str:
+    path, examined = finding.file, finding.examined
+    kind = examined.get("attributes", {}).get("format")
+    if not examined or examined["fault"] or kind not in (FORMAT, RECORDING_FORMAT):
+        raise BadData(
+            f"{path}: does not say any more how it was made, or is no file that is made again in part; make it again "
+            "by cgid generate with --overwrite"
+        )
+    attributes = examined["attributes"]
+    scene, seed = scene_of(path, attributes, given), whole_number(path, attributes, "seed")
+    with whole_file(path) as temporary:
+        if kind == RECORDING_FORMAT:
+            _write_recording(temporary, examined, scene, seed, progress)
+        else:
+            _write_dataset(temporary, plan_of(scene, examined), examined, scene, seed, progress)
+        _require_agreement(path, examined, temporary, attributes, scene)
+    return "made again; all that was undamaged is as before"
+
+
+def _write_recording(
+    path: Path, examined: Mapping[str, Any], scene: Scene, seed: int, progress: Progress | None
+) -> None:
+    attributes = examined["attributes"]
+    own = ("format", "schema_version", "n_impacts")
+    plan = RecordingPlan(
+        n_samples=samples_of(scene),
+        dtype=examined["dtype"],
+        sampling_rate=scene.sampling.sampling_rate,
+        unit=scene.sensor.unit,
+        attributes={name: value for name, value in in_order(attributes).items() if name not in own},
+    )
+    write_recording(path, plan, scene, seed, whole_number(path, attributes, "recording"), progress)
+
+
+def _write_dataset(
+    path: Path, plan: ShardPlan, examined: Mapping[str, Any], scene: Scene, seed: int, progress: Progress | None
+) -> None:
+    first = whole_number(path, examined["attributes"], "first_signal")
+    n_signals = examined["chunks"]["signals"][-1][1]
+    if n_signals * scene.sampling.samples * np.dtype(plan.dtype).itemsize <= LARGEST_SHARD:
+        path.write_bytes(_shard(plan, first, n_signals, scene, seed, progress))
+        return
+    dtype: Any = plan.dtype
+    write_dataset(path, plan, first, n_signals, synthesise(scene, n_signals, seed, first=first, dtype=dtype), progress)
+
+
+def _shard(
+    plan: ShardPlan, first: int, n_signals: int, scene: Scene, seed: int, progress: Progress | None
+) -> memoryview:
+    """Return the content of a shard."""
+    builder, dtype = ShardBuilder(plan, first, n_signals), plan.dtype
+    kind: Any = dtype
+    for batch in synthesise(scene, n_signals, seed, first=first, dtype=kind):
+        builder.add(batch)
+        if progress is not None:
+            progress(len(batch))
+    return builder.image()
+
+
+# ---- a shard of a folder ---------------------------------------------------------------------------------------------
+
+
+def _mend_shard(
+    finding: Finding,
+    entry: ShardEntry,
+    verified: Verified,
+    manifest: Manifest,
+    given: Scene | None,
+    progress: Progress | None,
+) -> tuple[str, Manifest]:
+    """Make a shard again and return what was done, and the manifest as it is then."""
+    path, attributes = finding.file, manifest.attributes
+    scene, seed = scene_of(verified.path / MANIFEST, attributes, given), whole_number(path, attributes, "seed")
+    plan = _plan_of_folder(verified, manifest, scene)
+    content = _shard(plan, entry.first_signal, entry.n_signals, scene, seed, progress)
+    digest = hashlib.sha256(content).hexdigest()
+    if digest == entry.sha256:
+        write_whole(path, content)
+        return "made again, byte for byte", manifest
+    with whole_file(path) as temporary:
+        temporary.write_bytes(content)
+        if not _agrees_with_another(verified, manifest, plan, scene, seed):
+            _require_agreement(path, finding.examined, temporary, attributes, scene)
+    changed = replace(entry, bytes=len(content), sha256=digest)
+    manifest = replace(manifest, shards=tuple(changed if other == entry else other for other in manifest.shards))
+    write_whole(verified.path / MANIFEST, manifest.to_bytes())
+    return f"made again by other versions than {attributes.get('versions')}: equal numbers in other bytes", manifest
+
+
+def _agrees_with_another(verified: Verified, manifest: Manifest, plan: ShardPlan, scene: Scene, seed: int) -> bool:
+    """Return whether there is an undamaged shard; raises `BadData` if other numbers than its own come out here."""
+    damaged = {finding.file.name for finding in verified.findings}
+    for entry in sorted(manifest.shards, key=lambda entry: entry.n_signals):
+        if entry.file not in damaged:
+            path = verified.path / entry.file
+            with tempfile.TemporaryDirectory() as folder:
+                made = Path(folder) / entry.file
+                made.write_bytes(_shard(plan, entry.first_signal, entry.n_signals, scene, seed, None))
+                _require_agreement(path, examine_file(path), made, manifest.attributes, scene)
+            return True
+    return False
+
+
+def _plan_of_folder(verified: Verified, manifest: Manifest, scene: Scene) -> ShardPlan:
+    """Return what the shards of a folder have in common; what an old manifest does not say, a shard does."""
+    if manifest.dtype is not None and manifest.compression is not None:
+        return shard_plan(scene, manifest.attributes, manifest.dtype, manifest.compression)
+    for entry in manifest.shards:
+        examined = examine_file(verified.path / entry.file)
+        if not examined["fault"]:
+            return shard_plan(scene, manifest.attributes, examined["dtype"], compression_of(examined))
+    raise BadData(f"{verified.path}: no shard says any more how its signals are stored; generate the dataset again")
+
+
+# ---- the manifest ----------------------------------------------------------------------------------------------------
+
+
+def _mend_manifest(file: Path) -> str:
+    """Make a manifest from the shards that are there."""
+    shards = sorted(file.parent.glob("shard-*.h5"))
+    entries, attributes, examined = [], {}, {}
+    for shard in shards:
+        examined = examine_file(shard)
+        if examined["fault"] or any(damaged_rows(chunks) for chunks in examined["chunks"].values()):
+            raise BadData(
+                f"{shard}: must be whole to make a new {MANIFEST} from, it is not, and without a manifest it cannot be "
+                "made again; generate the dataset again"
+            )
+        attributes = dict(examined["attributes"])
+        entries.append(_entry(shard, attributes.pop("first_signal", 0)))
+    n_signals = sum(entry.n_signals for entry in entries)
+    starts = list(accumulate((entry.n_signals for entry in entries), initial=0))[:-1]
+    if not entries or [entry.first_signal for entry in entries] != starts:
+        raise BadData(f"{file.parent}: its shards must follow each other from signal 0 on; generate the dataset again")
+    header = Dataset(shards[0]).header
+    made = Manifest(
+        n_signals=n_signals,
+        attributes=in_order(attributes),
+        shards=tuple(entries),
+        shard_signals=entries[0].n_signals,
+        n_samples=header.n_samples,
+        dtype=header.dtype,
+        compression=compression_of(examined),
+    )
+    write_whole(file, made.to_bytes())
+    return f"made again from the {len(entries)} shards that are there, of {n_signals} signals"
+
+
+def _entry(shard: Path, first: int) -> ShardEntry:
+    labels: Counter[str] = Counter()
+    for batch in Dataset(shard).batches():
+        labels.update(batch.labels.tolist())
+    content = shard.read_bytes()
+    digest = hashlib.sha256(content).hexdigest()
+    return ShardEntry(shard.name, first, labels.total(), len(content), digest, dict(sorted(labels.items())))
+
+
+def _require_agreement(
+    path: Path, examined: Mapping[str, Any], made: Path, attributes: Mapping[str, Any], scene: Scene
+) -> None:
+    """Raise `BadData` unless what is undamaged in a file is equal to what was made, and there is enough of it."""
+    old: Chunks = examined.get("chunks", {})
+    steps = {name: max(chunks[0][1], 1) for name, chunks in old.items() if chunks}
+    new: Chunks = examine_file(made, steps)["chunks"]
+    sound = [(name, tuple(chunk)) for name, chunks in old.items() for chunk in chunks if chunk[2]]
+    there = {(name, tuple(chunk)) for name, chunks in new.items() for chunk in chunks}
+    differing = sum(chunk not in there for chunk in sound)
+    versions, here = attributes.get("versions"), attributes_of(scene, 0)["versions"]
+    if differing:
+        raise BadData(
+            f"{path}: what is undamaged must come out here as it is, {differing} of {len(sound)} chunks do not; "
+            f"nothing was replaced: repair it by the versions that made it, {versions}; here {here}"
+        )
+    # Draws are the same everywhere; the last digits of signals depend on libraries.
+    if versions != here and not any(name in _MAIN for name, _ in sound):
+        raise BadData(
+            f"{path}: nothing undamaged is left that tells whether {here} gives the same signals as {versions}; "
+            "nothing was replaced: repair it by those versions, or generate it again"
+        )

@@ -1,0 +1,158 @@
+"""A dataset of any size as one plain file: what other tools open, and what cgid reads as a dataset, too.
+
+It is laid out as a shard is (`cgid.store.shard`), without compression, but goes to the disk as it comes: memory does
+not grow with it.
+"""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable, Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+
+from cgid.errors import BadData, CannotCreate
+from cgid.files import check_new, whole_file
+from cgid.signals import Batch, quantity_of
+from cgid.store.dataset import Dataset
+from cgid.store.disk import hdf5_on_disk
+from cgid.store.shard import ShardPlan
+from cgid.store.writing import SUFFIXES
+
+#: Bytes of a chunk of signals, about, and rows of a chunk of the other columns: those of a shard.
+_CHUNK_BYTES, _COLUMN_ROWS = 1 << 19, 4096
+
+
+def export(
+    data: str | Path,
+    output: str | Path,
+    *,
+    overwrite: bool = False,
+    progress: Callable[[int], object] | None = None,
+) -> Path:
+    """Write a dataset as one HDF5 file and return its path; memory stays the same however many signals there are.
+
+    Parameters
+    ----------
+    data : str or Path
+        A dataset: a folder, or a file of any compression.
+    output : str or Path
+        Ending in .h5 or .hdf5.
+    overwrite : bool
+        Whether an old file may be replaced.
+    progress : callable, optional
+        Called with a number of signals whenever so many more are done.
+
+    Raises
+    ------
+    NoInput, BadData
+        There is no dataset, or it is damaged.
+    CannotCreate
+        The output exists, or cannot be made, or has no room.
+    WriteFailed
+        The disk is full; nothing is left behind, an old file is untouched.
+    """
+    dataset = Dataset(data)
+    path = check_new(Path(output), "an exported dataset", SUFFIXES, overwrite=overwrite)
+    if path.resolve() == dataset.path.resolve():
+        raise CannotCreate(f"{path}: must be another file than the one it is made from; choose another name")
+    plan = ShardPlan(
+        n_samples=dataset.header.n_samples,
+        dtype=dataset.header.dtype,
+        label_width=dataset.header.label_width,
+        parameter_units=dataset.header.parameter_units,
+        attributes={name: value for name, value in dataset.header.attributes.items() if name != "first_signal"},
+    )
+    first = dataset.header.attributes.get("first_signal", 0)
+    _require_room(path, plan, len(dataset))
+    with whole_file(path) as temporary:
+        write_dataset(temporary, plan, first, len(dataset), dataset.batches(), progress)
+    return path
+
+
+def write_dataset(
+    path: Path,
+    plan: ShardPlan,
+    first: int,
+    n_signals: int,
+    batches: Iterable[Batch],
+    progress: Callable[[int], object] | None = None,
+) -> None:
+    """Write the signals of a dataset to an empty file, batch by batch; within `cgid.files.whole_file`.
+
+    Parameters
+    ----------
+    path : Path
+        It exists and is empty.
+    plan : ShardPlan
+        Its compression is passed over.
+    first, n_signals : int
+        Number of the first signal, and how many there are.
+    batches : iterable of Batch
+        All of them, in order.
+    progress : callable, optional
+        As of `export`.
+
+    Raises
+    ------
+    OSError
+        The disk is full or broken.
+    BadData
+        The batches hold less than `n_signals`.
+    """
+    done = 0
+    with hdf5_on_disk(path) as output:
+        for batch in batches:
+            with output.step() as file:
+                if not done:
+                    _lay_out(file, plan, first, n_signals, batch)
+                _put(file, batch, done)
+            done += len(batch)
+            if progress is not None:
+                progress(len(batch))
+        if done != n_signals:
+            raise BadData(f"a dataset of {n_signals} signals was given {done}")
+
+
+def _lay_out(file: h5py.File, plan: ShardPlan, first: int, n_signals: int, batch: Batch) -> None:
+    """Make the datasets, still empty, and all attributes."""
+    _say(file, {**plan.attributes, "first_signal": first})
+    row = plan.n_samples * np.dtype(plan.dtype).itemsize
+    columns = {"labels": (f"S{plan.label_width}", _COLUMN_ROWS), "specimen": ("uint64", _COLUMN_ROWS)}
+    columns |= {f"parameters/{name}": ("float64", _COLUMN_ROWS) for name in plan.parameter_units}
+    for name, (dtype, rows) in {"signals": (plan.dtype, max(1, _CHUNK_BYTES // row)), **columns}.items():
+        tail = (plan.n_samples,) if name == "signals" else ()
+        chunks = (min(rows, n_signals), *tail)
+        file.create_dataset(name, (n_signals, *tail), dtype, chunks=chunks, fletcher32=True)
+    about = {"sampling_rate": batch.sampling_rate, "pre_trigger": batch.pre_trigger, "unit": batch.unit}
+    _say(file["signals"], {**about, "quantity": quantity_of(batch.unit)})
+    for name, unit in plan.parameter_units.items():
+        _say(file[f"parameters/{name}"], {"unit": unit})
+
+
+def _say(item: h5py.HLObject, attributes: Mapping[str, Any]) -> None:
+    for name, value in attributes.items():
+        item.attrs[name] = np.bytes_(value.encode()) if isinstance(value, str) else value
+
+
+def _put(file: h5py.File, batch: Batch, first: int) -> None:
+    """Write the signals of a batch and what is known of them, from row `first` on."""
+    rows = slice(first, first + len(batch))
+    file["signals"][rows] = batch.signals
+    file["labels"][rows] = np.char.encode(batch.labels, "utf-8")
+    file["specimen"][rows] = batch.specimen
+    for name, values in batch.parameters.items():
+        file[f"parameters/{name}"][rows] = values
+
+
+def _require_room(path: Path, plan: ShardPlan, n_signals: int) -> None:
+    needed = n_signals * plan.n_samples * np.dtype(plan.dtype).itemsize
+    free = shutil.disk_usage(path.parent).free
+    if needed > free:
+        raise CannotCreate(
+            f"{path}: the disk must have room for {needed / 1e9:.3g} GB of signals, {free / 1e9:.3g} GB are free; "
+            "make room"
+        )

@@ -1,0 +1,270 @@
+"""Whether a dataset, a recording or a table is what was written: which files of it are damaged, and which parts."""
+
+from __future__ import annotations
+
+import hashlib
+import re
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from cgid.errors import BadData, NoInput
+from cgid.store.examination import damaged_rows, examine_file
+from cgid.store.header import FORMAT, RECORDING_FORMAT, TABLE_FORMAT
+from cgid.store.journal import JOURNAL, Unfinished, read_journal
+from cgid.store.manifest import MANIFEST, SHARD_NAME, Manifest, ShardEntry, is_entry, read_manifest
+from cgid.store.recording import RECORDING_NAME
+from cgid.store.table import TABLE_SUFFIXES
+from cgid.store.table_reading import read_table
+
+#: What a run that was killed leaves beside the files it was writing.
+_LEFTOVER = r"\.{}\.[0-9a-f]+\.part"
+#: Problems that are no damage.
+_HARMLESS = ("leftover", "foreign")
+_KINDS = {FORMAT: "dataset", RECORDING_FORMAT: "recording", TABLE_FORMAT: "table"}
+#: Runs of damaged rows that are told of one dataset.
+_MOST_TOLD = 4
+
+
+@dataclass(frozen=True, kw_only=True)
+class Finding:
+    """Something that is not as it should be.
+
+    Attributes
+    ----------
+    file : Path
+    problem : {"damaged", "missing", "unfinished", "leftover", "foreign"}
+        The last two are no damage: what a killed run has left behind, and what belongs to somebody else.
+    what : str
+        What is wrong with it, in one line.
+    examined : dict
+        What `examine_file` has found; empty where nobody had to look into it.
+    entry : ShardEntry or None
+        What the manifest says of it.
+    """
+
+    file: Path
+    problem: str
+    what: str
+    examined: Mapping[str, Any] = field(default_factory=dict)
+    entry: ShardEntry | None = None
+
+    @property
+    def harmful(self) -> bool:
+        """Whether data are lost, as long as it is not repaired."""
+        return self.problem not in _HARMLESS
+
+
+@dataclass(frozen=True, kw_only=True)
+class Verified:
+    """What has been found.
+
+    Attributes
+    ----------
+    path : Path
+    kind : {"dataset", "recording", "table", "file"}
+        The last is a file too damaged to say what it is.
+    n_files : int
+        Files that were looked at.
+    findings : tuple of Finding
+    manifest : Manifest or None
+        That of a folder of shards, if it is sound.
+    """
+
+    path: Path
+    kind: str
+    n_files: int
+    findings: tuple[Finding, ...]
+    manifest: Manifest | None = None
+
+    @property
+    def damage(self) -> tuple[Finding, ...]:
+        """The findings that are damage."""
+        return tuple(finding for finding in self.findings if finding.harmful)
+
+
+def verify(path: str | Path) -> Verified:
+    """Return what is damaged in a dataset, a recording, a folder of recordings, or a table.
+
+    The files of a dataset folder are held against the SHA-256 of their manifest, which finds every change; only where
+    one does not fit, and in files that have no manifest, every chunk is read and held against its checksum. A table in
+    CSV has no checksums: of that only what cannot be read is found.
+
+    Raises
+    ------
+    NoInput
+        There is nothing.
+    """
+    path = Path(path)
+    if not path.exists():
+        raise NoInput(f"{path}: no such file or folder; give a dataset, recording, table or model of cgid")
+    if not path.is_dir():
+        return _verify_file(path)
+    if any(re.fullmatch(RECORDING_NAME, entry.name) for entry in path.iterdir()):
+        return _verify_recordings(path)
+    return _verify_dataset(path)
+
+
+def damaged_shards(path: str | Path) -> list[str]:
+    """Return the shards of a dataset whose SHA-256 is not that of the manifest; none of a file, which has no manifest.
+
+    Raises
+    ------
+    BadData
+        It is a folder without a sound manifest.
+    """
+    folder = Path(path)
+    if not folder.is_dir():
+        return []
+    return [str(folder / entry.file) for entry in read_manifest(folder).shards if not _fits(folder / entry.file, entry)]
+
+
+def _verify_file(path: Path) -> Verified:
+    if path.suffix.lower() in TABLE_SUFFIXES[2:]:
+        kind, found = "table", _unreadable_table(path)
+    else:
+        examined = examine_file(path)
+        kind = _KINDS.get(examined["attributes"].get("format"), "file")
+        found = _damage(path, examined) or (_unreadable_table(path) if kind == "table" else [])
+    found += _leftovers(path.parent, re.escape(path.name))
+    return Verified(path=path, kind=kind, n_files=1, findings=tuple(found))
+
+
+def _unreadable_table(path: Path) -> list[Finding]:
+    try:
+        read_table(path)
+    except BadData as error:
+        return [Finding(file=path, problem="damaged", what=str(error))]
+    return []
+
+
+def _damage(path: Path, examined: Mapping[str, Any]) -> list[Finding]:
+    what = damage_in_words(examined)
+    return [Finding(file=path, problem="damaged", what=what, examined=examined)] if what else []
+
+
+def damage_in_words(examined: Mapping[str, Any]) -> str:
+    """Return which rows of which datasets cannot be read, "" if all can.
+
+    Examples
+    --------
+    >>> damage_in_words({"fault": "", "chunks": {"signals": [(0, 4, ""), (4, 8, "5e1f")], "labels": [(0, 8, "a0")]}})
+    'signals 0 to 3 do not fit their checksum'
+    """
+    if examined["fault"]:
+        return str(examined["fault"])
+    told = []
+    for name, chunks in examined["chunks"].items():
+        runs = damaged_rows(chunks)
+        rows = [f"{first} to {behind - 1}" for first, behind in runs[:_MOST_TOLD]]
+        more = [f"{len(runs) - _MOST_TOLD} more runs"] if len(runs) > _MOST_TOLD else []
+        if runs:
+            told.append(f"{name} {', '.join(rows + more)}")
+    return f"{'; '.join(told)} do not fit their checksum" if told else ""
+
+
+def _verify_recordings(folder: Path) -> Verified:
+    names = sorted(entry.name for entry in folder.iterdir() if re.fullmatch(RECORDING_NAME, entry.name))
+    found = [finding for name in names for finding in _damage(folder / name, examine_file(folder / name))]
+    found += _unfinished(folder)
+    # Only gaps are seen: nothing says how many there were.
+    number = int(names[-1].removeprefix("recording-").removesuffix(".h5"))
+    missing = [name for k in range(number) if (name := f"recording-{k:05d}.h5") not in names]
+    found += [Finding(file=folder / name, problem="missing", what="is not there") for name in missing]
+    found += _leftovers(folder, RECORDING_NAME)
+    found += _strangers(folder, {*names, JOURNAL}, RECORDING_NAME)
+    return Verified(path=folder, kind="recording", n_files=len(names), findings=tuple(found))
+
+
+def _verify_dataset(folder: Path) -> Verified:
+    found: list[Finding] = []
+    unfinished = _unfinished(folder)
+    manifest = None
+    try:
+        manifest = read_manifest(folder)
+    except BadData as error:
+        if not unfinished:
+            problem = "damaged" if (folder / MANIFEST).exists() else "missing"
+            found.append(Finding(file=folder / MANIFEST, problem=problem, what=str(error)))
+    entries = manifest.shards if manifest is not None else _finished(folder)
+    for entry in entries:
+        found += _verify_shard(folder / entry.file, entry)
+    known = {entry.file for entry in entries}
+    if manifest is None and not unfinished:
+        known = {entry.name for entry in folder.iterdir() if re.fullmatch(SHARD_NAME, entry.name)}
+        for name in sorted(known):
+            found += _damage(folder / name, examine_file(folder / name))
+    found += unfinished if manifest is None else [_left(finding.file) for finding in unfinished]
+    found += _leftovers(folder, rf"({SHARD_NAME}|{re.escape(MANIFEST)}|{re.escape(JOURNAL)})")
+    found += _strangers(folder, known | {MANIFEST, JOURNAL}, SHARD_NAME)
+    return Verified(path=folder, kind="dataset", n_files=len(known) + 1, findings=tuple(found), manifest=manifest)
+
+
+def _verify_shard(path: Path, entry: ShardEntry) -> list[Finding]:
+    if not path.is_file():
+        return [Finding(file=path, problem="missing", what="is not there", entry=entry)]
+    if _fits(path, entry):
+        return []
+    examined = examine_file(path)
+    what = damage_in_words(examined) or "does not fit the SHA-256 of the manifest, though all of it can be read"
+    return [Finding(file=path, problem="damaged", what=what, examined=examined, entry=entry)]
+
+
+def _fits(path: Path, entry: ShardEntry) -> bool:
+    """Return whether a shard is to the last bit what the manifest says of it."""
+    try:
+        with path.open("rb") as stream:
+            return hashlib.file_digest(stream, "sha256").hexdigest() == entry.sha256
+    except OSError:
+        return False
+
+
+def _unfinished(folder: Path) -> list[Finding]:
+    """Return the journal of a folder as a finding, if there is one."""
+    try:
+        journal = read_journal(folder)
+    except BadData as error:
+        return [Finding(file=folder / JOURNAL, problem="damaged", what=str(error))]
+    if journal is None:
+        return []
+    what = f"{len(journal.entries)} of {_asked(journal)} files are there; go on with cgid generate ... --resume"
+    return [Finding(file=folder / JOURNAL, problem="unfinished", what=what)]
+
+
+def _asked(journal: Unfinished) -> int | str:
+    """Return how many files a run was to make."""
+    n_signals, shard_signals = journal.plan.get("n_signals"), journal.plan.get("shard_signals")
+    if isinstance(n_signals, int) and isinstance(shard_signals, int) and shard_signals > 0:
+        return -(-n_signals // shard_signals)
+    return "?"
+
+
+def _finished(folder: Path) -> tuple[ShardEntry, ...]:
+    """Return the shards that an unfinished run says it has finished."""
+    try:
+        journal = read_journal(folder)
+    except BadData:
+        return ()
+    return tuple(ShardEntry(**entry) for entry in journal.entries if is_entry(entry)) if journal is not None else ()
+
+
+def _leftovers(folder: Path, name: str) -> list[Finding]:
+    pattern = re.compile(_LEFTOVER.format(name))
+    return [_left(folder / found) for found in _names(folder) if pattern.fullmatch(found)]
+
+
+def _left(file: Path) -> Finding:
+    return Finding(file=file, problem="leftover", what="was left behind by a run that was stopped")
+
+
+def _strangers(folder: Path, known: set[str], name: str) -> Iterator[Finding]:
+    """Yield what else lies in a folder of files so named."""
+    leftover = re.compile(_LEFTOVER.format(rf"({name}|{re.escape(MANIFEST)}|{re.escape(JOURNAL)})"))
+    for found in _names(folder):
+        if found not in known and not leftover.fullmatch(found):
+            yield Finding(file=folder / found, problem="foreign", what="does not belong to it")
+
+
+def _names(folder: Path) -> list[str]:
+    return sorted(entry.name for entry in folder.iterdir())

@@ -1,0 +1,423 @@
+"""Model files that mean harm, each made by hand: what they are called, and their bytes.
+
+`tests/test_hostile_models.py` loads them; `benchmarks/hostile_models.py` prints what became of each, and of mutants.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+import os
+import pickle
+import struct
+import zipfile
+import zlib
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cgid.identification.header import signed
+from cgid.identification.model import LARGEST_FILE, Model
+
+GOLDEN = Path(__file__).parent / "golden"
+#: What a pickle would do, if anybody loaded it: the folder it makes is looked for.
+CANARY = "cgid-canary"
+
+
+class _Bomb:
+    def __reduce__(self) -> tuple[Callable[..., Any], tuple[str]]:
+        return os.mkdir, (CANARY,)
+
+
+def golden(family: str) -> Model:
+    """Return the golden model of a family."""
+    return Model.load(GOLDEN / f"models-4-{family}.npz")
+
+
+def written(header: Mapping[str, Any], arrays: Mapping[str, Any], *, sign: bool = True) -> bytes:
+    """Return a model file of any header and arrays, with a true digest as an attacker would write it, or as it is."""
+    text = signed(header, arrays) if sign else json.dumps(header).encode()
+    return packed({"header": np.frombuffer(text, np.uint8), **arrays})
+
+
+def packed(arrays: Mapping[str, Any]) -> bytes:
+    """Return an archive of any arrays, pickles too."""
+    stream = io.BytesIO()
+    np.savez(stream, allow_pickle=True, **arrays)
+    return stream.getvalue()
+
+
+def changed(family: str = "linear", header: Mapping[str, Any] | None = None, /, **arrays: Any) -> bytes:
+    """Return a golden model with some of its header and its own arrays replaced, signed anew."""
+    model = golden(family)
+    own = {f"family.{name}": np.asarray(array) for name, array in arrays.items()}
+    return written(model.header | dict(header or {}), {**model.arrays, **own})
+
+
+def with_header(text: bytes) -> bytes:
+    """Return a golden model with any text for its header."""
+    return packed({"header": np.frombuffer(text, np.uint8), **golden("linear").arrays})
+
+
+def with_array(npy: bytes) -> bytes:
+    """Return a golden model whose intercepts are any bytes, in an archive that is sound."""
+    entries = entries_of(golden("linear").to_bytes())
+    return archive({**entries, "family.intercepts.npy": npy})
+
+
+def entries_of(content: bytes) -> dict[str, bytes]:
+    """Return what an archive holds."""
+    with zipfile.ZipFile(io.BytesIO(content)) as stored:
+        return {name: stored.read(name) for name in stored.namelist()}
+
+
+def archive(entries: Mapping[str, bytes], method: int = zipfile.ZIP_STORED) -> bytes:
+    """Return an archive of any entries."""
+    stream = io.BytesIO()
+    with zipfile.ZipFile(stream, "w", method) as stored:
+        for name, content in entries.items():
+            stored.writestr(zipfile.ZipInfo(name), content, method)
+    return stream.getvalue()
+
+
+def npy(descr: str, shape: str, content: bytes = b"", *, version: bytes = b"\x01\x00") -> bytes:
+    """Return an array file that says anything of its type and shape."""
+    head = f"{{'descr': {descr}, 'fortran_order': False, 'shape': {shape}, }}\n".encode()
+    return b"\x93NUMPY" + version + struct.pack("<H" if version == b"\x01\x00" else "<I", len(head)) + head + content
+
+
+# -- code -----------------------------------------------------------------------------------------------
+
+
+def _pickles() -> dict[str, Callable[[], bytes]]:
+    objects = np.array([_Bomb()], dtype=object)
+    stream = io.BytesIO()
+    np.save(stream, objects, allow_pickle=True)
+    alone, expression = stream.getvalue(), b"__import__('os').mkdir('cgid-canary')\n"
+    code = b"\x93NUMPY\x01\x00" + struct.pack("<H", len(expression)) + expression
+    return {
+        "pickle with the ending of a model": lambda: pickle.dumps(_Bomb()),
+        "array file of objects": lambda: alone,
+        "header of objects": lambda: packed({"header": objects}),
+        "weights of objects": lambda: packed({**arrays_with_header(), "family.intercepts": objects}),
+        "pickle beside the arrays": lambda: archive({**entries_of(golden("linear").to_bytes()), "data.pkl": alone}),
+        "pickle instead of numbers": lambda: with_array(npy("'|O'", "(1,)", pickle.dumps([_Bomb()]))),
+        "objects in a record": lambda: with_array(npy("[('a', '|O')]", "(1,)", pickle.dumps([_Bomb()]))),
+        "Python instead of a shape": lambda: with_array(npy("'<f8'", "(__import__('os').mkdir('cgid-canary'),)")),
+        "Python instead of the head of an array": lambda: with_array(code),
+        "brackets that break a parser": lambda: with_array(npy("'<f8'", "(" * 9000 + ")" * 9000)),
+    }
+
+
+def arrays_with_header() -> dict[str, Any]:
+    """Return the arrays of a golden model, and its header as one."""
+    model = golden("linear")
+    return {"header": np.frombuffer(signed(model.header, model.arrays), np.uint8), **model.arrays}
+
+
+# -- archives -------------------------------------------------------------------------------------------
+
+
+def _archives() -> dict[str, Callable[[], bytes]]:
+    plain = golden("linear").to_bytes()
+    entries = entries_of(plain)
+    directory = plain.index(b"PK\x01\x02")
+    crc = struct.unpack_from("<L", plain, 14)[0]
+
+    def linked() -> bytes:
+        stream = io.BytesIO()
+        with zipfile.ZipFile(stream, "w") as stored:
+            for name, content in entries.items():
+                info = zipfile.ZipInfo(name)
+                info.external_attr = (0o120777 if "mean" in name else 0o100600) << 16
+                stored.writestr(info, content)
+        return stream.getvalue()
+
+    def patched(place: int, form: str, *values: int) -> bytes:
+        content = bytearray(plain)
+        struct.pack_into(form, content, place, *values)
+        return bytes(content)
+
+    return {
+        "deflated": lambda: archive(entries, zipfile.ZIP_DEFLATED),
+        "bzip2": lambda: archive(entries, zipfile.ZIP_BZIP2),
+        "LZMA": lambda: archive(entries, zipfile.ZIP_LZMA),
+        "bomb of a gigabyte": _bomb,
+        "archive in an archive": lambda: archive({"header.npy": plain}),
+        "entries that overlap": _overlapping,
+        "half a million entries in the directory": _many,
+        "a thousand entries": lambda: archive({f"a{k}.npy": b"" for k in range(1000)}),
+        "header twice": lambda: _twice(entries),
+        "path out of the folder": lambda: archive({**entries, "../../../../tmp/evil.npy": b""}),
+        "absolute path": lambda: archive({**entries, "/etc/passwd.npy": b""}),
+        "drive of Windows": lambda: archive({**entries, "C:\\evil.npy": b""}),
+        "escape sequence in a name": lambda: archive({**entries, "\x1b[2J.npy": b""}),
+        "name of 60,000 letters": lambda: archive({**entries, "a" * 60_000: b""}),
+        "link to another file": linked,
+        "size of 2^60 in the 64-bit field": lambda: patched(44, "<2Q", 1 << 60, 1 << 60),
+        "size of 2^32 - 2": lambda: patched(18, "<2L", 2**32 - 2, 2**32 - 2),
+        "directory that says another size": lambda: patched(directory + 20, "<2L", 1, 1),
+        "directory that says another checksum": lambda: patched(directory + 16, "<L", crc ^ 1),
+        "directory that says another place": lambda: patched(directory + 42, "<L", 99),
+        "checksum that does not fit": lambda: patched(14, "<L", crc ^ 1),
+        "encrypted": lambda: patched(6, "<H", 1),
+        "sizes behind the content": lambda: patched(6, "<H", 8),
+        "bytes behind the archive": lambda: plain + b"#!/bin/sh\n",
+        "script before the archive": lambda: b"#!/bin/sh\n" + plain,
+        "comment of the archive": lambda: plain[:-2] + b"\x04\x00evil",
+        "cut in the directory": lambda: plain[: directory + 30],
+        "without a directory": lambda: plain[:directory],
+        "empty archive": lambda: archive({}),
+        "larger than any model": lambda: bytes(LARGEST_FILE + 1),
+    }
+
+
+def _bomb() -> bytes:
+    """Return an archive whose header unpacks to a gigabyte of zeros."""
+    packing = zlib.compressobj(9, zlib.DEFLATED, -15)
+    first = packing.compress(bytes(1 << 20)) + packing.flush(zlib.Z_FULL_FLUSH)
+    content = first * 1024 + zlib.compressobj(9, zlib.DEFLATED, -15).flush()
+    name = b"header.npy"
+    head = struct.pack("<5H3L", 20, 0, 8, 0, 33, 0, len(content), 1 << 30)
+    local = b"PK\x03\x04" + head + struct.pack("<2H", len(name), 0) + name + content
+    central = b"PK\x01\x02" + struct.pack("<H", 20) + head
+    central += struct.pack("<5H2L", len(name), 0, 0, 0, 0, 0, 0) + name
+    return local + central + b"PK\x05\x06" + struct.pack("<4H2LH", 0, 0, 1, 1, len(central), len(local), 0)
+
+
+def _overlapping() -> bytes:
+    """Return an archive of a hundred names for the same megabyte."""
+    local = archive({"header.npy": bytes(1 << 20)})
+    start = local.index(b"PK\x01\x02")
+    central = local[start : start + 56] * 60
+    return local[:start] + central + b"PK\x05\x06" + struct.pack("<4H2LH", 0, 0, 60, 60, len(central), start, 0)
+
+
+def _many() -> bytes:
+    """Return an archive whose directory names the same entry half a million times."""
+    plain = golden("linear").to_bytes()
+    start = plain.index(b"PK\x01\x02")
+    central = plain[start : start + 56] * 500_000
+    end = struct.pack("<4H2LH", 0, 0, 0xFFFF, 0xFFFF, len(central), start, 0)
+    return plain[:start] + central + b"PK\x05\x06" + end
+
+
+def _twice(entries: Mapping[str, bytes]) -> bytes:
+    again = archive({**entries, "headex.npy": entries["header.npy"]})
+    return again.replace(b"headex.npy", b"header.npy")
+
+
+# -- arrays ---------------------------------------------------------------------------------------------
+
+
+def _arrays() -> dict[str, Callable[[], bytes]]:
+    one = np.float64(1.0).tobytes()
+    heads = {
+        "10^12 numbers in no bytes": npy("'<f8'", "(1000000000000,)"),
+        "shape that overflows": npy("'<f8'", "(4294967296, 4294967296, 16)"),
+        "negative shape": npy("'<f8'", "(-1,)", one),
+        "shape of nothing": npy("'<f8'", "(0,)"),
+        "nothing of huge sides": npy("'<f8'", "(0, 999999999, 999999999)"),
+        "fifty axes": npy("'<f8'", "(" + "1, " * 50 + ")", one),
+        "more numbers than declared": npy("'<f8'", "(1,)", one * 2),
+        "big-endian": npy("'>f8'", "(1,)", one),
+        "half precision": npy("'<f2'", "(1,)", one[:2]),
+        "complex": npy("'<c16'", "(1,)", one * 2),
+        "texts": npy("'<U2'", "(1,)", one),
+        "dates": npy("'<M8[s]'", "(1,)", one),
+        "raw bytes": npy("'|V8'", "(1,)", one),
+        "items without a size": npy("'|V0'", "(999999999,)"),
+        "array format 3": npy("'<f8'", "(1,)", one, version=b"\x03\x00"),
+        "head of four gigabytes": b"\x93NUMPY\x02\x00\xff\xff\xff\xff{",
+        "no array": b"hello",
+        "nothing": b"",
+    }
+    crafted = {name: (lambda content=content: with_array(content)) for name, content in heads.items()}
+    truths = npy("'|b1'", "(2,)", b"\x07\x01")
+    linear = golden("linear")
+    entries = entries_of(linear.to_bytes())
+    network = golden("network")
+    turned = np.asfortranarray(network.arrays["family.weights_1"].T.copy())
+    return crafted | {
+        "truths that are sevens": lambda: archive({**entries, "standardiser.logarithmic.npy": truths}),
+        "array of another family": lambda: changed("linear", None, roots=np.zeros(1, np.int32)),
+        "weights turned": lambda: changed("network", None, weights_1=turned),
+        "weight that is nan": lambda: changed("linear", None, intercepts=[np.nan]),
+        "weight of 1e300": lambda: changed("linear", None, coefficients=np.full((1, 2), 1e300)),
+        "scale of zero": lambda: written(linear.header, {**linear.arrays, "standardiser.scale": np.zeros(2)}),
+        "calibration of labels that do not exist": lambda: written(
+            linear.header, {**linear.arrays, "conformal.labels": linear.arrays["conformal.labels"] + 7}
+        ),
+    }
+
+
+# -- trees ----------------------------------------------------------------------------------------------
+
+
+def _forest(n_nodes: int, roots: np.ndarray, left: np.ndarray, right: np.ndarray, **more: Any) -> bytes:
+    arrays = {
+        "roots": roots.astype(np.int32),
+        "columns": np.zeros(len(roots), np.int32),
+        "feature": np.zeros(n_nodes, np.int32),
+        "threshold": np.zeros(n_nodes),
+        "left": left.astype(np.int32),
+        "right": right.astype(np.int32),
+        "value": np.zeros(n_nodes),
+    }
+    return changed("boosting", None, **arrays | more)
+
+
+def _chain(n_inner: int) -> bytes:
+    """Return a tree in which each left child is a leaf and each right child goes on."""
+    own = np.arange(2 * n_inner + 1)
+    inner = (own % 2 == 0) & (own < 2 * n_inner)
+    return _forest(len(own), np.zeros(1), np.where(inner, own + 1, own), np.where(inner, own + 2, own))
+
+
+def _trees() -> dict[str, Callable[[], bytes]]:
+    model = golden("boosting")
+    a = {name: model.arrays[f"family.{name}"] for name in ("left", "right", "feature", "threshold", "roots", "columns")}
+    inner = int(np.flatnonzero(a["left"] != np.arange(len(a["left"])))[0])
+    root = int(a["roots"][1])
+
+    def one(name: str, place: int, value: float) -> Callable[[], bytes]:
+        array = a[name].copy()
+        array[place] = value
+        return lambda: changed("boosting", None, **{name: array})
+
+    three = np.arange(3)
+    many = np.arange(1_500_000)
+    return {
+        "child beyond the table": one("left", inner, 10**6),
+        "negative child": one("right", inner, -5),
+        "child before its parent": one("left", root, 0),
+        "child that is its own parent": one("left", inner, inner),
+        "child in another tree": one("right", inner, root),
+        "root that does not exist": one("roots", -1, 10**6),
+        "column that does not exist": one("columns", 0, 1),
+        "feature that does not exist": one("feature", inner, 2),
+        "negative feature": one("feature", inner, -1),
+        "threshold that is nan": one("threshold", inner, np.nan),
+        "threshold without end": one("threshold", inner, np.inf),
+        "children of 64 bits without sign": lambda: changed("boosting", None, left=a["left"].astype(np.uint64)),
+        "children that are floats": lambda: changed("boosting", None, left=a["left"].astype(float)),
+        "both children are one": lambda: _forest(3, np.zeros(1), np.array([1, 1, 2]), np.array([1, 1, 2])),
+        "node that nobody names": lambda: _forest(3, np.zeros(1), three, three),
+        "way of 100,000 nodes": lambda: _chain(100_000),
+        "a million and a half trees": lambda: _forest(len(many), many, many, many),
+    }
+
+
+# -- headers --------------------------------------------------------------------------------------------
+
+
+def _headers() -> dict[str, Callable[[], bytes]]:
+    model = golden("linear")
+    text = json.dumps(model.header | {"sha256": "0" * 64}).encode()
+    said = {
+        "label that clears the screen": {"labels": ["coal\x1b[2J\x1b[H", "gangue"]},
+        "label that turns the line over": {"labels": ["coal\u202eeugnag", "gangue"]},
+        "label without width": {"labels": ["coal", "coal\u200b"]},
+        "label of two lines": {"labels": ["coal\ncgid: all is well", "gangue"]},
+        "label of half a sign": {"labels": ["coal\ud800", "gangue"]},
+        "label of a megabyte": {"labels": ["c" * (1 << 20), "gangue"]},
+        "labels that are lists": {"labels": [["coal"], ["gangue"]]},
+        "100,000 labels": {"labels": [f"l{k}" for k in range(100_000)]},
+        "100,000 sensors": {"sensors": [f"s{k}" for k in range(100_000)]},
+        "feature of a megabyte": {"features": ["f" * (1 << 20), "width_50"]},
+        "a feature twice": {"features": ["width_50", "width_50"]},
+        "channels without end": {"n_channels": 10**9},
+        "temperature that is nan": {"temperature": float("nan")},
+        "temperature without end": {"temperature": float("inf")},
+        "temperature of 4000 digits": {"temperature": 10**4000},
+        "temperature that is a truth": {"temperature": True},
+        "a thousand rates and a long text": {"sampling_rates": [*([1.0] * 1000), "9" * 1_000_000]},
+        "rate of 10^300": {"sampling_rates": [1.0, 10**300]},
+        "measurement that is a number": {"training": {"metrics": 7}},
+        "accuracy that is a text": {"training": {"metrics": {"accuracy": "\x1b[31mperfect"}}},
+        "confusion of other labels": {"training": {"metrics": {"confusion": [[1]]}}},
+        "class weights that are lists": {"training": {"class_weights": [1, 2]}},
+        "something unheard of": {"\x1b]0;evil\x07": 1},
+        "family of another world": {"family": "pickle"},
+        "family without harm, arrays of another": {"family": "boosting"},
+        "schema 1": {"schema_version": 1},
+        "schema 10^30": {"schema_version": 10**30},
+        "schema that is a text": {"schema_version": "4"},
+        "nested 900 deep": {"training": _nested(900)},
+    }
+    crafted = {name: (lambda header=header: changed("linear", header)) for name, header in said.items()}
+    order = model.header | {"features": model.header["features"][::-1]}
+    true = json.loads(entries_of(model.to_bytes())["header.npy"][128:])
+    flipped = {**model.arrays, "family.intercepts": model.arrays["family.intercepts"] + 1e-12}
+    return crafted | {
+        "header of 60 megabytes": lambda: with_header(text[:-1] + b" " * 60_000_000 + b"}"),
+        "a hundred megabytes of JSON": lambda: with_header(b"[" + b"0," * 50_000_000 + b"0]"),
+        "header of 690,000 objects": lambda: with_header(b"[" + b"{}," * 690_000 + b"{}]"),
+        "nested a million deep": lambda: with_header(b"[" * 1_000_000 + b"]" * 1_000_000),
+        "key said twice": lambda: with_header(text[:-1] + b', "unit": "N"}'),
+        "number of 100,000 digits": lambda: with_header(text[:-1] + b', "n": 1' + b"0" * 100_000 + b"}"),
+        "text that is no Unicode": lambda: with_header(text[:-1] + b', "\xff\xfe": 1}'),
+        "no JSON": lambda: with_header(b"hello"),
+        "JSON that is no object": lambda: with_header(b"[1, 2]"),
+        "no digest": lambda: written(model.header, model.arrays, sign=False),
+        "digest that is a number": lambda: written(model.header | {"sha256": 7}, model.arrays, sign=False),
+        "features in another order under the old digest": lambda: written(
+            order | {"sha256": true["sha256"]}, model.arrays, sign=False
+        ),
+        "weight changed under the old digest": lambda: written(true, flipped, sign=False),
+        "header of floats": lambda: packed({"header": np.ones(3), **model.arrays}),
+        "header behind the arrays": lambda: archive(dict(reversed(entries_of(model.to_bytes()).items()))),
+    }
+
+
+def _nested(depth: int) -> Any:
+    value: Any = {}
+    for _ in range(depth):
+        value = {"a": value}
+    return value
+
+
+# -- sound, and of the worst that a sound file can be ----------------------------------------------------
+
+
+def _widest_network() -> bytes:
+    """Return a network with a layer of two million units."""
+    wide = 2_000_000
+    return changed(
+        "network",
+        None,
+        weights_1=np.zeros((2, 1)),
+        biases_1=np.zeros(1),
+        weights_2=np.zeros((1, wide)),
+        biases_2=np.zeros(wide),
+        weights_3=np.zeros((wide, 1)),
+    )
+
+
+def _largest_forest() -> bytes:
+    """Return as many trees as may be, each with the longest way that the size of a file leaves for it."""
+    n_trees, n_nodes = 1 << 15, 55
+    own = np.arange(n_trees * n_nodes)
+    within = own % n_nodes
+    inner = (within % 2 == 0) & (within < n_nodes - 1)
+    left, right = np.where(inner, own + 1, own), np.where(inner, own + 2, own)
+    return _forest(len(own), own[::n_nodes], left, right, threshold=np.full(len(own), -1e9))
+
+
+def _huge_numbers() -> bytes:
+    """Return weights that no sum of products is a number of."""
+    model = golden("discriminant")
+    small = np.full_like(model.arrays["family.variances"], 1e-300)
+    return changed("discriminant", None, variances=small, rotations=model.arrays["family.rotations"] * 1e90)
+
+
+#: Each is refused, in one line.
+HOSTILE: dict[str, Callable[[], bytes]] = _pickles() | _archives() | _arrays() | _trees() | _headers()
+#: Each may be answered by, within time and memory; what it answers are probabilities, or one line says why not.
+EXTREME: dict[str, Callable[[], bytes]] = {
+    "widest network": _widest_network,
+    "largest forest": _largest_forest,
+    "numbers that grow too large": _huge_numbers,
+}

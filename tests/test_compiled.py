@@ -1,0 +1,246 @@
+"""The cache of compiled kernels: what it holds is right, or it holds nothing; it never ends a run."""
+
+import ast
+import hashlib
+import os
+import shutil
+import stat
+import time
+from pathlib import Path
+
+import numba
+import numpy as np
+import pytest
+
+from benchmarks import cold_start
+from cgid import compiled
+from cgid.store._fletcher import fletcher32
+
+PACKAGE = Path(compiled.__file__).parent
+
+
+def add_one(number):
+    return number + 1
+
+
+def add_two(number):
+    return number + 2
+
+
+def add_three(number):
+    return number + 3
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    place = tmp_path / "kernels-of-a-test"
+    place.mkdir(mode=0o700)
+    return place
+
+
+def fresh(folder: Path | None, function=add_one):
+    """The function as another process would have it: not compiled yet, with the cache in a folder."""
+    kernel = compiled.jit(function)
+    kernel._cache = compiled.KernelCache(function, lambda: folder)
+    return kernel
+
+
+def from_disk(folder: Path | None, function=add_one) -> bool:
+    """Whether calling it, with the right result, found it compiled."""
+    kernel = fresh(folder, function)
+    assert kernel(41) == function(41)
+    return bool(kernel.stats.cache_hits)
+
+
+def test_what_was_compiled_is_read_in_the_next_process(folder: Path):
+    assert [from_disk(folder), from_disk(folder), from_disk(folder, add_two)] == [False, True, False]
+    kernel = fresh(folder)
+    assert kernel(0.5) == 1.5  # other types are another file
+    assert not kernel.stats.cache_hits
+    assert len(list(folder.iterdir())) == 3
+    assert all(stat.S_IMODE(path.stat().st_mode) == 0o600 for path in folder.iterdir())
+
+
+@pytest.mark.parametrize("name", cold_start.DAMAGES)
+def test_damaged_files_are_compiled_anew_and_mended(folder: Path, name: str):
+    functions = (add_one, add_two, add_three)
+    assert not any(from_disk(folder, function) for function in functions)
+    cold_start.damage(folder.parent, cold_start.DAMAGES[name])
+    assert not any(from_disk(folder, function) for function in functions)
+    assert all(from_disk(folder, function) for function in functions)
+
+
+def test_every_flipped_bit_is_found(folder: Path):
+    from_disk(folder)
+    (path,) = folder.iterdir()
+    content = path.read_bytes()
+    assert compiled._read(path) is not None
+    chance = np.random.default_rng(7)
+    for bit in chance.choice(8 * len(content), 300, replace=False):
+        damaged = bytearray(content)
+        damaged[bit // 8] ^= 1 << bit % 8
+        path.write_bytes(damaged)
+        assert compiled._read(path) is None, bit
+
+
+def test_a_file_whose_checksum_is_right_but_which_is_no_kernel_is_compiled_anew(folder: Path):
+    from_disk(folder)
+    (path,) = folder.iterdir()
+    compiled._write(path, b"no pickle")
+    assert [from_disk(folder), from_disk(folder)] == [False, True]
+
+
+def test_folders_for_files_and_no_folder_at_all_only_cost_time(folder: Path):
+    from_disk(folder)
+    (path,) = folder.iterdir()
+    path.unlink()
+    path.mkdir()
+    assert [from_disk(folder), from_disk(folder)] == [False, False]
+    assert [from_disk(None), from_disk(folder / "missing"), from_disk(Path(os.devnull))] == [False, False, False]
+    assert list(folder.iterdir()) == [path]  # no temporary files
+
+
+@pytest.mark.skipif(not hasattr(os, "getuid"), reason="permissions of POSIX")
+def test_what_others_may_have_written_is_not_loaded(folder: Path):
+    from_disk(folder)
+    (path,) = folder.iterdir()
+    path.chmod(0o620)
+    assert not from_disk(folder)  # and replaced by a private one
+    assert from_disk(folder)
+    if os.getuid() == 0:
+        os.chown(path, 12345, -1)
+        assert not from_disk(folder)
+
+
+# Where the folder lies
+
+
+@pytest.fixture
+def asked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """What NUMBA_CACHE_DIR says."""
+    monkeypatch.setattr(numba.config, "CACHE_DIR", str(tmp_path / "asked"))
+    return tmp_path / "asked"
+
+
+def place() -> Path | None:
+    """The folder that a new process would use."""
+    return compiled.kernel_folder.__wrapped__()
+
+
+def test_the_folder_is_private_and_named_by_what_the_kernels_are_made_of(asked: Path):
+    found = place()
+    assert found == asked / f"kernels-{compiled.digest(PACKAGE)}"
+    assert stat.S_IMODE(found.stat().st_mode) == 0o700
+    assert place() == found
+
+
+def test_without_a_wish_it_lies_in_the_users_cache_folder(monkeypatch: pytest.MonkeyPatch, tmp_path: Path):
+    monkeypatch.setattr(numba.config, "CACHE_DIR", "")
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    found = place()
+    assert found is not None
+    if os.name == "posix" and os.uname().sysname == "Linux":
+        assert found.parent == tmp_path / "cgid"
+
+
+@pytest.mark.parametrize("home", [".", "/proc/nowhere", os.devnull])
+def test_no_home_is_no_place(monkeypatch: pytest.MonkeyPatch, home: str):
+    monkeypatch.setattr(numba.config, "CACHE_DIR", "")
+    monkeypatch.delenv("XDG_CACHE_HOME", raising=False)
+    monkeypatch.setenv("HOME", home)
+    assert place() is None
+
+
+@pytest.mark.skipif(not hasattr(os, "getuid"), reason="permissions of POSIX")
+def test_a_folder_of_others_is_not_used(asked: Path, tmp_path: Path):
+    found = place()
+    found.chmod(0o770)
+    assert place() is None
+    found.chmod(0o700)
+    assert place() == found
+    if os.getuid() == 0:
+        os.chown(found, 12345, -1)
+        assert place() is None
+    shutil.rmtree(found)
+    found.symlink_to(tmp_path)
+    assert place() is None
+
+
+def test_folders_of_forgotten_versions_are_cleared_away(asked: Path):
+    month = time.time() - 31 * 86400
+    for name, written in {"kernels-old": month, "kernels-new": time.time(), "others-old": month}.items():
+        (asked / name / "inside").mkdir(parents=True)
+        os.utime(asked / name, (written, written))
+    found = place()
+    assert sorted(path.name for path in asked.iterdir()) == sorted([found.name, "kernels-new", "others-old"])
+
+
+# What the kernels are made of
+
+
+def test_an_edit_in_any_source_is_seen(tmp_path: Path):
+    for name in compiled.SOURCES:
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        shutil.copyfile(PACKAGE / name, tmp_path / name)
+    digests = {compiled.digest(tmp_path)}
+    assert digests == {compiled.digest(PACKAGE)}
+    for name in compiled.SOURCES:
+        with (tmp_path / name).open("a") as stream:
+            stream.write("#")
+        digests.add(compiled.digest(tmp_path))
+    assert len(digests) == 1 + len(compiled.SOURCES)
+
+
+def test_another_numba_is_seen(monkeypatch: pytest.MonkeyPatch):
+    before = compiled.digest(PACKAGE)
+    monkeypatch.setattr(numba, "__version__", "0.0")
+    assert compiled.digest(PACKAGE) != before
+
+
+def test_all_files_with_kernels_and_what_they_import_are_among_the_sources():
+    needed = {path for path in PACKAGE.rglob("*.py") if "cgid.compiled" in path.read_text()}
+    assert len(needed) >= 8
+    while more := {other for path in needed for other in imported(path)} - needed:
+        needed |= more
+    assert {path.relative_to(PACKAGE).as_posix() for path in needed} == set(compiled.SOURCES)
+
+
+def imported(path: Path) -> set[Path]:
+    """The files of cgid that a file imports from."""
+    found = set()
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("cgid."):
+            found.add(PACKAGE.joinpath(*node.module.split(".")[1:]).with_suffix(".py"))
+    return {one for one in found if one.is_file()}
+
+
+def test_nothing_else_compiles():
+    """numba's own cache would have all of its weaknesses."""
+    users = [path for path in PACKAGE.rglob("*.py") if "njit" in path.read_text()]
+    assert users == [PACKAGE / "compiled.py"]
+
+
+# Whole processes; the long form is `python benchmarks/cold_start.py`
+
+
+@pytest.fixture(scope="module")
+def expected() -> str:
+    """What the processes must find: by the interpreter."""
+    with np.errstate(all="ignore"):
+        checksum = fletcher32.py_func(np.arange(20_000, dtype="<u2"))
+    return hashlib.sha256(np.asarray(checksum, np.uint64).tobytes()).hexdigest()
+
+
+def test_four_processes_start_at_once_with_an_empty_cache(tmp_path: Path, expected: str):
+    processes = cold_start.cached(tmp_path, "checksum")
+    outcomes = processes.run(4)
+    assert cold_start.failures(outcomes, expected) == []
+    assert sum(one.compiled for one in outcomes) >= 2  # the cache was empty
+    assert cold_start.left_whole(cold_start.read_only(tmp_path, "checksum") or processes, expected) == []
+
+
+def test_a_full_disk_keeps_nothing_and_fails_nobody(tmp_path: Path, expected: str):
+    places = dict(cold_start.without_a_place(tmp_path, "checksum"))
+    full = places["a disk that is full after 4096 bytes"]
+    assert cold_start.failures(full.run(), expected) == []
+    assert list(tmp_path.rglob("kernels-*/*")) == []

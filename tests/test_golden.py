@@ -1,0 +1,116 @@
+"""The golden files under tests/golden: what an older cgid wrote is read for ever after, and gives the same answers.
+
+They are never made again; `tests/golden/make.py` says what they are and by what they were made.
+"""
+
+import gzip
+import hashlib
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cgid.cli.main import run
+from cgid.errors import BadData
+from cgid.identification.model import Model
+from cgid.store import Dataset, read_table
+from cgid.store.recording import Recording
+
+GOLDEN = Path(__file__).parent / "golden"
+DATA = json.loads((GOLDEN / "data.json").read_text())
+DATASETS = sorted({key.partition("/")[0] for key, said in DATA.items() if "signals" in said})
+MODELS = {name: said for file in GOLDEN.glob("models-*.json") for name, said in json.loads(file.read_text()).items()}
+
+
+def sha256_of(values):
+    return hashlib.sha256(np.ascontiguousarray(values).tobytes()).hexdigest()
+
+
+def test_every_golden_model_has_its_answers():
+    assert {path.name for path in GOLDEN.glob("models-*.npz")} == MODELS.keys()
+    assert {name.split("-")[1] for name in MODELS} == {"2", "3", "4"}
+
+
+@pytest.mark.parametrize("name", sorted(MODELS))
+def test_models_answer_as_the_estimators_that_they_were_made_of(name):
+    said, model = MODELS[name], Model.load(GOLDEN / name)
+    assert list(model.labels) == said["labels"]
+    inputs = np.array(said["inputs"])
+    np.testing.assert_allclose(model.probabilities(inputs), said["probabilities"], rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(model.novelty(inputs), said["novelty"], rtol=1e-9)
+    # Written by this version, it is the same model again.
+    again = Model.from_bytes(model.to_bytes())
+    assert again.header == model.header
+    np.testing.assert_array_equal(again.probabilities(inputs), model.probabilities(inputs))
+
+
+def test_a_model_of_this_schema_is_written_to_the_same_bytes():
+    for name in MODELS:
+        content = (GOLDEN / name).read_bytes()
+        assert (Model.from_bytes(content).to_bytes() == content) == name.startswith("models-4")
+
+
+@pytest.mark.parametrize("name", DATASETS)
+def test_datasets_hold_what_h5py_found_in_them(name):
+    shards = [said for key, said in DATA.items() if key.partition("/")[0] == name]
+    dataset, first = Dataset(GOLDEN / name), 0
+    assert len(dataset) == sum(said["signals"]["shape"][0] for said in shards)
+    assert dataset.damaged_shards() == []
+    batches = list(dataset.batches())
+    signals = np.concatenate([batch.signals for batch in batches])
+    labels = np.concatenate([batch.labels for batch in batches])
+    specimen = np.concatenate([batch.specimen for batch in batches])
+    assert set(labels) == {"coal", "gangue"}
+    for said in shards:
+        rows = slice(first, first + said["signals"]["shape"][0])
+        assert sha256_of(signals[rows]) == said["signals"]["sha256"]
+        assert sha256_of(specimen[rows]) == said["specimen"]["sha256"]
+        for parameter in (key.partition("/")[2] for key in said if key.startswith("parameters/")):
+            column = np.concatenate([batch.parameters[parameter] for batch in batches])[rows]
+            assert sha256_of(column) == said[f"parameters/{parameter}"]["sha256"]
+        first = rows.stop
+
+
+def test_the_recording_holds_what_h5py_found_in_it():
+    said, recording = DATA["recording.h5"], Recording(GOLDEN / "recording.h5")
+    assert sha256_of(recording.samples()) == said["samples"]["sha256"]
+    truth = recording.impacts()
+    assert {f"impacts/{name}" for name in truth} | {"samples"} == said.keys()
+    for name, column in truth.items():
+        if column.dtype.kind != "U":
+            assert sha256_of(column) == said[f"impacts/{name}"]["sha256"]
+
+
+@pytest.mark.parametrize("name", ["table.h5", "table.csv", "table.parquet"])
+def test_tables_hold_what_others_found_in_them(name, tmp_path):
+    path = GOLDEN / name
+    if name == "table.h5":
+        path = tmp_path / name
+        path.write_bytes(gzip.decompress((GOLDEN / "table.h5.gz").read_bytes()))
+    table, said = read_table(path), DATA[name]
+    label = "labels" if name == "table.h5" else "label"
+    assert table.labels.tolist() == said[label]
+    assert table.specimen.tolist() == [int(text) for text in said["specimen"]]
+    assert table.columns.keys() == said.keys() - {label, "specimen"}
+    for column, values in table.columns.items():
+        np.testing.assert_array_equal(values, np.array(said[column], float))
+
+
+@pytest.mark.parametrize("schema", [5, 9, 10**30])
+def test_a_newer_model_is_refused_by_its_version(schema, tmp_path, capsys):
+    from cgid.identification.header import signed
+
+    model = Model.load(GOLDEN / "models-4-linear.npz")
+    header = np.frombuffer(signed({**model.header, "schema_version": schema, "colour": "red"}, model.arrays), np.uint8)
+    # Of kinds, too, that only a later version knows.
+    np.savez(tmp_path / "m.npz", header=header, halves=np.ones(3, np.float16), **model.arrays)
+    told = rf"m.npz: schema_version {str(schema)[:20]} is newer than this cgid \(reads 2 to 4\): upgrade cgid$"
+    with pytest.raises(BadData, match=told):
+        Model.load(tmp_path / "m.npz")
+    assert run(["info", str(tmp_path / "m.npz")]) == 65
+    assert capsys.readouterr().err.count("\n") == 1
+
+
+def test_the_golden_files_stay_few():
+    assert sum(path.stat().st_size for path in GOLDEN.rglob("*") if path.is_file()) < 600_000

@@ -1,0 +1,75 @@
+"""Signals made ahead of the disk: in order, so many and no more, and whatever goes wrong comes out."""
+
+import threading
+import time
+
+import pytest
+
+from cgid.counting import count, counted
+from cgid.scene.overlap import ahead
+
+
+def test_all_come_in_order():
+    assert list(ahead(range(100), 7)) == list(range(100))
+    assert list(ahead((), 7)) == []
+
+
+@pytest.mark.parametrize("most", [1, 5])
+def test_no_more_are_made_than_asked(most):
+    made, enough = [], threading.Event()
+
+    def items():
+        for item in range(50):
+            made.append(item)
+            if len(made) == 3 + most:
+                enough.set()
+            yield item
+
+    coming = ahead(items(), most)
+    assert [next(coming) for _ in range(3)] == [0, 1, 2]
+    assert enough.wait(10)  # though nobody asks for them
+    time.sleep(0.05)
+    assert len(made) == 3 + most
+    coming.close()
+
+
+def test_they_are_made_while_the_others_are_used():
+    first_used = threading.Event()
+
+    def items():
+        yield 0
+        assert first_used.wait(10)
+        yield 1
+
+    for item in ahead(items(), 1):
+        if item == 0:
+            first_used.set()
+
+
+def test_what_breaks_comes_out_where_it_is_asked_for():
+    def items():
+        yield 1
+        raise ValueError("broken")
+
+    coming = ahead(items(), 5)
+    assert next(coming) == 1
+    with pytest.raises(ValueError, match="broken"):
+        next(coming)
+
+
+def test_nothing_runs_on_when_it_is_left():
+    before = threading.active_count()
+    made = []
+    coming = ahead((made.append(item) or item for item in range(10**9)), 3)
+    next(coming)
+    coming.close()
+    assert threading.active_count() == before
+    so_far = len(made)
+    time.sleep(0.02)
+    assert len(made) == so_far <= 5
+
+
+def test_counters_count_in_the_thread():
+    with counted() as counts:
+        list(ahead((count("items") or 1 for _ in range(5)), 2))
+    assert counts["items"] == 5
