@@ -196,7 +196,7 @@ def journal_reader(folder: Path) -> Callable[[], dict[str, Any]]:
             raise NoInput(f"{folder}: there is no journal")
         if all(entry in known for entry in journal.entries) and len(journal.entries) < len(known):
             raise BadData(f"{folder}: {len(journal.entries)} of {len(known)} files are there")
-        return {"plan": journal.plan, "entries": list(journal.entries)}
+        return {"plan": journal.plan, "files": [journal.n_files, journal.noun], "entries": list(journal.entries)}
 
     return read
 
@@ -252,7 +252,7 @@ def subjects(
     yield Subject(name="shard, by verify", file=shard, read=lambda: verified(whole), damages=damages, sound=found)
     damages = [*flips(manifest, bits), *cuts(manifest, lengths)]
     yield Subject(name="manifest", file=manifest, read=lambda: everything_in(whole), damages=damages)
-    with Journal(folder, {"seed": 7, "n_signals": 16}) as journal:
+    with Journal(folder, {"seed": 7, "n_signals": 16}, 2, "shards") as journal:
         for entry in read_manifest(whole).shards:
             journal.add(vars(entry))
     file = folder / JOURNAL

@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from cgid.identification.recorded.clustered import clustered_interval
 from cgid.identification.recorded.feature_sets import FEATURE_SETS
-from cgid.identification.recorded.grouped import Rows, candidates_for, judge
+from cgid.identification.recorded.grouped import Lesson, Rows, candidates_for, judge
 from cgid.identification.recorded.manifest import read_manifest
 from cgid.identification.recorded.measuring import Recorded, Slicing, record
 from cgid.identification.recorded.training import train_recorded
@@ -80,7 +80,8 @@ def nested(tables: dict[str, Recorded]) -> None:
 def answers(table: Recorded, names: tuple[str, ...]) -> NDArray[np.str_]:
     """Return what each window is called by a model of these features, trained on the other recordings."""
     rows = Rows(names=table.names, features=table.features, labels=table.labels, group=table.group)
-    found = judge(rows, candidates_for({"": names}, table.names, ("linear",)), None, 0)
+    candidates = candidates_for({"": names}, table.names, ("linear",))
+    found = judge(Lesson(rows=rows, candidates=candidates, weights=None, seed=0))
     return np.asarray(np.unique(table.labels)[np.argmax(found.probabilities, axis=1)])
 
 

@@ -6,7 +6,6 @@ what is its own, so its result is the same whoever does it.
 
 from __future__ import annotations
 
-import asyncio
 import logging
 import platform
 import re
@@ -256,9 +255,15 @@ def _backend(client: Any) -> Any:
     joblib's own hears of results and of what a function raises. It never hears of a part that dask has given up, takes
     one that was cancelled for a result, and waits for ever where no worker is left.
     """
+    import asyncio
+
     from joblib._dask import DaskDistributedBackend
 
     class Backend(DaskDistributedBackend):  # type: ignore[misc]
+        def effective_n_jobs(self, n_jobs: int) -> int:
+            # With a single worker joblib would do the work in this process.
+            return max(2, super().effective_n_jobs(n_jobs))
+
         def submit(self, func: Any, callback: Any = None) -> Any:
             future = super().submit(func, callback)
             future.add_done_callback(lambda done: done.exception() and callback(done.exception()))
@@ -296,7 +301,6 @@ def _told(error: Exception) -> ClusterFailed | Exception:
     """Return what dask raises in words of ours; what a function has raised stays as it is."""
     from concurrent.futures import CancelledError
 
-    from distributed.client import FutureCancelledError
     from distributed.scheduler import KilledWorker
 
     if isinstance(error, KilledWorker):
@@ -304,7 +308,7 @@ def _told(error: Exception) -> ClusterFailed | Exception:
             "cluster: several workers have died of the same part, as they do where memory is short; give them more of "
             "it, fewer threads, or ask for smaller shards"
         )
-    if isinstance(error, CancelledError | asyncio.CancelledError | FutureCancelledError):
+    if isinstance(error, CancelledError):
         return ClusterFailed("cluster: the scheduler is lost, or has dropped the work; start it again, and go on")
     return error
 

@@ -11,6 +11,8 @@ from pathlib import Path
 
 from cgid.errors import CannotCreate, CgidError, WriteFailed
 
+#: What a disk says that has no room.
+FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
 #: What file systems without hard links say when asked for one.
 _NO_LINKS = {errno.EPERM, errno.EOPNOTSUPP, errno.ENOTSUP, errno.ENOSYS, errno.EMLINK, errno.EINVAL}
 #: Of renameat2(2).
@@ -41,15 +43,9 @@ def whole_file(path: str | Path, *, overwrite: bool = True) -> Iterator[Path]:
         The disk is full or broken; what was there before is untouched.
     """
     path = Path(path)
+    temporary = path.with_name(f".{path.name}.{secrets.token_hex(6)}.part")
     try:
-        # Opened like any new file, so that it gets the permissions the user's umask gives.
-        temporary = path.with_name(f".{path.name}.{secrets.token_hex(6)}.part")
-        temporary.open("xb").close()
-    except OSError as error:
-        raise CannotCreate(
-            f"{path}: cannot be created ({error.strerror}); choose an existing folder you may write to"
-        ) from None
-    try:
+        _create(temporary, path)
         yield temporary
         with temporary.open("rb+") as stream:
             os.fsync(stream.fileno())
@@ -75,6 +71,16 @@ def whole_file(path: str | Path, *, overwrite: bool = True) -> Iterator[Path]:
         _remove(temporary)
         raise
     sync_folder(path.parent)
+
+
+def _create(temporary: Path, path: Path) -> None:
+    """Make the empty file that is to bear the name `path`."""
+    try:
+        # Opened like any new file, so that it gets the permissions the user's umask gives.
+        temporary.open("xb").close()
+    except OSError as error:
+        cure = "free some space" if error.errno in FULL else "choose an existing folder you may write to"
+        raise CannotCreate(f"{path}: cannot be created ({error.strerror}); {cure}") from None
 
 
 def _publish_new(temporary: Path, path: Path) -> None:

@@ -10,6 +10,7 @@ import argparse
 import sys
 
 from cgid import shipped
+from cgid.cluster import workers
 from cgid.identification.card import selection_table
 from cgid.identification.measuring import measure
 from cgid.identification.selection import MARGIN, SUPPORT_VECTOR_IMPACTS, select
@@ -25,17 +26,20 @@ def main() -> None:
     parser.add_argument("--folds", type=int, default=5)
     parser.add_argument("--features", help="only these, with commas between them")
     parser.add_argument("--drop-height", action="store_true", help="the classifiers are told how far each rock fell")
+    parser.add_argument("--jobs", type=int, default=1, help="worker processes; fits then take longer each")
     arguments = parser.parse_args()
     scene = load_scene(shipped.scene_path(arguments.scene))
     features = None if arguments.features is None else arguments.features.split(",")
     known = ("drop_height",) if arguments.drop_height else ()
     measured = measure(synthesise(scene, arguments.signals, arguments.seed), features, known=known)
-    rows = select(
-        measured,
-        n_folds=arguments.folds,
-        seed=arguments.seed,
-        progress=lambda name: print(name, "...", file=sys.stderr, flush=True),
-    )
+    with workers(arguments.jobs) as crew:
+        rows = select(
+            measured,
+            n_folds=arguments.folds,
+            seed=arguments.seed,
+            progress=lambda name: print(name, "...", file=sys.stderr, flush=True),
+            crew=crew,
+        )
     print(f"Scene `{scene.name}`, {len(measured.labels)} impacts, {arguments.folds} folds by specimen.\n")
     print("\n".join(selection_table(rows)))
     print(

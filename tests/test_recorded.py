@@ -33,7 +33,15 @@ from cgid.identification.recorded.adaptation import in_unit, shift, thinned
 from cgid.identification.recorded.annotated import Reading
 from cgid.identification.recorded.clustered import clustered_interval
 from cgid.identification.recorded.feature_sets import FEATURE_SETS, sets_for
-from cgid.identification.recorded.grouped import Candidate, Rows, choose, judge, leave_groups_out, require_groups
+from cgid.identification.recorded.grouped import (
+    Candidate,
+    Lesson,
+    Rows,
+    choose,
+    judge,
+    leave_groups_out,
+    require_groups,
+)
 from cgid.identification.recorded.manifest import read_manifest
 from cgid.identification.recorded.measuring import Recorded, Slicing, record
 from cgid.identification.recorded.training import train_recorded
@@ -287,6 +295,10 @@ def rows_of(labels: np.ndarray, group: np.ndarray, features: np.ndarray) -> Rows
     return Rows(names=names, features=features, labels=labels, group=group)
 
 
+def lesson_of(rows: Rows, candidates: list[Candidate]) -> Lesson:
+    return Lesson(rows=rows, candidates=candidates, weights=None, seed=0)
+
+
 def test_each_group_is_left_out_once_and_as_a_whole() -> None:
     generator = np.random.default_rng(0)
     for n_groups in (7, 33):
@@ -308,7 +320,7 @@ def test_who_knows_the_recordings_by_heart_gains_nothing() -> None:
     places = generator.normal(size=(12, 6))
     rows = rows_of(labels, group, places[group] + 0.01 * generator.normal(size=(240, 6)))
     candidate = Candidate(name="all", features=rows.names, family="linear")
-    probabilities = judge(rows, [candidate], None, 0).probabilities
+    probabilities = judge(lesson_of(rows, [candidate])).probabilities
     hits = np.unique(labels)[np.argmax(probabilities, axis=1)] == labels
     assert hits.mean() < 0.75
     leaked = ImpactClassifier("linear", linear=tuple(range(6))).fit(rows.features[::2], labels[::2])
@@ -323,12 +335,12 @@ def test_what_judges_has_no_part_in_what_is_chosen(monkeypatch: pytest.MonkeyPat
     seen: list[set[int]] = []
     fit = ImpactClassifier.fit
 
-    def watched(self: ImpactClassifier, X: Any, y: Any, groups: Any = None) -> ImpactClassifier:
+    def watched(self: ImpactClassifier, X: Any, y: Any) -> ImpactClassifier:
         seen.append(set(X[:, 0].astype(int).tolist()))
-        return fit(self, X, y, groups)
+        return fit(self, X, y)
 
     monkeypatch.setattr(ImpactClassifier, "fit", watched)
-    judge(rows, [Candidate(name=str(k), features=rows.names, family="linear") for k in range(2)], None, 0)
+    judge(lesson_of(rows, [Candidate(name=str(k), features=rows.names, family="linear") for k in range(2)]))
     # For each group: two candidates without each of the five others, then the best without the group alone.
     assert len(seen) == 6 * (2 * 5 + 1)
     for one in range(6):
@@ -343,11 +355,11 @@ def test_the_better_features_are_chosen_and_the_first_if_none_is() -> None:
     features[:, 1] += 3.0 * (group % 2)
     rows = rows_of(labels, group, features)
     candidates = [Candidate(name=name, features=(name,), family="linear") for name in rows.names]
-    choice = choose(rows, candidates, None, 0)
+    choice = choose(lesson_of(rows, candidates))
     assert choice.best == 1
     assert choice.accuracies[1] > 0.85 > 0.65 > max(choice.accuracies[0], choice.accuracies[2])
     noise = replace(rows, features=generator.normal(size=(200, 3)))
-    assert choose(noise, [candidates[0], candidates[0]], None, 0).best == 0
+    assert choose(lesson_of(noise, [candidates[0], candidates[0]])).best == 0
 
 
 @pytest.mark.parametrize(

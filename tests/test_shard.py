@@ -13,6 +13,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from benchmarks.store import write_ready
 from cgid.errors import BadData, MissingExtra
 from cgid.signals import Batch
 from cgid.store._fletcher import fletcher32
@@ -141,7 +142,7 @@ def test_chunks_are_byte_for_byte_what_hdf5_writes(compression):
             assert ours.read_direct_chunk(place) == theirs.read_direct_chunk(place)
 
 
-@pytest.mark.parametrize("compression", ["none", "gzip"])
+@pytest.mark.parametrize("compression", COMPRESSIONS)
 def test_who_holds_on_to_a_dataset_changes_no_byte(monkeypatch, compression):
     expected, held, look_up = build((), compression=compression), [], h5py.Group.__getitem__
 
@@ -155,13 +156,27 @@ def test_who_holds_on_to_a_dataset_changes_no_byte(monkeypatch, compression):
     assert held
 
 
+def filters_of(file):
+    creation = file["signals"].id.get_create_plist()
+    return [creation.get_filter(index) for index in range(creation.get_nfilters())]
+
+
 @pytest.mark.parametrize(
     ("compression", "codes"), [("none", [3]), ("gzip", [2, 1, 3]), ("zstd", [2, 32015, 3]), ("blosc2", [32026, 3])]
 )
 def test_the_checksum_comes_last(compression, codes):
     with h5py.File(io.BytesIO(build((), compression=compression))) as file:
-        creation = file["signals"].id.get_create_plist()
-        assert [creation.get_filter(index)[0] for index in range(creation.get_nfilters())] == codes
+        assert [code for code, *_ in filters_of(file)] == codes
+
+
+@pytest.mark.parametrize("compression", COMPRESSIONS)
+def test_the_benchmark_compares_like_with_like(tmp_path, compression):
+    # The long form: python benchmarks/store.py
+    write_ready(tmp_path / "ready.h5", batch(0, N).signals, compression)
+    with h5py.File(tmp_path / "ready.h5") as theirs, h5py.File(io.BytesIO(build((), compression=compression))) as ours:
+        assert filters_of(theirs) == filters_of(ours)
+        assert theirs["signals"].chunks == ours["signals"].chunks
+        np.testing.assert_array_equal(theirs["signals"][:], ours["signals"][:])
 
 
 @pytest.mark.parametrize("compression", COMPRESSIONS)

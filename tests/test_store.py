@@ -164,6 +164,23 @@ def test_a_run_is_byte_for_byte_repeatable(made):
         assert shard.read_bytes() == (made / "jobs" / shard.name).read_bytes()
 
 
+@pytest.mark.parametrize("compression", ["gzip", "zstd", "blosc2"])
+def test_packed_bytes_are_the_same_whoever_packs(tmp_path, compression):
+    for jobs in (1, 2):
+        generate(scene_of(), tmp_path / str(jobs), 600, 7, shard_signals=300, compression=compression, jobs=jobs)
+    for shard in ("shard-00000.h5", "shard-00001.h5"):
+        assert (tmp_path / "1" / shard).read_bytes() == (tmp_path / "2" / shard).read_bytes()
+
+
+@pytest.mark.parametrize("compression", ["gzip", "zstd", "blosc2"])
+def test_long_frames_without_noise_are_read_however_little_is_left_of_them(tmp_path, compression):
+    scene = parse_scene({**json.loads(scene_of(1 << 16).text), "sensor": {}})
+    generate(scene, tmp_path / "quiet.h5", 100, compression=compression)
+    assert (tmp_path / "quiet.h5").stat().st_size < 0.02 * 100 * 4 * (1 << 16)
+    (batch,) = Dataset(tmp_path / "quiet.h5").batches()
+    np.testing.assert_array_equal(batch.signals, next(synthesise(scene, 100)).signals)
+
+
 # ---- the file --------------------------------------------------------------------------------------------------------
 
 

@@ -59,7 +59,7 @@ def ceiling(
             found = bracket(
                 loaded, sizes, n_signals, seed, drop_height_known=drop_height, limit=limit, progress=progress
             )
-    surveyed = None if path is None else _survey(loaded, min(n_signals, _SURVEYED), seed, path)
+    surveyed = None if path is None else _survey(loaded, min(n_signals, _SURVEYED), seed, path, overwrite)
     content = {"scene": loaded.name, "n_signals": n_signals, "drop_height_known": drop_height, **_figures(limit)}
     if found is not None:
         content["learners"] = [_learner(one) for one in found.learners]
@@ -106,7 +106,7 @@ def _learner(one: Any) -> dict[str, Any]:
     return {name: getattr(one, name) for name in (*names, *differences)}
 
 
-def _survey(scene: Any, n_signals: int, seed: int, path: Path) -> dict[str, Any]:
+def _survey(scene: Any, n_signals: int, seed: int, path: Path, overwrite: bool) -> dict[str, Any]:
     from dataclasses import asdict
 
     from cgid.ceiling.survey import N_POINTS, survey
@@ -116,7 +116,7 @@ def _survey(scene: Any, n_signals: int, seed: int, path: Path) -> dict[str, Any]
     with progress_bar(n_signals * N_POINTS, "signals") as progress:
         found = survey(scene, n_signals, seed, progress=progress)
     axes = {axis: found.along(axis) for axis in found.present}
-    write_whole(path, survey_picture(axes, found.present, found.here))
+    write_whole(path, survey_picture(axes, found.present, found.here), overwrite=overwrite)
     points = [asdict(point) for point in (found.here, *found.points)]
     return {"n_signals": n_signals, "present": found.present, "points": points}
 

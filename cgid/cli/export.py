@@ -5,6 +5,7 @@ from __future__ import annotations
 import click
 
 from cgid.cli.options import progress_bar
+from cgid.cli.saying import say
 
 
 @click.command(short_help="Write a dataset as one plain HDF5 file.")
@@ -22,4 +23,4 @@ def export(data: str, output: str, overwrite: bool) -> None:
 
     with progress_bar(len(Dataset(data)), "signals") as progress:
         path = export_dataset(data, output, overwrite=overwrite, progress=progress)
-    click.echo(f"{path}: {path.stat().st_size / 1e6:.4g} MB", err=True)
+    say(f"{path}: {path.stat().st_size / 1e6:.4g} MB", err=True)

@@ -8,7 +8,7 @@ from typing import Any
 
 import click
 
-from cgid.cli.options import print_json, progress_bar
+from cgid.cli.options import crew_options, print_json, progress_bar, require_one_crew
 from cgid.cli.saying import say
 
 #: Options that leave signals out, with what they ask for and the option that says which of it.
@@ -32,8 +32,7 @@ _OF_DATASETS = (*_OF_RECORDINGS, "shard_signals", "compression", "jobs", "schedu
 )
 @click.option("-n", "--signals", "n_signals", type=int, help="How many signals (10000), or recordings of a stream (1).")
 @click.option("--seed", type=int, default=0, show_default=True, help="The same seed gives the same signals.")
-@click.option("--jobs", type=int, default=1, show_default=True, help="Worker processes.")
-@click.option("--scheduler", help="Of a dask cluster, such as tcp://192.168.0.7:8786: its workers make the shards.")
+@crew_options
 @click.option("--dtype", type=click.Choice(["float32", "float64"]), default="float32", show_default=True)
 @click.option("--shard-signals", type=int, default=4096, show_default=True, help="Signals in each shard of a folder.")
 @click.option(
@@ -98,8 +97,7 @@ def _checked_output(context: click.Context) -> str:
     for name, needed in _WHICH.items():
         if name in given and needed not in only:
             raise click.UsageError(f"{_flag(name)} needs {_flag(needed)}; give both or neither", context)
-    if options["scheduler"] is not None and "jobs" in given:
-        raise click.UsageError("--jobs is for this machine, --scheduler for a cluster; give one of them", context)
+    require_one_crew(context)
     if options["as_json"] and not options["explain"]:
         raise click.UsageError("--json needs --explain: it prints the plan; give both or neither", context)
     if only and options["resume"]:

@@ -56,6 +56,24 @@ def reading_options(command: F) -> F:
     return command
 
 
+def crew_options(command: F) -> F:
+    """Add the options that say who does the work; `require_one_crew` refuses both."""
+    options: list[Callable[[Any], Any]] = [
+        click.option("--jobs", type=int, default=1, show_default=True, help="Worker processes."),
+        click.option("--scheduler", help="Of a dask cluster, such as tcp://192.168.0.7:8786: its workers do the work."),
+    ]
+    for option in reversed(options):
+        command = option(command)
+    return command
+
+
+def require_one_crew(context: click.Context) -> None:
+    """Raise a usage error where worker processes and a cluster are asked for at once."""
+    given = context.get_parameter_source("jobs") is click.core.ParameterSource.COMMANDLINE
+    if given and context.params["scheduler"] is not None:
+        raise click.UsageError("--jobs is for this machine, --scheduler for a cluster; give one of them", context)
+
+
 def read_signals(path: str, *, index: int | None, invert: bool, **reading: Any) -> list[Signal]:
     """Return the signals of a recording, or the one signal of a dataset that was asked for."""
     from cgid.recordings import is_dataset

@@ -82,7 +82,7 @@ def plot(
     figure = overview_figure(
         overview, channels, title=Path(recording.source).name, facts=facts, marks=marks, begin=begin
     )
-    write_whole(path, picture(figure, path.suffix.lower()))
+    write_whole(path, picture(figure, path.suffix.lower()), overwrite=overwrite)
     if as_json:
         print_json(
             {

@@ -8,7 +8,7 @@ from typing import Any
 
 import click
 
-from cgid.cli.options import print_json, progress_bar, say_error
+from cgid.cli.options import crew_options, print_json, progress_bar, require_one_crew, say_error
 from cgid.cli.saying import say
 from cgid.errors import InvalidValue
 
@@ -67,6 +67,7 @@ _OF_DATASETS = {
 @click.option("--dead-time", type=float, help="Ringing after a blow [ms], with --by impact.")
 @click.option("--strict", is_flag=True, help="Stop at the first recording that cannot be read.")
 @click.option("--seed", type=int, default=0, show_default=True, help="Of the split, and of the signals of a scene.")
+@crew_options
 @click.option("--shuffle-labels", is_flag=True, help="Check of the method: accuracy must be that of guessing.")
 @click.option("--plots", is_flag=True, help="Also confusion, reliability and ROC pictures (extra plot).")
 @click.option("--overwrite", is_flag=True, help="Replace an old model.")
@@ -103,8 +104,12 @@ def train(
     manifests = [item for item in data if is_manifest(item)]
     _refuse_stray_options(context, _OF_DATASETS if manifests else _OF_RECORDINGS, bool(manifests))
     others = [item for item in data if item not in manifests]
-    training, failures = (_recorded if manifests else _synthesised)(manifests, others, asked)
-    written = write_model(training, path, plots=plots)
+    from cgid.cluster import workers
+
+    require_one_crew(context)
+    with workers(asked.pop("jobs"), asked.pop("scheduler")) as asked["crew"]:
+        training, failures = (_recorded if manifests else _synthesised)(manifests, others, asked)
+    written = write_model(training, path, plots=plots, overwrite=overwrite)
     _say(training, path, written, as_json)
     for error in failures:
         say_error(error)
@@ -127,6 +132,7 @@ def _synthesised(_: list[str], data: list[str], asked: dict[str, Any]) -> tuple[
             seed=asked["seed"],
             shuffle_labels=asked["shuffle_labels"],
             progress=progress,
+            crew=asked["crew"],
         )
     return training, []
 
@@ -179,6 +185,7 @@ def _recorded(manifests: list[str], others: list[str], asked: dict[str, Any]) ->
             shuffle_labels=asked["shuffle_labels"],
             synthetic=synthetic,
             progress=progress,
+            crew=asked["crew"],
         )
     return training, list(recorded.failures)
 
@@ -210,7 +217,7 @@ def _measured(data: list[str], recorded: Any, asked: dict[str, Any]) -> tuple[An
         recorded = recorded.only(names)
     with progress_bar(None, "signals") as progress:
         alike = in_unit(chain([first], batches), recorded.unit, recorded.names)
-        return recorded, measure(alike, recorded.names, progress)
+        return recorded, measure(alike, recorded.names, progress, crew=asked["crew"])
 
 
 def _say(training: Any, path: Path, written: list[Path], as_json: bool) -> None:

@@ -8,6 +8,10 @@ from typing import Any
 import click
 
 from cgid.cli.options import each_file, print_json, progress_bar
+from cgid.cli.saying import say
+
+#: Problems that are told, and left as they are.
+_KEPT = ("pending", "foreign")
 
 
 @click.command(short_help="Say what is damaged in a dataset; make it again.")
@@ -48,9 +52,9 @@ def _verify_model(path: str, as_json: bool) -> None:
     try:
         Model.load(path)
     except BadData as error:
-        _tell(path, "model", 1, [_line(Path(path), "damaged", str(error))], as_json)
+        _tell(path, "model", 1, [_line(Path(path), "damaged", str(error))], False, as_json)
         raise
-    _tell(path, "model", 1, [], as_json)
+    _tell(path, "model", 1, [], True, as_json)
 
 
 def _verify_data(path: str, repair: bool, scene: Any, as_json: bool) -> None:
@@ -60,14 +64,14 @@ def _verify_data(path: str, repair: bool, scene: Any, as_json: bool) -> None:
     found = find(path)
     left = found.damage
     lines = [_line(finding.file, finding.problem, finding.what) for finding in found.findings]
-    if repair and any(finding.problem != "foreign" for finding in found.findings):
+    if repair and any(finding.problem not in _KEPT for finding in found.findings):
         repairs = _repaired(found, scene)
         lines = [
             _line(one.finding.file, one.finding.problem, one.finding.what) | {"repaired": one.done, "told": one.told}
             for one in repairs
-        ] + [line for line in lines if line["problem"] == "foreign"]
-        left = tuple(one.finding for one in repairs if not one.done)
-    _tell(path, found.kind, found.n_files, lines, as_json)
+        ] + [line for line in lines if line["problem"] in _KEPT]
+        left = tuple(one.finding for one in repairs if one.finding.harmful and not one.done)
+    _tell(path, found.kind, found.n_files, lines, not left, as_json)
     if left:
         files = f"{len(left)} of its files are" if len(left) > 1 else f"{left[0].file.name} is"
         cure = "see above why --repair does not help" if repair else "cgid verify --repair makes again what can be"
@@ -85,14 +89,13 @@ def _line(file: Path, problem: str, what: str) -> dict[str, Any]:
     return {"file": str(file), "problem": problem, "what": what}
 
 
-def _tell(path: str, kind: str, n_files: int, lines: list[dict[str, Any]], as_json: bool) -> None:
+def _tell(path: str, kind: str, n_files: int, lines: list[dict[str, Any]], whole: bool, as_json: bool) -> None:
     """Print what was found in one of the inputs, and what was done about it."""
-    whole = all(line.get("repaired", line["problem"] in ("leftover", "foreign")) for line in lines)
     if as_json:
         print_json({"source": path, "kind": kind, "files": n_files, "whole": whole, "findings": lines})
         return
     state = ("repaired" if any(line.get("repaired") for line in lines) else "whole") if whole else "damaged"
-    click.echo(f"{path}: {kind} of {n_files} file{'s' * (n_files > 1)}, {state}")
+    say(f"{path}: {kind} of {n_files} file{'s' * (n_files > 1)}, {state}")
     for line in lines:
         told = f"; {'repaired' if line['repaired'] else 'not repaired'}: {line['told']}" if "repaired" in line else ""
-        click.echo(f"  {line['file']}: {line['problem']}: {line['what'].removeprefix(line['file'] + ': ')}{told}")
+        say(f"  {line['file']}: {line['problem']}: {line['what'].removeprefix(line['file'] + ': ')}{told}")

@@ -21,6 +21,7 @@ from sklearn.utils.validation import check_is_fitted, validate_data
 from threadpoolctl import threadpool_limits
 
 from cgid import validation
+from cgid.cluster import ALONE, Workers
 from cgid.identification.families import Network
 from cgid.identification.shrunken import ShrunkenDiscriminant
 from cgid.identification.transform import Neighbourhood, Standardiser, softmax, squares
@@ -159,11 +160,13 @@ class ImpactClassifier(ClassifierMixin, BaseEstimator):  # type: ignore[misc]
         self.rejects = rejects
         self.random_state = random_state
 
-    def fit(self, X: ArrayLike, y: ArrayLike, groups: ArrayLike | None = None) -> ImpactClassifier:
+    def fit(
+        self, X: ArrayLike, y: ArrayLike, groups: ArrayLike | None = None, *, crew: Workers = ALONE
+    ) -> ImpactClassifier:
         """Fit to features (n_impacts, n_features) and labels (n_impacts,).
 
-        Impacts of the same of `groups` (n_impacts,), their specimens, are never on both sides of a fold. One thread
-        does it all: sums made by several would differ in their last digits.
+        Impacts of the same of `groups` (n_impacts,), their specimens, are never on both sides of a fold. The `crew`
+        fits the folds, one thread each: sums made by several would differ in their last digits.
         """
         validation.choice("family", self.family, tuple(self.ESTIMATORS))
         features, labels = validate_data(self, X, y, dtype=np.float64, ensure_min_samples=2)
@@ -180,7 +183,7 @@ class ImpactClassifier(ClassifierMixin, BaseEstimator):  # type: ignore[misc]
                 covariance = self.estimator_.covariance_ if self.family == "linear" else None
                 self.neighbourhood_ = Neighbourhood.fit(standardised, encoded, covariance)
             own = None if groups is None else np.asarray(groups)
-            self.temperature_ = self._temperature(inputs, encoded, weights, own)
+            self.temperature_ = self._temperature(inputs, encoded, weights, own, crew)
         return self
 
     def decision_function(self, X: ArrayLike) -> Floats:
@@ -228,7 +231,12 @@ class ImpactClassifier(ClassifierMixin, BaseEstimator):  # type: ignore[misc]
         return estimator.fit(inputs, encoded, sample_weight=weights[encoded])
 
     def _temperature(
-        self, inputs: Floats, encoded: NDArray[np.intp], weights: Floats | None, groups: NDArray[Any] | None
+        self,
+        inputs: Floats,
+        encoded: NDArray[np.intp],
+        weights: Floats | None,
+        groups: NDArray[Any] | None,
+        crew: Workers,
     ) -> float:
         if groups is None or len(np.unique(groups)) == len(groups):
             groups = None
@@ -242,9 +250,23 @@ class ImpactClassifier(ClassifierMixin, BaseEstimator):  # type: ignore[misc]
         kind = StratifiedKFold if groups is None else StratifiedGroupKFold
         splitter = kind(folds, shuffle=True, random_state=self.random_state)
         scores = np.empty((len(encoded), len(self.classes_)) if len(self.classes_) > 2 else len(encoded))
-        for training, test in splitter.split(inputs, encoded, groups):
-            scores[test] = self._fitted(inputs[training], encoded[training], weights).decision_function(inputs[test])
+        parts = list(splitter.split(inputs, encoded, groups))
+        answers = crew.each(_scores_left_out, (self, inputs, encoded, weights), parts)
+        for (_, test), answer in zip(parts, answers, strict=True):
+            scores[test] = answer
         return best_temperature(scores, encoded, None if weights is None else weights[encoded])
+
+
+def _scores_left_out(
+    fitting: tuple[ImpactClassifier, Floats, NDArray[np.intp], Floats | None],
+    part: tuple[NDArray[np.intp], NDArray[np.intp]],
+) -> Floats:
+    """Return the scores of what is left out by what is fitted to the rest."""
+    classifier, inputs, encoded, weights = fitting
+    training, test = part
+    with threadpool_limits(1):
+        fitted = classifier._fitted(inputs[training], encoded[training], weights)
+        return np.asarray(fitted.decision_function(inputs[test]))
 
 
 def best_temperature(scores: Floats, encoded: NDArray[np.intp], weights: Floats | None = None) -> float:

@@ -80,7 +80,7 @@ def read_header(stored: NDArray[Any]) -> dict[str, Any]:
     version = header.get("schema_version")
     oldest = min(_UNSAID)
     if type(version) is not int or version < oldest:
-        raise BadData(f"schema_version must be {oldest} to {SCHEMA_VERSION}, got {str(version)[:20]}")
+        raise BadData(f"schema_version must be {oldest} to {SCHEMA_VERSION}, got {repr(version)[:20]}")
     if version > SCHEMA_VERSION:
         reads = f"{oldest} to {SCHEMA_VERSION}"
         raise NewerSchema(f"schema_version {str(version)[:20]} is newer than this cgid (reads {reads}): upgrade cgid")

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass
+from contextlib import closing
+from dataclasses import dataclass, replace
 from itertools import chain
 
 import numpy as np
 from numpy.typing import NDArray
+from threadpoolctl import threadpool_limits
 
 from cgid import validation
+from cgid.cluster import ALONE, Workers
 from cgid.errors import BadData
 from cgid.features import choose, extract_array, kind_for, kind_of, supported
 from cgid.features.vibration import EARLY_BANDS, THIRD_OCTAVES
@@ -97,8 +100,9 @@ def measure(
     progress: Callable[[int], object] | None = None,
     *,
     known: tuple[str, ...] = (),
+    crew: Workers = ALONE,
 ) -> Measured:
-    """Return the features of labelled batches; memory holds one batch of signals at a time.
+    """Return the features of labelled batches; memory holds a batch of signals at a time, or a few for each of a crew.
 
     Raises
     ------
@@ -112,23 +116,22 @@ def measure(
         validation.choice("known", name, dict(KNOWN))
     rows, beside, labels, specimen, rates, sources, source = [], [], [], [], set(), [], []
     unit = ""
-    for batch in batches:
-        if unit and batch.unit != unit:
-            raise BadData(f"all signals must be in one unit, got {unit} and {batch.unit}; convert or train apart")
-        unit = batch.unit
-        rows.append(
-            extract_array(
-                batch.signals, batch.sampling_rate, names, pre_trigger=batch.pre_trigger or None, invalid="nan"
-            )
-        )
-        beside.append(_known_of(batch) if known else np.empty((len(batch), 0)))
-        labels.append(batch.labels)
-        sources += [batch.source] if batch.source not in sources else []
-        source.append(np.full(len(batch), sources.index(batch.source)))
-        specimen.append(batch.specimen)
-        rates.add(batch.sampling_rate)
-        if progress is not None:
-            progress(len(batch))
+    with closing(crew.each(_measured, (names, known), batches)) as measured:
+        for part in measured:
+            if unit and part.about.unit != unit:
+                raise BadData(
+                    f"all signals must be in one unit, got {unit} and {part.about.unit}; convert or train apart"
+                )
+            unit = part.about.unit
+            rows.append(part.features)
+            beside.append(part.known)
+            labels.append(part.about.labels)
+            sources += [part.about.source] if part.about.source not in sources else []
+            source.append(np.full(len(part.about), sources.index(part.about.source)))
+            specimen.append(part.about.specimen)
+            rates.add(part.about.sampling_rate)
+            if progress is not None:
+                progress(len(part.about))
     if not rows:
         raise BadData("there must be signals to train on; there are none")
     table = np.concatenate(rows)
@@ -145,6 +148,28 @@ def measure(
         sources=tuple(sources),
         source=np.concatenate(source)[sound],
         left_out=int((~sound).sum()),
+    )
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Part:
+    """What is measured on one batch."""
+
+    about: Batch
+    features: Floats
+    known: Floats
+
+
+def _measured(asked: tuple[tuple[str, ...], tuple[str, ...]], batch: Batch) -> _Part:
+    names, known = asked
+    with threadpool_limits(1):
+        features = extract_array(
+            batch.signals, batch.sampling_rate, names, pre_trigger=batch.pre_trigger or None, invalid="nan"
+        )
+    return _Part(
+        about=replace(batch, signals=np.empty((len(batch), 0)), parameters={}),
+        features=features,
+        known=_known_of(batch) if known else np.empty((len(batch), 0)),
     )
 
 

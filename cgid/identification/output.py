@@ -5,9 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 
 from cgid.errors import CannotCreate
-from cgid.files import write_whole
 from cgid.identification.card import write_card
 from cgid.identification.training import Training
+from cgid.together import write_together
 
 #: The pictures that go beside a model.
 PICTURES = ("confusion", "reliability", "roc")
@@ -39,8 +39,16 @@ def check_model_output(path: Path, *, plots: bool = False, overwrite: bool = Fal
     return path
 
 
-def write_model(training: Training, path: Path, *, plots: bool = False) -> list[Path]:
-    """Write pictures, card and, last, the model; return the files written."""
+def write_model(training: Training, path: Path, *, plots: bool = False, overwrite: bool = True) -> list[Path]:
+    """Write pictures, card and the model, all or nothing; return the files written.
+
+    Raises
+    ------
+    CannotCreate
+        The folder is not writable, or a name was taken meanwhile and is not to be overwritten.
+    WriteFailed
+        The disk is full or broken; an old model and its card are there as before.
+    """
     pictures: dict[str, bytes] = {}
     if plots:
         from cgid.plots import judgement_pictures
@@ -53,6 +61,6 @@ def write_model(training: Training, path: Path, *, plots: bool = False) -> list[
         f"{path.stem}.md": write_card(training.model, path.name, tuple(pictures)).encode(),
         path.name: training.model.to_bytes(),
     }
-    for name, content in contents.items():
-        write_whole(path.with_name(name), content)
-    return [path.with_name(name) for name in contents]
+    files = {path.with_name(name): content for name, content in contents.items()}
+    write_together(files, overwrite=overwrite)
+    return list(files)

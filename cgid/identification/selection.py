@@ -16,6 +16,7 @@ from sklearn.svm import SVC
 from threadpoolctl import threadpool_limits
 
 from cgid import validation
+from cgid.cluster import ALONE, Workers
 from cgid.errors import InvalidValue
 from cgid.identification.classifier import ImpactClassifier
 from cgid.identification.measuring import Measured
@@ -96,8 +97,9 @@ def select(
     n_folds: int = 5,
     seed: int = 0,
     progress: Callable[[str], object] | None = None,
+    crew: Workers = ALONE,
 ) -> list[dict[str, Any]]:
-    """Compare families by cross-validation, on one thread; return one row for each, as plain numbers for JSON.
+    """Compare families by cross-validation, one thread a fold; return one row for each, as plain numbers for JSON.
 
     The folds are the same for all, stratified by label, and the impacts of a specimen stay together. Standardising,
     fitting and calibrating see the training part of a fold alone.
@@ -112,6 +114,8 @@ def select(
         Of the folds and the classifiers.
     progress : callable, optional
         Called with the name of each candidate before it starts.
+    crew : Workers
+        Who does the folds, see `cgid.cluster.workers`; beside each other they take longer to fit.
 
     Returns
     -------
@@ -137,8 +141,7 @@ def select(
     for candidate in candidates:
         if progress is not None:
             progress(candidate.name)
-        with threadpool_limits(1):
-            row, own = _judge(candidate, measured, inputs, folds, seed)
+        row, own = _judge(candidate, measured, inputs, folds, seed, crew)
         hits.append(own)
         difference, error = paired_difference(own, hits[0], measured.specimen)
         rows.append({**row, "difference": difference, "standard_error": error})
@@ -177,31 +180,52 @@ def _judge(
     inputs: Floats,
     folds: list[tuple[NDArray[np.intp], NDArray[np.intp]]],
     seed: int,
+    crew: Workers,
 ) -> tuple[dict[str, Any], NDArray[np.bool_]]:
     labels = measured.labels
     classes = tuple(np.unique(labels).tolist())
     probabilities = np.empty((len(labels), len(classes)))
-    seconds = []
-    for training, test in folds:
-        if candidate.most is not None and len(training) > candidate.most:
-            training = np.random.default_rng(seed).permutation(training)[: candidate.most]
-        classifier = candidate.make(linear_columns(measured.names), seed)
-        start = time.perf_counter()
-        classifier.fit(inputs[training], labels[training], measured.specimen[training])
-        seconds.append(time.perf_counter() - start)
-        probabilities[test] = classifier.predict_proba(inputs[test])
-    predict, size = _in_use(candidate, classifier, measured)
+    parts = [(_thinned(candidate, training, seed), test, test is folds[-1][1]) for training, test in folds]
+    judged = list(crew.each(_judge_fold, (candidate, measured, inputs, seed), parts))
+    for (_, test, _), (answers, _, _) in zip(parts, judged, strict=True):
+        probabilities[test] = answers
+    classifier = judged[-1][2]
+    assert classifier is not None
     metrics = evaluate(labels, probabilities, classes)
-    row = {
-        "name": candidate.name,
-        "exportable": candidate.exportable,
-        **{name: metrics[name] for name in ("accuracy", "brier_score", "expected_calibration_error")},
-        "n_train": len(training),
-        "fit_s": float(np.mean(seconds)),
-        "predict_us": _microseconds(predict, inputs[:1]),
-        "size_bytes": size,
-    }
+    with threadpool_limits(1):
+        predict, size = _in_use(candidate, classifier, measured)
+        row = {
+            "name": candidate.name,
+            "exportable": candidate.exportable,
+            **{name: metrics[name] for name in ("accuracy", "brier_score", "expected_calibration_error")},
+            "n_train": len(parts[-1][0]),
+            "fit_s": float(np.mean([seconds for _, seconds, _ in judged])),
+            "predict_us": _microseconds(predict, inputs[:1]),
+            "size_bytes": size,
+        }
     return row, np.array(classes)[np.argmax(probabilities, axis=1)] == labels
+
+
+def _judge_fold(
+    trial: tuple[Candidate, Measured, Floats, int], part: tuple[NDArray[np.intp], NDArray[np.intp], bool]
+) -> tuple[Floats, float, ImpactClassifier | None]:
+    """Return probabilities of what is left out, how long the rest took to fit [s], and the classifier if it is kept."""
+    candidate, measured, inputs, seed = trial
+    training, test, kept = part
+    classifier = candidate.make(linear_columns(measured.names), seed)
+    with threadpool_limits(1):
+        start = time.perf_counter()
+        classifier.fit(inputs[training], measured.labels[training], measured.specimen[training])
+        seconds = time.perf_counter() - start
+        # Not all are sent from one process to another: a forest is large.
+        return classifier.predict_proba(inputs[test]), seconds, classifier if kept else None
+
+
+def _thinned(candidate: Candidate, training: NDArray[np.intp], seed: int) -> NDArray[np.intp]:
+    """Return as much of the training as the family can bear."""
+    if candidate.most is None or len(training) <= candidate.most:
+        return training
+    return np.random.default_rng(seed).permutation(training)[: candidate.most]
 
 
 def _in_use(

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from cgid import __version__, validation
+from cgid.cluster import ALONE, Workers
 from cgid.errors import BadData, InvalidValue
 from cgid.features import FEATURES, choose
 from cgid.identification.classifier import ImpactClassifier
@@ -126,10 +127,11 @@ def train(
     shuffle_labels: bool = False,
     selection: Sequence[Mapping[str, Any]] | None = None,
     progress: Callable[[int], object] | None = None,
+    crew: Workers = ALONE,
 ) -> Training:
     """Train a model on labelled impacts and judge it on specimens it has not seen.
 
-    One thread does it all, so that the same data give the same model to the last digit wherever many are allowed.
+    One thread does each fit, so that the same data give the same model to the last digit wherever many are allowed.
 
     Parameters
     ----------
@@ -160,6 +162,8 @@ def train(
         How the family was chosen (`cgid.identification.selection.select`), for the model card.
     progress : callable, optional
         Called with the number of signals measured.
+    crew : Workers
+        Who measures, and fits the folds that calibrate: see `cgid.cluster.workers`.
 
     Raises
     ------
@@ -174,7 +178,7 @@ def train(
     names = tuple(name for name in names if name not in guards)
     known = tuple(known)
     with threadpool_limits(1):
-        measured = measure(batches, names + guards, progress, known=known)
+        measured = measure(batches, names + guards, progress, known=known, crew=crew)
         labels, specimen = measured.labels, measured.specimen
         _require_two(labels)
         if shuffle_labels:
@@ -192,7 +196,7 @@ def train(
         classifier = ImpactClassifier(
             family=family, linear=linear_columns(names), class_weight=class_weights, random_state=seed
         )
-        classifier.fit(inputs[training], labels[training], specimen[training])
+        classifier.fit(inputs[training], labels[training], specimen[training], crew=crew)
         conformal = _calibrated(classifier, inputs[calibration], labels[calibration], specimen[calibration], seed)
         probabilities = classifier.predict_proba(inputs[test])
     metrics = _judged(labels[test], probabilities, classifier, conformal, len(np.unique(specimen[test])))

@@ -48,7 +48,7 @@ def write_report(path: str | Path, reports: Sequence[Report], *, title: str = ""
         The disk is full.
     """
     path = check_new(Path(path), "a report", ENDINGS, overwrite=overwrite)
-    write_whole(path, report_page(reports, title=title).encode())
+    write_whole(path, report_page(reports, title=title).encode(), overwrite=overwrite)
 
 
 def report_page(reports: Sequence[Report], *, title: str = "") -> str:

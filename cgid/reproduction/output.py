@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
 from cgid.errors import CannotCreate
-from cgid.files import write_whole
 from cgid.impact import HertzRangeWarning
 from cgid.plots import require_matplotlib
 from cgid.reproduction.drawing import draw, draw_table
@@ -16,6 +16,7 @@ from cgid.reproduction.figures import FIGURES
 from cgid.reproduction.quantities import csv_title
 from cgid.reproduction.report import write_report
 from cgid.reproduction.tables import TABLES
+from cgid.together import write_together
 
 REPORT = "report.md"
 #: Steps that `reproduce` reports to `progress`.
@@ -56,13 +57,27 @@ def reproduce(
         # The report says which figures leave Hertz's range.
         warnings.simplefilter("ignore", HertzRangeWarning)
         contents = _contents(progress or (lambda _: None))
+    with _folder(path):
+        files = {path / name: content for name, content in contents.items()}
+        write_together(files, overwrite=overwrite)
+    return list(files)
+
+
+@contextmanager
+def _folder(path: Path) -> Iterator[None]:
+    """Make a folder if it is not there; one that was made goes again if what it is for fails."""
+    is_new = not path.is_dir()
     try:
-        path.mkdir(exist_ok=True)
-    except OSError as error:
-        raise CannotCreate(f"{path}: the folder cannot be made ({error.strerror}); choose another name") from None
-    for name, content in contents.items():
-        write_whole(path / name, content)
-    return [path / name for name in contents]
+        try:
+            path.mkdir(exist_ok=True)
+        except OSError as error:
+            raise CannotCreate(f"{path}: the folder cannot be made ({error.strerror}); choose another name") from None
+        yield
+    except BaseException:
+        if is_new:
+            with suppress(OSError):
+                path.rmdir()
+        raise
 
 
 def _checked(path: Path, overwrite: bool) -> Path:

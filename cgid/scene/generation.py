@@ -58,9 +58,9 @@ def generate(
     shard_signals : int
         Signals in each shard of a folder; the signals themselves do not depend on it.
     compression : {"none", "gzip", "zstd", "blosc2"}
-        gzip packs noisy signals at a third of the rate and saves a seventh; where there is no noise little is left.
-        Everything that reads HDF5 reads it. zstd and blosc2 (lz4) need the extra `compression`, here and wherever the
-        data are read. The packed bytes depend on the version of the library, too; `versions` names it.
+        gzip takes two to three times as long and saves a seventh of noisy signals; without noise little is left of
+        them. Everything that reads HDF5 reads it. zstd and blosc2 (lz4) need the extra `compression`, here and wherever
+        the data are read. The bytes depend on the version of what packs, too, which the attribute `versions` names.
     overwrite : bool
         Whether an old dataset may be replaced; it stays whole until the new one is.
     resume : bool

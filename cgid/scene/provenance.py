@@ -8,14 +8,15 @@ from pathlib import Path
 from typing import Any
 
 from cgid.errors import BadData
+from cgid.scene.generation import attributes_of
 from cgid.scene.population import parameter_units
 from cgid.scene.scene import Scene, parse_scene
 from cgid.store.shard import ShardPlan
 
-#: HDF5's number of deflate.
-_DEFLATE = 1
+#: By HDF5's numbers of filters; see `cgid.store.compression`.
+_COMPRESSIONS = {1: "gzip", 32015: "zstd", 32026: "blosc2"}
 #: In which root attributes are written: bytes depend on it, and HDF5 does not keep it.
-_ORDER = ("format", "schema_version", "seed", "scene_name", "scene", "scene_sha256", "versions")
+_ORDER = ("format", "schema_version", "seed", "scene_name", "scene", "scene_sha256", "versions", "background_sha256")
 
 
 def scene_of(path: Path, attributes: Mapping[str, Any], given: Scene | None) -> Scene:
@@ -40,6 +41,12 @@ def scene_of(path: Path, attributes: Mapping[str, Any], given: Scene | None) -> 
             raise BadData(
                 f"{path}: the scene must be the one it was made of, with SHA-256 {attributes.get('scene_sha256')}, got "
                 f"{given.sha256} ({given.name}); give that scene's file"
+            )
+        background = attributes_of(given, 0).get("background_sha256")
+        if background != attributes.get("background_sha256", background):
+            raise BadData(
+                f"{path}: the recorded background must be the one it was made with, with SHA-256 "
+                f"{attributes['background_sha256']}, got {background}; put that file in its place"
             )
         return given
     try:
@@ -93,4 +100,4 @@ def in_order(attributes: Mapping[str, Any]) -> dict[str, Any]:
 
 def compression_of(examined: Mapping[str, Any]) -> str:
     """Return how the signals of a file are compressed that `examine_file` has looked at."""
-    return "gzip" if _DEFLATE in examined["filters"] else "none"
+    return next((_COMPRESSIONS[code] for code in examined["filters"] if code in _COMPRESSIONS), "none")

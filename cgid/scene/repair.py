@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import hashlib
+import re
 import tempfile
+import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from itertools import accumulate
 from pathlib import Path
@@ -13,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from cgid.errors import BadData, CgidError
+from cgid.errors import BadData, CannotCreate, CgidError
 from cgid.files import whole_file, write_whole
 from cgid.scene.generation import attributes_of
 from cgid.scene.provenance import compression_of, in_order, plan_of, scene_of, shard_plan, whole_number
@@ -25,13 +28,16 @@ from cgid.store import Dataset
 from cgid.store.examination import damaged_rows, examine_file
 from cgid.store.export import write_dataset
 from cgid.store.header import FORMAT, LARGEST_SHARD, RECORDING_FORMAT
+from cgid.store.lock import locked
 from cgid.store.manifest import MANIFEST, Manifest, ShardEntry
-from cgid.store.recording import RecordingPlan
+from cgid.store.recording import RECORDING_NAME, RecordingPlan
 from cgid.store.shard import ShardBuilder, ShardPlan
 from cgid.store.verification import Finding, Verified
 
 #: Datasets whose last digits depend on the versions of libraries.
 _MAIN = ("signals", "samples")
+#: What was left behind by a run that was stopped does not change for so long [s].
+_STILL_WRITTEN = 60.0
 
 Progress = Callable[[int], object]
 Chunks = Mapping[str, list[tuple[int, int, str]]]
@@ -71,29 +77,57 @@ def repair(verified: Verified, scene: Scene | None = None, progress: Progress | 
     Yields
     ------
     Repair
-        One for each finding that is not foreign.
+        One for each finding that is neither foreign nor pending.
+
+    Raises
+    ------
+    CannotCreate
+        A run is writing into the folder.
     """
     manifest = verified.manifest
     # The manifest comes last: it is made from the shards.
-    for finding in sorted(verified.findings, key=lambda finding: finding.file.name == MANIFEST):
-        if finding.problem == "foreign":
-            continue
-        try:
-            if finding.problem == "leftover":
-                finding.file.unlink(missing_ok=True)
-                told = "removed"
-            elif finding.problem == "unfinished":
-                raise BadData(finding.what)
-            elif finding.file.name == MANIFEST:
-                told = _mend_manifest(finding.file)
-            elif finding.entry is not None and manifest is not None:
-                told, manifest = _mend_shard(finding, finding.entry, verified, manifest, scene, progress)
+    findings = sorted(verified.findings, key=lambda finding: finding.file.name == MANIFEST)
+    with _alone(verified.path):
+        for finding in findings:
+            if finding.problem in ("foreign", "pending"):
+                continue
+            try:
+                if finding.problem == "leftover":
+                    told = _remove(finding.file)
+                elif finding.problem == "unfinished" or (finding.entry is not None and manifest is None):
+                    raise BadData(f"{finding.file}: belongs to an unfinished run; cgid generate ... --resume mends it")
+                elif finding.file.name == MANIFEST:
+                    told = _mend_manifest(finding.file)
+                elif finding.entry is not None and manifest is not None:
+                    told, manifest = _mend_shard(finding, finding.entry, verified, manifest, scene, progress)
+                else:
+                    told = _mend_file(finding, scene, progress)
+            except (CgidError, OSError) as error:
+                yield Repair(finding=finding, done=False, told=str(error))
             else:
-                told = _mend_file(finding, scene, progress)
-        except (CgidError, OSError) as error:
-            yield Repair(finding=finding, done=False, told=str(error))
-        else:
-            yield Repair(finding=finding, done=True, told=told)
+                yield Repair(finding=finding, done=True, told=told)
+
+
+@contextmanager
+def _alone(path: Path) -> Iterator[None]:
+    """Keep runs from writing into a folder meanwhile; raises `CannotCreate` if one does."""
+    with ExitStack() as held:
+        try:
+            if path.is_dir():
+                held.enter_context(locked(path))
+        except BlockingIOError:
+            raise CannotCreate(f"{path}: a run is writing there; wait for it") from None
+        except OSError as error:
+            raise CannotCreate(f"{path}: cannot be written ({error.strerror})") from None
+        yield
+
+
+def _remove(file: Path) -> str:
+    """Remove what was left behind, unless somebody may be writing it."""
+    if time.time() - file.stat().st_mtime < _STILL_WRITTEN:
+        raise CannotCreate(f"{file}: was written to within the last minute; remove it when no run writes there")
+    file.unlink()
+    return "removed"
 
 
 # ---- a file by itself ------------------------------------------------------------------------------------------------
@@ -101,6 +135,8 @@ def repair(verified: Verified, scene: Scene | None = None, progress: Progress | 
 
 def _mend_file(finding: Finding, given: Scene | None, progress: Progress | None) -> str:
     path, examined = finding.file, finding.examined
+    if re.fullmatch(RECORDING_NAME, path.name) and (not examined or examined["fault"]):
+        return _mend_lost_recording(path, given, progress)
     kind = examined.get("attributes", {}).get("format")
     if not examined or examined["fault"] or kind not in (FORMAT, RECORDING_FORMAT):
         raise BadData(
@@ -116,6 +152,23 @@ def _mend_file(finding: Finding, given: Scene | None, progress: Progress | None)
             _write_dataset(temporary, plan_of(scene, examined), examined, scene, seed, progress)
         _require_agreement(path, examined, temporary, attributes, scene)
     return "made again; all that was undamaged is as before"
+
+
+def _mend_lost_recording(path: Path, given: Scene | None, progress: Progress | None) -> str:
+    """Make a recording of which nothing can be read by what another in its folder says."""
+    others = sorted(other for other in path.parent.glob("recording-*.h5") if other != path)
+    said = next((found for found in map(examine_file, others) if not found["fault"]), None)
+    if said is None:
+        raise BadData(f"{path}: no recording beside it says how they were made; generate them again")
+    attributes = {**said["attributes"], "recording": int(path.stem.removeprefix("recording-"))}
+    scene, seed = scene_of(path, attributes, given), whole_number(path, attributes, "seed")
+    here = attributes_of(scene, seed)["versions"]
+    if attributes.get("versions") != here:
+        raise BadData(
+            f"{path}: must be made by the versions that made the others, {attributes.get('versions')}; here {here}"
+        )
+    _write_recording(path, {**said, "attributes": attributes}, scene, seed, progress)
+    return "made again"
 
 
 def _write_recording(
@@ -148,7 +201,10 @@ def _write_dataset(
 def _shard(
     plan: ShardPlan, first: int, n_signals: int, scene: Scene, seed: int, progress: Progress | None
 ) -> memoryview:
-    """Return the content of a shard."""
+    """Return the content of a shard; raises `BadData` for one that no honest manifest lists."""
+    size = n_signals * plan.n_samples * np.dtype(plan.dtype).itemsize
+    if size > LARGEST_SHARD:
+        raise BadData(f"a shard must be at most {LARGEST_SHARD >> 30} GiB, got {size / 2**30:.3g} GiB of signals")
     builder, dtype = ShardBuilder(plan, first, n_signals), plan.dtype
     kind: Any = dtype
     for batch in synthesise(scene, n_signals, seed, first=first, dtype=kind):
@@ -266,7 +322,7 @@ def _require_agreement(
     sound = [(name, tuple(chunk)) for name, chunks in old.items() for chunk in chunks if chunk[2]]
     there = {(name, tuple(chunk)) for name, chunks in new.items() for chunk in chunks}
     differing = sum(chunk not in there for chunk in sound)
-    versions, here = attributes.get("versions"), attributes_of(scene, 0)["versions"]
+    versions, here = attributes.get("versions"), attributes_of(scene, 0, compression_of(examined))["versions"]
     if differing:
         raise BadData(
             f"{path}: what is undamaged must come out here as it is, {differing} of {len(sound)} chunks do not; "

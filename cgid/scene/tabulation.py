@@ -89,7 +89,7 @@ def tabulate(
     )
     unmeasured = 0
     width = max(len(label.encode()) for label in request.scene.labels)
-    with table_writer(path, header, width) as writer:
+    with table_writer(path, header, width, overwrite=overwrite) as writer:
         for columns in columns_of(asked, n_signals, seed):
             writer.add(Rows(labels=columns.labels, specimen=columns.specimen, columns=columns.values))
             unmeasured += columns.n_unmeasured

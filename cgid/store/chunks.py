@@ -20,6 +20,8 @@ DAMAGE = (OSError, RuntimeError, LookupError, ValueError, TypeError, ArithmeticE
 LARGEST_CHUNK = 64 << 20
 #: deflate packs no better, and what others pack better is no recording.
 BEST_RATIO = 1100
+#: But silence, which long frames without noise mostly are, by Zstandard and Blosc2: 512 KiB to some 30 bytes.
+BEST_RATIO_OF_SILENCE = 1 << 15
 #: Chunks that are kept, so that none is unpacked for every block anew: at least and at most so many bytes.
 _LEAST_CACHE, _LARGEST_CACHE = 1 << 20, 128 << 20
 _DEFLATE, _CHECKSUM = 1, 3
@@ -46,8 +48,7 @@ def storage_fault(item: h5py.Dataset, file_size: int, best_ratio: float = BEST_R
         return ""
     if chunk_bytes(item) > LARGEST_CHUNK:
         return f"has chunks of more than {LARGEST_CHUNK >> 20} MiB"
-    creation = item.id.get_create_plist()
-    filters = [creation.get_filter(index) for index in range(creation.get_nfilters())]
+    filters = _filters(item)
     for code, _, _, label in filters:
         if not _is_unpacked(code):
             return f"is packed by filter {code} ({label.decode(errors='replace')}), which is not unpacked here"
@@ -55,6 +56,16 @@ def storage_fault(item: h5py.Dataset, file_size: int, best_ratio: float = BEST_R
         return _index_fault(item, file_size, [code for code, *_ in filters])
     except DAMAGE:
         return "has a damaged index of chunks"
+
+
+def packs_silence(item: h5py.Dataset) -> bool:
+    """Return whether one of its filters may reach `BEST_RATIO_OF_SILENCE`."""
+    return any(code in _WITH_PLUGIN for code, *_ in _filters(item))
+
+
+def _filters(item: h5py.Dataset) -> list[Any]:
+    creation = item.id.get_create_plist()
+    return [creation.get_filter(index) for index in range(creation.get_nfilters())]
 
 
 def missing_chunks(item: h5py.Dataset) -> str:

@@ -7,23 +7,20 @@ not grow with it.
 from __future__ import annotations
 
 import shutil
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import h5py
 import numpy as np
 
 from cgid.errors import BadData, CannotCreate
 from cgid.files import check_new, whole_file
-from cgid.signals import Batch, quantity_of
+from cgid.signals import Batch
 from cgid.store.dataset import Dataset
 from cgid.store.disk import hdf5_on_disk
-from cgid.store.shard import ShardPlan
+from cgid.store.shard import ShardPlan, lay_out, say_kind
 from cgid.store.writing import SUFFIXES
-
-#: Bytes of a chunk of signals, about, and rows of a chunk of the other columns: those of a shard.
-_CHUNK_BYTES, _COLUMN_ROWS = 1 << 19, 4096
 
 
 def export(
@@ -57,8 +54,8 @@ def export(
     """
     dataset = Dataset(data)
     path = check_new(Path(output), "an exported dataset", SUFFIXES, overwrite=overwrite)
-    if path.resolve() == dataset.path.resolve():
-        raise CannotCreate(f"{path}: must be another file than the one it is made from; choose another name")
+    if dataset.path.resolve() in (path.resolve(), path.resolve().parent):
+        raise CannotCreate(f"{path}: must not be part of what it is made from; choose another name")
     plan = ShardPlan(
         n_samples=dataset.header.n_samples,
         dtype=dataset.header.dtype,
@@ -68,7 +65,7 @@ def export(
     )
     first = dataset.header.attributes.get("first_signal", 0)
     _require_room(path, plan, len(dataset))
-    with whole_file(path) as temporary:
+    with whole_file(path, overwrite=overwrite) as temporary:
         write_dataset(temporary, plan, first, len(dataset), dataset.batches(), progress)
     return path
 
@@ -103,39 +100,18 @@ def write_dataset(
     BadData
         The batches hold less than `n_signals`.
     """
-    done = 0
+    done, plain = 0, replace(plan, compression="none")
     with hdf5_on_disk(path) as output:
         for batch in batches:
             with output.step() as file:
                 if not done:
-                    _lay_out(file, plan, first, n_signals, batch)
+                    say_kind(lay_out(file, plain, first, n_signals), batch)
                 _put(file, batch, done)
             done += len(batch)
             if progress is not None:
                 progress(len(batch))
         if done != n_signals:
             raise BadData(f"a dataset of {n_signals} signals was given {done}")
-
-
-def _lay_out(file: h5py.File, plan: ShardPlan, first: int, n_signals: int, batch: Batch) -> None:
-    """Make the datasets, still empty, and all attributes."""
-    _say(file, {**plan.attributes, "first_signal": first})
-    row = plan.n_samples * np.dtype(plan.dtype).itemsize
-    columns = {"labels": (f"S{plan.label_width}", _COLUMN_ROWS), "specimen": ("uint64", _COLUMN_ROWS)}
-    columns |= {f"parameters/{name}": ("float64", _COLUMN_ROWS) for name in plan.parameter_units}
-    for name, (dtype, rows) in {"signals": (plan.dtype, max(1, _CHUNK_BYTES // row)), **columns}.items():
-        tail = (plan.n_samples,) if name == "signals" else ()
-        chunks = (min(rows, n_signals), *tail)
-        file.create_dataset(name, (n_signals, *tail), dtype, chunks=chunks, fletcher32=True)
-    about = {"sampling_rate": batch.sampling_rate, "pre_trigger": batch.pre_trigger, "unit": batch.unit}
-    _say(file["signals"], {**about, "quantity": quantity_of(batch.unit)})
-    for name, unit in plan.parameter_units.items():
-        _say(file[f"parameters/{name}"], {"unit": unit})
-
-
-def _say(item: h5py.HLObject, attributes: Mapping[str, Any]) -> None:
-    for name, value in attributes.items():
-        item.attrs[name] = np.bytes_(value.encode()) if isinstance(value, str) else value
 
 
 def _put(file: h5py.File, batch: Batch, first: int) -> None:

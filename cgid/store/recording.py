@@ -128,12 +128,19 @@ class RecordingWriter:
 def writing(path: str | Path, plan: RecordingPlan, *, overwrite: bool = True) -> Iterator[RecordingWriter]:
     """Yield the writer of a recording that bears its name when this context is left without an error.
 
+    Parameters
+    ----------
+    path : str or Path
+    plan : RecordingPlan
+    overwrite : bool
+        Whether it may take the place of what bears the name when it is whole.
+
     Raises
     ------
     InvalidValue
         It would be larger than a recording may be.
     CannotCreate
-        The folder is missing or not writable, or the disk has no room.
+        The folder is missing or not writable, or the name was taken meanwhile.
     WriteFailed
         The disk is full or broken; what was there before is untouched.
     """

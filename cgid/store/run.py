@@ -66,7 +66,7 @@ class Goal:
     @property
     def hidden(self) -> Path:
         """Where files are made while an older folder has the name."""
-        return _hidden(self.output)
+        return hidden(self.output)
 
 
 class Run:
@@ -146,17 +146,18 @@ def begun(goal: Goal, *, overwrite: bool = False, resume: bool = False) -> Itera
                 goal.output.rmdir()  # only if nothing is in it
 
 
-def _hidden(output: Path) -> Path:
+def hidden(output: Path) -> Path:
+    """Return where the files of a folder are made while an older one has the name."""
     return output.with_name(f".{output.name}.unfinished")
 
 
 def _hold(goal: Goal, held: ExitStack) -> None:
     """Make the folder if need be, and lock it."""
-    output, hidden = goal.output, goal.hidden
+    output, unfinished = goal.output, goal.hidden
     try:
-        if not output.exists() and (hidden / JOURNAL).exists():
-            with locked(hidden):  # a crash where folders cannot change names in one step
-                hidden.rename(output)
+        if not output.exists() and (unfinished / JOURNAL).exists():
+            with locked(unfinished):  # a crash where folders cannot change names in one step
+                unfinished.rename(output)
         output.mkdir(exist_ok=True)
         held.enter_context(locked(output))
     except BlockingIOError:
@@ -199,7 +200,7 @@ def _place(goal: Goal, overwrite: bool, resume: bool) -> tuple[Path, Unfinished 
 
 def exists_already(output: Path) -> CannotCreate:
     """Return what to raise where nothing may be written without a further word."""
-    for folder in (_hidden(output), output):
+    for folder in (hidden(output), output):
         with contextlib.suppress(BadData):
             found = read_journal(folder)
             if found is not None:

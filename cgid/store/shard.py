@@ -57,6 +57,46 @@ class ShardPlan:
     compression: str = "none"
 
 
+def lay_out(file: h5py.File, plan: ShardPlan, first: int, n_signals: int) -> h5py.Dataset:
+    """Make all datasets of a shard, still empty, with the attributes of its root, and return that of the signals.
+
+    Parameters
+    ----------
+    file : h5py.File
+        A new one, of `libver` v110.
+    plan : ShardPlan
+    first, n_signals : int
+        Number of the first signal, and how many there are.
+    """
+    for name, value in {**plan.attributes, "first_signal": first}.items():
+        file.attrs[name] = np.bytes_(value.encode()) if isinstance(value, str) else value
+
+    def create(name: str, tail: tuple[int, ...], dtype: str, chunk_rows: int, **extra: Any) -> h5py.Dataset:
+        chunks = (min(chunk_rows, n_signals), *tail)
+        return file.create_dataset(name, (n_signals, *tail), dtype, chunks=chunks, fletcher32=True, **extra)
+
+    rows = _chunk_rows(plan, n_signals)
+    signals = create("signals", (plan.n_samples,), plan.dtype, rows, **keywords(plan.compression))
+    create("labels", (), f"S{plan.label_width}", _COLUMN_ROWS)
+    create("specimen", (), "uint64", _COLUMN_ROWS)
+    for name, unit in plan.parameter_units.items():
+        create(f"parameters/{name}", (), "float64", _COLUMN_ROWS).attrs["unit"] = np.bytes_(unit.encode())
+    return signals
+
+
+def say_kind(signals: h5py.Dataset, batch: Batch) -> None:
+    """Attach to stored signals what a batch of them is."""
+    signals.attrs["sampling_rate"] = batch.sampling_rate
+    signals.attrs["pre_trigger"] = batch.pre_trigger
+    signals.attrs["unit"] = np.bytes_(batch.unit.encode())
+    signals.attrs["quantity"] = np.bytes_(quantity_of(batch.unit).encode())
+
+
+def _chunk_rows(plan: ShardPlan, n_signals: int) -> int:
+    """Return how many signals a chunk holds."""
+    return min(max(1, _CHUNK_BYTES // (plan.n_samples * np.dtype(plan.dtype).itemsize)), n_signals)
+
+
 class ShardBuilder:
     """A shard in memory, filled batch by batch."""
 
@@ -64,28 +104,16 @@ class ShardBuilder:
         self._plan, self._filled, self._n_signals = plan, 0, n_signals
         self._columns: list[Batch] = []
         row = plan.n_samples * np.dtype(plan.dtype).itemsize
-        rows = min(max(1, _CHUNK_BYTES // row), n_signals)
+        rows = _chunk_rows(plan, n_signals)
         columns = plan.label_width + 8 * (1 + len(plan.parameter_units))
         self._memory = MemoryFile(n_signals * row + rows * row + (n_signals + _COLUMN_ROWS) * columns + _MARGIN)
         self._file = h5py.File(self._memory, "w", libver=("v110", "v110"))
         # HDF5 writes to the memory when it closes, which must not be left to the end of the interpreter.
         self._close = weakref.finalize(self, self._file.close)
-        for name, value in {**plan.attributes, "first_signal": first}.items():
-            self._file.attrs[name] = np.bytes_(value.encode()) if isinstance(value, str) else value
-        self._signals = self._create("signals", (plan.n_samples,), plan.dtype, rows, **keywords(plan.compression))
+        self._signals = lay_out(self._file, plan, first, n_signals)
         # Room for a chunk as it lies in the file: the signals and their checksum.
         self._chunk = np.zeros(rows * row + _CHECKSUM.itemsize, np.uint8)
         self._chunk_signals = self._chunk[: rows * row].view(plan.dtype).reshape(rows, plan.n_samples)
-        self._create("labels", (), f"S{plan.label_width}", _COLUMN_ROWS)
-        self._create("specimen", (), "uint64", _COLUMN_ROWS)
-        for name, unit in plan.parameter_units.items():
-            column = self._create(f"parameters/{name}", (), "float64", _COLUMN_ROWS)
-            column.attrs["unit"] = np.bytes_(unit.encode())
-
-    def _create(self, name: str, tail: tuple[int, ...], dtype: str, chunk_rows: int, **extra: Any) -> h5py.Dataset:
-        shape = (self._n_signals, *tail)
-        chunks = (min(chunk_rows, self._n_signals), *tail)
-        return self._file.create_dataset(name, shape, dtype, chunks=chunks, fletcher32=True, **extra)
 
     def add(self, batch: Batch) -> None:
         """Append the signals of a batch."""
@@ -93,11 +121,7 @@ class ShardBuilder:
         if self._filled + len(batch) > self._n_signals:
             raise BadData(f"a shard of {self._n_signals} signals was given {self._filled + len(batch)}")
         if not self._filled:
-            about = self._signals.attrs
-            about["sampling_rate"] = batch.sampling_rate
-            about["pre_trigger"] = batch.pre_trigger
-            about["unit"] = np.bytes_(batch.unit.encode())
-            about["quantity"] = np.bytes_(quantity_of(batch.unit).encode())
+            say_kind(self._signals, batch)
         done, rows = 0, len(self._chunk_signals)
         while done < len(batch):
             place = self._filled % rows

@@ -143,7 +143,9 @@ class TableWriter:
 
 
 @contextlib.contextmanager
-def table_writer(path: str | Path, header: TableHeader, label_width: int) -> Iterator[TableWriter]:
+def table_writer(
+    path: str | Path, header: TableHeader, label_width: int, *, overwrite: bool = True
+) -> Iterator[TableWriter]:
     """Open a table to write rows to; its name bears the whole table or what it bore before.
 
     Parameters
@@ -153,16 +155,18 @@ def table_writer(path: str | Path, header: TableHeader, label_width: int) -> Ite
     header : TableHeader
     label_width : int
         Bytes of the longest label.
+    overwrite : bool
+        Whether it may take the place of what bears the name when it is whole.
 
     Raises
     ------
     CannotCreate
-        The folder is missing or not writable.
+        The folder is missing or not writable, or the name was taken meanwhile.
     WriteFailed
         The disk is full or broken; nothing is left behind.
     """
     suffix = Path(path).suffix.lower()
-    with whole_file(path) as temporary, contextlib.ExitStack() as stack:
+    with whole_file(path, overwrite=overwrite) as temporary, contextlib.ExitStack() as stack:
         if suffix == ".csv":
             stream = stack.enter_context(temporary.open("w", encoding="utf-8", newline=""))
             writer: TableWriter = _CsvWriter(stream, header)

@@ -9,19 +9,20 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from cgid.errors import BadData, NoInput
+from cgid.errors import BadData, CgidError, NoInput
 from cgid.store.examination import damaged_rows, examine_file
 from cgid.store.header import FORMAT, RECORDING_FORMAT, TABLE_FORMAT
-from cgid.store.journal import JOURNAL, Unfinished, read_journal
+from cgid.store.journal import JOURNAL, read_journal
 from cgid.store.manifest import MANIFEST, SHARD_NAME, Manifest, ShardEntry, is_entry, read_manifest
 from cgid.store.recording import RECORDING_NAME
+from cgid.store.run import hidden
 from cgid.store.table import TABLE_SUFFIXES
 from cgid.store.table_reading import read_table
 
 #: What a run that was killed leaves beside the files it was writing.
 _LEFTOVER = r"\.{}\.[0-9a-f]+\.part"
 #: Problems that are no damage.
-_HARMLESS = ("leftover", "foreign")
+_HARMLESS = ("leftover", "pending", "foreign")
 _KINDS = {FORMAT: "dataset", RECORDING_FORMAT: "recording", TABLE_FORMAT: "table"}
 #: Runs of damaged rows that are told of one dataset.
 _MOST_TOLD = 4
@@ -34,8 +35,9 @@ class Finding:
     Attributes
     ----------
     file : Path
-    problem : {"damaged", "missing", "unfinished", "leftover", "foreign"}
-        The last two are no damage: what a killed run has left behind, and what belongs to somebody else.
+    problem : {"damaged", "missing", "unfinished", "leftover", "pending", "foreign"}
+        The last three are no damage: what a stopped run has left behind, an unfinished run that is to replace it all,
+        and what belongs to somebody else.
     what : str
         What is wrong with it, in one line.
     examined : dict
@@ -94,16 +96,21 @@ def verify(path: str | Path) -> Verified:
     Raises
     ------
     NoInput
-        There is nothing.
+        There is nothing, or its folder cannot be looked into.
     """
     path = Path(path)
     if not path.exists():
         raise NoInput(f"{path}: no such file or folder; give a dataset, recording, table or model of cgid")
-    if not path.is_dir():
-        return _verify_file(path)
-    if any(re.fullmatch(RECORDING_NAME, entry.name) for entry in path.iterdir()):
-        return _verify_recordings(path)
-    return _verify_dataset(path)
+    try:
+        if not path.is_dir():
+            return _verify_file(path)
+        if any(re.fullmatch(RECORDING_NAME, name) for name in _names(path)):
+            return _verify_recordings(path)
+        return _verify_dataset(path)
+    except CgidError:
+        raise
+    except OSError as error:
+        raise NoInput(f"{path}: cannot be looked into ({error.strerror}); see to the permissions") from None
 
 
 def damaged_shards(path: str | Path) -> list[str]:
@@ -167,7 +174,7 @@ def damage_in_words(examined: Mapping[str, Any]) -> str:
 def _verify_recordings(folder: Path) -> Verified:
     names = sorted(entry.name for entry in folder.iterdir() if re.fullmatch(RECORDING_NAME, entry.name))
     found = [finding for name in names for finding in _damage(folder / name, examine_file(folder / name))]
-    found += _unfinished(folder)
+    found += [*_unfinished(folder), *_pending(folder)]
     # Only gaps are seen: nothing says how many there were.
     number = int(names[-1].removeprefix("recording-").removesuffix(".h5"))
     missing = [name for k in range(number) if (name := f"recording-{k:05d}.h5") not in names]
@@ -196,6 +203,7 @@ def _verify_dataset(folder: Path) -> Verified:
         for name in sorted(known):
             found += _damage(folder / name, examine_file(folder / name))
     found += unfinished if manifest is None else [_left(finding.file) for finding in unfinished]
+    found += _pending(folder)
     found += _leftovers(folder, rf"({SHARD_NAME}|{re.escape(MANIFEST)}|{re.escape(JOURNAL)})")
     found += _strangers(folder, known | {MANIFEST, JOURNAL}, SHARD_NAME)
     return Verified(path=folder, kind="dataset", n_files=len(known) + 1, findings=tuple(found), manifest=manifest)
@@ -228,16 +236,15 @@ def _unfinished(folder: Path) -> list[Finding]:
         return [Finding(file=folder / JOURNAL, problem="damaged", what=str(error))]
     if journal is None:
         return []
-    what = f"{len(journal.entries)} of {_asked(journal)} files are there; go on with cgid generate ... --resume"
-    return [Finding(file=folder / JOURNAL, problem="unfinished", what=what)]
+    return [Finding(file=folder / JOURNAL, problem="unfinished", what=journal.progress)]
 
 
-def _asked(journal: Unfinished) -> int | str:
-    """Return how many files a run was to make."""
-    n_signals, shard_signals = journal.plan.get("n_signals"), journal.plan.get("shard_signals")
-    if isinstance(n_signals, int) and isinstance(shard_signals, int) and shard_signals > 0:
-        return -(-n_signals // shard_signals)
-    return "?"
+def _pending(folder: Path) -> list[Finding]:
+    """Return the run that is to replace a folder as a finding, if there is one."""
+    return [
+        Finding(file=finding.file.parent, problem="pending", what=f"is to replace it; {finding.what}")
+        for finding in _unfinished(hidden(folder))
+    ]
 
 
 def _finished(folder: Path) -> tuple[ShardEntry, ...]:

@@ -7,6 +7,7 @@ take and how much to trust its probabilities. So nothing that was chosen has see
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import closing
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -14,6 +15,7 @@ from numpy.typing import NDArray
 from sklearn.model_selection import StratifiedGroupKFold
 from threadpoolctl import threadpool_limits
 
+from cgid.cluster import ALONE, Workers
 from cgid.errors import BadData
 from cgid.features import FEATURES
 from cgid.identification.classifier import ImpactClassifier, best_temperature
@@ -173,18 +175,27 @@ def leave_groups_out(labels: NDArray[np.str_], group: NDArray[np.intp], seed: in
         yield left_out
 
 
-def choose(rows: Rows, candidates: Sequence[Candidate], weights: Weights, seed: int) -> Choice:
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Lesson:
+    """What there is to learn from, and how."""
+
+    rows: Rows
+    candidates: Sequence[Candidate]
+    weights: Weights
+    seed: int
+
+
+def choose(lesson: Lesson, crew: Workers = ALONE) -> Choice:
     """Return which candidate answers best for groups left out, and its temperature."""
-    labels, accuracies, scores = np.unique(rows.labels), [], []
+    rows, weights = lesson.rows, lesson.weights
+    labels, accuracies = np.unique(rows.labels), []
     truth = np.searchsorted(labels, rows.labels)
-    judged = np.zeros(len(rows.labels), bool)
-    folds = [fold for fold in leave_groups_out(rows.labels, rows.group, seed) if _teaches_all(rows.labels, fold)]
-    for candidate in candidates:
-        own = np.zeros((len(truth), len(labels)))
-        for fold in folds:
-            own[fold] = _scores(candidate, rows, fold, weights, seed)
-        judged = np.any(folds, axis=0) if folds else judged
-        scores.append(own)
+    folds = [fold for fold in leave_groups_out(rows.labels, rows.group, lesson.seed) if _teaches_all(rows.labels, fold)]
+    judged = np.any(folds, axis=0) if folds else np.zeros(len(rows.labels), bool)
+    scores = np.zeros((len(lesson.candidates), len(truth), len(labels)))
+    for fold, answers in zip(folds, crew.each(_scores_of_all, lesson, folds), strict=True):
+        scores[:, fold] = answers
+    for own in scores:
         hits = np.argmax(own[judged], axis=1) == truth[judged]
         accuracies.append(
             float(np.average(hits, weights=_row_weights(rows.labels[judged], weights))) if hits.size else 0.0
@@ -196,45 +207,63 @@ def choose(rows: Rows, candidates: Sequence[Candidate], weights: Weights, seed: 
     return Choice(best, tuple(accuracies), temperature)
 
 
-def judge(
-    rows: Rows,
-    candidates: Sequence[Candidate],
-    weights: Weights,
-    seed: int,
-    progress: Callable[[int], object] | None = None,
-) -> Judged:
+def judge(lesson: Lesson, progress: Callable[[int], object] | None = None, crew: Workers = ALONE) -> Judged:
     """Return what is answered for each group by what was chosen and trained on the others."""
-    labels = np.unique(rows.labels)
-    probabilities, chosen = np.empty((len(rows.labels), len(labels))), []
-    with threadpool_limits(1):
-        for fold in leave_groups_out(rows.labels, rows.group, seed):
-            if not _teaches_all(rows.labels, fold):
-                raise BadData(
-                    "groups must leave recordings of every label to train on when one is left out; add recordings, or "
-                    "name smaller groups"
-                )
-            choice = choose(rows[~fold], candidates, weights, seed)
-            chosen.append(choice.best)
-            scores = _scores(candidates[choice.best], rows, fold, weights, seed)
-            probabilities[fold] = softmax(scores / choice.temperature)
+    rows = lesson.rows
+    probabilities, chosen = np.empty((len(rows.labels), len(np.unique(rows.labels)))), []
+    folds = list(leave_groups_out(rows.labels, rows.group, lesson.seed))
+    if not all(_teaches_all(rows.labels, fold) for fold in folds):
+        raise BadData(
+            "groups must leave recordings of every label to train on when one is left out; add recordings, or name "
+            "smaller groups"
+        )
+    with closing(crew.each(_judged, lesson, folds)) as judged:
+        for fold, (best, answers) in zip(folds, judged, strict=True):
+            chosen.append(best)
+            probabilities[fold] = answers
             if progress is not None:
                 progress(1)
     return Judged(probabilities[rows.group >= 0], tuple(chosen))
 
 
-def final(rows: Rows, candidate: Candidate, temperature: float, weights: Weights, seed: int) -> ImpactClassifier:
-    """Return a candidate trained on all rows, its edge of the known where groups left out still lie inside."""
+def final(lesson: Lesson, choice: Choice, crew: Workers = ALONE) -> ImpactClassifier:
+    """Return the candidate chosen trained on all rows, its edge of the known where groups left out still lie inside."""
+    rows = lesson.rows
+    only = replace(lesson, candidates=(lesson.candidates[choice.best],))
+    folds = list(leave_groups_out(rows.labels, rows.group, lesson.seed))
+    distances = list(crew.each(_distances, only, folds))
     with threadpool_limits(1):
-        inputs = rows.inputs(candidate.features)
-        distances = []
-        for fold in leave_groups_out(rows.labels, rows.group, seed):
-            without = _fitted(candidate, rows[~fold], weights, seed, rejects=True)
-            distances.append(without.novelty(inputs[fold]) * without.neighbourhood_.limit)
-        classifier = _fitted(candidate, rows, weights, seed, rejects=True)
+        classifier = _fitted(only.candidates[0], rows, lesson.weights, lesson.seed, rejects=True)
     limit = float(np.quantile(np.concatenate(distances), Neighbourhood.INSIDE))
-    classifier.temperature_ = temperature
+    classifier.temperature_ = choice.temperature
     classifier.neighbourhood_ = replace(classifier.neighbourhood_, limit=limit)
     return classifier
+
+
+# -- one fold, wherever it is done -------------------------------------------------------------------------
+
+
+def _scores_of_all(lesson: Lesson, fold: NDArray[np.bool_]) -> Floats:
+    """Return what each candidate trained outside of a fold answers inside it, (n_candidates, n_rows, n_labels)."""
+    with threadpool_limits(1):
+        return np.stack([_scores(candidate, lesson, fold) for candidate in lesson.candidates])
+
+
+def _judged(lesson: Lesson, fold: NDArray[np.bool_]) -> tuple[int, Floats]:
+    """Return which candidate is chosen outside of a fold, and its probabilities inside it."""
+    with threadpool_limits(1):
+        choice = choose(replace(lesson, rows=lesson.rows[~fold]))
+        scores = _scores(lesson.candidates[choice.best], lesson, fold)
+        return choice.best, softmax(scores / choice.temperature)
+
+
+def _distances(lesson: Lesson, fold: NDArray[np.bool_]) -> Floats:
+    """Return how far the rows of a fold lie from those that the only candidate learns from outside of it."""
+    (candidate,) = lesson.candidates
+    with threadpool_limits(1):
+        without = _fitted(candidate, lesson.rows[~fold], lesson.weights, lesson.seed, rejects=True)
+        novelty = without.novelty(lesson.rows.inputs(candidate.features)[fold])
+    return novelty * without.neighbourhood_.limit
 
 
 def _teaches_all(labels: NDArray[np.str_], fold: NDArray[np.bool_]) -> bool:
@@ -256,9 +285,10 @@ def _fitted(
     return classifier.fit(rows.adapted.inputs(candidate.features), rows.labels)
 
 
-def _scores(candidate: Candidate, rows: Rows, fold: NDArray[np.bool_], weights: Weights, seed: int) -> Floats:
+def _scores(candidate: Candidate, lesson: Lesson, fold: NDArray[np.bool_]) -> Floats:
     """Return what a candidate trained outside of a fold answers inside it, (n_rows, n_labels)."""
-    scores = _fitted(candidate, rows[~fold], weights, seed).decision_function(rows[fold].inputs(candidate.features))
+    fitted = _fitted(candidate, lesson.rows[~fold], lesson.weights, lesson.seed)
+    scores = fitted.decision_function(lesson.rows[fold].inputs(candidate.features))
     return np.stack([np.zeros(len(scores)), scores], axis=1) if scores.ndim == 1 else scores
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import platform
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from importlib.metadata import version
 from typing import Any
 
@@ -11,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cgid import __version__
+from cgid.cluster import ALONE, Workers
 from cgid.errors import BadData
 from cgid.identification.measuring import Measured
 from cgid.identification.metrics import evaluate
@@ -20,6 +22,7 @@ from cgid.identification.recorded.clustered import clustered_interval
 from cgid.identification.recorded.feature_sets import sets_for
 from cgid.identification.recorded.grouped import (
     Candidate,
+    Lesson,
     Rows,
     Weights,
     candidates_for,
@@ -49,6 +52,7 @@ def train_recorded(
     shuffle_labels: bool = False,
     synthetic: Measured | None = None,
     progress: Callable[[int], object] | None = None,
+    crew: Workers = ALONE,
 ) -> Training:
     """Train a model on recordings; it is judged by groups that neither it nor its choice have seen.
 
@@ -72,6 +76,8 @@ def train_recorded(
         level and spectrum of the recordings.
     progress : callable, optional
         Called with 1 for each group judged.
+    crew : Workers
+        Who trains without a group and judges it: see `cgid.cluster.workers`.
 
     Raises
     ------
@@ -85,12 +91,12 @@ def train_recorded(
     candidates = candidates_for(sets, recorded.names, families)
     rows = Rows(names=recorded.names, features=recorded.features, labels=labels, group=recorded.group)
     mixed = rows if synthetic is None else _mixed(rows, synthetic, seed)
-    adapting = {} if synthetic is None else _adaptation(rows, mixed, candidates, class_weights, seed)
-    rows = mixed
-    judged = judge(rows, candidates, class_weights, seed, progress)
-    choice = choose(rows, candidates, class_weights, seed)
+    lesson = Lesson(rows=mixed, candidates=candidates, weights=class_weights, seed=seed)
+    adapting = {} if synthetic is None else _adaptation(replace(lesson, rows=rows), mixed, crew)
+    judged = judge(lesson, progress, crew)
+    choice = choose(lesson, crew)
     best = candidates[choice.best]
-    classifier = final(rows, best, choice.temperature, class_weights, seed)
+    classifier = final(lesson, choice, crew)
     metrics = _metrics(recorded, labels, judged.probabilities)
     model = Model.from_classifier(
         classifier,
@@ -144,18 +150,17 @@ def _mixed(rows: Rows, synthetic: Measured, seed: int) -> Rows:
     )
 
 
-def _adaptation(
-    rows: Rows, mixed: Rows, candidates: Sequence[Candidate], weights: Weights, seed: int
-) -> dict[str, Any]:
+def _adaptation(recorded: Lesson, mixed: Rows, crew: Workers) -> dict[str, Any]:
     """Return what a card says of synthetic impacts: how many, how far they were moved, and what they are good for."""
     moved = shift(mixed.names, mixed.features, mixed.labels, mixed.group < 0)
-    alone = judge(rows, candidates, weights, seed).probabilities
-    answers = np.unique(rows.labels)[np.argmax(alone, axis=1)]
+    alone = judge(recorded, crew=crew).probabilities
+    labels = recorded.rows.labels
+    answers = np.unique(labels)[np.argmax(alone, axis=1)]
     return {
         "synthetic": {
             "n": int(np.sum(mixed.group < 0)),
             "moved_db": {name: 10 * by for name, by in zip(mixed.names, moved.tolist(), strict=True) if is_level(name)},
-            "accuracy_without": float(np.mean(answers == rows.labels)),
+            "accuracy_without": float(np.mean(answers == labels)),
         }
     }
 

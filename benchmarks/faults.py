@@ -1,0 +1,383 @@
+"""What becomes of files when the disk does not obey: every command that writes, every call of it failing in turn.
+
+    python benchmarks/faults.py                       # k = 1..50, ENOSPC and EACCES: half an hour
+    python benchmarks/faults.py --most 5 --only table # some of it
+
+Each command runs with the k-th call by which it writes (open, write, fsync, rename, ...; `failing_calls.c`) failing:
+with ENOSPC as on a disk that is full from then on, with EACCES once. It runs where nothing is yet, and with --overwrite
+where good old files lie. Then it must have ended with exit code 73 or 74 and one line on stderr, what was there before
+must be there byte for byte, and nothing else; or, where it could do without the call, it must have made all that an
+undisturbed run makes. What a command leaves when a signal stops it at the k-th call is judged likewise: Ctrl-C (130)
+leaves what was there, kill -9 under every name either the old bytes or the new.
+"""
+
+from __future__ import annotations
+
+import argparse
+import errno
+import json
+import os
+import re
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+ROOT = Path(__file__).parents[1]
+HERE = Path(__file__).parent
+#: Exit codes of what cannot be created, and of what could not be written.
+CANNOT_CREATE, WRITE_FAILED, INTERRUPTED = 73, 74, 130
+Files = dict[str, bytes]
+
+
+@dataclass(frozen=True)
+class Command:
+    """A command that writes.
+
+    Attributes
+    ----------
+    name : str
+    arguments : tuple of str
+        {here} is the folder that it writes into, {inputs} what it may read.
+    older : tuple of str
+        The arguments of the run whose files are overwritten.
+    unfinished : str
+        Pattern of the names of files that may stay behind a run that failed.
+    computes : bool
+        Whether it computes long, so that it has to run once in the server.
+    """
+
+    name: str
+    arguments: tuple[str, ...]
+    older: tuple[str, ...]
+    unfinished: str = "(?!)"
+    computes: bool = False
+
+
+def _command(name: str, arguments: str, *, older: str = "", **rest: Any) -> Command:
+    words = arguments.split()
+    return Command(name, tuple(words), tuple((older or arguments).split()), **rest)
+
+
+#: Shards that are whole, and what says that a run is not finished; or the same of a new folder beside the old.
+_SHARDS = r"(data|\.data\.[^/]*)/(shard-\d+\.h5|recording-\d+\.h5|unfinished\.jsonl)"
+_SIGNALS = "generate {inputs}/short.toml -n 48 --seed"
+_TABLE = "generate reference -n 400 --features-only --features peak_force,width_50 --seed"
+_STREAM = "generate {inputs}/brief.toml --seed"
+COMMANDS = (
+    _command("generate: folder", f"{_SIGNALS} 1 --shard-signals 16 -o {{here}}/data", unfinished=_SHARDS),
+    _command("generate: file", f"{_SIGNALS} 1 -o {{here}}/data.h5"),
+    _command("generate: gzip", f"{_SIGNALS} 1 --compression gzip -o {{here}}/data.h5"),
+    _command("generate: recording", f"{_STREAM} 1 -o {{here}}/data.h5"),
+    _command("generate: recordings", f"{_STREAM} 1 -n 3 -o {{here}}/data", unfinished=_SHARDS),
+    _command("generate: table, HDF5", f"{_TABLE} 1 -o {{here}}/table.h5"),
+    _command("generate: table, CSV", f"{_TABLE} 1 -o {{here}}/table.csv"),
+    _command("generate: table, Parquet", f"{_TABLE} 1 -o {{here}}/table.parquet"),
+    _command("train", "train {inputs}/data.h5 --plots -o {here}/m.npz", computes=True),
+    _command("plot: PNG", "plot {inputs}/sample.csv -o {here}/p.png"),
+    _command("plot: SVG", "plot {inputs}/sample.csv -o {here}/p.svg"),
+    _command("plot: PDF", "plot {inputs}/sample.csv -o {here}/p.pdf"),
+    _command("predict: report", "predict {inputs}/sample.csv --report {here}/r.html"),
+    _command("reproduce", "reproduce -o {here}/paper", computes=True),
+    _command("ceiling: survey", "ceiling reference -n 300 --plot {here}/c.png", computes=True),
+)
+
+
+@dataclass(frozen=True)
+class Ending:
+    """How a command ended.
+
+    Attributes
+    ----------
+    codes : list of int
+        Exit codes of all copies that ran at once, or minus the signal that ended them.
+    calls : int
+        By which it wrote.
+    seconds : float
+        [s]
+    out, err : str
+        What it printed; of several copies, the last one's.
+    """
+
+    codes: list[int]
+    calls: int
+    seconds: float
+    out: str
+    err: str
+
+
+class Server:
+    """Runs commands with faults, in copies of one process.
+
+    Parameters
+    ----------
+    folder : Path
+        For what the commands print, and for the library that makes calls fail.
+    around : sequence of str
+        A command that runs the server: such as unshare.
+    faults : bool
+        Whether calls are to be counted and to fail: that takes gcc.
+    """
+
+    def __init__(self, folder: Path, around: Sequence[str] = (), *, faults: bool = True) -> None:
+        self._folder = folder
+        environment = {**os.environ, "PYTHONPATH": str(ROOT), "PYTHONWARNINGS": "default"}
+        if faults:
+            environment["LD_PRELOAD"] = str(_built(folder))
+        command = [*around, sys.executable, str(HERE / "fault_server.py")]
+        self.process = subprocess.Popen(
+            command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, env=environment, cwd=folder, text=True
+        )
+
+    def __enter__(self) -> Server:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        assert self.process.stdin is not None and self.process.stdout is not None
+        self.process.stdin.close()
+        self.process.stdout.close()
+        self.process.wait()
+
+    def run(self, arguments: Sequence[str], **asked: Any) -> Ending:
+        """Return how a command ended; what may be asked for is in `fault_server.py`."""
+        out, err = self._folder / "out.txt", self._folder / "err.txt"
+        asked = {"arguments": list(arguments), "out": str(out), "err": str(err), **asked}
+        assert self.process.stdin is not None and self.process.stdout is not None
+        self.process.stdin.write(json.dumps(asked) + "\n")
+        self.process.stdin.flush()
+        answer = json.loads(self.process.stdout.readline())
+        if asked.get("here"):
+            return Ending(answer["codes"], 0, 0.0, "", "")
+        texts = (Path(asked[name]) for name in ("out", "err"))
+        return Ending(**answer, **{name: text_of(path) for name, path in zip(("out", "err"), texts, strict=True)})
+
+
+def text_of(path: Path) -> str:
+    """Return the text of a file; nothing for a device."""
+    return path.read_text() if path.is_file() else ""
+
+
+def _built(folder: Path) -> Path:
+    library = folder / "failing_calls.so"
+    if not library.exists():
+        source = HERE / "failing_calls.c"
+        subprocess.run(["gcc", "-shared", "-fPIC", "-O1", "-o", library, source, "-ldl"], check=True)
+    return library
+
+
+def files_in(folder: Path) -> Files:
+    """Return the content of every file below a folder by its name; folders end in / and have none."""
+    found = {}
+    for path in sorted(folder.rglob("*")):
+        name = str(path.relative_to(folder))
+        found[name + "/" * path.is_dir()] = b"" if path.is_dir() else path.read_bytes()
+    return found
+
+
+@dataclass
+class Trial:
+    """A command, the files that it finds, and the files that it makes where nothing fails.
+
+    Attributes
+    ----------
+    command : Command
+    server : Server
+    inputs, here : Path
+        What it reads from and writes into.
+    old, new : dict of bytes
+        What lies there before and behind it.
+    calls : int
+        By which it writes.
+    """
+
+    command: Command
+    server: Server
+    inputs: Path
+    here: Path
+    old: Files = field(default_factory=dict)
+    new: Files = field(default_factory=dict)
+    calls: int = 0
+
+    def prepare(self, *, overwrite: bool) -> None:
+        """Run the command undisturbed, to know what it makes."""
+        self._lay({})
+        if overwrite:
+            # Any bytes would do, but for a folder, which must look like one of ours.
+            arguments = [word if word != "1" else "2" for word in self._words(self.command.older)]
+            assert self.server.run(arguments).codes == [0], self.server.run(arguments).err
+            self.old = files_in(self.here)
+            self.old = {n: c + b"old" * (not n.endswith("/") and "data/" not in n) for n, c in self.old.items()}
+        self._lay(self.old)
+        self.overwrite = overwrite
+        ended = self.run()
+        assert ended.codes == [0], ended.err
+        self.new, self.calls = files_in(self.here), ended.calls
+
+    def run(self, **faults: Any) -> Ending:
+        """Run the command with faults where the old files lie."""
+        self._lay(self.old)
+        arguments = [*self._words(self.command.arguments), *(["--overwrite"] if self.overwrite else [])]
+        return self.server.run(arguments, below=f"{self.here}/", **faults)
+
+    def _words(self, words: Sequence[str]) -> list[str]:
+        return [word.replace("{here}", str(self.here)).replace("{inputs}", str(self.inputs)) for word in words]
+
+    def _lay(self, files: Mapping[str, bytes]) -> None:
+        shutil.rmtree(self.here, ignore_errors=True)
+        self.here.mkdir()
+        for name, content in files.items():
+            path = self.here / name
+            path.mkdir() if name.endswith("/") else path.write_bytes(content)
+
+
+def judge_failure(trial: Trial, ended: Ending) -> str:
+    """Return what is wrong with how a command ended of which a call failed, or nothing."""
+    left = files_in(trial.here)
+    (code,) = ended.codes
+    if code == 0:
+        return "" if left == trial.new and "error" not in ended.err else "exit code 0, and not what it should have made"
+    if code not in (CANNOT_CREATE, WRITE_FAILED):
+        return f"exit code {code}: {ended.err[-300:]}"
+    lines = ended.err.splitlines()
+    if len([line for line in lines if line.startswith("cgid: error: ")]) != 1 or "Traceback" in ended.err:
+        return f"said {ended.err[-300:]!r}"
+    return _not_as_before(trial, left)
+
+
+def judge_interruption(trial: Trial, ended: Ending) -> str:
+    """Return what is wrong with how a command ended when Ctrl-C was pressed, or nothing."""
+    left = files_in(trial.here)
+    (code,) = ended.codes
+    if code == 0:
+        return "" if left == trial.new else "exit code 0, and not what it should have made"
+    if code != INTERRUPTED or "Traceback" in ended.err:
+        return f"exit code {code}: {ended.err[-300:]}"
+    if left == trial.new:
+        return ""  # too late to stop anything
+    return _not_as_before(trial, left)
+
+
+def judge_kill(trial: Trial, ended: Ending) -> str:
+    """Return what is wrong with what a killed command left, or nothing."""
+    if ended.codes not in ([-signal.SIGKILL], [0]):
+        return f"exit code {ended.codes}: {ended.err[-300:]}"
+    for name, content in files_in(trial.here).items():
+        known = (trial.old.get(name), trial.new.get(name))
+        if content not in known and not name.endswith(".part") and not re.fullmatch(trial.command.unfinished, name):
+            return f"{name} is neither old nor new"
+    return ""
+
+
+def _not_as_before(trial: Trial, left: Files) -> str:
+    for name, content in trial.old.items():
+        if left.get(name) != content:
+            return f"old {name} is {'gone' if name not in left else 'changed'}"
+    for name in left.keys() - trial.old.keys():
+        if name.endswith(".part"):
+            return f"temporary {name} is left"
+        if not re.match(
+            trial.command.unfinished.split("/")[0] if name.endswith("/") else trial.command.unfinished, name
+        ):
+            return f"{name} is left"
+    return ""
+
+
+#: What may happen at the k-th call: what the server is asked for, and who judges.
+FAULTS = {
+    "ENOSPC": ({"errno": errno.ENOSPC, "lasting": 1}, judge_failure),
+    "EACCES": ({"errno": errno.EACCES, "lasting": 0}, judge_failure),
+    "Ctrl-C": ({"signal": int(signal.SIGINT)}, judge_interruption),
+    "kill -9": ({"signal": int(signal.SIGKILL)}, judge_kill),
+}
+
+
+def sweep(trial: Trial, fault: str, calls: Sequence[int]) -> tuple[int, list[str]]:
+    """Let each of some calls fail in turn; return how many there were, and what was wrong."""
+    asked, judge = FAULTS[fault]
+    wrong, done = [], 0
+    for number in calls:
+        if number > trial.calls:
+            break
+        done += 1
+        if problem := judge(trial, trial.run(first=number, **asked)):
+            wrong.append(
+                f"{trial.command.name}{', --overwrite' * bool(trial.old)}, {fault} at call {number}: {problem}"
+            )
+    return done, wrong
+
+
+@contextmanager
+def inputs(server: Server, folder: Path) -> Iterator[Path]:
+    """Yield a folder with what the commands read."""
+    scenes = ROOT / "datasets"
+    folder.mkdir()
+    reference = (scenes / "reference.toml").read_text()
+    (folder / "short.toml").write_text(re.sub(r"\nsamples = \d+", "\nsamples = 512", reference))
+    caving = (scenes / "caving.toml").read_text()
+    brief = (
+        caving.replace('duration = "60 s"', 'duration = "4 s"')
+        .replace("25.6 kHz", "4 kHz")
+        .replace("10 kHz", "1.5 kHz")
+    )
+    (folder / "brief.toml").write_text(
+        re.sub(r"(times = \[)[^\]]*\], gangue = \[[^\]]*", r'\1"0 s", "4 s"], gangue = [0.1, 0.9', brief)
+    )
+    shutil.copy(scenes / "sample.csv", folder)
+    made = server.run(["generate", "reference", "-n", "800", "-o", str(folder / "data.h5")])
+    assert made.codes == [0], made.err
+    yield folder
+
+
+def load(server: Server, command: Command, folder: Path, inputs: Path) -> None:
+    """Have the server load what a command needs, so that each run of it takes milliseconds."""
+    here = folder / "load"
+    here.mkdir()
+    words = [word.replace("{here}", str(here)).replace("{inputs}", str(inputs)) for word in command.arguments]
+    assert server.run(words, here=True).codes == [0], words
+    shutil.rmtree(here)
+
+
+def main() -> None:
+    """Print how often each command was disturbed, and whatever went wrong."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--most", type=int, default=50, help="calls that fail, from the first")
+    parser.add_argument("--only", default="", help="commands with this in their name")
+    parser.add_argument("--faults", nargs="*", default=list(FAULTS), choices=list(FAULTS))
+    arguments = parser.parse_args()
+    print(f"| command | writes by calls, new / old | {' | '.join(arguments.faults)} |")
+    print("|" + "---|" * (2 + len(arguments.faults)))
+    wrong: list[str] = []
+    total = 0
+    with tempfile.TemporaryDirectory() as temporary:
+        folder = Path(temporary)
+        with Server(folder) as server, inputs(server, folder / "inputs") as read:
+            for command in COMMANDS:
+                if arguments.only not in command.name:
+                    continue
+                load(server, command, folder, read)
+                cells, calls = dict.fromkeys(arguments.faults, 0), []
+                for overwrite in (False, True):
+                    trial = Trial(command, server, read, folder / "here")
+                    trial.prepare(overwrite=overwrite)
+                    calls.append(trial.calls)
+                    for fault in arguments.faults:
+                        done, bad = sweep(trial, fault, range(1, arguments.most + 1))
+                        cells[fault] += done
+                        wrong += bad
+                total += sum(cells.values())
+                print(
+                    f"| {command.name} | {calls[0]} / {calls[1]} | {' | '.join(map(str, cells.values()))} |", flush=True
+                )
+    print(f"\n{total} disturbed runs, {len(wrong)} went wrong")
+    print("\n".join(wrong))
+    sys.exit(bool(wrong))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,236 @@
+"""Work handed out to processes and to a dask cluster of two real workers: the same results, and every failure told."""
+
+from __future__ import annotations
+
+import copy
+import dataclasses
+import hashlib
+import os
+import re
+import signal
+import sys
+from collections.abc import Iterator
+from contextlib import AbstractContextManager
+from pathlib import Path
+from typing import Any
+
+import pytest
+from distributed import LocalCluster
+
+from cgid import cluster
+from cgid.cli.main import run
+from cgid.cluster import ALONE, Workers, workers
+from cgid.errors import BadData, CannotCreate, ClusterFailed, InvalidValue, MissingExtra
+from cgid.identification.measuring import measure
+from cgid.identification.selection import CANDIDATES, select
+from cgid.scene import Scene, generate, synthesise
+from cgid.scene import workers as shards
+from cgid.validation import positive
+
+#: Quick to measure, and with a signal's share of the folds that calibrate.
+FEATURES = "peak_force,impulse"
+
+
+@pytest.fixture(scope="module")
+def two_workers() -> Iterator[Any]:
+    """Yield a scheduler and two worker processes, which find this folder of tests, too."""
+    root = str(Path(__file__).parents[1])
+    before = os.environ.get("PYTHONPATH")
+    os.environ["PYTHONPATH"] = os.pathsep.join([root, *([before] if before else [])])
+    with LocalCluster(
+        n_workers=2, threads_per_worker=1, processes=True, dashboard_address=":0", host="127.0.0.1"
+    ) as made:
+        yield made
+    if before is None:
+        del os.environ["PYTHONPATH"]
+    else:
+        os.environ["PYTHONPATH"] = before
+
+
+@pytest.fixture
+def address(two_workers: Any) -> str:
+    return str(two_workers.scheduler_address)
+
+
+@pytest.fixture
+def nobody() -> Iterator[str]:
+    """Yield the address of a scheduler without workers."""
+    with LocalCluster(n_workers=0, dashboard_address=":0", host="127.0.0.1") as made:
+        yield str(made.scheduler_address)
+
+
+def sums(folder: Path) -> dict[str, str]:
+    return {file.name: hashlib.sha256(file.read_bytes()).hexdigest() for file in sorted(folder.iterdir())}
+
+
+# ---- the same results ------------------------------------------------------------------------------------------------
+
+
+def test_a_dataset_is_the_same_whoever_makes_it(
+    reference_scene: Scene, address: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)  # where the workers are not
+    told: list[int] = []
+    generate(reference_scene, "one", 900, 4, shard_signals=128)
+    generate(reference_scene, "two", 900, 4, shard_signals=128, jobs=2)
+    generate(reference_scene, "dask", 900, 4, shard_signals=128, scheduler=address, progress=told.append)
+    generate(reference_scene, "dask.h5", 128, 4, scheduler=address)
+    assert sums(Path("one")) == sums(Path("two")) == sums(Path("dask"))
+    assert Path("dask.h5").read_bytes() == Path("one/shard-00000.h5").read_bytes()
+    assert len(sums(Path("dask"))) == 9  # eight shards and the manifest
+    assert sorted(told) == [4, *[128] * 7]
+
+
+def test_families_are_compared_alike_whoever_does_it(
+    reference_scene: Scene, address: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    measured = measure(synthesise(reference_scene, 900, seed=6), FEATURES.split(","))
+    candidates = tuple(one for one in CANDIDATES if one.name == "linear discriminant")
+
+    def rows(crew: Workers) -> Any:
+        found = select(measured, candidates=candidates, n_folds=3, crew=crew)
+        return [{key: value for key, value in row.items() if key not in ("fit_s", "predict_us")} for row in found]
+
+    monkeypatch.setattr(cluster, "_SMALL", 1000)  # what all parts have in common goes to each worker once
+    with workers(scheduler=address) as far:
+        assert rows(ALONE) == rows(far)
+
+
+def test_a_command_does_its_work_on_a_cluster(address: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    data, models = str(tmp_path / "data"), [tmp_path / name for name in ("far.npz", "one.npz")]
+    assert (
+        run(["generate", "reference", "-n", "700", "-o", data, "--shard-signals", "256", "--scheduler", address]) == 0
+    )
+    for model, way in zip(models, (["--scheduler", address], []), strict=True):
+        assert run(["train", data, "-o", str(model), "--family", "discriminant", "--features", FEATURES, *way]) == 0
+    assert models[0].read_bytes() == models[1].read_bytes()
+    assert "Traceback" not in capsys.readouterr().err
+
+
+# ---- what can go wrong -----------------------------------------------------------------------------------------------
+
+
+WAYS = ["alone", "jobs", "cluster"]
+
+
+def crew_of(way: str, address: str) -> AbstractContextManager[Workers]:
+    return workers(2 if way == "jobs" else 1, address if way == "cluster" else None)
+
+
+@pytest.mark.parametrize("way", WAYS)
+def test_what_a_part_raises_is_raised(way: str, address: str) -> None:
+    with crew_of(way, address) as crew:
+        assert list(crew.each(positive, "radius", [3, 4, 5])) == [3, 4, 5]
+        with pytest.raises(InvalidValue, match=r"^radius must be above 0, got -2"):
+            list(crew.each(positive, "radius", [1, -2, 3]))
+        assert sorted(crew.each(positive, "radius", [3, 4, 5], ordered=False)) == [3, 4, 5]  # the crew goes on
+
+
+@pytest.mark.parametrize("way", WAYS)
+def test_parts_that_cannot_be_made_are_told(way: str, address: str) -> None:
+    def parts() -> Iterator[int]:
+        yield from range(3, 30)
+        raise BadData("shard 5 is damaged")
+
+    with crew_of(way, address) as crew, pytest.raises(BadData, match="shard 5 is damaged"):
+        list(crew.each(positive, "radius", parts()))
+
+
+def fatal(marks: str, part: int) -> int:
+    """End the process that does part 1, for the first so many times."""
+    folder, _, most = marks.partition("|")
+    deaths = len(list(Path(folder).iterdir()))
+    if part == 1 and deaths < int(most):
+        (Path(folder) / str(deaths)).touch()
+        os.kill(os.getpid(), signal.SIGKILL)
+    return part
+
+
+def test_a_worker_that_dies_is_made_up_for(address: str, tmp_path: Path) -> None:
+    with workers(scheduler=address) as crew:
+        assert sorted(crew.each(fatal, f"{tmp_path}|1", range(6), ordered=False)) == list(range(6))
+    assert len(list(tmp_path.iterdir())) == 1
+
+
+def test_a_part_that_kills_its_workers_is_given_up(two_workers: Any, address: str, tmp_path: Path) -> None:
+    two_workers.scheduler.allowed_failures = 0
+    with (
+        workers(scheduler=address) as crew,
+        pytest.raises(ClusterFailed, match="several workers have died of the same"),
+    ):
+        list(crew.each(fatal, f"{tmp_path}|99", range(6)))
+    two_workers.scheduler.allowed_failures = 3
+
+
+def test_a_folder_that_is_not_shared_is_told(
+    reference_scene: Scene, address: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(shards, "PATIENCE", 0.5)
+    elsewhere = tmp_path / "elsewhere"
+    elsewhere.mkdir()
+    monkeypatch.setattr(shards, "_anywhere", lambda asked: moved(asked, elsewhere))
+    with pytest.raises(
+        CannotCreate, match=r"shard-0000\d\.h5: must be here with the \d+ bytes a worker has written, is"
+    ):
+        generate(reference_scene, tmp_path / "data", 512, shard_signals=128, scheduler=address)
+    monkeypatch.setattr(shards, "_anywhere", lambda asked: moved(asked, tmp_path / "missing"))
+    with pytest.raises(CannotCreate, match="must be a folder that all workers share"):
+        generate(reference_scene, tmp_path / "data", 512, shard_signals=128, scheduler=address)
+    assert not (tmp_path / "data" / "manifest.json").exists()
+
+
+def moved(asked: Any, folder: Path) -> Any:
+    """Return what workers are asked as it is on a machine whose folder of that name is another one."""
+    asked.writer.output, before = folder, asked.writer.output
+    there = dataclasses.replace(asked, writer=copy.copy(asked.writer))
+    asked.writer.output = before
+    return there
+
+
+def test_other_versions_are_refused_before_anything_is_written(
+    reference_scene: Scene, address: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    versions = {**cluster._versions(), "numpy": "1.0"}
+    monkeypatch.setattr(cluster, "_versions", lambda: versions)
+    with pytest.raises(ClusterFailed, match=r"must have numpy 1\.0 as this process, for the same results, got \d"):
+        generate(reference_scene, tmp_path / "data", 512, scheduler=address)
+    assert not (tmp_path / "data").exists()
+
+
+def test_a_scheduler_without_workers(nobody: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(cluster, "PATIENCE", 0.5)
+    with pytest.raises(ClusterFailed, match=r"must have workers, none came within 0\.5 s"), workers(scheduler=nobody):
+        pass
+
+
+def test_no_scheduler_at_all(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    monkeypatch.setattr(cluster, "PATIENCE", 0.5)
+    assert run(["generate", "reference", "-o", str(tmp_path / "d"), "--scheduler", "tcp://127.0.0.1:9"]) == 69
+    error = capsys.readouterr().err
+    assert re.fullmatch(r"cgid: error: tcp://127\.0\.0\.1:9: a dask scheduler must answer there within .*\n", error)
+    assert not (tmp_path / "d").exists()
+
+
+@pytest.mark.parametrize("scheduler", ["", "127.0.0.1:8786", "tcp://host", "http://host:1", "tcp://host:eight"])
+def test_what_is_no_address_is_refused(scheduler: str) -> None:
+    with pytest.raises(InvalidValue, match="scheduler must be an address such as"), workers(scheduler=scheduler):
+        pass
+
+
+def test_dask_is_an_extra(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    with pytest.raises(MissingExtra, match=r"pip install 'cgid\[cluster\]'"), workers(scheduler="tcp://host:1"):
+        pass
+
+
+def test_jobs_and_a_scheduler_exclude_each_other(capsys: pytest.CaptureFixture[str]) -> None:
+    way = ["--jobs", "2", "--scheduler", "tcp://host:1"]
+    for command in (["generate", "reference", "-o", "d"], ["train", "reference", "-o", "m.npz"]):
+        assert run([*command, *way]) == 2
+        assert "--jobs is for this machine, --scheduler for a cluster" in capsys.readouterr().err
+    assert run(["generate", "caving", "-o", "d.h5", "--scheduler", "tcp://host:1"]) == 65
+    assert "--scheduler is for datasets" in capsys.readouterr().err
+    with pytest.raises(InvalidValue, match="jobs must be 1 or more"), workers(0):
+        pass

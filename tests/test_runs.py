@@ -1,0 +1,308 @@
+"""Runs that are killed, interrupted, resumed, begun twice: what is whole stays whole, and all ends as it should."""
+
+import json
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from cgid.cli.main import run
+from cgid.errors import BadData, CannotCreate
+from cgid.scene import generate, generate_recordings, parse_scene
+from cgid.store import Dataset
+from cgid.store import run as run_of_store
+from cgid.store.journal import JOURNAL
+from tests.test_store import scene_of
+from tests.test_stream import content as stream_content
+
+ROOT = Path(__file__).parents[1]
+SCENE = scene_of(32)
+STREAM = parse_scene(stream_content(duration="0.5 s", sensor={"absolute_noise": "10 N"}))
+#: The options of a run of four shards.
+OPTIONS = {"n_signals": 400, "seed": 3, "shard_signals": 100}
+
+
+def dataset(path, **options):
+    return generate(SCENE, path, **{**OPTIONS, **options})
+
+
+def recordings(path, **options):
+    return generate_recordings(STREAM, path, **{"n_recordings": 3, "seed": 3, **options})
+
+
+class Stop(Exception):
+    pass
+
+
+def stopped(make, path, after=1, **options):
+    """Begin a run and stop it when files have been finished; return what is in the folders."""
+    done = 0
+
+    def stop(count):
+        nonlocal done
+        done += bool(count)
+        if len(list(path.parent.glob("*data*/[sr]*.h5"))) > after:
+            raise Stop
+
+    with pytest.raises(Stop):
+        make(path, progress=stop, **options)
+    assert done
+
+
+def files(folder):
+    """Return every file below a folder, hidden ones, too, with its content."""
+    return {str(path.relative_to(folder)): path.read_bytes() for path in sorted(folder.rglob("*")) if path.is_file()}
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory):
+    """What uninterrupted runs make."""
+    folder = tmp_path_factory.mktemp("whole")
+    return {make: files(make(folder / make.__name__)) for make in (dataset, recordings)}
+
+
+@pytest.fixture
+def path(tmp_path):
+    (tmp_path / "here").mkdir()
+    return tmp_path / "here" / "data"
+
+
+# ---- killed ----------------------------------------------------------------------------------------------------------
+
+
+def test_killed_runs_go_on_to_the_same_bytes():
+    """The short form of the benchmark, in a process of its own: it forks."""
+    command = [sys.executable, "benchmarks/kills.py", "--kills", "12", "--with-workers", "0"]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert done.stdout.count("| nothing |") == 4
+
+
+@pytest.mark.parametrize("make", [dataset, recordings])
+@pytest.mark.parametrize("older", [False, True])
+def test_a_stopped_run_goes_on_to_the_same_bytes(whole, path, make, older):
+    before = {}
+    if older:
+        before = files(make(path, seed=1))
+    stopped(make, path, overwrite=older, after=sum(name.endswith(".h5") for name in before) + 1)
+    if older:
+        assert files(path) == before
+    with pytest.raises(CannotCreate, match=r"not finished: \d of . (shards|recordings) are there.*--resume"):
+        make(path)
+    make(path, resume=True)
+    assert files(path) == whole[make]
+    assert [left.name for left in path.parent.iterdir()] == ["data"]
+
+
+def test_ctrl_c_with_two_workers_and_on(whole, path):
+    def interrupt(_):
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        dataset(path, jobs=2, progress=interrupt)
+    assert not list(path.glob(".*")) and (path / JOURNAL).exists()
+    dataset(path, resume=True)
+    assert files(path) == whole[dataset]
+
+
+# ---- what is resumed -------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("make", [dataset, recordings])
+def test_what_is_whole_is_left_as_it_is(whole, path, make):
+    make(path)
+    times = {file: file.stat().st_mtime_ns for file in path.iterdir()}
+    make(path, resume=True)
+    assert {file: file.stat().st_mtime_ns for file in path.iterdir()} == times
+    with pytest.raises(CannotCreate, match="seed must be that of the run to be resumed, 3, got 4"):
+        make(path, resume=True, seed=4)
+    make(path, resume=True, seed=4, overwrite=True)
+    assert files(path) != whole[make] and not list(path.parent.glob(".*"))
+
+
+@pytest.mark.parametrize("make", [dataset, recordings])
+def test_where_there_is_nothing_to_resume_the_run_begins(whole, path, make):
+    make(path, resume=True)
+    assert files(path) == whole[make]
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "first"),
+    [
+        ("seed", 4, 3),
+        ("n_signals", 500, 400),
+        ("shard_signals", 50, 100),
+        ("dtype", "float64", "float32"),
+        ("compression", "gzip", "none"),
+    ],
+)
+def test_other_options_are_refused(path, name, value, first):
+    stopped(dataset, path)
+    before = files(path)
+    with pytest.raises(CannotCreate, match=rf"{name} must be that of the run to be resumed, {first}, got {value}"):
+        dataset(path, resume=True, **{name: value})
+    assert files(path) == before
+
+
+def test_another_scene_is_refused(path):
+    stopped(dataset, path)
+    with pytest.raises(CannotCreate, match="n_samples must be that of the run to be resumed, 32, got 64"):
+        generate(scene_of(64), path, resume=True, **OPTIONS)
+    other = parse_scene({**json.loads(SCENE.text), "sensor": {"relative_noise": 0.02}})
+    with pytest.raises(CannotCreate, match="scene_sha256 must be that of the run"):
+        generate(other, path, resume=True, **OPTIONS)
+
+
+@pytest.mark.parametrize("damage", ["flip", "cut", "missing"])
+def test_finished_shards_that_are_damaged_are_made_again(whole, path, damage):
+    stopped(dataset, path, after=2)
+    shard = path / "shard-00000.h5"
+    content = bytearray(shard.read_bytes())
+    content[len(content) // 2] ^= 1
+    if damage == "missing":
+        shard.unlink()
+    else:
+        shard.write_bytes(content if damage == "flip" else content[:-1])
+    dataset(path, resume=True)
+    assert files(path) == whole[dataset]
+
+
+def test_a_journal_that_is_damaged(whole, path):
+    stopped(dataset, path)
+    (path / JOURNAL).write_bytes(b"junk\n" + (path / JOURNAL).read_bytes())
+    with pytest.raises(BadData, match="--overwrite"):
+        dataset(path, resume=True)
+    dataset(path, overwrite=True)
+    assert files(path) == whole[dataset]
+
+
+def test_one_file(tmp_path):
+    path = tmp_path / "data.h5"
+    with pytest.raises(Stop):
+        dataset(path, progress=lambda _: (_ for _ in ()).throw(Stop))
+    assert not list(tmp_path.iterdir())
+    dataset(path, resume=True)
+    before = files(tmp_path)
+    dataset(path, resume=True)
+    assert files(tmp_path) == before
+    for options, says in (({"seed": 4}, "seed"), ({"n_signals": 10}, "n_signals"), ({"dtype": "float64"}, "dtype")):
+        with pytest.raises(CannotCreate, match=f"{says} must be that of the run"):
+            dataset(path, resume=True, **options)
+    dataset(path, resume=True, overwrite=True, seed=4)
+    assert files(tmp_path) != before
+
+
+def test_one_recording(tmp_path):
+    path = tmp_path / "data.h5"
+    recordings(path, n_recordings=1, resume=True)
+    before = files(tmp_path)
+    recordings(path, n_recordings=1, resume=True)
+    with pytest.raises(CannotCreate, match="seed must be that of the run"):
+        recordings(path, n_recordings=1, resume=True, seed=4)
+    assert files(tmp_path) == before
+
+
+# ---- two at once -----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("make", [dataset, recordings])
+@pytest.mark.parametrize("options", [{}, {"overwrite": True}, {"resume": True}, {"resume": True, "overwrite": True}])
+@pytest.mark.parametrize("older", [False, True])
+def test_a_second_run_is_refused(whole, path, make, options, older):
+    if older:
+        make(path, seed=1)
+    refusals = []
+
+    def second(_):
+        if not refusals:
+            with pytest.raises(CannotCreate) as refused:
+                make(path, **options)
+            refusals.append(str(refused.value))
+
+    make(path, progress=second, overwrite=older)
+    assert "is writing there; wait for it" in refusals[0] or not options
+    assert files(path) == whole[make]
+    assert [left.name for left in path.parent.iterdir()] == ["data"]
+
+
+@pytest.mark.parametrize("make", [dataset, recordings])
+def test_a_file_that_another_run_has_made_meanwhile_is_kept(tmp_path, make):
+    path = tmp_path / "data.h5"
+    one = {"n_signals": 100} if make is dataset else {"n_recordings": 1}
+
+    def other(_):
+        path.write_bytes(b"theirs")
+
+    with pytest.raises(CannotCreate, match="has come into being meanwhile"):
+        make(path, progress=other, **one)
+    assert files(tmp_path) == {"data.h5": b"theirs"}
+
+
+# ---- overwriting -----------------------------------------------------------------------------------------------------
+
+
+def test_what_others_put_into_a_folder_meanwhile_is_kept(path):
+    dataset(path, seed=1)
+    dataset(path, overwrite=True, progress=lambda _: (path / "thesis.txt").write_text("mine"))
+    assert (path / "thesis.txt").read_text() == "mine"
+    assert not list(path.parent.glob(".*")) and Dataset(path).header.attributes["seed"] == 3
+
+
+@pytest.mark.parametrize("make", [dataset, recordings])
+def test_folders_that_cannot_change_names_in_one_step(whole, path, make, monkeypatch):
+    monkeypatch.setattr(run_of_store, "exchange", lambda *_: False)
+    make(path, seed=1)
+    make(path, overwrite=True)
+    assert files(path) == whole[make]
+    assert [left.name for left in path.parent.iterdir()] == ["data"]
+
+
+@pytest.mark.parametrize("make", [dataset, recordings])
+def test_a_crash_between_two_changes_of_names(whole, path, make, monkeypatch):
+    def crash(hidden, output):
+        output.rename(output.with_name(".data.replaced"))
+        raise Stop
+
+    make(path, seed=1)
+    with monkeypatch.context() as patched, pytest.raises(Stop):
+        patched.setattr(run_of_store, "exchange", crash)
+        make(path, overwrite=True)
+    assert not path.exists()
+    with pytest.raises(CannotCreate, match="--resume"):
+        make(path)
+    make(path, resume=True)
+    assert files(path) == whole[make]
+    assert [left.name for left in path.parent.iterdir()] == ["data"]
+
+
+def test_a_run_after_one_that_was_killed_while_it_cleared_away(whole, path):
+    dataset(path)
+    shutil.copytree(path, path.with_name(".data.unfinished"))  # an older dataset, without a journal
+    (path / JOURNAL).write_text("")
+    dataset(path, resume=True)
+    assert files(path) == whole[dataset]
+    assert [left.name for left in path.parent.iterdir()] == ["data"]
+
+
+# ---- what is said ----------------------------------------------------------------------------------------------------
+
+
+def test_an_unfinished_dataset_is_told_as_such(path, capsys):
+    stopped(dataset, path)
+    with pytest.raises(BadData, match=r"not finished: \d of 4 shards are there; go on with cgid generate"):
+        Dataset(path)
+    assert run(["info", str(path)]) == 65
+    assert "of 4 shards are there; go on with cgid generate ... --resume" in capsys.readouterr().err
+
+
+def test_resume_by_the_command_line(tmp_path, capsys):
+    command = ["generate", "reference", "-n", "30", "-o", str(tmp_path / "data")]
+    assert run(command) == run([*command, "--resume"]) == 0
+    assert run(command) == 73
+    assert run([*command, "--resume", "--seed", "4"]) == 73
+    assert "seed must be that of the run to be resumed, 0, got 4" in capsys.readouterr().err
+    table = ["generate", "reference", "-n", "30", "-o", str(tmp_path / "table.csv"), "--parameters-only", "--resume"]
+    assert run(table) == 2
+    assert "leave --resume out" in capsys.readouterr().err

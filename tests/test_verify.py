@@ -1,0 +1,417 @@
+"""What is damaged is found, said, and made again to the bytes it had; an export is the same dataset in one file."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import re
+import shutil
+import subprocess
+from dataclasses import replace
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+
+from benchmarks.bit_flips import everything_in, is_same, small_scene, subjects
+from cgid.cli.main import run
+from cgid.errors import BadData, CannotCreate, NoInput
+from cgid.scene import generate, parse_scene
+from cgid.scene.plan import plan
+from cgid.scene.repair import repair
+from cgid.scene.stream.generation import generate_recordings
+from cgid.scene.tabulation import tabulate
+from cgid.store import Dataset
+from cgid.store.examination import damaged_rows, examine_file
+from cgid.store.export import export
+from cgid.store.manifest import read_manifest
+from cgid.store.run import file_facts
+from cgid.store.verification import verify
+from tests.test_stream import content
+
+SCENE = small_scene(2048)
+#: Signals of 8 kB, of which 64 lie in a chunk.
+N, IN_SHARD = 400, 150
+STREAM = parse_scene(content(duration="3 s", sensor={"absolute_noise": "10 N"}))
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """One of everything, whole."""
+    folder = tmp_path_factory.mktemp("whole")
+    generate(SCENE, folder / "folder", N, 7, shard_signals=IN_SHARD)
+    generate(SCENE, folder / "packed", N, 7, shard_signals=IN_SHARD, compression="gzip")
+    generate(SCENE, folder / "one.h5", N, 7)
+    generate_recordings(STREAM, folder / "recordings", 3, seed=3)
+    generate_recordings(STREAM, folder / "recording.h5", seed=3)
+    for name in ("table.h5", "table.csv"):
+        tabulate(plan(SCENE, ["closed-form"]), folder / name, 9000, 7)
+    return folder
+
+
+@pytest.fixture
+def copies(made: Path, tmp_path: Path) -> Path:
+    """The same, to be damaged."""
+    return Path(shutil.copytree(made, tmp_path / "copies"))
+
+
+def contents(path: Path) -> dict[str, bytes]:
+    files = [path] if path.is_file() else sorted(path.iterdir())
+    return {file.name: file.read_bytes() for file in files}
+
+
+def flip(file: Path, place: int) -> None:
+    damaged = bytearray(file.read_bytes())
+    damaged[place] ^= 4
+    file.write_bytes(damaged)
+
+
+def place_of(file: Path, name: str, row: int) -> int:
+    """Return where a row of an uncompressed dataset lies in its file, as h5py itself says."""
+    with h5py.File(file) as stored:
+        dataset = stored[name]
+        chunk, inside = divmod(row, dataset.chunks[0])
+        found = dataset.id.get_chunk_info_by_coord((chunk * dataset.chunks[0], *[0] * (dataset.ndim - 1)))
+        return int(found.byte_offset) + inside * int(np.prod(dataset.shape[1:])) * dataset.dtype.itemsize
+
+
+def problems(path: Path) -> dict[str, str]:
+    return {finding.file.name: finding.problem for finding in verify(path).findings}
+
+
+def mended(path: Path, **options: object) -> list[bool]:
+    return [one.done for one in repair(verify(path), **options)]  # type: ignore[arg-type]
+
+
+# ---- bits and lengths ------------------------------------------------------------------------------------------------
+
+
+def test_no_flipped_bit_and_no_length_is_a_silent_change(tmp_path: Path) -> None:
+    """The long form: python benchmarks/bit_flips.py."""
+    for subject in subjects(tmp_path, bits=80, lengths=20, large_bits=25, verified_bits=20):
+        outcomes = subject.outcomes()
+        assert outcomes.total() == len(subject.damages)
+        assert set(outcomes) <= subject.sound, subject.name
+        assert outcomes["refused"] > 20
+
+
+def test_a_long_scene_is_held_against_its_sha256(tmp_path: Path) -> None:
+    """HDF5 has no checksum of an attribute above 64 KiB."""
+    scene = json.loads(SCENE.text)
+    scene["populations"][0]["density"] = {"distribution": "choice", "values": [float(k) for k in range(1, 9001)]}
+    path = generate(parse_scene(scene), tmp_path / "long.h5", 5)
+    flip(path, path.read_bytes().index(b"4321.0"))
+    with h5py.File(path) as file:
+        assert b"4321.0" not in file.attrs["scene"]
+    with pytest.raises(BadData, match="text of the scene must fit scene_sha256"):
+        Dataset(path)
+
+
+# ---- what is found ---------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("name", "kind"),
+    [
+        ("folder", "dataset"),
+        ("packed", "dataset"),
+        ("one.h5", "dataset"),
+        ("recordings", "recording"),
+        ("recording.h5", "recording"),
+        ("table.h5", "table"),
+        ("table.csv", "table"),
+    ],
+)
+def test_what_is_whole(made: Path, name: str, kind: str) -> None:
+    found = verify(made / name)
+    assert (found.kind, found.findings, found.damage) == (kind, (), ())
+
+
+def test_damaged_rows_are_those_of_the_chunk(copies: Path) -> None:
+    for file, row, says in (("one.h5", 100, "signals 64 to 127"), ("one.h5", 130, "signals 64 to 191")):
+        flip(copies / file, place_of(copies / file, "signals", row))
+        (finding,) = verify(copies / file).findings
+        assert finding.what == f"{says} do not fit their checksum"
+    flip(copies / "table.h5", place_of(copies / "table.h5", "specimen", 5000))
+    assert verify(copies / "table.h5").findings[0].what == "specimen 4096 to 8191 do not fit their checksum"
+
+
+def test_chunks_are_hashed_as_h5py_reads_them(made: Path) -> None:
+    examined = examine_file(made / "one.h5", {"signals": 100})
+    with h5py.File(made / "one.h5") as file:
+        rows = [file["signals"][first : first + 100].tobytes() for first in range(0, N, 100)]
+    digests = [hashlib.sha256(part).hexdigest() for part in rows]
+    assert examined["chunks"]["signals"] == [(100 * k, 100 * k + 100, digest) for k, digest in enumerate(digests)]
+    assert not any(damaged_rows(chunks) for chunks in examined["chunks"].values())
+
+
+def test_everything_wrong_with_a_folder_is_named(copies: Path) -> None:
+    folder = copies / "folder"
+    (folder / "shard-00000.h5").unlink()
+    flip(folder / "shard-00001.h5", place_of(folder / "shard-00001.h5", "signals", 3))
+    flip(folder / "shard-00002.h5", -1)
+    (folder / "notes.txt").write_text("mine")
+    (folder / ".shard-00001.h5.0123456789ab.part").write_bytes(b"half")
+    assert problems(folder) == {
+        "shard-00000.h5": "missing",
+        "shard-00001.h5": "damaged",
+        "shard-00002.h5": "damaged",
+        ".shard-00001.h5.0123456789ab.part": "leftover",
+        "notes.txt": "foreign",
+    }
+    assert len(verify(folder).damage) == 3
+
+
+def test_a_gap_among_recordings(copies: Path) -> None:
+    (copies / "recordings" / "recording-00001.h5").unlink()
+    assert problems(copies / "recordings") == {"recording-00001.h5": "missing"}
+
+
+def test_an_unfinished_run_says_how_far_it_has_come(tmp_path: Path) -> None:
+    def stop(_count: int) -> None:
+        if (tmp_path / "data" / "shard-00001.h5").exists():
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        generate(small_scene(), tmp_path / "data", 4096, 7, shard_signals=256, progress=stop)
+    (finding,) = verify(tmp_path / "data").damage
+    assert finding.problem == "unfinished"
+    assert "of 16 shards are there" in finding.what and "--resume" in finding.what
+    (one,) = repair(verify(tmp_path / "data"))
+    assert not one.done and "--resume" in one.told
+
+
+def test_nothing_there(tmp_path: Path) -> None:
+    with pytest.raises(NoInput):
+        verify(tmp_path / "nothing")
+
+
+# ---- what is made again ----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", ["folder", "packed"])
+def test_shards_are_made_again_byte_for_byte(made: Path, copies: Path, name: str) -> None:
+    folder = copies / name
+    (folder / "shard-00000.h5").unlink()
+    (folder / "shard-00001.h5").write_bytes((folder / "shard-00001.h5").read_bytes()[:5000])
+    flip(folder / "shard-00002.h5", 4000)
+    assert mended(folder) == [True] * 3
+    assert contents(folder) == contents(made / name)
+
+
+@pytest.mark.parametrize(("name", "dataset", "row"), [("one.h5", "signals", 70), ("recording.h5", "samples", 70_000)])
+def test_a_file_by_itself_is_made_again(made: Path, copies: Path, name: str, dataset: str, row: int) -> None:
+    flip(copies / name, place_of(copies / name, dataset, row))
+    assert mended(copies / name) == [True]
+    assert contents(copies / name) == contents(made / name)
+
+
+def test_lost_recordings_are_made_again(made: Path, copies: Path) -> None:
+    folder = copies / "recordings"
+    (folder / "recording-00001.h5").unlink()
+    flip(folder / "recording-00002.h5", 0)
+    assert mended(folder) == [True, True]
+    assert contents(folder) == contents(made / "recordings")
+
+
+@pytest.mark.parametrize("damage", ["flip", "cut", "gone"])
+def test_a_manifest_is_made_again_from_its_shards(made: Path, copies: Path, damage: str) -> None:
+    manifest = copies / "folder" / "manifest.json"
+    if damage == "flip":
+        flip(manifest, 700)
+    elif damage == "cut":
+        manifest.write_bytes(manifest.read_bytes()[:200])
+    else:
+        manifest.unlink()
+    assert problems(copies / "folder") == {"manifest.json": "missing" if damage == "gone" else "damaged"}
+    assert mended(copies / "folder") == [True]
+    assert contents(copies / "folder") == contents(made / "folder")
+
+
+def test_nothing_is_made_of_a_manifest_without_its_shards(copies: Path) -> None:
+    folder = copies / "folder"
+    (folder / "manifest.json").unlink()
+    (folder / "shard-00001.h5").unlink()
+    before = contents(folder)
+    assert mended(folder) == [False]
+    assert contents(folder) == before
+
+
+def changed(path: Path, name: str, row: int) -> None:
+    """Change a value as an honest writer would, its checksum, too: other numbers than scene and seed give."""
+    with h5py.File(path, "r+") as file:
+        file[name][row] += 1
+
+
+def test_nothing_is_replaced_where_the_undamaged_part_comes_out_otherwise(copies: Path) -> None:
+    path = copies / "one.h5"
+    flip(path, place_of(path, "signals", 70))
+    changed(path, "signals", 399)
+    before = contents(path)
+    (one,) = repair(verify(path))
+    assert not one.done
+    assert re.search("1 of [0-9]+ chunks do not", one.told)
+    assert contents(path) == before
+
+
+def test_other_bytes_of_equal_numbers_are_taken_and_listed_anew(copies: Path) -> None:
+    """As by another version of HDF5: the manifest knows other bytes than those that are made here."""
+    folder = copies / "folder"
+    manifest = folder / "manifest.json"
+    shard = folder / "shard-00001.h5"
+    with h5py.File(shard, "r+") as file:
+        file.attrs["made_by"] = 1  # what is laid out otherwise
+    entries = {entry.file: entry for entry in read_manifest(folder).shards}
+    _relist(folder, shard)
+    flip(shard, place_of(shard, "signals", 3))
+    assert mended(folder) == [True]
+    assert not verify(folder).findings
+    assert {entry.file: entry for entry in read_manifest(folder).shards} == entries
+    # Where the numbers of an undamaged shard come out otherwise, too, nothing is replaced.
+    changed(folder / "shard-00002.h5", "signals", 5)
+    _relist(folder, folder / "shard-00002.h5")
+    with h5py.File(shard, "r+") as file:
+        file.attrs["made_by"] = 1
+    _relist(folder, shard)
+    flip(shard, place_of(shard, "signals", 3))
+    before = contents(folder)
+    assert mended(folder) == [False]
+    assert contents(folder) == before
+    assert manifest.exists()
+
+
+def _relist(folder: Path, shard: Path) -> None:
+    """Make the manifest speak of a shard as it is now."""
+    listed = read_manifest(folder)
+    entries = tuple(
+        replace(entry, **file_facts(shard)) if entry.file == shard.name else entry for entry in listed.shards
+    )
+    (folder / "manifest.json").write_bytes(replace(listed, shards=entries).to_bytes())
+
+
+def test_leftovers_go_unless_they_may_still_be_written(copies: Path) -> None:
+    old, new = (copies / "folder" / f".shard-00001.h5.{digit * 12}.part" for digit in "ab")
+    for left in (old, new):
+        left.write_bytes(b"half")
+    os.utime(old, (0, 0))
+    assert mended(copies / "folder") == [True, False]
+    assert new.exists() and not old.exists()
+
+
+def test_a_recorded_background_is_read_from_beside_the_scene_that_is_given(tmp_path: Path) -> None:
+    """A file from a stranger must not have others opened for it."""
+    np.savetxt(tmp_path / "hum.csv", np.sin(np.arange(5000)), header="force [N]", comments="")
+    scene = json.loads(small_scene().text)
+    recorded = {"path": "hum.csv", "signal_to_noise": "20 dB", "sampling_rate": "100 kHz"}
+    loaded = parse_scene({**scene, "background": {"recorded": recorded}}, folder=tmp_path)
+    path = generate(loaded, tmp_path / "one.h5", 300, 7)
+    before = contents(path)
+    flip(path, place_of(path, "signals", 9))
+    (one,) = repair(verify(path))
+    assert not one.done and "--scene FILE" in one.told
+    (one,) = repair(verify(path), scene=small_scene())
+    assert not one.done and "SHA-256" in one.told
+    np.savetxt(tmp_path / "other.csv", np.cos(np.arange(5000)), header="force [N]", comments="")
+    shutil.copy(tmp_path / "hum.csv", tmp_path / "kept.csv")
+    shutil.copy(tmp_path / "other.csv", tmp_path / "hum.csv")
+    (one,) = repair(verify(path), scene=loaded)
+    assert not one.done and "recorded background must be the one" in one.told
+    shutil.copy(tmp_path / "kept.csv", tmp_path / "hum.csv")
+    assert mended(path, scene=loaded) == [True]
+    assert contents(path) == before
+
+
+def test_a_file_that_does_not_say_how_it_was_made(copies: Path) -> None:
+    flip(copies / "one.h5", 0)
+    before = contents(copies / "one.h5")
+    (one,) = repair(verify(copies / "one.h5"))
+    assert not one.done and "cgid generate with --overwrite" in one.told
+    assert contents(copies / "one.h5") == before
+
+
+# ---- export ----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", ["folder", "packed", "one.h5", "folder/shard-00001.h5"])
+def test_an_export_is_the_same_dataset(made: Path, tmp_path: Path, name: str) -> None:
+    path = export(made / name, tmp_path / "all.h5")
+    assert is_same(everything_in(path), everything_in(made / name))
+    assert not verify(path).findings
+    assert [file.name for file in tmp_path.iterdir()] == ["all.h5"]
+    with h5py.File(path) as file:
+        assert file["signals"].fletcher32 and file["signals"].compression is None
+        np.testing.assert_array_equal(file["labels"].asstr()[:], everything_in(made / name)["labels"])
+
+
+def test_an_export_is_repaired(made: Path, tmp_path: Path) -> None:
+    path = export(made / "folder", tmp_path / "all.h5")
+    before = everything_in(path)
+    flip(path, place_of(path, "signals", 100))
+    assert mended(path) == [True]
+    assert is_same(everything_in(path), before)
+
+
+@pytest.mark.skipif(shutil.which("h5dump") is None, reason="h5dump is not on the PATH")
+def test_h5dump_reads_an_export(made: Path, tmp_path: Path) -> None:
+    path = export(made / "folder", tmp_path / "all.h5")
+    command = ["h5dump", "-d", "/signals", "-s", "333,0", "-c", "1,4", "-w", "1", "-m", "%.9g", str(path)]
+    shown = subprocess.run(command, capture_output=True, text=True, check=True).stdout
+    numbers = re.findall(r"\(333,[0-3]\): ([^,\s]+)", shown)
+    np.testing.assert_array_equal(np.array(numbers, "f4"), everything_in(made / "folder")["signals"][333, :4])
+
+
+def test_an_export_of_what_is_damaged_leaves_nothing(copies: Path, tmp_path: Path) -> None:
+    (tmp_path / "all.h5").write_bytes(b"old")
+    shard = copies / "folder" / "shard-00002.h5"
+    flip(shard, place_of(shard, "signals", 3))
+    with pytest.raises(BadData, match="checksum"):
+        export(copies / "folder", tmp_path / "all.h5", overwrite=True)
+    assert (tmp_path / "all.h5").read_bytes() == b"old"
+    assert sorted(file.name for file in tmp_path.iterdir()) == ["all.h5", "copies"]
+
+
+def test_an_export_is_no_other_than_its_data(copies: Path) -> None:
+    for data, output in (("one.h5", "one.h5"), ("folder", "folder/shard-00000.h5")):
+        with pytest.raises(CannotCreate, match="part of what it is made from"):
+            export(copies / data, copies / output, overwrite=True)
+    with pytest.raises(CannotCreate, match="exists already"):
+        export(copies / "folder", copies / "one.h5")
+
+
+# ---- the commands ----------------------------------------------------------------------------------------------------
+
+
+def test_verify_tells_and_repairs(made: Path, copies: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    folder = copies / "folder"
+    flip(folder / "shard-00001.h5", place_of(folder / "shard-00001.h5", "signals", 3))
+    arguments = ["verify", str(folder), str(copies / "one.h5"), "--json"]
+    assert run(arguments) == 65
+    out, err = capsys.readouterr()
+    first, second = (json.loads(line) for line in out.splitlines())
+    assert (first["whole"], second["whole"]) == (False, True)
+    assert [found["what"] for found in first["findings"]] == ["signals 0 to 63 do not fit their checksum"]
+    assert err.count("\n") == 1 and "shard-00001.h5" in err and "--repair" in err
+    assert run([*arguments, "--repair"]) == 0
+    out, err = capsys.readouterr()
+    assert json.loads(out.splitlines()[0])["findings"][0]["repaired"] and err == ""
+    assert contents(folder) == contents(made / "folder")
+    assert run(["verify", str(folder)]) == 0
+    assert capsys.readouterr().out == f"{folder}: dataset of 4 files, whole\n"
+
+
+def test_verify_reads_models(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    model = Path(__file__).parents[1] / "models" / "default.npz"
+    damaged = tmp_path / "damaged.npz"
+    damaged.write_bytes(model.read_bytes()[:-1000])
+    assert run(["verify", str(model), str(damaged)]) == 65
+    out, err = capsys.readouterr()
+    assert out.splitlines()[0] == f"{model}: model of 1 file, whole"
+    assert f"{damaged}: damaged" in out and err.count("cgid: error") == 1
+
+
+def test_export_command(made: Path, tmp_path: Path) -> None:
+    assert run(["export", str(made / "folder"), "-o", str(tmp_path / "all.h5")]) == 0
+    assert run(["export", str(made / "folder"), "-o", str(tmp_path / "all.h5")]) == 73
+    assert run(["export", str(made / "recording.h5"), "-o", str(tmp_path / "other.h5")]) == 65
