@@ -347,6 +347,7 @@ ATTACKS: dict[str, Attack] = {
     "a unit of a megabyte": _about("unit", np.bytes_(b"N" * (1 << 16 - 1))),
     "a format of variable length": _about("format", "cgid-dataset"),
     "a list of formats": _about("format", np.array([b"cgid-dataset"] * 3)),
+    "a rate of sixteen bytes": _about("sampling_rate", np.longdouble(1e4)),
     "a newer schema": _about("schema_version", 7),
     "a huge count": _about("n_impacts", 1 << 62),
     "a scene that was not hashed": _about("scene", np.bytes_(b"{}")),
