@@ -203,7 +203,7 @@ def _virtual(file: h5py.File, kind: Kind, outside: Outside) -> None:
 
 
 def _one_chunk_of_many(file: h5py.File, kind: Kind, outside: Outside) -> None:
-    _stored(shape=(10**12,), chunks=(1000,))(file, kind, outside)
+    _stored(shape=(10**9,), chunks=(1000,))(file, kind, outside)
     file[kind.main][:1000] = np.ones(1000, file[kind.main].dtype)
 
 
@@ -328,7 +328,7 @@ ATTACKS: dict[str, Attack] = {
     "complex numbers": _stored(dtype=np.complex128),
     "the other byte order": _stored(dtype=">f4"),
     "a million million values in no bytes": _stored(shape=(10**12,), chunks=(1000,)),
-    "a million million values, one chunk of them there": _one_chunk_of_many,
+    "a thousand million values, one chunk of them there": _one_chunk_of_many,
     "a whole in one piece that was never written": _stored(shape=(10**9,)),
     "thirty-two axes": _stored(shape=(2,) * 32, chunks=(1,) * 32),
     "a chunk of 100 MB": _stored(shape=(25 << 20,), chunks=(25 << 20,), compression="gzip"),
@@ -347,6 +347,7 @@ ATTACKS: dict[str, Attack] = {
     "a unit of a megabyte": _about("unit", np.bytes_(b"N" * (1 << 16 - 1))),
     "a format of variable length": _about("format", "cgid-dataset"),
     "a list of formats": _about("format", np.array([b"cgid-dataset"] * 3)),
+    "a rate of sixteen bytes": _about("sampling_rate", np.longdouble(1e4)),
     "a newer schema": _about("schema_version", 7),
     "a huge count": _about("n_impacts", 1 << 62),
     "a scene that was not hashed": _about("scene", np.bytes_(b"{}")),

@@ -583,7 +583,7 @@ def test_a_dataset_without_parameters(copy):
 def test_a_huge_declared_size_is_refused_before_it_is_read(copy, name, shape, kind):
     chunks = tuple(min(length, 8) for length in shape)
     replaced(copy, name, lambda file, _: file.create_dataset(name, shape, kind, chunks=chunks))
-    refused(copy, f"{name} declares [0-9]{{10,}} bytes and holds 0")
+    refused(copy, f"{name} declares [0-9]{{10,}} (bytes and holds 0|chunks in a file of)")
 
 
 @pytest.mark.parametrize(

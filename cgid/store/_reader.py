@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import json
 import os
+import signal
 import sys
 from collections.abc import Callable, Iterator, Mapping
 from inspect import isgenerator
@@ -34,6 +35,7 @@ FUNCTIONS: Mapping[str, Callable[..., Any]] = {
 
 
 def _main() -> None:
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
     # Libraries may print; the answers have a way of their own.
     answers = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)

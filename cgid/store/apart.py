@@ -189,6 +189,11 @@ class _Child:
         self.in_step = True
         return found
 
+    @property
+    def is_there(self) -> bool:
+        """Whether the process still runs."""
+        return self._process.poll() is None
+
     def tell(self, message: dict[str, Any]) -> None:
         """Send a message that is not answered."""
         self._input.write(json.dumps(message).encode() + b"\n")
@@ -246,6 +251,9 @@ def _reading() -> Iterator[_Child]:
     """Yield a process that nobody else asks meanwhile."""
     with _lock:
         child = _idle.pop() if _idle else None
+    if child and not child.is_there:  # somebody has ended it meanwhile
+        child.end()
+        child = None
     child = child or _Child()
     try:
         yield child

@@ -113,7 +113,10 @@ def attributes_of(item: h5py.HLObject, source: str) -> dict[str, Any]:
         room -= stored.dtype.itemsize + len(name)
         if room < 0:
             raise BadData(f"{source}: attributes of {item.name} must take at most {_LARGEST_ATTRIBUTES >> 20} MiB")
-        if stored.shape == () and stored.dtype.kind in "biufS":
+        # Python has no number for those of more than eight bytes.
+        if stored.shape == () and (
+            stored.dtype.kind == "S" or (stored.dtype.kind in "biuf" and stored.dtype.itemsize <= 8)
+        ):
             value = item.attrs[name]
             found[name] = value.decode(errors="replace") if isinstance(value, bytes) else value.item()
     return found

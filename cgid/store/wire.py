@@ -31,11 +31,14 @@ def send(stream: IO[bytes], message: Mapping[str, Any], arrays: Mapping[str, NDA
     Raises
     ------
     BrokenWire
-        It is longer than a message may be.
+        It is longer than a message may be, or JSON cannot hold it.
     """
     parts = {name: np.ascontiguousarray(array) for name, array in (arrays or {}).items()}
     said = [[name, part.dtype.str, list(part.shape)] for name, part in parts.items()]
-    line = json.dumps({**message, "arrays": said}, separators=(",", ":")).encode()
+    try:
+        line = json.dumps({**message, "arrays": said}, separators=(",", ":")).encode()
+    except (TypeError, ValueError, RecursionError) as error:
+        raise BrokenWire(f"what JSON cannot hold: {error}") from None
     if len(line) >= LONGEST_LINE:
         raise BrokenWire(f"a message of {len(line)} bytes")
     stream.write(line + b"\n")
