@@ -321,8 +321,9 @@ def test_interrupted_generation_leaves_nothing_that_looks_whole(tmp_path: Path) 
     command = [sys.executable, "-m", "cgid", "generate", "reference", "-n", "500000", "-o", str(tmp_path / "d")]
     process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True, env={**os.environ, "PYTHONWARNINGS": ""})
     deadline = time.monotonic() + 60
-    while not list(tmp_path.glob("d/*.h5")) and time.monotonic() < deadline:
-        time.sleep(0.05)
+    journal = tmp_path / "d" / "unfinished.jsonl"
+    while not (journal.exists() and b'"entry"' in journal.read_bytes()) and time.monotonic() < deadline:
+        time.sleep(0.05)  # until a shard is finished and noted
     process.send_signal(signal.SIGINT)
     _, err = process.communicate(timeout=60)
     assert process.returncode == 130, err

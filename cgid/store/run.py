@@ -88,8 +88,8 @@ class Run:
 
     def add(self, entry: Mapping[str, Any]) -> None:
         """Note that a file is finished: its name `file`, its size `bytes`, its `sha256`, and what else is known."""
+        self._has_files = True  # first: Ctrl-C may come while the line is flushed
         self._journal.add(entry)
-        self._has_files = True
 
     def finish(self) -> None:
         """Give the whole folder the name asked for. Raises `WriteFailed`; the run can then be resumed."""
