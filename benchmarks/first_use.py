@@ -52,7 +52,7 @@ def main() -> None:
             files = [path for path in Path(cache).rglob("*") if path.is_file()]
             held[name] = f"{len(files)} files, {sum(path.stat().st_size for path in files) / 1e3:.0f} kB"
         print(f"| {name} | {first:.2f} | {second:.2f} |")
-    print("\nThe cache afterwards (indices and compiled kernels):\n")
+    print("\nThe cache afterwards (a file for each compiled kernel):\n")
     for name, text in held.items():
         print(f"* {name}: {text}")
 

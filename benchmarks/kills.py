@@ -55,7 +55,7 @@ STREAM: dict[str, Any] = {
     **SIGNALS,
     "sampling": {"sampling_rate": "100 kHz"},
     "sensor": {"absolute_noise": "10 N"},
-    "stream": {"duration": "0.5 s", "arrivals": {"rate": "20 Hz"}},
+    "stream": {"duration": "0.2 s", "arrivals": {"rate": "20 Hz"}},
     "populations": [{"label": "coal", "weight": 3, **ROCKS}, {"label": "gangue", **ROCKS}],
 }
 
@@ -213,7 +213,7 @@ class Trials:
 
     def _killed(self, resume: bool) -> int:
         """Start a run and kill it; return its process."""
-        near = self.draws.random() < 0.5
+        near = self.counts["near a rename"] <= self.counts["anywhere"]
         moment = self.draws.choice(self.near) if near and not self.kind.workers else None
         process = started(lambda: self.kind.make(self.output, resume), moment)
         if near and self.kind.workers:

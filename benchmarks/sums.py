@@ -2,7 +2,7 @@
 
     python benchmarks/sums.py [--signals 20000] [--scene reference] [--seed 3]
 
-The ways: `--jobs 1`, `--jobs 2`, a dask cluster of two worker processes, a run that was killed half-way and resumed.
+The ways: `--jobs 1`, `--jobs 2`, a dask cluster of two worker processes, and a run killed half-way and resumed.
 """
 
 import argparse

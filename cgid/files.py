@@ -144,11 +144,23 @@ def check_new(path: Path, what: str, endings: Collection[str], *, overwrite: boo
         raise CannotCreate(
             f"{path}: the name of {what} must end in {' or '.join(endings)}, got {path.suffix or 'no ending'!r}"
         )
-    if not path.parent.is_dir():
-        raise CannotCreate(f"{path}: the folder {path.parent} must exist; make it first")
-    if path.is_dir() or (path.exists() and not overwrite):
-        raise CannotCreate(f"{path}: exists already; choose another name or say --overwrite")
+    with looking_at(path):
+        if not path.parent.is_dir():
+            raise CannotCreate(f"{path}: the folder {path.parent} must exist; make it first")
+        if path.is_dir() or (path.exists() and not overwrite):
+            raise CannotCreate(f"{path}: exists already; choose another name or say --overwrite")
     return path
+
+
+@contextlib.contextmanager
+def looking_at(path: Path) -> Iterator[None]:
+    """Raise `CannotCreate` where it cannot even be told what is at a place, or in a folder that one may not enter."""
+    try:
+        yield
+    except CgidError:
+        raise
+    except OSError as error:
+        raise CannotCreate(f"{path}: cannot be looked at ({error.strerror}); choose another name") from None
 
 
 def _remove(path: Path) -> None:

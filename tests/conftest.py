@@ -3,19 +3,38 @@
 from __future__ import annotations
 
 import os
+from functools import cache
 from pathlib import Path
 
-# Before scikit-learn is loaded: OpenMP threads that wait spin, and on a busy machine small fits then take minutes.
+# Before numpy and scikit-learn are loaded: threads that wait spin, and on a busy machine small fits then take minutes.
 os.environ.setdefault("OMP_NUM_THREADS", "1")
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import pytest
 
 from cgid.identification.classifier import FAMILIES
+from cgid.identification.measuring import measure
 from cgid.identification.training import Training, train
 from cgid.scene import Scene, load_scene, synthesise
 
 ROOT = Path(__file__).parents[1]
 REAL_DATA = ROOT.parent / "shared" / "realdata"
+
+#: Processes that share the whole suite at most: each of them makes the session's fixtures anew.
+MOST_WORKERS = 8
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_cmdline_main(config: pytest.Config) -> None:
+    """Share the whole suite among the cores (pytest-xdist); what is named on the command line runs in one process."""
+    if "PYTEST_XDIST_WORKER" in os.environ:  # a worker comes here, too, and has none of its own
+        return
+    options, whole = config.option, config.args_source is pytest.Config.ArgsSource.TESTPATHS
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    unasked = config.pluginmanager.hasplugin("xdist") and options.numprocesses is None and options.dist == "no"
+    if whole and unasked and cores > 1 and not (options.usepdb or options.collectonly):
+        # Neighbours stay together, so that what a file's tests share is made once.
+        options.numprocesses, options.dist = min(cores, MOST_WORKERS), "worksteal"
 
 
 @pytest.fixture(scope="session")
@@ -25,8 +44,12 @@ def reference_scene() -> Scene:
 
 @pytest.fixture(scope="session")
 def trained(reference_scene: Scene) -> dict[str, Training]:
-    """One small model of each family."""
-    return {family: train(synthesise(reference_scene, 3000, seed=5), family=family) for family in FAMILIES}
+    """One small model of each family, all of the same impacts, which are measured once."""
+    batches = list(synthesise(reference_scene, 3000, seed=5))
+    measured = cache(lambda names: measure(batches, names))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("cgid.identification.training.measure", lambda _, names, *rest, **known: measured(names))
+        return {family: train(batches, family=family) for family in FAMILIES}
 
 
 @pytest.fixture(scope="session")

@@ -7,6 +7,7 @@ import dataclasses
 import hashlib
 import os
 import re
+import shutil
 import signal
 import sys
 from collections.abc import Iterator
@@ -14,6 +15,7 @@ from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from distributed import LocalCluster
 
@@ -21,10 +23,10 @@ from cgid import cluster
 from cgid.cli.main import run
 from cgid.cluster import ALONE, Workers, workers
 from cgid.errors import BadData, CannotCreate, ClusterFailed, InvalidValue, MissingExtra
-from cgid.identification.measuring import measure
-from cgid.identification.selection import CANDIDATES, select
-from cgid.scene import Scene, generate, synthesise
+from cgid.identification.recorded.grouped import Candidate, Lesson, Rows, choose, final, judge
+from cgid.scene import Scene, generate
 from cgid.scene import workers as shards
+from cgid.store.journal import JOURNAL
 from cgid.validation import positive
 
 #: Quick to measure, and with a signal's share of the folds that calibrate.
@@ -81,19 +83,33 @@ def test_a_dataset_is_the_same_whoever_makes_it(
     assert sorted(told) == [4, *[128] * 7]
 
 
-def test_families_are_compared_alike_whoever_does_it(
-    reference_scene: Scene, address: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    measured = measure(synthesise(reference_scene, 900, seed=6), FEATURES.split(","))
-    candidates = tuple(one for one in CANDIDATES if one.name == "linear discriminant")
+def test_what_all_have_in_common_may_be_large(address: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    common = np.arange(200_000.0)
+    assert common.nbytes > cluster._SMALL
+    with workers(scheduler=address) as crew:
+        for _ in range(2):  # the second time just after the first is forgotten
+            assert list(crew.each(np.take, common, range(7))) == list(range(7))
 
-    def rows(crew: Workers) -> Any:
-        found = select(measured, candidates=candidates, n_folds=3, crew=crew)
-        return [{key: value for key, value in row.items() if key not in ("fit_s", "predict_us")} for row in found]
 
-    monkeypatch.setattr(cluster, "_SMALL", 1000)  # what all parts have in common goes to each worker once
+def test_groups_are_judged_alike_whoever_leaves_them_out(address: str) -> None:
+    generator, group = np.random.default_rng(8), np.repeat(np.arange(6), 25)
+    labels = np.where(group % 2, "a", "b")
+    rows = Rows(
+        names=("window_level", "window_crest"),
+        features=generator.normal(size=(150, 2)) + np.where(group % 2, 1.0, 0.0)[:, None],
+        labels=labels,
+        group=group,
+    )
+    candidates = [Candidate(name=name, features=(name,), family="linear") for name in rows.names]
+    lesson = Lesson(rows=rows, candidates=candidates, weights=None, seed=0)
+
+    def learned(crew: Workers) -> list[Any]:
+        judged, choice = judge(lesson, crew=crew), choose(lesson, crew)
+        limit = final(lesson, choice, crew).neighbourhood_.limit
+        return [judged.probabilities.tolist(), judged.chosen, choice, limit]
+
     with workers(scheduler=address) as far:
-        assert rows(ALONE) == rows(far)
+        assert learned(ALONE) == learned(far)
 
 
 def test_a_command_does_its_work_on_a_cluster(address: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -166,25 +182,25 @@ def test_a_folder_that_is_not_shared_is_told(
     reference_scene: Scene, address: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(shards, "PATIENCE", 0.5)
-    elsewhere = tmp_path / "elsewhere"
-    elsewhere.mkdir()
-    monkeypatch.setattr(shards, "_anywhere", lambda asked: moved(asked, elsewhere))
+    monkeypatch.setattr(shards, "_anywhere", lambda asked: moved(asked, tmp_path / "elsewhere", JOURNAL))
     with pytest.raises(
         CannotCreate, match=r"shard-0000\d\.h5: must be here with the \d+ bytes a worker has written, is"
     ):
         generate(reference_scene, tmp_path / "data", 512, shard_signals=128, scheduler=address)
-    monkeypatch.setattr(shards, "_anywhere", lambda asked: moved(asked, tmp_path / "missing"))
+    monkeypatch.setattr(shards, "_anywhere", lambda asked: moved(asked, tmp_path / "empty"))
     with pytest.raises(CannotCreate, match="must be a folder that all workers share"):
-        generate(reference_scene, tmp_path / "data", 512, shard_signals=128, scheduler=address)
-    assert not (tmp_path / "data" / "manifest.json").exists()
+        generate(reference_scene, tmp_path / "other", 512, shard_signals=128, scheduler=address)
+    assert not list(tmp_path.glob("*/manifest.json"))
 
 
-def moved(asked: Any, folder: Path) -> Any:
+def moved(asked: Any, folder: Path, *shared: str) -> Any:
     """Return what workers are asked as it is on a machine whose folder of that name is another one."""
-    asked.writer.output, before = folder, asked.writer.output
-    there = dataclasses.replace(asked, writer=copy.copy(asked.writer))
-    asked.writer.output = before
-    return there
+    folder.mkdir()
+    for name in shared:
+        shutil.copy(asked.writer.folder / name, folder)
+    writer = copy.copy(asked.writer)
+    writer.output = writer._folder = folder
+    return dataclasses.replace(asked, writer=writer)
 
 
 def test_other_versions_are_refused_before_anything_is_written(

@@ -16,7 +16,6 @@ from cgid.errors import BadData
 from cgid.identification.model import Model
 from cgid.store import Dataset, read_table
 from cgid.store.recording import Recording
-from cgid.store.verification import damaged_shards
 
 GOLDEN = Path(__file__).parent / "golden"
 DATA = json.loads((GOLDEN / "data.json").read_text())
@@ -57,7 +56,7 @@ def test_datasets_hold_what_h5py_found_in_them(name):
     shards = [said for key, said in DATA.items() if key.partition("/")[0] == name]
     dataset, first = Dataset(GOLDEN / name), 0
     assert len(dataset) == sum(said["signals"]["shape"][0] for said in shards)
-    assert damaged_shards(GOLDEN / name) == []
+    assert run(["verify", str(GOLDEN / name)]) == 0
     batches = list(dataset.batches())
     signals = np.concatenate([batch.signals for batch in batches])
     labels = np.concatenate([batch.labels for batch in batches])
@@ -76,6 +75,7 @@ def test_datasets_hold_what_h5py_found_in_them(name):
 def test_the_recording_holds_what_h5py_found_in_it():
     said, recording = DATA["recording.h5"], Recording(GOLDEN / "recording.h5")
     assert sha256_of(recording.samples()) == said["samples"]["sha256"]
+    assert run(["verify", str(GOLDEN / "recording.h5")]) == 0
     truth = recording.impacts()
     assert {f"impacts/{name}" for name in truth} | {"samples"} == said.keys()
     for name, column in truth.items():

@@ -286,6 +286,32 @@ def test_a_run_after_one_that_was_killed_while_it_cleared_away(whole, path):
     assert [left.name for left in path.parent.iterdir()] == ["data"]
 
 
+def test_a_reader_never_sees_a_mixture(path):
+    dataset(path, seed=1)
+    before = files(path)
+    reader, late = Dataset(path), Dataset(path)
+    signals = iter(reader)
+    next(signals)
+    dataset(path, overwrite=True)
+    assert files(path) != before
+    for read in (lambda: list(signals), lambda: late.signal(0), lambda: list(late)):
+        with pytest.raises(BadData, match="has been replaced by another while it was read; read it again"):
+            read()
+    assert len(list(Dataset(path))) == 4
+
+
+def test_a_reader_of_one_file_sees_the_old_or_the_new(tmp_path):
+    path = dataset(tmp_path / "data.h5", seed=1)
+    old = Dataset(path).signal(399).samples
+    reader, late = Dataset(path), Dataset(path)
+    signals = reader.batches(100)
+    next(signals)
+    dataset(path, overwrite=True)
+    assert (list(signals)[-1].signals[-1] == old).all()
+    with pytest.raises(BadData, match="has been replaced"):
+        late.signal(399)
+
+
 # ---- what is said ----------------------------------------------------------------------------------------------------
 
 

@@ -8,6 +8,7 @@ import os
 import random
 import shutil
 import subprocess
+import sys
 import tracemalloc
 import zlib
 from pathlib import Path
@@ -170,6 +171,15 @@ def test_packed_bytes_are_the_same_whoever_packs(tmp_path, compression):
         generate(scene_of(), tmp_path / str(jobs), 600, 7, shard_signals=300, compression=compression, jobs=jobs)
     for shard in ("shard-00000.h5", "shard-00001.h5"):
         assert (tmp_path / "1" / shard).read_bytes() == (tmp_path / "2" / shard).read_bytes()
+
+
+def test_what_unpacks_is_not_installed(made, tmp_path):
+    (tmp_path / "hdf5plugin.py").write_text("raise ImportError('not installed')")
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(tmp_path), *sys.path])}
+    command = [sys.executable, "-m", "cgid", "info", str(made / "zstd")]
+    done = subprocess.run(command, env=environment, capture_output=True, text=True)
+    assert (done.returncode, done.stderr.count("\n")) == (69, 1), done.stderr
+    assert "need hdf5plugin, which is not installed: pip install 'cgid[compression]'" in done.stderr
 
 
 @pytest.mark.parametrize("compression", ["gzip", "zstd", "blosc2"])
@@ -775,6 +785,8 @@ def test_a_file_above_2_gib_is_refused_with_the_cure(tmp_path):
         generate(scene_of(), tmp_path / "large.h5", n_signals)
     with pytest.raises(InvalidValue, match="ask for smaller"):
         generate(scene_of(), tmp_path / "large", n_signals, shard_signals=n_signals)
+    with pytest.raises(InvalidValue, match="shard_signals must be at least 4 for 1000000 signals, got 3"):
+        generate(scene_of(), tmp_path / "many", 10**6, shard_signals=3)
     assert list(tmp_path.iterdir()) == []
 
 

@@ -15,7 +15,7 @@ import h5py
 import numpy as np
 import pytest
 
-from benchmarks.bit_flips import everything_in, is_same, small_scene, subjects
+from benchmarks.bit_flips import Flip, everything_in, is_same, small_scene, some, subjects
 from cgid.cli.main import run
 from cgid.errors import BadData, CannotCreate, NoInput
 from cgid.scene import generate, parse_scene
@@ -23,7 +23,7 @@ from cgid.scene.plan import plan
 from cgid.scene.repair import repair
 from cgid.scene.stream.generation import generate_recordings
 from cgid.scene.tabulation import tabulate
-from cgid.store import Dataset
+from cgid.store import Dataset, read_table
 from cgid.store.examination import damaged_rows, examine_file
 from cgid.store.export import export
 from cgid.store.manifest import read_manifest
@@ -107,6 +107,28 @@ def test_a_long_scene_is_held_against_its_sha256(tmp_path: Path) -> None:
         assert b"4321.0" not in file.attrs["scene"]
     with pytest.raises(BadData, match="text of the scene must fit scene_sha256"):
         Dataset(path)
+
+
+@pytest.mark.parametrize("name", ["table.csv", "table.parquet"])
+def test_a_flipped_bit_of_a_table(tmp_path: Path, name: str) -> None:
+    """The numbers of CSV have no checksum, nor have some bytes of Parquet that only tell how it was packed."""
+    path = tmp_path / name
+    tabulate(plan(SCENE, ["closed-form"]), path, 50, 7)
+    whole, content = read_table(path), path.read_bytes()
+    end = content.index(b"\n") if name == "table.csv" else len(content)
+    found = 0
+    for damage in some(8 * end, 120):
+        path.write_bytes(Flip(damage)(content))
+        try:
+            table = read_table(path)
+        except BadData:
+            found += 1
+            continue
+        assert table.header == whole.header
+        assert table.labels.tolist() == whole.labels.tolist()
+        for column in whole.columns:
+            np.testing.assert_array_equal(table.columns[column], whole.columns[column])
+    assert found > 60
 
 
 # ---- what is found ---------------------------------------------------------------------------------------------------

@@ -76,15 +76,10 @@ def ceiling(
 
 def _checked(path: Path, overwrite: bool) -> Path:
     """Return the path of a picture that can be written."""
-    from cgid.errors import CannotCreate
+    from cgid.files import check_new
     from cgid.plots import require_matplotlib
 
-    if path.suffix != ".png":
-        raise CannotCreate(f"{path}: the name of a picture must end in .png, got {path.suffix or 'no ending'!r}")
-    if not path.parent.is_dir():
-        raise CannotCreate(f"{path}: the folder {path.parent} must exist; make it first")
-    if path.is_dir() or (path.exists() and not overwrite):
-        raise CannotCreate(f"{path}: exists already; choose another name or say --overwrite")
+    check_new(path, "a picture", (".png",), overwrite=overwrite)
     require_matplotlib()
     return path
 

@@ -6,6 +6,7 @@ import contextlib
 import os
 import sys
 import warnings
+from pathlib import Path
 from typing import Any
 
 import click
@@ -24,11 +25,12 @@ from cgid.cli.plot import plot
 from cgid.cli.predict import predict
 from cgid.cli.reproduce import reproduce
 from cgid.cli.saying import say
+from cgid.cli.streams import drop, open_missing
 from cgid.cli.train import train
 from cgid.cli.verify import verify
 from cgid.errors import CgidError
 
-_INTERRUPTED, _INTERNAL, _OUTPUT_FAILED = 130, 70, 74
+_INTERRUPTED, _INTERNAL, _OUTPUT_FAILED, _NO_INPUT = 130, 70, 74, 66
 
 
 @click.group(context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110})
@@ -49,6 +51,7 @@ def main(arguments: list[str] | None = None) -> None:
 def run(arguments: list[str] | None = None) -> int:
     """Run the command line and return its exit code."""
     warnings.showwarning = _one_line_warning
+    open_missing()
     try:
         with heard():
             code = cli.main(args=arguments, prog_name="cgid", standalone_mode=False)
@@ -69,13 +72,16 @@ def run(arguments: list[str] | None = None) -> int:
     except (BrokenPipeError, SystemExit):
         # Whoever read our output has seen enough (click turns that into SystemExit). Python would complain
         # again when it closes stdout.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        drop(sys.stdout)
         return 0
     except OSError as error:
+        if _is_adrift():
+            say("cgid: error: the current folder must exist, it has been removed; go to another one", err=True)
+            return _NO_INPUT
         # Our own files raise errors of ours: what is left is the standard output, or the machine.
-        with contextlib.suppress(OSError):
+        with contextlib.suppress(OSError, AttributeError):
             sys.stdout.flush()
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        drop(sys.stdout)
         say(f"cgid: error: output: writing failed ({error.strerror}); make room or choose another place", err=True)
         return _OUTPUT_FAILED
     except MemoryError:
@@ -87,6 +93,15 @@ def run(arguments: list[str] | None = None) -> int:
         text = " ".join(f"{type(error).__name__}: {error}".split())
         say(f"cgid: internal error: {text}; please report it (CGID_DEBUG=1 shows where)", err=True)
         return _INTERNAL
+
+
+def _is_adrift() -> bool:
+    """Return whether the current folder is gone, without which some libraries cannot be loaded."""
+    try:
+        Path.cwd()
+    except OSError:
+        return True
+    return False
 
 
 def _one_line_warning(message: Warning | str, *_: Any, **__: Any) -> None:

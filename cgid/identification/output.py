@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from cgid.errors import CannotCreate
+from cgid.files import check_new
 from cgid.identification.card import write_card
 from cgid.identification.training import Training
 from cgid.together import write_together
@@ -25,13 +26,9 @@ def check_model_output(path: Path, *, plots: bool = False, overwrite: bool = Fal
     """
     if path.suffix != ".npz":
         raise CannotCreate(f"{path}: the name of a model must end in .npz, got {path.suffix or 'no ending'!r}")
-    if not path.parent.is_dir():
-        raise CannotCreate(f"{path}: the folder {path.parent} must exist; make it first")
     pictures = [f"{path.stem}-{name}.png" for name in PICTURES] if plots else []
     for name in (path.name, f"{path.stem}.md", *pictures):
-        found = path.with_name(name)
-        if found.is_dir() or (found.exists() and not overwrite):
-            raise CannotCreate(f"{found}: exists already; choose another name or say --overwrite")
+        check_new(path.with_name(name), "a file beside a model", (Path(name).suffix,), overwrite=overwrite)
     if plots:
         from cgid.plots import require_matplotlib
 

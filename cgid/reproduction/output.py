@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from cgid.errors import CannotCreate
+from cgid.files import looking_at
 from cgid.impact import HertzRangeWarning
 from cgid.plots import require_matplotlib
 from cgid.reproduction.drawing import draw, draw_table
@@ -81,17 +82,13 @@ def _folder(path: Path) -> Iterator[None]:
 
 
 def _checked(path: Path, overwrite: bool) -> Path:
-    try:
+    with looking_at(path):
         if not path.parent.is_dir():
             raise CannotCreate(f"{path}: the folder {path.parent} must exist; make it first")
         if path.exists() and not path.is_dir():
             raise CannotCreate(f"{path}: is a file; choose another name for the folder")
         if path.is_dir() and any(path.iterdir()) and not overwrite:
             raise CannotCreate(f"{path}: is a folder with files in it; choose another name or say --overwrite")
-    except CannotCreate:
-        raise
-    except OSError as error:
-        raise CannotCreate(f"{path}: cannot be looked at ({error.strerror}); choose another name") from None
     return path
 
 

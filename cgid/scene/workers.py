@@ -15,7 +15,9 @@ from cgid.errors import CannotCreate
 from cgid.scene.overlap import write_in_turn
 from cgid.scene.scene import Scene
 from cgid.store import DatasetWriter
+from cgid.store.journal import JOURNAL
 from cgid.store.manifest import ShardEntry
+from cgid.store.writing import is_single_file
 
 #: What another machine has written may be seen here so much later [s]: network file systems remember what was missing.
 PATIENCE = 30.0
@@ -73,7 +75,7 @@ def _write_one(asked: _Asked, shard: tuple[int, int, int]) -> ShardEntry:
 
 def _write_shared(asked: _Asked, shard: tuple[int, int, int]) -> ShardEntry:
     folder = asked.writer.folder
-    if not folder.is_dir():
+    if not folder.is_dir() or not (is_single_file(asked.writer.output) or (folder / JOURNAL).exists()):
         raise CannotCreate(
             f"{folder}: must be a folder that all workers share, {platform.node()} has none; choose one they share, or "
             "mount it there by the same name"

@@ -42,6 +42,7 @@ class Dataset:
         self.path = Path(path)
         if not self.path.exists():
             raise NoInput(f"{path}: no such file or folder; give a dataset made by cgid generate")
+        self._opened = self._identity()
         self._entries = read_manifest(self.path).shards if self.path.is_dir() else None
         names = [entry.file for entry in self._entries] if self._entries is not None else [self.path.name]
         folder = self.path if self.path.is_dir() else self.path.parent
@@ -55,6 +56,20 @@ class Dataset:
             self._counts.append(header.n_signals)
         if self._entries is not None and self._counts != [entry.n_signals for entry in self._entries]:
             raise BadData(f"{path}: shards must hold as many signals as {MANIFEST} says; generate the dataset again")
+        self._require_unreplaced()
+
+    def _identity(self) -> tuple[int, int]:
+        """Return what tells the file or folder that has the name from every other that has it later."""
+        try:
+            found = self.path.stat()
+        except OSError as error:
+            raise BadData(f"{self.path}: cannot be looked at ({error.strerror}); read it again") from None
+        return found.st_dev, found.st_ino
+
+    def _require_unreplaced(self) -> None:
+        """Raise `BadData` if an overwriting run has put another dataset here; its shards have the same names."""
+        if self._identity() != self._opened:
+            raise BadData(f"{self.path}: has been replaced by another while it was read; read it again")
 
     def _require_fit(self, shard: Path, header: ShardHeader) -> None:
         for name in ("n_samples", "sampling_rate", "pre_trigger", "unit", "parameter_units", "label_width"):
@@ -115,7 +130,10 @@ class Dataset:
         names = ["signals", "labels", "specimen", *(f"parameters/{name}" for name in self.header.parameter_units)]
         largest = max(apart.LARGEST_ANSWER, 2 * length * row)
         with closing(apart.stream("rows", shard, names, first, stop, length, largest=largest)) as parts:
-            yield from map(self._batch, parts)
+            for number, part in enumerate(parts):
+                if not number:  # the file is open by now, and stays the one it is
+                    self._require_unreplaced()
+                yield self._batch(part)
 
     def _batch(self, part: dict[str, NDArray[Any]]) -> Batch:
         return Batch(

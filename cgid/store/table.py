@@ -19,7 +19,8 @@ from numpy.typing import NDArray
 
 from cgid.counting import count
 from cgid.errors import CannotCreate, InvalidValue, MissingExtra
-from cgid.files import whole_file
+from cgid.files import looking_at, whole_file
+from cgid.store.digest import sealed
 from cgid.store.disk import Hdf5OnDisk, hdf5_on_disk
 from cgid.store.header import TABLE_FORMAT, TABLE_VERSION
 
@@ -49,9 +50,9 @@ class TableHeader:
 
     @property
     def text(self) -> str:
-        """All of it as one line of JSON."""
+        """All of it as one line of JSON, with its SHA-256."""
         head = {"format": TABLE_FORMAT, "schema_version": TABLE_VERSION, "kind": self.kind}
-        return json.dumps(head | {"units": dict(self.units), "attributes": dict(self.attributes)})
+        return json.dumps(sealed(head | {"units": dict(self.units), "attributes": dict(self.attributes)}))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -97,17 +98,13 @@ def check_table_output(output: str | Path, overwrite: bool = False) -> Path:
         raise InvalidValue(f"{path}: the name of a table must end in {', '.join(TABLE_SUFFIXES)}; choose such a name")
     if path.suffix.lower() == ".parquet":
         parquet_library()
-    try:
+    with looking_at(path):
         if not path.parent.is_dir():
             raise CannotCreate(f"{path}: the folder {path.parent} must exist; make it first")
         if path.is_dir():
             raise CannotCreate(f"{path}: is a folder; choose another name for the file")
         if path.exists() and not overwrite:
             raise CannotCreate(f"{path}: exists already; choose another name or say --overwrite")
-    except CannotCreate:
-        raise
-    except OSError as error:
-        raise CannotCreate(f"{path}: cannot be looked at ({error.strerror}); choose another name") from None
     return path
 
 
@@ -223,7 +220,10 @@ class _ParquetWriter(TableWriter):
         fields = [("label", arrow.string()), ("specimen", arrow.uint64())]
         fields += [(name, arrow.float64()) for name in header.units]
         self._schema = arrow.schema(fields, metadata={"cgid": header.text})
-        self._arrow, self._file = arrow, stack.enter_context(parquet.ParquetWriter(path, self._schema))
+        self._arrow, self._file = (
+            arrow,
+            stack.enter_context(parquet.ParquetWriter(path, self._schema, write_page_checksum=True)),
+        )
 
     def _write(self, rows: Rows) -> None:
         columns = [rows.labels.tolist(), rows.specimen, *(rows.columns[name] for name in self._header.units)]

@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 
 from cgid.errors import BadData, MissingExtra, NoInput
 from cgid.store import apart
-from cgid.store.header import TABLE_FORMAT, TABLE_VERSION, require_schema, text_of
+from cgid.store.digest import is_sound
+from cgid.store.header import TABLE_FORMAT, TABLE_VERSION, require_scene, require_schema, text_of
 from cgid.store.table import Table, TableHeader, parquet_library
 
 #: What a table says of itself, in whichever format.
@@ -102,8 +103,15 @@ def _read_csv(path: str | Path) -> Table:
 
 
 def _read_parquet(path: str | Path) -> Table:
-    _, parquet = parquet_library()
-    with parquet.ParquetFile(path) as file:
+    arrow, parquet = parquet_library()
+    try:
+        return _read_pages(path, parquet)
+    except arrow.ArrowException as error:
+        raise BadData(f"{path}: must be a whole table of cgid, it is damaged ({error}); make it again") from None
+
+
+def _read_pages(path: str | Path, parquet: Any) -> Table:
+    with parquet.ParquetFile(path, page_checksum_verification=True) as file:
         header = _header_of(path, (file.schema_arrow.metadata or {}).get(b"cgid", b"").decode())
         table = file.read()
     columns = {name: table[name].to_numpy() for name in table.column_names}
@@ -121,6 +129,10 @@ def _header_of(path: str | Path, text: str) -> TableHeader:
     units, attributes = content.get("units"), content.get("attributes")
     if not isinstance(units, dict) or not isinstance(attributes, dict):
         raise BadData(f"{path}: must say its units and attributes, it does not; make it again")
+    require_scene(str(path), attributes)
+    # Older tables have no digest.
+    if "digest" in content and not is_sound(content):
+        raise BadData(f"{path}: what it says of itself must fit its SHA-256, it does not: it is damaged; make it again")
     return TableHeader(kind=str(content.get("kind")), units=units, attributes=attributes)
 
 

@@ -25,6 +25,8 @@ from cgid.store.shard import ShardBuilder, ShardPlan
 #: What a dataset folder may hold beside a journal, with what a killed run leaves behind.
 _OURS = re.compile(rf"(manifest\.json|{SHARD_NAME})|\.(manifest\.json|{SHARD_NAME})\.[0-9a-f]+\.part")
 SUFFIXES = (".h5", ".hdf5")
+#: Their manifest has some 100 MB, which readers hold in memory.
+MOST_SHARDS = 300_000
 
 
 @dataclass(frozen=True)
@@ -98,7 +100,7 @@ class DatasetWriter:
     Raises
     ------
     InvalidValue
-        The shard would be too large to be built in memory.
+        A shard would be too large to be built in memory, or there would be too many.
     """
 
     def __init__(self, output: Path, plan: ShardPlan, n_signals: int, shard_signals: int) -> None:
@@ -114,12 +116,20 @@ class DatasetWriter:
                 f"a shard must be at most {LARGEST_SHARD >> 30} GiB, {self.shard_signals} signals make "
                 f"{size / 2**30:.3g} GiB: {cure}"
             )
+        if len(self._starts) > MOST_SHARDS:
+            raise InvalidValue(
+                f"shard_signals must be at least {-(-n_signals // MOST_SHARDS)} for {n_signals} signals, got "
+                f"{self.shard_signals}: a manifest lists {MOST_SHARDS} shards at most"
+            )
 
     @property
     def shards(self) -> list[tuple[int, int, int]]:
         """Number, first signal and number of signals of each shard."""
-        starts = range(0, self.n_signals, self.shard_signals)
-        return [(k, first, min(self.shard_signals, self.n_signals - first)) for k, first in enumerate(starts)]
+        return [(k, first, min(self.shard_signals, self.n_signals - first)) for k, first in enumerate(self._starts)]
+
+    @property
+    def _starts(self) -> range:
+        return range(0, self.n_signals, self.shard_signals)
 
     @property
     def folder(self) -> Path:

@@ -8,7 +8,7 @@ command writes the files of its own schemas, which are then added to those that 
 
     models-2-*                                                      by commit 9ae1126
     models-3-*, manifest-1, single, gzip, recording, table, data    by commit 54cf5f0
-    models-4-*                                                      by the commit that brought this file
+    models-4-*, manifest-2                                          by the commits that brought them here
 
 What must be read stands in JSON beside them. For data it is what h5py, pyarrow and Python's own csv find in a file, not
 cgid. For models it is what the scikit-learn estimators that they were made of answer for drawn inputs.
