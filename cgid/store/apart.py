@@ -87,7 +87,8 @@ def stream(
             try:
                 yield item
             except GeneratorExit:
-                child.tell({"next": False})
+                with suppress(OSError, ValueError):  # it may have gone already
+                    child.tell({"next": False})
                 raise
             message = {"next": True}
 
@@ -243,7 +244,8 @@ class _Child:
 
 _alive: set[_Child] = set()
 _idle: list[_Child] = []
-_lock = threading.Lock()
+#: A generator that is thrown away gives its reader back wherever this thread stands.
+_lock = threading.RLock()
 
 
 @contextmanager
@@ -290,7 +292,7 @@ def _disown_all() -> None:
         child.disown()
     _alive.clear()
     _idle.clear()
-    _lock = threading.Lock()
+    _lock = threading.RLock()
 
 
 atexit.register(_end_all)
