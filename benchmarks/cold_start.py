@@ -220,10 +220,6 @@ def without_a_place(folder: Path, kernels: str) -> Iterator[tuple[str, Processes
     for size in (0, 4096):
         name = f"a disk that is full after {size} bytes"
         yield name, Processes(kernels=kernels, surroundings=asked, before=limit.format(size))
-    # numba is loaded before: coverage, which it loads where it is installed, wants a working folder.
-    lost = "import os, tempfile, numba\nfolder = tempfile.mkdtemp()\nos.chdir(folder)\nos.rmdir(folder)\n"
-    relative = asked | {"NUMBA_CACHE_DIR": "cache"}
-    yield "a working folder that is gone", Processes(kernels=kernels, surroundings=relative, before=lost)
 
 
 def read_only(folder: Path, kernels: str) -> Processes | None:
