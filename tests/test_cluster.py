@@ -95,7 +95,7 @@ def test_groups_are_judged_alike_whoever_leaves_them_out(address: str) -> None:
     generator, group = np.random.default_rng(8), np.repeat(np.arange(6), 25)
     labels = np.where(group % 2, "a", "b")
     rows = Rows(
-        names=("window_level", "window_crest"),
+        names=("window_level", "window_crest_factor"),
         features=generator.normal(size=(150, 2)) + np.where(group % 2, 1.0, 0.0)[:, None],
         labels=labels,
         group=group,

@@ -1,0 +1,131 @@
+"""What a million and a billion signals take, by rates measured here, and when it pays to store none.
+
+    python benchmarks/scale.py [--signals 100000] [--scenes reference tail_beam] [--folder DIR]
+
+A dataset follows from its scene and seed: signals can be made again in place of being read. Each is timed with two
+worker processes that make and write shards, and with one process that makes, or reads, batches and looks at them. What
+is read lies in the memory of the machine, if there is room: a disk is slower, and the last column says how slow it
+may be before making is as quick.
+"""
+
+import argparse
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+from cgid import shipped
+from cgid.scene import load_scene, synthesise
+from cgid.signals import Batch
+from cgid.store import Dataset
+
+JOBS = 2
+
+
+@dataclass(frozen=True, kw_only=True)
+class Rates:
+    """What one signal of a scene takes.
+
+    Attributes
+    ----------
+    written, made, read : float
+        Time of a signal [s]: made and put on the disk by all jobs; made again, or read, by one process.
+    bytes, parameter_bytes : float
+        Of the disk: with its samples, and of its drawn parameters alone.
+    memory : float
+        Most that one process of the run held [bytes].
+    """
+
+    written: float
+    made: float
+    read: float
+    bytes: float
+    parameter_bytes: float
+    memory: float
+
+
+def run(*arguments: str | Path) -> tuple[float, int]:
+    """Run a command; return its time [s] and the most memory of one of its processes [bytes]."""
+    start = time.perf_counter()
+    process = subprocess.Popen([sys.executable, "-m", "cgid", *map(str, arguments)], stderr=subprocess.DEVNULL)
+    _, status, usage = os.wait4(process.pid, 0)
+    process.returncode = os.waitstatus_to_exitcode(status)
+    if status:
+        raise SystemExit(f"cgid {' '.join(map(str, arguments))} failed")
+    return time.perf_counter() - start, usage.ru_maxrss * 1024
+
+
+def looked_at(batches: Iterable[Batch]) -> float:
+    """Return how long a signal of these takes [s]; each is looked at, or some would never be fetched."""
+    start, count, total = time.perf_counter(), 0, 0.0
+    for batch in batches:
+        total += float(batch.signals[:, ::64].sum())
+        count += len(batch)
+    return (time.perf_counter() - start) / count
+
+
+def measured(name: str, n_signals: int, folder: Path) -> Rates:
+    """Return what a signal of a scene takes."""
+    scene = load_scene(shipped.scene_path(name))
+    data, table = folder / name, folder / f"{name}.h5"
+    common = ["generate", name, "-n", str(n_signals)]
+    start_up, _ = run("generate", name, "-n", str(JOBS), "-o", folder / f"{name}-little", "--jobs", JOBS)
+    seconds, memory = run(*common, "-o", data, "--jobs", JOBS)
+    run(*common, "-o", table, "--parameters-only")
+    looked_at(synthesise(scene, 2000, 1))  # compiled
+    return Rates(
+        written=max(seconds - start_up, 0.0) / n_signals,
+        made=looked_at(synthesise(scene, n_signals)),
+        read=min(looked_at(Dataset(data).batches()) for _ in range(2)),
+        bytes=sum(file.stat().st_size for file in data.iterdir()) / n_signals,
+        parameter_bytes=table.stat().st_size / n_signals,
+        memory=memory,
+    )
+
+
+def duration(seconds: float) -> str:
+    """Return a time as one reads it."""
+    for unit, size in (("d", 86400.0), ("h", 3600.0), ("min", 60.0)):
+        if seconds >= 2 * size:
+            return f"{seconds / size:.3g} {unit}"
+    return f"{seconds:.3g} s"
+
+
+def size(count: float) -> str:
+    """Return a number of bytes as one reads it."""
+    for unit, factor in (("TB", 1e12), ("GB", 1e9), ("MB", 1e6)):
+        if count >= factor:
+            return f"{count / factor:.3g} {unit}"
+    return f"{count:.0f} bytes"
+
+
+def main() -> None:
+    """Measure, extrapolate, print Markdown."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--signals", type=int, default=100_000)
+    parser.add_argument("--scenes", nargs="+", default=["reference", "tail_beam"])
+    parser.add_argument("--folder", help="where the datasets go (by default a temporary folder)")
+    arguments = parser.parse_args()
+    with tempfile.TemporaryDirectory(dir=arguments.folder) as name:
+        rates = {scene: measured(scene, arguments.signals, Path(name)) for scene in arguments.scenes}
+    print(
+        f"| scene | signals | --jobs {JOBS} | disk | memory of a process | parameters alone |\n|---|---|---|---|---|---|"
+    )
+    for scene, one in rates.items():
+        for n_signals in (1e6, 1e9):
+            cells = [duration(n_signals * one.written), size(n_signals * one.bytes), size(one.memory)]
+            print(f"| `{scene}` | {n_signals:.0e} | {' | '.join(cells)} | {size(n_signals * one.parameter_bytes)} |")
+    print(
+        "\n| scene | made again [us] | read [us] | made again is quicker where the disk gives less than |\n|---|---|---|---|"
+    )
+    for scene, one in rates.items():
+        limit = size(one.bytes / one.made)
+        print(f"| `{scene}` | {1e6 * one.made:.1f} | {1e6 * one.read:.1f} | {limit}/s for each process |")
+
+
+if __name__ == "__main__":
+    main()
