@@ -34,7 +34,12 @@ def two_workers() -> Iterator[str]:
 
 def cgid(*arguments: str | Path) -> None:
     """Run a command; leave if it fails."""
-    subprocess.run([sys.executable, "-m", "cgid", *map(str, arguments)], check=True, stderr=subprocess.DEVNULL)
+    subprocess.run(
+        [sys.executable, "-m", "cgid", *map(str, arguments)],
+        check=True,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+    )
 
 
 def array_sums(folder: Path) -> dict[str, str]:
