@@ -22,12 +22,12 @@ from pathlib import Path
 from typing import Any
 
 from cgid.errors import BadData, CannotCreate, WriteFailed
-from cgid.files import exchange, sync_folder
+from cgid.files import exchange, half_written, sync_folder
 from cgid.store.journal import JOURNAL, Journal, Unfinished, read_journal
 from cgid.store.lock import locked
 
 #: The journal, and what a killed run leaves of it.
-JOURNAL_FILES = re.compile(rf"{re.escape(JOURNAL)}|\.{re.escape(JOURNAL)}\.[0-9a-f]+\.part")
+JOURNAL_FILES = re.compile(f"{re.escape(JOURNAL)}|{half_written(re.escape(JOURNAL))}")
 #: How long workers that have outlived their run may take for the file they are just writing [s].
 _PATIENCE = 60.0
 
@@ -159,6 +159,7 @@ def _hold(goal: Goal, held: ExitStack) -> None:
             with locked(unfinished):  # a crash where folders cannot change names in one step
                 unfinished.rename(output)
         output.mkdir(exist_ok=True)
+        sync_folder(output.parent)
         held.enter_context(locked(output))
     except BlockingIOError:
         raise CannotCreate(f"{output}: {_writer(goal)} is writing there; wait for it, or choose another name") from None
@@ -274,7 +275,8 @@ def _clear(folder: Path, ours: re.Pattern[str], *, only_parts: bool = False) -> 
     with contextlib.suppress(OSError):
         for path in folder.iterdir():
             if _is_part(path, ours) or (not only_parts and (ours.fullmatch(path.name) or path.name == JOURNAL)):
-                path.unlink(missing_ok=True)
+                with contextlib.suppress(OSError):
+                    path.unlink()
 
 
 def _is_part(path: Path, ours: re.Pattern[str]) -> bool:
