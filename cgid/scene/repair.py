@@ -16,8 +16,7 @@ import numpy as np
 
 from cgid.errors import BadData, CannotCreate, CgidError
 from cgid.files import whole_file, write_whole
-from cgid.scene.generation import attributes_of
-from cgid.scene.provenance import compression_of, in_order, plan_of, scene_of, shard_plan, whole_number
+from cgid.scene.provenance import attributes_of, compression_of, in_order, plan_of, scene_of, shard_plan, whole_number
 from cgid.scene.relisting import relist
 from cgid.scene.scene import Scene
 from cgid.scene.stream.axis import samples_of

@@ -20,7 +20,8 @@ from cgid.store.dataset import Dataset
 from cgid.store.header import FORMAT, LARGEST_SHARD
 from cgid.store.journal import taking_part
 from cgid.store.manifest import MANIFEST, SHARD_NAME, Manifest, ShardEntry, is_entry, read_manifest
-from cgid.store.run import JOURNAL_FILES, Goal, Run, begun, exists_already, first_difference, require_same
+from cgid.store.run import JOURNAL_FILES, Goal, Run, begun, exists_already
+from cgid.store.sameness import first_difference, require_same
 from cgid.store.shard import ShardBuilder, ShardPlan
 
 #: What a dataset folder may hold beside a journal, with what a killed run leaves behind.
