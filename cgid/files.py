@@ -6,6 +6,7 @@ import contextlib
 import errno
 import os
 import secrets
+import shutil
 from collections.abc import Collection, Iterator
 from pathlib import Path
 
@@ -64,13 +65,26 @@ def whole_file(path: str | Path, *, overwrite: bool = True) -> Iterator[Path]:
         raise
     except OSError as error:
         _remove(temporary)
+        cure = "free some space" if error.errno in {*FULL, None} else "choose another place, or see to the disk"
         raise WriteFailed(
-            f"{path}: writing failed ({error.strerror or error}); nothing was left behind, free some space"
+            f"{path}: writing failed ({error.strerror or error}); nothing was left behind, {cure}"
         ) from None
     except BaseException:
         _remove(temporary)
         raise
     sync_folder(path.parent)
+
+
+def half_written(name: str) -> str:
+    """Return the pattern of what a killed process leaves of files whose names have this pattern; see `whole_file`.
+
+    Examples
+    --------
+    >>> import re
+    >>> bool(re.fullmatch(half_written("shard-[0-9]+"), ".shard-7.0123456789ab.part"))
+    True
+    """
+    return rf"\.(?:{name})\.[0-9a-f]+\.part"
 
 
 def _create(temporary: Path, path: Path) -> None:
@@ -108,6 +122,42 @@ def sync_folder(folder: Path) -> None:
             os.fsync(descriptor)
         finally:
             os.close(descriptor)
+
+
+def require_room(path: Path, folder: Path, needed: int, what: str, cure: str) -> None:
+    """Raise `CannotCreate` if a disk has less room than needed.
+
+    Parameters
+    ----------
+    path : Path
+        What is to be made, for the message.
+    folder : Path
+        On the disk.
+    needed : int
+        [bytes].
+    what : str
+        Which takes them.
+    cure : str
+    """
+    free = shutil.disk_usage(folder).free
+    if needed > free:
+        raise CannotCreate(
+            f"{path}: the disk must have room for {needed / 1e9:.3g} GB of {what}, {free / 1e9:.3g} GB are free; {cure}"
+        )
+
+
+def read_regular(path: Path, largest: int) -> bytes:
+    """Return what is in a file, one byte more than `largest` at most.
+
+    Raises
+    ------
+    OSError
+        It cannot be read, or is no regular file: a pipe that lies in a stranger's folder would be waited for.
+    """
+    if path.exists() and not path.is_file():
+        raise OSError(errno.EINVAL, "no regular file")
+    with path.open("rb") as stream:
+        return stream.read(largest + 1)
 
 
 def exchange(one: Path, other: Path) -> bool:

@@ -116,6 +116,19 @@ def test_a_reader_that_ends_over_a_file_is_an_error_of_that_file_alone(path):
     np.testing.assert_array_equal(np.concatenate([first, *rest]), NUMBERS)
 
 
+def test_a_reader_that_ends_over_what_nobody_wants_any_more_is_no_error_of_the_next_file(path):
+    half = parts(path)
+    next(half)
+    reader = next(child._process for child in apart._alive if child not in apart._idle)
+    os.kill(reader.pid, signal.SIGSTOP)  # as if the part that is read ahead took long
+    half.close()
+    apart._idle.sort(key=lambda child: child._process is reader)  # the next to be asked
+    death = threading.Timer(0.2, reader.kill)
+    death.start()
+    assert apart.format_said(path) == "numbers"
+    death.join()
+
+
 def test_a_forked_process_has_readers_of_its_own(path):
     stream = parts(path)
     next(stream)
@@ -169,6 +182,7 @@ def test_a_pipe_is_no_file(tmp_path):
         b'{"value": 1}\n',
         b'{"arrays": [["x", "|O", [3]]]}\n',
         b'{"arrays": [["x", "|V8", [3]]]}\n',
+        b'{"arrays": [["x", "<f3", [3]]]}\n',
         b'{"arrays": [["x", "<f8", [-1]]]}\n',
         b'{"arrays": [["x", "<f8", [1e3]]]}\n',
         b'{"arrays": [["x", "<f8", [1000000000000]]]}\n',

@@ -126,6 +126,23 @@ def test_a_full_disk_under_a_journal(journal):
             written.add(ENTRIES[0])
 
 
+@pytest.mark.parametrize("read", [read_journal, read_manifest])
+def test_a_pipe_in_a_strangers_folder_is_not_waited_for(tmp_path, read):
+    for name in (JOURNAL, MANIFEST):
+        os.mkfifo(tmp_path / name)
+    with pytest.raises(BadData, match=JOURNAL):
+        read(tmp_path)
+
+
+def test_what_can_just_be_read_may_be_too_deep_to_be_checked():
+    for depth in range(900, 1000):
+        with pytest.raises(BadData, match="manifest"):
+            parse_manifest(
+                b'{"format":"cgid-dataset","schema_version":2,"x":' + b"[" * depth + b"]" * depth + b"}",
+                Path("manifest.json"),
+            )
+
+
 def test_a_worker_of_an_earlier_run_is_refused(tmp_path):
     with Journal(tmp_path, PLAN, 3, "shards") as first:
         with taking_part(tmp_path, first.run):
@@ -133,7 +150,7 @@ def test_a_worker_of_an_earlier_run_is_refused(tmp_path):
         with Journal(tmp_path, PLAN, 3, "shards"), pytest.raises(CannotCreate, match="taken this folder over"):  # noqa: SIM117
             with taking_part(tmp_path, first.run):
                 pytest.fail("the folder belongs to the second run")
-        first.remove()
+        first.path.unlink()
     with pytest.raises(CannotCreate, match="taken this folder over"), taking_part(tmp_path, first.run):
         pytest.fail("there is no run")
 

@@ -2,6 +2,7 @@
 
 import json
 import os
+import shutil
 import subprocess
 import sys
 import tracemalloc
@@ -133,6 +134,16 @@ def test_it_is_read_as_a_recording(made):
         read_recording(path, unit="g")
     with pytest.raises(BadData, match="must be a cgid dataset"):
         Dataset(path)
+
+
+def test_another_that_has_got_its_name_is_not_taken_for_it(made, tmp_path):
+    path = Path(shutil.copy(made / "one.h5", tmp_path))
+    before = Recording(path)
+    other = Path(shutil.copy(made / "three" / "recording-00001.h5", tmp_path))
+    other.replace(path)
+    for read in (before.samples, before.impacts, lambda: list(before.blocks(1000))):
+        with pytest.raises(BadData, match="has been replaced by another while it was read; read it again"):
+            read()
 
 
 def test_commands_understand_it(made, capfd):

@@ -34,6 +34,8 @@ from tests.test_stream import content
 SCENE = small_scene(2048)
 #: Signals of 8 kB, of which 64 lie in a chunk.
 N, IN_SHARD = 400, 150
+#: A folder with a manifest of version 1.
+GOLDEN = Path(__file__).parent / "golden" / "manifest-1"
 STREAM = parse_scene(content(duration="3 s", sensor={"absolute_noise": "10 N"}))
 
 
@@ -258,6 +260,51 @@ def test_nothing_is_made_of_a_manifest_without_its_shards(copies: Path) -> None:
     (folder / "shard-00001.h5").unlink()
     before = contents(folder)
     assert mended(folder) == [False]
+    assert contents(folder) == before
+
+
+def test_a_damaged_manifest_that_names_more_shards_is_kept(copies: Path) -> None:
+    folder = copies / "folder"
+    flip(folder / "manifest.json", 700)
+    (folder / "shard-00002.h5").unlink()  # the last: nothing but the manifest speaks of it
+    before = contents(folder)
+    (one,) = repair(verify(folder))
+    assert not one.done and "names 3 shards, 2 are there" in one.told
+    assert contents(folder) == before
+
+
+def test_a_manifest_is_not_made_of_two_datasets(copies: Path) -> None:
+    folder = copies / "folder"
+    generate(SCENE, copies / "other", N, 8, shard_signals=IN_SHARD)
+    (copies / "other" / "shard-00001.h5").replace(folder / "shard-00001.h5")
+    (folder / "manifest.json").unlink()
+    (one,) = repair(verify(folder))
+    assert not one.done and "shard-00001.h5: is not of the dataset" in one.told
+
+
+def test_a_folder_of_the_first_version_is_readable_when_it_has_been_repaired(tmp_path: Path) -> None:
+    """Its manifest is written anew where other bytes come out; what it did not say, the new one must."""
+    folder = Path(shutil.copytree(GOLDEN, tmp_path / "old"))
+    manifest = folder / "manifest.json"
+    said = json.loads(manifest.read_text())
+    assert said["schema_version"] == 1
+    said["shards"][0]["sha256"] = "0" * 64
+    manifest.write_text(json.dumps(said))
+    (folder / said["shards"][0]["file"]).unlink()
+    assert mended(folder) == [True]
+    assert not verify(folder).findings
+    one, two = (np.concatenate([batch.signals for batch in Dataset(path)]) for path in (GOLDEN, folder))
+    np.testing.assert_allclose(one, two, rtol=1e-5)
+
+
+def test_what_has_been_replaced_since_it_was_verified_is_left_alone(copies: Path) -> None:
+    folder = copies / "folder"
+    (folder / "shard-00001.h5").unlink()
+    found = verify(folder)
+    generate(SCENE, folder, N, 8, shard_signals=IN_SHARD, overwrite=True)
+    before = contents(folder)
+    with pytest.raises(CannotCreate, match="verify it again"):
+        list(repair(found))
     assert contents(folder) == before
 
 

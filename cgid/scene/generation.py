@@ -2,25 +2,21 @@
 
 from __future__ import annotations
 
-import hashlib
 import os
-import platform
 from collections.abc import Callable
 from contextlib import closing
-from importlib.metadata import version
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
-from cgid import __version__, validation
+from cgid import validation
 from cgid.cluster import workers
 from cgid.errors import InvalidValue
-from cgid.scene.population import parameter_units
+from cgid.scene.provenance import attributes_of, shard_plan
 from cgid.scene.scene import Scene
 from cgid.scene.synthesis import synthesise
 from cgid.scene.workers import write_shards
 from cgid.store import FORMAT, SCHEMA_VERSION, DatasetWriter, check_output
-from cgid.store.compression import COMPRESSIONS, library, require
-from cgid.store.shard import ShardPlan
+from cgid.store.compression import COMPRESSIONS, require
 
 #: Signals of a shard: 32 MiB of 2048 float32 samples, built in memory.
 SHARD_SIGNALS = 4096
@@ -99,13 +95,11 @@ def generate(
     require(validation.choice("compression", compression, COMPRESSIONS))
     path = check_output(output, overwrite or resume)
     next(synthesise(scene, 1, seed))  # what is wrong with the scene or the seed shows before anything is written
-    plan = ShardPlan(
-        n_samples=scene.sampling.samples,
-        dtype=validation.choice("dtype", dtype, ("float32", "float64")),
-        label_width=max(len(label.encode()) for label in scene.labels),
-        parameter_units=parameter_units(scene),
-        attributes={"format": FORMAT, "schema_version": SCHEMA_VERSION} | attributes_of(scene, seed, compression),
-        compression=compression,
+    plan = shard_plan(
+        scene,
+        {"format": FORMAT, "schema_version": SCHEMA_VERSION} | attributes_of(scene, seed, compression),
+        validation.choice("dtype", dtype, ("float32", "float64")),
+        compression,
     )
     if n_signals > MOST_SIGNALS:
         raise InvalidValue(f"n_signals must be at most {MOST_SIGNALS}, got {n_signals}; make several datasets")
@@ -122,22 +116,3 @@ def generate(
                 if progress is not None and not crew.alone:
                     progress(entry.n_signals)
     return path
-
-
-def attributes_of(scene: Scene, seed: int, compression: str = "none") -> dict[str, Any]:
-    """Return the root attributes of a dataset: how it was made, and by what its bytes were."""
-    packages = ", ".join(f"{name} {version(name)}" for name in ("numpy", "scipy", "numba", "h5py"))
-    if compression != "none":
-        packages += f", {library(compression)}"
-    found = {
-        "seed": seed,
-        "scene_name": scene.name,
-        "scene": scene.text,
-        "scene_sha256": scene.sha256,
-        "versions": f"cgid {__version__}, Python {platform.python_version()}, {packages}",
-    }
-    if scene.background is not None and scene.background.recorded is not None:
-        content = (scene.folder / scene.background.recorded.path).read_bytes()
-        # The scene names the file only, and the samples depend on what is in it.
-        found["background_sha256"] = hashlib.sha256(content).hexdigest()
-    return found

@@ -2,21 +2,44 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
+import platform
 from collections.abc import Mapping
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
+from cgid import __version__
 from cgid.errors import BadData
-from cgid.scene.generation import attributes_of
 from cgid.scene.population import parameter_units
 from cgid.scene.scene import Scene, parse_scene
+from cgid.store.compression import library
 from cgid.store.shard import ShardPlan
 
 #: By HDF5's numbers of filters; see `cgid.store.compression`.
 _COMPRESSIONS = {1: "gzip", 32015: "zstd", 32026: "blosc2"}
 #: In which root attributes are written: bytes depend on it, and HDF5 does not keep it.
 _ORDER = ("format", "schema_version", "seed", "scene_name", "scene", "scene_sha256", "versions", "background_sha256")
+
+
+def attributes_of(scene: Scene, seed: int, compression: str = "none") -> dict[str, Any]:
+    """Return the root attributes of a dataset: how it was made, and by what its bytes were."""
+    packages = ", ".join(f"{name} {version(name)}" for name in ("numpy", "scipy", "numba", "h5py"))
+    if compression != "none":
+        packages += f", {library(compression)}"
+    found = {
+        "seed": seed,
+        "scene_name": scene.name,
+        "scene": scene.text,
+        "scene_sha256": scene.sha256,
+        "versions": f"cgid {__version__}, Python {platform.python_version()}, {packages}",
+    }
+    if scene.background is not None and scene.background.recorded is not None:
+        content = (scene.folder / scene.background.recorded.path).read_bytes()
+        # The scene names the file only, and the samples depend on what is in it.
+        found["background_sha256"] = hashlib.sha256(content).hexdigest()
+    return found
 
 
 def scene_of(path: Path, attributes: Mapping[str, Any], given: Scene | None) -> Scene:

@@ -6,11 +6,9 @@ import hashlib
 import re
 import tempfile
 import time
-from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
-from itertools import accumulate
 from pathlib import Path
 from typing import Any
 
@@ -18,18 +16,17 @@ import numpy as np
 
 from cgid.errors import BadData, CannotCreate, CgidError
 from cgid.files import whole_file, write_whole
-from cgid.scene.generation import attributes_of
-from cgid.scene.provenance import compression_of, in_order, plan_of, scene_of, shard_plan, whole_number
+from cgid.scene.provenance import attributes_of, compression_of, in_order, plan_of, scene_of, shard_plan, whole_number
+from cgid.scene.relisting import relist
 from cgid.scene.scene import Scene
 from cgid.scene.stream.axis import samples_of
 from cgid.scene.stream.generation import write_recording
 from cgid.scene.synthesis import synthesise
-from cgid.store import Dataset
-from cgid.store.examination import damaged_rows, examine_file
+from cgid.store.examination import examine_file
 from cgid.store.export import write_dataset
 from cgid.store.header import FORMAT, LARGEST_SHARD, RECORDING_FORMAT
 from cgid.store.lock import locked
-from cgid.store.manifest import MANIFEST, Manifest, ShardEntry
+from cgid.store.manifest import MANIFEST, Manifest, ShardEntry, read_manifest
 from cgid.store.recording import RECORDING_NAME, RecordingPlan
 from cgid.store.shard import ShardBuilder, ShardPlan
 from cgid.store.verification import Finding, Verified
@@ -82,12 +79,13 @@ def repair(verified: Verified, scene: Scene | None = None, progress: Progress | 
     Raises
     ------
     CannotCreate
-        A run is writing into the folder.
+        A run is writing into the folder, or has made another dataset of it since it was verified.
     """
     manifest = verified.manifest
     # The manifest comes last: it is made from the shards.
     findings = sorted(verified.findings, key=lambda finding: finding.file.name == MANIFEST)
     with _alone(verified.path):
+        _require_unchanged(verified)
         for finding in findings:
             if finding.problem in ("foreign", "pending"):
                 continue
@@ -97,7 +95,7 @@ def repair(verified: Verified, scene: Scene | None = None, progress: Progress | 
                 elif finding.problem == "unfinished" or (finding.entry is not None and manifest is None):
                     raise BadData(f"{finding.file}: belongs to an unfinished run; cgid generate ... --resume mends it")
                 elif finding.file.name == MANIFEST:
-                    told = _mend_manifest(finding.file)
+                    told = relist(finding.file)
                 elif finding.entry is not None and manifest is not None:
                     told, manifest = _mend_shard(finding, finding.entry, verified, manifest, scene, progress)
                 else:
@@ -120,6 +118,18 @@ def _alone(path: Path) -> Iterator[None]:
         except OSError as error:
             raise CannotCreate(f"{path}: cannot be written ({error.strerror})") from None
         yield
+
+
+def _require_unchanged(verified: Verified) -> None:
+    """Raise `CannotCreate` if the manifest is not the one that was verified, which may be hours ago."""
+    if verified.manifest is None:
+        return
+    try:
+        manifest = read_manifest(verified.path)
+    except BadData:
+        manifest = None
+    if manifest != verified.manifest:
+        raise CannotCreate(f"{verified.path}: has been replaced by another since it was verified; verify it again")
 
 
 def _remove(file: Path) -> str:
@@ -239,7 +249,15 @@ def _mend_shard(
         if not _agrees_with_another(verified, manifest, plan, scene, seed):
             _require_agreement(path, finding.examined, temporary, attributes, scene)
     changed = replace(entry, bytes=len(content), sha256=digest)
-    manifest = replace(manifest, shards=tuple(changed if other == entry else other for other in manifest.shards))
+    manifest = replace(
+        manifest,
+        shards=tuple(changed if other == entry else other for other in manifest.shards),
+        # Manifests of version 1 do not say them, and the new one must.
+        shard_signals=manifest.shards[0].n_signals,
+        n_samples=plan.n_samples,
+        dtype=plan.dtype,
+        compression=plan.compression,
+    )
     write_whole(verified.path / MANIFEST, manifest.to_bytes())
     return f"made again by other versions than {attributes.get('versions')}: equal numbers in other bytes", manifest
 
@@ -267,49 +285,6 @@ def _plan_of_folder(verified: Verified, manifest: Manifest, scene: Scene) -> Sha
         if not examined["fault"]:
             return shard_plan(scene, manifest.attributes, examined["dtype"], compression_of(examined))
     raise BadData(f"{verified.path}: no shard says any more how its signals are stored; generate the dataset again")
-
-
-# ---- the manifest ----------------------------------------------------------------------------------------------------
-
-
-def _mend_manifest(file: Path) -> str:
-    """Make a manifest from the shards that are there."""
-    shards = sorted(file.parent.glob("shard-*.h5"))
-    entries, attributes, examined = [], {}, {}
-    for shard in shards:
-        examined = examine_file(shard)
-        if examined["fault"] or any(damaged_rows(chunks) for chunks in examined["chunks"].values()):
-            raise BadData(
-                f"{shard}: must be whole to make a new {MANIFEST} from, it is not, and without a manifest it cannot be "
-                "made again; generate the dataset again"
-            )
-        attributes = dict(examined["attributes"])
-        entries.append(_entry(shard, attributes.pop("first_signal", 0)))
-    n_signals = sum(entry.n_signals for entry in entries)
-    starts = list(accumulate((entry.n_signals for entry in entries), initial=0))[:-1]
-    if not entries or [entry.first_signal for entry in entries] != starts:
-        raise BadData(f"{file.parent}: its shards must follow each other from signal 0 on; generate the dataset again")
-    header = Dataset(shards[0]).header
-    made = Manifest(
-        n_signals=n_signals,
-        attributes=in_order(attributes),
-        shards=tuple(entries),
-        shard_signals=entries[0].n_signals,
-        n_samples=header.n_samples,
-        dtype=header.dtype,
-        compression=compression_of(examined),
-    )
-    write_whole(file, made.to_bytes())
-    return f"made again from the {len(entries)} shards that are there, of {n_signals} signals"
-
-
-def _entry(shard: Path, first: int) -> ShardEntry:
-    labels: Counter[str] = Counter()
-    for batch in Dataset(shard).batches():
-        labels.update(batch.labels.tolist())
-    content = shard.read_bytes()
-    digest = hashlib.sha256(content).hexdigest()
-    return ShardEntry(shard.name, first, labels.total(), len(content), digest, dict(sorted(labels.items())))
 
 
 def _require_agreement(

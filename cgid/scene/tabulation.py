@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-import shutil
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from cgid.errors import CannotCreate, InvalidValue
-from cgid.scene.generation import MOST_SIGNALS, attributes_of
+from cgid.errors import InvalidValue
+from cgid.files import require_room
+from cgid.scene.generation import MOST_SIGNALS
 from cgid.scene.plan import Plan
+from cgid.scene.provenance import attributes_of
 from cgid.scene.tables import columns_of
 from cgid.store import Rows, TableHeader, check_table_output, table_writer
 
@@ -76,12 +77,7 @@ def tabulate(
     path = check_table_output(output, overwrite)
     next(iter(columns_of(asked, 1, seed)))  # what is wrong with the plan or the seed shows before anything is written
     size = n_signals * (2 + len(request.column_units)) * (_BYTES_OF_TEXT if path.suffix == ".csv" else _BYTES)
-    free = shutil.disk_usage(path.parent).free
-    if size > free:
-        raise CannotCreate(
-            f"{path}: the disk must have room for {size / 1e9:.3g} GB, {free / 1e9:.3g} GB are free; make room, or "
-            "fewer signals"
-        )
+    require_room(path, path.parent, size, "rows", "make room, or fewer signals")
     header = TableHeader(
         kind=asked.kind,
         units=request.column_units,

@@ -55,6 +55,7 @@ def _serve(function: str, arguments: list[Any], requests: Any, answers: Any) -> 
     for number, (message, arrays) in enumerate(_replies(function, arguments)):
         # The next item is ready before it is asked for.
         if number and not json.loads(requests.readline() or "{}").get("next"):
+            wire.send(answers, {"end": True})
             return
         try:
             wire.send(answers, message, arrays)

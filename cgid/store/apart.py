@@ -87,8 +87,7 @@ def stream(
             try:
                 yield item
             except GeneratorExit:
-                with suppress(OSError, ValueError):  # it may have gone already
-                    child.tell({"next": False})
+                child.leave(path)
                 raise
             message = {"next": True}
 
@@ -131,6 +130,7 @@ class _Child:
         # HDF5 would load whatever library lies where a file's filter is looked for.
         environment["HDF5_PLUGIN_PRELOAD"] = "::"
         self.in_step, self._late = False, False
+        self._left: Path | None = None
         self._process = subprocess.Popen(
             [sys.executable, "-P", "-m", "cgid.store._reader"],
             stdin=subprocess.PIPE,
@@ -170,15 +170,16 @@ class _Child:
         return self._process.stderr
 
     def ask(
-        self, path: Path, source: str, message: dict[str, Any], largest: int
+        self, path: Path, source: str, message: dict[str, Any] | None, largest: int
     ) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
-        """Return the answer, which must come in time; raises `BadData` if none does."""
+        """Send a message, if there is one, and return the answer, which must come in time; raises `BadData` if not."""
         self.in_step = False
         patience = threading.Timer(limits.patience_for(path), self._lose_patience)
         patience.daemon = True
         patience.start()
         try:
-            self.tell(message)
+            if message is not None:
+                self._tell(message)
             found = wire.receive(self._output, largest)
         except (OSError, ValueError, wire.BrokenWire) as error:
             raise BadData(
@@ -190,13 +191,24 @@ class _Child:
         self.in_step = True
         return found
 
-    @property
-    def is_there(self) -> bool:
-        """Whether the process still runs."""
-        return self._process.poll() is None
+    def leave(self, path: Path) -> None:
+        """Have the process give up what it yields of a file; it answers when it has, which nobody waits for now."""
+        with suppress(OSError, ValueError):  # it may have gone already
+            self._tell({"next": False})
+            self._left = path
 
-    def tell(self, message: dict[str, Any]) -> None:
-        """Send a message that is not answered."""
+    def is_ready(self) -> bool:
+        """Return whether the process still runs, as soon as it has given up what it was to leave.
+
+        What ends it until then is no fault of the file that it is asked for next.
+        """
+        if self._left is not None:
+            left, self._left = self._left, None
+            with suppress(BadData):
+                self.ask(left, str(left), None, 0)
+        return self.in_step and self._process.poll() is None
+
+    def _tell(self, message: dict[str, Any]) -> None:
         self._input.write(json.dumps(message).encode() + b"\n")
         self._input.flush()
 
@@ -217,33 +229,34 @@ class _Child:
     def end(self) -> None:
         """End the process, whatever it does."""
         _alive.discard(self)
+        with suppress(OSError):
+            self._input.close()
         # One that has crashed is given the time to say how.
         with suppress(subprocess.TimeoutExpired):
-            self._input_closed()
             self._process.wait(0.2 if not self.in_step else 0)
         self._process.kill()
         self._process.wait()
-        self.forget()
-
-    def _input_closed(self) -> None:
-        with suppress(OSError):
-            self._input.close()
-
-    def forget(self) -> None:
-        """Close this side."""
-        for side in (self._input, self._output, self._errors):
+        for side in (self._output, self._errors):
             with suppress(OSError):
                 side.close()
 
     def disown(self) -> None:
-        """Forget a process that belongs to the one this was forked from."""
-        self.forget()
+        """Forget a process that belongs to the one this was forked from.
+
+        Only the descriptors are closed: a thread that is not here may hold the buffers, and what it left in them is not
+        to be sent from here.
+        """
+        for side in (self._input, self._output, self._errors):
+            with suppress(OSError):
+                side.raw.close()
         self._process.returncode = 0
         self.in_step = False
 
 
 _alive: set[_Child] = set()
 _idle: list[_Child] = []
+#: Kept, since a buffer that goes waits for whoever holds it.
+_disowned: list[_Child] = []
 #: A generator that is thrown away gives its reader back wherever this thread stands.
 _lock = threading.RLock()
 
@@ -253,7 +266,7 @@ def _reading() -> Iterator[_Child]:
     """Yield a process that nobody else asks meanwhile."""
     with _lock:
         child = _idle.pop() if _idle else None
-    if child and not child.is_there:  # somebody has ended it meanwhile
+    if child and not child.is_ready():
         child.end()
         child = None
     child = child or _Child()
@@ -290,6 +303,7 @@ def _disown_all() -> None:
     global _lock
     for child in list(_alive):
         child.disown()
+        _disowned.append(child)
     _alive.clear()
     _idle.clear()
     _lock = threading.RLock()

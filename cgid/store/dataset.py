@@ -14,6 +14,7 @@ from cgid.errors import BadData, InvalidValue, NoInput
 from cgid.signals import Batch, Signal, quantity_of
 from cgid.store import apart
 from cgid.store.header import ShardHeader, text_of
+from cgid.store.identity import Identity
 from cgid.store.manifest import MANIFEST, read_manifest
 
 #: Signals read at once, and what they may take [bytes].
@@ -42,7 +43,7 @@ class Dataset:
         self.path = Path(path)
         if not self.path.exists():
             raise NoInput(f"{path}: no such file or folder; give a dataset made by cgid generate")
-        self._opened = self._identity()
+        self._identity = Identity(self.path)
         self._entries = read_manifest(self.path).shards if self.path.is_dir() else None
         names = [entry.file for entry in self._entries] if self._entries is not None else [self.path.name]
         folder = self.path if self.path.is_dir() else self.path.parent
@@ -56,20 +57,7 @@ class Dataset:
             self._counts.append(header.n_signals)
         if self._entries is not None and self._counts != [entry.n_signals for entry in self._entries]:
             raise BadData(f"{path}: shards must hold as many signals as {MANIFEST} says; generate the dataset again")
-        self._require_unreplaced()
-
-    def _identity(self) -> tuple[int, int]:
-        """Return what tells the file or folder that has the name from every other that has it later."""
-        try:
-            found = self.path.stat()
-        except OSError as error:
-            raise BadData(f"{self.path}: cannot be looked at ({error.strerror}); read it again") from None
-        return found.st_dev, found.st_ino
-
-    def _require_unreplaced(self) -> None:
-        """Raise `BadData` if an overwriting run has put another dataset here; its shards have the same names."""
-        if self._identity() != self._opened:
-            raise BadData(f"{self.path}: has been replaced by another while it was read; read it again")
+        self._identity.require()  # shards of an overwriting run have the same names
 
     def _require_fit(self, shard: Path, header: ShardHeader) -> None:
         for name in ("n_samples", "sampling_rate", "pre_trigger", "unit", "parameter_units", "label_width"):
@@ -132,7 +120,7 @@ class Dataset:
         with closing(apart.stream("rows", shard, names, first, stop, length, largest=largest)) as parts:
             for number, part in enumerate(parts):
                 if not number:  # the file is open by now, and stays the one it is
-                    self._require_unreplaced()
+                    self._identity.require()
                 yield self._batch(part)
 
     def _batch(self, part: dict[str, NDArray[Any]]) -> Batch:

@@ -6,7 +6,6 @@ not grow with it.
 
 from __future__ import annotations
 
-import shutil
 from collections.abc import Callable, Iterable
 from dataclasses import replace
 from pathlib import Path
@@ -15,7 +14,7 @@ import h5py
 import numpy as np
 
 from cgid.errors import BadData, CannotCreate
-from cgid.files import check_new, whole_file
+from cgid.files import check_new, require_room, whole_file
 from cgid.signals import Batch
 from cgid.store.dataset import Dataset
 from cgid.store.disk import hdf5_on_disk
@@ -64,7 +63,8 @@ def export(
         attributes={name: value for name, value in dataset.header.attributes.items() if name != "first_signal"},
     )
     first = dataset.header.attributes.get("first_signal", 0)
-    _require_room(path, plan, len(dataset))
+    needed = len(dataset) * plan.n_samples * np.dtype(plan.dtype).itemsize
+    require_room(path, path.parent, needed, "signals", "make room")
     with whole_file(path, overwrite=overwrite) as temporary:
         write_dataset(temporary, plan, first, len(dataset), dataset.batches(), progress)
     return path
@@ -122,13 +122,3 @@ def _put(file: h5py.File, batch: Batch, first: int) -> None:
     file["specimen"][rows] = batch.specimen
     for name, values in batch.parameters.items():
         file[f"parameters/{name}"][rows] = values
-
-
-def _require_room(path: Path, plan: ShardPlan, n_signals: int) -> None:
-    needed = n_signals * plan.n_samples * np.dtype(plan.dtype).itemsize
-    free = shutil.disk_usage(path.parent).free
-    if needed > free:
-        raise CannotCreate(
-            f"{path}: the disk must have room for {needed / 1e9:.3g} GB of signals, {free / 1e9:.3g} GB are free; "
-            "make room"
-        )

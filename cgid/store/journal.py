@@ -23,13 +23,15 @@ from types import TracebackType
 from typing import Any, Self
 
 from cgid.errors import BadData, CannotCreate, WriteFailed
-from cgid.files import write_whole
+from cgid.files import read_regular, write_whole
 from cgid.store.digest import is_sound, sealed
 from cgid.store.lock import locked
 
 JOURNAL = "unfinished.jsonl"
 #: Bytes of the first line at most.
 _FIRST_LINE = 4096
+#: Bytes; 300 000 files need some 100 MB.
+_LARGEST = 1 << 28
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -111,10 +113,6 @@ class Journal:
                 f"{self.path}: writing failed ({error.strerror}); free some space, then go on with --resume"
             ) from None
 
-    def remove(self) -> None:
-        """Take the journal away: the run is whole."""
-        self.path.unlink(missing_ok=True)
-
     def __enter__(self) -> Self:
         return self
 
@@ -130,15 +128,18 @@ def read_journal(folder: Path) -> Unfinished | None:
     Raises
     ------
     BadData
-        Its first lines are damaged, so that nobody knows what the run was to make.
+        Its first lines are damaged, so that nobody knows what the run was to make; or it is no file of such a size.
     """
     file = folder / JOURNAL
     try:
-        lines = file.read_bytes().split(b"\n")
+        content = read_regular(file, _LARGEST)
     except (FileNotFoundError, NotADirectoryError):
         return None
     except OSError as error:
         raise BadData(f"{file}: cannot be read ({error.strerror}); start again with --overwrite") from None
+    if len(content) > _LARGEST:
+        raise BadData(f"{file}: must be at most {_LARGEST >> 20} MiB; this is no journal of cgid")
+    lines = content.split(b"\n")
     first, second = (_content(line) for line in [*lines, b""][:2])
     found = {**first, **second}
     for name, kind in (("run", str), ("process", str), ("plan", dict), ("n_files", int), ("noun", str)):

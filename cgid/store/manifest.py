@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from cgid.errors import BadData
+from cgid.files import read_regular
 from cgid.store.digest import is_sound, sealed
 from cgid.store.header import FORMAT
 from cgid.store.journal import read_journal
@@ -88,8 +89,7 @@ def read_manifest(folder: Path) -> Manifest:
     """
     file = folder / MANIFEST
     try:
-        with file.open("rb") as stream:
-            content = stream.read(LARGEST_MANIFEST + 1)
+        content = read_regular(file, LARGEST_MANIFEST)
     except OSError:
         unfinished = read_journal(folder)
         if unfinished is not None:
@@ -139,7 +139,9 @@ def _read_json(content: bytes, file: Path) -> dict[str, Any]:
 
 def _require_all(entries: tuple[ShardEntry, ...], n_signals: Any, file: Path) -> None:
     starts = [0, *accumulate(entry.n_signals for entry in entries)]
-    whole = starts[-1] == n_signals and starts[:-1] == [entry.first_signal for entry in entries]
+    whole = (
+        type(n_signals) is int and starts[-1] == n_signals and starts[:-1] == [entry.first_signal for entry in entries]
+    )
     if not whole or len({entry.file for entry in entries}) < len(entries):
         raise BadData(
             f"{file}: every shard must be listed, and once, {n_signals!r:.20} signals in all; generate it again"

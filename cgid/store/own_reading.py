@@ -79,7 +79,7 @@ def recording_header(path: str, source: str) -> dict[str, Any]:
         if samples.ndim != 1 or samples.dtype not in (np.float32, np.float64) or not samples.size:
             raise BadData(f"{source}: samples must be a row of floats, got shape {samples.shape} of {samples.dtype}")
         about = attributes_of(samples, source)
-        require_rate_and_unit(source, "samples", about)
+        _require_rate_and_unit(source, "samples", about)
         start = about.get("start")
         if not isinstance(start, float) or not np.isfinite(start):
             raise BadData(f"{source}: samples must have a sound attribute start, got {start!r:.80}")
@@ -195,7 +195,7 @@ def _read_header(file: h5py.File, source: str) -> ShardHeader:
     n_signals, n_samples = signals.shape
     about = attributes_of(signals, source)
     before = about.get("pre_trigger")
-    require_rate_and_unit(source, "signals", about)
+    _require_rate_and_unit(source, "signals", about)
     if type(before) is not int or not 0 <= before < n_samples:
         raise BadData(f"{source}: signals must have a sound attribute pre_trigger, got {before!r:.80}")
     return ShardHeader(
@@ -211,7 +211,7 @@ def _read_header(file: h5py.File, source: str) -> ShardHeader:
     )
 
 
-def require_rate_and_unit(source: str, name: str, about: dict[str, Any]) -> None:
+def _require_rate_and_unit(source: str, name: str, about: dict[str, Any]) -> None:
     """Raise `BadData` unless samples have a positive sampling rate and a known unit."""
     rate, unit = about.get("sampling_rate"), about.get("unit")
     for attribute, value, holds in (

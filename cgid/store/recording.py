@@ -11,7 +11,6 @@ It lies beside its name until it is finished and flushed, and only then bears it
 from __future__ import annotations
 
 import re
-import shutil
 from collections.abc import Generator, Iterator, Mapping
 from contextlib import closing, contextmanager
 from dataclasses import dataclass
@@ -21,18 +20,19 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cgid.errors import BadData, CannotCreate, InvalidValue, NoInput
-from cgid.files import whole_file
+from cgid.errors import BadData, InvalidValue, NoInput
+from cgid.files import half_written, require_room, whole_file
 from cgid.signals import Signal, quantity_of
 from cgid.store import apart
 from cgid.store.disk import Hdf5OnDisk, hdf5_on_disk
 from cgid.store.header import LARGEST_SHARD, RECORDING_FORMAT, RECORDING_SCHEMA_VERSION, text_of
+from cgid.store.identity import Identity
 
 #: No longer recording is made.
 LARGEST_RECORDING = LARGEST_SHARD
 #: What a folder of recordings holds, with what a killed run leaves behind.
 RECORDING_NAME = r"recording-[0-9]{5,}\.h5"
-OURS = re.compile(rf"{RECORDING_NAME}|\.{RECORDING_NAME}\.[0-9a-f]+\.part")
+OURS = re.compile(f"{RECORDING_NAME}|{half_written(RECORDING_NAME)}")
 _CHUNK_SAMPLES, _CHUNK_IMPACTS = 1 << 16, 4096
 #: Samples, and impacts, that are read at once.
 _BLOCK, _ROWS = 1 << 20, 1 << 16
@@ -68,12 +68,7 @@ class RecordingPlan:
 
     def require_room(self, folder: Path, n_recordings: int = 1) -> None:
         """Raise `CannotCreate` if the disk has less room than the samples alone will take."""
-        free, needed = shutil.disk_usage(folder).free, n_recordings * self.size
-        if needed > free:
-            raise CannotCreate(
-                f"{folder}: the disk must have room for {needed / 1e9:.3g} GB of samples, {free / 1e9:.3g} GB are "
-                "free; make room, or a shorter recording"
-            )
+        require_room(folder, folder, n_recordings * self.size, "samples", "make room, or a shorter recording")
 
 
 class RecordingWriter:
@@ -197,6 +192,7 @@ class Recording:
         self.path = Path(path)
         if not self.path.exists():
             raise NoInput(f"{path}: no such file; give a recording made by cgid generate")
+        self._identity = Identity(self.path)
         about = apart.call("recording_header", self.path)
         self.attributes: dict[str, Any] = about["attributes"]
         self.n_samples: int = about["n_samples"]
@@ -215,13 +211,9 @@ class Recording:
         InvalidValue
             The range is not one of the recording.
         BadData
-            A checksum does not fit: the file is damaged.
+            A checksum does not fit: the file is damaged. Or another has its name by now.
         """
-        stop = self.n_samples if stop is None else stop
-        if not 0 <= first <= stop <= self.n_samples:
-            raise InvalidValue(
-                f"{self.path}: samples must be asked for between 0 and {self.n_samples}, got {first} to {stop}"
-            )
+        stop = self._checked_stop(first, stop)
         found = np.empty(stop - first, self.dtype)
         place = 0
         for block in self.blocks(_BLOCK, first, stop):
@@ -231,17 +223,28 @@ class Recording:
 
     def blocks(self, length: int, first: int = 0, stop: int | None = None) -> Generator[NDArray[Any], None, None]:
         """Yield samples in order, at most `length` at once; `first`, `stop` and errors as those of `samples`."""
-        last = self.n_samples if stop is None else stop
+        last = self._checked_stop(first, stop)
         size = np.dtype(self.dtype).itemsize * length
         largest = max(apart.LARGEST_ANSWER, size)
         with closing(apart.stream("rows", self.path, ["samples"], first, last, length, largest=largest)) as parts:
-            for part in parts:
+            for number, part in enumerate(parts):
+                if not number:  # the file is open by now, and stays the one it is
+                    self._identity.require()
                 yield part["samples"]
+
+    def _checked_stop(self, first: int, stop: int | None) -> int:
+        stop = self.n_samples if stop is None else stop
+        if not 0 <= first <= stop <= self.n_samples:
+            raise InvalidValue(
+                f"{self.path}: samples must be asked for between 0 and {self.n_samples}, got {first} to {stop}"
+            )
+        return stop
 
     def impacts(self) -> dict[str, NDArray[Any]]:
         """Return the truth of all impacts, one column for each of `impact_units`; raises `BadData` where damaged."""
         names = {name: f"impacts/{name}" for name in self.impact_units}
         found = list(apart.stream("rows", self.path, list(names.values()), 0, self.n_impacts, _ROWS))
+        self._identity.require()
         columns = {name: np.concatenate([part[stored] for part in found]) for name, stored in names.items()}
         return {name: text_of(column) if column.dtype.kind == "S" else column for name, column in columns.items()}
 

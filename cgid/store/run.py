@@ -22,12 +22,13 @@ from pathlib import Path
 from typing import Any
 
 from cgid.errors import BadData, CannotCreate, WriteFailed
-from cgid.files import exchange, sync_folder
+from cgid.files import exchange, half_written, sync_folder
 from cgid.store.journal import JOURNAL, Journal, Unfinished, read_journal
 from cgid.store.lock import locked
+from cgid.store.sameness import first_difference, require_same
 
 #: The journal, and what a killed run leaves of it.
-JOURNAL_FILES = re.compile(rf"{re.escape(JOURNAL)}|\.{re.escape(JOURNAL)}\.[0-9a-f]+\.part")
+JOURNAL_FILES = re.compile(f"{re.escape(JOURNAL)}|{half_written(re.escape(JOURNAL))}")
 #: How long workers that have outlived their run may take for the file they are just writing [s].
 _PATIENCE = 60.0
 
@@ -159,6 +160,7 @@ def _hold(goal: Goal, held: ExitStack) -> None:
             with locked(unfinished):  # a crash where folders cannot change names in one step
                 unfinished.rename(output)
         output.mkdir(exist_ok=True)
+        sync_folder(output.parent)
         held.enter_context(locked(output))
     except BlockingIOError:
         raise CannotCreate(f"{output}: {_writer(goal)} is writing there; wait for it, or choose another name") from None
@@ -274,42 +276,10 @@ def _clear(folder: Path, ours: re.Pattern[str], *, only_parts: bool = False) -> 
     with contextlib.suppress(OSError):
         for path in folder.iterdir():
             if _is_part(path, ours) or (not only_parts and (ours.fullmatch(path.name) or path.name == JOURNAL)):
-                path.unlink(missing_ok=True)
+                with contextlib.suppress(OSError):
+                    path.unlink()
 
 
 def _is_part(path: Path, ours: re.Pattern[str]) -> bool:
     """Return whether a file is half-written, by its name."""
     return path.suffix == ".part" and bool(ours.fullmatch(path.name) or JOURNAL_FILES.fullmatch(path.name))
-
-
-def require_same(output: Path, there: Mapping[str, Any], asked: Mapping[str, Any]) -> None:
-    """Raise `CannotCreate`, naming the first option that differs, unless a run makes what is there, too."""
-    name = first_difference(there, asked)
-    if name is not None:
-        values = [flat.get(name, "nothing") for flat in (_flat(there), _flat(asked))]
-        raise CannotCreate(
-            f"{output}: {name} must be that of the run to be resumed, {values[0]!s:.80}, got {values[1]!s:.80}; give "
-            "the options of the first run, or start again with --overwrite"
-        )
-
-
-def first_difference(there: Mapping[str, Any], asked: Mapping[str, Any]) -> str | None:
-    """Return the name of the first option in which two plans differ; what one of them leaves open does not count.
-
-    Examples
-    --------
-    >>> first_difference({"n_signals": 9, "attributes": {"seed": 1}}, {"n_signals": 9, "attributes": {"seed": 2}})
-    'seed'
-    >>> first_difference({"n_signals": 9, "dtype": None}, {"n_signals": 9, "dtype": "float32"})
-    """
-    here, other = _flat(asked), _flat(there)
-    # The text of a scene comes last: its name and its SHA-256 say it shorter.
-    names = sorted({*here, *other}, key=lambda name: (name == "scene", list(here).index(name) if name in here else 0))
-    pairs = ((name, here.get(name), other.get(name)) for name in names)
-    return next((name for name, one, two in pairs if None not in (one, two) and one != two), None)
-
-
-def _flat(plan: Mapping[str, Any]) -> dict[str, Any]:
-    attributes = plan.get("attributes")
-    found = {**plan, **(attributes if isinstance(attributes, dict) else {})}
-    return {name: value for name, value in found.items() if name != "attributes"}

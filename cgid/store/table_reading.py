@@ -16,6 +16,7 @@ from cgid.errors import BadData, MissingExtra, NoInput
 from cgid.store import apart
 from cgid.store.digest import is_sound
 from cgid.store.header import TABLE_FORMAT, TABLE_VERSION, require_scene, require_schema, text_of
+from cgid.store.identity import Identity
 from cgid.store.table import Table, TableHeader, parquet_library
 
 #: What a table says of itself, in whichever format.
@@ -70,11 +71,13 @@ def is_table(path: str | Path) -> bool:
 
 
 def _read_hdf5(path: str | Path) -> Table:
+    identity = Identity(Path(path))
     about = apart.call("table_header", Path(path))
     header = TableHeader(kind=about["kind"], units=about["units"], attributes=about["attributes"])
     names = ["labels", "specimen", *(f"columns/{name}" for name in header.units)]
     length = max(1, min(_ROWS, apart.LARGEST_ANSWER // about["row_bytes"]))
     parts = list(apart.stream("rows", Path(path), names, 0, about["n_rows"], length))
+    identity.require()
     stored = {name: np.concatenate([part[name] for part in parts]) for name in names}
     columns = {name: stored[f"columns/{name}"] for name in header.units}
     return _checked(path, header, text_of(stored["labels"]), stored["specimen"], columns)

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from cgid.errors import BadData, CgidError, NoInput
+from cgid.files import half_written
 from cgid.store.examination import damaged_rows, examine_file
 from cgid.store.header import FORMAT, RECORDING_FORMAT, TABLE_FORMAT
 from cgid.store.journal import JOURNAL, read_journal
@@ -19,8 +20,6 @@ from cgid.store.run import hidden
 from cgid.store.table import TABLE_SUFFIXES
 from cgid.store.table_reading import read_table
 
-#: What a run that was killed leaves beside the files it was writing.
-_LEFTOVER = r"\.{}\.[0-9a-f]+\.part"
 #: Problems that are no damage.
 _HARMLESS = ("leftover", "pending", "foreign")
 _KINDS = {FORMAT: "dataset", RECORDING_FORMAT: "recording", TABLE_FORMAT: "table"}
@@ -257,7 +256,7 @@ def _finished(folder: Path) -> tuple[ShardEntry, ...]:
 
 
 def _leftovers(folder: Path, name: str) -> list[Finding]:
-    pattern = re.compile(_LEFTOVER.format(name))
+    pattern = re.compile(half_written(name))
     return [_left(folder / found) for found in _names(folder) if pattern.fullmatch(found)]
 
 
@@ -267,7 +266,7 @@ def _left(file: Path) -> Finding:
 
 def _strangers(folder: Path, known: set[str], name: str) -> Iterator[Finding]:
     """Yield what else lies in a folder of files so named."""
-    leftover = re.compile(_LEFTOVER.format(rf"({name}|{re.escape(MANIFEST)}|{re.escape(JOURNAL)})"))
+    leftover = re.compile(half_written(rf"{name}|{re.escape(MANIFEST)}|{re.escape(JOURNAL)}"))
     for found in _names(folder):
         if found not in known and not leftover.fullmatch(found):
             yield Finding(file=folder / found, problem="foreign", what="does not belong to it")

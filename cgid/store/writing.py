@@ -5,25 +5,28 @@ from __future__ import annotations
 import copy
 import hashlib
 import re
-import shutil
 from collections import Counter
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+
 from cgid.errors import CannotCreate, InvalidValue
-from cgid.files import write_whole
+from cgid.files import half_written, require_room, write_whole
 from cgid.signals import Batch
 from cgid.store.dataset import Dataset
 from cgid.store.header import FORMAT, LARGEST_SHARD
 from cgid.store.journal import taking_part
 from cgid.store.manifest import MANIFEST, SHARD_NAME, Manifest, ShardEntry, is_entry, read_manifest
-from cgid.store.run import JOURNAL_FILES, Goal, Run, begun, exists_already, first_difference, require_same
+from cgid.store.run import JOURNAL_FILES, Goal, Run, begun, exists_already
+from cgid.store.sameness import first_difference, require_same
 from cgid.store.shard import ShardBuilder, ShardPlan
 
 #: What a dataset folder may hold beside a journal, with what a killed run leaves behind.
-_OURS = re.compile(rf"(manifest\.json|{SHARD_NAME})|\.(manifest\.json|{SHARD_NAME})\.[0-9a-f]+\.part")
+_WHOLE = rf"{re.escape(MANIFEST)}|{SHARD_NAME}"
+_OURS = re.compile(f"{_WHOLE}|{half_written(_WHOLE)}")
 SUFFIXES = (".h5", ".hdf5")
 #: Their manifest has some 100 MB, which readers hold in memory.
 MOST_SHARDS = 300_000
@@ -109,7 +112,7 @@ class DatasetWriter:
         self._run: str | None = None
         self._overwrites = False
         self.shard_signals = n_signals if is_single_file(output) else min(shard_signals, n_signals)
-        size = self.shard_signals * plan.n_samples * (8 if plan.dtype == "float64" else 4)
+        size = self.shard_signals * plan.n_samples * np.dtype(plan.dtype).itemsize
         if size > LARGEST_SHARD:
             cure = "give a name that does not end in .h5, for a folder" if is_single_file(output) else "ask for smaller"
             raise InvalidValue(
@@ -147,13 +150,8 @@ class DatasetWriter:
         """Raise `CannotCreate` if the disk has less room than so many signals alone will take."""
         if self.plan.compression != "none":
             return
-        needed = n_signals * self.plan.n_samples * (8 if self.plan.dtype == "float64" else 4)
-        free = shutil.disk_usage(self.output.parent).free
-        if needed > free:
-            raise CannotCreate(
-                f"{self.output}: the disk must have room for {needed / 1e9:.3g} GB of signals, {free / 1e9:.3g} GB are "
-                "free; make room, or fewer signals"
-            )
+        needed = n_signals * self.plan.n_samples * np.dtype(self.plan.dtype).itemsize
+        require_room(self.output, self.output.parent, needed, "signals", "make room, or fewer signals")
 
     @contextmanager
     def begun(self, *, overwrite: bool = False, resume: bool = False) -> Iterator[DatasetRun]:

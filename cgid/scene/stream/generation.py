@@ -10,7 +10,7 @@ from typing import Any, Literal
 from cgid import validation
 from cgid.errors import InvalidValue
 from cgid.scene.background_noise import background_of
-from cgid.scene.generation import attributes_of
+from cgid.scene.provenance import attributes_of
 from cgid.scene.randomness import require_seed
 from cgid.scene.scene import Scene
 from cgid.scene.stream.axis import samples_of
@@ -21,7 +21,8 @@ from cgid.store import check_output
 from cgid.store.header import RECORDING_FORMAT
 from cgid.store.journal import JOURNAL
 from cgid.store.recording import OURS, Recording, RecordingPlan, is_recording, writing
-from cgid.store.run import Goal, Run, begun, file_facts, first_difference, require_same
+from cgid.store.run import Goal, Run, begun, file_facts
+from cgid.store.sameness import first_difference, require_same
 from cgid.store.writing import is_single_file
 
 
