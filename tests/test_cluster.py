@@ -8,7 +8,6 @@ import hashlib
 import os
 import re
 import shutil
-import signal
 import sys
 from collections.abc import Iterator
 from contextlib import AbstractContextManager
@@ -28,6 +27,7 @@ from cgid.scene import Scene, generate
 from cgid.scene import workers as shards
 from cgid.store.journal import JOURNAL
 from cgid.validation import positive
+from tests.mortal import fatal
 
 #: Quick to measure, and with a signal's share of the folds that calibrate.
 FEATURES = "peak_force,impulse"
@@ -152,20 +152,17 @@ def test_parts_that_cannot_be_made_are_told(way: str, address: str) -> None:
         list(crew.each(positive, "radius", parts()))
 
 
-def fatal(marks: str, part: int) -> int:
-    """End the process that does part 1, for the first so many times."""
-    folder, _, most = marks.partition("|")
-    deaths = len(list(Path(folder).iterdir()))
-    if part == 1 and deaths < int(most):
-        (Path(folder) / str(deaths)).touch()
-        os.kill(os.getpid(), signal.SIGKILL)
-    return part
-
-
 def test_a_worker_that_dies_is_made_up_for(address: str, tmp_path: Path) -> None:
     with workers(scheduler=address) as crew:
         assert sorted(crew.each(fatal, f"{tmp_path}|1", range(6), ordered=False)) == list(range(6))
     assert len(list(tmp_path.iterdir())) == 1
+
+
+def test_a_process_that_dies_is_told(tmp_path: Path) -> None:
+    with workers(2) as crew:
+        with pytest.raises(ClusterFailed, match=r"^jobs: a worker process was ended from outside"):
+            list(crew.each(fatal, f"{tmp_path}|1", range(6)))
+        assert list(crew.each(fatal, f"{tmp_path}|1", range(3))) == [0, 1, 2]  # others have taken its place
 
 
 def test_a_part_that_kills_its_workers_is_given_up(two_workers: Any, address: str, tmp_path: Path) -> None:
