@@ -152,29 +152,6 @@ def test_parts_that_cannot_be_made_are_told(way: str, address: str) -> None:
         list(crew.each(positive, "radius", parts()))
 
 
-def test_a_worker_that_dies_is_made_up_for(address: str, tmp_path: Path) -> None:
-    with workers(scheduler=address) as crew:
-        assert sorted(crew.each(fatal, f"{tmp_path}|1", range(6), ordered=False)) == list(range(6))
-    assert len(list(tmp_path.iterdir())) == 1
-
-
-def test_a_process_that_dies_is_told(tmp_path: Path) -> None:
-    with workers(2) as crew:
-        with pytest.raises(ClusterFailed, match=r"^jobs: a worker process was ended from outside"):
-            list(crew.each(fatal, f"{tmp_path}|1", range(6)))
-        assert list(crew.each(fatal, f"{tmp_path}|1", range(3))) == [0, 1, 2]  # others have taken its place
-
-
-def test_a_part_that_kills_its_workers_is_given_up(two_workers: Any, address: str, tmp_path: Path) -> None:
-    two_workers.scheduler.allowed_failures = 0
-    with (
-        workers(scheduler=address) as crew,
-        pytest.raises(ClusterFailed, match="several workers have died of the same"),
-    ):
-        list(crew.each(fatal, f"{tmp_path}|99", range(6)))
-    two_workers.scheduler.allowed_failures = 3
-
-
 def test_a_folder_that_is_not_shared_is_told(
     reference_scene: Scene, address: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -247,3 +224,29 @@ def test_jobs_and_a_scheduler_exclude_each_other(capsys: pytest.CaptureFixture[s
     assert "--scheduler is for datasets" in capsys.readouterr().err
     with pytest.raises(InvalidValue, match="jobs must be 1 or more"), workers(0):
         pass
+
+
+# ---- last, for the processes that take the place of dead ones must load everything anew ------------------------------
+
+
+def test_a_process_that_dies_is_told(tmp_path: Path) -> None:
+    with workers(2) as crew:
+        with pytest.raises(ClusterFailed, match=r"^jobs: a worker process was ended from outside"):
+            list(crew.each(fatal, f"{tmp_path}|1", range(6)))
+        assert list(crew.each(fatal, f"{tmp_path}|1", range(3))) == [0, 1, 2]  # others have taken its place
+
+
+def test_a_worker_that_dies_is_made_up_for(address: str, tmp_path: Path) -> None:
+    with workers(scheduler=address) as crew:
+        assert sorted(crew.each(fatal, f"{tmp_path}|1", range(6), ordered=False)) == list(range(6))
+    assert len(list(tmp_path.iterdir())) == 1
+
+
+def test_a_part_that_kills_its_workers_is_given_up(two_workers: Any, address: str, tmp_path: Path) -> None:
+    two_workers.scheduler.allowed_failures = 0
+    with (
+        workers(scheduler=address) as crew,
+        pytest.raises(ClusterFailed, match="several workers have died of the same"),
+    ):
+        list(crew.each(fatal, f"{tmp_path}|99", range(6)))
+    two_workers.scheduler.allowed_failures = 3
