@@ -322,17 +322,21 @@ def _told(error: Exception) -> ClusterFailed | None:
             "it, fewer threads, or ask for smaller shards"
         )
     if isinstance(error, CancelledError):
-        return ClusterFailed("cluster: the scheduler is lost, or has dropped the work; start it again, and go on")
+        return ClusterFailed("cluster: the scheduler is lost, or has dropped the work; start it, and go on (--resume)")
     return None
 
 
 @contextmanager
 def _quiet() -> Iterator[None]:
-    """Keep dask's log off the terminal: what matters of it is raised."""
-    log = logging.getLogger("distributed")
-    before = log.level
-    log.setLevel(logging.CRITICAL + 1)
+    """Keep the log of dask, and of what it runs on, off the terminal: what matters of it is raised."""
+    # Each by its name: dask gives levels and handlers to some of them that their parents' do not reach.
+    chosen = re.compile(r"(distributed|tornado|asyncio)(\..+)?")
+    logs = [logging.getLogger(name) for name in list(logging.root.manager.loggerDict) if chosen.fullmatch(name)]
+    before = [log.level for log in logs]
+    for log in logs:
+        log.setLevel(logging.CRITICAL + 1)
     try:
         yield
     finally:
-        log.setLevel(before)
+        for log, level in zip(logs, before, strict=True):
+            log.setLevel(level)

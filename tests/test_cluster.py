@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 import dataclasses
 import hashlib
+import logging
 import os
 import re
 import shutil
@@ -121,6 +122,14 @@ def test_a_command_does_its_work_on_a_cluster(address: str, tmp_path: Path, caps
         assert run(["train", data, "-o", str(model), "--family", "discriminant", "--features", FEATURES, *way]) == 0
     assert models[0].read_bytes() == models[1].read_bytes()
     assert "Traceback" not in capsys.readouterr().err
+
+
+def test_what_dask_logs_is_kept_off_the_terminal(address: str) -> None:
+    logs = [logging.getLogger(name) for name in ("distributed.client", "distributed.scheduler", "tornado.application")]
+    before = [log.level for log in logs]
+    with workers(scheduler=address):
+        assert not any(log.isEnabledFor(logging.CRITICAL) for log in logs)
+    assert [log.level for log in logs] == before
 
 
 # ---- what can go wrong -----------------------------------------------------------------------------------------------
