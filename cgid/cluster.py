@@ -86,7 +86,8 @@ class Workers:
         Raises
         ------
         ClusterFailed
-            The scheduler is lost, no worker is left, or a part has ended several workers.
+            The scheduler is lost, no worker is left, or a part has ended several workers; a process of this machine
+            was ended from outside.
         CgidError
             What the function raises, whoever runs it.
 
@@ -117,9 +118,10 @@ class Workers:
         except CgidError:
             raise
         except Exception as error:
-            if self.client is None:
+            told = _told_here(error) if self.client is None else _told(error)
+            if told is None:
                 raise
-            raise _told(error) from error
+            raise told from error
         finally:
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore", UserWarning)  # that work is cancelled is what an interruption is for
@@ -297,8 +299,19 @@ def _backend(client: Any) -> Any:
     return Backend(client=client)
 
 
-def _told(error: Exception) -> ClusterFailed | Exception:
-    """Return what dask raises in words of ours; what a function has raised stays as it is."""
+def _told_here(error: Exception) -> ClusterFailed | None:
+    """Return in words of ours that a process of this machine has died, None for what a function has raised."""
+    from concurrent.futures import BrokenExecutor
+
+    if isinstance(error, BrokenExecutor):
+        return ClusterFailed(
+            "jobs: a worker process was ended from outside, as they are where memory is short; take fewer jobs"
+        )
+    return None
+
+
+def _told(error: Exception) -> ClusterFailed | None:
+    """Return what dask raises in words of ours, None for what a function has raised."""
     from concurrent.futures import CancelledError
 
     from distributed.scheduler import KilledWorker
@@ -309,17 +322,21 @@ def _told(error: Exception) -> ClusterFailed | Exception:
             "it, fewer threads, or ask for smaller shards"
         )
     if isinstance(error, CancelledError):
-        return ClusterFailed("cluster: the scheduler is lost, or has dropped the work; start it again, and go on")
-    return error
+        return ClusterFailed("cluster: the scheduler is lost, or has dropped the work; start it, and go on (--resume)")
+    return None
 
 
 @contextmanager
 def _quiet() -> Iterator[None]:
-    """Keep dask's log off the terminal: what matters of it is raised."""
-    log = logging.getLogger("distributed")
-    before = log.level
-    log.setLevel(logging.CRITICAL + 1)
+    """Keep the log of dask, and of what it runs on, off the terminal: what matters of it is raised."""
+    # Each by its name: dask gives levels and handlers to some of them that their parents' do not reach.
+    chosen = re.compile(r"(distributed|tornado|asyncio)(\..+)?")
+    logs = [logging.getLogger(name) for name in list(logging.root.manager.loggerDict) if chosen.fullmatch(name)]
+    before = [log.level for log in logs]
+    for log in logs:
+        log.setLevel(logging.CRITICAL + 1)
     try:
         yield
     finally:
-        log.setLevel(before)
+        for log, level in zip(logs, before, strict=True):
+            log.setLevel(level)

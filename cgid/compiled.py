@@ -53,6 +53,19 @@ SOURCES = (
 )
 #: After so many seconds (30 days) without a new kernel, the folder of other sources or versions is cleared away.
 _FORGOTTEN = 30 * 86400.0
+#: What NUMBA_... variables say that makes another kernel of the same source.
+_SETTINGS = (
+    "BOUNDSCHECK",
+    "DEBUGINFO_DEFAULT",
+    "DEBUG_NRT",
+    "EXTEND_VARIABLE_LIFETIMES",
+    "LLVM_REFPRUNE_FLAGS",
+    "LLVM_REFPRUNE_PASS",
+    "LOOP_VECTORIZE",
+    "OPT",
+    "SLP_VECTORIZE",
+    "USING_SVML",
+)
 _CHECKSUM = 32  # bytes of it that a file begins with
 _OPTIONS = {"nogil": True, "error_model": "numpy"}
 
@@ -116,8 +129,9 @@ class KernelCache(NullCache):
         if folder is None:
             raise FileNotFoundError
         types, _ = normalize_signature(sig)
+        settings = [str(getattr(numba.config, name, None)) for name in _SETTINGS]
         # With the processor: a home folder may be seen from several machines.
-        identity = repr((self._name, [str(one) for one in types], codegen.magic_tuple()))
+        identity = repr((self._name, [str(one) for one in types], codegen.magic_tuple(), settings))
         return folder / f"{self._name}-{hashlib.sha256(identity.encode()).hexdigest()[:16]}"
 
 

@@ -43,7 +43,7 @@ class MissingExtra(CgidError, ImportError):
 
 
 class ClusterFailed(CgidError, ConnectionError):
-    """A cluster does not answer, has no workers, or has lost them (exit code 69)."""
+    """A cluster does not answer, has no workers, or has lost them; a worker process has died (exit code 69)."""
 
     exit_code = 69
 

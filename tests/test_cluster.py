@@ -5,10 +5,10 @@ from __future__ import annotations
 import copy
 import dataclasses
 import hashlib
+import logging
 import os
 import re
 import shutil
-import signal
 import sys
 from collections.abc import Iterator
 from contextlib import AbstractContextManager
@@ -28,6 +28,7 @@ from cgid.scene import Scene, generate
 from cgid.scene import workers as shards
 from cgid.store.journal import JOURNAL
 from cgid.validation import positive
+from tests.mortal import fatal
 
 #: Quick to measure, and with a signal's share of the folds that calibrate.
 FEATURES = "peak_force,impulse"
@@ -123,6 +124,14 @@ def test_a_command_does_its_work_on_a_cluster(address: str, tmp_path: Path, caps
     assert "Traceback" not in capsys.readouterr().err
 
 
+def test_what_dask_logs_is_kept_off_the_terminal(address: str) -> None:
+    logs = [logging.getLogger(name) for name in ("distributed.client", "distributed.scheduler", "tornado.application")]
+    before = [log.level for log in logs]
+    with workers(scheduler=address):
+        assert not any(log.isEnabledFor(logging.CRITICAL) for log in logs)
+    assert [log.level for log in logs] == before
+
+
 # ---- what can go wrong -----------------------------------------------------------------------------------------------
 
 
@@ -150,32 +159,6 @@ def test_parts_that_cannot_be_made_are_told(way: str, address: str) -> None:
 
     with crew_of(way, address) as crew, pytest.raises(BadData, match="shard 5 is damaged"):
         list(crew.each(positive, "radius", parts()))
-
-
-def fatal(marks: str, part: int) -> int:
-    """End the process that does part 1, for the first so many times."""
-    folder, _, most = marks.partition("|")
-    deaths = len(list(Path(folder).iterdir()))
-    if part == 1 and deaths < int(most):
-        (Path(folder) / str(deaths)).touch()
-        os.kill(os.getpid(), signal.SIGKILL)
-    return part
-
-
-def test_a_worker_that_dies_is_made_up_for(address: str, tmp_path: Path) -> None:
-    with workers(scheduler=address) as crew:
-        assert sorted(crew.each(fatal, f"{tmp_path}|1", range(6), ordered=False)) == list(range(6))
-    assert len(list(tmp_path.iterdir())) == 1
-
-
-def test_a_part_that_kills_its_workers_is_given_up(two_workers: Any, address: str, tmp_path: Path) -> None:
-    two_workers.scheduler.allowed_failures = 0
-    with (
-        workers(scheduler=address) as crew,
-        pytest.raises(ClusterFailed, match="several workers have died of the same"),
-    ):
-        list(crew.each(fatal, f"{tmp_path}|99", range(6)))
-    two_workers.scheduler.allowed_failures = 3
 
 
 def test_a_folder_that_is_not_shared_is_told(
@@ -250,3 +233,29 @@ def test_jobs_and_a_scheduler_exclude_each_other(capsys: pytest.CaptureFixture[s
     assert "--scheduler is for datasets" in capsys.readouterr().err
     with pytest.raises(InvalidValue, match="jobs must be 1 or more"), workers(0):
         pass
+
+
+# ---- last, for the processes that take the place of dead ones must load everything anew ------------------------------
+
+
+def test_a_process_that_dies_is_told(tmp_path: Path) -> None:
+    with workers(2) as crew:
+        with pytest.raises(ClusterFailed, match=r"^jobs: a worker process was ended from outside"):
+            list(crew.each(fatal, f"{tmp_path}|1", range(6)))
+        assert list(crew.each(fatal, f"{tmp_path}|1", range(3))) == [0, 1, 2]  # others have taken its place
+
+
+def test_a_worker_that_dies_is_made_up_for(address: str, tmp_path: Path) -> None:
+    with workers(scheduler=address) as crew:
+        assert sorted(crew.each(fatal, f"{tmp_path}|1", range(6), ordered=False)) == list(range(6))
+    assert len(list(tmp_path.iterdir())) == 1
+
+
+def test_a_part_that_kills_its_workers_is_given_up(two_workers: Any, address: str, tmp_path: Path) -> None:
+    two_workers.scheduler.allowed_failures = 0
+    with (
+        workers(scheduler=address) as crew,
+        pytest.raises(ClusterFailed, match="several workers have died of the same"),
+    ):
+        list(crew.each(fatal, f"{tmp_path}|99", range(6)))
+    two_workers.scheduler.allowed_failures = 3

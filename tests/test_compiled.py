@@ -112,6 +112,14 @@ def test_what_others_may_have_written_is_not_loaded(folder: Path):
         assert not from_disk(folder)
 
 
+def test_what_numba_was_told_to_make_otherwise_is_another_kernel(folder: Path, monkeypatch: pytest.MonkeyPatch):
+    from_disk(folder)
+    with monkeypatch.context() as patched:
+        patched.setattr(numba.config, "BOUNDSCHECK", 1)
+        assert [from_disk(folder), from_disk(folder)] == [False, True]
+    assert from_disk(folder)
+
+
 # Where the folder lies
 
 

@@ -14,6 +14,7 @@ import pytest
 
 from benchmarks.hostile_models import Watched, by_hand, failed_by_hand, failed_mutants, mutants
 from cgid.cli.main import run
+from cgid.cli.options import print_json
 from cgid.errors import BadData
 from cgid.identification.header import signed
 from cgid.identification.model import Model
@@ -147,6 +148,11 @@ def test_no_text_of_a_file_commands_the_terminal(tmp_path, capsys):
         assert text
         assert all(line.replace("\t", "").isprintable() for line in text.split("\n")), (arguments, text)
         assert "evil" in text
+
+
+def test_what_is_no_number_is_null_however_deep(capsys):
+    print_json({"a": float("nan"), "b": [1.0, {"c": [float("-inf")]}]})
+    assert capsys.readouterr().out == '{"version": 1, "a": null, "b": [1.0, {"c": [null]}]}\n'
 
 
 def test_everything_that_a_command_says_goes_through_one_door():

@@ -80,6 +80,12 @@ def report(tmp_path_factory: pytest.TempPathFactory) -> Report:
     )
 
 
+def test_a_model_may_say_little_of_its_accuracy() -> None:
+    model = Model.load(shipped.path_of("models", shipped.ACCELERATION_MODEL))
+    for metrics in ({}, {"accuracy": 0.7}, {"accuracy_interval_95": [0.5, 0.9]}):
+        assert "accuracy in its test" not in model_facts(replace(model, training={"metrics": metrics}), "m.npz")
+
+
 @pytest.fixture
 def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
     """What is not about pictures need not wait for them."""

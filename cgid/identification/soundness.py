@@ -101,13 +101,20 @@ def check_training(model: Model) -> None:
         "confusion": (n_labels, n_labels),
     }
     for name, shape in shapes.items():
-        if name in metrics and validation.not_negative(name, metrics[name]).shape != shape:
-            raise BadData(f"{name} must be numbers of shape {shape}")
-    if "confusion" in metrics and not np.sum(metrics["confusion"]):
+        if name in metrics:
+            numbers = validation.not_negative(name, metrics[name])
+            if numbers.shape != shape or numbers.max() > _LARGEST_NUMBER:
+                raise BadData(f"{name} must be numbers of shape {shape} up to {_LARGEST_NUMBER:g}")
+    if "confusion" in metrics and np.sum(metrics["confusion"]) < 1:
         raise BadData("confusion must count at least one impact")
     for weights in (training.get("class_weights"), recorded.get("class_weights")):
         if isinstance(weights, Mapping):
-            validation.positive("class_weights", list(weights.values()))
+            numbers = validation.positive("class_weights", list(weights.values()))
+            # Products with counts of impacts neither vanish nor overflow.
+            if numbers.ndim != 1 or ((numbers > _LARGEST_NUMBER) | (numbers < 1 / _LARGEST_NUMBER)).any():
+                raise BadData(
+                    f"class_weights must be one number a label, {1 / _LARGEST_NUMBER:g} to {_LARGEST_NUMBER:g}"
+                )
         elif weights not in (None, "balanced"):
             raise BadData("class_weights must be 'balanced' or a number for each label")
 

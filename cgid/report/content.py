@@ -133,7 +133,7 @@ def model_facts(model: Model, name: str) -> dict[str, str]:
         "features": _listed(model.features),
     }
     metrics = model.training.get("metrics", {})
-    if "accuracy_interval_95" in metrics:
+    if metrics.keys() >= {"accuracy", "accuracy_interval_95"}:
         low, high = metrics["accuracy_interval_95"]
         facts["accuracy in its test"] = f"{metrics['accuracy']:.3f} (95 % interval {low:.3f} to {high:.3f})"
     return facts
