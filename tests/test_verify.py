@@ -433,6 +433,14 @@ def test_verify_reads_models(tmp_path: Path, capsys: pytest.CaptureFixture[str])
     assert f"{damaged}: damaged" in out and err.count("cgid: error") == 1
 
 
+@pytest.mark.parametrize("name", ["model.npz", "folder", "file.h5", "table.csv"])
+def test_a_pipe_is_not_waited_for(tmp_path: Path, name: str, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "folder").mkdir()
+    os.mkfifo(tmp_path / name / "manifest.json" if name == "folder" else tmp_path / name)
+    assert run(["verify", str(tmp_path / name)]) in (65, 66)
+    assert capsys.readouterr().err.count("\n") == 1
+
+
 def test_export_command(made: Path, tmp_path: Path) -> None:
     assert run(["export", str(made / "folder"), "-o", str(tmp_path / "all.h5")]) == 0
     assert run(["export", str(made / "folder"), "-o", str(tmp_path / "all.h5")]) == 73

@@ -50,6 +50,8 @@ def _verify_model(path: str, as_json: bool) -> None:
     from cgid.identification.model import Model
 
     try:
+        if Path(path).is_fifo():  # which would be waited for
+            raise BadData(f"{path}: must be a regular file; copy it to one first")
         Model.load(path)
     except BadData as error:
         _tell(path, "model", 1, [_line(Path(path), "damaged", str(error))], False, as_json)

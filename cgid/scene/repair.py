@@ -19,13 +19,13 @@ import numpy as np
 from cgid.errors import BadData, CannotCreate, CgidError
 from cgid.files import whole_file, write_whole
 from cgid.scene.generation import attributes_of
-from cgid.scene.provenance import compression_of, in_order, plan_of, scene_of, shard_plan, whole_number
+from cgid.scene.provenance import in_order, plan_of, scene_of, shard_plan, whole_number
 from cgid.scene.scene import Scene
 from cgid.scene.stream.axis import samples_of
 from cgid.scene.stream.generation import write_recording
 from cgid.scene.synthesis import synthesise
 from cgid.store import Dataset
-from cgid.store.examination import damaged_rows, examine_file
+from cgid.store.examination import compression_of, damaged_rows, examine_file
 from cgid.store.export import write_dataset
 from cgid.store.header import FORMAT, LARGEST_SHARD, RECORDING_FORMAT
 from cgid.store.lock import locked

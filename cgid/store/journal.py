@@ -11,6 +11,7 @@ A line is on the disk before the next file is counted as finished. A last line t
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 import secrets
@@ -134,6 +135,8 @@ def read_journal(folder: Path) -> Unfinished | None:
     """
     file = folder / JOURNAL
     try:
+        if file.is_fifo():  # which would be waited for
+            raise OSError(errno.EINVAL, "it is a pipe")
         lines = file.read_bytes().split(b"\n")
     except (FileNotFoundError, NotADirectoryError):
         return None

@@ -88,6 +88,8 @@ def read_manifest(folder: Path) -> Manifest:
     """
     file = folder / MANIFEST
     try:
+        if not file.is_file():  # opening a pipe would wait for ever
+            raise FileNotFoundError
         with file.open("rb") as stream:
             content = stream.read(LARGEST_MANIFEST + 1)
     except OSError:

@@ -99,9 +99,9 @@ def verify(path: str | Path) -> Verified:
         There is nothing, or its folder cannot be looked into.
     """
     path = Path(path)
-    if not path.exists():
-        raise NoInput(f"{path}: no such file or folder; give a dataset, recording, table or model of cgid")
     try:
+        if not path.exists():
+            raise NoInput(f"{path}: no such file or folder; give a dataset, recording, table or model of cgid")
         if not path.is_dir():
             return _verify_file(path)
         if any(re.fullmatch(RECORDING_NAME, name) for name in _names(path)):
