@@ -191,7 +191,7 @@ def test_a_gap_among_recordings(copies: Path) -> None:
     assert problems(copies / "recordings") == {"recording-00001.h5": "missing"}
 
 
-def test_an_unfinished_run_says_how_far_it_has_come(tmp_path: Path) -> None:
+def test_an_unfinished_run_says_how_far_it_has_come(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     def stop(_count: int) -> None:
         if (tmp_path / "data" / "shard-00001.h5").exists():
             raise KeyboardInterrupt
@@ -203,6 +203,10 @@ def test_an_unfinished_run_says_how_far_it_has_come(tmp_path: Path) -> None:
     assert "of 16 shards are there" in finding.what and "--resume" in finding.what
     (one,) = repair(verify(tmp_path / "data"))
     assert not one.done and "--resume" in one.told
+    shutil.copy(tmp_path / "data" / "shard-00000.h5", tmp_path / "data" / "shard-00009.h5")  # made, and not yet noted
+    assert len(verify(tmp_path / "data").findings) == 1
+    assert run(["verify", str(tmp_path / "data")]) == 65
+    assert capsys.readouterr().err.endswith("go on with cgid generate ... --resume\n")
 
 
 def test_nothing_there(tmp_path: Path) -> None:

@@ -77,6 +77,8 @@ def _verify_data(path: str, repair: bool, scene: Any, as_json: bool) -> None:
     if left:
         files = f"{len(left)} of its files are" if len(left) > 1 else f"{left[0].file.name} is"
         cure = "see above why --repair does not help" if repair else "cgid verify --repair makes again what can be"
+        if all(finding.problem == "unfinished" for finding in left):
+            cure = "go on with cgid generate ... --resume"
         raise BadData(f"{path}: must be whole, {files} damaged, missing or unfinished; {cure}")
 
 
