@@ -172,11 +172,16 @@ def workers(jobs: int = 1, scheduler: str | None = None) -> Iterator[Workers]:
     if not _ADDRESS.fullmatch(scheduler):
         raise InvalidValue(f"scheduler must be an address such as tcp://192.168.0.7:8786, got {scheduler!r}")
     try:
-        from distributed import Client
+        from distributed import Client, Security
     except ImportError:
         raise MissingExtra(
             "a cluster needs dask.distributed, which is not installed: pip install 'cgid[cluster]'"
         ) from None
+    if scheduler.startswith("tls") and Security().get_connection_args("client")["ssl_context"] is None:
+        raise InvalidValue(
+            f"scheduler {scheduler}: tls:// needs certificates, which dask's configuration must name "
+            "(distributed.comm.tls), and does not; give them, or an address tcp://..."
+        )
     with _quiet():
         try:
             client = Client(scheduler, timeout=PATIENCE, set_as_default=False)

@@ -218,6 +218,11 @@ def test_what_is_no_address_is_refused(scheduler: str) -> None:
         pass
 
 
+def test_tls_without_certificates_is_refused() -> None:
+    with pytest.raises(InvalidValue, match=r"certificates.*tcp://"), workers(scheduler="tls://127.0.0.1:9"):
+        pass
+
+
 def test_dask_is_an_extra(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "distributed", None)
     with pytest.raises(MissingExtra, match=r"pip install 'cgid\[cluster\]'"), workers(scheduler="tcp://host:1"):

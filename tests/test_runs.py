@@ -1,6 +1,7 @@
 """Runs that are killed, interrupted, resumed, begun twice: what is whole stays whole, and all ends as it should."""
 
 import json
+import os
 import shutil
 import subprocess
 import sys
@@ -14,6 +15,7 @@ from cgid.scene import generate, generate_recordings, parse_scene
 from cgid.store import Dataset
 from cgid.store import run as run_of_store
 from cgid.store.journal import JOURNAL
+from cgid.store.verification import verify
 from tests.test_store import scene_of
 from tests.test_stream import content as stream_content
 
@@ -187,11 +189,62 @@ def test_one_file(tmp_path):
     before = files(tmp_path)
     dataset(path, resume=True)
     assert files(tmp_path) == before
-    for options, says in (({"seed": 4}, "seed"), ({"n_signals": 10}, "n_signals"), ({"dtype": "float64"}, "dtype")):
+    for options, says in (
+        ({"seed": 4}, "seed"),
+        ({"n_signals": 10}, "n_signals"),
+        ({"dtype": "float64"}, "dtype"),
+        ({"compression": "gzip"}, "compression"),
+    ):
         with pytest.raises(CannotCreate, match=f"{says} must be that of the run"):
             dataset(path, resume=True, **options)
     dataset(path, resume=True, overwrite=True, seed=4)
     assert files(tmp_path) != before
+
+
+@pytest.mark.parametrize("damage", ["flipped", "cut off", "another kind"])
+def test_one_file_that_is_not_whole(tmp_path, damage):
+    path, other = tmp_path / "data.h5", tmp_path / "other.h5"
+    dataset(path)
+    recordings(other, n_recordings=1)
+    content = bytearray(path.read_bytes())
+    content[len(content) // 2] ^= 1
+    broken = {"flipped": content, "cut off": content[:1000], "another kind": other.read_bytes()}[damage]
+    whole = path.read_bytes()
+    path.write_bytes(broken)
+    with pytest.raises(BadData, match=r"is there and is no.*--overwrite"):
+        dataset(path, resume=True)
+    assert path.read_bytes() == broken
+    dataset(path, resume=True, overwrite=True)
+    assert path.read_bytes() == whole
+    content = bytearray(other.read_bytes())
+    content[len(content) // 2] ^= 1
+    other.write_bytes(content)
+    with pytest.raises(BadData, match="not whole"):
+        recordings(other, n_recordings=1, resume=True)
+
+
+def test_a_folder_by_another_name(tmp_path, path, monkeypatch):
+    dataset(path)
+    link = tmp_path / "link"
+    link.symlink_to(path)
+    dataset(link, seed=4, overwrite=True)
+    assert link.is_symlink()
+    assert files(path) == files(dataset(tmp_path / "other", seed=4))
+    assert [entry.name for entry in path.parent.iterdir()] == [path.name]
+    monkeypatch.chdir(path)
+    before = files(path)
+    dataset(".", seed=4, resume=True)
+    with pytest.raises(CannotCreate, match="current folder cannot be replaced"):
+        dataset(".", overwrite=True)
+    assert files(path) == before
+    assert not verify(".").findings
+
+
+def test_a_pipe_in_place_of_a_journal(path):
+    path.mkdir()
+    os.mkfifo(path / "unfinished.jsonl")
+    with pytest.raises(BadData, match="pipe"):
+        dataset(path, resume=True)
 
 
 def test_one_recording(tmp_path):

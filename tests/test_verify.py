@@ -193,7 +193,7 @@ def test_a_gap_among_recordings(copies: Path) -> None:
     assert problems(copies / "recordings") == {"recording-00001.h5": "missing"}
 
 
-def test_an_unfinished_run_says_how_far_it_has_come(tmp_path: Path) -> None:
+def test_an_unfinished_run_says_how_far_it_has_come(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     def stop(_count: int) -> None:
         if (tmp_path / "data" / "shard-00001.h5").exists():
             raise KeyboardInterrupt
@@ -205,6 +205,10 @@ def test_an_unfinished_run_says_how_far_it_has_come(tmp_path: Path) -> None:
     assert "of 16 shards are there" in finding.what and "--resume" in finding.what
     (one,) = repair(verify(tmp_path / "data"))
     assert not one.done and "--resume" in one.told
+    shutil.copy(tmp_path / "data" / "shard-00000.h5", tmp_path / "data" / "shard-00009.h5")  # made, and not yet noted
+    assert len(verify(tmp_path / "data").findings) == 1
+    assert run(["verify", str(tmp_path / "data")]) == 65
+    assert capsys.readouterr().err.endswith("go on with cgid generate ... --resume\n")
 
 
 def test_nothing_there(tmp_path: Path) -> None:
@@ -478,6 +482,14 @@ def test_verify_reads_models(tmp_path: Path, capsys: pytest.CaptureFixture[str])
     out, err = capsys.readouterr()
     assert out.splitlines()[0] == f"{model}: model of 1 file, whole"
     assert f"{damaged}: damaged" in out and err.count("cgid: error") == 1
+
+
+@pytest.mark.parametrize("name", ["model.npz", "folder", "file.h5", "table.csv"])
+def test_a_pipe_is_not_waited_for(tmp_path: Path, name: str, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "folder").mkdir()
+    os.mkfifo(tmp_path / name / "manifest.json" if name == "folder" else tmp_path / name)
+    assert run(["verify", str(tmp_path / name)]) in (65, 66)
+    assert capsys.readouterr().err.count("\n") == 1
 
 
 def test_export_command(made: Path, tmp_path: Path) -> None:

@@ -50,6 +50,8 @@ def _verify_model(path: str, as_json: bool) -> None:
     from cgid.identification.model import Model
 
     try:
+        if Path(path).is_fifo():  # which would be waited for
+            raise BadData(f"{path}: must be a regular file; copy it to one first")
         Model.load(path)
     except BadData as error:
         _tell(path, "model", 1, [_line(Path(path), "damaged", str(error))], False, as_json)
@@ -75,6 +77,8 @@ def _verify_data(path: str, repair: bool, scene: Any, as_json: bool) -> None:
     if left:
         files = f"{len(left)} of its files are" if len(left) > 1 else f"{left[0].file.name} is"
         cure = "see above why --repair does not help" if repair else "cgid verify --repair makes again what can be"
+        if all(finding.problem == "unfinished" for finding in left):
+            cure = "go on with cgid generate ... --resume"
         raise BadData(f"{path}: must be whole, {files} damaged, missing or unfinished; {cure}")
 
 

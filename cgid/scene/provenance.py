@@ -15,10 +15,9 @@ from cgid.errors import BadData
 from cgid.scene.population import parameter_units
 from cgid.scene.scene import Scene, parse_scene
 from cgid.store.compression import library
+from cgid.store.examination import compression_of
 from cgid.store.shard import ShardPlan
 
-#: By HDF5's numbers of filters; see `cgid.store.compression`.
-_COMPRESSIONS = {1: "gzip", 32015: "zstd", 32026: "blosc2"}
 #: In which root attributes are written: bytes depend on it, and HDF5 does not keep it.
 _ORDER = ("format", "schema_version", "seed", "scene_name", "scene", "scene_sha256", "versions", "background_sha256")
 
@@ -119,8 +118,3 @@ def shard_plan(scene: Scene, attributes: Mapping[str, Any], dtype: str, compress
 def in_order(attributes: Mapping[str, Any]) -> dict[str, Any]:
     """Return attributes in the order in which they are written, which HDF5 does not keep, and bytes depend on."""
     return {name: attributes[name] for name in _ORDER if name in attributes} | dict(attributes)
-
-
-def compression_of(examined: Mapping[str, Any]) -> str:
-    """Return how the signals of a file are compressed that `examine_file` has looked at."""
-    return next((_COMPRESSIONS[code] for code in examined["filters"] if code in _COMPRESSIONS), "none")

@@ -10,9 +10,9 @@ from typing import Any
 
 from cgid.errors import BadData
 from cgid.files import write_whole
-from cgid.scene.provenance import compression_of, in_order
+from cgid.scene.provenance import in_order
 from cgid.store import Dataset
-from cgid.store.examination import damaged_rows, examine_file
+from cgid.store.examination import compression_of, damaged_rows, examine_file
 from cgid.store.manifest import LARGEST_MANIFEST, MANIFEST, SHARD_NAME, Manifest, ShardEntry
 from cgid.store.run import file_facts
 

@@ -16,13 +16,13 @@ import numpy as np
 
 from cgid.errors import BadData, CannotCreate, CgidError
 from cgid.files import whole_file, write_whole
-from cgid.scene.provenance import attributes_of, compression_of, in_order, plan_of, scene_of, shard_plan, whole_number
+from cgid.scene.provenance import attributes_of, in_order, plan_of, scene_of, shard_plan, whole_number
 from cgid.scene.relisting import relist
 from cgid.scene.scene import Scene
 from cgid.scene.stream.axis import samples_of
 from cgid.scene.stream.generation import write_recording
 from cgid.scene.synthesis import synthesise
-from cgid.store.examination import examine_file
+from cgid.store.examination import compression_of, examine_file
 from cgid.store.export import write_dataset
 from cgid.store.header import FORMAT, LARGEST_SHARD, RECORDING_FORMAT
 from cgid.store.lock import locked

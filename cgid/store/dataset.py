@@ -41,7 +41,11 @@ class Dataset:
 
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
-        if not self.path.exists():
+        try:
+            is_there = self.path.exists()
+        except OSError as error:
+            raise NoInput(f"{path}: cannot be looked at ({error.strerror}); check the name") from None
+        if not is_there:
             raise NoInput(f"{path}: no such file or folder; give a dataset made by cgid generate")
         self._identity = Identity(self.path)
         self._entries = read_manifest(self.path).shards if self.path.is_dir() else None

@@ -9,6 +9,9 @@ from typing import Any
 from cgid.errors import BadData
 from cgid.store import apart
 
+#: By HDF5's numbers of filters; see `cgid.store.compression`.
+_COMPRESSIONS = {1: "gzip", 32015: "zstd", 32026: "blosc2"}
+
 
 def examine_file(path: str | Path, steps: Mapping[str, int] | None = None) -> dict[str, Any]:
     """Return what can be read of a dataset's file, a recording or a table in HDF5.
@@ -68,3 +71,24 @@ def damaged_rows(chunks: Iterable[Sequence[Any]]) -> list[tuple[int, int]]:
         else:
             runs.append((first, behind))
     return runs
+
+
+def compression_of(examined: Mapping[str, Any]) -> str:
+    """Return how the signals of a file are compressed that `examine_file` has looked at."""
+    return next((_COMPRESSIONS[code] for code in examined["filters"] if code in _COMPRESSIONS), "none")
+
+
+def examine_whole(path: Path, kind: str) -> dict[str, Any]:
+    """Return what `examine_file` does of a file that a run is to leave as it is.
+
+    Raises
+    ------
+    BadData
+        It is not whole, or of another kind than the format `kind`.
+    """
+    examined = examine_file(path)
+    if examined["fault"] or any(damaged_rows(chunks) for chunks in examined["chunks"].values()):
+        raise BadData(f"{path}: is there and is not whole; make it again with --overwrite, without --resume")
+    if examined["attributes"].get("format") != kind:
+        raise BadData(f"{path}: is there and is no {kind}; choose another name, or replace it with --overwrite")
+    return examined

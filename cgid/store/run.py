@@ -134,6 +134,10 @@ def begun(goal: Goal, *, overwrite: bool = False, resume: bool = False) -> Itera
                 _clear_away(goal)
                 yield None
                 return
+            if place[0] != goal.output and goal.output.samefile("."):
+                raise CannotCreate(
+                    f"{goal.output}: the current folder cannot be replaced by another; go to the one above it first"
+                )
             run = _started(goal, *place, held)
             try:
                 yield run
@@ -149,7 +153,13 @@ def begun(goal: Goal, *, overwrite: bool = False, resume: bool = False) -> Itera
 
 def hidden(output: Path) -> Path:
     """Return where the files of a folder are made while an older one has the name."""
-    return output.with_name(f".{output.name}.unfinished")
+    real = real_folder(output)
+    return real.parent / f".{real.name}.unfinished"
+
+
+def real_folder(path: Path) -> Path:
+    """Return a folder by a name that can be given to another one: not that of a link to it, nor `.` or `..`."""
+    return path.resolve() if path.is_symlink() or path.name in ("", "..") else path
 
 
 def _hold(goal: Goal, held: ExitStack) -> None:

@@ -98,9 +98,9 @@ def verify(path: str | Path) -> Verified:
         There is nothing, or its folder cannot be looked into.
     """
     path = Path(path)
-    if not path.exists():
-        raise NoInput(f"{path}: no such file or folder; give a dataset, recording, table or model of cgid")
     try:
+        if not path.exists():
+            raise NoInput(f"{path}: no such file or folder; give a dataset, recording, table or model of cgid")
         if not path.is_dir():
             return _verify_file(path)
         if any(re.fullmatch(RECORDING_NAME, name) for name in _names(path)):
@@ -197,9 +197,9 @@ def _verify_dataset(folder: Path) -> Verified:
     for entry in entries:
         found += _verify_shard(folder / entry.file, entry)
     known = {entry.file for entry in entries}
-    if manifest is None and not unfinished:
-        known = {entry.name for entry in folder.iterdir() if re.fullmatch(SHARD_NAME, entry.name)}
-        for name in sorted(known):
+    if manifest is None:  # in an unfinished run, files that it has not yet noted are its own, too
+        known |= {name for name in _names(folder) if re.fullmatch(SHARD_NAME, name)}
+        for name in sorted(known) if not unfinished else ():
             found += _damage(folder / name, examine_file(folder / name))
     found += unfinished if manifest is None else [_left(finding.file) for finding in unfinished]
     found += _pending(folder)

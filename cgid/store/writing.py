@@ -13,14 +13,15 @@ from pathlib import Path
 
 import numpy as np
 
-from cgid.errors import CannotCreate, InvalidValue
+from cgid.errors import BadData, CannotCreate, InvalidValue
 from cgid.files import half_written, require_room, write_whole
 from cgid.signals import Batch
 from cgid.store.dataset import Dataset
+from cgid.store.examination import compression_of, examine_whole
 from cgid.store.header import FORMAT, LARGEST_SHARD
 from cgid.store.journal import taking_part
 from cgid.store.manifest import MANIFEST, SHARD_NAME, Manifest, ShardEntry, is_entry, read_manifest
-from cgid.store.run import JOURNAL_FILES, Goal, Run, begun, exists_already
+from cgid.store.run import JOURNAL_FILES, Goal, Run, begun, exists_already, real_folder
 from cgid.store.sameness import first_difference, require_same
 from cgid.store.shard import ShardBuilder, ShardPlan
 
@@ -49,7 +50,7 @@ def is_single_file(output: str | Path) -> bool:
 
 
 def check_output(output: str | Path, overwrite: bool = False, ours: re.Pattern[str] = _OURS) -> Path:
-    """Return the output as a path if it may be written, before any work is done.
+    """Return the output as a path if it may be written, before any work is done; a folder by its own name.
 
     In a folder nothing may lie but files whose names are `ours`.
 
@@ -60,6 +61,7 @@ def check_output(output: str | Path, overwrite: bool = False, ours: re.Pattern[s
     """
     path = Path(output)
     try:
+        path = path if is_single_file(path) else real_folder(path)
         _require_room(path, overwrite, ours)
     except CannotCreate:
         raise
@@ -200,8 +202,14 @@ class DatasetWriter:
         """Return whether a single file is not there already."""
         if not resume or not self.output.exists():
             return True
+        try:
+            compression = compression_of(examine_whole(self.output, FORMAT))
+        except BadData:
+            if overwrite:
+                return True
+            raise
         there = Dataset(self.output)
-        found = {**vars(there.header), "n_signals": len(there)}
+        found = {**vars(there.header), "n_signals": len(there), "compression": compression}
         asked = self._manifest(()).plan
         plan = {name: value for name, value in found.items() if name in asked}
         if not overwrite:

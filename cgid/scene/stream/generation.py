@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from cgid import validation
-from cgid.errors import InvalidValue
+from cgid.errors import BadData, InvalidValue
 from cgid.scene.background_noise import background_of
 from cgid.scene.provenance import attributes_of
 from cgid.scene.randomness import require_seed
@@ -18,6 +18,7 @@ from cgid.scene.stream.capacity import MOST_RECORDINGS, require_capacity
 from cgid.scene.stream.synthesis import parts_of_recording
 from cgid.scene.stream.truth import impact_units, joined
 from cgid.store import check_output
+from cgid.store.examination import examine_whole
 from cgid.store.header import RECORDING_FORMAT
 from cgid.store.journal import JOURNAL
 from cgid.store.recording import OURS, Recording, RecordingPlan, is_recording, writing
@@ -161,6 +162,12 @@ def _content_of(folder: Path) -> dict[str, Any] | None:
 
 def _is_made(path: Path, plan: RecordingPlan, overwrite: bool) -> bool:
     """Return whether a file holds the first recording that a plan makes; raise `CannotCreate` if not, nor may it go."""
+    try:
+        examine_whole(path, RECORDING_FORMAT)
+    except BadData:
+        if overwrite:
+            return False
+        raise
     there, asked = _content(_plan_of(path), 1), _content(plan, 1)
     if not overwrite:
         require_same(path, there, asked)
