@@ -20,6 +20,7 @@ from cgid.errors import BadData, CannotCreate, CgidError
 from cgid.files import whole_file, write_whole
 from cgid.scene.generation import attributes_of
 from cgid.scene.provenance import compression_of, in_order, plan_of, scene_of, shard_plan, whole_number
+from cgid.scene.repair_size import Room, require_length, size_made, size_of
 from cgid.scene.scene import Scene
 from cgid.scene.stream.axis import samples_of
 from cgid.scene.stream.generation import write_recording
@@ -29,7 +30,7 @@ from cgid.store.examination import damaged_rows, examine_file
 from cgid.store.export import write_dataset
 from cgid.store.header import FORMAT, LARGEST_SHARD, RECORDING_FORMAT
 from cgid.store.lock import locked
-from cgid.store.manifest import MANIFEST, Manifest, ShardEntry
+from cgid.store.manifest import LINKED, MANIFEST, Manifest, ShardEntry
 from cgid.store.recording import RECORDING_NAME, RecordingPlan
 from cgid.store.shard import ShardBuilder, ShardPlan
 from cgid.store.verification import Finding, Verified
@@ -84,7 +85,7 @@ def repair(verified: Verified, scene: Scene | None = None, progress: Progress | 
     CannotCreate
         A run is writing into the folder.
     """
-    manifest = verified.manifest
+    manifest, room = verified.manifest, Room(verified.path)
     # The manifest comes last: it is made from the shards.
     findings = sorted(verified.findings, key=lambda finding: finding.file.name == MANIFEST)
     with _alone(verified.path):
@@ -99,9 +100,9 @@ def repair(verified: Verified, scene: Scene | None = None, progress: Progress | 
                 elif finding.file.name == MANIFEST:
                     told = _mend_manifest(finding.file)
                 elif finding.entry is not None and manifest is not None:
-                    told, manifest = _mend_shard(finding, finding.entry, verified, manifest, scene, progress)
+                    told, manifest = _mend_shard(finding, finding.entry, verified, manifest, scene, room, progress)
                 else:
-                    told = _mend_file(finding, scene, progress)
+                    told = _mend_file(finding, scene, room, progress)
             except (CgidError, OSError) as error:
                 yield Repair(finding=finding, done=False, told=str(error))
             else:
@@ -133,10 +134,10 @@ def _remove(file: Path) -> str:
 # ---- a file by itself ------------------------------------------------------------------------------------------------
 
 
-def _mend_file(finding: Finding, given: Scene | None, progress: Progress | None) -> str:
+def _mend_file(finding: Finding, given: Scene | None, room: Room, progress: Progress | None) -> str:
     path, examined = finding.file, finding.examined
     if re.fullmatch(RECORDING_NAME, path.name) and (not examined or examined["fault"]):
-        return _mend_lost_recording(path, given, progress)
+        return _mend_lost_recording(path, given, room, progress)
     kind = examined.get("attributes", {}).get("format")
     if not examined or examined["fault"] or kind not in (FORMAT, RECORDING_FORMAT):
         raise BadData(
@@ -145,6 +146,7 @@ def _mend_file(finding: Finding, given: Scene | None, progress: Progress | None)
         )
     attributes = examined["attributes"]
     scene, seed = scene_of(path, attributes, given), whole_number(path, attributes, "seed")
+    room.take(path, size_made(path, examined, scene))
     with whole_file(path) as temporary:
         if kind == RECORDING_FORMAT:
             _write_recording(temporary, examined, scene, seed, progress)
@@ -154,9 +156,9 @@ def _mend_file(finding: Finding, given: Scene | None, progress: Progress | None)
     return "made again; all that was undamaged is as before"
 
 
-def _mend_lost_recording(path: Path, given: Scene | None, progress: Progress | None) -> str:
+def _mend_lost_recording(path: Path, given: Scene | None, room: Room, progress: Progress | None) -> str:
     """Make a recording of which nothing can be read by what another in its folder says."""
-    others = sorted(other for other in path.parent.glob("recording-*.h5") if other != path)
+    others = sorted(other for other in path.parent.glob("recording-*.h5") if other != path and not other.is_symlink())
     said = next((found for found in map(examine_file, others) if not found["fault"]), None)
     if said is None:
         raise BadData(f"{path}: no recording beside it says how they were made; generate them again")
@@ -167,6 +169,7 @@ def _mend_lost_recording(path: Path, given: Scene | None, progress: Progress | N
         raise BadData(
             f"{path}: must be made by the versions that made the others, {attributes.get('versions')}; here {here}"
         )
+    room.take(path, size_made(path, said, scene))
     _write_recording(path, {**said, "attributes": attributes}, scene, seed, progress)
     return "made again"
 
@@ -223,12 +226,19 @@ def _mend_shard(
     verified: Verified,
     manifest: Manifest,
     given: Scene | None,
+    room: Room,
     progress: Progress | None,
 ) -> tuple[str, Manifest]:
     """Make a shard again and return what was done, and the manifest as it is then."""
     path, attributes = finding.file, manifest.attributes
+    if manifest.n_samples is not None and manifest.dtype is not None:
+        room.take(path, size_of(entry.n_signals, manifest.n_samples, manifest.dtype))
     scene, seed = scene_of(verified.path / MANIFEST, attributes, given), whole_number(path, attributes, "seed")
     plan = _plan_of_folder(verified, manifest, scene)
+    if manifest.n_samples is None:
+        room.take(path, size_of(entry.n_signals, plan.n_samples, plan.dtype))
+    else:
+        require_length(verified.path / MANIFEST, manifest.n_samples, scene)
     content = _shard(plan, entry.first_signal, entry.n_signals, scene, seed, progress)
     digest = hashlib.sha256(content).hexdigest()
     if digest == entry.sha256:
@@ -277,6 +287,8 @@ def _mend_manifest(file: Path) -> str:
     shards = sorted(file.parent.glob("shard-*.h5"))
     entries, attributes, examined = [], {}, {}
     for shard in shards:
+        if shard.is_symlink():
+            raise BadData(f"{shard}: {LINKED}")
         examined = examine_file(shard)
         if examined["fault"] or any(damaged_rows(chunks) for chunks in examined["chunks"].values()):
             raise BadData(

@@ -25,11 +25,14 @@ from typing import Any, Self
 from cgid.errors import BadData, CannotCreate, WriteFailed
 from cgid.files import write_whole
 from cgid.store.digest import is_sound, sealed
+from cgid.store.folder_text import read_text
 from cgid.store.lock import locked
 
 JOURNAL = "unfinished.jsonl"
 #: Bytes of the first line at most.
 _FIRST_LINE = 4096
+#: Letters of what is told of a run.
+_LONGEST_WORD = 400
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -61,7 +64,7 @@ class Unfinished:
     @property
     def progress(self) -> str:
         """How far it has come, and how it goes on."""
-        done = len({entry.get("file") for entry in self.entries})
+        done = len({entry["file"] for entry in self.entries})
         return f"{done} of {self.n_files} {self.noun} are there; go on with cgid generate ... --resume"
 
 
@@ -134,7 +137,7 @@ def read_journal(folder: Path) -> Unfinished | None:
     """
     file = folder / JOURNAL
     try:
-        lines = file.read_bytes().split(b"\n")
+        lines = read_text(file).split(b"\n")
     except (FileNotFoundError, NotADirectoryError):
         return None
     except OSError as error:
@@ -142,11 +145,11 @@ def read_journal(folder: Path) -> Unfinished | None:
     first, second = (_content(line) for line in [*lines, b""][:2])
     found = {**first, **second}
     for name, kind in (("run", str), ("process", str), ("plan", dict), ("n_files", int), ("noun", str)):
-        if not isinstance(found.get(name), kind):
+        if not isinstance(found.get(name), kind) or not _is_short(found[name]):
             raise BadData(f"{file}: is damaged, so that the run cannot go on; start again with --overwrite")
     # A line that is torn or damaged is passed over: its file is made again.
     entries = [_content(line).get("entry") for line in lines[2:]]
-    sound = tuple(entry for entry in entries if isinstance(entry, dict))
+    sound = tuple(entry for entry in entries if isinstance(entry, dict) and isinstance(entry.get("file"), str))
     named = {name: found[name] for name in ("run", "process", "plan", "n_files", "noun")}
     return Unfinished(entries=sound, **named)
 
@@ -182,6 +185,11 @@ def taking_part(folder: Path, run: str) -> Iterator[None]:
 
 def _line(content: Mapping[str, Any]) -> bytes:
     return (json.dumps(sealed(content)) + "\n").encode()
+
+
+def _is_short(value: Any) -> bool:
+    """Return whether a value can be said in a line, if it is a text."""
+    return not isinstance(value, str) or (len(value) <= _LONGEST_WORD and value.isprintable())
 
 
 def _content(line: bytes) -> dict[str, Any]:
