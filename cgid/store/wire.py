@@ -74,7 +74,10 @@ def receive(stream: IO[bytes], largest: int) -> tuple[dict[str, Any], dict[str, 
     said = message.pop("arrays", None)
     if not isinstance(said, list) or len(said) > _MOST_ARRAYS or not all(map(_is_plain, said)):
         raise BrokenWire("no plain arrays")
-    kinds = {name: (np.dtype(kind), tuple(shape)) for name, kind, shape in said}
+    try:
+        kinds = {name: (np.dtype(kind), tuple(shape)) for name, kind, shape in said}
+    except TypeError:
+        raise BrokenWire("no types of numbers") from None
     if sum(dtype.itemsize * math.prod(shape) for dtype, shape in kinds.values()) > largest:
         raise BrokenWire("more than was asked for")
     return message, {name: _filled(stream, dtype, shape) for name, (dtype, shape) in kinds.items()}
