@@ -146,20 +146,6 @@ def require_room(path: Path, folder: Path, needed: int, what: str, cure: str) ->
         )
 
 
-def read_regular(path: Path, largest: int) -> bytes:
-    """Return what is in a file, one byte more than `largest` at most.
-
-    Raises
-    ------
-    OSError
-        It cannot be read, or is no regular file: a pipe that lies in a stranger's folder would be waited for.
-    """
-    if path.exists() and not path.is_file():
-        raise OSError(errno.EINVAL, "no regular file")
-    with path.open("rb") as stream:
-        return stream.read(largest + 1)
-
-
 def exchange(one: Path, other: Path) -> bool:
     """Let two files or folders change names in one step, and return whether this system can."""
     import ctypes

@@ -17,7 +17,7 @@ from cgid.errors import BadData, InvalidValue
 STANDARD_GRAVITY = 9.80665
 
 #: Beyond these no recorder samples, and squares of times are no numbers any more [Hz].
-_RATES = (1e-6, 1e12)
+RATES = (1e-6, 1e12)
 
 #: Quantity -> its units -> factor to the SI unit, which comes first.
 UNITS: Mapping[str, Mapping[str, float]] = {
@@ -66,8 +66,8 @@ def quantity_of(unit: str) -> str:
 def require_rate(sampling_rate: float) -> float:
     """Return a sampling rate [Hz] that some recorder could have; raises `InvalidValue` otherwise."""
     rate = float(validation.positive("sampling_rate", sampling_rate, "Hz"))
-    if not _RATES[0] <= rate <= _RATES[1]:
-        raise InvalidValue(f"sampling_rate must lie between {_RATES[0]:g} and {_RATES[1]:g} Hz, got {rate:g} Hz")
+    if not RATES[0] <= rate <= RATES[1]:
+        raise InvalidValue(f"sampling_rate must lie between {RATES[0]:g} and {RATES[1]:g} Hz, got {rate:g} Hz")
     return rate
 
 

@@ -344,6 +344,8 @@ ATTACKS: dict[str, Attack] = {
     "a dataset for the group": _put("group", lambda file: np.zeros(9)),
     "a rate that is none": _about("sampling_rate", np.nan),
     "a rate of minus one": _about("sampling_rate", -1.0),
+    "a rate of next to nothing": _about("sampling_rate", 5e-324),
+    "a rate beyond all numbers": _about("sampling_rate", 1e308),
     "a unit of a megabyte": _about("unit", np.bytes_(b"N" * (1 << 16 - 1))),
     "a format of variable length": _about("format", "cgid-dataset"),
     "a list of formats": _about("format", np.array([b"cgid-dataset"] * 3)),

@@ -13,7 +13,8 @@ from cgid.files import write_whole
 from cgid.scene.provenance import in_order
 from cgid.store import Dataset
 from cgid.store.examination import compression_of, damaged_rows, examine_file
-from cgid.store.manifest import LARGEST_MANIFEST, MANIFEST, SHARD_NAME, Manifest, ShardEntry
+from cgid.store.folder_text import read_text
+from cgid.store.manifest import LINKED, MANIFEST, SHARD_NAME, Manifest, ShardEntry
 from cgid.store.run import file_facts
 
 
@@ -37,6 +38,8 @@ def relist(file: Path) -> str:
     attributes: dict[str, Any] = {}
     examined: dict[str, Any] = {}
     for shard in shards:
+        if shard.is_symlink():
+            raise BadData(f"{shard}: {LINKED}")
         examined = _examined(shard)
         said = dict(examined["attributes"])
         entries.append(_entry(shard, said.pop("first_signal", 0)))
@@ -65,8 +68,7 @@ def _require_all(file: Path, n_there: int) -> None:
     """Raise `BadData` if a damaged manifest still names more shards: a new one would lose sight of them."""
     if not file.is_file():
         return
-    with file.open("rb") as stream:
-        named = set(re.findall(SHARD_NAME.encode(), stream.read(LARGEST_MANIFEST)))
+    named = set(re.findall(SHARD_NAME.encode(), read_text(file)))
     if len(named) > n_there:
         raise BadData(
             f"{file}: names {len(named)} shards, {n_there} are there, and without a manifest those that are missing "

@@ -18,6 +18,7 @@ from cgid.errors import BadData, CannotCreate, CgidError
 from cgid.files import whole_file, write_whole
 from cgid.scene.provenance import attributes_of, in_order, plan_of, scene_of, shard_plan, whole_number
 from cgid.scene.relisting import relist
+from cgid.scene.repair_size import Room, require_length, size_made, size_of
 from cgid.scene.scene import Scene
 from cgid.scene.stream.axis import samples_of
 from cgid.scene.stream.generation import write_recording
@@ -81,7 +82,7 @@ def repair(verified: Verified, scene: Scene | None = None, progress: Progress | 
     CannotCreate
         A run is writing into the folder, or has made another dataset of it since it was verified.
     """
-    manifest = verified.manifest
+    manifest, room = verified.manifest, Room(verified.path)
     # The manifest comes last: it is made from the shards.
     findings = sorted(verified.findings, key=lambda finding: finding.file.name == MANIFEST)
     with _alone(verified.path):
@@ -97,9 +98,9 @@ def repair(verified: Verified, scene: Scene | None = None, progress: Progress | 
                 elif finding.file.name == MANIFEST:
                     told = relist(finding.file)
                 elif finding.entry is not None and manifest is not None:
-                    told, manifest = _mend_shard(finding, finding.entry, verified, manifest, scene, progress)
+                    told, manifest = _mend_shard(finding, finding.entry, verified, manifest, scene, room, progress)
                 else:
-                    told = _mend_file(finding, scene, progress)
+                    told = _mend_file(finding, scene, room, progress)
             except (CgidError, OSError) as error:
                 yield Repair(finding=finding, done=False, told=str(error))
             else:
@@ -143,10 +144,10 @@ def _remove(file: Path) -> str:
 # ---- a file by itself ------------------------------------------------------------------------------------------------
 
 
-def _mend_file(finding: Finding, given: Scene | None, progress: Progress | None) -> str:
+def _mend_file(finding: Finding, given: Scene | None, room: Room, progress: Progress | None) -> str:
     path, examined = finding.file, finding.examined
     if re.fullmatch(RECORDING_NAME, path.name) and (not examined or examined["fault"]):
-        return _mend_lost_recording(path, given, progress)
+        return _mend_lost_recording(path, given, room, progress)
     kind = examined.get("attributes", {}).get("format")
     if not examined or examined["fault"] or kind not in (FORMAT, RECORDING_FORMAT):
         raise BadData(
@@ -155,6 +156,7 @@ def _mend_file(finding: Finding, given: Scene | None, progress: Progress | None)
         )
     attributes = examined["attributes"]
     scene, seed = scene_of(path, attributes, given), whole_number(path, attributes, "seed")
+    room.take(path, size_made(path, examined, scene))
     with whole_file(path) as temporary:
         if kind == RECORDING_FORMAT:
             _write_recording(temporary, examined, scene, seed, progress)
@@ -164,9 +166,9 @@ def _mend_file(finding: Finding, given: Scene | None, progress: Progress | None)
     return "made again; all that was undamaged is as before"
 
 
-def _mend_lost_recording(path: Path, given: Scene | None, progress: Progress | None) -> str:
+def _mend_lost_recording(path: Path, given: Scene | None, room: Room, progress: Progress | None) -> str:
     """Make a recording of which nothing can be read by what another in its folder says."""
-    others = sorted(other for other in path.parent.glob("recording-*.h5") if other != path)
+    others = sorted(other for other in path.parent.glob("recording-*.h5") if other != path and not other.is_symlink())
     said = next((found for found in map(examine_file, others) if not found["fault"]), None)
     if said is None:
         raise BadData(f"{path}: no recording beside it says how they were made; generate them again")
@@ -177,6 +179,7 @@ def _mend_lost_recording(path: Path, given: Scene | None, progress: Progress | N
         raise BadData(
             f"{path}: must be made by the versions that made the others, {attributes.get('versions')}; here {here}"
         )
+    room.take(path, size_made(path, said, scene))
     _write_recording(path, {**said, "attributes": attributes}, scene, seed, progress)
     return "made again"
 
@@ -233,12 +236,19 @@ def _mend_shard(
     verified: Verified,
     manifest: Manifest,
     given: Scene | None,
+    room: Room,
     progress: Progress | None,
 ) -> tuple[str, Manifest]:
     """Make a shard again and return what was done, and the manifest as it is then."""
     path, attributes = finding.file, manifest.attributes
+    if manifest.n_samples is not None and manifest.dtype is not None:
+        room.take(path, size_of(entry.n_signals, manifest.n_samples, manifest.dtype))
     scene, seed = scene_of(verified.path / MANIFEST, attributes, given), whole_number(path, attributes, "seed")
     plan = _plan_of_folder(verified, manifest, scene)
+    if manifest.n_samples is None:
+        room.take(path, size_of(entry.n_signals, plan.n_samples, plan.dtype))
+    else:
+        require_length(verified.path / MANIFEST, manifest.n_samples, scene)
     content = _shard(plan, entry.first_signal, entry.n_signals, scene, seed, progress)
     digest = hashlib.sha256(content).hexdigest()
     if digest == entry.sha256:

@@ -15,7 +15,7 @@ from cgid.signals import Batch, Signal, quantity_of
 from cgid.store import apart
 from cgid.store.header import ShardHeader, text_of
 from cgid.store.identity import Identity
-from cgid.store.manifest import MANIFEST, read_manifest
+from cgid.store.manifest import LINKED, MANIFEST, read_manifest
 
 #: Signals read at once, and what they may take [bytes].
 _ROWS, _LARGEST_BATCH = 1024, 32 << 20
@@ -54,6 +54,8 @@ class Dataset:
         self._shards = [folder / name for name in names]
         self._counts: list[int] = []
         for shard in self._shards:
+            if self._entries is not None and shard.is_symlink():
+                raise BadData(f"{shard}: {LINKED}")
             header = ShardHeader(**apart.call("shard_header", shard))
             if not self._counts:
                 self.header = header

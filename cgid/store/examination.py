@@ -33,11 +33,13 @@ def examine_file(path: str | Path, steps: Mapping[str, int] | None = None) -> di
             HDF5's numbers of the filters of the signals or samples.
         dtype : str
             Of the signals or samples.
+        n_samples : int
+            Of a signal, or of the recording.
         chunks : dict
             Name of each dataset -> list of (first row, row behind the last, SHA-256 of the values; "" where they do not
             fit their checksum).
     """
-    found: dict[str, Any] = {"fault": "", "attributes": {}, "filters": [], "dtype": "", "chunks": {}}
+    found: dict[str, Any] = {"fault": "", "attributes": {}, "filters": [], "dtype": "", "n_samples": 0, "chunks": {}}
     try:
         for piece in apart.stream("examine", Path(path), dict(steps or {})):
             if "name" in piece:

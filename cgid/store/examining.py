@@ -42,9 +42,9 @@ def examine(path: str, source: str, steps: Mapping[str, int]) -> Iterator[dict[s
     Yields
     ------
     dict
-        First the `attributes` of the root; then `filters`, HDF5's numbers of what signals or samples are packed by, and
-        their `dtype`; then for each dataset its `name` and some `chunks` of it: first row, row behind the last, and the
-        SHA-256 of the values, "" where they do not fit their checksum.
+        First the `attributes` of the root; then `filters`, HDF5's numbers of what signals or samples are packed by,
+        their `dtype` and `n_samples`; then for each dataset its `name` and some `chunks` of it: first row, row behind
+        the last, and the SHA-256 of the values, "" where they do not fit their checksum.
 
     Raises
     ------
@@ -60,7 +60,8 @@ def examine(path: str, source: str, steps: Mapping[str, int]) -> Iterator[dict[s
         _HEADERS[kind](path, source)
         creation = file[_BESIDE[kind][0]].id.get_create_plist()
         filters = [creation.get_filter(index)[0] for index in range(creation.get_nfilters())]
-        yield {"filters": filters, "dtype": file[_BESIDE[kind][0]].dtype.name}
+        main = file[_BESIDE[kind][0]]
+        yield {"filters": filters, "dtype": main.dtype.name, "n_samples": main.shape[-1]}
         for name in _names(file, kind, source):
             dataset = plain_dataset(file, name, source)
             for chunks in _chunks(dataset, steps.get(name)):

@@ -23,15 +23,16 @@ from types import TracebackType
 from typing import Any, Self
 
 from cgid.errors import BadData, CannotCreate, WriteFailed
-from cgid.files import read_regular, write_whole
+from cgid.files import write_whole
 from cgid.store.digest import is_sound, sealed
+from cgid.store.folder_text import read_text
 from cgid.store.lock import locked
 
 JOURNAL = "unfinished.jsonl"
 #: Bytes of the first line at most.
 _FIRST_LINE = 4096
-#: Bytes; 300 000 files need some 100 MB.
-_LARGEST = 1 << 28
+#: Letters of what is told of a run.
+_LONGEST_WORD = 400
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -63,7 +64,7 @@ class Unfinished:
     @property
     def progress(self) -> str:
         """How far it has come, and how it goes on."""
-        done = len({entry.get("file") for entry in self.entries})
+        done = len({entry["file"] for entry in self.entries})
         return f"{done} of {self.n_files} {self.noun} are there; go on with cgid generate ... --resume"
 
 
@@ -132,22 +133,19 @@ def read_journal(folder: Path) -> Unfinished | None:
     """
     file = folder / JOURNAL
     try:
-        content = read_regular(file, _LARGEST)
+        lines = read_text(file).split(b"\n")
     except (FileNotFoundError, NotADirectoryError):
         return None
     except OSError as error:
         raise BadData(f"{file}: cannot be read ({error.strerror}); start again with --overwrite") from None
-    if len(content) > _LARGEST:
-        raise BadData(f"{file}: must be at most {_LARGEST >> 20} MiB; this is no journal of cgid")
-    lines = content.split(b"\n")
     first, second = (_content(line) for line in [*lines, b""][:2])
     found = {**first, **second}
     for name, kind in (("run", str), ("process", str), ("plan", dict), ("n_files", int), ("noun", str)):
-        if not isinstance(found.get(name), kind):
+        if not isinstance(found.get(name), kind) or not _is_short(found[name]):
             raise BadData(f"{file}: is damaged, so that the run cannot go on; start again with --overwrite")
     # A line that is torn or damaged is passed over: its file is made again.
     entries = [_content(line).get("entry") for line in lines[2:]]
-    sound = tuple(entry for entry in entries if isinstance(entry, dict))
+    sound = tuple(entry for entry in entries if isinstance(entry, dict) and isinstance(entry.get("file"), str))
     named = {name: found[name] for name in ("run", "process", "plan", "n_files", "noun")}
     return Unfinished(entries=sound, **named)
 
@@ -183,6 +181,11 @@ def taking_part(folder: Path, run: str) -> Iterator[None]:
 
 def _line(content: Mapping[str, Any]) -> bytes:
     return (json.dumps(sealed(content)) + "\n").encode()
+
+
+def _is_short(value: Any) -> bool:
+    """Return whether a value can be said in a line, if it is a text."""
+    return not isinstance(value, str) or (len(value) <= _LONGEST_WORD and value.isprintable())
 
 
 def _content(line: bytes) -> dict[str, Any]:

@@ -11,8 +11,9 @@ from pathlib import Path
 from typing import Any
 
 from cgid.errors import BadData
-from cgid.files import read_regular
+from cgid.store.compression import COMPRESSIONS
 from cgid.store.digest import is_sound, sealed
+from cgid.store.folder_text import read_text
 from cgid.store.header import FORMAT
 from cgid.store.journal import read_journal
 
@@ -20,9 +21,12 @@ MANIFEST = "manifest.json"
 #: Version 1 had neither digest nor the fields that `_ADDED` names.
 MANIFEST_VERSION = 2
 SHARD_NAME = r"shard-[0-9]{5,}\.h5"
-#: Bytes; 300 000 shards need some 100 MB.
-LARGEST_MANIFEST = 1 << 28
 _ADDED = ("shard_signals", "n_samples", "dtype", "compression")
+_WORDS = {"dtype": ("float32", "float64"), "compression": tuple(COMPRESSIONS)}
+#: What a folder holds may come from a stranger: where a link leads nobody looks.
+LINKED = "must lie in the folder itself, it is a link; copy the file there"
+#: Of what HDF5 counts.
+_LARGEST_COUNT = 1 << 63
 
 
 @dataclass(frozen=True)
@@ -89,7 +93,7 @@ def read_manifest(folder: Path) -> Manifest:
     """
     file = folder / MANIFEST
     try:
-        content = read_regular(file, LARGEST_MANIFEST)
+        content = read_text(file)
     except OSError:
         unfinished = read_journal(folder)
         if unfinished is not None:
@@ -120,14 +124,12 @@ def parse_manifest(content: bytes, file: Path) -> Manifest:
     _require_all(entries, found.get("n_signals"), file)
     named = _added(found, file) if version > 1 else {}
     attributes = found.get("attributes")
-    if not isinstance(attributes, dict):
+    if not isinstance(attributes, dict) or not all(map(_is_attribute, attributes, attributes.values())):
         raise BadData(f"{file}: attributes must say how the dataset was made; generate it again")
     return Manifest(n_signals=found["n_signals"], attributes=attributes, shards=entries, **named)
 
 
 def _read_json(content: bytes, file: Path) -> dict[str, Any]:
-    if len(content) > LARGEST_MANIFEST:
-        raise BadData(f"{file}: must be at most {LARGEST_MANIFEST >> 20} MiB; this is no manifest of cgid")
     try:
         found = json.loads(content)
     except (ValueError, RecursionError):
@@ -151,10 +153,21 @@ def _require_all(entries: tuple[ShardEntry, ...], n_signals: Any, file: Path) ->
 def _added(found: Mapping[str, Any], file: Path) -> dict[str, Any]:
     named = {name: found.get(name) for name in _ADDED}
     for name, value in named.items():
-        sound = isinstance(value, str) if name in ("dtype", "compression") else type(value) is int and value > 0
+        sound = value in _WORDS[name] if name in _WORDS else type(value) is int and 0 < value < _LARGEST_COUNT
         if not sound:
             raise BadData(f"{file}: {name} must be that of the shards, got {value!r:.40}; generate the dataset again")
     return named
+
+
+def _is_attribute(name: str, value: Any) -> bool:
+    """Return whether HDF5 can hold this as an attribute: a number, or a text that is Unicode."""
+    try:
+        name.encode()
+        return (
+            isinstance(value, float) or (isinstance(value, int) and abs(value) < _LARGEST_COUNT) or bool(value.encode())
+        )
+    except (AttributeError, UnicodeEncodeError):
+        return False
 
 
 def is_entry(entry: Any) -> bool:
@@ -162,7 +175,7 @@ def is_entry(entry: Any) -> bool:
     if not isinstance(entry, dict) or set(entry) != {field.name for field in fields(ShardEntry)}:
         return False
     counts, labels = [entry[name] for name in ("first_signal", "n_signals", "bytes")], entry["labels"]
-    if not all(type(count) is int and count >= 0 for count in counts) or not entry["n_signals"]:
+    if not all(type(count) is int and 0 <= count < _LARGEST_COUNT for count in counts) or not entry["n_signals"]:
         return False
     if not isinstance(labels, dict) or not all(type(count) is int for count in labels.values()):
         return False

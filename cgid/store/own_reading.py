@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cgid.errors import BadData
-from cgid.signals import UNITS
+from cgid.signals import RATES, UNITS
 from cgid.store import limits
 from cgid.store.chunks import DAMAGE, chunk_bytes
 from cgid.store.header import (
@@ -212,10 +212,10 @@ def _read_header(file: h5py.File, source: str) -> ShardHeader:
 
 
 def _require_rate_and_unit(source: str, name: str, about: dict[str, Any]) -> None:
-    """Raise `BadData` unless samples have a positive sampling rate and a known unit."""
+    """Raise `BadData` unless samples have a sampling rate that something is measured at, and a known unit."""
     rate, unit = about.get("sampling_rate"), about.get("unit")
     for attribute, value, holds in (
-        ("sampling_rate", rate, isinstance(rate, float) and 0 < rate < np.inf),
+        ("sampling_rate", rate, isinstance(rate, float) and RATES[0] <= rate <= RATES[1]),
         ("unit", unit, any(unit in units for units in UNITS.values())),
     ):
         if not holds:

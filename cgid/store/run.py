@@ -15,6 +15,7 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import re
+import stat
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
@@ -251,6 +252,10 @@ def _verified(folder: Path, unfinished: Unfinished, ours: re.Pattern[str]) -> It
         if not isinstance(name, str) or not ours.fullmatch(name):
             continue
         with contextlib.suppress(OSError):
+            if not stat.S_ISREG(
+                (folder / name).lstat().st_mode
+            ):  # a pipe would hold this run up, a link lead elsewhere
+                continue
             if file_facts(folder / name) == {key: entry.get(key) for key in ("file", "bytes", "sha256")}:
                 yield entry
 

@@ -14,7 +14,7 @@ from cgid.files import half_written
 from cgid.store.examination import damaged_rows, examine_file
 from cgid.store.header import FORMAT, RECORDING_FORMAT, TABLE_FORMAT
 from cgid.store.journal import JOURNAL, read_journal
-from cgid.store.manifest import MANIFEST, SHARD_NAME, Manifest, ShardEntry, is_entry, read_manifest
+from cgid.store.manifest import LINKED, MANIFEST, SHARD_NAME, Manifest, ShardEntry, is_entry, read_manifest
 from cgid.store.recording import RECORDING_NAME
 from cgid.store.run import hidden
 from cgid.store.table import TABLE_SUFFIXES
@@ -23,6 +23,8 @@ from cgid.store.table_reading import read_table
 #: Problems that are no damage.
 _HARMLESS = ("leftover", "pending", "foreign")
 _KINDS = {FORMAT: "dataset", RECORDING_FORMAT: "recording", TABLE_FORMAT: "table"}
+#: Recordings are numbered from 0 on; so many of them may be missing, and for each that is there so many more.
+_MOST_MISSING, _MISSING_FOR_EACH = 100, 10
 #: Runs of damaged rows that are told of one dataset.
 _MOST_TOLD = 4
 
@@ -150,6 +152,13 @@ def _damage(path: Path, examined: Mapping[str, Any]) -> list[Finding]:
     return [Finding(file=path, problem="damaged", what=what, examined=examined)] if what else []
 
 
+def _damage_within(path: Path) -> list[Finding]:
+    """Return what is wrong with a file of a folder, which must lie there itself."""
+    if path.is_symlink():
+        return [Finding(file=path, problem="damaged", what=LINKED)]
+    return _damage(path, examine_file(path))
+
+
 def damage_in_words(examined: Mapping[str, Any]) -> str:
     """Return which rows of which datasets cannot be read, "" if all can.
 
@@ -171,16 +180,26 @@ def damage_in_words(examined: Mapping[str, Any]) -> str:
 
 
 def _verify_recordings(folder: Path) -> Verified:
-    names = sorted(entry.name for entry in folder.iterdir() if re.fullmatch(RECORDING_NAME, entry.name))
-    found = [finding for name in names for finding in _damage(folder / name, examine_file(folder / name))]
+    names = _recordings(folder)
+    found = [finding for name in names for finding in _damage_within(folder / name)]
     found += [*_unfinished(folder), *_pending(folder)]
     # Only gaps are seen: nothing says how many there were.
-    number = int(names[-1].removeprefix("recording-").removesuffix(".h5"))
-    missing = [name for k in range(number) if (name := f"recording-{k:05d}.h5") not in names]
+    missing = sorted({f"recording-{k:05d}.h5" for k in range(_number(names[-1]))} - set(names)) if names else []
     found += [Finding(file=folder / name, problem="missing", what="is not there") for name in missing]
     found += _leftovers(folder, RECORDING_NAME)
     found += _strangers(folder, {*names, JOURNAL}, RECORDING_NAME)
     return Verified(path=folder, kind="recording", n_files=len(names), findings=tuple(found))
+
+
+def _recordings(folder: Path) -> list[str]:
+    """Return the names of the recordings of a folder by their numbers; one far beyond the others is none of them."""
+    names = sorted((name for name in _names(folder) if re.fullmatch(RECORDING_NAME, name)), key=_number)
+    last = _MOST_MISSING + (1 + _MISSING_FOR_EACH) * len(names)
+    return [name for name in names if _number(name) < last]
+
+
+def _number(name: str) -> int:
+    return int(name.removeprefix("recording-").removesuffix(".h5"))
 
 
 def _verify_dataset(folder: Path) -> Verified:
@@ -200,7 +219,7 @@ def _verify_dataset(folder: Path) -> Verified:
     if manifest is None:  # in an unfinished run, files that it has not yet noted are its own, too
         known |= {name for name in _names(folder) if re.fullmatch(SHARD_NAME, name)}
         for name in sorted(known) if not unfinished else ():
-            found += _damage(folder / name, examine_file(folder / name))
+            found += _damage_within(folder / name)
     found += unfinished if manifest is None else [_left(finding.file) for finding in unfinished]
     found += _pending(folder)
     found += _leftovers(folder, rf"({SHARD_NAME}|{re.escape(MANIFEST)}|{re.escape(JOURNAL)})")
@@ -209,6 +228,8 @@ def _verify_dataset(folder: Path) -> Verified:
 
 
 def _verify_shard(path: Path, entry: ShardEntry) -> list[Finding]:
+    if path.is_symlink():
+        return [Finding(file=path, problem="damaged", what=LINKED, entry=entry)]
     if not path.is_file():
         return [Finding(file=path, problem="missing", what="is not there", entry=entry)]
     if _fits(path, entry):
