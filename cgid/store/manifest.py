@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
@@ -89,7 +90,7 @@ def read_manifest(folder: Path) -> Manifest:
     file = folder / MANIFEST
     try:
         with file.open("rb") as stream:
-            content = stream.read(LARGEST_MANIFEST + 1)
+            content = stream.read(min(os.fstat(stream.fileno()).st_size, LARGEST_MANIFEST) + 1)
     except OSError:
         unfinished = read_journal(folder)
         if unfinished is not None:
