@@ -9,6 +9,7 @@ import random
 import stat
 import subprocess
 import sys
+import tracemalloc
 from pathlib import Path
 
 import pytest
@@ -36,6 +37,16 @@ ENTRIES = [{"file": f"shard-0000{k}.h5", "sha256": f"{k}" * 64} for k in range(3
 
 
 # ---- the manifest ----------------------------------------------------------------------------------------------------
+
+
+def test_a_small_manifest_takes_little_memory(tmp_path):
+    (tmp_path / MANIFEST).write_bytes(MANIFEST_OF_TWO.to_bytes())
+    tracemalloc.start()
+    try:
+        read_manifest(tmp_path)
+        assert tracemalloc.get_traced_memory()[1] < 1 << 20
+    finally:
+        tracemalloc.stop()
 
 
 def test_manifest_there_and_back(tmp_path):
