@@ -28,6 +28,7 @@ from cgid.identification.recorded.grouped import Candidate, Lesson, Rows, choose
 from cgid.identification.selection import CANDIDATES, select
 from cgid.scene import Scene, generate, synthesise
 from cgid.scene import workers as shards
+from cgid.store import Dataset
 from cgid.store.journal import JOURNAL
 from cgid.validation import positive
 from tests.mortal import fatal
@@ -144,6 +145,16 @@ def test_what_dask_logs_is_kept_off_the_terminal(address: str) -> None:
     with workers(scheduler=address):
         assert not any(log.isEnabledFor(logging.CRITICAL) for log in logs)
     assert [log.level for log in logs] == before
+
+
+def test_processes_that_are_kept_stand_in_another_folder(
+    reference_scene: Scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name in ("one", "other"):
+        (tmp_path / name).mkdir()
+        monkeypatch.chdir(tmp_path / name)
+        generate(reference_scene, "data", 8, shard_signals=4, jobs=2)
+        assert len(Dataset(tmp_path / name / "data")) == 8
 
 
 # ---- what can go wrong -----------------------------------------------------------------------------------------------

@@ -157,7 +157,9 @@ def test_who_calibrates_neither_trains_nor_judges() -> None:
 def test_training_keeps_the_calibration_out_of_the_fit(reference_scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
     fitted = []
     fit = ImpactClassifier.fit
-    monkeypatch.setattr(ImpactClassifier, "fit", lambda self, X, *rest: (fitted.append(X), fit(self, X, *rest))[1])
+    monkeypatch.setattr(
+        ImpactClassifier, "fit", lambda self, X, *rest, **crew: (fitted.append(X), fit(self, X, *rest, **crew))[1]
+    )
     training = train(synthesise(reference_scene, 1000), features=["peak_force", "width_50", "tilt"])
     (rows,) = fitted
     about = training.model.training

@@ -50,9 +50,8 @@ def write_shards(
     if crew.alone:
         yield from write_in_turn(writer, scene, seed, dtype, shards, progress)
         return
-    asked = _Asked(writer=writer, scene=scene, seed=seed, dtype=dtype)
-    if crew.elsewhere:
-        asked = _anywhere(asked)
+    # Processes that are kept from an earlier run stand in the folder of that time.
+    asked = _anywhere(_Asked(writer=writer, scene=scene, seed=seed, dtype=dtype))
     write = _write_shared if crew.elsewhere else _write_one
     with closing(crew.each(write, asked, shards, ordered=False)) as entries:
         for entry in entries:

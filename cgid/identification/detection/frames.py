@@ -232,7 +232,10 @@ class FrameCutter:
         quiet = part[:, : max(onset.sample - framing.lead - start, 0)]
         missing = framing.quiet - (onset.sample - start)
         told = quiet.shape[1] >= _ENOUGH
-        baseline = quiet.mean(axis=1, dtype=np.float64) if told else np.median(part, axis=1)
+        if told:
+            baseline = quiet.mean(axis=1, dtype=np.float64)
+        else:
+            baseline = np.median(part.astype(np.float64, copy=False), axis=1)
         frame = np.empty((len(part), framing.n_samples), part.dtype)
         frame[:] = baseline[:, None]
         frame[:, missing : missing + part.shape[1]] = part
