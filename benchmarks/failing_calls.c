@@ -3,8 +3,9 @@
        gcc -shared -fPIC -O1 -o failing_calls.so failing_calls.c -ldl
 
    Counted are the calls that make, fill, flush, name or cut a file below the folder: open for writing, mkdir, write,
-   pwrite, writev, fsync, ftruncate, rename, link. Removing always works, as it does on a full disk. Calls are counted
-   over all processes that have been forked since the library was loaded. */
+   pwrite, writev, fsync, ftruncate, rename, link. Removing always works, as it does on a full disk, and so does renaming
+   onto a name that is there, which needs no room, once an earlier call has found none. Calls are counted over all
+   processes that have been forked since the library was loaded. */
 #define _GNU_SOURCE
 #include <dlfcn.h>
 #include <errno.h>
@@ -49,10 +50,11 @@ static int below(const char *path) {
 
 static int writes(int fd) { return folder_length && fd >= 0 && fd < MOST_FILES && ours[fd]; }
 
-/* Count a call; return whether it is to fail. */
-static int fails(void) {
+/* Count a call, which may need room on the disk; return whether it is to fail. */
+static int fails(int needs_room) {
     long number = __sync_add_and_fetch(calls, 1);
-    if (!first_failing || number < first_failing || (number > first_failing && (!lasting || signal_sent))) return 0;
+    int goes_on = lasting && !signal_sent && (needs_room || failing_errno != ENOSPC);
+    if (!first_failing || number < first_failing || (number > first_failing && !goes_on)) return 0;
     if (signal_sent) {
         kill(getpid(), signal_sent);
         return 0;
@@ -64,7 +66,7 @@ static int fails(void) {
 #define REAL(name) ((__typeof__(&name))dlsym(RTLD_NEXT, #name))
 #define ONE(name, result, parameters, arguments, counted) \
     result name parameters {                              \
-        if ((counted) && fails()) return -1;              \
+        if ((counted) && fails(1)) return -1;             \
         return REAL(name) arguments;                      \
     }
 
@@ -77,9 +79,13 @@ ONE(fdatasync, int, (int fd), (fd), writes(fd))
 ONE(ftruncate, int, (int fd, off_t size), (fd, size), writes(fd))
 ONE(ftruncate64, int, (int fd, off64_t size), (fd, size), writes(fd))
 ONE(mkdir, int, (const char *path, mode_t mode), (path, mode), below(path))
-ONE(rename, int, (const char *from, const char *to), (from, to), below(to))
 ONE(link, int, (const char *from, const char *to), (from, to), below(to))
 ONE(linkat, int, (int a, const char *from, int b, const char *to, int flags), (a, from, b, to, flags), below(to))
+
+int rename(const char *from, const char *to) {
+    if (below(to) && fails(access(to, F_OK) != 0)) return -1;
+    return REAL(rename)(from, to);
+}
 
 static int is_writing(const char *path, int flags) { return below(path) && (flags & (O_WRONLY | O_RDWR | O_CREAT)); }
 
@@ -100,14 +106,14 @@ static int note(int fd, int writing) {
     int name(const char *path, int flags, ...) {                           \
         MODE(flags)                                                        \
         int writing = is_writing(path, flags);                             \
-        if (writing && fails()) return -1;                                 \
+        if (writing && fails(1)) return -1;                                \
         return note(REAL(name)(path, flags, mode), writing);               \
     }
 #define OPENAT(name)                                                       \
     int name(int at, const char *path, int flags, ...) {                   \
         MODE(flags)                                                        \
         int writing = is_writing(path, flags);                             \
-        if (writing && fails()) return -1;                                 \
+        if (writing && fails(1)) return -1;                                \
         return note(REAL(name)(at, path, flags, mode), writing);           \
     }
 

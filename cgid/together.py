@@ -68,20 +68,23 @@ def _write(contents: Sequence[tuple[Path, bytes]], made: dict[Path, int], overwr
 def _put_back(path: Path, made: Mapping[Path, int]) -> Iterator[None]:
     """Keep what bears a name, and give it back if something fails when what was `made` has the name already."""
     old = path.with_name(f".{path.name}.{secrets.token_hex(6)}.part")
-    had = path.is_file()
+    had, kept = path.is_file(), False
     try:
         if had:
             _second_name(path, old)
         yield
     except BaseException:
-        with contextlib.suppress(OSError):
+        try:
             # Not by a list of what was renamed: Ctrl-C may come between the renaming and the listing.
             if path.stat().st_ino == made.get(path):
                 old.replace(path) if had else path.unlink()
+        except OSError:
+            kept = had  # what cannot be given back is not thrown away
         raise
     finally:
-        with contextlib.suppress(OSError):
-            old.unlink()
+        if not kept:
+            with contextlib.suppress(OSError):
+                old.unlink()
 
 
 def _second_name(path: Path, other: Path) -> None:

@@ -1,5 +1,6 @@
 """What becomes of files when the disk does not obey; the long form is benchmarks/faults.py."""
 
+import errno
 import os
 import shutil
 import signal
@@ -172,6 +173,23 @@ def test_a_name_that_was_taken_meanwhile_is_left_to_its_owner(tmp_path):
     with pytest.raises(CannotCreate, match="meanwhile"):
         write_together({tmp_path / name: b"mine" for name in "abc"}, overwrite=False)
     assert files_in(tmp_path) == {"b": b"another's"}
+
+
+def test_what_cannot_be_given_back_is_not_thrown_away(tmp_path, monkeypatch):
+    for name in "ab":
+        (tmp_path / name).write_bytes(b"old " + name.encode())
+    replace, done = Path.replace, []
+
+    def only_once(path, target):
+        done.append(path)
+        if len(done) > 1:
+            raise OSError(errno.EIO, "Input/output error")
+        return replace(path, target)
+
+    monkeypatch.setattr(Path, "replace", only_once)
+    with pytest.raises(WriteFailed):
+        write_together({tmp_path / name: b"new" for name in "ab"})
+    assert {b"old a", b"old b"} <= {path.read_bytes() for path in tmp_path.iterdir()}
 
 
 def test_two_that_write_together_never_mix(tmp_path):
