@@ -21,6 +21,7 @@ def export(data: str, output: str, overwrite: bool) -> None:
     from cgid.store import Dataset
     from cgid.store.export import export as export_dataset
 
-    with progress_bar(len(Dataset(data)), "signals") as progress:
-        path = export_dataset(data, output, overwrite=overwrite, progress=progress)
+    dataset = Dataset(data)
+    with progress_bar(len(dataset), "signals") as progress:
+        path = export_dataset(dataset, output, overwrite=overwrite, progress=progress)
     say(f"{path}: {path.stat().st_size / 1e6:.4g} MB", err=True)

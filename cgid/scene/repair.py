@@ -12,8 +12,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from cgid.errors import BadData, CannotCreate, CgidError
 from cgid.files import whole_file, write_whole
 from cgid.scene.provenance import attributes_of, in_order, plan_of, scene_of, shard_plan, whole_number
@@ -204,7 +202,7 @@ def _write_dataset(
 ) -> None:
     first = whole_number(path, examined["attributes"], "first_signal")
     n_signals = examined["chunks"]["signals"][-1][1]
-    if n_signals * scene.sampling.samples * np.dtype(plan.dtype).itemsize <= LARGEST_SHARD:
+    if plan.size(n_signals) <= LARGEST_SHARD:
         path.write_bytes(_shard(plan, first, n_signals, scene, seed, progress))
         return
     dtype: Any = plan.dtype
@@ -215,7 +213,7 @@ def _shard(
     plan: ShardPlan, first: int, n_signals: int, scene: Scene, seed: int, progress: Progress | None
 ) -> memoryview:
     """Return the content of a shard; raises `BadData` for one that no honest manifest lists."""
-    size = n_signals * plan.n_samples * np.dtype(plan.dtype).itemsize
+    size = plan.size(n_signals)
     if size > LARGEST_SHARD:
         raise BadData(f"a shard must be at most {LARGEST_SHARD >> 30} GiB, got {size / 2**30:.3g} GiB of signals")
     builder, dtype = ShardBuilder(plan, first, n_signals), plan.dtype

@@ -23,7 +23,7 @@ from cgid.store.writing import SUFFIXES
 
 
 def export(
-    data: str | Path,
+    data: Dataset | str | Path,
     output: str | Path,
     *,
     overwrite: bool = False,
@@ -33,8 +33,8 @@ def export(
 
     Parameters
     ----------
-    data : str or Path
-        A dataset: a folder, or a file of any compression.
+    data : Dataset, str or Path
+        A dataset, or where it lies: a folder, or a file of any compression.
     output : str or Path
         Ending in .h5 or .hdf5.
     overwrite : bool
@@ -51,7 +51,7 @@ def export(
     WriteFailed
         The disk is full; nothing is left behind, an old file is untouched.
     """
-    dataset = Dataset(data)
+    dataset = data if isinstance(data, Dataset) else Dataset(data)
     path = check_new(Path(output), "an exported dataset", SUFFIXES, overwrite=overwrite)
     if dataset.path.resolve() in (path.resolve(), path.resolve().parent):
         raise CannotCreate(f"{path}: must not be part of what it is made from; choose another name")
@@ -63,8 +63,7 @@ def export(
         attributes={name: value for name, value in dataset.header.attributes.items() if name != "first_signal"},
     )
     first = dataset.header.attributes.get("first_signal", 0)
-    needed = len(dataset) * plan.n_samples * np.dtype(plan.dtype).itemsize
-    require_room(path, path.parent, needed, "signals", "make room")
+    require_room(path, path.parent, plan.size(len(dataset)), "signals", "make room")
     with whole_file(path, overwrite=overwrite) as temporary:
         write_dataset(temporary, plan, first, len(dataset), dataset.batches(), progress)
     return path

@@ -67,14 +67,7 @@ def recording_header(path: str, source: str) -> dict[str, Any]:
         It is no recording, of another version, or incomplete.
     """
     with opened(path, source) as file:
-        attributes = attributes_of(file, source)
-        if attributes.get("format") != RECORDING_FORMAT:
-            raise BadData(
-                f"{source}: this HDF5 file must be a cgid recording (attribute format = {RECORDING_FORMAT!r}); it is "
-                "not"
-            )
-        require_schema(source, attributes.get("schema_version"), RECORDING_SCHEMA_VERSION)
-        require_scene(source, attributes)
+        attributes = _root_of(file, source, "cgid recording", RECORDING_FORMAT, RECORDING_SCHEMA_VERSION)
         samples = plain_dataset(file, "samples", source, _UNPACKED)
         if samples.ndim != 1 or samples.dtype not in (np.float32, np.float64) or not samples.size:
             raise BadData(f"{source}: samples must be a row of floats, got shape {samples.shape} of {samples.dtype}")
@@ -117,11 +110,8 @@ def table_header(path: str, source: str) -> dict[str, Any]:
         It is no table, of another version, or incomplete.
     """
     with opened(path, source) as file:
-        attributes = attributes_of(file, source)
-        if attributes.pop("format", None) != TABLE_FORMAT:
-            raise BadData(f"{source}: this HDF5 file must be a table (attribute format = {TABLE_FORMAT!r}); it is not")
-        require_schema(source, attributes.pop("schema_version", None), TABLE_VERSION)
-        require_scene(source, attributes)
+        attributes = _root_of(file, source, "table", TABLE_FORMAT, TABLE_VERSION)
+        del attributes["format"], attributes["schema_version"]
         columns = [f"columns/{name}" for name in members(file, "columns", source)]
         stored = {name: plain_dataset(file, name, source, _UNPACKED) for name in ("labels", "specimen", *columns)}
         n_rows = stored["labels"].shape
@@ -178,12 +168,18 @@ def _part(dataset: h5py.Dataset, part: slice, source: str) -> NDArray[Any]:
     return found
 
 
-def _read_header(file: h5py.File, source: str) -> ShardHeader:
+def _root_of(file: h5py.File, source: str, noun: str, form: str, version: int) -> dict[str, Any]:
+    """Return the attributes of the root; raises `BadData` unless they are those of such a file, of this version."""
     attributes = attributes_of(file, source)
-    if attributes.get("format") != FORMAT:
-        raise BadData(f"{source}: this HDF5 file must be a cgid dataset (attribute format = {FORMAT!r}); it is not")
-    require_schema(source, attributes.get("schema_version"), SCHEMA_VERSION)
+    if attributes.get("format") != form:
+        raise BadData(f"{source}: this HDF5 file must be a {noun} (attribute format = {form!r}); it is not")
+    require_schema(source, attributes.get("schema_version"), version)
     require_scene(source, attributes)
+    return attributes
+
+
+def _read_header(file: h5py.File, source: str) -> ShardHeader:
+    attributes = _root_of(file, source, "cgid dataset", FORMAT, SCHEMA_VERSION)
     signals = plain_dataset(file, "signals", source)
     if signals.ndim != 2 or signals.dtype not in (np.float32, np.float64) or not all(signals.shape):
         raise BadData(f"{source}: signals must be rows of floats, got shape {signals.shape} of {signals.dtype}")

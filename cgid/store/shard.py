@@ -56,6 +56,10 @@ class ShardPlan:
     attributes: Mapping[str, Any]
     compression: str = "none"
 
+    def size(self, n_signals: int) -> int:
+        """Return what so many signals take before they are packed [bytes]."""
+        return n_signals * self.n_samples * np.dtype(self.dtype).itemsize
+
 
 def lay_out(file: h5py.File, plan: ShardPlan, first: int, n_signals: int) -> h5py.Dataset:
     """Make all datasets of a shard, still empty, with the attributes of its root, and return that of the signals.

@@ -11,8 +11,6 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
-
 from cgid.errors import BadData, CannotCreate, InvalidValue
 from cgid.files import half_written, require_room, write_whole
 from cgid.signals import Batch
@@ -114,7 +112,7 @@ class DatasetWriter:
         self._run: str | None = None
         self._overwrites = False
         self.shard_signals = n_signals if is_single_file(output) else min(shard_signals, n_signals)
-        size = self.shard_signals * plan.n_samples * np.dtype(plan.dtype).itemsize
+        size = plan.size(self.shard_signals)
         if size > LARGEST_SHARD:
             cure = "give a name that does not end in .h5, for a folder" if is_single_file(output) else "ask for smaller"
             raise InvalidValue(
@@ -152,7 +150,7 @@ class DatasetWriter:
         """Raise `CannotCreate` if the disk has less room than so many signals alone will take."""
         if self.plan.compression != "none":
             return
-        needed = n_signals * self.plan.n_samples * np.dtype(self.plan.dtype).itemsize
+        needed = self.plan.size(n_signals)
         require_room(self.output, self.output.parent, needed, "signals", "make room, or fewer signals")
 
     @contextmanager
