@@ -6,15 +6,15 @@ import contextlib
 import os
 import secrets
 import shutil
-import time
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 from cgid.errors import WriteFailed
 from cgid.files import whole_file
+from cgid.lock import locked
 
-#: Others that write into the same folder at this moment are waited for, so often and so long [s].
-_TRIES, _PAUSE = 100, 0.05
+#: Others that write into the same folder at this moment are waited for so long [s].
+_PATIENCE = 5.0
 
 
 def write_together(contents: Mapping[Path, bytes], *, overwrite: bool = True) -> None:
@@ -47,7 +47,9 @@ def write_together(contents: Mapping[Path, bytes], *, overwrite: bool = True) ->
     """
     made: dict[Path, int] = {}
     with contextlib.ExitStack() as stack:
-        stack.enter_context(_alone_in(next(iter(contents)).parent))
+        # Where systems cannot tell of others, or these take too long, it goes on without.
+        with contextlib.suppress(OSError):
+            stack.enter_context(locked(next(iter(contents)).parent, patience=_PATIENCE))
         for path in contents:
             stack.enter_context(_put_back(path, made))
         _write(list(contents.items()), made, overwrite)
@@ -97,23 +99,3 @@ def _second_name(path: Path, other: Path) -> None:
             raise WriteFailed(
                 f"{path}: cannot be kept while it is replaced ({error.strerror}); it is as it was, free some space"
             ) from None
-
-
-@contextlib.contextmanager
-def _alone_in(folder: Path) -> Iterator[None]:
-    """Wait until no other process writes files together in this folder, where systems can tell."""
-    descriptor = -1
-    with contextlib.suppress(ImportError, OSError):
-        import fcntl
-
-        descriptor = os.open(folder, os.O_RDONLY)
-        for _ in range(_TRIES):
-            with contextlib.suppress(BlockingIOError):
-                fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-                break
-            time.sleep(_PAUSE)
-    try:
-        yield
-    finally:
-        if descriptor >= 0:
-            os.close(descriptor)

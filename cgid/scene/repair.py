@@ -14,6 +14,7 @@ from typing import Any
 
 from cgid.errors import BadData, CannotCreate, CgidError
 from cgid.files import whole_file, write_whole
+from cgid.lock import locked
 from cgid.scene.provenance import attributes_of, in_order, plan_of, scene_of, shard_plan, whole_number
 from cgid.scene.relisting import relist
 from cgid.scene.repair_size import Room, require_length, size_made, size_of
@@ -24,7 +25,6 @@ from cgid.scene.synthesis import synthesise
 from cgid.store.examination import compression_of, examine_file
 from cgid.store.export import write_dataset
 from cgid.store.header import FORMAT, LARGEST_SHARD, RECORDING_FORMAT
-from cgid.store.lock import locked
 from cgid.store.manifest import MANIFEST, Manifest, ShardEntry, read_manifest
 from cgid.store.recording import RECORDING_NAME, RecordingPlan
 from cgid.store.shard import ShardBuilder, ShardPlan

@@ -24,9 +24,9 @@ from typing import Any, Self
 
 from cgid.errors import BadData, CannotCreate, WriteFailed
 from cgid.files import write_whole
+from cgid.lock import locked
 from cgid.store.digest import is_sound, sealed
 from cgid.store.folder_text import read_text
-from cgid.store.lock import locked
 
 JOURNAL = "unfinished.jsonl"
 #: Bytes of the first line at most.

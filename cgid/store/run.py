@@ -24,8 +24,8 @@ from typing import Any
 
 from cgid.errors import BadData, CannotCreate, WriteFailed
 from cgid.files import exchange, half_written, sync_folder
+from cgid.lock import locked
 from cgid.store.journal import JOURNAL, Journal, Unfinished, read_journal
-from cgid.store.lock import locked
 from cgid.store.sameness import first_difference, require_same
 
 #: The journal, and what a killed run leaves of it.

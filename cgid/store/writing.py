@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from cgid.errors import BadData, CannotCreate, InvalidValue
-from cgid.files import half_written, require_room, write_whole
+from cgid.files import half_written, looking_at, require_room, write_whole
 from cgid.signals import Batch
 from cgid.store.dataset import Dataset
 from cgid.store.examination import compression_of, examine_whole
@@ -58,13 +58,9 @@ def check_output(output: str | Path, overwrite: bool = False, ours: re.Pattern[s
         Something is there already, or the folder above is missing.
     """
     path = Path(output)
-    try:
+    with looking_at(path):
         path = path if is_single_file(path) else real_folder(path)
         _require_room(path, overwrite, ours)
-    except CannotCreate:
-        raise
-    except OSError as error:
-        raise CannotCreate(f"{path}: cannot be looked at ({error.strerror}); choose another name") from None
     return path
 
 
