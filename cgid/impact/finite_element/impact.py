@@ -11,7 +11,7 @@ import numpy as np
 
 from cgid import validation
 from cgid.errors import InvalidValue
-from cgid.impact.bodies import HalfSpace, Sphere
+from cgid.impact.bodies import HalfSpace, Sphere, sphere_share
 from cgid.impact.dissipation import Elastic
 from cgid.impact.finite_element.bodies import ElasticPlate, PenaltyContact, one
 from cgid.impact.finite_element.elasticity import body
@@ -28,6 +28,8 @@ METHODS = ("auto", "explicit", "implicit")
 FEWEST, ONE_PERCENT, MOST = 5, 7, 200
 #: Displacement over radius up to which there is room for the contact; linear elasticity is beside the point before.
 _DEEPEST = 0.2
+#: Where the sphere has more of the compliance than this, the plate's mesh may grow faster.
+_SPHERE_ALONE = 0.75
 #: Above this Poisson's ratio the elements are too stiff (they lock).
 _LOCKING = 0.45
 #: "auto" takes implicit steps where damping divides the stable step by more than this.
@@ -202,7 +204,8 @@ class FiniteElementImpact:
         """Both bodies, meshed."""
         radius, elements = self._radius, self.n_elements_over_radius
         ball = sphere_mesh(radius, self.contact_radius, elements)
-        slab = plate_mesh(self.plate.thickness, self.plate.radius, ball.nodes[ball.contact, 0])
+        growth = 2.0 if float(sphere_share(self.sphere, self.hertz.target)) > _SPHERE_ALONE else 1.0
+        slab = plate_mesh(self.plate.thickness, self.plate.radius, ball.nodes[ball.contact, 0], growth)
         held = np.flatnonzero(slab.nodes[:, 1] <= -self.plate.thickness * (1 - 1e-9))
         softness = 0.0
         if self.penalty is not None:

@@ -61,10 +61,13 @@ def sphere_mesh(radius: float, contact_radius: float, elements: int) -> Mesh:
     return Mesh(nodes=mesh.nodes, elements=mesh.elements, contact=surface[np.argsort(mesh.nodes[surface, 0])])
 
 
-def plate_mesh(thickness: float, radius: float, contact_places: Floats) -> Mesh:
-    """Return the mesh of a round plate below the plane z = 0, with nodes where those of the sphere may touch it."""
+def plate_mesh(thickness: float, radius: float, contact_places: Floats, growth: float) -> Mesh:
+    """Return the mesh of a round plate below the plane z = 0, with nodes where those of the sphere may touch it.
+
+    Elements grow away from the contact by `growth` times as much as the sphere's.
+    """
     first = contact_places[1] - contact_places[0]
-    growth = 1 + np.pi / 2 / (contact_places.size - 1)
+    growth = 1 + growth * np.pi / 2 / (contact_places.size - 1)
     last = contact_places[-1] - contact_places[-2]
     r = np.concatenate(
         (contact_places, contact_places[-1] + _growing(last, growth, radius - contact_places[-1], thickness / 2))
