@@ -51,12 +51,17 @@ def collected(
     Raises
     ------
     InvalidValue
-        The bodies never part.
+        The contact outgrows the part of the mesh made for it, or the bodies never part.
     """
     forces: list[Floats] = []
     values: list[Floats] = []
     count = last = 0
     for some_forces, some_values in chunks:
+        if some_forces[:, -1].any():
+            raise InvalidValue(
+                "the contact must stay within twice the radius of Hertz's contact, which the mesh is made for, and it "
+                "grew wider; use a stiffer contact, or a thicker plate"
+            )
         pressed = np.flatnonzero(some_forces.any(axis=1))
         if pressed.size:
             last = count + int(pressed[-1]) + 1
