@@ -130,7 +130,7 @@ def test_signals_have_sizes_and_noise_of_the_scene(solved, reference_scene):
     np.testing.assert_allclose(first.parameters["peak_force"], peak, rtol=1e-6)
     noise = first.signals[:, :150].std(axis=1) / peak
     assert np.median(noise) == pytest.approx(0.01, rel=0.05)
-    with pytest.raises(InvalidValue, match="label must be one of 'coal', 'gangue'"):
+    with pytest.raises(InvalidValue, match="label must be one of 'gangue', 'coal', got 'ice'"):
         radii(reference_scene, np.array(["ice"]), 3)
 
 

@@ -76,16 +76,16 @@ class SolvedImpacts:
 
     def to_bytes(self) -> bytes:
         """Return the content of a file; the same impacts give the same bytes."""
+        arrays: dict[str, NDArray[Any]] = {
+            "made": np.frombuffer(json.dumps(dict(self.made), sort_keys=True).encode(), np.uint8),
+            "shares": self.pulses.shares,
+            "forces": self.pulses.forces.astype(np.float32),
+            "contact_duration": self.pulses.contact_duration,
+            "labels": self.labels,
+        }
+        arrays |= {name: self.columns[name] for name in (*PARAMETERS, *MAKING)}
         stream = io.BytesIO()
-        np.savez_compressed(
-            stream,
-            made=np.frombuffer(json.dumps(dict(self.made), sort_keys=True).encode(), np.uint8),
-            shares=self.pulses.shares,
-            forces=self.pulses.forces.astype(np.float32),
-            contact_duration=self.pulses.contact_duration,
-            labels=self.labels,
-            **{name: self.columns[name] for name in (*PARAMETERS, *MAKING)},
-        )
+        np.savez_compressed(stream, **arrays)  # type: ignore[arg-type]
         return stream.getvalue()
 
     @classmethod
