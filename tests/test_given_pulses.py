@@ -76,7 +76,7 @@ def test_stretched_pulses_are_those_of_a_larger_sphere():
     np.testing.assert_allclose(scaled.forces, large.forces, rtol=1e-6, atol=1e-6 * large.peak_force[0])
 
 
-@pytest.mark.parametrize("name", ["reference", "plate", "peers"])
+@pytest.mark.parametrize("name", ["reference", "plate", "peers", "randomised"])
 def test_the_same_pulses_give_the_signals_of_the_scene(name):
     """Through the chain, with noise: a force as it is, and what an accelerometer on a plate hears of it."""
     scene = load_scene(DATASETS / f"{name}.toml")
