@@ -82,7 +82,7 @@ def test_the_file_holds_the_rocks_that_the_scene_draws(solved, reference_scene):
 def test_restitutions_are_those_asked_for_and_impulses_fit_them(solved):
     """The rebound of the solver's sphere and the integral of its force know nothing of each other."""
     columns = solved.columns
-    assert np.abs(columns["restitution"] - columns["restitution_asked"]).max() < 0.006
+    assert np.abs(columns["restitution"] - columns["restitution_asked"]).max() < 0.003
     mass = sphere_of(solved, slice(None)).mass
     impulse = solved.pulses.impulse
     np.testing.assert_allclose(impulse, (1 + columns["restitution"]) * mass * columns["velocity"], rtol=2e-3)
@@ -104,7 +104,7 @@ def test_an_impact_has_no_size(solved):
     again = run(solved, row, radius=radius)
     one = solved.of_radius(radius).taken(slice(row, row + 1))
     times = np.linspace(0, 1.02, 400) * again.contact_duration
-    assert apart(course(again, times), one.force(times[None])[0]) < 0.006
+    assert apart(course(again, times), one.force(times[None])[0]) < 0.003
     assert again.restitution == pytest.approx(solved.columns["restitution"][row], abs=0.003)
 
 
