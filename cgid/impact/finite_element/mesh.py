@@ -13,12 +13,15 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from cgid.errors import InvalidValue
 from cgid.validation import Floats
 
 Integers = NDArray[np.int64]
 
 #: Near the contact both bodies are meshed evenly, out to this many contact radii; only there the surfaces may touch.
 REACH = 2
+#: Elements along a plate; more would be a mistake.
+_MOST_STEPS = 5000
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -46,7 +49,8 @@ class Mesh:
 
 def sphere_mesh(radius: float, contact_radius: float, elements: int) -> Mesh:
     """Return the mesh of a sphere that stands on the plane z = 0, with so many elements over the contact radius."""
-    reach, across = REACH * contact_radius, REACH * elements
+    across = 2 * -(-round(REACH * elements) // 2)
+    reach = contact_radius * across / elements
     # The surface lies at r = 2 R y / (1 + y^2), y being the place on the side of the quarter plane.
     core = reach / radius / (1 + np.sqrt(1 - (reach / radius) ** 2))
     disc = _quarter_disc(across // 2)
@@ -82,11 +86,16 @@ def plate_mesh(thickness: float, radius: float, contact_places: Floats, growth: 
 
 def _growing(first: float, growth: float, length: float, largest: float) -> Floats:
     """Return the ends of steps that grow by a factor up to a largest one and fill a length."""
-    steps = [first]
-    while sum(steps) < length:
-        steps.append(min(steps[-1] * growth, largest))
-    ends = np.cumsum(steps)
-    return np.asarray(ends * (length / ends[-1]))
+    ends, step = [first], first
+    while ends[-1] < length:
+        step = min(step * growth, largest)
+        ends.append(ends[-1] + step)
+        if len(ends) > _MOST_STEPS:
+            raise InvalidValue(
+                f"a plate needs fewer than {_MOST_STEPS} elements along {length:.4g} m, where its thickness and the "
+                f"contact allow {largest:.3g} m each; use a smaller radius"
+            )
+    return np.asarray(ends) * (length / ends[-1])
 
 
 def _quarter_disc(k: int) -> NDArray[np.complex128]:
