@@ -9,36 +9,22 @@ from scipy import sparse
 from scipy.sparse import linalg
 
 from cgid.impact import Sphere
-from cgid.impact.finite_element import ElasticPlate, FiniteElementImpact, History
+from cgid.impact.finite_element import FiniteElementImpact, History
 from cgid.impact.finite_element.elasticity import element_matrices
-from cgid.materials import STEEL, YANG2018_RADIUS, YANG2018_SPHERES
+from cgid.materials import STEEL, YANG2018_SPHERES
 from tests.element_twin import ElementTwin, lame, solid_of_revolution
+from tests.finite_element_cases import RADIUS, VOLUME, impact, plate, sphere, velocity_for
 from tests.free_sphere import frequencies, wave_speeds
 from tests.impact_twin import BodyTwin, Course, ImpactTwin
 
-RADIUS = YANG2018_RADIUS
-VOLUME = 4 / 3 * np.pi * RADIUS**3
 #: Contact radius over R of the meshes here: about that of sphere 1 at 2 m/s.
 NARROW = 0.1
 
 
-def plate(**changes):
-    given = {"material": STEEL, "thickness": 0.008, "radius": 0.229, "lower_face": "fixed"}
-    return ElasticPlate(**given | changes)
-
-
-def sphere(number=1):
-    return Sphere(material=YANG2018_SPHERES[number], radius=RADIUS)
-
-
 def meshed(elements=7, share=NARROW, number=1):
     """Return sphere and plate of an impact whose contact radius is a share of R, by Hertz's theory."""
-    compliance = float(YANG2018_SPHERES[number].plane_strain_compliance + STEEL.plane_strain_compliance)
-    mass = VOLUME * float(np.asarray(YANG2018_SPHERES[number].density))
-    velocity = np.sqrt(16 / 15 * share**5 * RADIUS**3 / compliance / mass)
-    return FiniteElementImpact(
-        sphere=sphere(number), plate=plate(radius=0.05), velocity=float(velocity), elements=elements
-    ).pair
+    velocity = velocity_for(share, YANG2018_SPHERES[number])
+    return impact(number, velocity, elements, plate=plate(radius=0.05)).pair
 
 
 def body_of(which):
@@ -195,8 +181,7 @@ class Twins:
 
 
 def small_impact(**changes):
-    given = {"sphere": sphere(1), "plate": plate(radius=0.03, lower_face="free"), "velocity": 10.0, "elements": 5}
-    return FiniteElementImpact(**given | {"method": "explicit"} | changes)
+    return impact(elements=5, plate=plate(radius=0.03, lower_face="free"), method="explicit", **changes)
 
 
 @pytest.fixture(scope="module")
@@ -250,7 +235,7 @@ def test_energy_error_is_the_steps(twins):
 @pytest.fixture(scope="module")
 def quick():
     """Sphere 1 at 10 m/s, elements that are just enough."""
-    return FiniteElementImpact(sphere=sphere(1), plate=plate(), velocity=10.0, elements=7).run()
+    return impact().run()
 
 
 def test_energy_and_momentum_are_kept(quick):
@@ -278,12 +263,8 @@ def test_no_more_energy_is_stored_than_the_flight_has_lost(quick):
 
 def test_elastic_impacts_have_no_scale(quick):
     # Twice as large in everything at the same speed: forces x 4, times and ways x 2, the same rebound.
-    large = FiniteElementImpact(
-        sphere=Sphere(material=YANG2018_SPHERES[1], radius=2 * RADIUS),
-        plate=plate(thickness=0.016, radius=0.458),
-        velocity=10.0,
-        elements=7,
-    ).run()
+    twice = Sphere(material=YANG2018_SPHERES[1], radius=2 * RADIUS)
+    large = impact(sphere=twice, plate=plate(thickness=0.016, radius=0.4)).run()
     assert large.peak_force == pytest.approx(4 * quick.peak_force, rel=1e-9)
     assert large.contact_duration == pytest.approx(2 * quick.contact_duration, rel=1e-9)
     assert large.peak_displacement == pytest.approx(2 * quick.peak_displacement, rel=1e-9)
