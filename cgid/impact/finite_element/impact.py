@@ -65,7 +65,7 @@ class FiniteElementImpact:
     ------
     InvalidValue
         A number breaks its rule: a mesh too coarse, a plate thinner than the contact radius, a displacement beyond a
-        fifth of the radius.
+        seventh of the radius.
 
     Warns
     -----

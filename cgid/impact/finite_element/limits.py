@@ -13,7 +13,7 @@ from cgid.materials import Material
 #: Elements over the contact radius: fewer than the first make no contact, the second give the peak within 1 %.
 _FEWEST, _ONE_PERCENT, _MOST = 5, 7, 200
 #: Displacement over radius that still leaves room for the contact; linear elasticity ends before.
-_DEEPEST = 0.2
+_DEEPEST = 0.14
 #: Above this Poisson's ratio bilinear elements are too stiff (they lock).
 _LOCKING = 0.45
 
@@ -71,6 +71,6 @@ def require_room(plate: ElasticPlate, contact_radius: float) -> None:
     needed = 2 * REACH * contact_radius
     if plate.radius < needed:
         raise InvalidValue(
-            f"radius of the plate must be at least {needed * 1e3:.3g} mm, {2 * REACH} times the contact radius, got "
+            f"radius of the plate must be at least {needed * 1e3:.3g} mm, {2 * REACH:g} times the contact radius, got "
             f"{plate.radius * 1e3:.3g} mm; use a wider plate"
         )
