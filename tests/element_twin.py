@@ -43,7 +43,7 @@ class ElementTwin:
             yield r, volume, shape, np.linalg.solve(jacobian, np.broadcast_to(along, (len(r), 2, 4)))
 
     def energy(self, moved):
-        """Return the energy of each element where its corners are displaced by `moved`, (4, 2) or (n, 4, 2) [m], in J."""
+        """Return the energy of each element [J] whose corners are displaced by `moved`, (4, 2) or (n, 4, 2) [m]."""
         first, second = lame(self.material)
         moved = np.broadcast_to(moved, self.corners.shape)
         total = np.zeros(len(self.corners))

@@ -66,7 +66,7 @@ def spherical_bessel(n, x):
 
 
 def displacement(n, x, y, a, b, place, angle):
-    """Return (u_r, u_theta) of `grad f + curl curl (r g)` at a distance and an angle from the axis, R = 1, by mpmath."""
+    """Return (u_r, u_theta) of `grad f + curl curl (r g)` at a distance and an angle, R = 1, by mpmath."""
     legendre = mpmath.legendre(n, mpmath.cos(angle))
     slope = mpmath.diff(lambda t: mpmath.legendre(n, mpmath.cos(t)), angle)
     inner, shear = spherical_bessel(n, x * place), spherical_bessel(n, y * place)

@@ -109,7 +109,7 @@ def test_damping_counts_by_the_share_of_its_body(damped_body):
     assert there.run().restitution == pytest.approx(float(theory.restitution), abs=0.01)
 
 
-# ---------------------------------------------------------------------------------------------------- two ways through time
+# ------------------------------------------------------------------------------------------------ two ways through time
 
 
 @pytest.mark.parametrize("delay", [0.0, 1e-6])
@@ -229,6 +229,8 @@ def coal(**changes):
         ({"time_step": 0.0}, "time_step"),
         ({"time_step": np.nan}, "time_step"),
         ({"time_step": 1.0, "method": "implicit"}, "time_step"),
+        ({"time_step": 1e-15, "method": "implicit"}, "time_step"),
+        ({"time_step": 1e-15, "method": "explicit"}, "time_step"),
         ({"sphere": "a sphere"}, "sphere must be a Sphere"),
         ({"plate": STEEL}, "plate must be an? ElasticPlate"),
         ({"penalty": 0.1}, "penalty must be a PenaltyContact"),
@@ -237,6 +239,7 @@ def coal(**changes):
         ({"sphere": Sphere(material=coal(poisson_ratio=0.49), radius=0.02)}, "poisson_ratio"),
         ({"plate": plate(radius=0.01)}, "radius of the plate"),
         ({"plate": plate(radius=1e6)}, "radius"),
+        ({"elements": 200}, "elements"),
         ({"retardation_time": 5e-5, "penalty": PenaltyContact(factor=1e-7)}, "contact"),
     ],
     ids=lambda value: None if isinstance(value, str) else "-".join(map(str, value)),

@@ -19,7 +19,7 @@ def test_roots_of_lamb():
 
 
 def stress(n, x, y, a, b, place, angle):
-    """Return the stresses rr, r theta, theta theta, phi phi over the shear modulus, from derivatives of displacement."""
+    """Return the stresses rr, r theta, theta theta, phi phi over the shear modulus, by derivatives."""
 
     def radial(s, t):
         return displacement(n, x, y, a, b, s, t)[0]
