@@ -23,7 +23,7 @@ def narrow():
         sphere=Sphere(material=STEEL, radius=RADIUS),
         plate=plate(thickness=0.025, radius=0.1),
         velocity=velocity,
-        elements=14,
+        elements=10,
         method="implicit",
     )
     slow = replace(slow, time_step=float(slow.hertz.contact_duration) / 300)
