@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from cgid.errors import InvalidValue
+from cgid.impact.finite_element.mesh import REACH
 from cgid.validation import Floats
 
 #: Records of a Hertz impact's duration, and how many are made before it is asked again whether all is over.
@@ -59,8 +60,8 @@ def collected(
     for some_forces, some_values in chunks:
         if some_forces[:, -1].any():
             raise InvalidValue(
-                "the contact must stay within twice the radius of Hertz's contact, which the mesh is made for, and it "
-                "grew wider; use a stiffer contact, or a thicker plate"
+                f"the contact must stay within {REACH:g} times Hertz's contact radius, which the mesh is made for, "
+                "and it grew wider; use a stiffer contact, or a thicker plate"
             )
         pressed = np.flatnonzero(some_forces.any(axis=1))
         if pressed.size:
