@@ -31,7 +31,7 @@ from cgid.validation import Floats
 #: Explicit runs of more steps than this are not made beside implicit ones.
 MOST_STEPS = 100_000
 #: Retardation times beside none, for explicit against implicit [s].
-DELAYS = (0.0, 0.02e-6, 0.2e-6, 2e-6)
+DELAYS = (0.0, 0.2e-6, 2e-6)
 
 
 def against_elements(options: argparse.Namespace) -> None:
@@ -168,10 +168,11 @@ def _of_a_step(spy: Spy) -> Floats:
         u, _, before, force, touching, *_ = state
         met = (u.copy(), before, np.empty((2, n)), force.copy(), touching.copy())
         product, _ = timed(_products, *matrix, u.copy(), np.empty(u.size), times)
-        contacts, _ = timed(_contacts, matrix, contact, inertia[2] / inertia[1], met, (np.empty(n), np.empty(n)), times)
-        step, _ = timed(_steps, matrix, contact, inertia, state, 1, times)
+        step, retardation = inertia[-4:-2]
+        contacts, _ = timed(_contacts, matrix, contact, retardation / step, met, (np.empty(n), np.empty(n)), times)
+        stepped, _ = timed(_steps, matrix, contact, inertia, state, 1, times)
         recorded, _ = timed(_steps, matrix, contact, inertia, state, times, 1)
-        costs.append(np.array([product, contacts, step - product - contacts, recorded - step]) / times)
+        costs.append(np.array([product, contacts, stepped - product - contacts, recorded - stepped]) / times)
     return np.asarray(np.mean(costs, axis=0))
 
 
@@ -209,7 +210,7 @@ def methods(options: argparse.Namespace) -> None:
     columns = ("steps of Hertz's duration", "s", "peak off by", "DCS", "duration", "restitution off by", "energy")
     table("b [us]", "explicit step shorter by", "method", *columns)
     elements = 7 if options.quick else options.mesh
-    for delay in DELAYS[::2] if options.quick else DELAYS:
+    for delay in DELAYS[:2] if options.quick else DELAYS:
         asked = impact(1, 2.0, elements=elements, retardation_time=delay)
         duration, stable = float(asked.hertz.contact_duration), asked.stable_time_step
         shorter = stable_time_step(asked.pair, (0.0, 0.0)) / stable
@@ -217,8 +218,8 @@ def methods(options: argparse.Namespace) -> None:
         if duration / stable <= MOST_STEPS:
             runs += [("explicit", 0.5 * stable), ("explicit", None)]
         else:
-            runs += [("implicit", duration / 8000)]
-        runs += [("implicit", duration / steps) for steps in (62, 125, 250, 500, 1000, 2000)]
+            runs += [("implicit", duration / 4000)]
+        runs += [("implicit", duration / steps) for steps in (125, 250, 500, 1000, 2000)]
         exact = None
         for method, step in runs:
             history, seconds = solved(1, 2.0, elements=elements, retardation_time=delay, method=method, time_step=step)
