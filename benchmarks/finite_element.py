@@ -1,7 +1,7 @@
 """The finite-element reference: how exact, how long, how much memory, and what it says beside the theories.
 
     python benchmarks/finite_element.py                              # all tables, and benchmarks/finite_element.png
-    python benchmarks/finite_element.py --parts convergence low-pass
+    python benchmarks/finite_element.py --parts convergence --elements 7 14 28 56
     python benchmarks/finite_element.py --quick                      # fewer impacts, coarser meshes, no picture
 
 Spheres of Table 2 of Yang, Zeng & Wan (2018), 25 mm of radius, on the steel plate of 8 mm, its lower face fixed, with
@@ -17,7 +17,7 @@ Spheres of Table 2 of Yang, Zeng & Wan (2018), 25 mm of radius, on the steel pla
 * low-pass: the force by the acceleration of the sphere's centre, behind an FFT filter; the picture;
 * sizes: do the size of the sphere, radius and thickness of the plate, and what holds it matter?
 
-One thread. Times are of one machine: look at ratios.
+One thread; seconds are processor time, the first run compiles. Times are of one machine: look at ratios.
 """
 
 from __future__ import annotations

@@ -46,21 +46,9 @@ def against_elements(options: argparse.Namespace) -> None:
             values = [
                 f"{run[name]:.5g}, {percent(run[name] / finest[name] - 1)}" for name in run if name in finest["told"]
             ]
-            each = f"{1e6 * run['seconds'] / run['steps']:.0f}"
+            cost = (f"{run['seconds']:.2f}", f"{1e6 * run['seconds'] / run['steps']:.0f}", run["memory"])
             errors = (f"{run['energy']:.0e}", f"{run['momentum']:.0e}")
-            seconds = f"{run['seconds']:.2f}"
-            row(
-                sphere,
-                f"{speed:g}",
-                run["elements"],
-                *values,
-                run["nodes"],
-                run["steps"],
-                seconds,
-                each,
-                run["memory"],
-                *errors,
-            )
+            row(sphere, f"{speed:g}", run["elements"], *values, run["nodes"], run["steps"], *cost, *errors)
     print("\nMemory: what the process of an impact came to hold more than before it, all loaded and compiled.")
 
 
@@ -98,10 +86,8 @@ def print_alone(case: str) -> None:
 
 
 def _memory(forget: bool = False) -> float:
-    """Return the most memory that this process held [bytes], or what it holds now if that is to be forgotten."""
+    """Return the most memory that this process ever held, or since it was to forget that [bytes]; Linux only."""
     process = Path("/proc/self")
-    if not process.exists():
-        return float("nan")
     if forget:
         (process / "clear_refs").write_text("5")
     return float((process / "status").read_text().partition("VmHWM:")[2].split()[0]) * 1024
@@ -154,6 +140,7 @@ def where_time_goes(options: argparse.Namespace) -> None:
             nodes,
             f"{ratio:.2f}",
         )
+    print("\nParts are least times in states of this run, and the rest is what they miss: on a busy machine much.")
 
 
 def _matrices(ball: Any, slab: Any) -> Any:
@@ -244,15 +231,8 @@ def peers(options: argparse.Namespace) -> None:
             history = asked.run()
         ours = spy.seconds / spy.steps
         product = float(_of_a_step(spy)[0])
-        row(
-            elements,
-            "cgid",
-            f"{1e6 * ours:.1f}",
-            f"{1e6 * product:.1f}",
-            "1",
-            f"{history.peak_force:.5g}",
-            f"{history.restitution:.4f}",
-        )
+        told = (f"{history.peak_force:.5g}", f"{history.restitution:.4f}")
+        row(elements, "cgid", f"{1e6 * ours:.1f}", f"{1e6 * product:.1f}", "1", *told)
         pair = asked.pair
         duration = history.contact_duration * (0.05 if elements > 20 else 1.1)
         other = by_scipy(pair.sphere, pair.plate, float(asked.velocity), history.time_step, duration)
@@ -269,11 +249,8 @@ def _assembly(options: argparse.Namespace) -> None:
     table("elements", "of them", "cgid [ms]", "scikit-fem [ms]", "stiffness apart, of the largest", "mass apart")
     for elements in options.elements:
         asked = impact(1, 2.0, elements=elements)
-        mesh, material, volume = (
-            asked.pair.sphere.mesh,
-            asked.sphere.material,
-            4 / 3 * np.pi * float(asked.sphere.radius) ** 3,
-        )
+        mesh, material = asked.pair.sphere.mesh, asked.sphere.material
+        volume = 4 / 3 * np.pi * float(asked.sphere.radius) ** 3
         own, found = timed(partial(body, volume=volume), mesh, material)
         try:
             other, (stiffness, mass) = timed(by_scikit_fem, mesh, material)

@@ -92,13 +92,13 @@ def _draw(top: Any, bottom: Any, sphere: int, speed: float, history: History) ->
     time = np.arange(force.size) / history.contact_force.sampling_rate / history.contact_duration
     raw = history.centre_node_force.samples / peak
     top.plot(time, raw, color="0.85", linewidth=0.4, zorder=0, label="mass x acceleration of the sphere's centre")
-    top.plot(time, force / peak, color="k", linewidth=2.5, label="contact force")
     told = []
     for edge, colour, line in zip((4, 5), COLOURS, ("-", "--"), strict=False):
         samples = filtered(history, edge)
         told.append(f"{edge}/T: {percent(samples.max() / peak - 1, 1)}")
-        top.plot(time, samples / peak, line, color=colour, linewidth=1.4, label=f"the same below {edge}/T")
+        top.plot(time, samples / peak, line, color=colour, linewidth=1.4, label=f"of that, what is below {edge}/T")
         bottom.plot(time, 100 * (samples - force) / peak, line, color=colour, linewidth=1.4)
+    top.plot(time, force / peak, color="k", linewidth=2.5, zorder=1.5, label="contact force")
     top.set(ylim=(-0.3, 1.8), xlim=(0, 1.15))
     top.set_title(f"sphere {sphere}, {speed:g} m/s\npeak at {', at '.join(told)}", fontsize=10)
     bottom.set(xlabel="time over the contact's T", ylim=(-9, 9))
