@@ -79,7 +79,7 @@ def theories(options: Options) -> None:
             force, way, duration = found[-1]
             errors = (" / ".join(percent(e, 1) for e in said[name][-1] / found[-1] - 1) for name in THEORIES)
             row(sphere, f"{speed:g}", f"{force:.5g}", f"{1e6 * way:.1f}", f"{1e6 * duration:.1f}", *errors)
-    print(f"\nOver all {len(found)}; R^2 is the squared correlation, 1 - SSres/SStot does not forgive a wrong slope:")
+    print(f"\nOver all {len(found)} together; R^2 is the squared correlation, 1 - SSres/SStot minds the slope:")
     table("theory", "mean error P / DCS / T", "R^2", "1 - SSres/SStot")
     exact = np.array(found)
     for name in THEORIES:
