@@ -47,6 +47,7 @@ SOURCES = (
     "impact/_stepped.py",
     "impact/_taylor.py",
     "impact/collocation.py",
+    "impact/finite_element/_stepping.py",
     "impact/tail_beam/_shapes.py",
     "scene/_noise.py",
     "store/_fletcher.py",

@@ -35,6 +35,7 @@ UNITS: Mapping[str, Mapping[str, float]] = {
     "displacement": {"m": 1.0, "mm": 1e-3, "um": 1e-6, "µm": 1e-6},
     "pressure": {"Pa": 1.0, "kPa": 1e3, "MPa": 1e6},
     "voltage": {"V": 1.0, "mV": 1e-3, "uV": 1e-6, "µV": 1e-6},
+    "energy": {"J": 1.0, "kJ": 1e3, "mJ": 1e-3},
     "strain": {"m/m": 1.0, "um/m": 1e-6, "µm/m": 1e-6},
     "level": {"FS": 1.0},
 }
