@@ -19,6 +19,7 @@ from cgid.reproduction.finite_element import STUDY_FILE, Study, packed, shipped_
 from cgid.reproduction.finite_element.figures import SIMULATED_FIGURES
 from cgid.reproduction.finite_element.running import N_RUNS, run_study
 from cgid.reproduction.finite_element.table import table_3
+from cgid.reproduction.paper_figure import PaperFigure
 from cgid.reproduction.quantities import csv_title
 from cgid.reproduction.report import write_report
 from cgid.reproduction.tables import TABLES, PaperTable
@@ -75,7 +76,9 @@ def reproduce(
         The disk is full or broken.
     """
     if jobs is not None and not finite_element:
-        raise InvalidValue(f"jobs are for the finite-element study, got {jobs} without it; ask for it or leave jobs out")
+        raise InvalidValue(
+            f"jobs are for the finite-element study, got {jobs} without it; ask for it or leave jobs out"
+        )
     require_matplotlib()
     path = _checked(Path(folder), overwrite)
     progress = progress or (lambda _: None)
@@ -130,7 +133,9 @@ def _contents(study: Study, progress: Callable[[int], object]) -> dict[str, byte
         contents[f"{table.name}.csv"] = _csv(table.data)
         contents[f"{table.name}.png"] = draw_table(table.heads, table.cells)
         progress(1)
-    simulated = {name: partial(make, study) for name, make in SIMULATED_FIGURES.items()}
+    simulated: dict[str, Callable[[], PaperFigure]] = {
+        name: partial(make, study) for name, make in SIMULATED_FIGURES.items()
+    }
     for _, make_figure in sorted({**FIGURES, **simulated}.items()):
         figure = make_figure()
         figures.append(figure)

@@ -103,8 +103,8 @@ def _pressure(study: Study) -> Claim:
         "pressure is uncertain",
         "Section 3.2, Table 3",
         f"Contact pressure is so uncertain that its squared correlation is only {min(printed):g} to {max(printed):g}.",
-        f"With the finite elements it is {min(found):.5f} to {max(found):.5f}, as for force and DCS: so scattered was the "
-        "paper's simulation, not the pressure.",
+        f"With the finite elements it is {min(found):.5f} to {max(found):.5f}, as for force and DCS: it is the "
+        "paper's simulation that scatters, not the pressure.",
         max(found) < _HIGH_CORRELATION,
     )
 
@@ -192,7 +192,10 @@ def _compression(study: Study) -> Claim:
 
 def _spheres(study: Study) -> list[Claim]:
     """Whether the simulated spheres are ordered as in Figures 16 and 17."""
-    places = {"peak_force": ("Figure 16", "maximum force", 1e-3, "kN"), "peak_displacement": ("Figure 17", "DCS", 1e3, "mm")}
+    places = {
+        "peak_force": ("Figure 16", "maximum force", 1e-3, "kN"),
+        "peak_displacement": ("Figure 17", "DCS", 1e3, "mm"),
+    }
     claims = []
     for name, (place, label, factor, unit) in places.items():
         ordering = paper.SPHERES_BY[name]

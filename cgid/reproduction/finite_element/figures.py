@@ -13,7 +13,7 @@ from cgid.reproduction.drawing import Lines
 from cgid.reproduction.finite_element import cases
 from cgid.reproduction.finite_element.study import Run, Study
 from cgid.reproduction.finite_element.theories import QUANTITIES_COMPARED, READINGS, SHARED, predicted
-from cgid.reproduction.impacts import THEORY_LABELS, paper_impact
+from cgid.reproduction.impacts import paper_impact
 from cgid.reproduction.paper_figure import PaperFigure, frame, joined
 
 #: What `kind` says of the rows that are no theory's.
@@ -61,7 +61,7 @@ def figure_9(study: Study) -> PaperFigure:
 def figure_10_simulated(study: Study) -> PaperFigure:
     """Return Figure 10: contact force and DCS over time, with the theories' maxima."""
     runs = study.of(cases.UNDAMPED)
-    frames = [_courses(run, ("force", "displacement")) for run in runs]
+    frames = [_courses(run, "force", "displacement") for run in runs]
     for theory in _THEORY_STYLES:
         for sphere in YANG2018_SPHERES:
             found = predicted(theory, sphere, paper.VELOCITIES)
@@ -75,7 +75,7 @@ def figure_10_simulated(study: Study) -> PaperFigure:
     return PaperFigure(
         name="figure_10_simulated",
         title="Force-time and DCS-time, simulated",
-        note="Undamped finite elements at the five speeds. Black: where the theories have their maxima at these speeds.",
+        note="Undamped finite elements at the five speeds. Black: the maxima of the theories at these speeds.",
         data=joined(frames),
         panels=(*_each_sphere("time", "force", "."), *_each_sphere("time", "displacement", ".")),
         columns=4,
@@ -91,7 +91,7 @@ def figure_10_waves(study: Study) -> PaperFigure:
         title="Mass x acceleration of the sphere's centre, raw and behind the FFT filter",
         note="Undamped. Above: sphere's mass x acceleration of the node at its centre. Below: the same behind a "
         "low-pass at 4/T, and dashed the contact force, which needs no filter.",
-        data=joined([_courses(run, ("centre_node_force", "filtered_force", "force")) for run in runs]),
+        data=joined([_courses(run, "centre_node_force", "filtered_force", "force") for run in runs]),
         panels=(
             *(
                 Lines(x="time", y="centre_node_force", by="velocity", where={"sphere": sphere}, width=0.9,
@@ -122,7 +122,7 @@ def figure_11_simulated(study: Study) -> PaperFigure:
         name="figure_11_simulated",
         title="Force-displacement, simulated hysteresis loops, and the theories of the compression stage",
         note=f"Finite elements with a Kelvin-Voigt sphere. {_damping()} Black: the elastic theories up to 10 m/s.",
-        data=joined([*(_courses(run, ("displacement", "force")) for run in runs), *_compression()]),
+        data=joined([*(_courses(run, "displacement", "force") for run in runs), *_compression()]),
         panels=tuple(_each_sphere("displacement", "force")),
         columns=4,
         highest_strain=_highest_strain(runs),
@@ -146,7 +146,7 @@ def figure_16_17_simulated(study: Study, number: int) -> PaperFigure:
         name=f"figure_{number}_simulated",
         title=title,
         note=f"Finite elements. {_damping()}",
-        data=joined([_courses(run, ("displacement", "force"), group=run.case.group) for run in runs]),
+        data=joined([_courses(run, "displacement", "force") for run in runs]),
         panels=tuple(
             Lines(x=x, y="force", by="sphere", where={"group": group}, title=text) for group, text in titles.items()
         ),
@@ -161,9 +161,9 @@ def penalty_loops(study: Study) -> PaperFigure:
     return PaperFigure(
         name="penalty_loops",
         title="Force-displacement with a soft contact",
-        note=f"Undamped finite elements whose surfaces may enter each other: pressure = {cases.PENALTY_FACTOR:g} x bulk "
-        "modulus / element size x depth. Black: the elastic theories up to 10 m/s.",
-        data=joined([*(_courses(run, ("displacement", "force")) for run in runs), *_compression()]),
+        note="Undamped finite elements whose surfaces may enter each other: pressure = "
+        f"{cases.PENALTY_FACTOR:g} x bulk modulus / element size x depth. Black: the elastic theories up to 10 m/s.",
+        data=joined([*(_courses(run, "displacement", "force") for run in runs), *_compression()]),
         panels=tuple(_each_sphere("displacement", "force")),
         columns=4,
         highest_strain=_highest_strain(runs),
@@ -225,11 +225,12 @@ def _damping() -> str:
     )
 
 
-def _courses(run: Run, names: Iterable[str], **more: object) -> Any:
+def _courses(run: Run, *names: str) -> Any:
     """Return rows of one simulated impact over time."""
-    columns = {name: run.courses[name] for name in names}
-    labels = {"kind": _SIMULATED, **more, "sphere": run.case.sphere, "velocity": run.case.velocity}
-    return frame({**labels, "time": run.times, **columns})
+    columns: dict[str, Any] = {name: run.courses[name] for name in names}
+    case = run.case
+    columns |= {"kind": _SIMULATED, "group": case.group, "sphere": case.sphere, "velocity": case.velocity}
+    return frame({**columns, "time": run.times})
 
 
 def _compression() -> list[Any]:

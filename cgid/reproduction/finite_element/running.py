@@ -83,9 +83,7 @@ def computed(n_points: int, case: Case) -> Run:
     soft = PenaltyContact(factor=case.penalty_factor) if case.penalty_factor else None
     history = FiniteElementImpact(
         sphere=Sphere(material=YANG2018_SPHERES[case.sphere], radius=YANG2018_RADIUS),
-        plate=ElasticPlate(
-            material=STEEL, thickness=paper.PLATE_SIZE[2], radius=PLATE_RADIUS, lower_face="fixed"
-        ),
+        plate=ElasticPlate(material=STEEL, thickness=paper.PLATE_SIZE[2], radius=PLATE_RADIUS, lower_face="fixed"),
         velocity=case.velocity,
         retardation_time=case.retardation_time,
         elements=ELEMENTS,

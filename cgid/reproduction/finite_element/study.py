@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import zipfile
+import zlib
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import cache
@@ -132,7 +133,7 @@ def read_study(path: Path) -> Study:
             return _study({name: stored[name] for name in stored.files})
     except FileNotFoundError:
         raise NoInput(f"{path}: must be there and is missing; make it with cgid reproduce --finite-element") from None
-    except (OSError, ValueError, KeyError, IndexError, EOFError, zipfile.BadZipFile, zipfile.zlib.error) as error:
+    except (OSError, ValueError, KeyError, IndexError, EOFError, zipfile.BadZipFile, zlib.error) as error:
         raise BadData(
             f"{path}: must hold a finite-element study, and cannot be read ({error}); make it anew with cgid reproduce "
             "--finite-element"

@@ -44,15 +44,17 @@ def table_3(study: Study) -> PaperTable:
             ]
             shown = [
                 # All but energy is K1's, and stands above.
-                "" if reading == SHARED and not name.endswith("energy") else _cell(value.squared_correlation, value.determination)
+                ""
+                if reading == SHARED and not name.endswith("energy")
+                else _cell(value.squared_correlation, value.determination)
                 for name, value in found.items()
             ]
             cells.append(["", SYMBOLS.get(reading, "K1, shared"), *shown])
     return PaperTable(
         name="table_3",
         title="Squared correlation / 1 - SSres/SStot of simulated and theoretical values",
-        note="Undamped finite elements, five speeds a sphere. In the paper's words all energy is in the sphere (K1), all "
-        "in the plate (K2), or 4/7 and 3/7 (series); \"K1, shared\" gives each body its part of the compliance. A "
+        note="Undamped finite elements, five speeds a sphere. In the paper's words all energy is in the sphere (K1), "
+        'all in the plate (K2), or 4/7 and 3/7 (series); "K1, shared" gives each body its part of the compliance. A '
         "theory that gives a body no energy has no correlation (a dash). The paper prints its own theory's.",
         data=pd.DataFrame(rows),
         heads=["sphere", "theory", *_SHOWN.values()],

@@ -81,7 +81,7 @@ def sphere_part(reading: str, sphere: int) -> float:
         return float(sphere_share(impact.sphere, impact.target))
     if reading == "series":
         plate_over_sphere = (STIFFNESS_THEORIES["hertz"] / STIFFNESS_THEORIES["rigid-sphere"]) ** (2 / 3)
-        return 1 / (1 + plate_over_sphere)
+        return float(1 / (1 + plate_over_sphere))
     return {"hertz": 1.0, "rigid-sphere": 0.0}[reading]
 
 
