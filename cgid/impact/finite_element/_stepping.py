@@ -155,8 +155,8 @@ def advance(matrix: Any, contact: Any, inertia: Any, state: Any, rows: Any, stri
         Unknowns that may touch (2, n), inverse of their stiffness for each body (2, n, n), compliance of both (n, n),
         gap (n,).
     inertia : tuple
-        1 / mass (0 for what is held or massless), step, retardation time of each body (2,), number of the sphere's
-        unknowns, unknown of the sphere's centre.
+        Mass, 1 / mass (0 for what is held or massless), step, retardation time of each body (2,), number of the
+        sphere's unknowns, unknown of the sphere's centre.
     state : tuple
         Displacements, velocities half a step ago, displacements of the touching nodes a step ago (2, n), forces (n,),
         whether they touch (n,) and the impulse so far (1,): all are carried on.
@@ -166,7 +166,7 @@ def advance(matrix: Any, contact: Any, inertia: Any, state: Any, rows: Any, stri
     """
     starts, columns, blocks = matrix
     touch = contact[0]
-    inverse_mass, step, retardation, n_sphere, centre = inertia
+    mass, inverse_mass, step, retardation, n_sphere, centre = inertia
     u, v, before, force, touching, impulse = state
     forces, values = rows
     size, n = u.size, touch.shape[1]
@@ -194,8 +194,11 @@ def advance(matrix: Any, contact: Any, inertia: Any, state: Any, rows: Any, stri
                 else:
                     strained[:] = pull
                 forces[record] = force
-                _record(u, v, strained, pull, inverse_mass, step, n_sphere, centre, values[record])
-                values[record, 7] = impulse[0] + step / 2 * force.sum()
+                half_kick = step / 2 * force.sum()
+                _record(u, v, strained, pull, mass, half_kick, step, n_sphere, values[record])
+                values[record, 0] = u[centre]
+                values[record, 2] = -pull[centre] * inverse_mass[centre]
+                values[record, 7] = impulse[0] + half_kick
             impulse[0] += step * force.sum()
             for i in range(size):
                 v[i] -= step * inverse_mass[i] * pull[i]
@@ -209,32 +212,29 @@ def _record(
     v: Floats,
     strained: Floats,
     pull: Floats,
-    inverse_mass: Floats,
+    mass: Floats,
+    half_kick: float,
     step: float,
     n_sphere: int,
-    centre: int,
     out: Floats,
 ) -> None:
-    size = u.size
-    mass = 0.0
-    moved = 0.0
-    momentum = 0.0
+    """Fill in displacement of the mass centre, energies of sphere and plate, kinetic energy, momentum of the sphere."""
+    total, moved, momentum = 0.0, 0.0, half_kick
+    for i in range(1, n_sphere, 2):
+        total += mass[i]
+        moved += mass[i] * u[i]
+        momentum += mass[i] * v[i]
     kinetic = 0.0
-    for i in range(size):
-        if inverse_mass[i] > 0.0:
-            # The product of the velocities before and after keeps the energy to the last digit, their mean does not.
-            kinetic += v[i] * (v[i] / inverse_mass[i] - step * pull[i])
-            if i < n_sphere and i % 2 == 1:
-                mass += 1 / inverse_mass[i]
-                moved += u[i] / inverse_mass[i]
-                momentum += v[i] / inverse_mass[i] - step / 2 * pull[i]
-    internal = np.zeros(2)
-    for i in range(size):
-        internal[0 if i < n_sphere else 1] += u[i] * strained[i] / 2
-    out[0] = u[centre]
-    out[1] = moved / mass
-    out[2] = -pull[centre] * inverse_mass[centre]
-    out[3] = internal[0]
-    out[4] = internal[1]
+    for i in range(u.size):
+        # The product of the velocities before and after keeps the energy to the last digit, their mean does not.
+        kinetic += v[i] * (mass[i] * v[i] - step * pull[i])
+    in_sphere, in_plate = 0.0, 0.0
+    for i in range(n_sphere):
+        in_sphere += u[i] * strained[i]
+    for i in range(n_sphere, u.size):
+        in_plate += u[i] * strained[i]
+    out[1] = moved / total
+    out[3] = in_sphere / 2
+    out[4] = in_plate / 2
     out[5] = kinetic / 2
     out[6] = momentum

@@ -79,6 +79,7 @@ def _chunks(
     compliance = inverse[0] / (1 + lag[0]) + inverse[1] / (1 + lag[1]) + np.diag(pair.soft_part)
     moving = (pair.mass > 0) & ~pair.fixed
     inertia = (
+        pair.mass,
         np.divide(1.0, pair.mass, out=np.zeros(size), where=moving),
         step,
         retardation,

@@ -14,8 +14,8 @@ from cgid.impact.finite_element.pair import Pair
 from cgid.impact.finite_element.records import AT_ONCE, N_VALUES, Progress, Records, collected
 from cgid.validation import Floats
 
-#: Steps of a Hertz impact's duration unless told otherwise.
-PER_DURATION = 1000
+#: Steps of a Hertz impact's duration unless told otherwise: errors below .1 % of peaks and restitution.
+PER_DURATION = 500
 
 
 def implicit(
@@ -90,11 +90,6 @@ class _Mover:
     def kinetic_energy(self) -> float:
         return float(self.v @ (self.mass * self.v)) / 2
 
-    def acceleration(self, unknown: int) -> float:
-        """Acceleration of one unknown, by the stresses around it."""
-        row = self.stiffness[[unknown]]
-        return float(-(row @ (self.u + self.retardation * self.v))[0] / self.mass[unknown])
-
 
 def _chunks(
     pair: Pair, velocity: float, retardation: tuple[float, float], step: float
@@ -104,6 +99,7 @@ def _chunks(
     plate = _Mover(pair.plate, masses[1], retardation[1], step, 0.0)
     compliance = np.ascontiguousarray(sphere.compliance + plate.compliance + np.diag(pair.soft_part))
     centre = int(np.searchsorted(pair.sphere.free, pair.centre))
+    stiffness_of_centre = sphere.stiffness[[centre]].toarray()[0] / sphere.mass[centre]
     weights = np.where(sphere.axial, sphere.mass, 0.0)
     force, touching, impulse = np.zeros(pair.gap.size), np.zeros(pair.gap.size, np.bool_), 0.0
     while True:
@@ -113,7 +109,7 @@ def _chunks(
             values[record] = (
                 sphere.u[centre],
                 weights @ sphere.u / weights.sum(),
-                sphere.acceleration(centre),
+                -(stiffness_of_centre @ (sphere.u + sphere.retardation * sphere.v)),
                 sphere.internal_energy,
                 plate.internal_energy,
                 sphere.kinetic_energy + plate.kinetic_energy,

@@ -13,12 +13,15 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from cgid.errors import InvalidValue
 from cgid.validation import Floats
 
 Integers = NDArray[np.int64]
 
 #: Near the contact both bodies are meshed evenly, out to this many contact radii; only there the surfaces may touch.
-REACH = 2
+REACH = 2.3
+#: Elements along a plate; more would be a mistake.
+_MOST_STEPS = 5000
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -46,84 +49,85 @@ class Mesh:
 
 def sphere_mesh(radius: float, contact_radius: float, elements: int) -> Mesh:
     """Return the mesh of a sphere that stands on the plane z = 0, with so many elements over the contact radius."""
-    reach, across = REACH * contact_radius, REACH * elements
-    # The surface lies at r = 2 R y / (1 + y^2), y being the place on the side of the quarter plane.
+    k = -(-round(REACH * elements) // 2)
+    reach = contact_radius * 2 * k / elements
+    # On the surface r = 2 R y / (1 + y^2), y being the place on the side of the quarter plane.
     core = reach / radius / (1 + np.sqrt(1 - (reach / radius) ** 2))
-    disc = _quarter_disc(across // 2)
-    rings = np.exp(np.linspace(np.log(core), 0, 1 + round(-np.log(core) * across / (np.pi / 2))))
-    parts = [core * disc, _rings(rings, across), 1 / np.conj(np.where(disc == 0, 1e-30, disc))]
-    placed = [2j * radius * part / (1 + part) for part in parts]
-    placed[2][disc == 0] = 2j * radius
-    blocks = [_disc_elements(across // 2), _grid_elements(rings.size, across + 1), _disc_elements(across // 2)]
-    mesh = _joined(placed, blocks, tolerance=1e-9 * reach)
-    surface = np.flatnonzero(np.abs(np.hypot(mesh.nodes[:, 0], mesh.nodes[:, 1] - radius) - radius) < 1e-9 * radius)
-    surface = surface[(mesh.nodes[surface, 1] < radius) & (mesh.nodes[surface, 0] < reach * (1 + 1e-9))]
-    return Mesh(nodes=mesh.nodes, elements=mesh.elements, contact=surface[np.argsort(mesh.nodes[surface, 0])])
+    radii = np.exp(np.linspace(np.log(core), 0, 1 + round(-np.log(core) * 2 * k / (np.pi / 2))))
+    disc, (square, shell) = _quarter_disc(k)
+    rings = radii[1:, None] * disc[shell[-1]]
+    # Each part begins with the nodes that the part before ends with.
+    in_rings = np.vstack((shell[-1], disc.size + np.arange(rings.size).reshape(rings.shape)))
+    above = disc.size + rings.size + np.arange(disc.size)
+    above[shell[-1]] = in_rings[-1]
+    quarter_plane = np.concatenate((core * disc, rings.ravel()))
+    bent = quarter_plane / (1 + quarter_plane)
+    turned = 1 / (1 + np.conj(disc[: -shell.shape[1]]))
+    places = 2j * radius * np.concatenate((bent, turned))
+    grids = (square, shell, in_rings, above[square], above[shell])
+    return _mesh(places, np.concatenate([_cells(grid) for grid in grids]), np.append(square[0], shell[1:, -1]))
 
 
-def plate_mesh(thickness: float, radius: float, contact_places: Floats) -> Mesh:
-    """Return the mesh of a round plate below the plane z = 0, with nodes where those of the sphere may touch it."""
+def plate_mesh(thickness: float, radius: float, contact_places: Floats, growth: float) -> Mesh:
+    """Return the mesh of a round plate below the plane z = 0, with nodes where those of the sphere may touch it.
+
+    Elements grow away from the contact by `growth` times as much as the sphere's.
+    """
     first = contact_places[1] - contact_places[0]
-    growth = 1 + np.pi / 2 / (contact_places.size - 1)
+    growth = 1 + growth * np.pi / 2 / (contact_places.size - 1)
     last = contact_places[-1] - contact_places[-2]
     r = np.concatenate(
         (contact_places, contact_places[-1] + _growing(last, growth, radius - contact_places[-1], thickness / 2))
     )
     z = -np.concatenate(([0.0], _growing(first, growth, thickness, thickness / 2)))
     rs, zs = np.meshgrid(r, z, indexing="ij")
-    # r grows along rows and z falls along columns: turned round to be anticlockwise.
-    elements = _grid_elements(r.size, z.size)[:, ::-1]
-    contact = np.arange(contact_places.size) * z.size
-    return Mesh(nodes=np.column_stack((rs.ravel(), zs.ravel())), elements=elements, contact=contact)
+    grid = np.arange(rs.size).reshape(rs.shape)
+    return _mesh((rs + 1j * zs).ravel(), _cells(grid), grid[: contact_places.size, 0])
 
 
 def _growing(first: float, growth: float, length: float, largest: float) -> Floats:
     """Return the ends of steps that grow by a factor up to a largest one and fill a length."""
-    steps = [first]
-    while sum(steps) < length:
-        steps.append(min(steps[-1] * growth, largest))
-    ends = np.cumsum(steps)
-    return np.asarray(ends * (length / ends[-1]))
+    ends, step = [first], first
+    while ends[-1] < length:
+        step = min(step * growth, largest)
+        ends.append(ends[-1] + step)
+        if len(ends) > _MOST_STEPS:
+            raise InvalidValue(
+                f"a plate needs fewer than {_MOST_STEPS} elements along {length:.4g} m, where its thickness and the "
+                f"contact allow {largest:.3g} m each; use a smaller radius"
+            )
+    return np.asarray(ends) * (length / ends[-1])
 
 
-def _quarter_disc(k: int) -> NDArray[np.complex128]:
-    """Return the nodes of a quarter of the unit disc, x - i y: k x k elements in the corner, two bent grids around."""
-    side, corner = 0.5, 0.37 * (1 + 1j)
+def _quarter_disc(k: int) -> tuple[NDArray[np.complex128], tuple[Integers, Integers]]:
+    """Return the nodes of a quarter of the unit disc, x - i y, and its two grids of them.
+
+    k x k elements fill the corner, k x 2 k lie around them; the last row of these is the arc, its nodes the last ones.
+    """
+    side, corner = 0.5, 0.37 * (1 - 1j)
     share = np.linspace(0, 1, k + 1)
     x, y = np.meshgrid(share, share, indexing="ij")
-    square = side * x * (1 - y) + corner * x * y + 1j * side * y * (1 - x)
-    arc = np.exp(1j * np.linspace(0, np.pi / 2, 2 * k + 1))
-    edge = np.concatenate((square[-1, :], square[-2::-1, -1]))
-    shell = edge + share[:, None] * (arc - edge)
-    return np.asarray(np.conj(np.concatenate((square.ravel(), shell.ravel()))))
+    inside = side * x * (1 - y) + corner * x * y - 1j * side * y * (1 - x)
+    square = np.arange(inside.size).reshape(inside.shape)
+    edge = np.concatenate((square[-1], square[-2::-1, -1]))
+    arc = np.exp(-1j * np.linspace(0, np.pi / 2, 2 * k + 1))
+    around = (1 - share[1:, None]) * inside.ravel()[edge] + share[1:, None] * arc
+    shell = np.vstack((edge, inside.size + np.arange(around.size).reshape(around.shape)))
+    return np.concatenate((inside.ravel(), around.ravel())), (square, shell)
 
 
-def _disc_elements(k: int) -> Integers:
-    square = _grid_elements(k + 1, k + 1)
-    return np.concatenate((square, (k + 1) ** 2 + _grid_elements(k + 1, 2 * k + 1)))
+def _cells(grid: Integers) -> Integers:
+    """Return the quadrilaterals between the nodes of a grid, (n_elements, 4)."""
+    corners = (grid[:-1, :-1], grid[1:, :-1], grid[1:, 1:], grid[:-1, 1:])
+    return np.stack([corner.ravel() for corner in corners], axis=1)
 
 
-def _rings(radii: Floats, across: int) -> NDArray[np.complex128]:
-    return np.asarray(radii[:, None] * np.exp(-1j * np.linspace(0, np.pi / 2, across + 1))).ravel()
-
-
-def _grid_elements(rows: int, columns: int) -> Integers:
-    """Return the elements of a grid of nodes numbered along its rows of `columns` nodes."""
-    first = (np.arange(rows - 1)[:, None] * columns + np.arange(columns - 1)).ravel()
-    return np.column_stack((first, first + columns, first + columns + 1, first + 1))
-
-
-def _joined(parts: list[NDArray[np.complex128]], blocks: list[Integers], tolerance: float) -> Mesh:
-    """Return one mesh of parts whose nodes coincide at their seams."""
-    offsets = np.cumsum([0, *(part.size for part in parts[:-1])])
-    places = np.concatenate(parts)
-    elements = np.concatenate([block + offset for block, offset in zip(blocks, offsets, strict=True)])
-    keys = np.round(np.column_stack((places.real, places.imag)) / tolerance).astype(np.int64)
-    _, kept, merged = np.unique(keys, axis=0, return_index=True, return_inverse=True)
-    nodes = np.column_stack((places.real, places.imag))[kept]
-    nodes[np.abs(nodes[:, 0]) < tolerance, 0] = 0.0
-    elements = merged[elements]
+def _mesh(places: NDArray[np.complex128], elements: Integers, contact: Integers) -> Mesh:
+    """Return the mesh of nodes at r + i z, every element turned anticlockwise."""
+    nodes = np.column_stack((places.real, places.imag))
+    nodes[np.abs(nodes[:, 0]) < 1e-12 * nodes[:, 0].max(), 0] = 0.0
     corners = nodes[elements]
-    twice = np.cross(corners[:, 2] - corners[:, 0], corners[:, 3] - corners[:, 1])
-    elements[twice < 0] = elements[twice < 0, ::-1]
-    return Mesh(nodes=nodes, elements=elements, contact=np.empty(0, np.int64))
+    first, second = corners[:, 2] - corners[:, 0], corners[:, 3] - corners[:, 1]
+    clockwise = first[:, 0] * second[:, 1] < first[:, 1] * second[:, 0]
+    elements[clockwise] = elements[clockwise, ::-1]
+    return Mesh(nodes=nodes, elements=elements, contact=contact)

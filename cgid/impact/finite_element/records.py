@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from cgid.errors import InvalidValue
+from cgid.impact.finite_element.mesh import REACH
 from cgid.validation import Floats
 
 #: Records of a Hertz impact's duration, and how many are made before it is asked again whether all is over.
@@ -51,12 +52,17 @@ def collected(
     Raises
     ------
     InvalidValue
-        The bodies never part.
+        The contact outgrows the part of the mesh made for it, or the bodies never part.
     """
     forces: list[Floats] = []
     values: list[Floats] = []
     count = last = 0
     for some_forces, some_values in chunks:
+        if some_forces[:, -1].any():
+            raise InvalidValue(
+                f"the contact must stay within {REACH:g} times Hertz's contact radius, which the mesh is made for, "
+                "and it grew wider; use a stiffer contact, or a thicker plate"
+            )
         pressed = np.flatnonzero(some_forces.any(axis=1))
         if pressed.size:
             last = count + int(pressed[-1]) + 1

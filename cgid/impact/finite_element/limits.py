@@ -1,0 +1,76 @@
+"""What a finite-element impact must keep to, each rule with its numbers."""
+
+from __future__ import annotations
+
+import warnings
+
+from cgid.errors import InvalidValue
+from cgid.impact.finite_element.bodies import ElasticPlate, one
+from cgid.impact.finite_element.mesh import REACH
+from cgid.impact.pulse import HERTZ_LIMIT, HertzRangeWarning
+from cgid.materials import Material
+
+#: Elements over the contact radius: fewer than the first make no contact, the second give the peak within 1 %.
+_FEWEST, _ONE_PERCENT, _MOST = 5, 7, 200
+#: Displacement over radius that still leaves room for the contact; linear elasticity ends before.
+_DEEPEST = 0.14
+#: Above this Poisson's ratio bilinear elements are too stiff (they lock).
+_LOCKING = 0.45
+
+
+def require_elements_fit(material: Material) -> None:
+    """Raise `InvalidValue` for a material that is an array, or nearly incompressible."""
+    one("density", material.density)
+    one("youngs_modulus", material.youngs_modulus)
+    ratio = one("poisson_ratio", material.poisson_ratio)
+    if ratio > _LOCKING:
+        raise InvalidValue(
+            f"poisson_ratio must be at most {_LOCKING:g}, got {ratio:g}: beyond it these elements are too stiff; use a "
+            "lower one"
+        )
+
+
+def require_small_strain(strain: float) -> None:
+    """Raise `InvalidValue` or warn of a displacement that is too large a part of the radius."""
+    if strain > _DEEPEST:
+        raise InvalidValue(
+            f"displacement over radius must not pass {_DEEPEST:g}, by Hertz's theory this impact reaches {strain:.3g}: "
+            "strains are far from small there; use a lower velocity or a stiffer material"
+        )
+    if strain > HERTZ_LIMIT:
+        warnings.warn(
+            f"displacement over radius reaches {strain:.3g}; linear elasticity and Hertz's theory hold up to "
+            f"{HERTZ_LIMIT:g}",
+            HertzRangeWarning,
+            stacklevel=4,
+        )
+
+
+def require_fine_mesh(elements: float, contact_radius: float) -> None:
+    """Raise `InvalidValue` for a mesh too coarse for the contact, or finer than is meant."""
+    if elements < _FEWEST:
+        raise InvalidValue(
+            f"the mesh must have at least {_FEWEST} elements over the contact radius of {contact_radius * 1e3:.3g} mm "
+            f"({_ONE_PERCENT} for the peak force within 1 %), got {elements:.3g}; use elements = {_ONE_PERCENT} or "
+            f"more, or an element_size of {contact_radius / _ONE_PERCENT * 1e3:.3g} mm or less"
+        )
+    if elements > _MOST:
+        raise InvalidValue(
+            f"the mesh must have at most {_MOST} elements over the contact radius of {contact_radius * 1e3:.3g} mm, "
+            f"got {elements:.4g}; 28 give the peak force within .1 %"
+        )
+
+
+def require_room(plate: ElasticPlate, contact_radius: float) -> None:
+    """Raise `InvalidValue` for a plate thinner than the contact radius or hardly wider than the contact."""
+    if plate.thickness < contact_radius:
+        raise InvalidValue(
+            f"thickness of the plate must be at least the contact radius, {contact_radius * 1e3:.3g} mm, got "
+            f"{plate.thickness * 1e3:.3g} mm; use a thicker plate"
+        )
+    needed = 2 * REACH * contact_radius
+    if plate.radius < needed:
+        raise InvalidValue(
+            f"radius of the plate must be at least {needed * 1e3:.3g} mm, {2 * REACH:g} times the contact radius, got "
+            f"{plate.radius * 1e3:.3g} mm; use a wider plate"
+        )
