@@ -107,6 +107,13 @@ def draw(data: Any, panels: Sequence[Panel], columns: int) -> bytes:
         figure.legend(
             named.values(), named.keys(), loc="outside lower center", ncols=per_row, frameon=False, columnspacing=1.2
         )
+    return _laid_out(figure)
+
+
+def _laid_out(figure: Any) -> bytes:
+    """Return a PNG picture; the layout is made here, for matplotlib would draw everything once more to make it."""
+    figure.get_layout_engine().execute(figure)
+    figure.set_layout_engine(None)
     return png(figure)
 
 
@@ -200,4 +207,4 @@ def draw_table(heads: Sequence[str], cells: Sequence[Sequence[str]]) -> bytes:
     table.set_fontsize(9)
     for (row, _), cell in table.get_celld().items():
         cell.set(edgecolor="0.7", facecolor="0.93" if row == 0 else "white")
-    return png(figure)
+    return _laid_out(figure)

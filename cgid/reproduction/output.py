@@ -16,8 +16,9 @@ from cgid.plots import require_matplotlib
 from cgid.reproduction.drawing import draw, draw_table
 from cgid.reproduction.figures import FIGURES
 from cgid.reproduction.finite_element import STUDY_FILE, Study, packed, shipped_study
+from cgid.reproduction.finite_element.cases import N_CASES
 from cgid.reproduction.finite_element.figures import SIMULATED_FIGURES
-from cgid.reproduction.finite_element.running import N_RUNS, run_study
+from cgid.reproduction.finite_element.running import run_study
 from cgid.reproduction.finite_element.table import table_3
 from cgid.reproduction.paper_figure import PaperFigure
 from cgid.reproduction.quantities import csv_title
@@ -31,7 +32,7 @@ _N_WRITTEN = len(TABLES) + 1 + len(FIGURES) + len(SIMULATED_FIGURES) + 1
 
 def n_steps(*, finite_element: bool = False) -> int:
     """Return how many steps `reproduce` reports to `progress`."""
-    return _N_WRITTEN + (N_RUNS if finite_element else 0)
+    return _N_WRITTEN + (N_CASES if finite_element else 0)
 
 
 def reproduce(

@@ -60,9 +60,9 @@ QUANTITIES = {
 }
 #: What theories and finite elements are compared by.
 _COMPARED = {
-    "peak_displacement": Quantity("m", "maximum DCS", *_MM),
-    "peak_force": Quantity("N", "maximum force", *_KN),
-    "peak_pressure": Quantity("Pa", "maximum pressure", *_MPA),
+    "peak_displacement": Quantity("m", "DCS", *_MM),
+    "peak_force": Quantity("N", "force", *_KN),
+    "peak_pressure": Quantity("Pa", "pressure", *_MPA),
     "peak_sphere_energy": Quantity("J", "energy of sphere", "J"),
     "peak_plate_energy": Quantity("J", "energy of plate", "J"),
     "contact_duration": Quantity("s", "contact time", *_MICROSECONDS),
@@ -70,7 +70,7 @@ _COMPARED = {
 QUANTITIES |= {
     f"{prefix}_{name}": Quantity(found.unit, f"{found.label}, {of}", found.shown_unit, found.factor)
     for name, found in _COMPARED.items()
-    for prefix, of in (("simulated", "simulation"), ("theoretical", "theory"))
+    for prefix, of in (("simulated", "simulated"), ("theoretical", "theory"))
 }
 QUANTITIES |= {
     "centre_node_force": Quantity("N", "mass x acc. of centre", *_KN),

@@ -31,7 +31,8 @@ def write_report(figures: Sequence[PaperFigure], tables: Sequence[PaperTable], s
         f"The figures and tables of {_SOURCE}, computed, and {len(claims)} judgements of what it "
         f"says, by the numbers: {len(holding)} agree, {len(failing)} do not. (A ranking is judged once for each of two "
         "measures, and what must follow from an equation counts as said.) DCS is the displacement of the sphere's "
-        "centre. Figures 4 to 6 compare the paper's three theories, all others use its own (`series`). `>>` is read as "
+        "centre. Figures 4 to 6 compare the paper's three theories, all others that are not simulated "
+        "use its own (`series`). `>>` is read as "
         "`>`: the paper does not say how much larger is much larger.",
         "",
         "What the paper leaves open and was chosen here: the axes of Figures 4 to 7, the impact speed of section 4 (it "

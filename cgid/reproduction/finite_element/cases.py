@@ -20,14 +20,18 @@ RESTITUTION = 0.8
 PLATE_RADIUS = paper.PLATE_SIZE[0] / 2
 #: Stiffness of a soft contact per area, times element size over bulk modulus: what explicit codes take unless told.
 PENALTY_FACTOR = 0.1
-#: Element size of the sphere in the paper's own mesh [m], section 3.1.
-PAPER_ELEMENT_SIZE = 0.002
 #: Factors of a soft contact tried on two spheres at one speed [m/s].
 FACTORS, FACTOR_SPHERES, FACTOR_VELOCITY = (0.01, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0), (1, 3), 6.0
 
-#: Groups of cases: the paper's twenty impacts with hard contact, elastic and damped; with soft contact, its stiffness
-#: by our elements and by the paper's; and two of them with every factor.
-UNDAMPED, DAMPED, SOFT, SOFT_AS_PAPER, SOFT_BY_FACTOR = "undamped", "damped", "soft", "soft_as_paper", "soft_by_factor"
+#: Groups of cases: the paper's twenty impacts with hard contact, elastic and damped; elastic with a contact as soft as
+#: our elements make it, and as larger ones would; and two of them with every factor.
+UNDAMPED, DAMPED, SOFT, SOFT_BY_FACTOR = "undamped", "damped", "soft", "soft_by_factor"
+SOFT_1_MM, SOFT_2_MM = "soft_1_mm", "soft_2_mm"
+#: Size of those larger elements [m]: of the paper's sphere (section 3.1), and half of it, for its contact has finer
+#: ones.
+ELEMENT_SIZES = {SOFT_1_MM: 0.001, SOFT_2_MM: 0.002}
+#: Impacts of the study.
+N_CASES = (3 + len(ELEMENT_SIZES)) * len(YANG2018_SPHERES) * len(paper.VELOCITIES) + len(FACTOR_SPHERES) * len(FACTORS)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -68,7 +72,8 @@ def all_cases() -> list[Case]:
             for sphere, velocity in twenty
         ),
         *(
-            Case(group=SOFT_AS_PAPER, sphere=sphere, velocity=velocity, penalty_factor=paper_factor(sphere, velocity))
+            Case(group=group, sphere=sphere, velocity=velocity, penalty_factor=factor_of(size, sphere, velocity))
+            for group, size in ELEMENT_SIZES.items()
             for sphere, velocity in twenty
         ),
         *(
@@ -90,8 +95,8 @@ def retardation_time(sphere: int, velocity: float) -> float:
     return float(dissipative_constant(RESTITUTION, impact)) / (1.5 * share)
 
 
-def paper_factor(sphere: int, velocity: float) -> float:
-    """Return the factor with which our elements press as softly as `PENALTY_FACTOR` does with the paper's elements."""
+def factor_of(size: float, sphere: int, velocity: float) -> float:
+    """Return the factor with which our elements press as softly as `PENALTY_FACTOR` does with elements of this size."""
     impact = paper_impact(sphere, velocity, "hertz")
-    element_size = float(np.sqrt(impact.reduced_radius * impact.peak_displacement)) / ELEMENTS
-    return PENALTY_FACTOR * element_size / PAPER_ELEMENT_SIZE
+    ours = float(np.sqrt(impact.reduced_radius * impact.peak_displacement)) / ELEMENTS
+    return PENALTY_FACTOR * ours / size

@@ -14,10 +14,9 @@ from cgid.reproduction import paper
 from cgid.reproduction.finite_element.cases import (
     DAMPED,
     ELEMENTS,
-    FACTOR_SPHERES,
-    FACTORS,
     PLATE_RADIUS,
-    SOFT,
+    SOFT_1_MM,
+    SOFT_2_MM,
     UNDAMPED,
     Case,
     all_cases,
@@ -31,10 +30,9 @@ if TYPE_CHECKING:
 
 #: Points of time that are kept of a course.
 N_POINTS = 200
+_LOOP = ("force", "displacement")
 #: Courses that are kept, by group; those of a group that is not here are not.
-_KEPT = {UNDAMPED: COURSES, DAMPED: COURSES, SOFT: ("force", "displacement")}
-#: Impacts of the study.
-N_RUNS = 4 * len(YANG2018_SPHERES) * len(paper.VELOCITIES) + len(FACTOR_SPHERES) * len(FACTORS)
+_KEPT = {UNDAMPED: COURSES, DAMPED: COURSES, SOFT_1_MM: _LOOP, SOFT_2_MM: _LOOP}
 #: Names of `History` where they are not the same.
 _HISTORY = {"force": "contact_force", "displacement": "centre_displacement", "pressure": "contact_pressure"}
 #: Edges of the low-pass for the centre node's force, times the contact's duration.

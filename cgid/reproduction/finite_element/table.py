@@ -64,4 +64,4 @@ def table_3(study: Study) -> PaperTable:
 
 def _cell(squared_correlation: float, determination: float) -> str:
     first = "\N{EM DASH}" if np.isnan(squared_correlation) else f"{squared_correlation:.5f}"
-    return f"{first} / {determination:.3f}"
+    return f"{first} / {determination:.{3 if abs(determination) < 100 else 0}f}"

@@ -11,8 +11,8 @@ so does its energy.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 
@@ -57,7 +57,8 @@ class Agreement:
     determination: float
 
 
-def predicted(reading: str, sphere: int, velocities: Sequence[float]) -> dict[str, Floats]:
+@cache
+def predicted(reading: str, sphere: int, velocities: tuple[float, ...]) -> dict[str, Floats]:
     """Return what a reading says of the elastic impacts of a sphere, each of `QUANTITIES_COMPARED` (n_velocities,)."""
     theory = "hertz" if reading == SHARED else reading
     impact = paper_impact(sphere, np.asarray(velocities), theory)
