@@ -163,9 +163,10 @@ def _waves(study: Study) -> list[Claim]:
             "contact force has dense vibration waves",
             "Section 3.2, text of Figure 10",
             "The contact force shows dense vibration waves instead of a smooth curve.",
-            f"Off its own low-pass at 10/T the force is {np.median(force):.1%} of its peak (the worst of {len(runs)} "
-            f"{force.max():.1%}), mass x acceleration of the sphere's centre {np.median(centre):.0%} (waves: "
-            f"{_WAVES:.0%}). The waves are those of the sphere, not of the contact.",
+            "Largest distance from its own low-pass at 10/T, over the peak, in the median impact: contact force "
+            f"{np.median(force):.1%} (worst of {len(runs)}: {force.max():.1%}), mass x acceleration of the sphere's "
+            f"centre {np.median(centre):.0%} (waves: {_WAVES:.0%}). The waves are those of the sphere, not of the "
+            "contact.",
             bool(np.median(force) > _WAVES),
         ),
         Claim(

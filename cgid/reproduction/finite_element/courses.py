@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -22,9 +22,16 @@ THEORY_STYLES = {"hertz": ("K1 (Hertz)", "-"), "series": ("series (the paper's o
 _POINTS = 101
 
 
-def courses(run: Run, *names: str, afterwards: bool = False) -> Any:
-    """Return rows of one simulated impact over time, from touch to the end of contact or beyond."""
-    last = None if afterwards else 1 + int(np.searchsorted(run.times, run.numbers["contact_duration"]))
+def courses(run: Run, *names: str, until: Literal["deepest", "parted", "end"] = "parted") -> Any:
+    """Return rows of one simulated impact over time, from touch to the largest DCS, the end of contact or of all."""
+    last = (
+        1
+        + {
+            "deepest": int(np.argmax(run.courses["displacement"])),
+            "parted": int(np.searchsorted(run.times, run.numbers["contact_duration"])),
+            "end": run.times.size,
+        }[until]
+    )
     case = run.case
     columns: dict[str, Any] = {"kind": SIMULATED, "group": case.group, "sphere": case.sphere, "velocity": case.velocity}
     return frame({**columns, "time": run.times[:last], **{name: run.courses[name][:last] for name in names}})

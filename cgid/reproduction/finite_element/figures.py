@@ -102,7 +102,7 @@ def figure_10_waves(study: Study) -> PaperFigure:
         note="Undamped. Above: the sphere's mass x acceleration of the node at its centre, at 10 m/s (200 points: the "
         "quickest waves are not resolved). Below: the same behind a low-pass at 4/T, all speeds. Black: the contact "
         "force, which needs no filter.",
-        data=joined([courses(run, "centre_node_force", "filtered_force", "force", afterwards=True) for run in runs]),
+        data=joined([courses(run, "centre_node_force", "filtered_force", "force", until="end") for run in runs]),
         panels=(*raw, *filtered),
         columns=4,
         highest_strain=strain_of(runs),

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from cgid.reproduction.drawing import Lines
 from cgid.reproduction.finite_element import cases
 from cgid.reproduction.finite_element.courses import (
@@ -24,13 +26,13 @@ def penalty_loops(study: Study) -> PaperFigure:
         name="penalty_loops",
         title="Force-displacement with a soft contact",
         note="Undamped finite elements whose surfaces may enter each other: pressure = "
-        f"{cases.PENALTY_FACTOR:g} x bulk modulus / element size x depth, above for elements of 1 mm, below of 2 mm. "
-        "Black: the elastic theories up to 10 m/s.",
-        data=joined([*(courses(run, "displacement", "force") for run in runs), *compression()]),
+        f"{cases.PENALTY_FACTOR:g} x bulk modulus / element size x depth, up to the largest DCS. The five speeds share "
+        "one curve and differ in where it ends. Black: the elastic theories up to 10 m/s.",
+        data=joined([*(courses(run, "displacement", "force", until="deepest") for run in runs), *compression()]),
         panels=tuple(
-            panel
+            replace(panel, marker="end")
             for group, size in cases.ELEMENT_SIZES.items()
-            for panel in each_sphere("displacement", "force", more=f", {size * 1e3:g} mm", group=group)
+            for panel in each_sphere("displacement", "force", more=f", elements of {size * 1e3:g} mm", group=group)
         ),
         columns=4,
         highest_strain=strain_of(runs),

@@ -1,4 +1,8 @@
-"""The results of the finite-element study, and the data file that holds them."""
+"""The results of the finite-element study, and the data file that holds them.
+
+The file in the package is made anew by `cgid reproduce --finite-element -o paper` and copied from there:
+`cp paper/finite_element.npz cgid/reproduction/`.
+"""
 
 from __future__ import annotations
 
@@ -129,7 +133,7 @@ def read_study(path: Path) -> Study:
         It is no file of a study, or damaged.
     """
     try:
-        with np.load(path, allow_pickle=False) as stored:
+        with np.load(io.BytesIO(path.read_bytes()), allow_pickle=False) as stored:
             return _study({name: stored[name] for name in stored.files})
     except FileNotFoundError:
         raise NoInput(f"{path}: must be there and is missing; make it with cgid reproduce --finite-element") from None
