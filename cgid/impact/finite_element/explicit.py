@@ -9,6 +9,7 @@ import numpy as np
 from cgid.errors import InvalidValue
 from cgid.impact.finite_element._stepping import advance
 from cgid.impact.finite_element.elasticity import highest_frequency
+from cgid.impact.finite_element.limits import require_enough_time
 from cgid.impact.finite_element.pair import Pair
 from cgid.impact.finite_element.records import AT_ONCE, N_VALUES, PER_DURATION, Progress, Records, collected
 from cgid.validation import Floats
@@ -29,7 +30,7 @@ def stable_time_step(pair: Pair, retardation: tuple[float, float]) -> float:
     for body, delay in zip((pair.sphere, pair.plate), retardation, strict=True):
         frequency = highest_frequency(body)
         ratio = delay * frequency / 2
-        limits.append(2 / frequency / (np.sqrt(1 + ratio**2) + ratio))
+        limits.append(2 / frequency / (np.hypot(1, ratio) + ratio))
     return float(min(limits))
 
 
@@ -50,6 +51,7 @@ def explicit(
         The step is beyond the limit of stability, or the bodies never part.
     """
     limit = stable_time_step(pair, retardation)
+    require_enough_time(limit, duration)
     step, stride = _step_and_stride(limit, duration / PER_DURATION, time_step)
     chunks = _chunks(pair, velocity, np.array(retardation), step, stride)
     return collected(chunks, step * stride, step, duration, progress)

@@ -118,6 +118,7 @@ class FiniteElementImpact:
         limits.require_small_strain(float(self.hertz.peak_displacement) / self._radius)
         limits.require_fine_mesh(self.asked_elements, self.contact_radius)
         limits.require_room(self.plate, self.contact_radius)
+        limits.require_times_fit(self._retardation, self.time_step, float(self.hertz.contact_duration))
 
     @property
     def _radius(self) -> float:

@@ -11,9 +11,13 @@ from cgid.impact.pulse import HERTZ_LIMIT, HertzRangeWarning
 from cgid.materials import Material
 
 #: Elements over the contact radius: fewer than the first make no contact, the second give the peak within 1 %.
-_FEWEST, _ONE_PERCENT, _MOST = 5, 7, 200
+_FEWEST, _ONE_PERCENT, _MOST = 5, 7, 60
 #: Displacement over radius that still leaves room for the contact; linear elasticity ends before.
 _DEEPEST = 0.14
+#: Steps in the duration of a Hertz impact: with fewer an impact is not followed, more take hours.
+_FEWEST_STEPS, _MOST_STEPS = 50, 1_000_000
+#: Retardation times beyond so many durations make the sphere a rigid body.
+_SLOWEST = 100.0
 #: Above this Poisson's ratio bilinear elements are too stiff (they lock).
 _LOCKING = 0.45
 
@@ -73,4 +77,30 @@ def require_room(plate: ElasticPlate, contact_radius: float) -> None:
         raise InvalidValue(
             f"radius of the plate must be at least {needed * 1e3:.3g} mm, {2 * REACH:g} times the contact radius, got "
             f"{plate.radius * 1e3:.3g} mm; use a wider plate"
+        )
+
+
+def require_times_fit(retardation: tuple[float, float], time_step: float | None, duration: float) -> None:
+    """Raise `InvalidValue` for a step, or retardation times, out of proportion to the duration of the contact [s]."""
+    if max(retardation) > _SLOWEST * duration:
+        raise InvalidValue(
+            f"retardation_time must be at most {_SLOWEST * duration:.3g} s, {_SLOWEST:g} times the contact of Hertz's "
+            f"theory, got {max(retardation):.3g} s; nothing deforms with more"
+        )
+    if time_step is None:
+        return
+    longest, shortest = duration / _FEWEST_STEPS, duration / _MOST_STEPS
+    if not shortest <= time_step <= longest:
+        raise InvalidValue(
+            f"time_step must lie between {shortest:.3g} and {longest:.3g} s, {_MOST_STEPS} and {_FEWEST_STEPS} steps "
+            f"of the contact of Hertz's theory, got {time_step:.3g} s; leave it out and it is chosen"
+        )
+
+
+def require_enough_time(step: float, duration: float) -> None:
+    """Raise `InvalidValue` where a stable step is so small that the contact would take too many."""
+    if step * _MOST_STEPS < duration:
+        raise InvalidValue(
+            f"the explicit method needs steps of {step:.3g} s here, and may take at most {_MOST_STEPS} in the contact "
+            f"of {duration:.3g} s; use method implicit"
         )

@@ -12,7 +12,7 @@ from cgid.impact.finite_element.mesh import REACH
 from cgid.validation import Floats
 
 #: Records of a Hertz impact's duration, and how many are made before it is asked again whether all is over.
-PER_DURATION, AT_ONCE = 2000, 100
+PER_DURATION, AT_ONCE = 2000, 25
 #: After the contact the bodies are followed for this part of Hertz's duration, and never longer than so many of them.
 AFTERWARDS, LONGEST = 0.25, 12.0
 
