@@ -79,7 +79,7 @@ def theories(options: Options) -> None:
             force, way, duration = found[-1]
             errors = (" / ".join(percent(e, 1) for e in said[name][-1] / found[-1] - 1) for name in THEORIES)
             row(sphere, f"{speed:g}", f"{force:.5g}", f"{1e6 * way:.1f}", f"{1e6 * duration:.1f}", *errors)
-    print(f"\nOver all {len(found)}; R^2 is the squared correlation, 1 - SSres/SStot does not forgive a wrong slope:")
+    print(f"\nOver all {len(found)} together; R^2 is the squared correlation, 1 - SSres/SStot minds the slope:")
     table("theory", "mean error P / DCS / T", "R^2", "1 - SSres/SStot")
     exact = np.array(found)
     for name in THEORIES:
@@ -217,7 +217,9 @@ def main() -> None:
     """Run what was asked for and print Markdown."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--parts", nargs="+", choices=PARTS, default=list(PARTS), metavar="PART", help=", ".join(PARTS))
-    parser.add_argument("--elements", type=int, nargs="+", help="of the first four parts (default 7 14 28, quick 7 14)")
+    parser.add_argument(
+        "--elements", type=int, nargs="+", help="of convergence, time, peers (default 7 14 28, quick 7 14)"
+    )
     parser.add_argument("--mesh", type=int, default=ELEMENTS, help="elements of the other parts (default 14)")
     parser.add_argument("--quick", action="store_true", help="fewer impacts, no picture")
     parser.add_argument("--alone", help=argparse.SUPPRESS)
