@@ -38,6 +38,18 @@ class Lines:
         From a value of `by` to what the legend says.
     marker : str
         "." or "o" marks every point; "end" the last of a line, the first lines lying on top.
+    label : str
+        What the legend says of a line that is alone (`by` is empty); nothing if it is empty, too.
+    colour, style : str
+        Of matplotlib; without a colour each line of a panel has its own.
+    width : float
+        [points].
+    over : tuple of Lines
+        More lines for this panel, drawn on top.
+    diagonal : bool
+        Whether a grey line shows where both axes are equal.
+    logarithmic : bool
+        Whether the x axis is.
     """
 
     x: str
@@ -47,6 +59,13 @@ class Lines:
     title: str = ""
     labels: Mapping[Any, str] = field(default_factory=dict)
     marker: str = ""
+    label: str = ""
+    colour: str = ""
+    style: str = "-"
+    width: float = 1.5
+    over: tuple[Lines, ...] = ()
+    diagonal: bool = False
+    logarithmic: bool = False
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -76,13 +95,10 @@ def draw(data: Any, panels: Sequence[Panel], columns: int) -> bytes:
     figure = require_matplotlib()(figsize=(width * columns, height * rows), layout="constrained")
     named: dict[str, Any] = {}
     for place, panel in enumerate(panels, start=1):
-        chosen = data
-        for name, value in panel.where.items():
-            chosen = chosen[chosen[name] == value]
         if isinstance(panel, Surface):
-            _surface(figure.add_subplot(rows, columns, place, projection="3d"), chosen, panel)
+            _surface(figure.add_subplot(rows, columns, place, projection="3d"), _chosen(data, panel), panel)
         else:
-            named |= _lines(figure.add_subplot(rows, columns, place), chosen, panel)
+            named |= _panel(figure.add_subplot(rows, columns, place), data, panel)
     if named:
         # Every panel has the same lines, so one legend below serves all.
         widest = max(len(text) for text in named) * _CHARACTER + _LEGEND_LINE
@@ -91,30 +107,58 @@ def draw(data: Any, panels: Sequence[Panel], columns: int) -> bytes:
         figure.legend(
             named.values(), named.keys(), loc="outside lower center", ncols=per_row, frameon=False, columnspacing=1.2
         )
+    return _laid_out(figure)
+
+
+def _laid_out(figure: Any) -> bytes:
+    """Return a PNG picture; the layout is made here, for matplotlib would draw everything once more to make it."""
+    figure.get_layout_engine().execute(figure)
+    figure.set_layout_engine(None)
     return png(figure)
 
 
-def _lines(axes: Any, data: Any, panel: Lines) -> dict[str, Any]:
-    """Draw a panel of lines and return what the legend names."""
-    x, y = QUANTITIES[panel.x], QUANTITIES[panel.y]
-    groups = list(data.groupby(panel.by, sort=False)) if panel.by else [("", data)]
+def _chosen(data: Any, panel: Panel) -> Any:
+    for name, value in panel.where.items():
+        data = data[data[name] == value]
+    return data
+
+
+def _panel(axes: Any, data: Any, panel: Lines) -> dict[str, Any]:
+    """Draw a panel of lines, and what lies over them, and return what the legend names."""
+    named: dict[str, Any] = {}
+    for level, lines in enumerate((panel, *panel.over)):
+        named |= _lines(axes, _chosen(data, lines), lines, zorder=2.0 + level)
+    if panel.diagonal:
+        axes.axline((0, 0), slope=1, color="0.6", linewidth=1, zorder=1)
+    if panel.logarithmic:
+        axes.set_xscale("log")
+    axes.set(xlabel=QUANTITIES[panel.x].title, ylabel=QUANTITIES[panel.y].title)
+    axes.set_title(panel.title, fontsize="medium")
+    axes.grid(alpha=0.3)
+    return named
+
+
+def _lines(axes: Any, data: Any, lines: Lines, zorder: float) -> dict[str, Any]:
+    """Draw lines and return what the legend names."""
+    x, y = QUANTITIES[lines.x], QUANTITIES[lines.y]
+    groups = list(data.groupby(lines.by, sort=False)) if lines.by else [("", data)]
     named = {}
     for order, (value, rows) in enumerate(groups):
-        xs, ys = rows[panel.x].to_numpy() * x.factor, rows[panel.y].to_numpy() * y.factor
-        at_end = panel.marker == "end"
+        xs, ys = rows[lines.x].to_numpy() * x.factor, rows[lines.y].to_numpy() * y.factor
+        at_end = lines.marker == "end"
         (line,) = axes.plot(
             xs,
             ys,
-            color=COLOURS[order % len(COLOURS)],
-            marker="o" if at_end else panel.marker or None,
+            color=lines.colour or COLOURS[order % len(COLOURS)],
+            linestyle=lines.style,
+            linewidth=lines.width,
+            marker="o" if at_end else lines.marker or None,
             markevery=[len(xs) - 1] if at_end else None,
-            zorder=3 - 0.1 * order if at_end else 2,
+            zorder=zorder + 1 - 0.1 * order if at_end else zorder,
         )
-        if panel.by:
-            named[panel.labels.get(value) or _label(panel.by, value)] = line
-    axes.set(xlabel=x.title, ylabel=y.title)
-    axes.set_title(panel.title, fontsize="medium")
-    axes.grid(alpha=0.3)
+        name = lines.labels.get(value) or _label(lines.by, value) if lines.by else lines.label
+        if name:
+            named[name] = line
     return named
 
 
@@ -163,4 +207,4 @@ def draw_table(heads: Sequence[str], cells: Sequence[Sequence[str]]) -> bytes:
     table.set_fontsize(9)
     for (row, _), cell in table.get_celld().items():
         cell.set(edgecolor="0.7", facecolor="0.93" if row == 0 else "white")
-    return png(figure)
+    return _laid_out(figure)

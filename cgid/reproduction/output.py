@@ -5,29 +5,47 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
+from functools import partial
 from pathlib import Path
 from typing import Any
 
-from cgid.errors import CannotCreate
+from cgid.errors import CannotCreate, InvalidValue
 from cgid.files import looking_at
 from cgid.impact import HertzRangeWarning
 from cgid.plots import require_matplotlib
 from cgid.reproduction.drawing import draw, draw_table
 from cgid.reproduction.figures import FIGURES
+from cgid.reproduction.finite_element import STUDY_FILE, Study, packed, shipped_study
+from cgid.reproduction.finite_element.cases import N_CASES
+from cgid.reproduction.finite_element.figures import SIMULATED_FIGURES
+from cgid.reproduction.finite_element.running import run_study
+from cgid.reproduction.finite_element.table import table_3
+from cgid.reproduction.paper_figure import PaperFigure
 from cgid.reproduction.quantities import csv_title
 from cgid.reproduction.report import write_report
-from cgid.reproduction.tables import TABLES
+from cgid.reproduction.tables import TABLES, PaperTable
 from cgid.together import write_together
 
 REPORT = "report.md"
-#: Steps that `reproduce` reports to `progress`.
-N_STEPS = len(TABLES) + len(FIGURES) + 1
+_N_WRITTEN = len(TABLES) + 1 + len(FIGURES) + len(SIMULATED_FIGURES) + 1
+
+
+def n_steps(*, finite_element: bool = False) -> int:
+    """Return how many steps `reproduce` reports to `progress`."""
+    return _N_WRITTEN + (N_CASES if finite_element else 0)
 
 
 def reproduce(
-    folder: str | Path, *, overwrite: bool = False, progress: Callable[[int], object] | None = None
+    folder: str | Path,
+    *,
+    overwrite: bool = False,
+    finite_element: bool = False,
+    jobs: int | None = None,
+    progress: Callable[[int], object] | None = None,
 ) -> list[Path]:
-    """Write the paper's theoretical figures and tables and a report on them.
+    """Write the paper's figures and tables and a report on them.
+
+    What the paper simulated comes from finite elements: the results that are shipped, or computed anew.
 
     Parameters
     ----------
@@ -35,8 +53,12 @@ def reproduce(
         Where to write; made if it is not there, but not the folder above it.
     overwrite : bool, optional
         Replace files of these names in a folder that is not empty; other files stay.
+    finite_element : bool, optional
+        Compute the finite-element study anew, which takes minutes, and write its data file, too.
+    jobs : int, optional
+        Processes that do so; as many as there are cores if not given.
     progress : callable, optional
-        Called with 1 after each of `N_STEPS` steps.
+        Called with 1 after each of `n_steps` steps.
 
     Returns
     -------
@@ -47,17 +69,27 @@ def reproduce(
     ------
     CannotCreate
         The folder is not empty and `overwrite` is not given, or it cannot be made.
+    InvalidValue
+        `jobs` is below 1, or given for nothing.
     MissingExtra
         matplotlib is not installed. Nothing is written then.
     WriteFailed
         The disk is full or broken.
     """
+    if jobs is not None and not finite_element:
+        raise InvalidValue(
+            f"jobs are for the finite-element study, got {jobs} without it; ask for it or leave jobs out"
+        )
     require_matplotlib()
     path = _checked(Path(folder), overwrite)
+    progress = progress or (lambda _: None)
+    study = run_study(jobs, progress) if finite_element else shipped_study()
     with warnings.catch_warnings():
         # The report says which figures leave Hertz's range.
         warnings.simplefilter("ignore", HertzRangeWarning)
-        contents = _contents(progress or (lambda _: None))
+        contents = _contents(study, progress)
+    if finite_element:
+        contents = {STUDY_FILE: packed(study), **contents}
     with _folder(path):
         files = {path / name: content for name, content in contents.items()}
         write_together(files, overwrite=overwrite)
@@ -92,22 +124,26 @@ def _checked(path: Path, overwrite: bool) -> Path:
     return path
 
 
-def _contents(progress: Callable[[int], object]) -> dict[str, bytes]:
+def _contents(study: Study, progress: Callable[[int], object]) -> dict[str, bytes]:
     """Return every file by name; all is made before anything is written."""
     contents, tables, figures = {}, [], []
-    for make_table in TABLES.values():
+    made_tables: dict[str, Callable[[], PaperTable]] = {**TABLES, "table_3": lambda: table_3(study)}
+    for _, make_table in sorted(made_tables.items()):
         table = make_table()
         tables.append(table)
         contents[f"{table.name}.csv"] = _csv(table.data)
         contents[f"{table.name}.png"] = draw_table(table.heads, table.cells)
         progress(1)
-    for make_figure in FIGURES.values():
+    simulated: dict[str, Callable[[], PaperFigure]] = {
+        name: partial(make, study) for name, make in SIMULATED_FIGURES.items()
+    }
+    for _, make_figure in sorted({**FIGURES, **simulated}.items()):
         figure = make_figure()
         figures.append(figure)
         contents[f"{figure.name}.csv"] = _csv(figure.data)
         contents[f"{figure.name}.png"] = draw(figure.data, figure.panels, figure.columns)
         progress(1)
-    contents[REPORT] = write_report(figures, tables).encode()
+    contents[REPORT] = write_report(figures, tables, study).encode()
     progress(1)
     return contents
 

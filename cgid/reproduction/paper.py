@@ -39,6 +39,38 @@ TABLE_2 = {
     4: PrintedContact("4.1618", "8.7739e8"),
 }
 
+#: Table 3: linear correlation R^2 of simulated and theoretical values, by sphere and quantity.
+TABLE_3 = {
+    1: {
+        "peak_displacement": 0.99278,
+        "peak_force": 0.96221,
+        "peak_pressure": 0.8174,
+        "peak_sphere_energy": 0.85459,
+        "peak_plate_energy": 0.94942,
+    },
+    2: {
+        "peak_displacement": 0.99864,
+        "peak_force": 0.97592,
+        "peak_pressure": 0.85486,
+        "peak_sphere_energy": 0.99078,
+        "peak_plate_energy": 0.90207,
+    },
+    3: {
+        "peak_displacement": 0.99724,
+        "peak_force": 0.99872,
+        "peak_pressure": 0.7483,
+        "peak_sphere_energy": 0.99215,
+        "peak_plate_energy": 0.94612,
+    },
+    4: {
+        "peak_displacement": 0.99714,
+        "peak_force": 0.99868,
+        "peak_pressure": 0.79499,
+        "peak_sphere_energy": 0.97595,
+        "peak_plate_energy": 0.84714,
+    },
+}
+
 
 @dataclass(frozen=True)
 class ParameterRange:

@@ -30,12 +30,13 @@ class Quantity:
         return f"{self.label} [{self.shown_unit}]" if self.shown_unit else self.label
 
 
-_GPA, _MM, _KN = ("GPa", 1e-9), ("mm", 1e3), ("kN", 1e-3)
+_GPA, _MPA, _MM, _KN = ("GPa", 1e-9), ("MPa", 1e-6), ("mm", 1e3), ("kN", 1e-3)
+_MICROSECONDS = ("\N{MICRO SIGN}s", 1e6)
 
 QUANTITIES = {
     "velocity": Quantity("m/s", "impact velocity", "m/s"),
     "drop_height": Quantity("m", "drop height H", "m"),
-    "time": Quantity("s", "time", "\N{MICRO SIGN}s", 1e6),
+    "time": Quantity("s", "time", *_MICROSECONDS),
     "force": Quantity("N", "contact force", *_KN),
     "displacement": Quantity("m", "DCS", *_MM),
     "peak_force": Quantity("N", "maximum contact force", *_KN),
@@ -56,6 +57,31 @@ QUANTITIES = {
     "thickness": Quantity("m", "thickness", *_MM),
     "peak_force_influence": Quantity("1", "$P$: largest/smallest - 1", ""),
     "peak_displacement_influence": Quantity("1", "DCS: largest/smallest - 1", ""),
+}
+#: What theories and finite elements are compared by.
+_COMPARED = {
+    "peak_displacement": Quantity("m", "DCS", *_MM),
+    "peak_force": Quantity("N", "force", *_KN),
+    "peak_pressure": Quantity("Pa", "pressure", *_MPA),
+    "peak_sphere_energy": Quantity("J", "energy of sphere", "J"),
+    "peak_plate_energy": Quantity("J", "energy of plate", "J"),
+    "contact_duration": Quantity("s", "contact time", *_MICROSECONDS),
+}
+QUANTITIES |= {
+    f"{prefix}_{name}": Quantity(found.unit, f"{found.label}, {of}", found.shown_unit, found.factor)
+    for name, found in _COMPARED.items()
+    for prefix, of in (("simulated", "simulated"), ("theoretical", "theory"))
+}
+QUANTITIES |= {
+    "centre_node_force": Quantity("N", "mass x acc. of centre", *_KN),
+    "filtered_force": Quantity("N", "the same below 4/T", *_KN),
+    "penalty_factor": Quantity("1", "penalty factor", ""),
+    "force_over_hard": Quantity("1", "force over hard contact's", ""),
+    "displacement_over_hard": Quantity("1", "DCS over hard contact's", ""),
+    "squared_correlation": Quantity("1", "squared correlation", ""),
+    "printed_squared_correlation": Quantity("1", "squared correlation, printed", ""),
+    "determination": Quantity("1", "1 - SSres/SStot", ""),
+    "error": Quantity("1", "mean error", ""),
 }
 #: Symbols of parameters and theories in the report's text.
 SYMBOLS = {

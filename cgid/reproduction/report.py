@@ -5,11 +5,12 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 
 from cgid.impact.pulse import HERTZ_LIMIT
-from cgid.reproduction import finite_element
-from cgid.reproduction.claims import Claim, all_claims, simulation
+from cgid.reproduction.claims import Claim, all_claims
 from cgid.reproduction.claims.claim import symbol
 from cgid.reproduction.claims.influence import measures
-from cgid.reproduction.impacts import RESTITUTIONS, THEORY_LABELS
+from cgid.reproduction.finite_element import Study
+from cgid.reproduction.finite_element.section import finite_element_section, table
+from cgid.reproduction.impacts import RESTITUTIONS
 from cgid.reproduction.paper_figure import PaperFigure
 from cgid.reproduction.tables import PaperTable
 
@@ -17,27 +18,28 @@ _SOURCE = (
     "Yang, Zeng & Wan (2018), *Contact Response Analysis of Vertical Impact between Elastic Sphere and Elastic Half "
     "Space*, Shock and Vibration"
 )
-_SHOWN_THEORY = {"hertz": "K1 (Hertz)", "rigid-sphere": "K2", "series": "series (the paper's own)"}
 
 
-def write_report(figures: Sequence[PaperFigure], tables: Sequence[PaperTable]) -> str:
+def write_report(figures: Sequence[PaperFigure], tables: Sequence[PaperTable], study: Study) -> str:
     """Return the report; its verdicts are computed anew."""
-    claims = all_claims()
+    claims = all_claims(study)
     failing = [claim for claim in claims if not claim.holds]
     holding = [claim for claim in claims if claim.holds]
     return "\n".join([
         "# The paper, reproduced",
         "",
-        f"The theoretical figures and tables of {_SOURCE}, computed, and {len(claims)} judgements of what it "
+        f"The figures and tables of {_SOURCE}, computed, and {len(claims)} judgements of what it "
         f"says, by the numbers: {len(holding)} agree, {len(failing)} do not. (A ranking is judged once for each of two "
         "measures, and what must follow from an equation counts as said.) DCS is the displacement of the sphere's "
-        "centre. Figures 4 to 6 compare the paper's three theories, all others use its own (`series`). `>>` is read as "
+        "centre. Figures 4 to 6 compare the paper's three theories, all others that are not simulated "
+        "use its own (`series`). `>>` is read as "
         "`>`: the paper does not say how much larger is much larger.",
         "",
         "What the paper leaves open and was chosen here: the axes of Figures 4 to 7, the impact speed of section 4 (it "
         "follows from the constants under Eq. 18), and the damping, restitution "
-        f"{' and '.join(f'{value:g}' for value in RESTITUTIONS)} by the exact Hunt-Crossley relation. The paper's "
-        "simulated curves (Figures 9 to 11, Table 3) cannot be made again, since their numbers are not printed.",
+        f"{' and '.join(f'{value:g}' for value in RESTITUTIONS)} by the exact Hunt-Crossley relation. The paper prints "
+        "no numbers of its simulated curves (Figures 9 to 11, 16, 17), only of Table 3; what stands here as simulated "
+        "is cgid's own finite-element study.",
         "",
         f"## What does not agree ({len(failing)})",
         "",
@@ -48,7 +50,7 @@ def write_report(figures: Sequence[PaperFigure], tables: Sequence[PaperTable]) -
         *_claim_list(holding),
         "",
         *_sensitivities(),
-        *_finite_element(),
+        *finite_element_section(study),
         *_hertz_range(figures),
         "## Tables",
         "",
@@ -61,10 +63,6 @@ def write_report(figures: Sequence[PaperFigure], tables: Sequence[PaperTable]) -
 
 def _claim_list(claims: Iterable[Claim]) -> list[str]:
     return [f"* **{claim.place}**: {claim.says} *Found:* {claim.found}" for claim in claims]
-
-
-def _table(heads: Sequence[str], rows: Iterable[Sequence[str]]) -> list[str]:
-    return [f"| {' | '.join(heads)} |", "|---" * len(heads) + "|", *(f"| {' | '.join(row)} |" for row in rows), ""]
 
 
 def _sensitivities() -> list[str]:
@@ -86,7 +84,7 @@ def _sensitivities() -> list[str]:
         "smallest - 1 while one parameter runs through its range and the others are held (Table 5 has no range of R "
         "and ρ1, so there Table 4's are used).",
         "",
-        *_table(
+        *table(
             (
                 "parameter",
                 "on steel, locally",
@@ -96,59 +94,6 @@ def _sensitivities() -> list[str]:
             ),
             rows,
         ),
-    ]
-
-
-def _finite_element() -> list[str]:
-    wanted = simulation.finite_element_values()
-    values = {theory: simulation.theory_values(theory) for theory in THEORY_LABELS}
-    shown = ((1e-3, ".2f"), (1e3, ".3f"), (1e6, ".0f"))
-    rows = []
-    for number, row in enumerate(finite_element.IMPACTS):
-        columns = [wanted[number], *(value[number] for value in values.values())]
-        cells = [" / ".join(f"{c[k] * factor:{digits}}" for c in columns) for k, (factor, digits) in enumerate(shown)]
-        rows.append([f"{row.sphere}, {row.velocity:g} m/s", *cells])
-    judged = []
-    for theory, table in simulation.errors().items():
-        lists = (simulation.mean_errors(table), finite_element.ERRORS_OVER_TWENTY[theory])
-        yardsticks = (simulation.squared_correlation(theory), simulation.determination(theory))
-        judged.append([
-            _SHOWN_THEORY[theory],
-            *(" / ".join(f"{value:+.0%}" for value in values) for values in lists),
-            *(" / ".join(f"{value:.3f}" for value in values) for values in yardsticks),
-        ])  # fmt: skip
-    return [
-        "## What an independent finite-element run says of the three theories",
-        "",
-        "The finite-element figures are quoted from an independent axisymmetric run "
-        f"({finite_element.METHOD}). That run is not part of this package and cannot be made again with it yet; the "
-        "theories are computed here.",
-        "",
-        *_table(
-            (
-                "sphere, speed",
-                "force [kN] FE / K1 / K2 / series",
-                "DCS [mm] FE / K1 / K2 / series",
-                "contact time [µs] FE / K1 / K2 / series",
-            ),
-            rows,
-        ),
-        "Errors of force / DCS / contact time, and two yardsticks for them:",
-        "",
-        *_table(
-            (
-                "theory",
-                "mean error, these four",
-                "over all twenty (quoted)",
-                "squared correlation, these four",
-                "1 - SSres/SStot, these four",
-            ),
-            judged,
-        ),
-        "Quoted from the same run:",
-        "",
-        *(f"* {fact}" for fact in finite_element.FACTS),
-        "",
     ]
 
 
@@ -168,6 +113,7 @@ def _hertz_range(figures: Sequence[PaperFigure]) -> list[str]:
 
 
 def _entry(name: str, title: str, note: str) -> list[str]:
-    number = name.split("_")[1].lstrip("0")
-    heading = f"### {name.split('_')[0].capitalize()} {number}: {title}"
+    kind, number, *_ = name.split("_")
+    # Some pictures are of none of the paper's figures.
+    heading = f"### {kind.capitalize()} {number.lstrip('0')}: {title}" if number.isdigit() else f"### {title}"
     return [heading, "", f"{note} ([data]({name}.csv))".strip(), "", f"![{title}]({name}.png)", ""]

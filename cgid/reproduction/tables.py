@@ -1,4 +1,4 @@
-"""Tables 1, 2, 4 and 5 of the paper: inputs as printed, beside what follows from them."""
+"""Tables 1, 2, 4 and 5 of the paper: inputs as printed, beside what follows from them (Table 3 is simulated)."""
 
 from __future__ import annotations
 

@@ -1,0 +1,113 @@
+"""What each theory says of the impacts of the study, and how far that is from the finite elements.
+
+Pressure and energy are not in the theories' formulas, but follow from them. The largest pressure is Hertz's,
+`3 P / (2 pi a^2)`, with the contact radius of each theory's own displacement, `a^2 = R delta`. At the largest
+displacement all energy is elastic, `m v^2 / 2`, and sits in the springs that a theory takes to be elastic: all of it in
+the sphere (K1), all in the plate (K2), or in both like their displacements under one force, `1 : (K1/K2)^(2/3)`, which
+is 4/7 and 3/7 (series). These are the paper's words. The E in K1 holds both bodies, though, so that K1 may also be read
+as Hertz meant it: the same pressure works on either body, over a displacement that goes with its `(1 - nu^2) / E`, and
+so does its energy.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cache
+
+import numpy as np
+
+from cgid.impact import STIFFNESS_THEORIES
+from cgid.impact.bodies import sphere_share
+from cgid.reproduction.finite_element.cases import UNDAMPED
+from cgid.reproduction.finite_element.study import Study
+from cgid.reproduction.impacts import THEORY_LABELS, paper_impact
+from cgid.validation import Floats
+
+#: The quantities of Figure 9 and Table 3, and the contact duration, which the paper leaves out.
+QUANTITIES_COMPARED = (
+    "peak_displacement",
+    "peak_force",
+    "peak_pressure",
+    "peak_sphere_energy",
+    "peak_plate_energy",
+    "contact_duration",
+)
+#: K1 with its energy shared by compliance; all else is K1's.
+SHARED = "hertz-shared"
+#: What is compared: the paper's three theories, and the other reading of the first.
+READINGS = {**THEORY_LABELS, SHARED: "K1, energy shared by compliance"}
+
+
+@dataclass(frozen=True)
+class Agreement:
+    """How well a theory agrees with the finite elements in one quantity.
+
+    Parameters
+    ----------
+    error : float
+        Mean of theory over finite elements - 1.
+    squared_correlation : float
+        The paper's yardstick: blind to a constant factor. nan where the theory has one value for all impacts.
+    determination : float
+        `1 - SSres / SStot`: it sees a wrong factor, and may be negative.
+    """
+
+    error: float
+    squared_correlation: float
+    determination: float
+
+
+@cache
+def predicted(reading: str, sphere: int, velocities: tuple[float, ...]) -> dict[str, Floats]:
+    """Return what a reading says of the elastic impacts of a sphere, each of `QUANTITIES_COMPARED` (n_velocities,)."""
+    theory = "hertz" if reading == SHARED else reading
+    impact = paper_impact(sphere, np.asarray(velocities), theory)
+    energy = 0.5 * impact.reduced_mass * np.square(impact.velocity)
+    in_sphere = sphere_part(reading, sphere)
+    contact_area = np.pi * impact.reduced_radius * impact.peak_displacement
+    return {
+        "peak_displacement": impact.peak_displacement,
+        "peak_force": impact.peak_force,
+        "peak_pressure": 1.5 * impact.peak_force / contact_area,
+        "peak_sphere_energy": in_sphere * energy,
+        "peak_plate_energy": (1 - in_sphere) * energy,
+        "contact_duration": impact.contact_duration,
+    }
+
+
+def sphere_part(reading: str, sphere: int) -> float:
+    """Return the part of the elastic energy that is in the sphere."""
+    if reading == SHARED:
+        impact = paper_impact(sphere, 1.0, "hertz")
+        return float(sphere_share(impact.sphere, impact.target))
+    if reading == "series":
+        plate_over_sphere = (STIFFNESS_THEORIES["hertz"] / STIFFNESS_THEORIES["rigid-sphere"]) ** (2 / 3)
+        return float(1 / (1 + plate_over_sphere))
+    return {"hertz": 1.0, "rigid-sphere": 0.0}[reading]
+
+
+def of_theory(study: Study, reading: str, name: str, group: str = UNDAMPED, sphere: int | None = None) -> Floats:
+    """Return what a reading says of the impacts of a group, all or one sphere's."""
+    return np.array([
+        predicted(reading, run.case.sphere, (run.case.velocity,))[name][0]
+        for run in study.of(group)
+        if sphere in (None, run.case.sphere)
+    ])  # fmt: skip
+
+
+def of_simulation(study: Study, name: str, group: str = UNDAMPED, sphere: int | None = None) -> Floats:
+    """Return what the finite elements say of the impacts of a group, all or one sphere's."""
+    return np.array([run.numbers[name] for run in study.of(group) if sphere in (None, run.case.sphere)])
+
+
+def agreement(study: Study, reading: str, name: str, group: str = UNDAMPED, sphere: int | None = None) -> Agreement:
+    """Return how well a reading agrees with the finite elements of a group in one quantity, all or one sphere's."""
+    found = of_theory(study, reading, name, group, sphere)
+    wanted = of_simulation(study, name, group, sphere)
+    residual, total = np.sum((found - wanted) ** 2), np.sum((wanted - wanted.mean()) ** 2)
+    constant = np.ptp(found) == 0
+    return Agreement(
+        float(np.mean(found / wanted - 1)),
+        float("nan") if constant else float(np.corrcoef(found, wanted)[0, 1] ** 2),
+        float(1 - residual / total),
+    )
