@@ -217,7 +217,9 @@ def main() -> None:
     """Run what was asked for and print Markdown."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--parts", nargs="+", choices=PARTS, default=list(PARTS), metavar="PART", help=", ".join(PARTS))
-    parser.add_argument("--elements", type=int, nargs="+", help="of the first four parts (default 7 14 28, quick 7 14)")
+    parser.add_argument(
+        "--elements", type=int, nargs="+", help="of convergence, time, peers (default 7 14 28, quick 7 14)"
+    )
     parser.add_argument("--mesh", type=int, default=ELEMENTS, help="elements of the other parts (default 14)")
     parser.add_argument("--quick", action="store_true", help="fewer impacts, no picture")
     parser.add_argument("--alone", help=argparse.SUPPRESS)
