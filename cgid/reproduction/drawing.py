@@ -14,10 +14,10 @@ from cgid.reproduction.quantities import QUANTITIES
 
 #: Inches of a panel alone, of one of two, and of one of more beside each other; of a surface.
 _PANEL_SIZES, _SURFACE_SIZE = ((5.2, 4.0), (4.2, 3.2), (3.4, 2.7)), (4.6, 3.7)
-#: Inches left, right, below and above the axes in a panel of lines, for numbers and titles.
-_MARGINS = (0.75, 0.15, 0.55, 0.3)
+#: Inches left, right, below and above the axes in a panel of lines, for numbers and titles: one of many, or larger.
+_MARGINS, _LARGER_MARGINS = (0.75, 0.15, 0.55, 0.3), (0.9, 0.15, 0.55, 0.3)
 #: Inches of a row of the legend, of a character, and of the piece of line before it.
-_LEGEND_ROW, _CHARACTER, _LEGEND_LINE = 0.3, 0.085, 0.6
+_LEGEND_ROW, _CHARACTER, _LEGEND_LINE = 0.22, 0.085, 0.6
 
 #: What a formula in a head holds that is not seen.
 _MARKUP = re.compile(r"[${}_^]|\\[a-z]+")
@@ -117,7 +117,7 @@ def _legend(figure: Any, named: Mapping[str, Any]) -> float:
     width, height = figure.get_size_inches()
     widths = [len(text) * _CHARACTER + _LEGEND_LINE for text in named]
     per_row = len(named) if sum(widths) < width else max(1, int(width / max(widths)))
-    needed = _LEGEND_ROW * -(-len(named) // per_row)
+    needed = _LEGEND_ROW * (-(-len(named) // per_row) + 0.5)
     figure.set_figheight(height + needed)
     figure.legend(named.values(), named.keys(), loc="lower center", ncols=per_row, frameon=False, columnspacing=1.2)
     return needed
@@ -128,7 +128,7 @@ def _place(figure: Any, rows: int, columns: int, legend: float) -> None:
 
     (matplotlib's "constrained" layout makes up for half of the time.)
     """
-    left, right, below, above = _MARGINS
+    left, right, below, above = _MARGINS if columns > 2 else _LARGER_MARGINS
     width, height = figure.get_size_inches()
     figure.subplots_adjust(
         left=left / width,
