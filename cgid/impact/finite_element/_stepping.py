@@ -24,7 +24,7 @@ def press(compliance: Floats, gap: Floats, force: Floats, touching: Flags) -> bo
     n = gap.size
     factor = np.empty((n, n))
     place = np.empty(n, np.int64)
-    for _ in range(4 * n + 8):
+    for attempt in range(100 * n):
         k = 0
         for i in range(n):
             force[i] = 0.0
@@ -34,17 +34,16 @@ def press(compliance: Floats, gap: Floats, force: Floats, touching: Flags) -> bo
         _solve(compliance, gap, place[:k], factor, force)
         changed = False
         for i in range(n):
-            if touching[i]:
-                if force[i] < 0.0:
-                    touching[i] = False
-                    changed = True
-            else:
+            left = force[i]
+            if not touching[i]:
                 left = gap[i]
                 for j in range(k):
                     left += compliance[i, place[j]] * force[place[j]]
-                if left < 0.0:
-                    touching[i] = True
-                    changed = True
+            if left < 0.0:
+                touching[i] = not touching[i]
+                changed = True
+                if attempt > 2 * n:
+                    break  # one at a time cannot go round in circles (Murty 1974, Linear Algebra Appl. 9, 65)
         if not changed:
             return True
     return False

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from cgid.errors import InvalidValue
+from cgid.errors import CgidError, InvalidValue
 from cgid.impact.finite_element._stepping import advance
 from cgid.impact.finite_element.elasticity import highest_frequency
 from cgid.impact.finite_element.limits import require_enough_time
@@ -95,5 +95,5 @@ def _chunks(
     while True:
         rows = (np.empty((AT_ONCE, n)), np.empty((AT_ONCE, N_VALUES)))
         if not advance(matrix, (touch, inverse, compliance, pair.gap), inertia, state, rows, stride):
-            raise ArithmeticError("the contact found no set of nodes that press and do not pull")
+            raise CgidError("the contact found no set of nodes that press and do not pull; use another time_step")
         yield rows

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
+from cgid.errors import CgidError
 from cgid.impact.finite_element._stepping import press
 from cgid.impact.finite_element.elasticity import Body
 from cgid.impact.finite_element.pair import Pair
@@ -145,7 +146,7 @@ def _chunks(
             )
             gap = pair.gap + sphere.fly()[sphere.contact] - plate.fly()[plate.contact]
             if not press(compliance, gap, force, touching):
-                raise ArithmeticError("the contact found no set of nodes that press and do not pull")
+                raise CgidError("the contact found no set of nodes that press and do not pull; use another time_step")
             impulse += step / 2 * float(forces[record].sum() + force.sum())
             sphere.move(force)
             plate.move(-force)

@@ -1,0 +1,244 @@
+"""The finite-element reference: how exact, how long, how much memory, and what it says beside the theories.
+
+    python benchmarks/finite_element.py                              # all tables, and benchmarks/finite_element.png
+    python benchmarks/finite_element.py --parts convergence --elements 7 14 28 56
+    python benchmarks/finite_element.py --quick                      # fewer impacts, coarser meshes, no picture
+
+Spheres of Table 2 of Yang, Zeng & Wan (2018), 25 mm of radius, on the steel plate of 8 mm, its lower face fixed, with
+14 elements over the contact radius unless a table says otherwise. Parts:
+
+* convergence: peaks, seconds and memory against elements;
+* time: where the time of an impact goes;
+* methods: explicit beside implicit steps on one mesh, time against error, without damping and with it;
+* peers: assembly beside scikit-fem's (if installed), steps beside a loop with scipy's product and another contact;
+* theories: error of the three theories of contact stiffness over four spheres and five speeds;
+* penalty: what a soft contact does, by its factor and by the size of elements;
+* damping: Kelvin-Voigt spheres beside Kuwabara-Kono and Hunt-Crossley;
+* low-pass: the force by the acceleration of the sphere's centre, behind an FFT filter; the picture;
+* sizes: do the size of the sphere, radius and thickness of the plate, and what holds it matter?
+
+One thread; seconds are processor time, the first run compiles. Times are of one machine: look at ratios.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+import warnings
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from finite_element_cases import (
+    CORNERS,
+    ELEMENTS,
+    PLATE_RADIUS,
+    RADIUS,
+    SPEEDS,
+    THEORIES,
+    THICKNESS,
+    impact,
+    peaks,
+    percent,
+    row,
+    solved,
+    table,
+    theory,
+)
+from finite_element_cost import against_elements, methods, peers, print_alone, where_time_goes
+from finite_element_low_pass import low_pass
+from threadpoolctl import threadpool_limits
+
+from cgid.impact import (
+    HertzRangeWarning,
+    HuntCrossley,
+    Impact,
+    Viscoelastic,
+    damping_number,
+    delivered_restitution,
+)
+from cgid.impact.finite_element import History
+from cgid.validation import Floats
+
+Options = argparse.Namespace
+
+
+def theories(options: Options) -> None:
+    """Print the errors of the three theories over spheres and speeds, and the two yardsticks."""
+    spheres, speeds = ((1, 3), (2.0, 10.0)) if options.quick else ((1, 2, 3, 4), SPEEDS)
+    table(
+        "sphere", "m/s", "peak force [N]", "DCS [um]", "duration [us]", *(f"{name}: P / DCS / T" for name in THEORIES)
+    )
+    found, said = [], {name: [] for name in THEORIES}
+    for sphere in spheres:
+        for speed in speeds:
+            found.append(peaks(solved(sphere, speed, elements=options.mesh)[0]))
+            for name in THEORIES:
+                said[name].append(peaks(theory(sphere, speed, name)))
+            force, way, duration = found[-1]
+            errors = (" / ".join(percent(e, 1) for e in said[name][-1] / found[-1] - 1) for name in THEORIES)
+            row(sphere, f"{speed:g}", f"{force:.5g}", f"{1e6 * way:.1f}", f"{1e6 * duration:.1f}", *errors)
+    print(f"\nOver all {len(found)} together; R^2 is the squared correlation, 1 - SSres/SStot minds the slope:")
+    table("theory", "mean error P / DCS / T", "R^2", "1 - SSres/SStot")
+    exact = np.array(found)
+    for name in THEORIES:
+        values = np.array(said[name])
+        squared = [np.corrcoef(a, b)[0, 1] ** 2 for a, b in zip(values.T, exact.T, strict=True)]
+        explained = 1 - ((values - exact) ** 2).sum(axis=0) / ((exact - exact.mean(axis=0)) ** 2).sum(axis=0)
+        mean = " / ".join(percent(e, 1) for e in (values / exact - 1).mean(axis=0))
+        row(name, mean, " / ".join(f"{r:.5f}" for r in squared), " / ".join(f"{e:.3f}" for e in explained))
+
+
+def penalty(options: Options) -> None:
+    """Print what a soft contact makes of the peaks, and how soft it must be for the series theory."""
+    table("sphere", "m/s", "elements", "factor", "P / DCS / T over hard contact", "over K1", "over the series theory")
+    fitting = []
+    for sphere, speed in CORNERS[:1] if options.quick else (CORNERS[0], CORNERS[3]):
+        hard = peaks(solved(sphere, speed, elements=options.mesh)[0])
+        series = peaks(theory(sphere, speed, "series"))
+        for elements in (7,) if options.quick else (7, 14):
+            factors, forces = (0.01, 0.03, 0.1, 0.3, 1.0, 10.0), []
+            for factor in factors:
+                soft = peaks(solved(sphere, speed, elements=elements, factor=factor)[0])
+                forces.append(soft[0])
+                beside = (hard, peaks(theory(sphere, speed)), series)
+                row(sphere, f"{speed:g}", elements, f"{factor:g}", *(_joined(soft / other) for other in beside))
+            fits = np.exp(np.interp(series[0], forces, np.log(factors)))
+            fitting.append(f"{fits:.2g} (sphere {sphere}, {speed:g} m/s, {elements} elements)")
+    print(
+        f"\nThe peak force is that of the series theory at a factor of {', '.join(fitting)}. Factor times elements "
+        "is what counts: the contact is as soft with half the factor and twice the elements."
+    )
+
+
+def _joined(ratios: Floats) -> str:
+    return " / ".join(f"{ratio:.3f}" for ratio in ratios)
+
+
+def damping(options: Options) -> None:
+    """Print restitutions and loops of Kelvin-Voigt spheres beside two laws of damping.
+
+    Kuwabara-Kono's constant follows from b without any fit. Hunt-Crossley is given the restitution that was found; how
+    it goes on with speed is told by the damping that fits at the lowest.
+    """
+    columns = (
+        "restitution",
+        "Kuwabara-Kono",
+        "its loop off by",
+        "Hunt-Crossley, fitted at 2 m/s",
+        "its loop, fitted here",
+    )
+    table("sphere", "m/s", "b [us]", "method", *columns)
+    for sphere in (1,) if options.quick else (1, 3):
+        for delay in (2e-6, 10e-6) if options.quick else (0.5e-6, 1e-6, 2e-6, 5e-6, 10e-6, 20e-6):
+            rate = None
+            for speed in (2.0, 10.0) if options.quick else (2.0, 5.0, 10.0):
+                damped, _ = solved(sphere, speed, elements=options.mesh, retardation_time=delay)
+                undamped, _ = solved(sphere, speed, elements=options.mesh)
+                hertz, restitution = theory(sphere, speed), damped.restitution
+                lossy = replace(hertz, dissipation=Viscoelastic(time_constant=delay))
+                fitted = replace(hertz, dissipation=HuntCrossley(restitution=restitution))
+                rate = float(damping_number(restitution)) / speed if rate is None else rate
+                cells = [f"{restitution:.4f}"]
+                for said in (float(lossy.restitution), float(delivered_restitution(rate * speed))):
+                    cells.append(f"{said:.4f} ({said - restitution:+.4f})")
+                off = [f"{100 * loop_error(damped, undamped, law, hertz):.1f} %" for law in (lossy, fitted)]
+                way = impact(sphere, speed, elements=options.mesh, retardation_time=delay).chosen_method
+                row(sphere, f"{speed:g}", f"{1e6 * delay:g}", way, cells[0], cells[1], off[0], cells[2], off[1])
+    print(
+        "\nLoops: force over its peak against displacement over its largest, there and back, less the same without "
+        "damping (so that what finite size does to both drops out); the largest difference."
+    )
+
+
+def loop_error(damped: History, undamped: History, law: Impact, hertz: Impact) -> float:
+    """Return how far a law's loop lies from that of the finite elements, as parts of the peak force."""
+    found, said = loop(damped) - loop(undamped), loop(law) - loop(hertz)
+    return float(np.abs(found - said).max())
+
+
+def loop(of: History | Impact) -> Floats:
+    """Return force over its peak at even displacements over their largest, there and back."""
+    if isinstance(of, Impact):
+        times = np.linspace(0.0, float(of.contact_duration), 4001)
+        force, way = of.force(times), of.displacement(times)
+    else:
+        force, way = of.contact_force.samples, of.centre_displacement.samples
+    turn, places = int(way.argmax()), np.linspace(0.0, 1.0, 201)
+    force, way = force / force.max(), way / way.max()
+    there = np.interp(places, way[: turn + 1], force[: turn + 1])
+    back = np.interp(places, way[turn:][::-1], force[turn:][::-1], left=0.0)
+    return np.concatenate((there, back))
+
+
+def sizes(options: Options) -> None:
+    """Print the peaks over those of K1 for other spheres and plates."""
+    speed = 2.0
+    cases: list[tuple[str, dict[str, Any]]] = [("the paper's plate", {})]
+    for radius in (0.01, 0.05) if options.quick else (0.005, 0.01, 0.05):
+        scale = radius / RADIUS
+        alike = {"radius": radius, "thickness": scale * THICKNESS, "plate_radius": scale * PLATE_RADIUS}
+        cases += [(f"R {1e3 * radius:g} mm, plate alike", alike), (f"R {1e3 * radius:g} mm", {"radius": radius})]
+    for thickness in (0.004, 0.032) if options.quick else (0.004, 0.016, 0.032, 0.1):
+        cases.append((f"plate {1e3 * thickness:g} mm thick", {"thickness": thickness}))
+    for radius in (0.05,) if options.quick else (0.02, 0.05, 0.1, 0.458):
+        cases.append((f"plate {1e3 * radius:g} mm of radius", {"plate_radius": radius}))
+    for thickness in (0.008,) if options.quick else (0.008, 0.016, 0.032, 0.1):
+        free = {"thickness": thickness, "lower_face": "free"}
+        cases.append((f"plate {1e3 * thickness:g} mm thick, held by nothing", free))
+    table("sphere", "what is other", "P / DCS / T over K1", "over the paper's plate", "restitution", "nodes", "s")
+    for sphere in (1,) if options.quick else (1, 3):
+        usual = None
+        for name, change in cases:
+            history, seconds = solved(sphere, speed, elements=options.mesh, **change)
+            over = peaks(history) / peaks(theory(sphere, speed, radius=change.get("radius", RADIUS)))
+            usual = over if usual is None else usual
+            beside = " / ".join(percent(e) for e in over / usual - 1)
+            nodes = impact(sphere, speed, elements=options.mesh, **change).n_nodes
+            row(sphere, name, _joined(over), beside, f"{history.restitution:.4f}", nodes, f"{seconds:.1f}")
+
+
+#: Name on the command line, heading and work of each part.
+PARTS: dict[str, tuple[str, Callable[[Options], None]]] = {
+    "convergence": ("Peaks, seconds and memory against elements over the contact radius", against_elements),
+    "time": ("Where the time goes", where_time_goes),
+    "methods": ("Explicit beside implicit steps", methods),
+    "peers": ("Beside scikit-fem's assembly and a loop with scipy's product", peers),
+    "theories": ("The three theories", theories),
+    "penalty": ("Soft contact", penalty),
+    "damping": ("Kelvin-Voigt spheres", damping),
+    "low-pass": ("Force by the acceleration of the centre", low_pass),
+    "sizes": ("Spheres and plates of other sizes", sizes),
+}
+
+
+def main() -> None:
+    """Run what was asked for and print Markdown."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--parts", nargs="+", choices=PARTS, default=list(PARTS), metavar="PART", help=", ".join(PARTS))
+    parser.add_argument(
+        "--elements", type=int, nargs="+", help="of convergence, time, peers (default 7 14 28, quick 7 14)"
+    )
+    parser.add_argument("--mesh", type=int, default=ELEMENTS, help="elements of the other parts (default 14)")
+    parser.add_argument("--quick", action="store_true", help="fewer impacts, no picture")
+    parser.add_argument("--alone", help=argparse.SUPPRESS)
+    options = parser.parse_args()
+    # Displacements of a tenth of the radius and more are part of the study.
+    warnings.simplefilter("ignore", HertzRangeWarning)
+    if options.alone:
+        print_alone(options.alone)
+        return
+    options.elements = options.elements or ([7, 14] if options.quick else [7, 14, 28])
+    solved(1, 10.0, elements=7)  # compiles
+    with threadpool_limits(1):
+        for part in options.parts:
+            heading, work = PARTS[part]
+            start = time.perf_counter()
+            print(f"\n## {heading}", flush=True)
+            work(options)
+            print(f"\n({time.perf_counter() - start:.0f} s)", flush=True)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,281 @@
+"""What a finite-element impact costs: seconds and memory, where they go, other methods, other tools."""
+
+from __future__ import annotations
+
+import argparse
+import inspect
+import json
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+from typing import Any
+from unittest import mock
+
+import numba
+import numpy as np
+from finite_element_cases import CORNERS, impact, peaks, percent, row, solved, table
+from finite_element_peers import by_scikit_fem, by_scipy
+
+from cgid.impact.finite_element import _stepping, elasticity
+from cgid.impact.finite_element import explicit as stepping
+from cgid.impact.finite_element.elasticity import body, highest_frequency
+from cgid.impact.finite_element.explicit import stable_time_step
+from cgid.impact.finite_element.pair import Pair
+from cgid.impact.finite_element.records import N_VALUES
+from cgid.materials import STEEL, YANG2018_SPHERES
+from cgid.validation import Floats
+
+#: Explicit runs of more steps than this are not made beside implicit ones.
+MOST_STEPS = 100_000
+#: Retardation times beside none, for explicit against implicit [s].
+DELAYS = (0.0, 0.2e-6, 2e-6)
+
+
+def against_elements(options: argparse.Namespace) -> None:
+    """Print peaks, seconds and memory of an impact against elements over the contact radius."""
+    columns = ("peak force [N]", "DCS [um]", "duration [us]", "peak pressure [MPa]")
+    costs = ("nodes", "steps", "s", "us a step", "memory [MB]", "energy", "momentum")
+    table("sphere", "m/s", "elements", *(f"{column}, off by" for column in columns), *costs)
+    for sphere, speed in (CORNERS[0], CORNERS[3]):
+        runs = [alone(sphere=sphere, velocity=speed, elements=elements) for elements in options.elements]
+        finest = runs[-1]
+        for run in runs:
+            values = [
+                f"{run[name]:.5g}, {percent(run[name] / finest[name] - 1)}" for name in run if name in finest["told"]
+            ]
+            cost = (f"{run['seconds']:.2f}", f"{1e6 * run['seconds'] / run['steps']:.0f}", run["memory"])
+            errors = (f"{run['energy']:.0e}", f"{run['momentum']:.0e}")
+            row(sphere, f"{speed:g}", run["elements"], *values, run["nodes"], run["steps"], *cost, *errors)
+    print("\nMemory: what the process of an impact came to hold more than before it, all loaded and compiled.")
+
+
+def alone(**case: Any) -> dict[str, Any]:
+    """Return what an impact in a process of its own tells."""
+    script = Path(__file__).with_name("finite_element.py")
+    done = subprocess.run([sys.executable, script, "--alone", json.dumps(case)], capture_output=True, text=True)
+    if done.returncode:
+        raise SystemExit(done.stderr)
+    return dict(json.loads(done.stdout))
+
+
+def print_alone(case: str) -> None:
+    """Compute one impact and print what it tells as JSON."""
+    options = json.loads(case)
+    solved(1, 10.0, elements=7)  # compiles, loads
+    before = _memory(forget=True)
+    start = time.process_time()
+    asked = impact(**options)
+    history = asked.run()
+    seconds, after = time.process_time() - start, _memory()
+    force, way, duration = peaks(history)
+    told = {"force": force, "way": 1e6 * way, "duration": 1e6 * duration, "pressure": history.peak_pressure / 1e6}
+    rest = {
+        "told": list(told),
+        "elements": options["elements"],
+        "nodes": asked.n_nodes,
+        "steps": history.n_steps,
+        "seconds": seconds,
+        "memory": round((after - before) / 1e6, 1),
+        "energy": history.energy_error,
+        "momentum": history.momentum_error,
+    }
+    print(json.dumps(told | rest))
+
+
+def _memory(forget: bool = False) -> float:
+    """Return the most memory that this process ever held, or since it was to forget that [bytes]; Linux only."""
+    process = Path("/proc/self")
+    if forget:
+        (process / "clear_refs").write_text("5")
+    return float((process / "status").read_text().partition("VmHWM:")[2].split()[0]) * 1024
+
+
+class Spy:
+    """Stands before the kernel of the steps: how long it runs, and in what states."""
+
+    def __init__(self) -> None:
+        self.seconds, self.steps, self.records = 0.0, 0, 0
+        self.calls: list[tuple[Any, ...]] = []
+
+    def __call__(self, matrix: Any, contact: Any, inertia: Any, state: Any, rows: Any, stride: int) -> bool:
+        """Take steps as the kernel does."""
+        start = time.process_time()
+        found: bool = _stepping.advance(matrix, contact, inertia, state, rows, stride)
+        self.seconds += time.process_time() - start
+        self.steps += stride * len(rows[1])
+        self.records += len(rows[1])
+        self.calls.append((matrix, contact, inertia, tuple(part.copy() for part in state)))
+        return found
+
+
+def where_time_goes(options: argparse.Namespace) -> None:
+    """Print the parts of the time of an undamped explicit impact."""
+    parts = ("mesh", "matrices", "stability", "steps: product", "contact", "rest of the steps", "records", "rest")
+    each = ("us: product", "contact", "rest of a step", "a record")
+    table("elements", "s", *parts, "steps", *each, "nodes of sphere / plate", "sphere's stable step over the plate's")
+    for elements in options.elements:
+        case = {"elements": elements, "method": "explicit"}
+        asked, spy = impact(1, 2.0, **case), Spy()
+        with mock.patch.object(stepping, "advance", spy):
+            whole, _ = timed(asked.run, rounds=1)
+        ball, slab = asked.pair.sphere, asked.pair.plate
+        matrices, _ = timed(_matrices, ball.mesh, slab.mesh)
+        mesh = timed(lambda case=case: impact(1, 2.0, **case).pair.stiffness)[0] - matrices
+        stability, _ = timed(stable_time_step, asked.pair, (0.0, 0.0))
+        costs = _of_a_step(spy)
+        counts = np.array([spy.steps] * 3 + [spy.records])
+        spent = [mesh, matrices, stability, *(costs * counts)]
+        shares = [f"{seconds / whole:.1%}" for seconds in (*spent, whole - sum(spent))]
+        nodes = f"{ball.mass.size // 2} / {slab.mass.size // 2}"
+        ratio = highest_frequency(slab) / highest_frequency(ball)
+        row(
+            elements,
+            f"{whole:.2f}",
+            *shares,
+            spy.steps,
+            *(f"{1e6 * cost:.1f}" for cost in costs),
+            nodes,
+            f"{ratio:.2f}",
+        )
+    print("\nParts are least times in states of this run, and the rest is what they miss: on a busy machine much.")
+
+
+def _matrices(ball: Any, slab: Any) -> Any:
+    return Pair(sphere=body(ball, YANG2018_SPHERES[1], volume=1.0), plate=body(slab, STEEL, volume=1.0)).stiffness
+
+
+def _of_a_step(spy: Spy) -> Floats:
+    """Return the time of a step's product, its contact, all else in it, and of a record [s]; means over states seen."""
+    costs = []
+    for matrix, contact, inertia, state in spy.calls[:: max(1, len(spy.calls) // 8)]:
+        n, times = contact[3].size, max(20, 1_000_000 // len(matrix[2]))
+        u, _, before, force, touching, *_ = state
+        met = (u.copy(), before, np.empty((2, n)), force.copy(), touching.copy())
+        product, _ = timed(_products, *matrix, u.copy(), np.empty(u.size), times)
+        step, retardation = inertia[-4:-2]
+        contacts, _ = timed(_contacts, matrix, contact, retardation / step, met, (np.empty(n), np.empty(n)), times)
+        stepped, _ = timed(_steps, matrix, contact, inertia, state, 1, times)
+        recorded, _ = timed(_steps, matrix, contact, inertia, state, times, 1)
+        costs.append(np.array([product, contacts, stepped - product - contacts, recorded - stepped]) / times)
+    return np.asarray(np.mean(costs, axis=0))
+
+
+def _steps(matrix: Any, contact: Any, inertia: Any, state: Any, records: int, stride: int) -> None:
+    rows = (np.empty((records, contact[3].size)), np.empty((records, N_VALUES)))
+    _stepping.advance(matrix, contact, inertia, tuple(part.copy() for part in state), rows, stride)
+
+
+@numba.njit(nogil=True)
+def _products(starts, columns, blocks, x, out, times):  # type: ignore[no-untyped-def]
+    for _ in range(times):
+        _stepping._multiply(starts, columns, blocks, x, out)
+        x[0] = 1e-300 * out[1]
+
+
+@numba.njit(nogil=True)
+def _contacts(matrix, contact, lag, state, scratch, times):  # type: ignore[no-untyped-def]
+    w, before, now, force, touching = state
+    for _ in range(times):
+        _stepping._meet(matrix, contact, lag, w, before, now, force, touching, scratch)
+
+
+def timed(work: Callable[..., Any], *arguments: Any, rounds: int = 3) -> tuple[float, Any]:
+    """Return the least time of some rounds [s] and what came out; where there are more than one, the first compiles."""
+    times, result = [], None
+    for _ in range(rounds + (rounds > 1)):
+        start = time.process_time()
+        result = work(*arguments)
+        times.append(time.process_time() - start)
+    return min(times), result
+
+
+def methods(options: argparse.Namespace) -> None:
+    """Print time and error of explicit and implicit steps on one mesh."""
+    columns = ("steps of Hertz's duration", "s", "peak off by", "DCS", "duration", "restitution off by", "energy")
+    table("b [us]", "explicit step shorter by", "method", *columns)
+    elements = 7 if options.quick else options.mesh
+    for delay in DELAYS[:2] if options.quick else DELAYS:
+        asked = impact(1, 2.0, elements=elements, retardation_time=delay)
+        duration, stable = float(asked.hertz.contact_duration), asked.stable_time_step
+        shorter = stable_time_step(asked.pair, (0.0, 0.0)) / stable
+        runs: list[tuple[str, float | None]] = []
+        if duration / stable <= MOST_STEPS:
+            runs += [("explicit", 0.5 * stable), ("explicit", None)]
+        else:
+            runs += [("implicit", duration / 4000)]
+        runs += [("implicit", duration / steps) for steps in (125, 250, 500, 1000, 2000)]
+        exact = None
+        for method, step in runs:
+            history, seconds = solved(1, 2.0, elements=elements, retardation_time=delay, method=method, time_step=step)
+            exact = history if exact is None else exact
+            off = [percent(e, 3) for e in peaks(history) / peaks(exact) - 1]
+            bounced = f"{history.restitution - exact.restitution:+.5f}"
+            energy = "-" if history.energy_error is None else f"{history.energy_error:.0e}"
+            steps = f"{duration / history.time_step:.0f}"
+            row(f"{1e6 * delay:g}", f"{shorter:.3g}", method, steps, f"{seconds:.2f}", *off, bounced, energy)
+    print(
+        f"\nThe first of each b is the truth of the others. Explicit runs of more than {MOST_STEPS} steps are left out."
+    )
+
+
+def peers(options: argparse.Namespace) -> None:
+    """Print assembly beside scikit-fem's, and steps beside scipy's product with another contact."""
+    _assembly(options)
+    table("elements", "stepped by", "us a step", "in the product", "over ours", "peak force [N]", "restitution")
+    for elements in options.elements:
+        asked, spy = impact(1, 2.0, elements=elements, method="explicit"), Spy()
+        with mock.patch.object(stepping, "advance", spy):
+            history = asked.run()
+        ours = spy.seconds / spy.steps
+        product = float(_of_a_step(spy)[0])
+        told = (f"{history.peak_force:.5g}", f"{history.restitution:.4f}")
+        row(elements, "cgid", f"{1e6 * ours:.1f}", f"{1e6 * product:.1f}", "1", *told)
+        pair = asked.pair
+        duration = history.contact_duration * (0.05 if elements > 20 else 1.1)
+        other = by_scipy(pair.sphere, pair.plate, float(asked.velocity), history.time_step, duration)
+        each = other.seconds / other.force.size
+        cells = (f"{1e6 * each:.1f}", f"{1e6 * other.product / other.force.size:.1f}", f"{each / ours:.1f}")
+        told = ("-", "-") if elements > 20 else (f"{other.force.max():.5g}", f"{other.restitution:.4f}")
+        row(elements, "a loop with scipy's product", *cells, *told)
+
+
+def _assembly(options: argparse.Namespace) -> None:
+    ours = (elasticity.body, elasticity.element_matrices, elasticity._elasticity)
+    lines = sum(statements(function) for function in ours)
+    print(f"\nStiffness and mass of a sphere: {lines} lines here, {statements(by_scikit_fem)} with scikit-fem.")
+    table("elements", "of them", "cgid [ms]", "scikit-fem [ms]", "stiffness apart, of the largest", "mass apart")
+    for elements in options.elements:
+        asked = impact(1, 2.0, elements=elements)
+        mesh, material = asked.pair.sphere.mesh, asked.sphere.material
+        volume = 4 / 3 * np.pi * float(asked.sphere.radius) ** 3
+        own, found = timed(partial(body, volume=volume), mesh, material)
+        try:
+            other, (stiffness, mass) = timed(by_scikit_fem, mesh, material)
+        except ImportError:
+            row(elements, len(mesh.elements), f"{1e3 * own:.1f}", "not installed", "-", "-")
+            continue
+        # Ours stretches the masses to those of a ball without corners.
+        mass *= found.mass.sum() / mass.sum()
+        apart = (
+            abs(stiffness - found.stiffness).max() / abs(stiffness).max(),
+            _largest(mass - found.mass) / mass.max(),
+        )
+        row(
+            elements, len(mesh.elements), f"{1e3 * own:.1f}", f"{1e3 * other:.1f}", *(f"{error:.0e}" for error in apart)
+        )
+
+
+def _largest(values: Floats) -> float:
+    return float(np.abs(values).max())
+
+
+def statements(function: Callable[..., Any]) -> int:
+    """Return how many lines a function has, without its docstring, comments and empty lines."""
+    text = inspect.getsource(function)
+    if function.__doc__:
+        text = text.replace(function.__doc__, "")
+    kept = (line.strip() for line in text.splitlines())
+    return sum(1 for line in kept if line and not line.startswith("#") and line != '""""""')
