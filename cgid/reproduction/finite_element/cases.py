@@ -98,6 +98,15 @@ def retardation_times(sphere: int) -> list[float]:
 
 def factor_of(size: float, sphere: int, velocity: float) -> float:
     """Return the factor with which our elements press as softly as `PENALTY_FACTOR` does with elements of this size."""
+    return PENALTY_FACTOR * element_size(sphere, velocity) / size
+
+
+def element_size(sphere: int, velocity: float) -> float:
+    """Return the size of our elements at the contact [m]: a part of Hertz's contact radius."""
     impact = paper_impact(sphere, velocity, "hertz")
-    ours = float(np.sqrt(impact.reduced_radius * impact.peak_displacement)) / ELEMENTS
-    return PENALTY_FACTOR * ours / size
+    return float(np.sqrt(impact.reduced_radius * impact.peak_displacement)) / ELEMENTS
+
+
+def element_sizes() -> list[float]:
+    """Return the size of our elements at the contact of each of the twenty impacts [m]."""
+    return [element_size(sphere, velocity) for sphere in YANG2018_SPHERES for velocity in paper.VELOCITIES]
