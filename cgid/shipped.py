@@ -15,6 +15,7 @@ DEFAULT_MODEL = "default.npz"
 DROP_HEIGHT_MODEL = "default-drop-height.npz"
 ACCELERATION_MODEL = "default-acceleration.npz"
 SAMPLE = "sample.csv"
+FINITE_ELEMENT_IMPACTS = "finite_element.npz"
 SCENES = ("reference", "peers", "yang2018", "strangers", "lookalikes", "randomised", "tail_beam", "plate", "caving")
 
 

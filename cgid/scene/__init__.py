@@ -2,6 +2,7 @@
 
 from cgid.scene.calibration import Blow, Calibration, calibrated
 from cgid.scene.generation import generate
+from cgid.scene.given_pulses import synthesise_given
 from cgid.scene.scene import Scene, load_scene, parse_scene
 from cgid.scene.sensor import Sensor
 from cgid.scene.stream.generation import generate_recordings
@@ -21,5 +22,6 @@ __all__ = [
     "parse_scene",
     "record",
     "synthesise",
+    "synthesise_given",
     "varied",
 ]

@@ -15,7 +15,7 @@ from cgid.scene.impacts import PARTICLE, impact_of, impacts_by_coupling
 from cgid.scene.randomisation import settled
 from cgid.scene.randomness import BLOCK, CLIPPING, IMPACT_POINTS, SECOND_HITS, TAPS, uniforms
 from cgid.scene.scene import Scene
-from cgid.scene.strike import Strike
+from cgid.scene.strike import Blows, Strike
 from cgid.scene.taps import SHAPES, TapPulses
 from cgid.validation import Floats
 
@@ -57,31 +57,16 @@ def parameter_units(scene: Scene) -> dict[str, str]:
 
 
 @dataclass(frozen=True)
-class Draw:
-    """The pulses of one block.
+class Draw(Blows):
+    """The pulses of one block, as a scene draws them; their parameters are those of `parameter_units`.
 
     Attributes
     ----------
-    labels : ndarray of str, (n_signals,)
-    parameters : dict of ndarray, each (n_signals,)
-        Drawn and derived, in `parameter_units`, nan where one does not apply; onset is the time of touch in the
-        frame, peak and duration are those of the first hit.
-    specimen : ndarray of uint64, (n_signals,)
-        Equal for pulses of an equal particle, or of an equal tap.
     impact : Impact
         All that are impacts: every signal of a scene without taps.
-    strikes : tuple of Strike
-        What the frames are made of: impacts, taps, second hits.
-    scene : Scene
-        The scene as it holds in this block.
     """
 
-    labels: NDArray[np.str_]
-    parameters: Mapping[str, Floats]
-    specimen: NDArray[np.uint64]
     impact: Impact
-    strikes: tuple[Strike, ...]
-    scene: Scene
 
     @property
     def inelasticity(self) -> Floats:
@@ -131,10 +116,10 @@ class Given:
 def given(scene: Scene, seed: int, block: int) -> Given:
     """Return what is drawn for one block of 256."""
     here = settled(scene, seed, block)
-    kinds = uniforms(seed, block, len(FALL) + 2)
+    kinds = numbers_of(seed, block)
     which = _sources(scene, kinds[0])
     values = _values(scene, seed, block, which, kinds[1:-1])
-    values["onset"] = (here.sampling.pre_trigger + here.sampling.jitter * kinds[-1]) / here.sampling.sampling_rate
+    values["onset"] = onset_of(here, kinds[-1])
     for name in _RANDOMISED_UNITS.keys() & values.keys():
         level = getattr(here.sensor, name)
         values[name][:] = np.nan if level is None else level
@@ -178,7 +163,7 @@ def draw(scene: Scene, seed: int, block: int) -> Draw:
         for name in ("restitution", "peak_force", "contact_duration"):
             values[name][rows] = getattr(pulses, name)
     strikes += _strikes(_taps(shapes, values, tapped), partial(_taps, shapes, values), tapped, values)
-    return Draw(drawn.labels, values, drawn.specimen, impact, tuple(strikes), drawn.scene)
+    return Draw(drawn.labels, values, drawn.specimen, tuple(strikes), drawn.scene, impact)
 
 
 def _sources(scene: Scene, uniform: Floats) -> NDArray[np.intp]:
@@ -201,14 +186,30 @@ def _values(scene: Scene, seed: int, block: int, which: NDArray[np.intp], falls:
         rows = np.flatnonzero(which == index)
         for name, law in source.laws.items():
             values[name][rows] = law.quantile(columns[name][rows])
-    if scene.panel is not None:
-        assert scene.tail_beam is not None and scene.tail_beam.impact_point is not None
-        along, across = uniforms(seed, block, 2, IMPACT_POINTS)
-        values["impact_x"] = scene.tail_beam.impact_point.x.quantile(along)
-        values["impact_y"] = scene.tail_beam.impact_point.y.quantile(across)
+    values |= points_of_impact(scene, seed, block)
     fell = np.isfinite(values["drop_height"])
     values["velocity"][fell] = free_fall_velocity(values["drop_height"][fell])
     return values
+
+
+def numbers_of(seed: int, block: int) -> Floats:
+    """Return the uniform numbers that say source, quantities in `FALL` and onset of each signal of a block, in turn."""
+    return uniforms(seed, block, len(FALL) + 2)
+
+
+def onset_of(scene: Scene, number: Floats) -> Floats:
+    """Return the times of touch [s] that belong to uniform numbers; the scene is that of the block."""
+    return (scene.sampling.pre_trigger + scene.sampling.jitter * number) / scene.sampling.sampling_rate
+
+
+def points_of_impact(scene: Scene, seed: int, block: int) -> dict[str, Floats]:
+    """Return where each impact of a block meets the beam [m], by name; nothing where no beam is known by its sizes."""
+    if scene.panel is None:
+        return {}
+    assert scene.tail_beam is not None and scene.tail_beam.impact_point is not None
+    along, across = uniforms(seed, block, 2, IMPACT_POINTS)
+    point = scene.tail_beam.impact_point
+    return {"impact_x": point.x.quantile(along), "impact_y": point.y.quantile(across)}
 
 
 def _strikes(

@@ -11,7 +11,9 @@ from numpy.typing import NDArray
 
 from cgid.impact import Impact
 from cgid.impact.coupled import ModalImpact
+from cgid.impact.sampled import SampledPulses
 from cgid.scene.response import Hearing
+from cgid.scene.scene import Scene
 from cgid.scene.taps import TapPulses
 from cgid.validation import Floats
 
@@ -24,7 +26,7 @@ class Strike:
     ----------
     rows : ndarray of int, (n,)
         Signals of the block that they belong to.
-    pulses : Impact, ModalImpact or TapPulses
+    pulses : Impact, ModalImpact, TapPulses or SampledPulses
         n of them.
     onset : ndarray, (n,)
         Time of touch in the frame [s].
@@ -33,7 +35,7 @@ class Strike:
     """
 
     rows: NDArray[np.intp]
-    pulses: Impact | ModalImpact | TapPulses
+    pulses: Impact | ModalImpact | TapPulses | SampledPulses
     onset: Floats
     ratio: Floats | None = None
 
@@ -54,3 +56,28 @@ class Strike:
         hearing.response.add_to_frames(
             frames, self.pulses, self.onset, hearing.participation(own), rows=self.rows, ratio=self.ratio
         )
+
+
+@dataclass(frozen=True)
+class Blows:
+    """All that is heard in one block of signals.
+
+    Attributes
+    ----------
+    labels : ndarray of str, (n_signals,)
+    parameters : dict of ndarray, each (n_signals,)
+        Drawn and derived, nan where one does not apply; onset is the time of touch in the frame, peak and duration are
+        those of the first hit.
+    specimen : ndarray of uint64, (n_signals,)
+        Equal for pulses of an equal particle, or of an equal tap.
+    strikes : tuple of Strike
+        What the frames are made of: impacts, taps, second hits.
+    scene : Scene
+        The scene as it holds in this block.
+    """
+
+    labels: NDArray[np.str_]
+    parameters: Mapping[str, Floats]
+    specimen: NDArray[np.uint64]
+    strikes: tuple[Strike, ...]
+    scene: Scene

@@ -14,12 +14,13 @@ from cgid.errors import InvalidValue
 from cgid.scene.background_noise import add_to_frames
 from cgid.scene.noise import HIGHEST_NOISE, add_noise
 from cgid.scene.plan import Plan, plan
-from cgid.scene.population import Draw, draw
+from cgid.scene.population import draw
 from cgid.scene.randomness import BLOCK
 from cgid.scene.range_warnings import unwarned
 from cgid.scene.response import hearing
 from cgid.scene.scene import Scene
 from cgid.scene.sensor import Sensor, clip
+from cgid.scene.strike import Blows
 from cgid.signals import Batch
 from cgid.validation import Floats
 
@@ -93,9 +94,14 @@ def require_frames(scene: Scene) -> None:
 
 
 def _block(asked: Plan, seed: int, block: int, part: slice, dtype: DTypeLike) -> Batch:
-    scene = asked.request.scene
     with unwarned():
-        drawn = draw(scene, seed, block)
+        drawn = draw(asked.request.scene, seed, block)
+    return batch_of(asked, drawn, seed, block, part, dtype)
+
+
+def batch_of(asked: Plan, drawn: Blows, seed: int, block: int, part: slice, dtype: DTypeLike) -> Batch:
+    """Return some signals of one block, with all that is known of them; parameters as in `make_frames`."""
+    scene = asked.request.scene
     frames = make_frames(asked.for_block(drawn.scene), drawn, seed, block, dtype)
     return Batch(
         signals=frames[part],
@@ -109,14 +115,14 @@ def _block(asked: Plan, seed: int, block: int, part: slice, dtype: DTypeLike) ->
     )
 
 
-def make_frames(asked: Plan, drawn: Draw, seed: int, block: int, dtype: DTypeLike) -> NDArray[Any]:
+def make_frames(asked: Plan, drawn: Blows, seed: int, block: int, dtype: DTypeLike) -> NDArray[Any]:
     """Return the frames of one block: pulses, bandwidth, noise, background, clipping, range, bits, if the plan says so.
 
     Parameters
     ----------
     asked : Plan
         That of the block: of `drawn.scene`.
-    drawn : Draw
+    drawn : Blows
     seed, block : int
     dtype : {"float32", "float64"}
     """
@@ -124,7 +130,7 @@ def make_frames(asked: Plan, drawn: Draw, seed: int, block: int, dtype: DTypeLik
 
 
 def make_beginnings(
-    asked: Plan, drawn: Draw, seed: int, block: int, dtype: DTypeLike, n_samples: int
+    asked: Plan, drawn: Blows, seed: int, block: int, dtype: DTypeLike, n_samples: int
 ) -> tuple[NDArray[Any], Floats]:
     """Return the first samples of the frames of one block, and what no sample behind them passes.
 
@@ -178,7 +184,7 @@ def _digitised_by(sensor: Sensor, sampling_rate: float, first: int, n_samples: i
     return (sensor.offset or 0.0) + max(drift * first, drift * n_samples) + step
 
 
-def add_pulses(frames: NDArray[Any], asked: Plan, drawn: Draw) -> None:
+def add_pulses(frames: NDArray[Any], asked: Plan, drawn: Blows) -> None:
     """Add to each frame what is asked of its blows, in place: their forces, or what beam and sensor make of them."""
     scene = drawn.scene
     heard = hearing(scene) if asked.responds else None

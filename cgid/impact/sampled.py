@@ -1,0 +1,223 @@
+"""Contact forces that are known at points of time: solved by another program, or measured."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from cgid import validation
+from cgid.counting import count
+from cgid.errors import InvalidValue
+from cgid.validation import Floats
+
+#: Fewest points of a pulse: a cubic spline through fewer is no curve of its own.
+FEWEST_POINTS = 4
+#: Points in which an interval beside the largest sample is searched for the peak.
+_FINER = 32
+#: Weight of touch and separation, where the force is known to be 0, over that of a sample.
+_SURE = 1e3
+
+
+def shares_of_contact(n_points: int) -> Floats:
+    """Return points of a contact, 0 at touch and 1 at separation, close together at both ends: `(1 - cos) / 2`.
+
+    Examples
+    --------
+    >>> shares_of_contact(5).round(3).tolist()
+    [0.0, 0.146, 0.5, 0.854, 1.0]
+    """
+    if validation.count("n_points", n_points) < FEWEST_POINTS:
+        raise InvalidValue(f"n_points must be {FEWEST_POINTS} or more, got {n_points}")
+    return np.asarray((1 - np.cos(np.linspace(0, np.pi, n_points))) / 2)
+
+
+def smoothed(times: ArrayLike, forces: ArrayLike, contact_duration: float, shares: ArrayLike, knots: int = 8) -> Floats:
+    """Return the force [N] of one rippled course at shares of its contact, drawn through all of its samples.
+
+    The curve is the cubic spline in the angle of `SampledPulses`, with this many knots between touch and separation,
+    that lies nearest to the samples (least squares over time) and begins and ends at 0. Eight knots follow a damped
+    impact within .3 % of its peak and .1 % on average, and take the steps away that a force makes where a mesh
+    comes into contact node by node.
+
+    Parameters
+    ----------
+    times, forces : array_like, (n_times,)
+        [s] since touch, rising, and [N]; what lies outside contact is not looked at.
+    contact_duration : float
+        [s].
+    shares : array_like, (n_points,)
+    knots : int
+
+    Raises
+    ------
+    InvalidValue
+        The course has too few samples within contact for so many knots.
+    """
+    from scipy.interpolate import make_lsq_spline
+
+    since, course = validation.real("times", times, "s"), validation.real("forces", forces, "N")
+    lasts = float(validation.positive("contact_duration", contact_duration, "s"))
+    inside = (since > 0) & (since < lasts)
+    if inside.sum() < 2 * (knots + FEWEST_POINTS):
+        raise InvalidValue(
+            f"forces must have {2 * (knots + FEWEST_POINTS)} samples or more within contact for {knots} knots, got "
+            f"{inside.sum()}"
+        )
+    angle = np.concatenate([[0.0], np.arccos(1 - 2 * since[inside] / lasts), [np.pi]])
+    # Even in time: a sample is as good as another. The ends are sure.
+    weight = np.full(angle.size, 1.0)
+    weight[[0, -1]] = _SURE
+    inner = np.linspace(0, np.pi, knots + 2)
+    spline = make_lsq_spline(
+        angle, np.concatenate([[0.0], course[inside], [0.0]]), np.concatenate([[0.0] * 3, inner, [np.pi] * 3]), w=weight
+    )
+    return np.asarray(np.maximum(spline(np.arccos(1 - 2 * validation.real("shares", shares))), 0.0))
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class SampledPulses:
+    """Pulses given by their forces at the same shares of the contact of each.
+
+    Between the points goes a cubic spline in the angle `arccos(1 - 2 share)`. Whether a force begins as the root of
+    time (a viscoelastic sphere) or as its power 3/2, in that angle it is smooth. What a spline would take below zero is
+    zero.
+
+    Parameters
+    ----------
+    shares : array_like, (n_points,)
+        Of the contact, rising from 0 to 1, such as `shares_of_contact` gives.
+    forces : array_like, (n, n_points)
+        [N].
+    contact_duration : array_like, (n,)
+        [s].
+
+    Raises
+    ------
+    InvalidValue
+        Shapes do not fit together, the shares do not rise from 0 to 1, a force is negative, or a pulse has none.
+
+    Examples
+    --------
+    >>> shares = shares_of_contact(33)
+    >>> pulses = SampledPulses(shares=shares, forces=800 * np.sin(np.pi * shares)[None] ** 1.5, contact_duration=[5e-4])
+    >>> pulses.force([[1.25e-4]]).round(2).tolist()
+    [[475.68]]
+    """
+
+    shares: Floats
+    forces: Floats
+    contact_duration: Floats
+
+    def __post_init__(self) -> None:
+        shares, forces = validation.real("shares", self.shares), validation.not_negative("forces", self.forces, "N")
+        duration = validation.positive("contact_duration", self.contact_duration, "s")
+        rising = shares.ndim == 1 and shares.size >= FEWEST_POINTS and bool((np.diff(shares) > 0).all())
+        if not rising or shares[0] != 0 or shares[-1] != 1:
+            raise InvalidValue(
+                f"shares must be {FEWEST_POINTS} or more numbers that rise from 0 to 1, got {shares.size} numbers from "
+                f"{shares.min(initial=np.inf):g} to {shares.max(initial=-np.inf):g}"
+            )
+        if forces.shape != (*duration.shape, shares.size) or duration.ndim != 1:
+            raise InvalidValue(
+                f"forces must have a row for each contact_duration and a column for each of {shares.size} shares, got "
+                f"shape {forces.shape} for durations of shape {duration.shape}"
+            )
+        silent = np.flatnonzero(forces.max(axis=1, initial=0.0) == 0)
+        if silent.size:
+            raise InvalidValue(f"forces must be above 0 somewhere in each pulse, got none in row {silent[0]}")
+        for name, values in (("shares", shares), ("forces", forces), ("contact_duration", duration)):
+            object.__setattr__(self, name, values)
+        validation.hold(self, "shares", "forces", "contact_duration")
+
+    def __len__(self) -> int:
+        return len(self.contact_duration)
+
+    @property
+    def end_of_contact(self) -> Floats:
+        """From touch to separation [s], (n,)."""
+        return self.contact_duration
+
+    @cached_property
+    def peak_force(self) -> Floats:
+        """The largest force [N], (n,), of the curve between the points."""
+        knots, largest = self._angles, np.argmax(self.forces, axis=1)
+        low, high = knots[np.maximum(largest - 1, 0)], knots[np.minimum(largest + 1, knots.size - 1)]
+        around = low[:, None] + (high - low)[:, None] * np.linspace(0, 1, 2 * _FINER + 1)
+        found = [self._curve(row, angles).max() for row, angles in enumerate(around)]
+        return np.asarray(np.maximum(np.array(found, np.float64), self.forces.max(axis=1)))
+
+    @property
+    def impulse(self) -> Floats:
+        """Integral of the force over the contact [N s], (n,)."""
+        nodes, weights = np.polynomial.legendre.leggauss(4)
+        knots = self._angles
+        middle, half = (knots[1:] + knots[:-1]) / 2, np.diff(knots) / 2
+        angles = (middle[:, None] + half[:, None] * nodes).ravel()
+        # With the share (1 - cos) / 2 of the contact, dt is half the sine of the angle.
+        weight = (half[:, None] * weights).ravel() * np.sin(angles) / 2
+        each = [float(self._curve(row, angles) @ weight) for row in range(len(self))]
+        return np.array(each, np.float64) * self.contact_duration
+
+    def taken(self, rows: NDArray[np.intp] | slice) -> SampledPulses:
+        """Return some of the pulses."""
+        return replace(self, forces=self.forces[rows], contact_duration=self.contact_duration[rows])
+
+    def stretched(self, force: ArrayLike, time: ArrayLike) -> SampledPulses:
+        """Return the pulses with every force and every time multiplied, each by one number or by its own, (n,)."""
+        factor = np.broadcast_to(validation.positive("force", force), (len(self),))
+        stretch = np.broadcast_to(validation.positive("time", time), (len(self),))
+        return replace(
+            self,
+            forces=self.forces * factor[:, None],
+            contact_duration=self.contact_duration * stretch,
+        )
+
+    def force(self, times: ArrayLike) -> Floats:
+        """Return the forces [N] at times since touch [s], (n, n_times); zero outside contact."""
+        since = validation.real("times", times, "s")
+        since = np.broadcast_to(since, (len(self), since.shape[-1]))
+        share = since / self.contact_duration[:, None]
+        inside = (share > 0) & (share < 1)
+        angles = np.arccos(1 - 2 * np.clip(share, 0, 1))
+        return np.asarray(np.where(inside, [self._curve(row, own) for row, own in enumerate(angles)], 0.0))
+
+    def add_to_frames(
+        self, frames: NDArray[Any], sampling_rate: ArrayLike, onset: ArrayLike, *, tolerance: float = 0.0
+    ) -> None:
+        """Add the pulses to frames (n, n_samples) in place, each from its time of touch [s] on.
+
+        Each frame may have a sampling rate of its own. There is nothing to be saved by a tolerance.
+        """
+        count("sampled_pulses", len(frames))
+        rate = np.broadcast_to(validation.positive("sampling_rate", sampling_rate, "Hz"), (len(self),))
+        place = np.broadcast_to(validation.real("onset", onset, "s"), (len(self),)) * rate
+        length = self.contact_duration * rate
+        first = np.clip(np.floor(place) + 1, 0, frames.shape[1]).astype(np.intp)
+        behind = np.clip(np.ceil(place + length), first, frames.shape[1]).astype(np.intp)
+        for row, frame in enumerate(frames):
+            share = (np.arange(first[row], behind[row]) - place[row]) / length[row]
+            frame[first[row] : behind[row]] += self._curve(row, np.arccos(1 - 2 * np.clip(share, 0, 1)))
+
+    @cached_property
+    def _angles(self) -> Floats:
+        return np.arccos(1 - 2 * self.shares)
+
+    @cached_property
+    def _coefficients(self) -> Floats:
+        """Of the cubic of each interval, the third power first, (n, 4, n_points - 1)."""
+        from scipy.interpolate import CubicSpline
+
+        spline = CubicSpline(self._angles, self.forces, axis=1)
+        return np.ascontiguousarray(np.moveaxis(spline.c, 2, 0))
+
+    def _curve(self, row: int, angles: Floats) -> Floats:
+        """Return the force of one pulse at angles between 0 and pi."""
+        knots = self._angles
+        interval = np.clip(np.searchsorted(knots, angles, side="right") - 1, 0, knots.size - 2)
+        x = angles - knots[interval]
+        cubic, square, slope, start = self._coefficients[row][:, interval]
+        return np.asarray(np.maximum(((cubic * x + square) * x + slope) * x + start, 0.0))

@@ -1,0 +1,196 @@
+"""Make finite_element.npz again: impacts of the reference scene, solved by finite elements in place of a law of impact.
+
+    python datasets/make_finite_element.py [--impacts 256] [--jobs N] [--output FILE]
+
+Every impact is a rock that the scene draws (a seed that no shipped model was trained with): its material, its fall, its
+restitution. It is a sphere of a viscoelastic material (Kelvin and Voigt) on a block of steel; its retardation time is
+sought, on a coarse mesh, until the sphere rebounds as was asked. Nothing of Hertz, Hunt and Crossley is put in but the
+first guess and the size of the mesh. Without gravity an impact has no size, so each is solved once, for 1 m.
+
+A progress bar runs. The file is written now and then, whole, and a run goes on where the file ends, if it was made in
+the same way: after an interruption, or with more --impacts. To make it anew, take it away first.
+"""
+
+import argparse
+import os
+import sys
+import warnings
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from tqdm import tqdm
+
+from cgid.cluster import workers
+from cgid.files import write_whole
+from cgid.impact import Elastic, HalfSpace, HertzRangeWarning, Impact, Sphere, dissipative_constant
+from cgid.impact.bodies import sphere_share
+from cgid.impact.finite_element import ElasticPlate, FiniteElementImpact, History
+from cgid.impact.sampled import SampledPulses, shares_of_contact, smoothed
+from cgid.materials import STEEL, Material
+from cgid.scene import load_scene
+from cgid.scene.population import draw
+from cgid.scene.solved import MAKING, PARAMETERS, SolvedImpacts
+
+HERE = Path(__file__).parent
+RADIUS = 1.0
+#: How each is solved; sizes of the block are in contact radii, steps in Hertz's duration.
+MADE = {
+    "scene": "reference",
+    "seed": 20180927,
+    "elements": 12,
+    "steps_per_duration": 250,
+    "target_thickness": 60,
+    "target_radius": 60,
+    "lower_face": "fixed",
+    "points": 128,
+    "knots": 8,
+    "coarse_elements": 7,
+    "coarse_steps_per_duration": 200,
+    "restitution_within": 0.002,
+}
+_MOST_TRIALS = 8
+_AT_ONCE = 16
+
+
+def drawn_impacts(n: int) -> list[dict[str, Any]]:
+    """Return labels and parameters of the first rocks that the scene draws."""
+    scene = load_scene(HERE / f"{MADE['scene']}.toml")
+    found: list[dict[str, Any]] = []
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", HertzRangeWarning)
+        for block in range(-(-n // 256)):
+            of = draw(scene, MADE["seed"], block)
+            rows = zip(of.labels.tolist(), *(of.parameters[name].tolist() for name in PARAMETERS), strict=True)
+            found += [dict(zip(("label", *PARAMETERS), row, strict=True)) for row in rows]
+    return found[:n]
+
+
+def solve(points: int, rock: dict[str, Any]) -> dict[str, Any]:
+    """Return the rock's row of the file."""
+    warnings.simplefilter("ignore", HertzRangeWarning)
+    asked = rock["restitution"]
+    retardation = retardation_time(rock, asked)
+    found = run(rock, retardation, MADE["elements"], MADE["steps_per_duration"])
+    forces = smoothed(
+        found.times, found.contact_force.samples, found.contact_duration, shares_of_contact(points), MADE["knots"]
+    )
+    return rock | {
+        "forces": forces,
+        "contact_duration": found.contact_duration,
+        "restitution": found.restitution,
+        "restitution_asked": asked,
+        "retardation_time": retardation,
+    }
+
+
+def retardation_time(rock: dict[str, Any], restitution: float) -> float:
+    """Return the retardation time [s] with which the sphere rebounds as asked, on the coarse mesh.
+
+    Kuwabara and Kono's law says it to some hundredths; what it misses is asked of it on top.
+    """
+    law, sphere = hertz(rock), body(rock)
+    share = float(sphere_share(sphere, law.target))
+    aim = restitution
+    for _ in range(_MOST_TRIALS):
+        retardation = float(dissipative_constant(aim, law)) / (1.5 * share)
+        found = run(rock, retardation, MADE["coarse_elements"], MADE["coarse_steps_per_duration"])
+        if abs(found.restitution - restitution) <= MADE["restitution_within"]:
+            return retardation
+        aim = float(np.clip(aim + restitution - found.restitution, 0.5 * aim, 0.5 + 0.5 * aim))
+    raise ArithmeticError(f"no retardation time gives a restitution of {restitution:g}")
+
+
+def body(rock: dict[str, Any]) -> Sphere:
+    """Return the sphere."""
+    names = ("density", "youngs_modulus", "poisson_ratio")
+    return Sphere(material=Material(**{name: rock[name] for name in names}), radius=RADIUS)
+
+
+def hertz(rock: dict[str, Any]) -> Impact:
+    """Return its elastic impact by Hertz's theory."""
+    return Impact(
+        sphere=body(rock),
+        target=HalfSpace(material=STEEL),
+        velocity=rock["velocity"],
+        stiffness="hertz",
+        dissipation=Elastic(),
+    )
+
+
+def run(rock: dict[str, Any], retardation: float, elements: int, steps: int) -> History:
+    """Return its impact by finite elements."""
+    law = hertz(rock)
+    contact_radius = float(np.sqrt(RADIUS * law.peak_displacement))
+    return FiniteElementImpact(
+        sphere=body(rock),
+        plate=ElasticPlate(
+            material=STEEL,
+            thickness=MADE["target_thickness"] * contact_radius,
+            radius=MADE["target_radius"] * contact_radius,
+            lower_face=MADE["lower_face"],
+        ),
+        velocity=rock["velocity"],
+        retardation_time=retardation,
+        elements=elements,
+        method="implicit",
+        time_step=float(law.contact_duration) / steps,
+    ).run()
+
+
+def gathered(rows: list[dict[str, Any]]) -> SolvedImpacts:
+    """Return rows as what is stored."""
+    return SolvedImpacts(
+        pulses=SampledPulses(
+            shares=shares_of_contact(MADE["points"]),
+            forces=np.array([row["forces"] for row in rows]),
+            contact_duration=np.array([row["contact_duration"] for row in rows]),
+        ),
+        labels=np.array([row["label"] for row in rows]),
+        columns={name: np.array([row[name] for row in rows]) for name in (*PARAMETERS, *MAKING)},
+        made=MADE,
+    )
+
+
+def kept(path: Path) -> list[dict[str, Any]]:
+    """Return the rows of a file, none if it was made otherwise."""
+    if not path.exists():
+        return []
+    found = SolvedImpacts.load(path)
+    if found.made != MADE:
+        return []
+    columns = {"label": found.labels, "forces": found.pulses.forces} | dict(found.columns)
+    columns["contact_duration"] = found.pulses.contact_duration
+    return [{name: values[row] for name, values in columns.items()} for row in range(len(found))]
+
+
+def solved(rocks: list[dict[str, Any]], jobs: int) -> Iterator[dict[str, Any]]:
+    """Yield the rows of rocks in turn, solved by so many processes."""
+    with workers(jobs) as crew:
+        yield from crew.each(solve, MADE["points"], rocks)
+
+
+def main() -> None:
+    """Write the file, and say how near the restitutions came."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--impacts", type=int, default=256)
+    parser.add_argument("--jobs", type=int, default=len(os.sched_getaffinity(0)))
+    parser.add_argument("--output", type=Path, default=HERE / "finite_element.npz")
+    arguments = parser.parse_args()
+    rows = kept(arguments.output)[: arguments.impacts]
+    rocks = drawn_impacts(arguments.impacts)
+    with tqdm(total=len(rocks), initial=len(rows), unit=" impacts", file=sys.stderr) as bar:
+        for row in solved(rocks[len(rows) :], arguments.jobs):
+            rows.append(row)
+            bar.update()
+            if len(rows) % _AT_ONCE == 0:
+                write_whole(arguments.output, gathered(rows).to_bytes())
+    impacts = gathered(rows)
+    write_whole(arguments.output, impacts.to_bytes())
+    missed = np.abs(impacts.columns["restitution"] - impacts.columns["restitution_asked"])
+    print(f"{len(impacts)} impacts, restitution within {missed.max():.4f} of what was asked for")
+
+
+if __name__ == "__main__":
+    main()
