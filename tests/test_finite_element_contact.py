@@ -60,6 +60,11 @@ def test_course_of_the_hertz_limit(narrow):
     slow, history = narrow
     expected = slow.hertz.force(history.times * float(slow.hertz.contact_duration) / history.contact_duration)
     assert history.contact_force.samples == pytest.approx(expected, abs=0.015 * expected.max())
+    # The square of the contact radius is R times the approach: between nodes, too, which lie a tenth of it apart.
+    approach = slow.hertz.displacement(history.times * float(slow.hertz.contact_duration) / history.contact_duration)
+    radius = np.sqrt(RADIUS * approach)
+    away = history.contact_radius.samples - radius
+    assert np.sqrt(np.mean(away[radius > 0] ** 2)) < 0.015 * radius.max()
 
 
 def test_energy_of_the_hertz_limit_lies_in_both_bodies_by_their_compliance(narrow):

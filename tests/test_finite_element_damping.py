@@ -37,7 +37,7 @@ def kuwabara_kono(number, velocity, delay):
 
 
 @pytest.mark.parametrize("delay", DELAYS)
-@pytest.mark.parametrize(("number", "velocity"), [(1, 2.0), (3, 2.0), (1, 5.0)])
+@pytest.mark.parametrize(("number", "velocity"), [(1, 2.0), (3, 2.0), (1, 5.0), (3, 10.0)])
 def test_kelvin_voigt_is_kuwabara_kono(number, velocity, delay):
     theory = float(kuwabara_kono(number, velocity, delay).restitution)
     assert theory < 0.99

@@ -64,8 +64,9 @@ def all_cases() -> list[Case]:
     return [
         *(Case(group=UNDAMPED, sphere=sphere, velocity=velocity) for sphere, velocity in twenty),
         *(
-            Case(group=DAMPED, sphere=sphere, velocity=velocity, retardation_time=retardation_time(sphere, velocity))
-            for sphere, velocity in twenty
+            Case(group=DAMPED, sphere=sphere, velocity=velocity, retardation_time=retardation_time)
+            for sphere in YANG2018_SPHERES
+            for velocity, retardation_time in zip(paper.VELOCITIES, retardation_times(sphere), strict=True)
         ),
         *(
             Case(group=SOFT, sphere=sphere, velocity=velocity, penalty_factor=PENALTY_FACTOR)
@@ -84,19 +85,28 @@ def all_cases() -> list[Case]:
     ]
 
 
-def retardation_time(sphere: int, velocity: float) -> float:
-    """Return b [s] of a Kelvin-Voigt sphere for the chosen restitution, by Kuwabara and Kono's `A = 3/2 b s`.
+def retardation_times(sphere: int) -> list[float]:
+    """Return b [s] of a Kelvin-Voigt sphere that has the chosen restitution at each speed of the paper.
 
-    Theirs is the contact law of such a sphere (s is its share in the compliance of both bodies), so nothing is fitted;
-    what restitution the finite elements then have is a result.
+    By Kuwabara and Kono's `A = 3/2 b s`, the contact law of such a sphere (s is its share in the compliance of both
+    bodies): so nothing is fitted, and what restitution the finite elements then have is a result.
     """
-    impact = paper_impact(sphere, velocity, "hertz")
-    share = float(sphere_share(impact.sphere, impact.target))
-    return float(dissipative_constant(RESTITUTION, impact)) / (1.5 * share)
+    impact = paper_impact(sphere, paper.VELOCITIES, "hertz")
+    share = sphere_share(impact.sphere, impact.target)
+    return [float(time) for time in dissipative_constant(RESTITUTION, impact) / (1.5 * share)]
 
 
 def factor_of(size: float, sphere: int, velocity: float) -> float:
     """Return the factor with which our elements press as softly as `PENALTY_FACTOR` does with elements of this size."""
+    return PENALTY_FACTOR * element_size(sphere, velocity) / size
+
+
+def element_size(sphere: int, velocity: float) -> float:
+    """Return the size of our elements at the contact [m]: a part of Hertz's contact radius."""
     impact = paper_impact(sphere, velocity, "hertz")
-    ours = float(np.sqrt(impact.reduced_radius * impact.peak_displacement)) / ELEMENTS
-    return PENALTY_FACTOR * ours / size
+    return float(np.sqrt(impact.reduced_radius * impact.peak_displacement)) / ELEMENTS
+
+
+def element_sizes() -> list[float]:
+    """Return the size of our elements at the contact of each of the twenty impacts [m]."""
+    return [element_size(sphere, velocity) for sphere in YANG2018_SPHERES for velocity in paper.VELOCITIES]

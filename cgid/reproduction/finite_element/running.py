@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import closing
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -54,8 +55,8 @@ def run_study(jobs: int | None = None, progress: Callable[[int], object] | None 
 
         jobs = int(joblib.cpu_count())
     runs = []
-    with workers(jobs) as crew:
-        for run in crew.each(computed, N_POINTS, all_cases()):
+    with workers(jobs) as crew, closing(crew.each(computed, N_POINTS, all_cases())) as found:
+        for run in found:
             runs.append(run)
             if progress is not None:
                 progress(1)

@@ -137,8 +137,8 @@ def _excess(study: Study) -> str:
     return (
         f"K1's error is one of finite size, it grows with the contact: in force {first:+.1%} at the lowest speed and "
         f"{last:+.1%} at the highest, in the mean of the spheres. At the peaks P = K1 δ^(3/2) (1 + c √(δ/R)) with c = "
-        f"{', '.join(texts)}. Part of it is due to the small strains of the finite elements, and is not nature's: a "
-        "fact to know, not a law to build in."
+        f"{', '.join(texts)}. How much of it is due to the small strains of the finite elements, and so not nature's, "
+        "these runs cannot tell: a fact to know, not a law to build in."
     )
 
 
@@ -180,10 +180,10 @@ def _soft(study: Study) -> list[str]:
         "",
         "Explicit programs let surfaces enter each other and press them back, with pressure = factor x bulk modulus / "
         "element size x depth; .1 is the factor of LS-DYNA unless told otherwise. The paper's sphere has elements of "
-        "2 mm, finer ones at the contact; ours have .16 to .33 mm. Such a contact is one more spring in series, which "
-        "belongs to the mesh and not to the "
-        f"bodies. What it does to the {len(study.of(cases.SOFT))} impacts, and where the theories then stand "
-        f"({_HEAD}):",
+        "2 mm, finer ones at the contact; ours there have "
+        f"{_range([size * 1e3 for size in cases.element_sizes()], '.2f')} mm. Such a contact is one more spring in "
+        "series, which belongs to the mesh and not to the bodies. What it does to the "
+        f"{len(study.of(cases.SOFT))} impacts, and where the theories then stand ({_HEAD}):",
         "",
         *table(
             (
