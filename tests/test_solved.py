@@ -1,5 +1,6 @@
 """Impacts solved by finite elements: what the file holds, that it can be made again, what the family makes of them."""
 
+import importlib.util
 import io
 import warnings
 
@@ -17,7 +18,7 @@ from cgid.impact.sampled import SampledPulses, shares_of_contact, smoothed
 from cgid.materials import STEEL, Material
 from cgid.scene.population import draw
 from cgid.scene.range_warnings import unwarned
-from cgid.scene.solved import PARAMETERS, SolvedImpacts, radii
+from cgid.scene.solved import MAKING, PARAMETERS, SolvedImpacts, radii
 
 PATH = shipped.path_of("datasets", shipped.FINITE_ELEMENT_IMPACTS)
 
@@ -96,6 +97,26 @@ def test_the_file_is_written_as_it_was_read(solved, tmp_path):
     np.testing.assert_array_equal(again.pulses.forces, solved.pulses.forces)
     assert again.made == solved.made
     assert PATH.stat().st_size < 300_000
+
+
+def test_the_maker_makes_the_rows_of_the_file(solved):
+    maker = module_of(PATH.with_name("make_finite_element.py"))
+    assert solved.made == maker.MADE
+    (rock,) = maker.drawn_impacts(1)
+    made = maker.solve(solved.made["points"], rock)
+    np.testing.assert_allclose(made["forces"], solved.pulses.forces[0], atol=1e-3 * solved.pulses.peak_force[0])
+    assert made["label"] == solved.labels[0]
+    for name in (*PARAMETERS, *MAKING):
+        assert made[name] == pytest.approx(solved.columns[name][0], rel=1e-3), name
+    assert maker.kept(PATH)[0].keys() == made.keys()
+    assert maker.gathered(maker.kept(PATH)).to_bytes() == solved.to_bytes()
+
+
+def module_of(path):
+    spec = importlib.util.spec_from_file_location(path.stem, path)
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
 
 
 def test_an_impact_has_no_size(solved):
