@@ -104,8 +104,8 @@ class SampledPulses:
     --------
     >>> shares = shares_of_contact(33)
     >>> pulses = SampledPulses(shares=shares, forces=800 * np.sin(np.pi * shares)[None] ** 1.5, contact_duration=[5e-4])
-    >>> pulses.force([[1.25e-4]]).round(2).tolist()
-    [[475.68]]
+    >>> pulses.force([[1.25e-4]]).round(1).tolist()
+    [[475.7]]
     """
 
     shares: Floats
