@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from cgid.impact import Sphere, ThinPlate
-from cgid.impact.finite_element import PenaltyContact
+from cgid.impact.finite_element import ElasticPlate, PenaltyContact
 from cgid.impact.finite_element.bodies import bulk_modulus
 from cgid.materials import STEEL, YANG2018_SPHERES
 from tests.finite_element_cases import RADIUS, VOLUME, impact, plate, velocity_for
@@ -135,3 +135,24 @@ def test_narrow_free_plate_throws_back():
     narrow = impact(1, 2.0, 5, plate=plate(radius=0.04, lower_face="free")).run()
     theory = replace(impact(1, 2.0).hertz, target=ThinPlate(material=STEEL, thickness=0.008))
     assert abs(narrow.restitution - float(theory.restitution)) > 0.05
+
+
+@pytest.mark.parametrize("method", ["explicit", "implicit"])
+def test_a_sphere_that_a_light_plate_runs_away_from_strikes_it_again(method):
+    # The plate is as heavy as one and a half spheres: the first blow does not turn the sphere round.
+    there = impact(
+        sphere=Sphere(material=STEEL, radius=RADIUS),
+        plate=ElasticPlate(material=STEEL, thickness=0.005, radius=0.1, lower_face="free"),
+        velocity=5.0,
+        elements=5,
+        method=method,
+    )
+    history = there.run()
+    touches = np.diff((history.contact_force.samples > 0).astype(int)) == 1
+    assert touches.sum() == 2
+    assert history.contact_duration > 3 * float(there.hertz.contact_duration)
+    # Both blows together: the impulse is what the sphere's momentum changed by, and it rises in the end.
+    force = history.contact_force
+    impulse = force.samples.sum() / force.sampling_rate
+    assert impulse == pytest.approx((1 + history.restitution) * float(there.sphere.mass) * 5.0, rel=1e-3)
+    assert history.restitution == pytest.approx(0.368, abs=0.002)

@@ -8,7 +8,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from cgid.errors import InvalidValue
+from cgid.errors import CgidError, InvalidValue
 from cgid.impact import HertzRangeWarning, HuntCrossley, Sphere, Viscoelastic, damping_number, delivered_restitution
 from cgid.impact.bodies import sphere_share
 from cgid.impact.finite_element import ElasticPlate, FiniteElementImpact, PenaltyContact
@@ -240,7 +240,7 @@ def coal(**changes):
         ({"plate": plate(radius=0.01)}, "radius of the plate"),
         ({"plate": plate(radius=1e6)}, "radius"),
         ({"elements": 200}, "elements"),
-        ({"retardation_time": 5e-5, "penalty": PenaltyContact(factor=1e-7)}, "contact"),
+        ({"retardation_time": 5e-5, "penalty": PenaltyContact(factor=1e-7)}, "contact must stay within 2.3 times"),
     ],
     ids=lambda value: None if isinstance(value, str) else "-".join(map(str, value)),
 )
@@ -290,3 +290,19 @@ def test_runs_repeat_to_the_last_bit():
     first, second = (impact(3, 2.0, 5).run() for _ in range(2))
     assert np.array_equal(first.contact_force.samples, second.contact_force.samples)
     assert sphere(3) == impact(3, 2.0, 5).sphere
+
+
+@pytest.mark.parametrize("method", ["explicit", "implicit"])
+def test_a_sphere_that_never_leaves_is_told(monkeypatch, method):
+    # Two tenths of a contact are not enough for any sphere.
+    monkeypatch.setattr("cgid.impact.finite_element.records.LONGEST", 0.2)
+    with pytest.raises(InvalidValue, match=r"must part from the plate, it still touches or nears it after .* s"):
+        impact(method=method).run()
+
+
+@pytest.mark.parametrize("method", ["explicit", "implicit"])
+def test_a_contact_without_forces_is_no_result(monkeypatch, method):
+    there = impact(method=method)
+    monkeypatch.setitem(there.pair.__dict__, "soft_part", np.full(there.pair.gap.size, np.nan))
+    with pytest.raises(CgidError, match="the contact found no set of nodes"):
+        there.run()

@@ -45,3 +45,16 @@ def test_surfaces_apart_do_not_press():
     touching = np.ones(3, bool)
     assert not pressed(np.eye(3), np.array([1.0, 0.5, 2.0]), touching).any()
     assert not touching.any()
+
+
+@pytest.mark.parametrize(
+    ("compliance", "gap"),
+    [
+        (np.array([[1.0, 2.0], [2.0, 1.0]]), np.array([-1.0, -1.0])),
+        (np.eye(2), np.array([-1.0, np.nan])),
+        (np.eye(2), np.array([np.nan, 1.0])),
+        (np.diag([1.0, np.nan]), np.array([-1.0, -1.0])),
+    ],
+)
+def test_no_numbers_no_forces(compliance, gap):
+    assert not press(compliance, gap, np.zeros(2), np.zeros(2, bool))

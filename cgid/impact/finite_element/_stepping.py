@@ -31,7 +31,8 @@ def press(compliance: Floats, gap: Floats, force: Floats, touching: Flags) -> bo
             if touching[i]:
                 place[k] = i
                 k += 1
-        _solve(compliance, gap, place[:k], factor, force)
+        if not _solve(compliance, gap, place[:k], factor, force):
+            return False
         changed = False
         for i in range(n):
             left = force[i]
@@ -50,14 +51,19 @@ def press(compliance: Floats, gap: Floats, force: Floats, touching: Flags) -> bo
 
 
 @inner_jit
-def _solve(compliance: Floats, gap: Floats, place: NDArray[np.int64], factor: Floats, force: Floats) -> None:
-    """Fill in the forces that close the gaps at some places, by Cholesky's factor of the compliance there."""
+def _solve(compliance: Floats, gap: Floats, place: NDArray[np.int64], factor: Floats, force: Floats) -> bool:
+    """Fill in the forces that close the gaps at some places, by Cholesky's factor of the compliance there.
+
+    False if there is no factor, or a number is not finite.
+    """
     k = place.size
     for i in range(k):
         for j in range(i + 1):
             s = compliance[place[i], place[j]]
             for m in range(j):
                 s -= factor[i, m] * factor[j, m]
+            if i == j and not s > 0.0:
+                return False
             factor[i, j] = np.sqrt(s) if i == j else s / factor[j, j]
     for i in range(k):
         s = -gap[place[i]]
@@ -69,6 +75,7 @@ def _solve(compliance: Floats, gap: Floats, place: NDArray[np.int64], factor: Fl
         for j in range(i + 1, k):
             s -= factor[j, i] * force[place[j]]
         force[place[i]] = s / factor[i, i]
+    return bool(np.isfinite(force).all() and np.isfinite(gap).all())
 
 
 @inner_jit
@@ -161,7 +168,7 @@ def advance(matrix: Any, contact: Any, inertia: Any, state: Any, rows: Any, stri
         whether they touch (n,) and the impulse so far (1,): all are carried on.
     rows : tuple
         Filled in for each record: forces (n_records, n); displacements of centre and mass centre, acceleration of the
-        centre, internal energies of both bodies, kinetic energy, momentum of the sphere, impulse (n_records, 8).
+        centre, internal energies of both bodies, kinetic energy, momentum of either, impulse (n_records, 9).
     """
     starts, columns, blocks = matrix
     touch = contact[0]
@@ -197,7 +204,7 @@ def advance(matrix: Any, contact: Any, inertia: Any, state: Any, rows: Any, stri
                 _record(u, v, strained, pull, mass, half_kick, step, n_sphere, values[record])
                 values[record, 0] = u[centre]
                 values[record, 2] = -pull[centre] * inverse_mass[centre]
-                values[record, 7] = impulse[0] + half_kick
+                values[record, 8] = impulse[0] + half_kick
             impulse[0] += step * force.sum()
             for i in range(size):
                 v[i] -= step * inverse_mass[i] * pull[i]
@@ -217,12 +224,14 @@ def _record(
     n_sphere: int,
     out: Floats,
 ) -> None:
-    """Fill in displacement of the mass centre, energies of sphere and plate, kinetic energy, momentum of the sphere."""
-    total, moved, momentum = 0.0, 0.0, half_kick
+    """Fill in displacement of the mass centre, energies of sphere and plate, kinetic energy, momentum of either."""
+    total, moved, momentum, of_plate = 0.0, 0.0, half_kick, -half_kick
     for i in range(1, n_sphere, 2):
         total += mass[i]
         moved += mass[i] * u[i]
         momentum += mass[i] * v[i]
+    for i in range(n_sphere + 1, u.size, 2):
+        of_plate += mass[i] * v[i]
     kinetic = 0.0
     for i in range(u.size):
         # The product of the velocities before and after keeps the energy to the last digit, their mean does not.
@@ -237,3 +246,4 @@ def _record(
     out[4] = in_plate / 2
     out[5] = kinetic / 2
     out[6] = momentum
+    out[7] = of_plate

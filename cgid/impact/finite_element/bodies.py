@@ -35,12 +35,11 @@ class ElasticPlate:
     def __post_init__(self) -> None:
         validation.instance("material", self.material, Material)
         for name in ("density", "youngs_modulus", "poisson_ratio"):
-            one(name, getattr(self.material, name))
-        one("thickness", validation.positive("thickness", self.thickness, "m"))
-        one("radius", validation.positive("radius", self.radius, "m"))
-        one("retardation_time", validation.not_negative("retardation_time", self.retardation_time, "s"))
-        if self.lower_face not in LOWER_FACES:
-            raise InvalidValue(f"lower_face must be one of {', '.join(LOWER_FACES)}, got {self.lower_face!r}")
+            single_number(name, getattr(self.material, name))
+        single_number("thickness", validation.positive("thickness", self.thickness, "m"))
+        single_number("radius", validation.positive("radius", self.radius, "m"))
+        single_number("retardation_time", validation.not_negative("retardation_time", self.retardation_time, "s"))
+        validation.choice("lower_face", self.lower_face, LOWER_FACES)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,13 +47,14 @@ class PenaltyContact:
     """Surfaces that press into each other, as in many finite-element programs, in place of a hard contact.
 
     The pressure is `factor` x bulk modulus (the lower of both) / element size x how far they press in: the contact
-    gives way the more, the coarser the mesh. LS-DYNA's default factor is .1 (LS-DYNA Theory Manual, chapter 29).
+    gives way the more, the coarser the mesh. Element size is Hertz's contact radius over the number of elements.
+    LS-DYNA's default factor is .1 (LS-DYNA Theory Manual, chapter 29).
     """
 
     factor: float = 0.1
 
     def __post_init__(self) -> None:
-        one("factor", validation.positive("factor", self.factor))
+        single_number("factor", validation.positive("factor", self.factor))
 
     def softness(self, first: Material, second: Material, element_size: float) -> float:
         """Return how far the surfaces press in, over the pressure [m/Pa]."""
@@ -63,10 +63,12 @@ class PenaltyContact:
 
 def bulk_modulus(material: Material) -> float:
     """Return `E / (3 (1 - 2 nu))` [Pa]."""
-    return one("youngs_modulus", material.youngs_modulus) / (3 * (1 - 2 * one("poisson_ratio", material.poisson_ratio)))
+    return single_number("youngs_modulus", material.youngs_modulus) / (
+        3 * (1 - 2 * single_number("poisson_ratio", material.poisson_ratio))
+    )
 
 
-def one(name: str, value: ArrayLike) -> float:
+def single_number(name: str, value: ArrayLike) -> float:
     """Return a value that must be a single number; raises `InvalidValue` for an array."""
     values = validation.real(name, value)
     if values.ndim:

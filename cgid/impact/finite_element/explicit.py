@@ -8,7 +8,6 @@ import numpy as np
 
 from cgid.errors import CgidError, InvalidValue
 from cgid.impact.finite_element._stepping import advance
-from cgid.impact.finite_element.elasticity import highest_frequency
 from cgid.impact.finite_element.limits import require_enough_time
 from cgid.impact.finite_element.pair import Pair
 from cgid.impact.finite_element.records import AT_ONCE, N_VALUES, PER_DURATION, Progress, Records, collected
@@ -27,8 +26,7 @@ def stable_time_step(pair: Pair, retardation: tuple[float, float]) -> float:
     That nodes in contact have no mass, and lean on each other, only lowers frequencies.
     """
     limits = []
-    for body, delay in zip((pair.sphere, pair.plate), retardation, strict=True):
-        frequency = highest_frequency(body)
+    for frequency, delay in zip(pair.highest_frequencies, retardation, strict=True):
         ratio = delay * frequency / 2
         limits.append(2 / frequency / (np.hypot(1, ratio) + ratio))
     return float(min(limits))
@@ -54,7 +52,7 @@ def explicit(
     require_enough_time(limit, duration)
     step, stride = _step_and_stride(limit, duration / PER_DURATION, time_step)
     chunks = _chunks(pair, velocity, np.array(retardation), step, stride)
-    return collected(chunks, step * stride, step, duration, progress)
+    return collected(chunks, pair, step * stride, step, duration, progress)
 
 
 def _step_and_stride(limit: float, interval: float, time_step: float | None) -> tuple[float, int]:

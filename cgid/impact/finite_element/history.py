@@ -34,9 +34,10 @@ class History:
     radii, pressures : ndarray, (n_contact,)
         Contact pressure over the distance from the axis [m], [Pa] at the moment of the largest force.
     contact_duration : float
-        From first to last touch [s].
+        From first to last touch [s]; a free plate may be struck more than once.
     restitution : float
-        Speed of the mass centre after over before the impact.
+        Velocity of the mass centre away from where the plate was, over the impact velocity: below 0 where it goes on
+        downwards, slower than a free plate.
     energy_error : float or None
         Largest change of the sum of all energies over the impact energy; None with damping, which takes some.
     momentum_error : float
@@ -96,7 +97,7 @@ class History:
 
 def history(records: Records, pair: Pair, *, velocity: float, mass: float, is_damped: bool) -> History:
     """Return what records of a run tell."""
-    centre, mass_centre, acceleration, in_sphere, in_plate, kinetic, momentum, impulse = records.values.T
+    centre, mass_centre, acceleration, in_sphere, in_plate, kinetic, momentum, _, impulse = records.values.T
     force = records.forces.sum(axis=1)
     pressures = records.forces / pair.areas
     rate = 1 / records.interval

@@ -14,7 +14,7 @@ from cgid.errors import InvalidValue
 from cgid.impact.bodies import HalfSpace, Sphere, sphere_share
 from cgid.impact.dissipation import Elastic
 from cgid.impact.finite_element import limits
-from cgid.impact.finite_element.bodies import ElasticPlate, PenaltyContact, one
+from cgid.impact.finite_element.bodies import ElasticPlate, PenaltyContact, single_number
 from cgid.impact.finite_element.elasticity import body
 from cgid.impact.finite_element.explicit import explicit, stable_time_step
 from cgid.impact.finite_element.history import History, history
@@ -101,16 +101,16 @@ class FiniteElementImpact:
         validation.instance("plate", self.plate, ElasticPlate)
         if self.penalty is not None:
             validation.instance("penalty", self.penalty, PenaltyContact)
-        one("radius", self.sphere.radius)
-        one("velocity", validation.positive("velocity", self.velocity, "m/s"))
-        one("retardation_time", validation.not_negative("retardation_time", self.retardation_time, "s"))
+        single_number("radius", self.sphere.radius)
+        single_number("velocity", validation.positive("velocity", self.velocity, "m/s"))
+        single_number("retardation_time", validation.not_negative("retardation_time", self.retardation_time, "s"))
         validation.choice("method", self.method, METHODS)
         if self.time_step is not None:
-            one("time_step", validation.positive("time_step", self.time_step, "s"))
+            single_number("time_step", validation.positive("time_step", self.time_step, "s"))
         if self.elements is not None and self.element_size is not None:
             raise InvalidValue("elements and element_size say the same thing; give one of them")
         if self.element_size is not None:
-            one("element_size", validation.positive("element_size", self.element_size, "m"))
+            single_number("element_size", validation.positive("element_size", self.element_size, "m"))
         elif self.elements is not None:
             validation.count("elements", self.elements)
         for material in (self.sphere.material, self.plate.material):
@@ -122,7 +122,7 @@ class FiniteElementImpact:
 
     @property
     def _radius(self) -> float:
-        return one("radius", self.sphere.radius)
+        return single_number("radius", self.sphere.radius)
 
     @cached_property
     def hertz(self) -> Impact:
@@ -144,7 +144,7 @@ class FiniteElementImpact:
 
     @property
     def asked_elements(self) -> float:
-        """Elements over the contact radius, as asked; the mesh has no fewer."""
+        """Elements over the contact radius, as asked; next to the axis the mesh is up to a tenth coarser."""
         if self.element_size is not None:
             return self.contact_radius / self.element_size
         return _ELEMENTS if self.elements is None else self.elements

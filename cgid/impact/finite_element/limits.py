@@ -5,12 +5,13 @@ from __future__ import annotations
 import warnings
 
 from cgid.errors import InvalidValue
-from cgid.impact.finite_element.bodies import ElasticPlate, one
+from cgid.impact.finite_element.bodies import ElasticPlate, single_number
 from cgid.impact.finite_element.mesh import REACH
 from cgid.impact.pulse import HERTZ_LIMIT, HertzRangeWarning
 from cgid.materials import Material
 
-#: Elements over the contact radius: fewer than the first make no contact, the second give the peak within 1 %.
+#: Elements over the contact radius: with fewer than the first, pressure and radius rest on two or three nodes; the
+#: second give the peak force within 1 %.
 _FEWEST, _ONE_PERCENT, _MOST = 5, 7, 60
 #: Displacement over radius that still leaves room for the contact; linear elasticity ends before.
 _DEEPEST = 0.14
@@ -24,9 +25,9 @@ _LOCKING = 0.45
 
 def require_elements_fit(material: Material) -> None:
     """Raise `InvalidValue` for a material that is an array, or nearly incompressible."""
-    one("density", material.density)
-    one("youngs_modulus", material.youngs_modulus)
-    ratio = one("poisson_ratio", material.poisson_ratio)
+    single_number("density", material.density)
+    single_number("youngs_modulus", material.youngs_modulus)
+    ratio = single_number("poisson_ratio", material.poisson_ratio)
     if ratio > _LOCKING:
         raise InvalidValue(
             f"poisson_ratio must be at most {_LOCKING:g}, got {ratio:g}: beyond it these elements are too stiff; use a "
@@ -61,7 +62,7 @@ def require_fine_mesh(elements: float, contact_radius: float) -> None:
     if elements > _MOST:
         raise InvalidValue(
             f"the mesh must have at most {_MOST} elements over the contact radius of {contact_radius * 1e3:.3g} mm, "
-            f"got {elements:.4g}; 28 give the peak force within .1 %"
+            f"got {elements:.4g}; 14 give the peak force within about .1 %"
         )
 
 

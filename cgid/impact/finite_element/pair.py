@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from scipy import sparse
 
-from cgid.impact.finite_element.elasticity import Body, Flags
+from cgid.impact.finite_element.elasticity import Body, Flags, highest_frequency
 from cgid.impact.finite_element.mesh import Integers
 from cgid.validation import Floats
 
@@ -52,6 +52,11 @@ class Pair:
         return np.concatenate([_relieved(body) for body in (self.sphere, self.plate)])
 
     @cached_property
+    def highest_frequencies(self) -> tuple[float, float]:
+        """Of sphere and plate, each alone [rad/s]."""
+        return highest_frequency(self.sphere), highest_frequency(self.plate)
+
+    @cached_property
     def fixed(self) -> Flags:
         """Unknowns that stay 0."""
         return np.concatenate((self.sphere.fixed, self.plate.fixed))
@@ -60,6 +65,15 @@ class Pair:
     def touching(self) -> tuple[Integers, Integers]:
         """The unknowns u_z of sphere and plate that may touch, (n_contact,) each."""
         return self.sphere.contact, self.plate.contact + self.n_sphere
+
+    def parting_speed(self, sphere_momentum: float, plate_momentum: float) -> float:
+        """Return how fast the mass centres move apart [m/s]; a plate that is held somewhere does not move."""
+        plate_speed = 0.0 if self._is_held else plate_momentum / self.mass[self.n_sphere + 1 :: 2].sum()
+        return float(sphere_momentum / self.mass[1 : self.n_sphere : 2].sum() - plate_speed)
+
+    @cached_property
+    def _is_held(self) -> bool:
+        return bool(self.plate.fixed[1::2].any())
 
     @property
     def centre(self) -> int:

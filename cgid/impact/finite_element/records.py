@@ -9,15 +9,15 @@ import numpy as np
 
 from cgid.errors import InvalidValue
 from cgid.impact.finite_element.mesh import REACH
+from cgid.impact.finite_element.pair import Pair
 from cgid.validation import Floats
 
 #: Records of a Hertz impact's duration, and how many are made before it is asked again whether all is over.
 PER_DURATION, AT_ONCE = 2000, 25
 #: After the contact the bodies are followed for this part of Hertz's duration, and never longer than so many of them.
 AFTERWARDS, LONGEST = 0.25, 12.0
-
-#: Columns of `Records.values`.
-N_VALUES = 8
+#: Columns of `Records.values`, and those of the momenta of sphere and plate.
+N_VALUES, MOMENTA = 9, slice(6, 8)
 
 Progress = Callable[[float], object]
 
@@ -32,10 +32,10 @@ class Records:
         Between records, and of the integration [s].
     forces : ndarray, (n_records, n_contact)
         Contact force of each node [N].
-    values : ndarray, (n_records, 8)
+    values : ndarray, (n_records, 9)
         Displacements of the sphere's centre and mass centre [m], acceleration of its centre [m/s^2], internal energies
-        of sphere and plate and kinetic energy of both [J], momentum of the sphere and impulse of the contact force
-        until then [N s]; upwards is positive.
+        of sphere and plate and kinetic energy of both [J], momentum of the sphere, of the plate, and impulse of the
+        contact force until then [N s]; upwards is positive.
     """
 
     interval: float
@@ -45,9 +45,16 @@ class Records:
 
 
 def collected(
-    chunks: Iterator[tuple[Floats, Floats]], interval: float, step: float, duration: float, progress: Progress | None
+    chunks: Iterator[tuple[Floats, Floats]],
+    pair: Pair,
+    interval: float,
+    step: float,
+    duration: float,
+    progress: Progress | None,
 ) -> Records:
-    """Return the records of a run, which ends a while after the last contact force.
+    """Return the records of a run, which ends a while after the last contact force, when the mass centres move apart.
+
+    A free plate that swings may still strike the sphere once more after that.
 
     Raises
     ------
@@ -71,12 +78,13 @@ def collected(
         count += len(some_forces)
         if progress is not None:
             progress(count * interval / duration)
-        if (count - last) * interval >= AFTERWARDS * duration and count * interval >= duration / 2:
+        is_quiet = (count - last) * interval >= AFTERWARDS * duration and count * interval >= duration / 2
+        if is_quiet and pair.parting_speed(*some_values[-1, MOMENTA]) >= 0:
             kept = last + int(AFTERWARDS * duration / interval)
             return Records(interval, step, np.concatenate(forces)[:kept], np.concatenate(values)[:kept])
         if count * interval > LONGEST * duration:
             break
     raise InvalidValue(
-        f"the sphere must part from the plate, it is still in contact after {count * interval:.3g} s, "
-        f"{LONGEST:g} durations of an elastic impact; use a smaller retardation_time"
+        f"the sphere must part from the plate, it still touches or nears it after {count * interval:.3g} s, "
+        f"{LONGEST:g} durations of an elastic impact; use a smaller retardation_time, or a heavier plate"
     )
