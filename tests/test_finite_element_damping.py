@@ -306,3 +306,36 @@ def test_a_contact_without_forces_is_no_result(monkeypatch, method):
     monkeypatch.setitem(there.pair.__dict__, "soft_part", np.full(there.pair.gap.size, np.nan))
     with pytest.raises(CgidError, match="the contact found no set of nodes"):
         there.run()
+
+
+@pytest.mark.parametrize("kind", [np.float16, np.float32, np.longdouble])
+@pytest.mark.parametrize("method", ["explicit", "implicit"])
+def test_small_types_of_numpy_are_numbers_as_others(kind, method):
+    # In their own arithmetic they would round on every step, or wrap.
+    step = kind(5e-8)
+    there = impact(method=method, elements=5, time_step=step, plate=plate(thickness=np.float16(0.008)))
+    same = impact(method=method, elements=5, time_step=float(step), plate=plate(thickness=float(np.float16(0.008))))
+    np.testing.assert_array_equal(there.run().contact_force.samples, same.run().contact_force.samples)
+
+
+def test_whole_numbers_of_eight_bits_do_not_wrap():
+    wide = plate(thickness=np.uint8(1), radius=np.array(17, np.uint8))
+    assert (wide.thickness, wide.radius, type(wide.radius)) == (1.0, 17.0, float)
+    assert impact(elements=5, plate=wide).pair.plate.mass[1::2].sum() == pytest.approx(np.pi * 17**2 * 7850)
+
+
+def test_a_contact_of_a_few_steps_is_refused_with_a_step_that_does():
+    # A light disc gives way: the contact is over long before Hertz's theory would have it.
+    light = Material(density=434.0, youngs_modulus=22.3e9, poisson_ratio=0.149)
+    there = impact(
+        sphere=Sphere(material=Material(density=1759.0, youngs_modulus=589e9, poisson_ratio=-0.058), radius=7.33),
+        plate=ElasticPlate(material=light, thickness=0.15, radius=0.771, lower_face="free"),
+        velocity=2e-4,
+        elements=5,
+        method="implicit",
+    )
+    with pytest.raises(InvalidValue, match="a 50th of the contact") as refused:
+        there.run()
+    proposed = float(re.search(r"use (\S+) s", str(refused.value))[1])
+    coarse, fine = (replace(there, time_step=proposed / n).run() for n in (1, 2))
+    assert coarse.peak_force == pytest.approx(fine.peak_force, rel=5e-3)

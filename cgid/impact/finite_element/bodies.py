@@ -36,9 +36,9 @@ class ElasticPlate:
         validation.instance("material", self.material, Material)
         for name in ("density", "youngs_modulus", "poisson_ratio"):
             single_number(name, getattr(self.material, name))
-        single_number("thickness", validation.positive("thickness", self.thickness, "m"))
-        single_number("radius", validation.positive("radius", self.radius, "m"))
-        single_number("retardation_time", validation.not_negative("retardation_time", self.retardation_time, "s"))
+        hold_number(self, "thickness", validation.positive("thickness", self.thickness, "m"))
+        hold_number(self, "radius", validation.positive("radius", self.radius, "m"))
+        hold_number(self, "retardation_time", validation.not_negative("retardation_time", self.retardation_time, "s"))
         validation.choice("lower_face", self.lower_face, LOWER_FACES)
 
 
@@ -54,7 +54,7 @@ class PenaltyContact:
     factor: float = 0.1
 
     def __post_init__(self) -> None:
-        single_number("factor", validation.positive("factor", self.factor))
+        hold_number(self, "factor", validation.positive("factor", self.factor))
 
     def softness(self, first: Material, second: Material, element_size: float) -> float:
         """Return how far the surfaces press in, over the pressure [m/Pa]."""
@@ -66,6 +66,11 @@ def bulk_modulus(material: Material) -> float:
     return single_number("youngs_modulus", material.youngs_modulus) / (
         3 * (1 - 2 * single_number("poisson_ratio", material.poisson_ratio))
     )
+
+
+def hold_number(owner: object, name: str, value: ArrayLike) -> None:
+    """Give a frozen dataclass its number as a float: small types of numpy would wrap or round."""
+    object.__setattr__(owner, name, single_number(name, value))
 
 
 def single_number(name: str, value: ArrayLike) -> float:

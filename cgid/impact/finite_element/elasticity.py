@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
+from cgid.errors import InvalidValue
 from cgid.impact.finite_element.mesh import Integers, Mesh
 from cgid.materials import Material
 from cgid.validation import Floats
@@ -83,7 +84,13 @@ def highest_frequency(of: Body) -> float:
     root = of.mass[of.free] ** -0.5
     scaled = of.stiffness[of.free][:, of.free].multiply(root[:, None]).multiply(root[None, :]).tocsr()
     start = np.ones(root.size)  # ARPACK would draw one
-    return float(np.sqrt(linalg.eigsh(scaled, k=1, which="LM", tol=1e-6, v0=start, return_eigenvectors=False)[0]))
+    try:
+        highest = linalg.eigsh(scaled, k=1, which="LM", tol=1e-6, v0=start, return_eigenvectors=False)[0]
+    except linalg.ArpackError as error:
+        raise InvalidValue(
+            f"a body must have natural frequencies, none were found ({error}); use other sizes"
+        ) from None
+    return float(np.sqrt(highest))
 
 
 def element_matrices(mesh: Mesh, material: Material) -> tuple[Floats, Floats]:

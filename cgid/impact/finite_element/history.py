@@ -16,6 +16,9 @@ from cgid.validation import Floats
 class History:
     """The course of one impact. Signals begin at first touch, have one rate, and go on past the end of contact.
 
+    `cgid.extract` takes their `samples` and `sampling_rate`. `cgid.filters.fft_filter` is circular, and the sphere
+    rings on: put as many zeros before a signal as it is long.
+
     Parameters
     ----------
     contact_force : Signal

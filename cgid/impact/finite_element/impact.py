@@ -14,7 +14,7 @@ from cgid.errors import InvalidValue
 from cgid.impact.bodies import HalfSpace, Sphere, sphere_share
 from cgid.impact.dissipation import Elastic
 from cgid.impact.finite_element import limits
-from cgid.impact.finite_element.bodies import ElasticPlate, PenaltyContact, single_number
+from cgid.impact.finite_element.bodies import ElasticPlate, PenaltyContact, hold_number, single_number
 from cgid.impact.finite_element.elasticity import body
 from cgid.impact.finite_element.explicit import explicit, stable_time_step
 from cgid.impact.finite_element.history import History, history
@@ -102,15 +102,15 @@ class FiniteElementImpact:
         if self.penalty is not None:
             validation.instance("penalty", self.penalty, PenaltyContact)
         single_number("radius", self.sphere.radius)
-        single_number("velocity", validation.positive("velocity", self.velocity, "m/s"))
-        single_number("retardation_time", validation.not_negative("retardation_time", self.retardation_time, "s"))
+        hold_number(self, "velocity", validation.positive("velocity", self.velocity, "m/s"))
+        hold_number(self, "retardation_time", validation.not_negative("retardation_time", self.retardation_time, "s"))
         validation.choice("method", self.method, METHODS)
         if self.time_step is not None:
-            single_number("time_step", validation.positive("time_step", self.time_step, "s"))
+            hold_number(self, "time_step", validation.positive("time_step", self.time_step, "s"))
         if self.elements is not None and self.element_size is not None:
             raise InvalidValue("elements and element_size say the same thing; give one of them")
         if self.element_size is not None:
-            single_number("element_size", validation.positive("element_size", self.element_size, "m"))
+            hold_number(self, "element_size", validation.positive("element_size", self.element_size, "m"))
         elif self.elements is not None:
             validation.count("elements", self.elements)
         for material in (self.sphere.material, self.plate.material):

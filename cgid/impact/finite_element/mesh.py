@@ -83,7 +83,7 @@ def plate_mesh(thickness: float, radius: float, contact_places: Floats, growth: 
     if r.size * z.size > MOST_NODES:
         raise InvalidValue(
             f"the mesh of the plate must have at most {MOST_NODES} nodes, got {r.size} x {z.size} for a radius of "
-            f"{radius:.4g} m and a thickness of {thickness:.4g} m; use a smaller radius, or fewer elements"
+            f"{radius:.4g} m and a thickness of {thickness:.4g} m; use another of these, or fewer elements"
         )
     rs, zs = np.meshgrid(r, z, indexing="ij")
     grid = np.arange(rs.size).reshape(rs.shape)

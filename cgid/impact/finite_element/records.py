@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from cgid.errors import InvalidValue
+from cgid.impact.finite_element.limits import require_followed
 from cgid.impact.finite_element.mesh import REACH
 from cgid.impact.finite_element.pair import Pair
 from cgid.validation import Floats
@@ -59,7 +60,7 @@ def collected(
     Raises
     ------
     InvalidValue
-        The contact outgrows the part of the mesh made for it, or the bodies never part.
+        The contact outgrows the part of the mesh made for it, the bodies never part, or do so within a few steps.
     """
     forces: list[Floats] = []
     values: list[Floats] = []
@@ -80,6 +81,7 @@ def collected(
             progress(count * interval / duration)
         is_quiet = (count - last) * interval >= AFTERWARDS * duration and count * interval >= duration / 2
         if is_quiet and pair.parting_speed(*some_values[-1, MOMENTA]) >= 0:
+            require_followed((last - 1) * interval, step)
             kept = last + int(AFTERWARDS * duration / interval)
             return Records(interval, step, np.concatenate(forces)[:kept], np.concatenate(values)[:kept])
         if count * interval > LONGEST * duration:
