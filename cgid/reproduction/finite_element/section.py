@@ -2,17 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 
 import numpy as np
 
 from cgid.materials import YANG2018_RADIUS, YANG2018_SPHERES
 from cgid.reproduction.finite_element import cases
 from cgid.reproduction.finite_element.study import Study
-from cgid.reproduction.finite_element.theories import SHARED, agreement, of_simulation, of_theory, sphere_part
-from cgid.reproduction.impacts import THEORY_LABELS, paper_impact
+from cgid.reproduction.finite_element.theories import (
+    SHARED,
+    agreement,
+    of_simulation,
+    of_theory,
+    size_of_errors,
+    sphere_part,
+)
+from cgid.reproduction.finite_element.waves import filtered_errors
+from cgid.reproduction.impacts import THEORY_NAMES, paper_impact
+from cgid.reproduction.markdown import table
 
-_SHOWN_THEORY = {"hertz": "K1 (Hertz)", "rigid-sphere": "K2", "series": "series (the paper's own)"}
 #: Columns: quantity, its factor and digits, its head.
 _RESPONSES = (
     ("peak_force", 1e-3, ".2f", "force [kN]"),
@@ -57,18 +65,12 @@ def finite_element_section(study: Study) -> list[str]:
     ]  # fmt: skip
 
 
-def size_of_errors(study: Study, theory: str, group: str = cases.UNDAMPED) -> float:
-    """Return the mean size of a theory's errors in force, DCS and contact time."""
-    errors = [of_theory(study, theory, name, group) / of_simulation(study, name, group) - 1 for name in _NAMES]
-    return float(np.mean(np.abs(errors)))
-
-
 def _verdict(study: Study) -> str:
-    size = {theory: size_of_errors(study, theory) for theory in THEORY_LABELS}
+    size = {theory: size_of_errors(study, theory, _NAMES) for theory in THEORY_NAMES}
     best = min(size, key=lambda theory: size[theory])
-    said = ", ".join(f"{_SHOWN_THEORY[theory]} by {size[theory]:.0%}" for theory in sorted(size, key=lambda t: size[t]))
+    said = ", ".join(f"{THEORY_NAMES[theory]} by {size[theory]:.0%}" for theory in sorted(size, key=lambda t: size[t]))
     text = (
-        f"**They support {_SHOWN_THEORY[best]}.** Over {len(study.of(cases.UNDAMPED))} impacts the theories err in "
+        f"**They support {THEORY_NAMES[best]}.** Over {len(study.of(cases.UNDAMPED))} impacts the theories err in "
         f"force, DCS and contact time by this much in the mean: {said}."
     )
     if best == "hertz":
@@ -95,7 +97,7 @@ def _made(study: Study) -> str:
 
 def _impacts(study: Study) -> list[str]:
     columns = {
-        name: [of_simulation(study, name), *(of_theory(study, theory, name) for theory in THEORY_LABELS)]
+        name: [of_simulation(study, name), *(of_theory(study, theory, name) for theory in THEORY_NAMES)]
         for name in _NAMES
     }
     rows = []
@@ -110,7 +112,7 @@ def _impacts(study: Study) -> list[str]:
 
 def _errors(study: Study) -> list[str]:
     rows = []
-    for theory, shown in _SHOWN_THEORY.items():
+    for theory, shown in THEORY_NAMES.items():
         found = [agreement(study, theory, name) for name in _NAMES]
         damped = [agreement(study, theory, name, cases.DAMPED) for name in _NAMES]
         rows.append([
@@ -208,11 +210,7 @@ def _mean_ratio(study: Study, group: str, name: str) -> float:
 
 
 def _waves(study: Study) -> list[str]:
-    errors = {
-        edge: study.values(cases.UNDAMPED, f"filtered_at_{edge}") / study.values(cases.UNDAMPED, "peak_force") - 1
-        for edge in (4, 5)
-    }
-    found = "; ".join(f"at {edge}/T {_range(values, '+.1%')}" for edge, values in errors.items())
+    found = "; ".join(f"at {edge}/T {_range(filtered_errors(study, edge), '+.1%')}" for edge in (4, 5))
     return [
         "### The vibration waves",
         "",
@@ -226,8 +224,3 @@ def _waves(study: Study) -> list[str]:
 def _range(values: Iterable[float], digits: str) -> str:
     values = list(values)
     return f"{min(values):{digits}} to {max(values):{digits}}"
-
-
-def table(heads: Sequence[str], rows: Iterable[Sequence[str]]) -> list[str]:
-    """Return the lines of a table in Markdown."""
-    return [f"| {' | '.join(heads)} |", "|---" * len(heads) + "|", *(f"| {' | '.join(row)} |" for row in rows), ""]

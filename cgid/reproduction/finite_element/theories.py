@@ -11,6 +11,7 @@ so does its energy.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cache
 
@@ -111,3 +112,9 @@ def agreement(study: Study, reading: str, name: str, group: str = UNDAMPED, sphe
         float("nan") if constant else float(np.corrcoef(found, wanted)[0, 1] ** 2),
         float(1 - residual / total),
     )
+
+
+def size_of_errors(study: Study, theory: str, names: Iterable[str], group: str = UNDAMPED) -> float:
+    """Return the mean size of a theory's errors in some quantities against the finite elements of a group."""
+    errors = [of_theory(study, theory, name, group) / of_simulation(study, name, group) - 1 for name in names]
+    return float(np.mean(np.abs(errors)))
