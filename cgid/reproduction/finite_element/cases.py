@@ -27,6 +27,7 @@ FACTORS, FACTOR_SPHERES, FACTOR_VELOCITY = (0.01, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0
 #: our elements make it, and as larger ones would; and two of them with every factor.
 UNDAMPED, DAMPED, SOFT, SOFT_BY_FACTOR = "undamped", "damped", "soft", "soft_by_factor"
 SOFT_1_MM, SOFT_2_MM = "soft_1_mm", "soft_2_mm"
+GROUPS = (UNDAMPED, DAMPED, SOFT, SOFT_1_MM, SOFT_2_MM, SOFT_BY_FACTOR)
 #: Size of those larger elements [m]: of the paper's sphere (section 3.1), and half of it, for its contact has finer
 #: ones.
 ELEMENT_SIZES = {SOFT_1_MM: 0.001, SOFT_2_MM: 0.002}
