@@ -67,7 +67,7 @@ def with_one(study, name, value):
         (lambda study: b"no archive at all", "allow_pickle"),
         (lambda study: packed(study)[:5000], "zip"),
         (lambda study: encrypted(packed(study)), "encrypted"),
-        (lambda study: plain_array(), "context manager"),
+        (lambda study: plain_array(), "single array"),
         (lambda study: archive(made=np.array([{}], object)), "allow_pickle"),
         (lambda study: with_changed(study, peak_force=None), "peak_force is missing"),
         (lambda study: with_changed(study, course_force=None), "course_force is missing"),

@@ -81,15 +81,21 @@ def unpacked(content: bytes, source: str = STUDY_FILE) -> Study:
         It is none, or damaged; `source` is its name in the message.
     """
     try:
-        with np.load(io.BytesIO(content), allow_pickle=False) as stored:
+        with _archive(content) as stored:
             arrays = {name: stored[name] for name in stored.files}
-    # zip archives, packed members and headers (through Python's own parser) fail in more ways than can be counted, and
-    # a plain array is none of them.
+    # Archives, packed members and headers (through Python's own parser) fail in more ways than can be counted.
     except Exception as error:
         raise _bad(source, " ".join(str(error).split())[:120] or "it ends too early") from None
     if fault := _fault(arrays):
         raise _bad(source, fault)
     return _study(arrays)
+
+
+def _archive(content: bytes) -> np.lib.npyio.NpzFile:
+    stored = np.load(io.BytesIO(content), allow_pickle=False)
+    if not isinstance(stored, np.lib.npyio.NpzFile):
+        raise ValueError("it is a single array")
+    return stored
 
 
 def _bad(source: str, fault: str) -> BadData:
