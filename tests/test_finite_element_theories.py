@@ -147,7 +147,77 @@ def test_verdicts_follow_the_numbers(study):
     )
     assert [found[name] for name in names] == [False] * 4
     assert [turned[name] for name in names] == [True, True, True, False]
-    assert "**They support series (the paper's own).**" in "\n".join(finite_element_section(as_series(study)))
+
+
+def changed(study, change):
+    """Return a study with other undamped impacts: of each, what `change` makes of its place and run."""
+    runs = [
+        change(place, found) if found.case.group == cases.UNDAMPED else found for place, found in enumerate(study.runs)
+    ]
+    return dataclasses.replace(study, runs=tuple(runs))
+
+
+def with_waves_in_the_force(place, found):
+    """Return a run whose waves are in the contact force, not in the centre's."""
+    waving, smooth = found.courses["centre_node_force"], found.courses["force"]
+    return dataclasses.replace(found, courses={**found.courses, "force": waving, "centre_node_force": smooth})
+
+
+def with_scattered_peaks(place, found):
+    """Return a run with a force that no theory correlates with, and of which the filter leaves half."""
+    force = 1e3 * (5 + (-1) ** place)
+    return dataclasses.replace(found, numbers={**found.numbers, "peak_force": force, "filtered_at_4": force / 2})
+
+
+def hard_everywhere(study):
+    """Return a study in which a soft contact does nothing."""
+    hard = {(found.case.sphere, found.case.velocity): found.numbers for found in study.of(cases.UNDAMPED)}
+    runs = [dataclasses.replace(found, numbers=hard[found.case.sphere, found.case.velocity]) for found in study.runs]
+    return dataclasses.replace(study, runs=tuple(runs))
+
+
+def without_the_softest(study):
+    """Return a study in which elements of 2 mm are as soft as those of 1 mm: nothing is beyond the series theory."""
+    softer = {(found.case.sphere, found.case.velocity): found.numbers for found in study.of(cases.SOFT_1_MM)}
+    runs = [
+        dataclasses.replace(found, numbers=softer[found.case.sphere, found.case.velocity])
+        if found.case.group == cases.SOFT_2_MM
+        else found
+        for found in study.runs
+    ]
+    return dataclasses.replace(study, runs=tuple(runs))
+
+
+#: Sentences of the section, what else they come to, and the study that turns them over.
+SENTENCES = [
+    ("**They support K1 (Hertz).**", "**They support series (the paper's own).**", as_series),
+    ("counts it twice", "", as_series),
+    ("it grows with the contact", "K1's error does not grow with the contact", as_series),
+    ("is high for all of them", "tells none", lambda study: changed(study, with_scattered_peaks)),
+    ("to the paper's theory and beyond", "to the paper's theory: nothing else", without_the_softest),
+    ("A soft contact moves the finite elements", "A soft contact does not move", hard_everywhere),
+    ("a likely reason", "", hard_everywhere),
+    ("A soft contact moves the finite elements", "A soft contact does not move", as_series),
+    ("the simulation counts the compliance twice", "", as_series),
+    ("contact force is smooth", "contact force has waves", lambda study: changed(study, with_waves_in_the_force)),
+    ("has the paper's dense", "does not have the paper's dense", lambda study: changed(study, with_waves_in_the_force)),
+    ("4/T leaves the", "4/T does not leave the", lambda study: changed(study, with_scattered_peaks)),
+]
+
+
+@pytest.mark.parametrize(("today", "otherwise", "turned"), SENTENCES)
+def test_sentences_follow_the_numbers(study, today, otherwise, turned):
+    """No sentence of the whole section stands there whatever the numbers are."""
+    found, other = ("\n".join(finite_element_section(each)) for each in (study, turned(study)))
+    assert today in found and today not in other
+    assert otherwise in other and (not otherwise or otherwise not in found)
+
+
+def test_the_paper_says_something_of_its_contact(study):
+    text = "\n".join(finite_element_section(study))
+    assert "Hertz's theory gives a contact, and damping was applied" in text
+    assert "it has 2 times K1's DCS, the series theory 1.75 times" in text
+    assert "the mesh is ours" in text and "as soft as that of elements of 2 mm" in text
 
 
 def test_filtered_peaks_are_those_of_the_contact_force(study):

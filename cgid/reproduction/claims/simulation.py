@@ -8,7 +8,7 @@ from cgid.materials import YANG2018_SPHERES
 from cgid.reproduction import impacts, paper
 from cgid.reproduction.claims.claim import Claim, judged_ordering, symbol, written
 from cgid.reproduction.finite_element import Study, cases
-from cgid.reproduction.finite_element.theories import agreement, of_simulation, size_of_errors
+from cgid.reproduction.finite_element.theories import HIGH_CORRELATION, agreement, of_simulation, size_of_errors
 from cgid.reproduction.finite_element.waves import FILTERED, WAVES, filtered_errors, ripples
 from cgid.reproduction.impacts import THEORY_LABELS, paper_impact
 
@@ -16,8 +16,6 @@ from cgid.reproduction.impacts import THEORY_LABELS, paper_impact
 _RESPONSES = ("peak_force", "peak_displacement")
 #: A prediction is close to the simulation within this part of it.
 _CLOSE = 0.1
-#: The paper's threshold for a high correlation, section 3.2.
-_HIGH_CORRELATION = 0.96
 #: Powers of the speed are alike within this.
 _SAME_POWER = 0.05
 
@@ -84,7 +82,7 @@ def _yardstick(study: Study) -> Claim:
     fooled = [
         theory
         for theory, values in found.items()
-        if least[theory] > _HIGH_CORRELATION and max(abs(value.error) for value in values) > _CLOSE
+        if least[theory] > HIGH_CORRELATION and max(abs(value.error) for value in values) > _CLOSE
     ]
     return Claim(
         "squared correlation as a yardstick",
@@ -108,7 +106,7 @@ def _pressure(study: Study) -> Claim:
         f"Contact pressure is so uncertain that its squared correlation is only {min(printed):g} to {max(printed):g}.",
         f"With the finite elements it is {min(found):.5f} to {max(found):.5f}, as for force and DCS: it is the "
         "paper's simulation that scatters, not the pressure.",
-        max(found) < _HIGH_CORRELATION,
+        max(found) < HIGH_CORRELATION,
     )
 
 

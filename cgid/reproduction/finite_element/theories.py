@@ -33,6 +33,8 @@ QUANTITIES_COMPARED = (
     "peak_plate_energy",
     "contact_duration",
 )
+#: The paper's threshold for a high squared correlation, section 3.2.
+HIGH_CORRELATION = 0.96
 #: K1 with its energy shared by compliance; all else is K1's.
 SHARED = "hertz-shared"
 #: What is compared: the paper's three theories, and the other reading of the first.
