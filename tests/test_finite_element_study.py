@@ -1,32 +1,22 @@
-"""The finite-element study of the paper: what is shipped, what it says of the theories, how it is made and kept."""
+"""The finite-element study of the paper: what is shipped, how it is made, and the command."""
 
 from __future__ import annotations
 
 import dataclasses
-import io
-import re
 from types import SimpleNamespace
 
 import numpy as np
-import pandas as pd
 import pytest
 
 from cgid.cli.main import run
-from cgid.errors import BadData, InvalidValue, NoInput
+from cgid.errors import InvalidValue
 from cgid.filters import fft_filter
 from cgid.reproduction import n_steps, reproduce
-from cgid.reproduction.claims import simulation
-from cgid.reproduction.finite_element import cases, packed, read_study, running, shipped_study, theories
-from cgid.reproduction.finite_element.figures import SIMULATED_FIGURES
-from cgid.reproduction.finite_element.section import finite_element_section
-from cgid.reproduction.finite_element.study import COURSES, NUMBERS, Run, Study
-from cgid.reproduction.finite_element.table import table_3
+from cgid.reproduction.finite_element import cases, packed, read_study, running, shipped_study, waves
+from cgid.reproduction.finite_element.study import COURSES, NUMBERS
 from cgid.signals import Signal
+from tests.impacts_by_hand import RADIUS, RESPONSES, SPHERES, by_hand, table
 
-# rho, E, nu of Table 2 of the paper, written again.
-SPHERES = {1: (1380, 2.26e9, 0.28), 2: (1550.6, 4.3e9, 0.30), 3: (2412, 21.64e9, 0.30), 4: (2400, 3.906e9, 0.28)}
-RADIUS, STEEL_COMPLIANCE = 0.025, 0.91 / 210e9
-FACTORS = {"hertz": 1.0, "rigid-sphere": 8 * 3**0.5 / 9, "series": 1.75**-1.5}
 #: An independent program's force [N], DCS [m] and contact time [s] of four of the impacts.
 INDEPENDENT = {
     (1, 2.0): (1.98e3, 0.231e-3, 338e-6),
@@ -34,41 +24,11 @@ INDEPENDENT = {
     (3, 2.0): (6.57e3, 0.121e-3, 177e-6),
     (3, 10.0): (46.66e3, 0.428e-3, 125e-6),
 }
-#: The same program's mean errors of the theories over all twenty: force, DCS, contact time.
-INDEPENDENT_ERRORS = {
-    "hertz": (-0.06, 0.05, 0.05),
-    "rigid-sphere": (0.12, -0.12, -0.11),
-    "series": (-0.33, 0.47, 0.48),
-}
-RESPONSES = ("peak_force", "peak_displacement", "contact_duration")
 
 
 @pytest.fixture(scope="module")
 def study():
     return shipped_study()
-
-
-def table(study, group=cases.UNDAMPED):
-    """Return sphere, speed and numbers of a group, a row for each impact."""
-    return pd.DataFrame(
-        [{"sphere": found.case.sphere, "velocity": found.case.velocity, **found.numbers} for found in study.of(group)]
-    )
-
-
-def by_hand(theory, sphere, velocity):
-    """Return force, DCS, contact time, pressure and energy of an elastic impact, from the formulas."""
-    density, modulus, nu = SPHERES[sphere]
-    mass = 4 / 3 * np.pi * RADIUS**3 * density
-    stiffness = FACTORS[theory] * 4 / 3 * RADIUS**0.5 / ((1 - nu**2) / modulus + STEEL_COMPLIANCE)
-    displacement = (5 * mass * velocity**2 / (4 * stiffness)) ** 0.4
-    force = stiffness * displacement**1.5
-    return {
-        "peak_force": force,
-        "peak_displacement": displacement,
-        "contact_duration": 2.943275184 * displacement / velocity,
-        "peak_pressure": 3 * force / (2 * np.pi * RADIUS * displacement),
-        "energy": mass * velocity**2 / 2,
-    }
 
 
 # ---- what is shipped ------------------------------------------------------------------------------------------------
@@ -123,167 +83,13 @@ def test_courses_and_peaks_belong_together(study):
             assert impulse == pytest.approx(change, rel=2e-3)
 
 
-# ---- the theories ---------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("theory", FACTORS)
-def test_theories_by_hand(theory):
-    for sphere in SPHERES:
-        found = theories.predicted(theory, sphere, (2.0, 10.0))
-        for place, velocity in enumerate((2.0, 10.0)):
-            wanted = by_hand(theory, sphere, velocity)
-            for name in (*RESPONSES, "peak_pressure"):
-                assert found[name][place] == pytest.approx(wanted[name], rel=1e-9)
-            energies = found["peak_sphere_energy"][place], found["peak_plate_energy"][place]
-            part = {"hertz": 1, "rigid-sphere": 0, "series": 4 / 7}[theory]
-            assert energies == pytest.approx((part * wanted["energy"], (1 - part) * wanted["energy"]), rel=1e-12)
-
-
-def test_energy_of_hertz_goes_with_the_compliance():
-    for sphere, (_, modulus, nu) in SPHERES.items():
-        compliance = (1 - nu**2) / modulus
-        part = compliance / (compliance + STEEL_COMPLIANCE)
-        assert theories.sphere_part(theories.SHARED, sphere) == pytest.approx(part, rel=1e-12)
-
-
-def test_pressure_of_k1_is_that_of_hertz():
-    """The textbook's p0 = (6 P E^2 / (pi^3 R^2))^(1/3)."""
-    found = theories.predicted("hertz", 1, (4.0,))
-    modulus = 1 / ((1 - 0.28**2) / 2.26e9 + STEEL_COMPLIANCE)
-    wanted = (6 * found["peak_force"][0] * modulus**2 / (np.pi**3 * RADIUS**2)) ** (1 / 3)
-    assert found["peak_pressure"][0] == pytest.approx(wanted, rel=1e-12)
-
-
-@pytest.mark.parametrize("theory", FACTORS)
-def test_errors_over_the_twenty_and_both_yardsticks(study, theory):
-    rows = table(study)
-    for name, independent in zip(RESPONSES, INDEPENDENT_ERRORS[theory], strict=True):
-        theoretical = np.array([by_hand(theory, row.sphere, row.velocity)[name] for row in rows.itertuples()])
-        simulated = rows[name].to_numpy()
-        found = theories.agreement(study, theory, name)
-        assert found.error == pytest.approx(np.mean(theoretical / simulated) - 1, abs=1e-9)
-        assert found.error == pytest.approx(independent, abs=0.02)
-        assert found.squared_correlation == pytest.approx(np.corrcoef(theoretical, simulated)[0, 1] ** 2, abs=1e-9)
-        residual = np.sum((theoretical - simulated) ** 2) / np.sum((simulated - simulated.mean()) ** 2)
-        assert found.determination == pytest.approx(1 - residual, abs=1e-7)
-        # The paper's yardstick cannot tell them apart.
-        assert found.squared_correlation > 0.998
-        if theory == "hertz":
-            assert found.determination > 0.96
-
-
-def test_yardstick_that_sees_a_factor_condemns_the_series_theory(study):
-    for sphere in SPHERES:
-        force, displacement = (
-            theories.agreement(study, "series", name, sphere=sphere) for name in ("peak_force", "peak_displacement")
-        )
-        assert 0.48 < force.determination < 0.56 and displacement.determination < 0
-        assert min(force.squared_correlation, displacement.squared_correlation) > 0.999
-
-
-def test_table_3(study):
-    made = table_3(study)
-    assert len(made.data) == 4 * 4 * 5 and len(made.cells) == 4 * 5
-    rows = made.data.set_index(["sphere", "theory", "quantity"])
-    printed = rows["printed_squared_correlation"].dropna()
-    assert len(printed) == 20 and printed[(3, "series", "peak_pressure")] == 0.7483
-    # K1 in the paper's words has nothing in the plate: one value, no correlation.
-    assert np.isnan(rows.loc[(1, "hertz", "peak_plate_energy"), "squared_correlation"])
-    assert rows.loc[(1, theories.SHARED, "peak_sphere_energy"), "determination"] > 0.99
-    (row,) = (cells for cells in made.cells[:5] if cells[1] == "K1")
-    assert row[-1].startswith("\N{EM DASH} / -")
-
-
-def test_soft_contact_moves_the_finite_elements_to_the_series_theory(study):
-    hard, soft = (table(study, group) for group in (cases.UNDAMPED, cases.SOFT))
-    ratio = soft[list(RESPONSES)] / hard[list(RESPONSES)]
-    assert (ratio["peak_force"] < 0.95).all() and (ratio["peak_displacement"] > 1.1).all()
-    errors = {
-        group: {theory: theories.agreement(study, theory, "peak_force", group) for theory in ("hertz", "series")}
-        for group in cases.ELEMENT_SIZES
-    }
-    for group in cases.ELEMENT_SIZES:
-        assert errors[group]["series"].determination > 0.95 > errors[group]["hertz"].determination
-
-
-def test_a_stiff_penalty_is_a_hard_contact(study):
-    data = SIMULATED_FIGURES["penalty_factor"](study).data
-    rows = data[data["kind"] == "simulation"]
-    for _, of_sphere in rows.groupby("sphere"):
-        assert np.all(np.diff(of_sphere["force_over_hard"]) > 0)
-        assert np.all(np.diff(of_sphere["displacement_over_hard"]) < 0)
-        assert of_sphere["force_over_hard"].iloc[-1] == pytest.approx(1, abs=0.003)
-
-
-# ---- claims and report ----------------------------------------------------------------------------------------------
-
-
-def as_series(study):
-    """Return a study whose undamped impacts are those of the series theory."""
-    runs = []
-    for found in study.runs:
-        if found.case.group == cases.UNDAMPED:
-            wanted = theories.predicted("series", found.case.sphere, (found.case.velocity,))
-            found = dataclasses.replace(found, numbers={**found.numbers, **{k: float(v[0]) for k, v in wanted.items()}})
-        runs.append(found)
-    return dataclasses.replace(study, runs=tuple(runs))
-
-
-def test_verdicts_follow_the_numbers(study):
-    """A finite-element run that agreed with the series theory would turn the verdicts over."""
-    names = (
-        "own theory is close to the simulation",
-        "own theory is more accurate",
-        "traditional force is too large",
-        "squared correlation as a yardstick",
-    )
-    found, turned = (
-        {claim.name: claim.holds for claim in simulation.simulation_claims(each)} for each in (study, as_series(study))
-    )
-    assert [found[name] for name in names] == [False] * 4
-    assert [turned[name] for name in names] == [True, True, True, False]
-    assert "**They support series (the paper's own).**" in "\n".join(finite_element_section(as_series(study)))
-
-
-def test_filtered_peaks_are_those_of_the_contact_force(study):
-    at_4, at_5 = (np.abs(simulation.filtered_errors(study, edge)) for edge in (4, 5))
-    assert at_4.max() < 0.015 < at_5.max()
-
-
-def test_the_force_is_smooth_and_the_centre_is_not(study):
-    for found in study.of(cases.UNDAMPED):
-        assert simulation.ripple(found, "force") < 0.01
-        assert simulation.ripple(found, "centre_node_force") > 0.3
-
-
-def test_a_report_without_words_that_the_numbers_do_not_bear_out(study):
-    text = "\n".join(finite_element_section(study))
-    assert "**They support K1 (Hertz).**" in text and "counts it twice" in text
-    assert text.count("| 3, 10 m/s |") == 1 and "not proven" in text
-    assert re.search(r"\| K1 \(Hertz\) \| -6\.\d% / \+4\.\d% / \+4\.\d% \|", text)
-    assert re.search(r"own\) \| -32\.\d% / \+46\.\d% / \+46\.\d% \|", text)
-
-
-@pytest.mark.parametrize("name", sorted(SIMULATED_FIGURES))
-def test_every_panel_has_lines(study, name):
-    figure = SIMULATED_FIGURES[name](study)
-    assert 0 < figure.highest_strain < 0.1
-    for panel in figure.panels:
-        for lines in (panel, *panel.over):
-            rows = figure.data
-            for column, value in lines.where.items():
-                rows = rows[rows[column] == value]
-            assert np.isfinite(rows[[lines.x, lines.y]].to_numpy(np.float64)).any()
-
-
 # ---- how it is made -------------------------------------------------------------------------------------------------
 
 
-def test_a_case_computed_again_is_the_shipped_one(study):
-    """The quickest of the cases, with the real solver."""
-    place = [(found.case.group, found.case.sphere, found.case.velocity) for found in study.runs].index(
-        (cases.UNDAMPED, 3, 10.0)
-    )
+@pytest.mark.parametrize("group", [cases.UNDAMPED, cases.SOFT_2_MM, cases.DAMPED])
+def test_a_case_computed_again_is_the_shipped_one(study, group):
+    """The quickest of the cases of a group, with the real solver (damped: its implicit steps)."""
+    place = [(found.case.group, found.case.sphere, found.case.velocity) for found in study.runs].index((group, 3, 10.0))
     shipped, again = study.runs[place], running.computed(running.N_POINTS, cases.all_cases()[place])
     for name in NUMBERS:
         if not name.endswith("error"):
@@ -300,12 +106,12 @@ def history(velocity=2.0):
         return Signal(samples=samples, sampling_rate=2000 / 300e-6)
 
     force = np.where(times < 300e-6, 1e3 * np.sin(np.pi * times / 300e-6) ** 2, 0)
-    waves = 400 * np.sin(2 * np.pi * 8 / 300e-6 * times)
+    centre = force + 400 * np.sin(2 * np.pi * 8 / 300e-6 * times)
     return SimpleNamespace(
         contact_force=signal(force), centre_displacement=signal(force * 1e-7), contact_pressure=signal(force * 1e5),
-        sphere_energy=signal(force * 1e-3), plate_energy=signal(force * 1e-5), centre_node_force=signal(force + waves),
+        sphere_energy=signal(force * 1e-3), plate_energy=signal(force * 1e-5), centre_node_force=signal(centre),
         peak_force=1e3, peak_displacement=1e-4, peak_pressure=1e8, peak_sphere_energy=1.0, peak_plate_energy=0.01,
-        contact_duration=300e-6, restitution=1.0, momentum_error=1e-9, energy_error=None,
+        contact_duration=300e-6, times=times, restitution=1.0, momentum_error=1e-9, energy_error=None,
     )  # fmt: skip
 
 
@@ -326,7 +132,7 @@ def test_what_is_kept_of_a_history():
 def test_low_pass_does_not_ring_round_the_ends():
     """A course that ends high must not disturb its own beginning."""
     signal = Signal(samples=np.concatenate((np.zeros(500), np.full(500, 1.0))), sampling_rate=1e6)
-    quiet = running.low_passed(signal, 2e4)[:100]
+    quiet = waves.low_passed(signal.samples, signal.sampling_rate, 2e4)[:100]
     assert np.abs(quiet).max() < 0.1 * np.abs(fft_filter(signal.samples, 1e6, high=2e4)[:100]).max() + 0.02
 
 
@@ -372,6 +178,26 @@ def test_command_makes_the_study_anew_and_writes_it(study, monkeypatch, tmp_path
     assert asked == [3, None] and not (tmp_path / "shipped" / "finite_element.npz").exists()
 
 
+def test_the_shipped_copy_repeats_the_folder(study, monkeypatch, tmp_path):
+    """What was just computed has more digits than its file; the figures must have those of the file."""
+    fresh = dataclasses.replace(
+        study,
+        runs=tuple(
+            dataclasses.replace(found, courses={name: course * (1 + 1e-9) for name, course in found.courses.items()})
+            for found in study.runs
+        ),
+    )
+    monkeypatch.setattr("cgid.reproduction.output.run_study", lambda *_: fresh)
+    # A picture is its data here.
+    monkeypatch.setattr("cgid.reproduction.output.draw", lambda data, *_: data.to_csv().encode())
+    monkeypatch.setattr("cgid.reproduction.output.draw_table", lambda _, cells: str(cells).encode())
+    made = reproduce(tmp_path / "made", finite_element=True)
+    copied = read_study(tmp_path / "made" / "finite_element.npz")
+    monkeypatch.setattr("cgid.reproduction.output.shipped_study", lambda: copied)
+    again = {path.name: path.read_bytes() for path in reproduce(tmp_path / "again")}
+    assert {path.name: path.read_bytes() for path in made if path.suffix != ".npz"} == again
+
+
 @pytest.mark.parametrize(
     ("options", "exit_code", "says"),
     [
@@ -385,73 +211,3 @@ def test_bad_options(options, exit_code, says, tmp_path, capsys):
     out, err = capsys.readouterr()
     assert out == "" and says in err and err.count("\n") == 1
     assert list(tmp_path.iterdir()) == []
-
-
-# ---- the data file --------------------------------------------------------------------------------------------------
-
-
-def test_what_is_packed_is_read_again(study, tmp_path):
-    (tmp_path / "study.npz").write_bytes(packed(study))
-    again = read_study(tmp_path / "study.npz")
-    assert again.made == study.made and [found.case for found in again.runs] == [found.case for found in study.runs]
-    for found, wanted in zip(again.runs, study.runs, strict=True):
-        assert found.numbers == pytest.approx(wanted.numbers, rel=0, nan_ok=True)
-        assert found.duration == wanted.duration and set(found.courses) == set(wanted.courses)
-        assert all(np.array_equal(found.courses[name], wanted.courses[name]) for name in wanted.courses)
-    assert packed(again) == packed(study)
-
-
-def test_small_enough_to_ship(study):
-    assert len(packed(study)) < 400_000
-
-
-def without(study, name):
-    with np.load(io.BytesIO(packed(study))) as stored:
-        arrays = {key: stored[key] for key in stored.files if key != name}
-    stream = io.BytesIO()
-    np.savez(stream, **arrays)
-    return stream.getvalue()
-
-
-@pytest.mark.parametrize(
-    "content",
-    [
-        lambda study: b"",
-        lambda study: b"no archive at all",
-        lambda study: packed(study)[:5000],
-        lambda study: without(study, "peak_force"),
-        lambda study: without(study, "course_force"),
-        lambda study: with_objects(),
-    ],
-)
-def test_damaged_files_are_refused(content, study, tmp_path):
-    path = tmp_path / "study.npz"
-    path.write_bytes(content(study))
-    with pytest.raises(BadData, match="must hold a finite-element study"):
-        read_study(path)
-
-
-def with_objects():
-    """Return an archive that would have to be unpickled."""
-    stream = io.BytesIO()
-    np.savez(stream, made=np.array([{}], object))
-    return stream.getvalue()
-
-
-def test_missing_file_says_its_cure(tmp_path):
-    with pytest.raises(NoInput, match="--finite-element"):
-        read_study(tmp_path / "study.npz")
-
-
-def test_a_run_without_courses_has_no_times():
-    bare = Run(case=cases.all_cases()[-1], numbers=dict.fromkeys(NUMBERS, 1.0), duration=1e-4, courses={})
-    assert read_back(Study(runs=(bare,), made="by hand")).runs[0].courses == {}
-
-
-def read_back(study):
-    import tempfile
-    from pathlib import Path
-
-    with tempfile.TemporaryDirectory() as folder:
-        (Path(folder) / "study.npz").write_bytes(packed(study))
-        return read_study(Path(folder) / "study.npz")

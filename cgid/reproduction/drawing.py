@@ -87,6 +87,8 @@ Panel = Lines | Surface
 def draw(data: Any, panels: Sequence[Panel], columns: int) -> bytes:
     """Return a PNG picture of panels, `columns` of them beside each other, of a data frame.
 
+    The panels of one picture are of one kind: all `Lines`, or all `Surface`.
+
     Raises
     ------
     MissingExtra

@@ -15,6 +15,8 @@ THEORY_LABELS = {
     "rigid-sphere": "K2: rigid sphere, elastic half space",
     "series": "series: elastic sphere, elastic half space",
 }
+#: The theories in a few words.
+THEORY_NAMES = {"hertz": "K1 (Hertz)", "rigid-sphere": "K2", "series": "series (the paper's own)"}
 #: Speed that belongs to the constants under Eq. 18 [m/s]; the paper does not say it.
 SECTION_4_VELOCITY = 2.0
 #: Restitutions chosen here for damped impacts: the paper gives no number for its damping.

@@ -9,8 +9,9 @@ from cgid.reproduction.claims import Claim, all_claims
 from cgid.reproduction.claims.claim import symbol
 from cgid.reproduction.claims.influence import measures
 from cgid.reproduction.finite_element import Study
-from cgid.reproduction.finite_element.section import finite_element_section, table
+from cgid.reproduction.finite_element.section import finite_element_section
 from cgid.reproduction.impacts import RESTITUTIONS
+from cgid.reproduction.markdown import table
 from cgid.reproduction.paper_figure import PaperFigure
 from cgid.reproduction.tables import PaperTable
 

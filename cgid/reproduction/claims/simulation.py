@@ -4,25 +4,18 @@ from __future__ import annotations
 
 import numpy as np
 
-from cgid.filters import fft_filter
 from cgid.materials import YANG2018_SPHERES
 from cgid.reproduction import impacts, paper
 from cgid.reproduction.claims.claim import Claim, judged_ordering, symbol, written
 from cgid.reproduction.finite_element import Study, cases
-from cgid.reproduction.finite_element.study import Run
-from cgid.reproduction.finite_element.theories import agreement, of_simulation, of_theory
+from cgid.reproduction.finite_element.theories import HIGH_CORRELATION, agreement, of_simulation, size_of_errors
+from cgid.reproduction.finite_element.waves import FILTERED, WAVES, filtered_errors, ripples
 from cgid.reproduction.impacts import THEORY_LABELS, paper_impact
 
 #: What the paper compares in Figure 10 and its conclusions.
 _RESPONSES = ("peak_force", "peak_displacement")
 #: A prediction is close to the simulation within this part of it.
 _CLOSE = 0.1
-#: The paper's threshold for a high correlation, section 3.2.
-_HIGH_CORRELATION = 0.96
-#: Ripple of a course with waves: its largest distance from its own low-pass at 10/T, over its peak.
-_WAVES, _RIPPLE_EDGE = 0.05, 10
-#: A filtered peak is the force's within this part of it.
-_FILTERED = 0.015
 #: Powers of the speed are alike within this.
 _SAME_POWER = 0.05
 
@@ -48,7 +41,7 @@ def _theories(study: Study) -> list[Claim]:
         for group in groups
     }
     own, damped = (mean[impacts.OWN_THEORY, group] for group in groups)
-    size = {theory: [_size_of_errors(study, theory, group) for group in groups] for theory in THEORY_LABELS}
+    size = {theory: [size_of_errors(study, theory, _RESPONSES, group) for group in groups] for theory in THEORY_LABELS}
     return [
         Claim(
             "own theory is close to the simulation",
@@ -83,18 +76,13 @@ def _theories(study: Study) -> list[Claim]:
     ]
 
 
-def _size_of_errors(study: Study, theory: str, group: str) -> float:
-    errors = [of_theory(study, theory, name, group) / of_simulation(study, name, group) - 1 for name in _RESPONSES]
-    return float(np.mean(np.abs(errors)))
-
-
 def _yardstick(study: Study) -> Claim:
     found = {theory: [agreement(study, theory, name) for name in _RESPONSES] for theory in THEORY_LABELS}
     least = {theory: min(value.squared_correlation for value in values) for theory, values in found.items()}
     fooled = [
         theory
         for theory, values in found.items()
-        if least[theory] > _HIGH_CORRELATION and max(abs(value.error) for value in values) > _CLOSE
+        if least[theory] > HIGH_CORRELATION and max(abs(value.error) for value in values) > _CLOSE
     ]
     return Claim(
         "squared correlation as a yardstick",
@@ -118,7 +106,7 @@ def _pressure(study: Study) -> Claim:
         f"Contact pressure is so uncertain that its squared correlation is only {min(printed):g} to {max(printed):g}.",
         f"With the finite elements it is {min(found):.5f} to {max(found):.5f}, as for force and DCS: it is the "
         "paper's simulation that scatters, not the pressure.",
-        max(found) < _HIGH_CORRELATION,
+        max(found) < HIGH_CORRELATION,
     )
 
 
@@ -139,24 +127,8 @@ def _trend(study: Study) -> Claim:
     )
 
 
-def ripple(run: Run, name: str) -> float:
-    """Return how far a course is from its own low-pass at 10/T at most, over its largest value."""
-    course = run.courses[name]
-    rate = (course.size - 1) / run.duration
-    whole = np.concatenate((np.zeros(course.size), course))
-    smooth = fft_filter(whole, rate, high=_RIPPLE_EDGE / run.numbers["contact_duration"])[course.size :]
-    touching = run.times <= run.numbers["contact_duration"]
-    return float(np.abs(course - smooth)[touching].max() / course.max())
-
-
-def filtered_errors(study: Study, edge: int) -> np.ndarray:
-    """Return peak of the filtered centre node's force over that of the contact force - 1, edge in 1/T."""
-    return study.values(cases.UNDAMPED, f"filtered_at_{edge}") / study.values(cases.UNDAMPED, "peak_force") - 1
-
-
 def _waves(study: Study) -> list[Claim]:
-    runs = study.of(cases.UNDAMPED)
-    force, centre = (np.array([ripple(run, name) for run in runs]) for name in ("force", "centre_node_force"))
+    force, centre = (ripples(study, name) for name in ("force", "centre_node_force"))
     at_4, at_5 = (np.abs(filtered_errors(study, edge)) for edge in (4, 5))
     return [
         Claim(
@@ -164,18 +136,18 @@ def _waves(study: Study) -> list[Claim]:
             "Section 3.2, text of Figure 10",
             "The contact force shows dense vibration waves instead of a smooth curve.",
             "Largest distance from its own low-pass at 10/T, over the peak, in the median impact: contact force "
-            f"{np.median(force):.1%} (worst of {len(runs)}: {force.max():.1%}), mass x acceleration of the sphere's "
-            f"centre {np.median(centre):.0%} (waves: {_WAVES:.0%}). The waves are those of the sphere, not of the "
+            f"{np.median(force):.1%} (worst of {force.size}: {force.max():.1%}), mass x acceleration of the sphere's "
+            f"centre {np.median(centre):.0%} (waves: {WAVES:.0%}). The waves are those of the sphere, not of the "
             "contact.",
-            bool(np.median(force) > _WAVES),
+            bool(np.median(force) > WAVES),
         ),
         Claim(
             "FFT filter takes the waves off",
             "Section 3.2, text of Figure 10",
             "Behind an FFT filter the simulated force has the right maximum. (The paper does not say which filter.)",
             f"Mass x acceleration of the centre behind a low-pass at 4/T has the contact force's maximum within "
-            f"{at_4.max():.1%} in all {len(runs)} impacts; at 5/T it is off by up to {at_5.max():.1%}.",
-            bool(at_4.max() <= _FILTERED),
+            f"{at_4.max():.1%} in all {at_4.size} impacts; at 5/T it is off by up to {at_5.max():.1%}.",
+            bool(at_4.max() <= FILTERED),
         ),
     ]
 

@@ -14,21 +14,24 @@ from cgid.reproduction.impacts import paper_impact
 
 #: Elements over Hertz's contact radius.
 ELEMENTS = 14
-#: Restitution of the damped impacts, chosen here: the paper gives no number for its damping.
+#: Restitution of the damped impacts, chosen here: the paper gives no number for its damping. (It has one during the
+#: contact, ours is another: the sphere is a Kelvin-Voigt body.)
 RESTITUTION = 0.8
 #: Radius of the round plate [m]: half the length of the paper's rectangular one.
 PLATE_RADIUS = paper.PLATE_SIZE[0] / 2
-#: Stiffness of a soft contact per area, times element size over bulk modulus: what explicit codes take unless told.
+#: Stiffness of a soft contact per area, times element size over bulk modulus: LS-DYNA's unless told
+#: otherwise.
 PENALTY_FACTOR = 0.1
 #: Factors of a soft contact tried on two spheres at one speed [m/s].
 FACTORS, FACTOR_SPHERES, FACTOR_VELOCITY = (0.01, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0), (1, 3), 6.0
 
 #: Groups of cases: the paper's twenty impacts with hard contact, elastic and damped; elastic with a contact as soft as
-#: our elements make it, and as larger ones would; and two of them with every factor.
+#: our elements make it, and as soft as that of larger ones (the mesh stays ours); and two of them with every factor.
 UNDAMPED, DAMPED, SOFT, SOFT_BY_FACTOR = "undamped", "damped", "soft", "soft_by_factor"
 SOFT_1_MM, SOFT_2_MM = "soft_1_mm", "soft_2_mm"
-#: Size of those larger elements [m]: of the paper's sphere (section 3.1), and half of it, for its contact has finer
-#: ones.
+GROUPS = (UNDAMPED, DAMPED, SOFT, SOFT_1_MM, SOFT_2_MM, SOFT_BY_FACTOR)
+#: Size of those larger elements, which are not meshed [m]: of the paper's sphere (section 3.1), and half of it, for its
+#: contact has finer ones.
 ELEMENT_SIZES = {SOFT_1_MM: 0.001, SOFT_2_MM: 0.002}
 #: Impacts of the study.
 N_CASES = (3 + len(ELEMENT_SIZES)) * len(YANG2018_SPHERES) * len(paper.VELOCITIES) + len(FACTOR_SPHERES) * len(FACTORS)

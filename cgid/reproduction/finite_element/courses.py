@@ -11,13 +11,13 @@ from cgid.materials import YANG2018_RADIUS, YANG2018_SPHERES
 from cgid.reproduction import paper
 from cgid.reproduction.drawing import Lines
 from cgid.reproduction.finite_element.study import Run
-from cgid.reproduction.impacts import paper_impact
+from cgid.reproduction.impacts import THEORY_NAMES, paper_impact
 from cgid.reproduction.paper_figure import frame
 
 #: What `kind` says of the rows that are no theory's.
 SIMULATED = "simulation"
 #: How the lines of the theories are drawn, and which of them: K2 lies beyond K1, on the other side of the simulation.
-THEORY_STYLES = {"hertz": ("K1 (Hertz)", "-"), "series": ("series (the paper's own)", "--")}
+THEORY_STYLES = {"hertz": (THEORY_NAMES["hertz"], "-"), "series": (THEORY_NAMES["series"], "--")}
 #: Points of a theory's line.
 _POINTS = 101
 

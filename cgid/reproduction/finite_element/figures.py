@@ -122,7 +122,7 @@ def figure_11_simulated(study: Study) -> PaperFigure:
     return PaperFigure(
         name="figure_11_simulated",
         title="Force-displacement, simulated hysteresis loops, and the theories of the compression stage",
-        note=f"Finite elements with a Kelvin-Voigt sphere. {_damping()} Black: the elastic theories up to 10 m/s.",
+        note=f"Finite elements. {_damping()} Black: the elastic theories up to 10 m/s.",
         data=joined([*(courses(run, "displacement", "force") for run in runs), *compression()]),
         panels=tuple(each_sphere("displacement", "force")),
         columns=4,
@@ -158,8 +158,9 @@ def figure_16_17_simulated(study: Study, number: int) -> PaperFigure:
 
 def _damping() -> str:
     return (
-        f"The retardation time is chosen for each impact so that Kuwabara-Kono's restitution is {cases.RESTITUTION:g}: "
-        "the paper gives no number for its damping."
+        "The damped sphere is a Kelvin-Voigt body; its retardation time is chosen for each impact so that "
+        f"Kuwabara-Kono's restitution is {cases.RESTITUTION:g}. (The paper has damping during the contact, which is "
+        "another one, and gives no number.)"
     )
 
 

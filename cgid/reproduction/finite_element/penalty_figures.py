@@ -26,13 +26,14 @@ def penalty_loops(study: Study) -> PaperFigure:
         name="penalty_loops",
         title="Force-displacement with a soft contact",
         note="Undamped finite elements whose surfaces may enter each other: pressure = "
-        f"{cases.PENALTY_FACTOR:g} x bulk modulus / element size x depth, up to the largest DCS. The five speeds share "
+        f"{cases.PENALTY_FACTOR:g} x bulk modulus / element size x depth, up to the largest DCS. The mesh is ours; "
+        "the contact is as soft as that of elements of the size above the panel. The five speeds share "
         "one curve and differ in where it ends. Black: the elastic theories up to 10 m/s.",
         data=joined([*(courses(run, "displacement", "force", until="deepest") for run in runs), *compression()]),
         panels=tuple(
             replace(panel, marker="end")
             for group, size in cases.ELEMENT_SIZES.items()
-            for panel in each_sphere("displacement", "force", more=f", elements of {size * 1e3:g} mm", group=group)
+            for panel in each_sphere("displacement", "force", more=f", as soft as {size * 1e3:g} mm", group=group)
         ),
         columns=4,
         highest_strain=strain_of(runs),

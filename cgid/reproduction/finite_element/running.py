@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cgid.cluster import workers
-from cgid.filters import fft_filter
 from cgid.materials import STEEL, YANG2018_RADIUS, YANG2018_SPHERES
 from cgid.reproduction import paper
 from cgid.reproduction.finite_element.cases import (
@@ -23,8 +22,7 @@ from cgid.reproduction.finite_element.cases import (
     all_cases,
 )
 from cgid.reproduction.finite_element.study import COURSES, Run, Study
-from cgid.signals import Signal
-from cgid.validation import Floats
+from cgid.reproduction.finite_element.waves import low_passed
 
 if TYPE_CHECKING:
     from cgid.impact.finite_element import History
@@ -94,7 +92,8 @@ def computed(n_points: int, case: Case) -> Run:
 
 def shortened(case: Case, history: History, n_points: int) -> Run:
     """Return what of a history is kept."""
-    filtered = [low_passed(history.centre_node_force, edge / history.contact_duration) for edge in _EDGES]
+    waving = history.centre_node_force
+    filtered = [low_passed(waving.samples, waving.sampling_rate, edge / history.contact_duration) for edge in _EDGES]
     numbers = {
         name: float(getattr(history, name))
         for name in (
@@ -110,8 +109,7 @@ def shortened(case: Case, history: History, n_points: int) -> Run:
     }
     numbers["energy_error"] = np.nan if history.energy_error is None else history.energy_error
     numbers |= {f"filtered_at_{edge}": float(course.max()) for edge, course in zip(_EDGES, filtered, strict=True)}
-    force = history.contact_force
-    times = np.arange(force.samples.size) / force.sampling_rate
+    times = history.times
     wanted = np.linspace(0, times[-1], n_points)
     courses = {
         name: np.interp(
@@ -122,11 +120,3 @@ def shortened(case: Case, history: History, n_points: int) -> Run:
         for name in _KEPT.get(case.group, ())
     }
     return Run(case=case, numbers=numbers, duration=float(times[-1]), courses=courses)
-
-
-def low_passed(signal: Signal, edge: float) -> Floats:
-    """Return a signal behind the paper's FFT filter, a brick wall at an edge [Hz]."""
-    # The filter is circular: before the touch there was nothing, and that must be said.
-    n = signal.samples.size
-    whole = np.concatenate((np.zeros(n), signal.samples))
-    return np.asarray(fft_filter(whole, signal.sampling_rate, high=edge)[n:], np.float64)

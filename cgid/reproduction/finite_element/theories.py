@@ -11,6 +11,7 @@ so does its energy.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cache
 
@@ -32,6 +33,8 @@ QUANTITIES_COMPARED = (
     "peak_plate_energy",
     "contact_duration",
 )
+#: The paper's threshold for a high squared correlation, section 3.2.
+HIGH_CORRELATION = 0.96
 #: K1 with its energy shared by compliance; all else is K1's.
 SHARED = "hertz-shared"
 #: What is compared: the paper's three theories, and the other reading of the first.
@@ -111,3 +114,9 @@ def agreement(study: Study, reading: str, name: str, group: str = UNDAMPED, sphe
         float("nan") if constant else float(np.corrcoef(found, wanted)[0, 1] ** 2),
         float(1 - residual / total),
     )
+
+
+def size_of_errors(study: Study, theory: str, names: Iterable[str], group: str = UNDAMPED) -> float:
+    """Return the mean size of a theory's errors in some quantities against the finite elements of a group."""
+    errors = [of_theory(study, theory, name, group) / of_simulation(study, name, group) - 1 for name in names]
+    return float(np.mean(np.abs(errors)))
