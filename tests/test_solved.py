@@ -221,8 +221,14 @@ def test_a_smooth_course_stays_and_its_steps_go(restitution):
     assert apart(truth, smooth) < 0.001
     steps = 0.02 * peak * ((14 * np.sqrt(np.clip(times / duration, 0, 1))) % 1 - 0.5) * (force > 0)
     assert apart(truth, smoothed(times, force + steps, duration, shares)[:-1]) < 0.003
+    curve = smoothed(times, force + steps + 0.01 * peak, duration, shares)
+    assert curve[0] == curve[-1] == 0.0
     with pytest.raises(InvalidValue, match="24 samples or more within contact for 8 knots, got 19"):
         smoothed(np.linspace(0, 1, 21), np.ones(21), 1.0, shares)
+    with pytest.raises(InvalidValue, match=r"times must rise, got 0\.25 s behind 0\.5 s at index 1"):
+        smoothed([0.5, 0.25, 1], np.ones(3), 1.0, shares)
+    with pytest.raises(InvalidValue, match=r"forces must be one for each of the times, got shape \(2,\) for \(3,\)"):
+        smoothed([0.25, 0.5, 1], np.ones(2), 1.0, shares)
 
 
 @pytest.mark.parametrize(
