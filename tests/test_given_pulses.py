@@ -171,13 +171,13 @@ def test_pulses_that_do_not_fit_a_scene_are_refused(reference_scene):
     [
         ("raduis", 0.1, "parameter must be one of 'density', .*, got 'raduis'"),
         ("impact_x", 0.1, "parameter must be one of .*, got 'impact_x'"),
-        ("velocity", np.inf, "velocity must be finite, got inf at index 3"),
-        ("velocity", 0.0, "velocity must be above 0, got 0 at index 3"),
-        ("radius", -1.0, "radius must be above 0, got -1 at index 3"),
+        ("velocity", np.inf, "velocity must be finite, got inf m/s at index 3"),
+        ("velocity", 0.0, "velocity must be above 0, got 0 m/s at index 3"),
+        ("radius", -1.0, "radius must be above 0, got -1 m at index 3"),
         ("poisson_ratio", 0.5, "poisson_ratio must lie between -1 and 0.5"),
         ("restitution", 1.5, "restitution must lie above 0 and up to 1, got 1.5"),
-        ("drop_height", -0.1, "drop_height must be 0 or more, got -0.1"),
-        ("onset", -np.inf, "onset must be finite, got -inf at index 3"),
+        ("drop_height", -0.1, "drop_height must be 0 or more, got -0.1 m"),
+        ("onset", -np.inf, "onset must be finite, got -inf s at index 3"),
     ],
 )
 def test_impossible_parameters_are_refused(reference_scene, name, value, message):

@@ -34,7 +34,7 @@ from cgid.validation import Floats
 #: What follows from the pulses, and may not be said beside them.
 _OF_PULSES = ("peak_force", "contact_duration")
 #: What is possible; of a name that is not here, any finite number.
-_RULES: dict[str, Callable[[str, Floats], Floats]] = {
+_RULES: dict[str, Callable[..., Floats]] = {
     "density": validation.positive,
     "youngs_modulus": validation.positive,
     "poisson_ratio": validation.poisson_ratio,
@@ -106,18 +106,19 @@ def synthesise_given(
 
 
 def _known(parameters: Mapping[str, ArrayLike], scene: Scene, n: int) -> dict[str, Floats]:
-    known = {}
+    known, units = {}, parameter_units(scene)
     for name, values in parameters.items():
         column = np.asarray(values)
         if name in _OF_PULSES:
             raise InvalidValue(f"{name} must be left out, it is that of the pulses")
         if name in RANDOMISED_UNITS:
             raise InvalidValue(f"{name} must be left out, it is that of the scene's sensor; vary the scene")
-        validation.choice("parameter", name, parameter_units(scene))
+        validation.choice("parameter", name, units)
         if column.shape != (n,) or column.dtype.kind not in "fiu":
             raise InvalidValue(f"{name} must be one number for each of {n} pulses, got shape {column.shape}")
         known[name] = column.astype(np.float64)
-        _RULES.get(name, validation.real)(name, np.where(np.isnan(known[name]), _ALLOWED, known[name]))
+        said = np.where(np.isnan(known[name]), _ALLOWED, known[name])
+        _RULES.get(name, validation.real)(name, said, *([units[name]] if units[name] != "1" else []))
     _require_on_panel(known, scene)
     return known
 
