@@ -47,7 +47,7 @@ def by_law(rocks: Mapping[str, np.ndarray], scene: Scene, law: str, radius: floa
 
 
 def solved_again(solved: SolvedImpacts, row: int, elements: int, steps: int | None = None) -> History:
-    """Return one impact solved again, in so many implicit steps over Hertz's duration; None: explicitly, without loss."""
+    """Return one impact solved again: in implicit steps, so many over Hertz's duration, or explicitly, without loss."""
     rock = {name: float(values[row]) for name, values in solved.columns.items()}
     velocity, steel = rock["velocity"], HalfSpace(material=STEEL)
     law = Impact(sphere=sphere_of(rock), target=steel, velocity=velocity, stiffness="hertz", dissipation=Elastic())
