@@ -75,7 +75,9 @@ def smoothed(times: ArrayLike, forces: ArrayLike, contact_duration: float, share
     basis = BSpline.design_matrix(np.arccos(1 - 2 * since[inside] / lasts), ends, _CUBIC).toarray()
     # The first and the last coefficient are the values at touch and separation, and stay 0.
     coefficients = np.zeros(basis.shape[1])
-    coefficients[1:-1] = np.linalg.lstsq(basis[:, 1:-1], course[inside])[0]
+    coefficients[1:-1], _, rank, _ = np.linalg.lstsq(basis[:, 1:-1], course[inside])
+    if rank < coefficients.size - 2:
+        raise InvalidValue(f"times must lie all over the contact for {knots} knots, and leave a part of it empty")
     spline = BSpline(ends, coefficients, _CUBIC)
     return np.asarray(np.maximum(spline(np.arccos(1 - 2 * validation.real("shares", shares))), 0.0))
 
