@@ -1,104 +1,40 @@
 """How the default model does on impacts that another physics has made, and how much of them the pulse family explains.
 
     python benchmarks/finite_element_identification.py [MODEL.npz] [--sizes 8] [--elastic 8] [--retrained 6000]
+    python benchmarks/finite_element_identification.py --sizes 1 --finer 6
 
 The impacts of `datasets/finite_element.npz` are rocks of the reference scene, solved by finite elements. Beside them
 stand the same rocks, falls and restitutions by Kuwabara and Kono's law (a viscoelastic sphere, as in the elements, but
 of Hertz's contact) and by Hunt and Crossley's, which the scene and so the model's training have. Sizes, noise and touch
 are drawn `--sizes` times by the scene, the same for all three; under the scene's 1 % of noise, and under 10 %.
 Intervals resample rocks, of which there are fewer than signals. --elastic solves so many rocks again without any loss.
---retrained trains a model on so many signals of each law, as the scene draws its rocks, to say what is lost for want of
-the right law. Prints Markdown; some minutes.
+--finer solves so many on 28 elements in 1000 steps: the hardest rock, the softest, the liveliest, the most damped, then
+others; a minute each. --retrained trains a model on so many signals of each law, as the scene draws its rocks, to say
+what is lost for want of the right law. Prints Markdown; some minutes.
 """
 
 import argparse
 import warnings
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
-from itertools import pairwise
+from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from finite_element_fits import finer_table, physics_table, shape_table
+from finite_element_rocks import ELASTIC, FAMILY, FINITE_ELEMENTS, VISCOELASTIC, all_three, by_law, without_loss
 
 from cgid import shipped
-from cgid.estimation.template import curve
-from cgid.identification.estimation import Estimates, estimate
 from cgid.identification.measuring import measure
 from cgid.identification.metrics import evaluate
 from cgid.identification.model import Model
 from cgid.identification.training import train
-from cgid.impact import Elastic, HalfSpace, HuntCrossley, Impact, Sphere, Viscoelastic, dissipative_constant
-from cgid.impact.finite_element import ElasticPlate, FiniteElementImpact
-from cgid.impact.sampled import SampledPulses, shares_of_contact, smoothed
-from cgid.materials import STEEL, Material
 from cgid.scene import Scene, load_scene, synthesise, synthesise_given, varied
 from cgid.scene.population import draw
 from cgid.scene.solved import SolvedImpacts
 from cgid.signals import Batch
 
-ELASTIC = "finite elements without loss"
-FINITE_ELEMENTS, VISCOELASTIC, FAMILY = "finite elements", "Kuwabara-Kono", "Hunt-Crossley (the family)"
 SEED, TRAINING_SEED = 3_000_017, 4_000_037
-#: Classes of restitution in the tables of shape.
-EDGES = (0.1, 0.25, 0.35, 0.45, 0.55, 0.65, 1.0)
-#: Points of a pulse, samples of a contact in the fit without noise, and the noise said to that fit, over the peak.
-POINTS, SAMPLES, NO_NOISE = 192, 400, 1e-3
 RESAMPLINGS = 2000
-
-
-# --- the same rocks by laws of impact ---------------------------------------------------------------------------------
-
-
-def sphere_of(rocks: Mapping[str, np.ndarray], radius: float | np.ndarray = 1.0) -> Sphere:
-    names = ("density", "youngs_modulus", "poisson_ratio")
-    return Sphere(material=Material(**{name: rocks[name] for name in names}), radius=radius)
-
-
-def by_law(rocks: Mapping[str, np.ndarray], scene: Scene, law: str, radius: float | np.ndarray = 1.0) -> SampledPulses:
-    """Return the pulses of rocks by a law, each with its restitution."""
-    common = {
-        "sphere": sphere_of(rocks, radius),
-        "target": HalfSpace(material=scene.impact.target.material),
-        "velocity": rocks["velocity"],
-        "stiffness": scene.impact.stiffness,
-    }
-    dissipation = HuntCrossley(restitution=rocks["restitution"])
-    if law == VISCOELASTIC:
-        constant = dissipative_constant(rocks["restitution"], Impact(dissipation=Elastic(), **common))
-        dissipation = Viscoelastic(dissipative_constant=constant)
-    impact = Impact(dissipation=dissipation, **common)
-    shares = shares_of_contact(POINTS)
-    forces = impact.force(shares * impact.contact_duration[:, None])
-    forces[:, -1] = 0.0  # rounding may put it a hair inside contact
-    return SampledPulses(shares=shares, forces=forces, contact_duration=impact.contact_duration)
-
-
-def without_loss(solved: SolvedImpacts, n: int) -> SolvedImpacts:
-    """Return n of the rocks solved again as elastic spheres, by explicit steps."""
-    rows = np.linspace(0, len(solved) - 1, n).astype(int)
-    shares, courses = shares_of_contact(POINTS), []
-    for row in rows:
-        rock = {name: float(values[row]) for name, values in solved.columns.items()}
-        velocity, steel = rock["velocity"], HalfSpace(material=STEEL)
-        law = Impact(sphere=sphere_of(rock), target=steel, velocity=velocity, stiffness="hertz", dissipation=Elastic())
-        size = solved.made["target_thickness"] * float(np.sqrt(law.peak_displacement))
-        plate = ElasticPlate(material=STEEL, thickness=size, radius=size, lower_face="fixed")
-        courses.append(FiniteElementImpact(sphere=sphere_of(rock), plate=plate, velocity=velocity, elements=14).run())
-    forces = [smoothed(c.times, c.contact_force.samples, c.contact_duration, shares) for c in courses]
-    durations = np.array([c.contact_duration for c in courses])
-    columns = {name: values[rows] for name, values in solved.columns.items()}
-    return replace(
-        solved,
-        pulses=SampledPulses(shares=shares, forces=np.array(forces), contact_duration=durations),
-        labels=solved.labels[rows],
-        columns=columns | {"restitution": np.array([c.restitution for c in courses])},
-    )
-
-
-def all_three(solved: SolvedImpacts, scene: Scene) -> dict[str, SolvedImpacts]:
-    """Return the impacts as they were solved, and the same ones by the two laws."""
-    by = {law: replace(solved, pulses=by_law(solved.columns, scene, law)) for law in (VISCOELASTIC, FAMILY)}
-    return {FINITE_ELEMENTS: solved} | by
 
 
 # --- identification ---------------------------------------------------------------------------------------------------
@@ -194,93 +130,6 @@ def confusion_table(found: dict[str, Answers]) -> None:
         print(f"\n{name}: {'; '.join(rows)}. Confidence: share right (signals): {bins}.")
 
 
-# --- the family fitted to them ----------------------------------------------------------------------------------------
-
-
-def without_noise(pulses: SampledPulses) -> tuple[np.ndarray, float]:
-    """Return frames of pulses, all of one duration (nothing hangs on it) and peak 1, and their sampling rate."""
-    alike = pulses.stretched(1 / pulses.peak_force, 1 / pulses.contact_duration)
-    frames = np.zeros((len(pulses), 4 * SAMPLES))
-    alike.add_to_frames(frames, float(SAMPLES), np.full(len(pulses), 1.0))
-    return frames, float(SAMPLES)
-
-
-def family_curve(found: Estimates, shape: tuple[int, ...], rate: float) -> np.ndarray:
-    """Return the fitted pulses on the samples of the frames."""
-    times = np.arange(shape[1]) / rate
-    share = (times - found.onset[:, None]) / found.contact_duration[:, None]
-    return found.peak[:, None] * curve(share, np.log(found.restitution))[0]
-
-
-@dataclass(frozen=True)
-class Fits:
-    """The family's best pulse beside each pulse without noise; errors of numbers are relative but for `restitution`."""
-
-    explained: np.ndarray
-    rms: np.ndarray
-    largest: np.ndarray
-    peak: np.ndarray
-    duration: np.ndarray
-    restitution: np.ndarray
-
-
-def fits(impacts: SolvedImpacts) -> Fits:
-    """Return how well the family's best pulses lie on the impacts' own, over the contact of these."""
-    frames, rate = without_noise(impacts.pulses)
-    found = estimate(frames, rate, pre_trigger=SAMPLES // 2, noise=NO_NOISE)
-    inside = slice(SAMPLES, 2 * SAMPLES + 1)
-    truth = frames[:, inside]
-    error = family_curve(found, frames.shape, rate)[:, inside] - truth
-    spread = truth - truth.mean(axis=1, keepdims=True)
-    return Fits(
-        explained=1 - np.sum(error**2, axis=1) / np.sum(spread**2, axis=1),
-        rms=np.sqrt(np.mean(error**2, axis=1)),
-        largest=np.abs(error).max(axis=1),
-        peak=found.peak - 1,
-        duration=found.contact_duration - 1,
-        restitution=found.restitution - impacts.columns["restitution"],
-    )
-
-
-def shape_table(kinds: dict[str, SolvedImpacts]) -> None:
-    """Print how much of the shape is explained, and how far numbers read off the fit are off, by restitution."""
-    print("| pulses | restitution | impacts | explained, mean | least | rms / peak | largest / peak | ", end="")
-    print("read off: restitution | peak | duration |\n|---|---|---|---|---|---|---|---|---|---|")
-    for name, impacts in kinds.items():
-        found, truth = fits(impacts), impacts.columns["restitution"]
-        for low, high in [(EDGES[0], EDGES[-1]), *pairwise(EDGES)]:
-            rows = (truth >= low) & (truth < high)
-            if not rows.any():
-                continue
-            off, explained = found.restitution[rows], found.explained[rows]
-            print(
-                f"| {name} | {low:g} to {high:g} | {rows.sum()} | {explained.mean():.5f} | {explained.min():.5f} | "
-                f"{found.rms[rows].mean():.4f} | {found.largest[rows].mean():.4f} | "
-                f"{off.mean():+.4f} ({off.std():.4f}) | {found.peak[rows].mean():+.4f} | "
-                f"{found.duration[rows].mean():+.4f} |"
-            )
-
-
-def physics_table(kinds: dict[str, SolvedImpacts]) -> None:
-    """Print the solved impacts beside those of the laws at the same restitution, nothing fitted: mean (deviation)."""
-    print("| finite elements over | peak force | contact duration | impulse over peak | impulse | explained |")
-    print("|---|---|---|---|---|---|")
-    solved = kinds[FINITE_ELEMENTS].pulses
-    times = np.linspace(0, 1, SAMPLES) * solved.contact_duration[:, None]
-    truth = solved.force(times)
-    spread = truth - truth.mean(axis=1, keepdims=True)
-    for name in (VISCOELASTIC, FAMILY):
-        law = kinds[name].pulses
-        columns = [
-            solved.peak_force / law.peak_force,
-            solved.contact_duration / law.contact_duration,
-            solved.impulse / solved.peak_force / (law.impulse / law.peak_force),
-            solved.impulse / law.impulse,
-            1 - np.sum((law.force(times) - truth) ** 2, axis=1) / np.sum(spread**2, axis=1),
-        ]
-        print(f"| {name} | " + " | ".join(f"{column.mean():.4f} ({column.std():.4f})" for column in columns) + " |")
-
-
 # --- a model of another law -------------------------------------------------------------------------------------------
 
 
@@ -313,6 +162,7 @@ def main() -> None:
     parser.add_argument("--impacts", type=Path, default=None, help="else datasets/finite_element.npz")
     parser.add_argument("--sizes", type=int, default=8, help="how often sizes and noise are drawn")
     parser.add_argument("--elastic", type=int, default=0, metavar="N", help="rocks to solve again without loss")
+    parser.add_argument("--finer", type=int, default=0, metavar="N", help="rocks to solve again on a finer mesh")
     parser.add_argument("--retrained", type=int, default=0, metavar="N", help="signals to train models of each law")
     arguments = parser.parse_args()
     solved = SolvedImpacts.load(arguments.impacts or shipped.path_of("datasets", shipped.FINITE_ELEMENT_IMPACTS))
@@ -329,6 +179,9 @@ def main() -> None:
         confusion_table(found)
     print("\n**The family fitted to them, without noise**\n")
     shape_table(kinds | ({ELASTIC: without_loss(solved, arguments.elastic)} if arguments.elastic else {}))
+    if arguments.finer:
+        print("\n**Solved again on a finer mesh**\n")
+        finer_table(solved, arguments.finer)
     if arguments.retrained:
         print(f"\n**Models trained on {arguments.retrained} signals, 1 % of noise**\n")
         retrained_table(kinds, scene, model, arguments.sizes, arguments.retrained)

@@ -4,25 +4,29 @@
 
 Every impact is a rock that the scene draws (a seed that no shipped model was trained with): its material, its fall, its
 restitution. It is a sphere of a viscoelastic material (Kelvin and Voigt) on a block of steel; its retardation time is
-sought, on a coarse mesh, until the sphere rebounds as was asked. Nothing of Hertz, Hunt and Crossley is put in but the
-first guess and the size of the mesh. Without gravity an impact has no size, so each is solved once, for 1 m.
+sought, on a coarse mesh, until the sphere rebounds as was asked. Kuwabara and Kono's law gives the first guess of it;
+Hertz's contact radius gives the size of the mesh, his duration the time step (MADE says the shares). The force is that
+of the elements alone. Without gravity an impact has no size, so each is solved once, for 1 m.
 
-A progress bar runs. The file is written now and then, whole, and a run goes on where the file ends, if it was made in
-the same way: after an interruption, or with more --impacts. To make it anew, take it away first.
+A progress bar runs. The file is written now and then, whole, and a run goes on where the file ends: after an
+interruption, or with more --impacts. A file that was made in another way, of other rocks, or of more than are asked for
+is left as it is, and nothing is made. To make it anew, take it away first.
 """
 
 import argparse
-import os
 import sys
 import warnings
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import joblib
 import numpy as np
 from tqdm import tqdm
 
+from cgid import validation
 from cgid.cluster import workers
+from cgid.errors import BadData, CgidError
 from cgid.files import write_whole
 from cgid.impact import Elastic, HalfSpace, HertzRangeWarning, Impact, Sphere, dissipative_constant
 from cgid.impact.bodies import sphere_share
@@ -52,6 +56,8 @@ MADE = {
 }
 _MOST_TRIALS = 8
 _AT_ONCE = 16
+#: Two machines may draw a number apart by so much of it.
+_ROUNDING = 1e-9
 
 
 def drawn_impacts(n: int) -> list[dict[str, Any]]:
@@ -90,7 +96,7 @@ def retardation_time(rock: dict[str, Any], restitution: float) -> float:
 
     Kuwabara and Kono's law says it to some hundredths; what it misses is asked of it on top.
     """
-    law, sphere = hertz(rock), body(rock)
+    law, sphere = elastic_impact_of(rock), sphere_of(rock)
     share = float(sphere_share(sphere, law.target))
     aim = restitution
     for _ in range(_MOST_TRIALS):
@@ -102,16 +108,16 @@ def retardation_time(rock: dict[str, Any], restitution: float) -> float:
     raise ArithmeticError(f"no retardation time gives a restitution of {restitution:g}")
 
 
-def body(rock: dict[str, Any]) -> Sphere:
-    """Return the sphere."""
+def sphere_of(rock: dict[str, Any]) -> Sphere:
+    """Return a rock as a sphere of 1 m."""
     names = ("density", "youngs_modulus", "poisson_ratio")
     return Sphere(material=Material(**{name: rock[name] for name in names}), radius=RADIUS)
 
 
-def hertz(rock: dict[str, Any]) -> Impact:
-    """Return its elastic impact by Hertz's theory."""
+def elastic_impact_of(rock: dict[str, Any]) -> Impact:
+    """Return the impact of a rock by Hertz's theory, without loss."""
     return Impact(
-        sphere=body(rock),
+        sphere=sphere_of(rock),
         target=HalfSpace(material=STEEL),
         velocity=rock["velocity"],
         stiffness="hertz",
@@ -120,11 +126,11 @@ def hertz(rock: dict[str, Any]) -> Impact:
 
 
 def run(rock: dict[str, Any], retardation: float, elements: int, steps: int) -> History:
-    """Return its impact by finite elements."""
-    law = hertz(rock)
+    """Return the impact of a rock by finite elements."""
+    law = elastic_impact_of(rock)
     contact_radius = float(np.sqrt(RADIUS * law.peak_displacement))
     return FiniteElementImpact(
-        sphere=body(rock),
+        sphere=sphere_of(rock),
         plate=ElasticPlate(
             material=STEEL,
             thickness=MADE["target_thickness"] * contact_radius,
@@ -153,16 +159,38 @@ def gathered(rows: list[dict[str, Any]]) -> SolvedImpacts:
     )
 
 
-def kept(path: Path) -> list[dict[str, Any]]:
-    """Return the rows of a file, none if it was made otherwise."""
+def kept(path: Path, rocks: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Return the rows of a file that holds the first of these rocks, none if there is no file.
+
+    Raises
+    ------
+    BadData
+        It was made in another way, or holds more or other rocks.
+    """
     if not path.exists():
         return []
     found = SolvedImpacts.load(path)
+    cure = "take it away to make it anew, or name another --output"
     if found.made != MADE:
-        return []
+        names = sorted(name for name in MADE | dict(found.made) if MADE.get(name) != found.made.get(name))
+        raise BadData(f"{path}: must be made as today, is of another {', '.join(names)}; {cure}")
+    if len(found) > len(rocks):
+        raise BadData(f"{path}: must hold no more than the {len(rocks)} --impacts, holds {len(found)}; {cure}")
     columns = {"label": found.labels, "forces": found.pulses.forces} | dict(found.columns)
     columns["contact_duration"] = found.pulses.contact_duration
-    return [{name: values[row] for name, values in columns.items()} for row in range(len(found))]
+    rows = [{name: values[row] for name, values in columns.items()} for row in range(len(found))]
+    for number, (row, rock) in enumerate(zip(rows, rocks, strict=False)):
+        if not same_rock(row, rock):
+            raise BadData(f"{path}: must hold the rocks that the scene draws today, row {number} is another; {cure}")
+    return rows
+
+
+def same_rock(row: dict[str, Any], rock: dict[str, Any]) -> bool:
+    """Return whether a row of the file is of a rock, but for rounding."""
+    drawn = {name: rock[name] for name in PARAMETERS} | {"restitution": row["restitution"]}
+    drawn["restitution_asked"] = rock["restitution"]
+    close = all(np.isclose(row[name], value, rtol=_ROUNDING, atol=0) for name, value in drawn.items())
+    return bool(close and row["label"] == rock["label"])
 
 
 def solved(rocks: list[dict[str, Any]], jobs: int) -> Iterator[dict[str, Any]]:
@@ -175,11 +203,14 @@ def main() -> None:
     """Write the file, and say how near the restitutions came."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--impacts", type=int, default=256)
-    parser.add_argument("--jobs", type=int, default=len(os.sched_getaffinity(0)))
+    parser.add_argument("--jobs", type=int, default=joblib.cpu_count())
     parser.add_argument("--output", type=Path, default=HERE / "finite_element.npz")
     arguments = parser.parse_args()
-    rows = kept(arguments.output)[: arguments.impacts]
-    rocks = drawn_impacts(arguments.impacts)
+    try:
+        rocks = drawn_impacts(validation.count("--impacts", arguments.impacts))
+        rows = kept(arguments.output, rocks)
+    except CgidError as error:
+        parser.exit(error.exit_code, f"{error}\n")
     with tqdm(total=len(rocks), initial=len(rows), unit=" impacts", file=sys.stderr) as bar:
         for row in solved(rocks[len(rows) :], arguments.jobs):
             rows.append(row)

@@ -90,7 +90,8 @@ def test_the_same_pulses_give_the_signals_of_the_scene(name):
     drawn = draw(scene, 7, 0)
     n = 40
     pulses = sampled(drawn.impact).taken(slice(0, n))
-    known = {k: v[:n] for k, v in drawn.parameters.items() if k not in ("peak_force", "contact_duration", "onset")}
+    own = ("peak_force", "contact_duration", "onset", "relative_noise", "bandwidth")
+    known = {k: v[:n] for k, v in drawn.parameters.items() if k not in own}
     (there,) = synthesise(scene, n, 7, dtype="float64")
     (here,) = synthesise_given(scene, pulses, drawn.labels[:n], known, 7, dtype="float64")
     peak = np.abs(there.signals).max(axis=1, keepdims=True)
@@ -157,7 +158,57 @@ def test_pulses_that_do_not_fit_a_scene_are_refused(reference_scene):
         next(synthesise_given(reference_scene, pulses, ["coal"] * 5, {"radius": [0.1]}))
     with pytest.raises(InvalidValue, match="peak_force must be left out, it is that of the pulses"):
         next(synthesise_given(reference_scene, pulses, ["coal"] * 5, {"peak_force": np.ones(5)}))
+    with pytest.raises(InvalidValue, match="relative_noise must be left out, it is that of the scene's sensor"):
+        next(synthesise_given(reference_scene, pulses, ["coal"] * 5, {"relative_noise": np.full(5, 0.5)}))
     with pytest.raises(InvalidValue, match="stream must be left out"):
         next(synthesise_given(load_scene(DATASETS / "caving.toml"), pulses, ["coal"] * 5))
     with pytest.raises(InvalidValue, match="n_points must be 4 or more, got 3"):
         shares_of_contact(3)
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "message"),
+    [
+        ("raduis", 0.1, "parameter must be one of 'density', .*, got 'raduis'"),
+        ("impact_x", 0.1, "parameter must be one of .*, got 'impact_x'"),
+        ("velocity", np.inf, "velocity must be finite, got inf m/s at index 3"),
+        ("velocity", 0.0, "velocity must be above 0, got 0 m/s at index 3"),
+        ("radius", -1.0, "radius must be above 0, got -1 m at index 3"),
+        ("poisson_ratio", 0.5, "poisson_ratio must lie between -1 and 0.5"),
+        ("restitution", 1.5, "restitution must lie above 0 and up to 1, got 1.5"),
+        ("drop_height", -0.1, "drop_height must be 0 or more, got -0.1 m"),
+        ("onset", -np.inf, "onset must be finite, got -inf s at index 3"),
+    ],
+)
+def test_impossible_parameters_are_refused(reference_scene, name, value, message):
+    pulses = sampled(impacts(HuntCrossley(restitution=0.5)))
+    values = np.full(5, np.nan)
+    values[3] = value
+    with pytest.raises(InvalidValue, match=message):
+        next(synthesise_given(reference_scene, pulses, ["coal"] * 5, {name: values}))
+
+
+def test_touch_and_points_of_impact_are_drawn_where_they_are_not_known():
+    scene = load_scene(DATASETS / "plate.toml")
+    pulses, labels = sampled(impacts(HuntCrossley(restitution=0.5))), ["steel"] * 5
+    (drawn,) = synthesise_given(scene, pulses, labels, seed=3)
+    names = ("onset", "impact_x", "impact_y")
+    known = {name: np.where([0, 0, 1, 0, 0], 0.9 * drawn.parameters[name], np.nan) for name in names}
+    (batch,) = synthesise_given(scene, pulses, labels, known, 3)
+    others = [0, 1, 3, 4]
+    for name in names:
+        assert batch.parameters[name][2] == known[name][2]
+        np.testing.assert_array_equal(batch.parameters[name][others], drawn.parameters[name][others])
+    np.testing.assert_array_equal(batch.signals[others], drawn.signals[others])
+    assert (batch.signals[2] != drawn.signals[2]).any()
+    with pytest.raises(InvalidValue, match=r"impact_y must lie on the beam, between 0 and 0.36 m, got 1 m at index 0"):
+        next(synthesise_given(scene, pulses, labels, {"impact_y": np.ones(5)}))
+
+
+def test_one_time_and_no_pulses_have_forces():
+    pulses = sampled(impacts(HuntCrossley(restitution=0.5)))
+    time = float(pulses.contact_duration[0]) / 2
+    np.testing.assert_array_equal(pulses.force(time), pulses.force(np.full((5, 1), time)))
+    none = pulses.taken(slice(0, 0))
+    assert none.force([time, time]).shape == (0, 2)
+    assert none.peak_force.shape == none.impulse.shape == (0,)

@@ -2,7 +2,9 @@
 
 import importlib.util
 import io
+import sys
 import warnings
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -108,8 +110,9 @@ def test_the_maker_makes_the_rows_of_the_file(solved):
     assert made["label"] == solved.labels[0]
     for name in (*PARAMETERS, *MAKING):
         assert made[name] == pytest.approx(solved.columns[name][0], rel=1e-3), name
-    assert maker.kept(PATH)[0].keys() == made.keys()
-    assert maker.gathered(maker.kept(PATH)).to_bytes() == solved.to_bytes()
+    rows = maker.kept(PATH, maker.drawn_impacts(len(solved)))
+    assert rows[0].keys() == made.keys()
+    assert maker.gathered(rows).to_bytes() == solved.to_bytes()
 
 
 def module_of(path):
@@ -117,6 +120,66 @@ def module_of(path):
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     return module
+
+
+def of_first(solved, n):
+    columns = {name: values[:n].copy() for name, values in solved.columns.items()}
+    return replace(solved, pulses=solved.pulses.taken(slice(0, n)), labels=solved.labels[:n], columns=columns)
+
+
+def with_other_rock(solved, name):
+    columns = dict(solved.columns) | {name: solved.columns[name].copy()}
+    columns[name][2] *= 1.001
+    return replace(solved, columns=columns)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda few: few, "must hold no more than the 3 --impacts, holds 4; take it away"),
+        (
+            lambda few: replace(of_first(few, 2), made=few.made | {"elements": 14}),
+            "is of another elements; take it away",
+        ),
+        (
+            lambda few: with_other_rock(of_first(few, 3), "density"),
+            "that the scene draws today, row 2 is another; take",
+        ),
+        (lambda few: with_other_rock(of_first(few, 3), "restitution_asked"), "row 2 is another; take it away"),
+    ],
+)
+def test_the_maker_leaves_other_files_alone(solved, tmp_path, monkeypatch, capsys, change, message):
+    maker = module_of(PATH.with_name("make_finite_element.py"))
+    path = tmp_path / "there.npz"
+    path.write_bytes(change(of_first(solved, 4)).to_bytes())
+    before = path.read_bytes()
+    monkeypatch.setattr(sys, "argv", ["make_finite_element.py", "--impacts", "3", "--output", str(path)])
+    with pytest.raises(SystemExit) as stopped:
+        maker.main()
+    assert stopped.value.code == 65
+    told = capsys.readouterr().err
+    assert message in told
+    assert told.count("\n") == 1
+    assert path.read_bytes() == before
+
+
+def test_the_maker_goes_on_where_the_file_ends(solved, tmp_path, monkeypatch):
+    maker = module_of(PATH.with_name("make_finite_element.py"))
+    rows, asked = maker.kept(PATH, maker.drawn_impacts(len(solved))), []
+    path = tmp_path / "there.npz"
+    path.write_bytes(of_first(solved, 2).to_bytes())
+    monkeypatch.setattr(sys, "argv", ["make_finite_element.py", "--impacts", "3", "--output", str(path)])
+    monkeypatch.setattr(maker, "solved", lambda rocks, jobs: asked.extend(rocks) or iter(rows[2:3]))
+    maker.main()
+    assert asked == maker.drawn_impacts(3)[2:]
+    assert path.read_bytes() == of_first(solved, 3).to_bytes()
+
+
+def test_no_shipped_model_was_trained_with_the_seed(solved):
+    """Each scene of a model's training has a seed of its own (`models/train.py`): the model's, and those behind it."""
+    for name in (shipped.DEFAULT_MODEL, shipped.DROP_HEIGHT_MODEL, shipped.ACCELERATION_MODEL):
+        training = Model.load(shipped.path_of("models", name)).training
+        assert solved.made["seed"] not in range(training["seed"], training["seed"] + len(training["sources"]))
 
 
 def test_an_impact_has_no_size(solved):
@@ -130,7 +193,7 @@ def test_an_impact_has_no_size(solved):
 
 
 def test_the_size_of_the_block_does_not_matter(solved):
-    """For the hardest rock, which presses into the steel most; the same without limit is a third of what 30 misses."""
+    """For the hardest rock, which presses into the steel most: a block of twice the thickness and radius."""
     row = int(np.argmax(solved.columns["youngs_modulus"]))
     histories = {size: run(solved, row, size=size) for size in (60.0, 120.0)}
     times = np.linspace(0, 1.02, 400) * histories[60.0].contact_duration
@@ -221,8 +284,16 @@ def test_a_smooth_course_stays_and_its_steps_go(restitution):
     assert apart(truth, smooth) < 0.001
     steps = 0.02 * peak * ((14 * np.sqrt(np.clip(times / duration, 0, 1))) % 1 - 0.5) * (force > 0)
     assert apart(truth, smoothed(times, force + steps, duration, shares)[:-1]) < 0.003
+    curve = smoothed(times, force + steps + 0.01 * peak, duration, shares)
+    assert curve[0] == curve[-1] == 0.0
     with pytest.raises(InvalidValue, match="24 samples or more within contact for 8 knots, got 19"):
         smoothed(np.linspace(0, 1, 21), np.ones(21), 1.0, shares)
+    with pytest.raises(InvalidValue, match="times must lie all over the contact for 8 knots"):
+        smoothed(np.linspace(0, 0.3, 99), np.ones(99), 1.0, shares)
+    with pytest.raises(InvalidValue, match=r"times must rise, got 0\.25 s behind 0\.5 s at index 1"):
+        smoothed([0.5, 0.25, 1], np.ones(3), 1.0, shares)
+    with pytest.raises(InvalidValue, match=r"forces must be one for each of the times, got shape \(2,\) for \(3,\)"):
+        smoothed([0.25, 0.5, 1], np.ones(2), 1.0, shares)
 
 
 @pytest.mark.parametrize(

@@ -18,8 +18,8 @@ from cgid.validation import Floats
 FEWEST_POINTS = 4
 #: Points in which an interval beside the largest sample is searched for the peak.
 _FINER = 32
-#: Weight of touch and separation, where the force is known to be 0, over that of a sample.
-_SURE = 1e3
+#: Of the splines.
+_CUBIC = 3
 
 
 def shares_of_contact(n_points: int) -> Floats:
@@ -39,14 +39,14 @@ def smoothed(times: ArrayLike, forces: ArrayLike, contact_duration: float, share
     """Return the force [N] of one rippled course at shares of its contact, drawn through all of its samples.
 
     The curve is the cubic spline in the angle of `SampledPulses`, with this many knots between touch and separation,
-    that lies nearest to the samples (least squares over time) and begins and ends at 0. Eight knots follow a damped
-    impact within .3 % of its peak and .1 % on average, and take the steps away that a force makes where a mesh
-    comes into contact node by node.
+    that begins and ends at 0 and lies nearest to the samples: least squares, every sample weighing the same. Eight
+    knots follow a damped impact within .3 % of its peak and .1 % on average, and take the steps away that a force makes
+    where a mesh comes into contact node by node.
 
     Parameters
     ----------
     times, forces : array_like, (n_times,)
-        [s] since touch, rising, and [N]; what lies outside contact is not looked at.
+        [s] since touch, rising, and [N]; a force outside contact is not looked at.
     contact_duration : float
         [s].
     shares : array_like, (n_points,)
@@ -55,11 +55,13 @@ def smoothed(times: ArrayLike, forces: ArrayLike, contact_duration: float, share
     Raises
     ------
     InvalidValue
-        The course has too few samples within contact for so many knots.
+        The times do not rise, there is not one force for each, or the course has too few samples within contact for
+        so many knots.
     """
-    from scipy.interpolate import make_lsq_spline
+    from scipy.interpolate import BSpline
 
     since, course = validation.real("times", times, "s"), validation.real("forces", forces, "N")
+    _require_course(since, course)
     lasts = float(validation.positive("contact_duration", contact_duration, "s"))
     inside = (since > 0) & (since < lasts)
     if inside.sum() < 2 * (knots + FEWEST_POINTS):
@@ -67,15 +69,26 @@ def smoothed(times: ArrayLike, forces: ArrayLike, contact_duration: float, share
             f"forces must have {2 * (knots + FEWEST_POINTS)} samples or more within contact for {knots} knots, got "
             f"{inside.sum()}"
         )
-    angle = np.concatenate([[0.0], np.arccos(1 - 2 * since[inside] / lasts), [np.pi]])
-    # Even in time: a sample is as good as another. The ends are sure.
-    weight = np.full(angle.size, 1.0)
-    weight[[0, -1]] = _SURE
     inner = np.linspace(0, np.pi, knots + 2)
-    spline = make_lsq_spline(
-        angle, np.concatenate([[0.0], course[inside], [0.0]]), np.concatenate([[0.0] * 3, inner, [np.pi] * 3]), w=weight
-    )
+    ends = np.concatenate([[0.0] * _CUBIC, inner, [np.pi] * _CUBIC])
+    # A solver's samples come at even steps: with the same weight each, none of the contact counts more than the rest.
+    basis = BSpline.design_matrix(np.arccos(1 - 2 * since[inside] / lasts), ends, _CUBIC).toarray()
+    # The first and the last coefficient are the values at touch and separation, and stay 0.
+    coefficients = np.zeros(basis.shape[1])
+    coefficients[1:-1], _, rank, _ = np.linalg.lstsq(basis[:, 1:-1], course[inside])
+    if rank < coefficients.size - 2:
+        raise InvalidValue(f"times must lie all over the contact for {knots} knots, and leave a part of it empty")
+    spline = BSpline(ends, coefficients, _CUBIC)
     return np.asarray(np.maximum(spline(np.arccos(1 - 2 * validation.real("shares", shares))), 0.0))
+
+
+def _require_course(times: Floats, forces: Floats) -> None:
+    if times.ndim != 1 or forces.shape != times.shape:
+        raise InvalidValue(f"forces must be one for each of the times, got shape {forces.shape} for {times.shape}")
+    falls = np.flatnonzero(np.diff(times) <= 0)
+    if falls.size:
+        row = falls[0]
+        raise InvalidValue(f"times must rise, got {times[row + 1]:g} s behind {times[row]:g} s at index {row + 1}")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -177,13 +190,19 @@ class SampledPulses:
         )
 
     def force(self, times: ArrayLike) -> Floats:
-        """Return the forces [N] at times since touch [s], (n, n_times); zero outside contact."""
-        since = validation.real("times", times, "s")
+        """Return the forces [N] at times since touch [s], (n, n_times); zero outside contact.
+
+        The times are those of all pulses, (n_times,) or one number, or of each its own, (n, n_times).
+        """
+        since = np.atleast_1d(validation.real("times", times, "s"))
         since = np.broadcast_to(since, (len(self), since.shape[-1]))
         share = since / self.contact_duration[:, None]
         inside = (share > 0) & (share < 1)
         angles = np.arccos(1 - 2 * np.clip(share, 0, 1))
-        return np.asarray(np.where(inside, [self._curve(row, own) for row, own in enumerate(angles)], 0.0))
+        forces = np.zeros(angles.shape)
+        for row, own in enumerate(angles):
+            forces[row] = self._curve(row, own)
+        return np.asarray(np.where(inside, forces, 0.0))
 
     def add_to_frames(
         self, frames: NDArray[Any], sampling_rate: ArrayLike, onset: ArrayLike, *, tolerance: float = 0.0

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import partial
 
@@ -35,7 +35,8 @@ PARAMETER_UNITS = {
 #: Those of what only some scenes have; the sampling rate, where it is randomised, is said by the batch.
 _MORE_UNITS = {"second_hit_delay": "s", "second_hit_ratio": "1", "clipped_at": "1"}
 POINT_UNITS = {"impact_x": "m", "impact_y": "m"}
-_RANDOMISED_UNITS = {"relative_noise": "1", "bandwidth": "Hz"}
+#: Those of the sensor, where a scene draws them for each block.
+RANDOMISED_UNITS = {"relative_noise": "1", "bandwidth": "Hz"}
 #: What the numbers of an address are for, in their order. A fall has one number, whether it is a height or a speed.
 FALL = (*PARTICLE, "restitution", "drop_height")
 _LATER = {
@@ -52,7 +53,7 @@ def parameter_units(scene: Scene) -> dict[str, str]:
     if scene.panel is not None:
         units |= POINT_UNITS
     if scene.randomise is not None:
-        units |= {name: unit for name, unit in _RANDOMISED_UNITS.items() if name in scene.randomise.laws}
+        units |= {name: unit for name, unit in RANDOMISED_UNITS.items() if name in scene.randomise.laws}
     return units
 
 
@@ -120,9 +121,7 @@ def given(scene: Scene, seed: int, block: int) -> Given:
     which = _sources(scene, kinds[0])
     values = _values(scene, seed, block, which, kinds[1:-1])
     values["onset"] = onset_of(here, kinds[-1])
-    for name in _RANDOMISED_UNITS.keys() & values.keys():
-        level = getattr(here.sensor, name)
-        values[name][:] = np.nan if level is None else level
+    values |= levels_of(here, values)
     shapes = np.array([-1] * len(scene.populations) + [list(SHAPES).index(tap.shape) for tap in scene.taps])[which]
     fallen, tapped = np.flatnonzero(shapes < 0), np.flatnonzero(shapes >= 0)
     specimen = np.empty(BLOCK, np.uint64)
@@ -200,6 +199,15 @@ def numbers_of(seed: int, block: int) -> Floats:
 def onset_of(scene: Scene, number: Floats) -> Floats:
     """Return the times of touch [s] that belong to uniform numbers; the scene is that of the block."""
     return (scene.sampling.pre_trigger + scene.sampling.jitter * number) / scene.sampling.sampling_rate
+
+
+def levels_of(scene: Scene, names: Iterable[str]) -> dict[str, Floats]:
+    """Return what a scene draws for the sensor of a whole block, nan where it has none; the scene is that of the block.
+
+    Of the names of `parameter_units` only those of `RANDOMISED_UNITS` are answered.
+    """
+    levels = {name: getattr(scene.sensor, name) for name in names if name in RANDOMISED_UNITS}
+    return {name: np.full(BLOCK, np.nan if level is None else level) for name, level in levels.items()}
 
 
 def points_of_impact(scene: Scene, seed: int, block: int) -> dict[str, Floats]:
