@@ -304,6 +304,11 @@ def test_a_smooth_course_stays_and_its_steps_go(restitution):
         ({"density": np.ones(3)}, "columns must have a row for each pulse"),
         ({"velocity": np.array([{}], object)}, "allow_pickle"),
         ({"made": np.zeros(3, np.uint8)}, "no solved impacts"),
+        ({"made": np.frombuffer(b"[]", np.uint8)}, "the scene too"),
+        ({"made": np.frombuffer(b"{}", np.uint8)}, "the scene too"),
+        ({"labels": np.zeros(256)}, "labels must be text"),
+        ({"density": np.full(256, -1.0)}, "density must be above 0"),
+        ({"poisson_ratio": np.full(256, 0.7)}, "poisson_ratio must lie between"),
     ],
 )
 def test_other_files_are_refused(solved, tmp_path, change, message):

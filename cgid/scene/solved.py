@@ -112,11 +112,24 @@ class SolvedImpacts:
             )
             columns = {name: validation.real(name, held[name]) for name in (*PARAMETERS, *MAKING)}
             made = json.loads(held["made"].tobytes())
-            if any(column.shape != (len(pulses),) for column in (held["labels"], *columns.values())):
-                raise ValueError("columns must have a row for each pulse")
+            _require_sound(held["labels"], columns, made, len(pulses))
         except Exception as error:
             raise BadData(f"{path}: no solved impacts ({error}); make them: {_MAKER}") from None
         return cls(pulses=pulses, labels=held["labels"], columns=columns, made=made)
+
+
+def _require_sound(labels: NDArray[Any], columns: Mapping[str, Floats], made: Any, n: int) -> None:
+    if any(column.shape != (n,) for column in (labels, *columns.values())):
+        raise ValueError("columns must have a row for each pulse")
+    if labels.dtype.kind != "U":
+        raise ValueError(f"labels must be text, got {labels.dtype}")
+    if not isinstance(made, dict) or "scene" not in made:
+        raise ValueError("how they were made must be told by name, the scene too")
+    for name, column in columns.items():
+        if name == "poisson_ratio":
+            validation.poisson_ratio(name, column)
+        else:
+            validation.positive(name, column)
 
 
 def radii(scene: Scene, labels: NDArray[np.str_], seed: int) -> Floats:
