@@ -78,6 +78,18 @@ def test_files_are_read_side_by_side_and_a_reader_is_kept(path):
     assert {process.pid for process in readers()} == before
 
 
+def test_no_room_for_a_thread_is_no_room_and_the_next_file_is_read(path, monkeypatch):
+    asked = parts(path)
+    next(asked)
+    with monkeypatch.context() as short:
+        short.setattr(threading.Timer, "start", lambda _: (_ for _ in ()).throw(RuntimeError("can't start new thread")))
+        with pytest.raises(MemoryError, match="no room for one more thread"):
+            next(asked)
+        with pytest.raises(MemoryError, match="no room for one more thread"):
+            next(parts(path))
+    np.testing.assert_array_equal(np.concatenate([part["x"] for part in parts(path)]), NUMBERS)
+
+
 def test_threads_do_not_hear_each_other(path):
     wrong = []
 

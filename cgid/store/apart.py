@@ -176,7 +176,11 @@ class _Child:
         self.in_step = False
         patience = threading.Timer(limits.patience_for(path), self._lose_patience)
         patience.daemon = True
-        patience.start()
+        try:
+            patience.start()
+        except RuntimeError:
+            # So Python says that a thread's stack found no room: it is memory that is short.
+            raise MemoryError("no room for one more thread") from None
         try:
             if message is not None:
                 self._tell(message)
