@@ -39,7 +39,9 @@ Function = TypeVar("Function", bound=Callable[..., Any])
 
 #: Files whose text is in the compiled kernels: those with kernels, and those they take constants from.
 SOURCES = (
+    "_elementary.py",
     "compiled.py",
+    "elementary.py",
     "family.py",
     "impact/_coupled.py",
     "impact/_kernels.py",
@@ -48,6 +50,7 @@ SOURCES = (
     "impact/_taylor.py",
     "impact/collocation.py",
     "impact/finite_element/_stepping.py",
+    "impact/tail_beam/_eigen.py",
     "impact/tail_beam/_shapes.py",
     "scene/_noise.py",
     "store/_fletcher.py",

@@ -20,6 +20,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from cgid.elementary import log
+
 Floats = NDArray[np.float64]
 
 TABLE_PATH = Path(__file__).with_name("family.npz")
@@ -67,7 +69,7 @@ def in_table(restitution: ArrayLike) -> NDArray[np.bool_]:
 def coordinate(restitution: ArrayLike) -> Floats:
     """Return where a restitution stands in the table: 0 at 1, `INTERVALS` at the lowest, evenly in ln e."""
     e = np.asarray(restitution, dtype=np.float64)
-    return np.asarray(np.clip(np.log(e) * (INTERVALS / np.log(LOWEST_RESTITUTION)), 0, INTERVALS))
+    return np.asarray(np.clip(log(e) * (INTERVALS / log(LOWEST_RESTITUTION)), 0, INTERVALS))
 
 
 def times(restitution: ArrayLike) -> tuple[Floats, Floats, Floats]:
@@ -141,4 +143,4 @@ def _evaluate(columns: Floats, power: int, tau: ArrayLike, restitution: ArrayLik
     value = np.take_along_axis(rows, first + POWERS - 1, axis=-1)
     for order in range(POWERS - 2, -1, -1):
         value = value * u + np.take_along_axis(rows, first + order, axis=-1)
-    return np.asarray(np.where(inside, value * sigma**power, 0.0))
+    return np.asarray(np.where(inside, value * (sigma * sigma if power == 2 else sigma * sigma * sigma), 0.0))

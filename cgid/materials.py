@@ -48,7 +48,7 @@ class Material:
     def plane_strain_compliance(self) -> validation.Floats:
         """`(1 - nu^2) / E` [1/Pa]."""
         nu = validation.real("poisson_ratio", self.poisson_ratio)
-        return (1 - nu**2) / validation.real("youngs_modulus", self.youngs_modulus, "Pa")
+        return (1 - nu * nu) / validation.real("youngs_modulus", self.youngs_modulus, "Pa")
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -22,6 +22,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from cgid._elementary import exp, power, sincos
 from cgid.compiled import inner_jit, jit
 from cgid.impact.collocation import FROM_TOUCH, TO_SEPARATION, WITHIN, Collocation
 
@@ -108,9 +109,14 @@ def tabulate(decay: Array, angular: Array, longest: float, times: Array, table: 
     for r in range(decay.size):
         for k in range(times.size):
             t = longest * times[k]
-            size = math.exp(-decay[r] * t)
-            table[r, 0, k] = size * math.cos(angular[r] * t)
-            table[r, 1, k] = size * math.sin(angular[r] * t)
+            size, (sine, cosine) = exp(-decay[r] * t), sincos(angular[r] * t)
+            table[r, 0, k], table[r, 1, k] = size * cosine, size * sine
+
+
+@inner_jit
+def _cubed_root(x: float) -> float:
+    """Return x^(3/2), 0 below 0."""
+    return x * math.sqrt(x) if x > 0.0 else 0.0
 
 
 @inner_jit
@@ -425,11 +431,11 @@ def _pressed(s: Scratch) -> bool:
 def _guess(rule: Collocation, kind: int, h: float, damping: float, state: Array, s: Scratch) -> None:
     """Start Newton from a sphere that is braked by the force of this moment, on a beam that goes on as it does."""
     rate = state[_Y] - s.free[0]
-    start = max(state[_X], 0.0) ** 1.5 * (1.0 + damping * rate)
+    start = _cubed_root(state[_X]) * (1.0 + damping * rate)
     for i in range(s.force.size):
         t = h * rule.place[kind, i]
         depth = state[_X] * (1.0 - t / h) if kind == TO_SEPARATION else state[_X] + t * (rate - 0.5 * start * t)
-        s.force[i] = max(depth, 0.0) ** 1.5 * max(1.0 + damping * (rate - start * t), 0.0)
+        s.force[i] = _cubed_root(depth) * max(1.0 + damping * (rate - start * t), 0.0)
 
 
 @inner_jit
@@ -441,7 +447,7 @@ def _parting(damping: float, state: Array, s: Scratch) -> float:
     away = s.free[0] - state[_Y]
     if away <= 0.0:
         return math.inf
-    push = 2.0 / 7.0 * max(state[_X], 0.0) ** 1.5 * max(1.0 - damping * away, 0.0)
+    push = 2.0 / 7.0 * _cubed_root(state[_X]) * max(1.0 - damping * away, 0.0)
     parting: float = 2.0 * state[_X] / (away + math.sqrt(away * away + 4.0 * push * state[_X]))
     return parting
 
@@ -483,7 +489,7 @@ def _step(
         fine = _attempt(rule, kind, h, longest, damping, weight, state, s) and _pressed(s)
         tail = _tail(s, peak) if fine else math.inf
         if fine and tail <= tolerance:
-            factor = min(2.0, (0.2 * tolerance / max(tail, 1e-18)) ** (2.0 / n))
+            factor = min(2.0, power(0.2 * tolerance / max(tail, 1e-18), 2.0 / n))
             released = _release(rule, kind, h, damping, s) if damping > 0.0 else 0.0
             if released == 0.0:
                 return kind, h, False, max(factor * h, 0.5 * wish if h < wish else 0.0)
@@ -492,7 +498,7 @@ def _step(
                 return kind, found, True, wish
             h = 0.5 * released
         elif fine:
-            h *= max(0.3, (0.2 * tolerance / tail) ** (2.0 / n))
+            h *= max(0.3, power(0.2 * tolerance / tail, 2.0 / n))
         else:
             h *= 0.4
         if h < 1e-13:
@@ -506,7 +512,7 @@ def _energy(share: Array, loss: Array, amplitude: Array) -> float:
     total = 0.0
     for r in range(share.size):
         rate = amplitude[r, 0] - loss[r] * amplitude[r, 1]
-        total += 0.5 * share[r] * (rate * rate + amplitude[r, 1] ** 2 * (1.0 + loss[r] * loss[r]))
+        total += 0.5 * share[r] * (rate * rate + amplitude[r, 1] * amplitude[r, 1] * (1.0 + loss[r] * loss[r]))
     return total
 
 
@@ -516,7 +522,7 @@ def _level(share: Array, angular: Array, amplitude: Array) -> tuple[float, float
     level, most = 0.0, 0.0
     for r in range(share.size):
         level += share[r] * amplitude[r, 1] / angular[r]
-        most += share[r] * math.hypot(amplitude[r, 0], amplitude[r, 1]) / angular[r]
+        most += share[r] * math.sqrt(amplitude[r, 0] * amplitude[r, 0] + amplitude[r, 1] * amplitude[r, 1]) / angular[r]
     return level, most
 
 
@@ -612,7 +618,7 @@ def _book(rule: Collocation, kind: int, h: float, damping: float, state: Array, 
         depth = max(s.depth[i], 0.0)
         result[_IMPULSE] += h * measure[i] * s.force[i]
         result[_WORK] += h * measure[i] * s.force[i] * s.beam[i]
-        result[_LOSS] += h * measure[i] * damping * depth * math.sqrt(depth) * s.rate[i] ** 2
+        result[_LOSS] += h * measure[i] * damping * depth * math.sqrt(depth) * s.rate[i] * s.rate[i]
     value, place = _crest(s.coefficients, s.force, rule)
     if value > result[_PEAK]:
         result[_PEAK], result[_TIME_OF_PEAK] = value, state[_T] + h * _passed(kind, place)
@@ -681,7 +687,7 @@ def _follow(
         total += share[r]
         for k in range(s.answer.size):
             s.answer[k] += share[r] * (table[r, 0, k] - loss[r] * table[r, 1, k])
-    first = _FIRST_STEP * ((1.0 + total) * (1.0 + damping)) ** -0.4
+    first = _FIRST_STEP * power((1.0 + total) * (1.0 + damping), -0.4)
     wish, touch = first, 0.0
     for n in range(MOST_STEPS):
         kind, h, free_after, wish = _step(rule, wish, longest, damping, weight, tolerance, result[_PEAK], state, s)
@@ -706,7 +712,7 @@ def _follow(
         result[_MODAL] = _energy(share, loss, s.amplitude)
         if result[_CONTACTS] == 1.0:
             result[_FIRST] = state[_T]
-        result[_LOSS] += 0.4 * state[_X] ** 2.5  # what is still compressed relaxes without a force
+        result[_LOSS] += 0.4 * state[_X] * _cubed_root(state[_X])  # what is still compressed relaxes without a force
         event = _fly(rule, table, share, loss, angular, longest, damping, weight, window, state, s)
         if event == _NEVER:
             result[_STATUS] = SEPARATED
@@ -717,7 +723,7 @@ def _follow(
             if result[_CONTACTS] > MOST_CONTACTS:
                 return n + 1
         else:
-            result[_LOSS] -= 0.4 * state[_X] ** 2.5
+            result[_LOSS] -= 0.4 * state[_X] * _cubed_root(state[_X])
     return MOST_STEPS
 
 

@@ -110,6 +110,12 @@ def _add_ring(samples: Array, weights: Array, n_alive: int, table: Array, skippe
 
 
 @jit
+def _size(pairs: Array, r: int) -> float:
+    """Return the absolute value of a number whose parts are in pairs (2, n)."""
+    return math.sqrt(pairs[0, r] * pairs[0, r] + pairs[1, r] * pairs[1, r])
+
+
+@jit
 def ring(
     frames: Array, begin: Array, order: Array, start: Array, ringing: Array, table: Array, hop: Array, silence: float
 ) -> int:
@@ -166,9 +172,9 @@ def ring(
             for k in range(max(here, 0), end):
                 loudest = max(loudest, abs(samples[k]))
             if alive < n_poles:
-                left_out *= math.hypot(hop[0, alive], hop[1, alive])  # the slowest of them
+                left_out *= _size(hop, alive)  # the slowest of them
             while alive > 0:
-                more = math.hypot(state[0, alive - 1], state[1, alive - 1])
+                more = _size(state, alive - 1)
                 if left_out + more > silence * loudest:
                     break
                 left_out += more

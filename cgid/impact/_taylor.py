@@ -21,6 +21,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from cgid._elementary import exp, log, power
 from cgid.compiled import jit
 
 Array = NDArray[Any]
@@ -118,7 +119,9 @@ def _inverse_radius(series: Array, row: int, order: int, scale: float) -> float:
     """Return 1 / radius of convergence from the last coefficients (six: at touch only each fifth is not zero)."""
     largest = 0.0
     for k in range(max(order - 5, 1), order + 1):
-        largest = max(largest, (abs(series[row, k]) / scale) ** (1.0 / k))
+        size = abs(series[row, k]) / scale
+        if size > 0.0:
+            largest = max(largest, exp(log(size) / k))
     return largest
 
 
@@ -195,7 +198,7 @@ def _stays(step: Array, order: int, h: float, damping: float, zeta: float, weigh
         return True
     # Force and weight are in balance, and where the sphere can rest (x^(3/2) = gamma) it is so damped that it creeps
     # there: it will not swing beyond.
-    root = weight ** (1.0 / 3.0)
+    root = power(weight, 1.0 / 3.0)
     loss = damping * weight + zeta * root
     return loss * loss > 100.0 * root and abs(_value(step, _F, order, h) - weight) < 1e-3 * weight
 
@@ -231,14 +234,15 @@ def _integrate(parameters: Array, order: int, fixed: float, steps: Array, length
             result[3], result[4] = _value(step, _F, order, at[_PEAK]), _value(step, _TAU, order, at[_PEAK])
         if at[_TURN] >= 0.0:
             compressing = 0
-            result[5], result[6] = _value(step, _W, order, at[_TURN]) ** 2, _value(step, _TAU, order, at[_TURN])
+            w = _value(step, _W, order, at[_TURN])
+            result[5], result[6] = w * w, _value(step, _TAU, order, at[_TURN])
         lengths[n] = h
         for row in (_W, _TAU, _PLATE, _Y):
             following[row, 0] = _value(step, row, order, h)
         if at[_END] >= 0.0 or at[_RELEASE] >= 0.0:
             result[0] = SEPARATED
             result[1], result[2] = -following[_Y, 0], following[_TAU, 0]
-            result[7] = following[_W, 0] ** 2 if zeta > 0.0 else 0.0
+            result[7] = following[_W, 0] * following[_W, 0] if zeta > 0.0 else 0.0
             result[8] = following[_PLATE, 0]
             return n + 1
         if weight > 0.0 and _stays(step, order, h, damping, zeta, weight, compressing == 0):

@@ -28,7 +28,7 @@ class Sphere:
     def mass(self) -> Floats:
         """`4/3 pi R^3 rho` [kg]."""
         radius = validation.real("radius", self.radius, "m")
-        return 4 / 3 * np.pi * radius**3 * validation.real("density", self.material.density, "kg/m^3")
+        return 4 / 3 * np.pi * (radius * radius * radius) * validation.real("density", self.material.density, "kg/m^3")
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -9,6 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
+from cgid.elementary import exp, expm1, log1p, power
 from cgid.impact.restitution import exponential_rest
 from cgid.validation import Floats
 
@@ -30,7 +31,7 @@ def energy_below(damping: ArrayLike) -> Floats:
     """
     damping = np.asarray(damping, dtype=np.float64)
     # D - ln(1 + D) = expm1(a) - a with a = ln(1 + D), which keeps its digits for small D.
-    rest = exponential_rest(np.log1p(damping))
+    rest = exponential_rest(log1p(damping))
     return _over_square(rest, damping, 0.5)
 
 
@@ -42,7 +43,7 @@ def peak_displacement(damping: ArrayLike) -> Floats:
     >>> round(float(peak_displacement(0.0)), 12)  # (5/4)^(2/5)
     1.093362073943
     """
-    return np.asarray((2.5 * energy_below(damping)) ** 0.4)
+    return power(2.5 * energy_below(damping), 0.4)
 
 
 def peak_logarithm(damping: float | Floats) -> Floats:
@@ -50,11 +51,11 @@ def peak_logarithm(damping: float | Floats) -> Floats:
 
     It is the root of `(8/5) expm1(p) - p = expm1(a) - a` with `a = ln(1 + D)`.
     """
-    a = np.log1p(np.asarray(damping, dtype=np.float64))
+    a = log1p(np.asarray(damping, dtype=np.float64))
     energy = exponential_rest(a)
-    p = np.where(a < 1, 5 / 6 * a**2, np.maximum(a - 0.47, 0.1))
+    p = np.where(a < 1, 5 / 6 * a * a, np.maximum(a - 0.47, 0.1))
     for _ in range(_NEWTON_STEPS):
-        p = p - (1.6 * np.expm1(p) - p - energy) / (1.6 * np.exp(p) - 1)
+        p = p - (1.6 * expm1(p) - p - energy) / (1.6 * exp(p) - 1)
     return np.maximum(p, 0.0)
 
 
@@ -69,8 +70,8 @@ def peak_force(damping: ArrayLike) -> Floats:
     damping = np.asarray(damping, dtype=np.float64)
     p = peak_logarithm(damping)
     # (2/5) x^(5/2) = 3 x' / (5 D) at the peak, and x' / D = expm1(p) / D^2.
-    ratio = _over_square(np.expm1(p), damping, 5 / 6)
-    return np.asarray((1.5 * ratio) ** 0.6 * np.exp(p))
+    ratio = _over_square(expm1(p), damping, 5 / 6)
+    return np.asarray(power(1.5 * ratio, 0.6) * exp(p))
 
 
 def _over_square(values: Floats, damping: Floats, limit: float) -> Floats:

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from cgid import validation
+from cgid.elementary import power
 from cgid.errors import InvalidValue
 from cgid.impact import bodies
 from cgid.impact.bodies import HalfSpace, RigidWall, Sphere, Target, ThinPlate
@@ -114,7 +115,7 @@ class Collision:
     @cached_property
     def length_scale(self) -> Floats:
         """`L = (m v^2 / K)^(2/5)` [m], the unit of displacement."""
-        return _fixed((self.reduced_mass * self._velocity**2 / self.contact_stiffness) ** 0.4)
+        return _fixed(power(self.reduced_mass * self._velocity**2 / self.contact_stiffness, 0.4))
 
     @cached_property
     def time_scale(self) -> Floats:
@@ -124,7 +125,7 @@ class Collision:
     @cached_property
     def force_scale(self) -> Floats:
         """`K L^(3/2)` [N], the unit of force."""
-        return _fixed(self.contact_stiffness * self.length_scale**1.5)
+        return _fixed(self.contact_stiffness * self.length_scale * np.sqrt(self.length_scale))
 
     @cached_property
     def inelasticity(self) -> Floats:
@@ -140,7 +141,7 @@ class Collision:
         # The harder the damping, the longer the contact: it lasts about e^-0.6 in units of T0.
         # Only what else comes from the table gains by it.
         plain = (constant == 0) & (self.inelasticity == 0)
-        weight = np.where(plain & (self._weight < NEGLIGIBLE_WEIGHT * restitution**0.6), 0.0, self._weight)
+        weight = np.where(plain & (self._weight < NEGLIGIBLE_WEIGHT * power(restitution, 0.6)), 0.0, self._weight)
         return Curves(
             restitution.ravel(), (constant / self.time_scale).ravel(), np.ravel(self.inelasticity), weight.ravel()
         )

@@ -165,7 +165,7 @@ class ModalImpact(Impact):
         if not residual.any():
             return frequency, damping, compliance
         highest = np.sqrt(3) * frequency[-1]
-        share = residual[..., None] * (2 * np.pi * highest) ** 2
+        share = residual[..., None] * ((2 * np.pi * highest) * (2 * np.pi * highest))
         return (
             np.append(frequency, highest),
             np.append(damping, damping[-1]),

@@ -18,6 +18,7 @@ from numpy.typing import DTypeLike, NDArray
 
 from cgid import family
 from cgid.counting import count, counting
+from cgid.elementary import power
 from cgid.errors import InvalidValue
 from cgid.impact.closed_forms import peak_displacement, peak_force
 from cgid.impact.dispatch import FEW_SAMPLES, kernel
@@ -253,7 +254,7 @@ class Curves:
         if counting():
             count("pulse_samples", _samples_in_contact(onset, onset + self.times[0] / step, frames.shape[1]))
         if tolerance >= FINEST_STEPPED:
-            steps = int(np.ceil(_STEPS_FOR_ONE * tolerance**-0.4))
+            steps = int(np.ceil(_STEPS_FOR_ONE * power(tolerance, -0.4)))
             stepped = rest[self.damping[rest] < _MOST_STEPPED_DAMPING]
             self._add_stepped(stepped, frames, onset, step, amplitude, threads, steps)
             rest = np.setdiff1d(rest, stepped)

@@ -9,8 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-import numpy as np
-
+from cgid.elementary import exp
 from cgid.impact.restitution import damping_number
 from cgid.validation import Floats
 
@@ -22,7 +21,7 @@ def _hunt_crossley(e: Floats) -> Floats:
 
 def _herbert_mcwhannell(e: Floats) -> Floats:
     """Herbert & McWhannell (1977), J. Eng. Ind. 99, 663."""
-    return 6 * (1 - e) / ((2 * e - 1) ** 2 + 3)
+    return 6 * (1 - e) / ((2 * e - 1) * (2 * e - 1) + 3)
 
 
 def _lee_wang(e: Floats) -> Floats:
@@ -42,7 +41,7 @@ def _gonthier(e: Floats) -> Floats:
 
 def _zhiying_qishao(e: Floats) -> Floats:
     """Zhang Zhiying & Lu Qishao (2006)."""
-    return 0.75 * (1 - e) * (1 + e) * np.exp(2 * (1 - e))
+    return 0.75 * (1 - e) * (1 + e) * exp(2 * (1 - e))
 
 
 def _flores(e: Floats) -> Floats:

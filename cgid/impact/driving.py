@@ -10,6 +10,7 @@ import numpy as np
 from numpy.polynomial import legendre
 from numpy.typing import NDArray
 
+from cgid.elementary import complex_exp, complex_product, modulus, power
 from cgid.errors import InvalidValue
 from cgid.impact.poles import Complex
 from cgid.validation import Floats
@@ -41,7 +42,7 @@ def steps_for(tolerance: float) -> int:
     The force is taken as straight between steps after a correction by its second difference. What remains comes from
     touch and separation, where it goes as `t^(3/2)`, and falls with the power 5/2 of their number.
     """
-    return max(_LEAST_STEPS, int(np.ceil(_STEPS_FOR_ONE * tolerance**-0.4)))
+    return max(_LEAST_STEPS, int(np.ceil(_STEPS_FOR_ONE * power(tolerance, -0.4))))
 
 
 @dataclass(frozen=True)
@@ -59,47 +60,63 @@ def driven_sample(poles: Complex, sampling_rate: float, stride: int, n_polynomia
     # g0 = h (phi1 - phi2), g1 = h phi2 with phi1 = (e^x - 1) / x, phi2 = (e^x - 1 - x) / x^2.
     phi1, phi2 = _phi(poles * h)
     edge = h * phi2
-    drive = h * (phi1 - phi2) + np.exp(poles * h) * edge
+    drive = h * (phi1 - phi2) + complex_product(complex_exp(poles * h), edge)
     polynomials = np.zeros((stride, n_polynomials))
     shares = np.zeros((n_polynomials, poles.size), complex)
     if stride <= n_polynomials:  # every step by itself
         polynomials[:, :stride] = np.eye(stride)
-        shares[:stride] = drive * np.exp(np.outer(np.arange(stride)[::-1], poles * h))
+        shares[:stride] = complex_product(drive, complex_exp(np.arange(stride)[::-1, None] * (poles * h)))
     else:
         polynomials[:] = legendre.legvander(np.linspace(-1, 1, stride), n_polynomials - 1)
-        shares[:] = drive * _powers_by_legendre(poles * h * (stride - 1) / 2, n_polynomials)
+        shares[:] = complex_product(drive, _powers_by_legendre(poles * h * (stride - 1) / 2, n_polynomials))
     return DrivenSample(polynomials, np.stack([shares.real, shares.imag]), np.stack([edge.real, edge.imag]))
 
 
 def _powers_by_legendre(c: Complex, n_polynomials: int) -> Complex:
     """Return the Legendre coefficients of `exp(c (1 - v))` over v in [-1, 1], (n_polynomials, n)."""
-    from scipy.special import spherical_in
-
+    # They are e^c (2 n + 1) (-1)^n i_n(c).
     n = np.arange(n_polynomials)[:, None]
-    return np.asarray(np.exp(c) * (2 * n + 1) * (-1.0) ** n * spherical_in(n, c[None]))
+    return complex_product(complex_exp(c), (2 * n + 1) * np.where(n % 2, -1.0, 1.0) * _bessel(c, n_polynomials))
+
+
+def _bessel(c: Complex, count: int) -> Complex:
+    """Return the modified spherical Bessel functions i_0(c), i_1(c), ..., (count, n).
+
+    By the ratios of neighbours, which Miller's backward recurrence finds from any start far enough out, and by
+    `e^c = sum (2 n + 1) i_n(c)`.
+    """
+    start = count + int(np.ceil(1.5 * modulus(c).max(initial=0.0))) + 30
+    above = np.zeros((start + 2, *c.shape), complex)
+    above[start] = 1e-30
+    safe = np.where(modulus(c) < 1e-30, 1e-30, c)
+    for n in range(start, 0, -1):
+        above[n - 1] = above[n + 1] + (2 * n + 1) * complex_product(above[n], 1 / safe)
+        largest = modulus(above[n - 1])
+        above *= np.where(largest > 1e100, 1e-100, 1.0)
+    total = ((2 * np.arange(start + 2) + 1)[:, None] * above).sum(axis=0)
+    return complex_product(above[:count], complex_exp(safe) / total)
 
 
 @cache
 def polynomials_for(phase: float, tolerance: float) -> int:
     """Return how many polynomials a pole needs that turns by this phase in a sample [rad]."""
-    from scipy.special import spherical_in
-
-    n = np.arange(2, 400)
-    size = (2 * n + 1) * spherical_in(n, phase / 2)
-    quiet = np.flatnonzero((size < 1e-2 * tolerance) | ~np.isfinite(size))
-    return int(n[quiet[0]]) if quiet.size else 400
+    n = np.arange(400)
+    size = (2 * n + 1) * _bessel(np.array([phase / 2 + 0j]), n.size)[:, 0].real
+    quiet = np.flatnonzero(size[2:] < 1e-2 * tolerance)
+    return 2 + int(quiet[0]) if quiet.size else n.size
 
 
 def _phi(x: Complex) -> tuple[Complex, Complex]:
     """Return (e^x - 1) / x and (e^x - 1 - x) / x^2, by their series where these would cancel."""
-    small = np.abs(x) < 0.5
+    small = modulus(x) < 0.5
     safe = np.where(small, 1.0, x)
+    grown = complex_exp(safe) - 1
     first, second = np.ones_like(x), np.full_like(x, 0.5)
     term = np.ones_like(x)
     for n in range(2, 20):
-        term = term * np.where(small, x, 0.0) / n
+        term = complex_product(term, np.where(small, x, 0.0)) / n
         first, second = first + term, second + term / (n + 1)
-    return np.where(small, first, np.expm1(safe) / safe), np.where(small, second, (np.expm1(safe) - safe) / safe**2)
+    return np.where(small, first, grown / safe), np.where(small, second, (grown / safe - 1) / safe)
 
 
 @dataclass(frozen=True)
@@ -118,7 +135,8 @@ class Windows:
 def windows_of(pulses: Pulses, onset: Floats, sampling_rate: float, tolerance: float) -> Windows:
     """Return the forces of pulses that touch at onset [s], as finely as an error over the largest sample asks for."""
     duration = pulses.contact_duration * sampling_rate
-    needed = np.maximum(np.ceil(np.log2(steps_for(tolerance) / duration)), 0).astype(np.int64)
+    fraction, exponent = np.frexp(steps_for(tolerance) / duration)
+    needed = np.maximum(exponent - (fraction == 0.5), 0).astype(np.int64)  # the logarithm to base 2, rounded up
     if (needed >= 31).any() or (1 << needed.max(initial=0)) > _MOST_STRIDE:
         shortest = float(pulses.contact_duration.min())
         raise InvalidValue(

@@ -7,6 +7,8 @@ bodies, so the paper's own series theory counts it twice, and an independent fin
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -18,7 +20,7 @@ from cgid.validation import Floats
 STIFFNESS_THEORIES = {
     "hertz": 1.0,
     "rigid-sphere": 8 * np.sqrt(3) / 9,
-    "series": 1.75**-1.5,
+    "series": 1 / (1.75 * math.sqrt(1.75)),
 }
 
 

@@ -191,4 +191,6 @@ def _longest_steps(angular: Floats, time_scale: Floats) -> Floats:
     if not angular.size:
         return np.asarray(allowed)
     resolved = _LARGEST_PHASE / angular[-1]
-    return np.asarray(resolved * 2.0 ** -np.ceil(np.maximum(np.log2(resolved / allowed), 0.0)))
+    # The least power of two that is not below resolved / allowed, 1 or more.
+    fraction, exponent = np.frexp(np.maximum(resolved / allowed, 1.0))
+    return np.asarray(np.ldexp(resolved, -(exponent - (fraction == 0.5))))

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cgid import validation
+from cgid.elementary import complex_of, sincos
 from cgid.errors import InvalidValue
 from cgid.validation import Floats
 
@@ -63,8 +64,9 @@ class LowPass:
     def poles(self) -> Complex:
         """The poles of the upper half-plane and the real axis [rad/s]."""
         angles = np.pi * (2 * np.arange((self.order + 1) // 2) + self.order + 1) / (2 * self.order)
-        poles = 2 * np.pi * self.frequency * np.exp(1j * angles)
-        return np.asarray(np.where(np.abs(poles.imag) < 1e-9 * np.abs(poles), poles.real + 0j, poles))
+        sine, cosine = sincos(angles)
+        radius = 2 * np.pi * self.frequency
+        return complex_of(radius * cosine, radius * np.where(np.abs(sine) < 1e-9, 0.0, sine))
 
 
 def require_damping_ratio(damping_ratio: ArrayLike) -> Floats:
@@ -77,6 +79,5 @@ def require_damping_ratio(damping_ratio: ArrayLike) -> Floats:
 
 def resonator_poles(frequency: Floats, damping_ratio: Floats) -> Complex:
     """Return `-zeta w + i w sqrt(1 - zeta^2)` [rad/s]."""
-    return np.asarray(
-        2 * np.pi * frequency * (-damping_ratio + 1j * np.sqrt((1 - damping_ratio) * (1 + damping_ratio)))
-    )
+    angular, ratio = 2 * np.pi * np.asarray(frequency), np.asarray(damping_ratio)
+    return complex_of(-angular * ratio, angular * np.sqrt((1 - ratio) * (1 + ratio)))

@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from cgid import validation
 from cgid.counting import count
+from cgid.elementary import complex_exp, complex_of, complex_product, modulus
 from cgid.errors import InvalidValue
 from cgid.impact.driving import DrivenSample, Pulses, driven_sample, polynomials_for, windows_of
 from cgid.impact.poles import Complex, LowPass, Resonance, resonator_poles
@@ -101,7 +102,7 @@ class Response:
         for own in (part.poles for part in self.filters):
             taken = np.concatenate(found)
             for number, pole in enumerate(own):
-                while taken.size and np.abs(taken - own[number]).min() < _APART * abs(pole):
+                while taken.size and modulus(taken - own[number]).min() < _APART * modulus(pole):
                     own[number] *= 1 + 1.01 * _APART
             found.append(own)
         return np.concatenate(found)
@@ -121,7 +122,7 @@ class Response:
         gain = np.ones(np.shape(s), complex)
         for number, pole in enumerate(self._filter_poles):
             both = pole.imag != 0
-            gain = gain * (abs(pole) ** 2 if both else -pole)
+            gain = gain * (pole.real * pole.real + pole.imag * pole.imag if both else -pole.real)
             if number != without:
                 gain = gain / (s - pole)
             if both:
@@ -141,9 +142,10 @@ class Response:
         k = DERIVATIVES[self.quantity]
         w, zeta = 2 * np.pi * self.modes.frequency, self.modes.damping_ratio
         own = self._mode_poles
-        at_modes = own**k / (2j * own.imag) * self._filtered(own)
+        at_modes = complex_product(_power(own, k) / (2j * own.imag), self._filtered(own))
         s = self._filter_poles[None, :]
-        at_filters = after * s**k / (s**2 + 2 * (zeta * w)[:, None] * s + (w**2)[:, None])
+        beam = _power(s, 2) + 2 * (zeta * w)[:, None] * s + (w * w)[:, None]
+        at_filters = complex_product(after[None], _power(s, k)) / beam
         return fold[: self.n_modes] * at_modes, fold[None, self.n_modes :] * at_filters
 
     @cached_property
@@ -154,9 +156,9 @@ class Response:
         of the filters' own is near.
         """
         assert self.modes is not None
-        tone = 1j * np.abs(self._mode_poles)
-        k = DERIVATIVES[self.quantity]
-        return np.abs(self._mode_poles) ** (k - 1) * np.abs(self._filtered(tone))
+        size, k = modulus(self._mode_poles), DERIVATIVES[self.quantity]
+        gain = modulus(self._filtered(complex_of(np.zeros(()), size)))
+        return np.asarray(gain / size if k == 0 else gain if k == 1 else gain * size)
 
     def amplitudes(self, participation: Floats | None = None) -> tuple[Complex, Floats]:
         """Return how strongly a force drives each pole, and how much of it passes at once.
@@ -175,7 +177,7 @@ class Response:
         if participation is None:
             return filters, np.zeros(1)
         # No BLAS: its sums depend on how many threads it has.
-        mixed = np.einsum("ir,rj->ij", participation, filters)
+        mixed = complex_of(*(np.einsum("ir,rj->ij", participation, part) for part in (filters.real, filters.imag)))
         passes = self.quantity == "acceleration" and not self.filters
         direct = participation.sum(axis=1) if passes else np.zeros(len(participation))
         return np.concatenate([participation * own, mixed], axis=1), direct
@@ -308,12 +310,12 @@ class Response:
     @cached_property
     def _rung(self) -> Floats:
         """Ringing of every pole over the samples of a table and one more, (2, n_poles, `_TABLE` + 1)."""
-        grown = np.exp(np.outer(self.poles / self.sampling_rate, np.arange(_TABLE + 1)))
+        grown = complex_exp((self.poles / self.sampling_rate)[:, None] * np.arange(_TABLE + 1))
         return np.stack([grown.real, grown.imag])
 
     @cached_property
     def _n_polynomials(self) -> int:
-        return polynomials_for(float(np.abs(self.poles).max()) / self.sampling_rate, self.tolerance)
+        return polynomials_for(float(modulus(self.poles).max()) / self.sampling_rate, self.tolerance)
 
     @cached_property
     def _kept(self) -> dict[int, DrivenSample]:
@@ -324,6 +326,11 @@ class Response:
         if stride not in self._kept:
             self._kept[stride] = driven_sample(self.poles, self.sampling_rate, stride, self._n_polynomials)
         return self._kept[stride]
+
+
+def _power(x: Complex, k: int) -> Complex:
+    """Return x^k for k of 0, 1 or 2."""
+    return np.ones_like(x) if k == 0 else x if k == 1 else complex_product(x, x)
 
 
 def _in_threads(work: Callable[[NDArray[np.intp]], Any], parts: list[NDArray[np.intp]]) -> list[Any]:

@@ -14,6 +14,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
+from cgid.elementary import exp, expm1, log1p
 from cgid.validation import Floats, not_negative
 from cgid.validation import restitution as valid_restitution
 
@@ -54,11 +55,11 @@ def langevin(t: ArrayLike) -> tuple[Floats, Floats]:
     """
     t = np.asarray(t, dtype=np.float64)
     small = t < _SMALL
-    square = np.where(small, t, 0.0) ** 2
-    series = np.where(small, t, 0.0) * np.polynomial.polynomial.polyval(square, _SERIES)
+    below = np.where(small, t, 0.0)
+    series = below * np.polynomial.polynomial.polyval(below * below, _SERIES)
     large = np.where(small, 1.0, t)
     # Past 2t = 700 the exponential overflows, and its term is zero to any precision.
-    complement = 1 / large - 2 / np.expm1(np.minimum(2 * large, 700.0))
+    complement = 1 / large - 2 / expm1(np.minimum(2 * large, 700.0))
     return np.where(small, series, 1 - complement), np.where(small, 1 - series, complement)
 
 
@@ -66,24 +67,26 @@ def inverse_langevin(kappa: ArrayLike, complement: ArrayLike) -> Floats:
     """Return t with `coth(t) - 1/t = kappa`, given kappa and `1 - kappa` each to full precision."""
     kappa, complement = np.broadcast_arrays(np.asarray(kappa, float), np.asarray(complement, float))
     # Jedynak (2015), Rheol. Acta 54, 29: within 1.5 % everywhere.
-    t = kappa * (3 - 2.6 * kappa + 0.7 * kappa**2) / (complement * (1 + 0.1 * kappa))
+    t = kappa * (3 - 2.6 * kappa + 0.7 * kappa * kappa) / (complement * (1 + 0.1 * kappa))
     for _ in range(_NEWTON_STEPS):
         value, rest = langevin(t)
         # Near 1 the difference of the complements has the digits, near 0 that of the values.
         error = np.where(kappa < 0.5, value - kappa, complement - rest)
         # The Newton step is taken in ln t, which cannot leave the positive axis.
         step = np.divide(error, _logarithmic_slope(t), out=np.zeros_like(t), where=t > 0)
-        t = t * np.exp(-np.clip(step, -1, 1))
+        t = t * exp(-np.clip(step, -1, 1))
     return t
 
 
 def _logarithmic_slope(t: Floats) -> Floats:
     """Return `t L'(t)`, without overflow for any t."""
     safe = np.where(t < 0.02, 1.0, np.minimum(t, 350.0))
-    slope = 1 / safe - safe / np.sinh(safe) ** 2
+    grown = expm1(safe)
+    sinh = (grown + grown / (grown + 1)) / 2
+    slope = 1 / safe - safe / (sinh * sinh)
     slope = np.where(t > 350.0, 1 / np.maximum(t, 1.0), slope)
     small = np.minimum(t, 0.02)
-    return np.where(t < 0.02, small * (1 / 3 - small**2 / 15), slope)
+    return np.where(t < 0.02, small * (1 / 3 - small * small / 15), slope)
 
 
 def damping_number(restitution: ArrayLike) -> Floats:
@@ -148,7 +151,7 @@ def logarithms(damping: ArrayLike, restitution: ArrayLike) -> tuple[Floats, Floa
     Both logarithms add up to `(1 + e) D`, which is what keeps the digits of the second.
     """
     damping = np.asarray(damping, dtype=np.float64)
-    start = np.log1p(damping)
+    start = log1p(damping)
     return start, (1 + np.asarray(restitution)) * damping - start
 
 
@@ -161,4 +164,4 @@ def exponential_rest(p: ArrayLike) -> Floats:
     series = np.ones_like(x)
     for order in range(18, 2, -1):
         series = 1 + x / order * series
-    return np.asarray(np.where(small, x * x / 2 * series, np.expm1(p) - p), dtype=np.float64)
+    return np.asarray(np.where(small, x * x / 2 * series, expm1(p) - p), dtype=np.float64)

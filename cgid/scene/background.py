@@ -14,6 +14,7 @@ from typing import Annotated, Any, Self
 import numpy as np
 from pydantic import AfterValidator, Field, model_validator
 
+from cgid.elementary import exp, expm1, log
 from cgid.scene.sections import Section
 from cgid.scene.sensor import QUANTITIES, Sensor
 from cgid.scene.units import Decibel, Frequency, parse
@@ -71,21 +72,20 @@ class ColouredNoise(Section):
 
     def at(self, frequency: Floats, quantity: str) -> Floats:
         """Return the one-sided power spectral density at frequencies [Hz], in SI units."""
-        knots = np.log(self.frequencies)
-        with np.errstate(divide="ignore"):
-            place = np.log(frequency)
-        level = np.exp(np.interp(place, knots, np.log(self.densities(quantity))))
+        knots = log(self.frequencies)
+        place = log(frequency)
+        level = exp(np.interp(place, knots, log(self.densities(quantity))))
         # Compared as logarithms, so that the ends themselves belong to the band.
         return np.asarray(np.where((place >= knots[0]) & (place <= knots[-1]), level, 0.0))
 
     def power(self, quantity: str) -> float:
         """Return the mean square of the noise: the integral of the density, which is a power law between points."""
         f, s = np.array(self.frequencies), self.densities(quantity)
-        ratio = np.log(f[1:] / f[:-1])
-        exponent = np.log(s[1:] / s[:-1]) / ratio + 1
+        ratio = log(f[1:] / f[:-1])
+        exponent = log(s[1:] / s[:-1]) / ratio + 1
         # s0 f0 (r^p - 1) / p with r = f1 / f0, and s0 f0 ln r where p is 0.
         growth = exponent * ratio
-        mean = np.where(np.abs(growth) < 1e-12, 1.0, np.expm1(growth) / np.where(growth == 0, 1.0, growth))
+        mean = np.where(np.abs(growth) < 1e-12, 1.0, expm1(growth) / np.where(growth == 0, 1.0, growth))
         return float(np.sum(s[:-1] * f[:-1] * ratio * mean))
 
 
@@ -141,7 +141,7 @@ class BackgroundSection(Section):
 
     def known_power(self, quantity: str) -> float:
         """Return the mean square of hum and coloured noise, in SI units; a recording's depends on the impacts."""
-        lines = sum(_level(line.amplitude, quantity) ** 2 / 2 for line in self.hum)
+        lines = sum(0.5 * _level(line.amplitude, quantity) * _level(line.amplitude, quantity) for line in self.hum)
         return lines + (0.0 if self.coloured is None else self.coloured.power(quantity))
 
     def amplitudes(self, quantity: str) -> Floats:

@@ -12,6 +12,7 @@ import numpy as np
 import scipy  # which loads its parts when they are first used
 from numpy.typing import NDArray
 
+from cgid.elementary import cos, power, sin
 from cgid.errors import BadData
 from cgid.recordings import read_recording
 from cgid.scene.background import BackgroundSection
@@ -61,7 +62,7 @@ class Background:
         numbers = uniforms(seed, block, len(self.section.hum), HUM) if self.section.hum else ()
         for line, amplitude, phases in zip(self.section.hum, self._amplitudes, numbers, strict=True):
             turns = line.frequency * np.arange(n_samples) / self.sampling_rate
-            out += amplitude * np.sin(2 * np.pi * (turns + phases[:, None]))
+            out += amplitude * _wave(turns + phases[:, None])
         if self.section.coloured is not None:
             # Of a period twice as long as the frame, whose ends then have nothing to do with each other.
             length = scipy.fft.next_fast_len(2 * n_samples, real=True)
@@ -77,7 +78,7 @@ class Background:
         out = np.zeros(CHUNK)
         numbers = uniforms(seed, 0, len(self.section.hum), HUM, recording)[:, 0] if self.section.hum else ()
         for line, amplitude, phase in zip(self.section.hum, self._amplitudes, numbers, strict=True):
-            out += amplitude * np.sin(2 * np.pi * (line.frequency * (samples / self.sampling_rate) + phase))
+            out += amplitude * _wave(line.frequency * (samples / self.sampling_rate) + phase)
         if self.section.coloured is not None:
             out += self._segment(seed, recording, chunk)[CHUNK:] + self._segment(seed, recording, chunk + 1)[:CHUNK]
         if self.recorded is not None:
@@ -88,7 +89,7 @@ class Background:
     @cached_property
     def rms(self) -> float:
         """Root mean square of the whole background, in SI units."""
-        return float(np.sqrt(self.section.known_power(self.quantity) + self.recorded_level**2))
+        return float(np.sqrt(self.section.known_power(self.quantity) + self.recorded_level * self.recorded_level))
 
     @cached_property
     def _amplitudes(self) -> Floats:
@@ -118,12 +119,17 @@ class Background:
         return np.asarray(scipy.fft.irfft((parts[..., 0] + 1j * parts[..., 1]) * height, n=length))
 
 
+def _wave(turns: Floats) -> Floats:
+    """Return the sine of so many turns."""
+    return sin(2 * np.pi * (turns - np.rint(turns)))
+
+
 @lru_cache(maxsize=4)
 def _faded_segment(
     section: BackgroundSection, quantity: str, sampling_rate: float, seed: int, recording: int, number: int
 ) -> Floats:
     background = Background(section, quantity, sampling_rate, None)
-    fade = np.sin(np.pi * (np.arange(2 * CHUNK) + 0.5) / (2 * CHUNK))
+    fade = sin(np.pi * (np.arange(2 * CHUNK) + 0.5) / (2 * CHUNK))
     return fade * background._coloured(generator(seed, COLOURED, number, recording), (), 2 * CHUNK)
 
 
@@ -145,7 +151,7 @@ def reference_peak(scene: Scene) -> float:
         peaks = [_peaks(scene, draw(scene, 0, block)) for block in range(_REFERENCE_BLOCKS)]
     slope = 0.0 if scene.stream is None else scene.stream.inclination
     # The normal velocity of a vertical fall is v cos(alpha), and the peak of a Hertz impact goes with its power 6/5.
-    return float(np.median(peaks) * np.cos(slope) ** 1.2)
+    return float(np.median(peaks) * power(cos(slope), 1.2))
 
 
 def _peaks(scene: Scene, drawn: Draw) -> Floats:
@@ -176,7 +182,7 @@ def background_of(scene: Scene) -> Background | None:
         asked = section.recorded
         path = scene.folder / asked.path
         recorded = _unit_recording(path, _age(path), asked.sampling_rate, asked.channel, sampling_rate)
-        level = reference_peak(scene) / 10 ** (asked.signal_to_noise / 20)
+        level = float(reference_peak(scene) * power(10.0, -asked.signal_to_noise / 20))
     return Background(section, scene.sensor.quantity, sampling_rate, recorded, level)
 
 

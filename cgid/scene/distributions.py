@@ -10,8 +10,8 @@ from typing import Annotated, Any, Literal, Self
 
 import numpy as np
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, model_validator
-from scipy import special
 
+from cgid.elementary import exp, expm1, log, log1p, normal_quantile, normal_share, power
 from cgid.scene.units import DIMENSIONS, LIMITS, Number, parse
 from cgid.validation import Floats
 
@@ -110,7 +110,7 @@ class LogUniform(_Bounded):
 
     def quantile(self, uniform: Floats) -> Floats:
         """Return `lowest (highest / lowest)^u`."""
-        return np.asarray(np.clip(self.lowest * (self.highest / self.lowest) ** uniform, self.lowest, self.highest))
+        return np.asarray(np.clip(self.lowest * power(self.highest / self.lowest, uniform), self.lowest, self.highest))
 
 
 class _Truncatable(_Distribution):
@@ -164,10 +164,10 @@ class Normal(_Truncatable):
         return self
 
     def _cumulative(self, value: float) -> float:
-        return float(special.ndtr((value - self.mean) / self.deviation))
+        return normal_share((value - self.mean) / self.deviation)
 
     def _inverse(self, probability: Floats) -> Floats:
-        return np.asarray(self.mean + self.deviation * special.ndtri(probability))
+        return np.asarray(self.mean + self.deviation * normal_quantile(probability))
 
 
 class Lognormal(_Truncatable):
@@ -178,10 +178,10 @@ class Lognormal(_Truncatable):
     sigma: Number = Field(gt=0)
 
     def _cumulative(self, value: float) -> float:
-        return float(special.ndtr(np.log(value / self.median) / self.sigma)) if value > 0 else 0.0
+        return normal_share(float(log(value / self.median)) / self.sigma) if value > 0 else 0.0
 
     def _inverse(self, probability: Floats) -> Floats:
-        return np.asarray(self.median * np.exp(self.sigma * special.ndtri(probability)))
+        return np.asarray(self.median * exp(self.sigma * normal_quantile(probability)))
 
 
 class RosinRammler(_Truncatable):
@@ -195,10 +195,10 @@ class RosinRammler(_Truncatable):
     uniformity: Number = Field(gt=0)
 
     def _cumulative(self, value: float) -> float:
-        return float(-np.expm1(-(np.float64(max(value, 0.0) / self.characteristic) ** self.uniformity)))
+        return float(-expm1(-power(max(value, 0.0) / self.characteristic, self.uniformity)))
 
     def _inverse(self, probability: Floats) -> Floats:
-        return np.asarray(self.characteristic * (-np.log1p(-probability)) ** (1 / self.uniformity))
+        return self.characteristic * power(-log1p(-probability), 1 / self.uniformity)
 
 
 #: The keys of a distribution that have the dimension of the quantity.

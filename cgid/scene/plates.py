@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from cgid.elementary import power
 from cgid.impact import Sphere, ThinPlate, contact_stiffness, free_fall_velocity
 from cgid.impact.bodies import Target, reduced_modulus, reduced_radius
 from cgid.materials import Material
@@ -36,7 +37,7 @@ def problem_on_plate(target: Target, theory: str, population: Population, thickn
     # lambda = m / (Z T0) with T0 = (m / K)^(2/5) v^(-1/5) grows with all of these.
     mass = float(sphere.mass)
     stiffness = contact_stiffness(reduced_radius(sphere, target), reduced_modulus(sphere, target), theory)
-    inelasticity = float(mass**0.6 * stiffness**0.4 * velocity**0.2 / target.impedance)
+    inelasticity = float(power(mass, 0.6) * power(stiffness, 0.4) * power(velocity, 0.2) / target.impedance)
     if inelasticity <= HIGHEST_INELASTICITY:
         return None
     return (

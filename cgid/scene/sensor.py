@@ -130,8 +130,10 @@ class Sensor(Section):
 
     def noise_level(self, peak: Floats, sampling_rate: float) -> Floats:
         """Return the standard deviation of the noise for signals of these peaks."""
-        steady = np.hypot(self.absolute_noise, (self.noise_density or 0.0) * np.sqrt(sampling_rate / 2))
-        return np.asarray(np.hypot(self.relative_noise * peak, steady))
+        density, relative = self.noise_density or 0.0, self.relative_noise * peak
+        # Not hypot, whose last digit is each C library's own.
+        steady = self.absolute_noise * self.absolute_noise + density * density * (sampling_rate / 2)
+        return np.asarray(np.sqrt(relative * relative + steady))
 
     def limit_band(self, frames: NDArray[np.floating], sampling_rate: float) -> NDArray[np.floating]:
         """Return the frames after the sensor's zero-phase low-pass."""

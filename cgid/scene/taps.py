@@ -10,14 +10,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cgid.counting import count
+from cgid.elementary import sin
 from cgid.validation import Floats
 
 #: Force over its peak against time over the duration, strictly between 0 and 1. Their order numbers them.
 SHAPES: Mapping[str, Callable[[Floats], Floats]] = {
-    "half-sine": lambda u: np.asarray(np.sin(np.pi * u)),
+    "half-sine": lambda u: sin(np.pi * u),
     "square": np.ones_like,
     "triangle": lambda u: np.asarray(1 - np.abs(2 * u - 1)),
-    "haversine": lambda u: np.asarray(np.sin(np.pi * u) ** 2),
+    "haversine": lambda u: sin(np.pi * u) ** 2,
 }
 
 

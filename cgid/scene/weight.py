@@ -46,7 +46,7 @@ def error_without_weight(impact: Impact, gravity: float) -> Floats:
     It is not one for a thin plate, which takes from the rebound what the weight acts on: there weight always counts.
     """
     speed = impact.length_scale / impact.time_scale
-    return np.asarray(_ERROR * gravity * impact.length_scale / speed**2 / impact.restitution)
+    return np.asarray(_ERROR * gravity * impact.length_scale / (speed * speed) / impact.restitution)
 
 
 def largest_error(section: ImpactSection, target: Target, populations: Iterable[Population]) -> float:

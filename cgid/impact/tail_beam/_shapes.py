@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from cgid._elementary import sincos
 from cgid.compiled import jit
 
 Array = NDArray[Any]
@@ -24,9 +25,9 @@ def sine_shapes(x: Array, y: Array, along: Array, across: Array, out: Array) -> 
     sines_along, sines_across = np.zeros(along.max() + 1), np.zeros(across.max() + 1)
     for point in range(x.size):
         for i in range(sines_along.size):
-            sines_along[i] = math.sin(math.pi * i * x[point])
+            sines_along[i] = sincos(math.pi * i * x[point])[0]
         for j in range(sines_across.size):
-            sines_across[j] = math.sin(math.pi * j * y[point])
+            sines_across[j] = sincos(math.pi * j * y[point])[0]
         for mode in range(along.size):
             out[point, mode] = sines_along[along[mode]] * sines_across[across[mode]]
 

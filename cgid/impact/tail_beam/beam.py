@@ -161,7 +161,7 @@ class TailBeam:
         if self.ribs is None:
             return math.inf
         wave_number = math.pi / self.rib_spacing
-        return wave_number**2 * math.sqrt(self.rigidities.across / self.mass_per_area) / (2 * math.pi)
+        return wave_number * wave_number * math.sqrt(self.rigidities.across / self.mass_per_area) / (2 * math.pi)
 
     def echo_time(self, x: ArrayLike, y: ArrayLike, frequency: ArrayLike) -> Floats:
         """Return when flexural waves of a frequency come back from the nearest edge [s].
@@ -181,7 +181,7 @@ class TailBeam:
         sides = (("x", x, self.length, self.rigidities.along), ("y", y, self.width, self.rigidities.across))
         for name, value, extent, rigidity in sides:
             place = on_panel(name, value, extent) * extent
-            velocity = 2 * np.sqrt(omega) * (rigidity / self.mass_per_area) ** 0.25
+            velocity = 2 * np.sqrt(omega) * math.sqrt(math.sqrt(rigidity / self.mass_per_area))
             place, velocity = validation.broadcast(**{name: place, "frequency": velocity})
             times.append(2 * np.minimum(place, extent - place) / velocity)
         return np.minimum(*validation.broadcast(x=times[0], y=times[1]))
@@ -239,7 +239,7 @@ def _simply_supported(beam: TailBeam, highest: float) -> tuple[Floats, SineShape
     """
     rigidities, sides = beam.rigidities, (beam.length, beam.width)
     most = [
-        math.floor(extent / math.pi * (2 * math.pi * highest) ** 0.5 * (rigidities.mass / rigidity) ** 0.25)
+        math.floor(extent / math.pi * math.sqrt(2 * math.pi * highest * math.sqrt(rigidities.mass / rigidity)))
         for extent, rigidity in zip(sides, (rigidities.along, rigidities.across), strict=True)
     ]
     along, across = (1 + index.ravel() for index in np.indices(most))

@@ -10,13 +10,16 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.special import agm
 
 from cgid import validation
+from cgid.elementary import expm1
 from cgid.errors import InvalidValue
 from cgid.impact.bodies import ThinPlate
 from cgid.materials import Material
 from cgid.validation import Floats
+
+
+_PI_TO_THE_FIFTH = 306.01968478528147
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -50,8 +53,10 @@ class Ribs:
         """
         long, short = max(self.depth, self.thickness), min(self.depth, self.thickness)
         odd = np.arange(1, 25, 2)
-        series = float(np.sum(np.tanh(odd * np.pi * long / (2 * short)) / odd**5))
-        return long * short**3 * (1 / 3 - 64 / math.pi**5 * short / long * series)
+        falling = expm1(-odd * np.pi * long / short)
+        tanh = -falling / (2 + falling)
+        series = float(np.sum(tanh / (odd * odd * odd * odd * odd)))
+        return long * (short * short * short) * (1 / 3 - 64 / _PI_TO_THE_FIFTH * short / long * series)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -96,7 +101,7 @@ class Rigidities:
         `8 sqrt(B rho h)`: Cremer, Heckl & Petersson (2005), Structure-Borne Sound, section 4.
         """
         mean = math.sqrt(self.along * self.across)
-        return 8 * math.sqrt(self.mass * mean) * float(agm(1.0, math.sqrt((1 + self.mixed / mean) / 2)))
+        return 8 * math.sqrt(self.mass * mean) * _agm(1.0, math.sqrt((1 + self.mixed / mean) / 2))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -122,6 +127,13 @@ class RibbedPlate(ThinPlate):
         return validation.real("ribbed_impedance", self.ribbed_impedance, "kg/s")
 
 
+def _agm(a: float, b: float) -> float:
+    """Return Gauss's arithmetic-geometric mean of two positive numbers."""
+    while abs(a - b) > 1e-15 * a:
+        a, b = (a + b) / 2, math.sqrt(a * b)
+    return (a + b) / 2
+
+
 def single(name: str, value: ArrayLike, unit: str) -> float:
     """Return one number above zero, or raise `InvalidValue`."""
     number = validation.positive(name, value, unit)
@@ -140,14 +152,14 @@ def smeared(material: Material, thickness: float, ribs: Ribs | None, spacing: fl
     modulus = float(validation.real("youngs_modulus", material.youngs_modulus, "Pa"))
     density = float(validation.real("density", material.density, "kg/m^3"))
     ratio = float(validation.real("poisson_ratio", material.poisson_ratio))
-    wide_modulus = modulus / (1 - ratio**2)
-    skin = wide_modulus * thickness**3 / 12
+    wide_modulus = modulus / (1 - ratio * ratio)
+    skin = wide_modulus * (thickness * thickness * thickness) / 12
     along, twist, mass = skin, skin * (1 - ratio) / 2, density * thickness
     if ribs is not None:
         bar_stretch, skin_stretch = modulus * ribs.depth * ribs.thickness / spacing, wide_modulus * thickness
         between = (ribs.depth + thickness) / 2
-        along += bar_stretch * ribs.depth**2 / 12
-        along += bar_stretch * skin_stretch / (bar_stretch + skin_stretch) * between**2
+        along += bar_stretch * (ribs.depth * ribs.depth) / 12
+        along += bar_stretch * skin_stretch / (bar_stretch + skin_stretch) * (between * between)
         twist += modulus / (2 * (1 + ratio)) * ribs.torsion_constant / (4 * spacing)
         mass += density * ribs.depth * ribs.thickness / spacing
     return Rigidities(along=along, across=skin, coupling=ratio * skin, twist=twist, mass=mass)

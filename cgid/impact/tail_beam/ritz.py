@@ -17,10 +17,10 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-import scipy  # which loads its parts when they are first used
 from numpy.polynomial import legendre
-from threadpoolctl import threadpool_limits
 
+from cgid.impact.collocation import gauss
+from cgid.impact.tail_beam import _eigen
 from cgid.impact.tail_beam.rigidities import Rigidities
 from cgid.impact.tail_beam.shapes import PolynomialShapes
 from cgid.validation import Floats
@@ -49,13 +49,13 @@ class _Line:
 
         Gauss's rule with as many nodes as degrees is exact for these.
         """
-        nodes, weights = legendre.leggauss(len(self.functions))
+        nodes, weights = gauss(len(self.functions))
         value, slope, bend = (
-            legendre.legvander(nodes, len(part) - 1) @ part
+            np.einsum("qd,df->qf", legendre.legvander(nodes, len(part) - 1), part)
             for part in (self.functions, legendre.legder(self.functions), legendre.legder(self.functions, 2))
         )
         pairs = ((value, value), (slope, slope), (bend, bend), (bend, value))
-        mass, slopes, bending, mixed = (first.T @ (weights[:, None] * second) for first, second in pairs)
+        mass, slopes, bending, mixed = (np.einsum("qf,qg->fg", first, weights[:, None] * second) for first, second in pairs)
         return mass, slopes, bending, mixed
 
 
@@ -74,7 +74,7 @@ def _line(number: int, held: str) -> list[_Line]:
         functions[:2] = 0.0  # what is left bends; the motions of a rigid body are functions of their own
     parts = [functions] if held == "start" else [functions[:, 0::2], functions[:, 1::2]]
     for parity, part in enumerate(parts):
-        parts[parity] = part @ scipy.linalg.eigh(_Line(part).integrals()[0])[1]
+        parts[parity] = np.einsum("df,fg->dg", part, eigenpairs(_Line(part).integrals()[0])[1])
         if held == "none":
             rigid = np.zeros((len(part), 1))
             rigid[parity] = math.sqrt(parity + 0.5)
@@ -88,8 +88,10 @@ class _Panel:
 
     Parameters
     ----------
-    stiffness, mass : ndarray, (n_products, n_products)
-        In [rad^2/s^2] and [1], over the square [-1, 1] x [-1, 1].
+    stiffness : ndarray, (n_products, n_products)
+        In [rad^2/s^2], over the square [-1, 1] x [-1, 1].
+    mass : ndarray, (n_products,)
+        Of each product; by the choice of the functions the mass of two is zero.
     """
 
     along: _Line
@@ -108,36 +110,35 @@ class _Panel:
         stiffness += 4 * rigidities.twist * a * b * np.kron(slope_x, slope_y)
         coupled = rigidities.coupling * a * b * np.kron(mixed_x, mixed_y.T)
         stiffness += coupled + coupled.T
-        mass: Floats = np.asarray(np.kron(mass_x, mass_y), dtype=np.float64)
+        mass = np.kron(np.diag(mass_x), np.diag(mass_y)).astype(np.float64)
         return cls(along, across, np.asarray(stiffness / rigidities.mass, dtype=np.float64), mass)
 
-    def _scaled(self) -> tuple[Floats, Floats, Floats]:
+    def _standard(self) -> tuple[Floats, Floats, Floats]:
+        """Return the standard form of `M v = v K / omega^2`, the factor of the stiffness, and the products' scale."""
         scale = 1 / np.sqrt(np.diag(self.stiffness))
-        return self.mass * scale * scale[:, None], self.stiffness * scale * scale[:, None], scale
+        factor = self.stiffness * scale * scale[:, None]
+        if not _eigen.factorise(factor):
+            raise FloatingPointError("stiffness of a panel is not positive")
+        form = np.empty_like(factor)
+        _eigen.standard_form(factor, self.mass * scale * scale, form)
+        return form, factor, scale
 
-    def frequencies(self) -> Floats:
-        """Return all natural frequencies [rad/s], ascending."""
-        mass, stiffness, _ = self._scaled()
-        inverse = scipy.linalg.eigh(
-            mass, stiffness, eigvals_only=True, overwrite_a=True, overwrite_b=True, check_finite=False
-        )
-        # Of the highest of all only rounding is left, which may even be negative.
-        return np.asarray(1 / np.sqrt(np.maximum(inverse[::-1], 1e-300)))
+    def frequencies(self, highest: float) -> Floats:
+        """Return the natural frequencies up to the highest [rad/s], ascending."""
+        return 1 / np.sqrt(eigenvalues(self._standard()[0], 1 / (highest * highest)))
 
     def modes(self, highest: float) -> tuple[Floats, Floats]:
         """Return the frequencies up to the highest [rad/s] and the shapes, whose mean square is 1/4.
 
         Of these the coefficients (n_degrees_x, n_degrees_y, n_modes) in products of Legendre polynomials.
         """
-        mass, stiffness, scale = self._scaled()
-        wanted = (highest**-2, np.inf)
-        inverse, vectors = scipy.linalg.eigh(
-            mass, stiffness, subset_by_value=wanted, overwrite_a=True, overwrite_b=True, check_finite=False
-        )
-        vectors = vectors[:, ::-1] * scale[:, None] / np.sqrt(inverse[::-1])
+        form, factor, scale = self._standard()
+        inverse, vectors = eigenpairs(form, 1 / (highest * highest))
+        _eigen.unfactorised(factor, vectors)
+        vectors *= scale[:, None] / np.sqrt(inverse)
         cube = vectors.reshape(self.along.functions.shape[1], self.across.functions.shape[1], -1)
-        shapes = np.einsum("ai,ijm,bj->abm", self.along.functions, cube, self.across.functions, optimize=True)
-        return 1 / np.sqrt(inverse[::-1]), np.asarray(shapes)
+        half = np.einsum("ai,ijm->ajm", self.along.functions, cube)
+        return 1 / np.sqrt(inverse), np.einsum("bj,ajm->abm", self.across.functions, half)
 
 
 def ritz_modes(
@@ -160,19 +161,40 @@ def ritz_modes(
         lines = [_line(number, where) for number, where in zip(numbers, held, strict=True)]
         return [_Panel.of(x, y, rigidities, length, width) for x in lines[0] for y in lines[1]]
 
-    # More threads of BLAS would change the last bits.
-    with threadpool_limits(1):
-        coarse = [panel.frequencies() for panel in panels()]
-        while True:
-            numbers = [number + _RISE for number in numbers]
-            found = [panel.modes(highest) for panel in panels()]
-            fine = [part for part, _ in found]
-            if all(_settled(*pair) for pair in zip(coarse, fine, strict=True)):
-                break
-            coarse = fine
+    # What falls to the highest frequency as the degree rises lies barely above it before.
+    coarse = [panel.frequencies(1.001 * highest) for panel in panels()]
+    while True:
+        numbers = [number + _RISE for number in numbers]
+        found = [panel.modes(highest) for panel in panels()]
+        fine = [part for part, _ in found]
+        if all(_settled(*pair) for pair in zip(coarse, fine, strict=True)):
+            break
+        coarse = fine
     frequencies = np.concatenate(fine)
     order = np.argsort(frequencies, kind="stable")
     return frequencies[order], PolynomialShapes.of([shapes for _, shapes in found], order)
+
+
+def eigenvalues(matrix: Floats, lowest: float = -np.inf) -> Floats:
+    """Return the eigenvalues of a symmetric matrix (n, n) above the lowest, falling; the matrix is used up."""
+    return _tridiagonal(matrix, lowest)[2]
+
+
+def eigenpairs(matrix: Floats, lowest: float = -np.inf) -> tuple[Floats, Floats]:
+    """Return the same and their unit vectors, (n, n_values)."""
+    diagonal, beside, values, factors = _tridiagonal(matrix, lowest)
+    rows = np.empty((values.size, len(matrix)))
+    _eigen.vectors(diagonal, beside, values, rows)
+    columns = np.ascontiguousarray(rows.T)
+    _eigen.turned_back(matrix, factors, columns)
+    return values, columns
+
+
+def _tridiagonal(matrix: Floats, lowest: float) -> tuple[Floats, Floats, Floats, Floats]:
+    n = len(matrix)
+    diagonal, beside, factors, values = np.empty(n), np.empty(n - 1), np.empty(n), np.empty(n)
+    _eigen.tridiagonalise(matrix, diagonal, beside, factors)
+    return diagonal, beside, values[: _eigen.largest(diagonal, beside, lowest, values)], factors
 
 
 def _settled(coarse: Floats, fine: Floats) -> bool:

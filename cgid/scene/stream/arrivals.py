@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import special
 
+from cgid.elementary import exp
 from cgid.scene.randomness import ARRIVALS, BLOCK, uniforms
 from cgid.scene.scene import Scene
 from cgid.scene.stream.sections import RateTable, StreamSection
@@ -75,7 +75,7 @@ class PoissonTimes:
         piece = np.clip(np.searchsorted(before, expected, side="right") - 1, 0, knots.size - 1)
         more, rate = expected - before[piece], values[piece]
         # The root of rate s + slope s^2 / 2 = more, written without cancellation.
-        root = np.sqrt(np.maximum(rate**2 + 2 * slopes[piece] * more, 0.0))
+        root = np.sqrt(np.maximum(rate * rate + 2 * slopes[piece] * more, 0.0))
         return np.asarray(knots[piece] + 2 * more / np.maximum(rate + root, np.finfo(np.float64).tiny))
 
     @property
@@ -89,10 +89,16 @@ class PoissonTimes:
             start, stop = block * self.length, (block + 1) * self.length
             first, last = self.expected([start, stop])
             counting, placing = uniforms(seed, block, 2, ARRIVALS, recording)
-            count = int(np.searchsorted(special.pdtr(np.arange(BLOCK), last - first), counting[0]))
+            count = int(np.searchsorted(_poisson_shares(float(last - first)), counting[0]))
             # Given their number, the arrivals of a Poisson process lie independently of each other.
             times = np.clip(self.time_of(first + (last - first) * np.sort(placing[:count])), start, stop)
             yield Stretch(start, stop, times, block, np.arange(count))
+
+
+def _poisson_shares(expected: float) -> Floats:
+    """Return the shares of a Poisson distribution up to each number below `BLOCK`."""
+    terms = np.cumprod(np.append(exp(-expected), expected / np.arange(1.0, BLOCK)))
+    return np.asarray(np.minimum(np.cumsum(terms), 1.0))
 
 
 @dataclass(frozen=True)

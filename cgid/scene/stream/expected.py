@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from cgid.elementary import cos, sin
 from cgid.scene.population import given
 from cgid.scene.scene import Scene
 from cgid.scene.stream.arrivals import arrivals_of, population_shares
@@ -31,7 +32,7 @@ def impacts_of_rock(scene: Scene) -> float:
     drawn, slope = given(scene, 0, 0), scene.stream.inclination
     nothing = np.zeros(len(drawn.labels))
     columns = dict.fromkeys(COLUMNS, nothing) | drawn.values
-    columns |= {"slip": columns["velocity"] * np.sin(slope), "velocity": columns["velocity"] * np.cos(slope)}
+    columns |= {"slip": columns["velocity"] * sin(slope), "velocity": columns["velocity"] * cos(slope)}
     rocks = Rocks(columns | {"rock": np.arange(nothing.size)})
     restitution, impacts = np.broadcast_to(drawn.impact.restitution, nothing.shape), 0
     while len(rocks):

@@ -13,6 +13,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from cgid.elementary import cos, sin
 from cgid.impact import free_fall_velocity
 from cgid.scene.impacts import PARTICLE
 from cgid.scene.population import FALL, specimen_of
@@ -97,8 +98,8 @@ def arriving(scene: Scene, stretch: Stretch, first: int, seed: int, recording: i
         "bounce": np.zeros(count, np.int64),
         "population": which,
         "specimen": specimen_of([values[name] for name in PARTICLE]),
-        "slip": values["velocity"] * np.sin(slope),
-        "velocity": values["velocity"] * np.cos(slope),
+        "slip": values["velocity"] * sin(slope),
+        "velocity": values["velocity"] * cos(slope),
         "impact_x": x,
         "impact_y": y,
     }
@@ -135,8 +136,8 @@ def thrown_back(
     if rebounds is None:
         return rocks.taken(np.empty(0, np.intp))
     velocity = delivered * rocks["velocity"]
-    between = contact_duration + 2 * velocity / (STANDARD_GRAVITY * np.cos(slope))
-    pull = STANDARD_GRAVITY * np.sin(slope)
+    between = contact_duration + 2 * velocity / (STANDARD_GRAVITY * cos(slope))
+    pull = STANDARD_GRAVITY * sin(slope)
     after = Rocks(
         {
             **rocks.columns,
@@ -145,7 +146,7 @@ def thrown_back(
             "velocity": velocity,
             "drop_height": np.full(len(rocks), np.nan),
             "slip": rocks["slip"] + pull * between,
-            "impact_x": rocks["impact_x"] + rocks["slip"] * between + pull * between**2 / 2,
+            "impact_x": rocks["impact_x"] + rocks["slip"] * between + pull * between * between / 2,
         }
     )
     followed = audible & (after["bounce"] <= rebounds.most) & (velocity >= rebounds.least_speed)

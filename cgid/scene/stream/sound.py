@@ -6,6 +6,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from cgid.elementary import log
 from cgid.impact import Impact
 from cgid.impact.coupled import ModalImpact
 from cgid.scene.background_noise import Background
@@ -76,7 +77,7 @@ def _add_response(
         return
     # The slowest of the poles falls to its share of the response's tolerance in this time.
     poles = heard.response.poles
-    ringing = float(np.log(poles.size / TOLERANCE) / -poles.real.max())
+    ringing = float(log(poles.size / TOLERANCE) / -poles.real.max())
     end = columns["time"].max() + pulses.end_of_contact.max() + ringing
     stop = int(min(np.ceil(end * rate), last))
     frames = axis.until(stop)[None, first - axis.first :]
@@ -99,4 +100,4 @@ def hearing_limit(scene: Scene, background: Background | None) -> float:
     if scene.sensor.quantity != "force":
         return 0.0
     noise = float(scene.sensor.noise_level(np.zeros(()), scene.sampling.sampling_rate))
-    return float(np.hypot(noise, 0.0 if background is None else background.rms))
+    return float(np.sqrt(noise * noise + (0.0 if background is None else background.rms * background.rms)))
