@@ -86,7 +86,7 @@ def _residual_compliance(scene: Scene, highest: float) -> float:
     The real part of its mobility is 1/Z at every frequency, so the static compliance above w is `2 / (pi Z w)`. Of a
     beam that was measured nothing is known above the last mode of its table.
     """
-    return 0.0 if scene.panel is None else 1 / (math.pi**2 * scene.panel.impedance * highest)
+    return 0.0 if scene.panel is None else 1 / (math.pi * math.pi * scene.panel.impedance * highest)
 
 
 def _collision(scene: Scene, values: Mapping[str, Floats], rows: NDArray[np.intp]) -> dict[str, Any]:

@@ -102,11 +102,11 @@ class _Panel:
     @classmethod
     def of(cls, along: _Line, across: _Line, rigidities: Rigidities, length: float, width: float) -> _Panel:
         """Return the panel whose shapes are products of a function along and one across."""
-        a, b = (2 / length) ** 2, (2 / width) ** 2
+        a, b = 4 / (length * length), 4 / (width * width)
         mass_x, slope_x, bending_x, mixed_x = along.integrals()
         mass_y, slope_y, bending_y, mixed_y = across.integrals()
-        stiffness = rigidities.along * a**2 * np.kron(bending_x, mass_y)
-        stiffness += rigidities.across * b**2 * np.kron(mass_x, bending_y)
+        stiffness = rigidities.along * (a * a) * np.kron(bending_x, mass_y)
+        stiffness += rigidities.across * (b * b) * np.kron(mass_x, bending_y)
         stiffness += 4 * rigidities.twist * a * b * np.kron(slope_x, slope_y)
         coupled = rigidities.coupling * a * b * np.kron(mixed_x, mixed_y.T)
         stiffness += coupled + coupled.T
