@@ -52,6 +52,7 @@ SOURCES = (
     "impact/finite_element/_stepping.py",
     "impact/tail_beam/_eigen.py",
     "impact/tail_beam/_shapes.py",
+    "scene/_fourier.py",
     "scene/_noise.py",
     "store/_fletcher.py",
 )

@@ -1,20 +1,25 @@
 """What scenes make, as digests: run as a script, under whatever settings of the environment.
 
-`python -m tests.portable` prints one JSON object; `tests/test_portable.py` holds it against literals.
+`python -m tests.portable shipped` (or `varied`) prints one JSON object; `tests/test_portable.py` holds it against the
+literals in `portable.json`.
 """
 
 from __future__ import annotations
 
 import hashlib
 import json
+import sys
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from cgid.scene import load_scene, parse_scene, synthesise
+from cgid.impact.damping_factors import HUNT_CROSSLEY_LAWS
+from cgid.impact.hertz import STIFFNESS_THEORIES
+from cgid.scene import load_scene, synthesise
 from cgid.scene.scene import Scene
 from cgid.scene.stream.synthesis import record
+from tests.plan_scenes import CASES, PANEL, STEEL, TAP, beam_of, scene_of
 
 DATASETS = Path(__file__).parents[1] / "datasets"
 SEED, N_SIGNALS = 3, 2000
@@ -30,9 +35,9 @@ def digest(arrays: dict[str, Any]) -> str:
     return found.hexdigest()
 
 
-def of_signals(scene: Scene, n_signals: int = N_SIGNALS, seed: int = SEED) -> dict[str, str]:
+def of_signals(scene: Scene, n_signals: int = N_SIGNALS, *, dtype: Any = "float32") -> dict[str, str]:
     """Return the digests of the signals, labels and parameters of some impacts."""
-    batches = list(synthesise(scene, n_signals, seed=seed))
+    batches = list(synthesise(scene, n_signals, seed=SEED, dtype=dtype))
     names = batches[0].parameters
     return {
         "signals": digest({"signals": np.concatenate([batch.signals for batch in batches])}),
@@ -41,18 +46,63 @@ def of_signals(scene: Scene, n_signals: int = N_SIGNALS, seed: int = SEED) -> di
     }
 
 
-def of_recording(scene: Scene, seed: int = SEED) -> dict[str, str]:
+def of_recording(scene: Scene, *, dtype: Any = "float32") -> dict[str, str]:
     """Return the digests of a recording and of the truth of its impacts."""
-    signal, truth = record(scene, seed)
+    signal, truth = record(scene, SEED, dtype=dtype)
     truth = {name: values.astype("S32") if values.dtype.kind == "U" else values for name, values in truth.items()}
     return {"signals": digest({"signals": signal.samples}), "truth": digest(truth)}
 
 
-def main() -> None:
-    """Print the digests of the shipped scenes."""
+def of_shipped() -> dict[str, dict[str, str]]:
+    """Return the digests of the shipped scenes."""
     found = {name: of_signals(load_scene(DATASETS / f"{name}.toml")) for name in SCENES}
-    found["caving"] = of_recording(load_scene(DATASETS / "caving.toml"))
-    print(json.dumps(found))
+    return found | {"caving": of_recording(load_scene(DATASETS / "caving.toml"))}
+
+
+def of_varied() -> dict[str, dict[str, str]]:
+    """Return the digests of small scenes, in float64, that between them have everything that a scene may have."""
+    hum = [{"frequency": "50 Hz", "amplitude": "3 N"}, {"frequency": "297.3 Hz", "amplitude": "2 N"}]
+    density = ["1 N/sqrt(Hz)", "5 N/sqrt(Hz)", "5 N/sqrt(Hz)", "0.5 N/sqrt(Hz)"]
+    coloured = {"frequencies": ["2 Hz", "20 Hz", "200 Hz", "2 kHz"], "density": density}
+    plate = {**STEEL, "thickness": "20 mm"}
+    odd = {"sampling_rate": 200e3, "samples": 1025, "pre_trigger": 128}
+    bounded = {"lowest": "5 mm", "highest": "90 mm"}
+    scenes = {case.name: case.scene for case in CASES}
+    scenes |= {name: load_scene(DATASETS / f"{name}.toml") for name in ("peers", "randomised", "strangers")}
+    scenes |= {f"{law} law": scene_of({"law": law}) for law in HUNT_CROSSLEY_LAWS}
+    scenes |= {f"{theory} theory": scene_of({"stiffness": theory}) for theory in STIFFNESS_THEORIES}
+    scenes |= {
+        f"{edges} panel": beam_of({**PANEL, "edges": edges, "coupling": "modes"}, samples=512)
+        for edges in ("clamped", "cantilever")
+    }
+    scenes |= {
+        f"{shape} tap": scene_of(taps=[{**TAP, "shape": shape}])
+        for shape in ("half-sine", "haversine", "triangle", "square")
+    }
+    scenes |= {
+        f"{law['distribution']} radius": scene_of(population={"radius": law | bounded})
+        for law in (
+            {"distribution": "rosin-rammler", "characteristic": "30 mm", "uniformity": 1.3},
+            {"distribution": "lognormal", "median": "20 mm", "sigma": 0.4},
+            {"distribution": "truncated-normal", "mean": "20 mm", "deviation": "5 mm"},
+            {"distribution": "log-uniform"},
+        )
+    }
+    scenes |= {
+        "weight": scene_of({"gravity": 9.81, "gravity_tolerance": 1e-7}),
+        "weight on a plate": scene_of({"gravity": 9.81, "target": plate}, {"restitution": 0.7}),
+        "hum": scene_of(background={"hum": hum}),
+        "coloured noise": scene_of(background={"coloured": coloured}),
+        "bandwidth": scene_of(sensor={"bandwidth": "40 kHz"}),
+        "bandwidth, odd": scene_of(sensor={"bandwidth": "40 kHz"}, sampling=odd),
+    }
+    found = {name: of_signals(scene, 40, dtype="float64") for name, scene in scenes.items()}
+    return found | {"caving": of_recording(load_scene(DATASETS / "caving.toml"), dtype="float64")}
+
+
+def main() -> None:
+    """Print the digests of the shipped or of varied scenes."""
+    print(json.dumps(of_varied() if sys.argv[1:] == ["varied"] else of_shipped()))
 
 
 if __name__ == "__main__":

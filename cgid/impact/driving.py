@@ -89,8 +89,9 @@ def _bessel(c: Complex, count: int) -> Complex:
     above = np.zeros((start + 2, *c.shape), complex)
     above[start] = 1e-30
     safe = np.where(modulus(c) < 1e-30, 1e-30, c)
+    inverse = np.asarray(1 / safe, np.complex128)
     for n in range(start, 0, -1):
-        above[n - 1] = above[n + 1] + (2 * n + 1) * complex_product(above[n], 1 / safe)
+        above[n - 1] = above[n + 1] + (2 * n + 1) * complex_product(above[n], inverse)
         largest = modulus(above[n - 1])
         above *= np.where(largest > 1e100, 1e-100, 1.0)
     total = ((2 * np.arange(start + 2) + 1)[:, None] * above).sum(axis=0)

@@ -75,7 +75,7 @@ def inverse_langevin(kappa: ArrayLike, complement: ArrayLike) -> Floats:
         # The Newton step is taken in ln t, which cannot leave the positive axis.
         step = np.divide(error, _logarithmic_slope(t), out=np.zeros_like(t), where=t > 0)
         t = t * exp(-np.clip(step, -1, 1))
-    return t
+    return np.asarray(t)
 
 
 def _logarithmic_slope(t: Floats) -> Floats:

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from cgid import validation
 from cgid.counting import count
+from cgid.elementary import cos, sin, sincos
 from cgid.errors import InvalidValue
 from cgid.validation import Floats
 
@@ -32,7 +33,7 @@ def shares_of_contact(n_points: int) -> Floats:
     """
     if validation.count("n_points", n_points) < FEWEST_POINTS:
         raise InvalidValue(f"n_points must be {FEWEST_POINTS} or more, got {n_points}")
-    return np.asarray((1 - np.cos(np.linspace(0, np.pi, n_points))) / 2)
+    return np.asarray((1 - cos(np.linspace(0, np.pi, n_points))) / 2)
 
 
 def smoothed(times: ArrayLike, forces: ArrayLike, contact_duration: float, shares: ArrayLike, knots: int = 8) -> Floats:
@@ -72,14 +73,26 @@ def smoothed(times: ArrayLike, forces: ArrayLike, contact_duration: float, share
     inner = np.linspace(0, np.pi, knots + 2)
     ends = np.concatenate([[0.0] * _CUBIC, inner, [np.pi] * _CUBIC])
     # A solver's samples come at even steps: with the same weight each, none of the contact counts more than the rest.
-    basis = BSpline.design_matrix(np.arccos(1 - 2 * since[inside] / lasts), ends, _CUBIC).toarray()
+    basis = BSpline.design_matrix(_angle(since[inside] / lasts), ends, _CUBIC).toarray()
     # The first and the last coefficient are the values at touch and separation, and stay 0.
     coefficients = np.zeros(basis.shape[1])
     coefficients[1:-1], _, rank, _ = np.linalg.lstsq(basis[:, 1:-1], course[inside])
     if rank < coefficients.size - 2:
         raise InvalidValue(f"times must lie all over the contact for {knots} knots, and leave a part of it empty")
     spline = BSpline(ends, coefficients, _CUBIC)
-    return np.asarray(np.maximum(spline(np.arccos(1 - 2 * validation.real("shares", shares))), 0.0))
+    return np.asarray(np.maximum(spline(_angle(validation.real("shares", shares))), 0.0))
+
+
+def _angle(share: Floats) -> Floats:
+    """Return `arccos(1 - 2 share)`, twice the angle whose sine is the root of the share, by Newton's method."""
+    late = share > 0.5
+    sine = np.sqrt(np.where(late, 1 - share, share))
+    square = sine * sine
+    half = sine * (1 + square * (1 / 6 + square * (3 / 40 + square * 15 / 336)))
+    for _ in range(3):
+        found, slope = sincos(half)
+        half = half - (found - sine) / slope
+    return np.where(late, np.pi - 2 * half, 2 * half)
 
 
 def _require_course(times: Floats, forces: Floats) -> None:
@@ -171,7 +184,7 @@ class SampledPulses:
         middle, half = (knots[1:] + knots[:-1]) / 2, np.diff(knots) / 2
         angles = (middle[:, None] + half[:, None] * nodes).ravel()
         # With the share (1 - cos) / 2 of the contact, dt is half the sine of the angle.
-        weight = (half[:, None] * weights).ravel() * np.sin(angles) / 2
+        weight = (half[:, None] * weights).ravel() * sin(angles) / 2
         each = [float(self._curve(row, angles) @ weight) for row in range(len(self))]
         return np.array(each, np.float64) * self.contact_duration
 
@@ -198,7 +211,7 @@ class SampledPulses:
         since = np.broadcast_to(since, (len(self), since.shape[-1]))
         share = since / self.contact_duration[:, None]
         inside = (share > 0) & (share < 1)
-        angles = np.arccos(1 - 2 * np.clip(share, 0, 1))
+        angles = _angle(np.clip(share, 0, 1))
         forces = np.zeros(angles.shape)
         for row, own in enumerate(angles):
             forces[row] = self._curve(row, own)
@@ -219,11 +232,11 @@ class SampledPulses:
         behind = np.clip(np.ceil(place + length), first, frames.shape[1]).astype(np.intp)
         for row, frame in enumerate(frames):
             share = (np.arange(first[row], behind[row]) - place[row]) / length[row]
-            frame[first[row] : behind[row]] += self._curve(row, np.arccos(1 - 2 * np.clip(share, 0, 1)))
+            frame[first[row] : behind[row]] += self._curve(row, _angle(np.clip(share, 0, 1)))
 
     @cached_property
     def _angles(self) -> Floats:
-        return np.arccos(1 - 2 * self.shares)
+        return _angle(self.shares)
 
     @cached_property
     def _coefficients(self) -> Floats:

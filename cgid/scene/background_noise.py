@@ -16,8 +16,9 @@ from cgid.elementary import cos, power, sin
 from cgid.errors import BadData
 from cgid.recordings import read_recording
 from cgid.scene.background import BackgroundSection
+from cgid.scene.noise import add_noise
 from cgid.scene.population import Draw, draw
-from cgid.scene.randomness import BLOCK, COLOURED, HUM, RECORDED, generator, uniforms
+from cgid.scene.randomness import BLOCK, COLOURED, HUM, RECORDED, uniforms
 from cgid.scene.range_warnings import unwarned
 from cgid.scene.response import hearing
 from cgid.scene.scene import Scene
@@ -64,9 +65,9 @@ class Background:
             turns = line.frequency * np.arange(n_samples) / self.sampling_rate
             out += amplitude * _wave(turns + phases[:, None])
         if self.section.coloured is not None:
-            # Of a period twice as long as the frame, whose ends then have nothing to do with each other.
-            length = scipy.fft.next_fast_len(2 * n_samples, real=True)
-            out += self._coloured(generator(seed, COLOURED, block), (BLOCK,), length)[:, :n_samples]
+            # Of a period twice as long as the frame, or more, whose ends then have nothing to do with each other.
+            length = 1 << (2 * n_samples - 1).bit_length()
+            out += self._coloured(seed, block, 0, BLOCK, length)[:, :n_samples]
         if self.recorded is not None:
             starts = (uniforms(seed, block, 1, RECORDED)[0] * self.recorded.size).astype(np.intp)
             out += self.recorded_level * self.recorded[(starts[:, None] + np.arange(n_samples)) % self.recorded.size]
@@ -103,20 +104,21 @@ class Background:
         """
         return _faded_segment(self.section, self.quantity, self.sampling_rate, seed, recording, number)
 
-    def _coloured(self, draws: np.random.Generator, rows: tuple[int, ...], length: int) -> Floats:
-        """Return periodic Gaussian noise of the asked density, (*rows, length)."""
+    def _coloured(self, seed: int, block: int, number: int, rows: int, length: int) -> Floats:
+        """Return periodic Gaussian noise of the asked density, (rows, length), a power of 2: one of many by number."""
+        from cgid.scene._fourier import from_spectrum
+
         assert self.section.coloured is not None
-        frequency = np.asarray(scipy.fft.rfftfreq(length, 1 / self.sampling_rate))
+        frequency = np.asarray(np.fft.rfftfreq(length, 1 / self.sampling_rate), np.float64)
         power = self.section.coloured.at(frequency, self.quantity)
-        parts = draws.standard_normal((*rows, frequency.size, 2))
+        parts = np.zeros((rows, 2 * frequency.size))
+        add_noise(parts, np.ones(rows), seed, block, first_sample=number * parts.shape[1], purpose=COLOURED)
         # A line of the periodogram 2 |X|^2 / (rate n) then has the asked density as its mean. The mean of a signal
         # belongs to no frequency, and the line at half the rate is real and counts once.
         height = np.sqrt(power * self.sampling_rate * length / 4)
         height[0] = 0.0
-        if length % 2 == 0:
-            parts[..., -1, 1] = 0.0
-            height[-1] *= 2.0
-        return np.asarray(scipy.fft.irfft((parts[..., 0] + 1j * parts[..., 1]) * height, n=length))
+        height[-1] *= 2.0
+        return np.asarray(from_spectrum(parts[:, : height.size] * height, parts[:, height.size :] * height, length))
 
 
 def _wave(turns: Floats) -> Floats:
@@ -130,7 +132,7 @@ def _faded_segment(
 ) -> Floats:
     background = Background(section, quantity, sampling_rate, None)
     fade = sin(np.pi * (np.arange(2 * CHUNK) + 0.5) / (2 * CHUNK))
-    return fade * background._coloured(generator(seed, COLOURED, number, recording), (), 2 * CHUNK)
+    return np.asarray(fade * background._coloured(seed, recording, number, 1, 2 * CHUNK)[0])
 
 
 def add_to_frames(frames: NDArray[Any], scene: Scene, seed: int, block: int) -> None:
@@ -217,7 +219,7 @@ def _unit_recording(
     if ratio != 1:
         samples = scipy.signal.resample_poly(samples, ratio.numerator, ratio.denominator)
         samples -= samples.mean()
-    level = np.sqrt(np.mean(samples**2))
+    level = np.sqrt(np.mean(samples * samples))
     if not level > 0:
         raise BadData(f"{path}: a background must hold more than a constant; give another recording")
     samples /= level

@@ -134,7 +134,9 @@ def highest_frequency(scene: Scene) -> float:
     if anti_alias is None:
         return BEYOND_BAND * scene.sampling.sampling_rate / 2
     # A Butterworth filter passes 1 / sqrt(1 + (f / edge)^(2 order)).
-    return float(BEYOND_BAND * anti_alias.frequency * power(1 / (_STILL_HEARD * _STILL_HEARD) - 1, 0.5 / anti_alias.order))
+    return float(
+        BEYOND_BAND * anti_alias.frequency * power(1 / (_STILL_HEARD * _STILL_HEARD) - 1, 0.5 / anti_alias.order)
+    )
 
 
 @lru_cache(maxsize=16)

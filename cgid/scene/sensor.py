@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, field_validator, model_validator
 
-from cgid.filters import fft_filter
+from cgid.counting import count
+from cgid.filters import SENSOR_TAPER, fft_filter, filter_gain
 from cgid.impact.poles import LowPass, Resonance
 from cgid.scene.sections import Section
 from cgid.scene.units import Frequency, Level, Number, Ratio, Whole, parse
@@ -139,7 +140,16 @@ class Sensor(Section):
         """Return the frames after the sensor's zero-phase low-pass."""
         if self.bandwidth is None:
             return frames
-        return fft_filter(frames, sampling_rate, high=self.bandwidth, taper=0.5)
+        # Loaded here: it compiles, and most scenes do without.
+        from cgid.scene import _fourier
+
+        length = frames.shape[-1]
+        if not _fourier.transformable(length):
+            return fft_filter(frames, sampling_rate, high=self.bandwidth, taper=SENSOR_TAPER)
+        count("filtered_frames", len(frames))
+        frequency = np.asarray(np.fft.rfftfreq(length, 1 / sampling_rate), np.float64)
+        gain = filter_gain(frequency, sampling_rate, None, self.bandwidth, SENSOR_TAPER)
+        return np.asarray(_fourier.filtered(frames, gain))
 
     def digitise(self, frames: NDArray[np.floating], sampling_rate: float, first: int = 0) -> None:
         """Shift, clip and round the frames in place, as far as the sensor has offset, drift, range and bits.

@@ -18,7 +18,6 @@ from cgid.impact.bodies import ThinPlate
 from cgid.materials import Material
 from cgid.validation import Floats
 
-
 _PI_TO_THE_FIFTH = 306.01968478528147
 
 

@@ -55,7 +55,8 @@ class _Line:
             for part in (self.functions, legendre.legder(self.functions), legendre.legder(self.functions, 2))
         )
         pairs = ((value, value), (slope, slope), (bend, bend), (bend, value))
-        mass, slopes, bending, mixed = (np.einsum("qf,qg->fg", first, weights[:, None] * second) for first, second in pairs)
+        weighed = ((first, weights[:, None] * second) for first, second in pairs)
+        mass, slopes, bending, mixed = (np.einsum("qf,qg->fg", *pair) for pair in weighed)
         return mass, slopes, bending, mixed
 
 

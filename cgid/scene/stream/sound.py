@@ -9,6 +9,7 @@ import numpy as np
 from cgid.elementary import log
 from cgid.impact import Impact
 from cgid.impact.coupled import ModalImpact
+from cgid.scene._fourier import transformable
 from cgid.scene.background_noise import Background
 from cgid.scene.impacts import impact_of, impacts_by_coupling
 from cgid.scene.range_warnings import unwarned
@@ -56,6 +57,8 @@ def _add_forces(scene: Scene, axis: TimeAxis, pulses: Impact | ModalImpact, time
     rate, guard = scene.sampling.sampling_rate, lead(scene)
     first = np.floor(times * rate).astype(np.int64) - guard
     width = int(np.ceil(pulses.end_of_contact.max() * rate)) + 2 + 2 * guard
+    while scene.sensor.bandwidth is not None and not transformable(width):
+        width += 1
     windows = np.zeros((times.size, width))
     pulses.add_to_frames(windows, rate, (times * rate - first) / rate)
     inside = first < samples_of(scene)
