@@ -36,7 +36,7 @@ _FURTHER_ROUNDS = 9  # after the first: ten, as Salmon et al. recommend
 
 _ONE, _TWO, _HALF_STEP = _real(1), _real(2), _real(0.5)
 _TURN = _real(math.pi / 2**32)
-_LN_2 = _real(math.log(2))
+_LN_2 = _real(0.6931471805599453)
 _SQRT_HALF_BITS, _FRACTION_BITS = np.int32(0x3F3504F3), np.int32(23)  # float32 of 1/sqrt 2; bits of a fraction
 # Series that end below 1e-7: ln((1 + s)/(1 - s)) for |s| < .172, sine and cosine up to a quarter turn.
 _L3, _L5, _L7 = _real(1 / 3), _real(1 / 5), _real(1 / 7)
