@@ -18,7 +18,7 @@ from cgid.elementary import sincos
 Array = NDArray[Any]
 
 #: A factor is as dear as its size; rows whose length has a prime factor above this are not transformed here.
-LARGEST_FACTOR = 61
+LARGEST_FACTOR = 509
 
 
 class Turns(NamedTuple):

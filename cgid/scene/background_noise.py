@@ -28,6 +28,8 @@ from cgid.validation import Floats
 CHUNK = 1 << 16
 #: No closer fraction is sought for the ratio of two sampling rates.
 _LARGEST_TERM = 10_000
+#: Half width of the filter that changes a sampling rate, in periods of the lower one, and shape of its window.
+_HALF_PERIODS, _KAISER = 10, 5.0
 #: Blocks of 256 rocks that tell a scene's median peak.
 _REFERENCE_BLOCKS = 4
 #: In so many samples a blow has passed its peak.
@@ -195,6 +197,25 @@ def _age(path: Path) -> int:
         return 0  # reading it will say what is wrong
 
 
+def _resampling_filter(factor: int) -> Floats:
+    """Return the low-pass that keeps what both sampling rates hold: a sinc in Kaiser's window, as scipy would take."""
+    half = _HALF_PERIODS * factor
+    place = np.arange(-half, half + 1.0)
+    angle = np.pi * place / factor
+    taps = np.where(place == 0, 1.0, sin(angle) / np.where(place == 0, 1.0, angle))
+    taps *= _bessel_i0(_KAISER * np.sqrt(1 - (place / half) * (place / half)))
+    return np.asarray(taps / taps.sum())
+
+
+def _bessel_i0(x: Floats) -> Floats:
+    """Return the modified Bessel function of order 0 by its series, up to x of some 10."""
+    term, total = np.ones_like(x), np.ones_like(x)
+    for k in range(1, 40):
+        term = term * (x / (2 * k)) * (x / (2 * k))
+        total = total + term
+    return total
+
+
 @lru_cache(maxsize=4)
 def _unit_recording(
     path: Path, age: int, given_rate: float | None, channel: str | None, sampling_rate: float
@@ -217,7 +238,8 @@ def _unit_recording(
         )
     samples -= samples.mean()
     if ratio != 1:
-        samples = scipy.signal.resample_poly(samples, ratio.numerator, ratio.denominator)
+        taps = _resampling_filter(max(ratio.numerator, ratio.denominator))
+        samples = scipy.signal.resample_poly(samples, ratio.numerator, ratio.denominator, window=taps)
         samples -= samples.mean()
     level = np.sqrt(np.mean(samples * samples))
     if not level > 0:
