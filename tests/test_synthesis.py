@@ -9,10 +9,9 @@ from hypothesis import strategies as st
 from scipy import stats
 
 from cgid.errors import BadData, InvalidValue
-from cgid.filters import fft_filter
 from cgid.impact import HUNT_CROSSLEY_LAWS, RIGID, Elastic, HalfSpace, HuntCrossley, Impact, Sphere, _kernels
 from cgid.materials import Material
-from cgid.scene import load_scene, parse_scene, synthesise
+from cgid.scene import _fourier, load_scene, parse_scene, synthesise
 from cgid.scene import synthesis as synthesis_module
 from cgid.scene.randomness import BLOCK
 
@@ -370,7 +369,7 @@ def calls(monkeypatch):
         return wrapped
 
     monkeypatch.setattr(synthesis_module, "add_noise", counting("noise", synthesis_module.add_noise))
-    monkeypatch.setattr("cgid.scene.sensor.fft_filter", counting("filter", fft_filter))
+    monkeypatch.setattr("cgid.scene._fourier.filtered", counting("filter", _fourier.filtered))
     monkeypatch.setattr(_kernels, "add_to_frames", counting("kernel", _kernels.add_to_frames))
     return counted
 

@@ -146,10 +146,10 @@ class Sensor(Section):
         length = frames.shape[-1]
         if not _fourier.transformable(length):
             return fft_filter(frames, sampling_rate, high=self.bandwidth, taper=SENSOR_TAPER)
-        count("filtered_frames", len(frames))
+        count("filtered_frames", frames.size // length)
         frequency = np.asarray(np.fft.rfftfreq(length, 1 / sampling_rate), np.float64)
         gain = filter_gain(frequency, sampling_rate, None, self.bandwidth, SENSOR_TAPER)
-        return np.asarray(_fourier.filtered(frames, gain))
+        return np.asarray(_fourier.filtered(frames.reshape(-1, length), gain)).reshape(frames.shape)
 
     def digitise(self, frames: NDArray[np.floating], sampling_rate: float, first: int = 0) -> None:
         """Shift, clip and round the frames in place, as far as the sensor has offset, drift, range and bits.
