@@ -128,6 +128,9 @@ def make_files(folder: Path) -> None:
     (folder / "old.html").write_bytes(b"mine")
     make_recordings(folder)
     _scene(folder / "toml.toml", lambda text: text.replace("[impact]", "[impact"))
+    _scene(folder / "dotted.toml", lambda text: f"a{'.a' * 2000} = 1\n{text}")
+    _scene(folder / "keys.toml", lambda text: text + "".join(f"[k{number}]\n" for number in range(100_000)))
+    _scene(folder / "line.toml", lambda text: f'"a\\nb{"c" * 1000}" = 1\n{text}')
     _scene(
         folder / "three.toml",
         lambda text: text.replace("3.1 GPa", "3 s").replace("jitter", "jittter").replace("relative_noise", "noise"),
@@ -395,6 +398,9 @@ CASES = (
         ("randomise.sampling_rate", "one sampling rate", "50000 to 90000 Hz", "cgid train"),
     ),
     Case("scene is no TOML", ("check", "toml.toml"), 65, ("toml.toml", "TOML")),
+    Case("key of many parts", ("check", "dotted.toml"), 65, ("line 1", "at most 16 parts")),
+    Case("many keys", ("check", "keys.toml"), 65, ("keys.toml", "at most 100000 keys and tables")),
+    Case("key of several lines", ("check", "line.toml"), 65, ("line.toml: 'a\\nbccc", "...: unknown key")),
     Case("three errors at once", ("check", "three.toml"), 65, ("youngs_modulus", "jittter", "sensor.noise")),
     Case("missing scene", ("generate", "none.toml", "-o", "new.h5"), 66, ("none.toml",)),
     Case("dataset exists", ("generate", "reference.toml", "-o", "two.h5"), 73, ("two.h5", "--overwrite")),

@@ -67,12 +67,12 @@ def parse(value: Any, dimension: str) -> float:
     if isinstance(value, str):
         match = _NUMBER.fullmatch(value.strip())
         if match is None:
-            raise ValueError(f"must be a number with a unit such as '1 {next(iter(units))}', got {value!r}")
+            raise ValueError(f"must be a number with a unit such as '1 {next(iter(units))}', got {shown(value)}")
         unit = match[3]
         if unit not in units:
             known = ", ".join(name or "no unit" for name in units)
             article = "an" if dimension[0] in "aeiou" else "a"
-            raise ValueError(f"must be {article} {dimension} in {known}, got {value!r}")
+            raise ValueError(f"must be {article} {dimension} in {known}, got {shown(value)}")
         # A power of ten goes into the exponent: "136.51 GPa" is the very number 136.51e9, without a second rounding.
         factor, exponent = units[unit], int(match[2] or 0)
         power = round(math.log10(factor))
@@ -92,7 +92,11 @@ def shown(value: Any) -> str:
     """Write a value for a message, cut where it is long (an integer of TOML has no bounds)."""
     if isinstance(value, int) and value.bit_length() > 64:
         return f"an integer of {value.bit_length()} bits"
-    text = repr(value)
+    return cut(repr(value))
+
+
+def cut(text: str) -> str:
+    """Return a text of a file for a message: its beginning where it is long."""
     return text if len(text) <= 80 else text[:80] + "..."
 
 
