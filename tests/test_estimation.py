@@ -339,7 +339,7 @@ def test_estimate_wants_rows_of_six_samples(shape):
 
 
 @pytest.mark.parametrize(
-    ("options", "name"), [({"noise": -1.0}, "noise"), ({"clip_level": 0.0}, "clip_level"), ({"bandwidth": 2e5}, "high")]
+    ("options", "name"), [({"noise": -1.0}, "noise"), ({"clip_level": 0.0}, "clip_level"), ({"bandwidth": 2e5}, "bandwidth")]
 )
 def test_estimate_names_the_number_that_breaks_its_rule(options, name):
     with pytest.raises(InvalidValue, match=name):

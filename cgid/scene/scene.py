@@ -34,8 +34,8 @@ from cgid.scene.sections import (
 )
 from cgid.scene.sensor import Sensor
 from cgid.scene.stream.sections import StreamSection
-from cgid.scene.units import cut, shown
 from cgid.scene.weight import problem_of_weight
+from cgid.validation import cut, shown
 
 #: No scene is longer [bytes], nor has more keys: 10,000 measured modes have 60,000.
 _LARGEST_FILE, _MOST_KEYS = 8 << 20, 100_000

@@ -10,6 +10,7 @@ from typing import Annotated, Any
 from pydantic import BeforeValidator, Field, Strict
 
 from cgid.signals import STANDARD_GRAVITY
+from cgid.validation import shown
 
 #: Dimension -> unit -> factor to the SI unit, which comes first.
 DIMENSIONS: dict[str, dict[str, float]] = {
@@ -86,18 +87,6 @@ def parse(value: Any, dimension: str) -> float:
     if not math.isfinite(number):
         raise ValueError(f"must be a finite number [{next(iter(units)) or '1'}], got {shown(value)}")
     return number
-
-
-def shown(value: Any) -> str:
-    """Write a value for a message, cut where it is long (an integer of TOML has no bounds)."""
-    if isinstance(value, int) and value.bit_length() > 64:
-        return f"an integer of {value.bit_length()} bits"
-    return cut(repr(value))
-
-
-def cut(text: str) -> str:
-    """Return a text of a file for a message: its beginning where it is long."""
-    return text if len(text) <= 80 else text[:80] + "..."
 
 
 def _reader(dimension: str) -> Callable[[Any], float]:

@@ -162,7 +162,7 @@ def live_stream(
     """
     if unit is not None:
         quantity_of(unit)
-    given = None if sampling_rate is None else float(validation.positive("sampling_rate", sampling_rate, "Hz"))
+    given = None if sampling_rate is None else require_rate(sampling_rate)
     if n_channels is not None and validation.count("n_channels", n_channels) > MAX_CHANNELS:
         raise InvalidValue(f"n_channels must be at most {MAX_CHANNELS}, got {n_channels}")
     coding = None if sample_format is None else Coding.of_name(sample_format)
@@ -188,7 +188,7 @@ def live_stream(
         file=file,
         coding=coding,
         n_channels=n_channels,
-        sampling_rate=require_rate(given),
+        sampling_rate=given,
         unit=unit or (None if coding.kind == "f" else "FS"),
         source=source,
         head=start,
