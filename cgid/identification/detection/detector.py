@@ -25,8 +25,8 @@ from cgid.vibration import SHORTEST_EVENT
 DEAD_TIME = 2e-3
 #: The same for a vibration: of what another follows sooner, too little is left to be measured.
 VIBRATION_DEAD_TIME = SHORTEST_EVENT
-#: No recorder of impacts is faster: frames would fill the memory [Hz].
-FASTEST = 2e7
+#: No recorder of impacts is slower or faster: a short file would last for years, or frames fill the memory [Hz].
+SLOWEST, FASTEST = 1.0, 2e7
 #: About so many samples are looked at together: they and what is made of them stay in the processor's cache.
 _TOGETHER = 1 << 16
 
@@ -86,9 +86,10 @@ class ImpactDetector:
     ) -> None:
         validation.choice("kind", kind, get_args(ImpactKind))
         rate = require_rate(sampling_rate)
-        if rate > FASTEST:
+        if not SLOWEST <= rate <= FASTEST:
             raise InvalidValue(
-                f"sampling_rate must be at most {FASTEST:g} Hz where impacts are looked for, got {rate:g} Hz; check it"
+                f"sampling_rate must lie between {SLOWEST:g} and {FASTEST:g} Hz where impacts are looked for, "
+                f"got {rate:g} Hz; check it"
             )
         n_channels = validation.count("n_channels", n_channels)
         if dead_time is None:
