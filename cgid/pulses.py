@@ -53,7 +53,9 @@ def without_impact(samples: NDArray[np.floating], fit: PulseFit) -> dict[int, st
             f"{explained:.3g} times; if the pulse points downwards, invert the signal"
         )
         if fit.peak[row] < 0:
-            found[int(row)] = f"no impact: a pulse must point upwards, the best one reaches {fit.peak[row]:.3g}; invert it"
+            found[int(row)] = (
+                f"no impact: a pulse must point upwards, the best one reaches {fit.peak[row]:.3g}; invert the signal"
+            )
         if np.ptp(samples[row]) == 0:
             found[int(row)] = f"no impact: all samples are {samples[row, 0]:g}; check the sensor and its cable"
     return found

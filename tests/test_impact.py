@@ -28,11 +28,11 @@ from cgid.impact import (
     curves,
     dispatch,
     free_fall_velocity,
-    threads,
 )
 from cgid.impact.closed_forms import peak_displacement, peak_force
 from cgid.impact.quadrature import reference_pulse
 from cgid.impact.restitution import damping_number
+from cgid.impact.threads import in_threads
 from cgid.materials import COAL, STEEL, YANG2018_RADIUS, YANG2018_SPHERES, Material
 
 
@@ -452,7 +452,7 @@ def test_kernels_stop_when_interrupted(n_threads):
         time.sleep(0.01)
 
     with pytest.raises(KeyboardInterrupt):
-        threads.in_threads(run, (), np.arange(100_000), n_threads)
+        in_threads(run, (), np.arange(100_000), n_threads)
     assert len(done) < 20  # of a hundred
 
 

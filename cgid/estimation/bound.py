@@ -16,7 +16,7 @@ from cgid.signals import rates
 from cgid.validation import Floats
 
 #: Impacts treated at once, at most, and their samples.
-_ROWS, _SAMPLES = 64, 1 << 22
+_ROWS, _SAMPLES = 64, 1 << 20
 #: Most samples of a contact: with more of them the bound only falls with their root.
 MOST_SAMPLES = 1_000_000
 #: The band-limited pulse is followed this many contact durations beyond touch and separation.

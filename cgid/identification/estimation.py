@@ -202,13 +202,12 @@ def estimate(
                 response=response,
             )
         )
+        if found := without_impact(pulses.samples, parts[-1]):
+            row = min(found)
+            raise BadData(f"signal {first + row}: {found[row]}" if n > 1 else found[row])
         cut = parts[-1].clipped > 0
         overloads.append(np.where(cut, parts[-1].peak / (level if level is not None else 1.0) - 1, 0.0).clip(0.0))
-    fit = PulseFit.joined(parts)
-    if found := without_impact(frames, fit):
-        row = min(found)
-        raise BadData(f"signal {row}: {found[row]}" if n > 1 else found[row])
-    return _in_seconds(fit, np.concatenate(overloads), rate)
+    return _in_seconds(PulseFit.joined(parts), np.concatenate(overloads), rate)
 
 
 def posterior(
