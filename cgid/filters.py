@@ -21,8 +21,7 @@ from numpy.typing import ArrayLike, NDArray
 from cgid import validation
 from cgid.counting import count
 from cgid.errors import InvalidValue
-from cgid.signals import require_rate
-from cgid.validation import Floats
+from cgid.validation import Floats, require_rate
 
 #: Rows transformed at once: so many spectra stay in the processor's cache.
 _ROWS = 32

@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 
 from cgid import validation
 from cgid.errors import BadData, InvalidValue
-from cgid.signals import require_rate
-from cgid.validation import Floats
+from cgid.validation import Floats, require_rate
 
 #: A waveform has at most so many columns, and at least half of them once it has that many samples;
 WAVEFORM_COLUMNS = 4096

@@ -8,17 +8,14 @@ from datetime import datetime
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from cgid import validation
 from cgid.errors import BadData, InvalidValue
-from cgid.validation import Floats
+from cgid.validation import require_rate
 
 #: Standard gravity [m/s^2], the factor from g.
 STANDARD_GRAVITY = 9.80665
-
-#: Beyond these no recorder samples, and squares of times are no numbers any more [Hz].
-RATES = (1e-6, 1e12)
 
 #: Quantity -> its units -> factor to the SI unit, which comes first.
 UNITS: Mapping[str, Mapping[str, float]] = {
@@ -63,16 +60,6 @@ def quantity_of(unit: str) -> str:
             return quantity
     known = "; ".join(f"{quantity}: {', '.join(units)}" for quantity, units in UNITS.items())
     raise InvalidValue(f"unit must be one of the known ones, got {unit!r} ({known})")
-
-
-def rates(name: str, value: ArrayLike, unit: str = "Hz") -> Floats:
-    """Return sampling rates [Hz] that some recorder could have; raises `InvalidValue` otherwise."""
-    return validation.between(name, validation.positive(name, value, unit), *RATES, unit)
-
-
-def require_rate(sampling_rate: float) -> float:
-    """Return a sampling rate [Hz] as `rates`, which is one number."""
-    return validation.number("sampling_rate", sampling_rate, "Hz", rates)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -13,6 +13,8 @@ from numpy.typing import ArrayLike, NDArray
 from cgid.errors import InvalidValue
 
 Floats = NDArray[np.float64]
+#: Beyond these no recorder samples, and squares of times are no numbers any more [Hz].
+RATES = (1e-6, 1e12)
 
 
 def real(name: str, value: ArrayLike, unit: str = "") -> Floats:
@@ -101,6 +103,16 @@ def between(name: str, value: ArrayLike, lowest: float, highest: float, unit: st
     rule = f"must lie between {lowest:g} and {highest:g}{' ' + unit if unit else ''}"
     _require((numbers >= lowest) & (numbers <= highest), name, rule, numbers, unit)
     return numbers
+
+
+def rates(name: str, value: ArrayLike, unit: str = "Hz") -> Floats:
+    """Return sampling rates [Hz] that some recorder could have, or raise `InvalidValue`."""
+    return between(name, positive(name, value, unit), *RATES, unit)
+
+
+def require_rate(sampling_rate: float) -> float:
+    """Return a sampling rate [Hz] as `rates`, which is one number."""
+    return number("sampling_rate", sampling_rate, "Hz", rates)
 
 
 def poisson_ratio(name: str, value: ArrayLike) -> Floats:

@@ -266,7 +266,7 @@ CASES = (
         "sampling rate of years",
         ("predict", "whole.npy", "--rate", "1e-6", "--unit", "N"),
         65,
-        ("sampling_rate", "between 1 and 2e+07 Hz"),
+        ("sampling_rate", "at least 1 Hz", "1e-06 Hz"),
     ),
     Case("no unit", ("predict", "no_unit.csv"), 2, ("--unit",)),
     Case("unknown unit", ("predict", "no_unit.csv", "--unit", "stone"), 65, ("stone", "force: N")),

@@ -454,6 +454,7 @@ def test_kernels_stop_when_interrupted(n_threads):
     with pytest.raises(KeyboardInterrupt):
         in_threads(run, (), np.arange(100_000), n_threads)
     assert len(done) < 20  # of a hundred
+    assert max(rows.size for rows in done) <= 1024
 
 
 @pytest.mark.parametrize("n_impacts", [1, 5000])

@@ -12,8 +12,7 @@ from cgid.errors import InvalidValue
 from cgid.estimation.model import PARAMETERS, covariance_of, parameters_of, pulse_and_slopes
 from cgid.estimation.template import HIGHEST_SHAPE, LOWEST_SHAPE, relative_times
 from cgid.filters import low_pass_response, mixing_matrix
-from cgid.signals import rates
-from cgid.validation import Floats
+from cgid.validation import Floats, rates
 
 #: Impacts treated at once, at most, and their samples.
 _ROWS, _SAMPLES = 64, 1 << 20

@@ -26,8 +26,7 @@ from cgid.features.vibration import VIBRATION_FEATURES
 from cgid.features.window import WINDOW_FEATURES
 from cgid.frames import DETECTION_LIMIT, frames_of
 from cgid.pulses import PulseBatch
-from cgid.signals import require_rate
-from cgid.validation import Floats
+from cgid.validation import Floats, require_rate
 from cgid.vibration import VibrationBatch
 from cgid.windows import WindowBatch
 

@@ -22,8 +22,7 @@ from cgid.estimation.profile import profile
 from cgid.filters import low_pass_response
 from cgid.frames import LARGEST, frames_of
 from cgid.pulses import PulseBatch, without_impact
-from cgid.signals import require_rate
-from cgid.validation import Floats
+from cgid.validation import Floats, require_rate
 
 __all__ = ["Bound", "Estimates", "Posterior", "Prior", "cramer_rao_bound", "estimate", "posterior"]
 

@@ -18,8 +18,7 @@ from cgid import validation
 from cgid.bands import MEL_BANDS
 from cgid.equalisation import Equalisation
 from cgid.errors import BadData, InvalidValue
-from cgid.signals import require_rate
-from cgid.validation import Floats
+from cgid.validation import Floats, require_rate
 from cgid.windows import WindowBatch
 
 #: A session that is further from the reference run of its sensor is warned of [dB].

@@ -16,7 +16,8 @@ from cgid.errors import BadData, NoInput, WriteFailed
 from cgid.recordings.formats import HDF5_MAGIC, format_of
 from cgid.recordings.own import DATASET_CURE
 from cgid.recordings.recording_file import BLOCK_LENGTH, Channel, RecordingFile, told
-from cgid.signals import Signal, quantity_of, require_rate
+from cgid.signals import Signal, quantity_of
+from cgid.validation import require_rate
 
 __all__ = ["BLOCK_LENGTH", "Channel", "RecordingFile", "is_dataset", "open_recording", "read_recording"]
 

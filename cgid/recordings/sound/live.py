@@ -14,7 +14,8 @@ from cgid.errors import BadData, InvalidValue, MissingOption
 from cgid.recordings.contents import MAX_CHANNELS, rates_agree
 from cgid.recordings.sound.pcm import Coding
 from cgid.recordings.sound.riff import ENDLESS, WAV_MAGICS, read_wave_head
-from cgid.signals import quantity_of, require_rate
+from cgid.signals import quantity_of
+from cgid.validation import require_rate
 
 #: Numbers that are taken from the stream at once at most.
 _MOST_NUMBERS = 1 << 16
