@@ -268,6 +268,12 @@ CASES = (
         65,
         ("sampling_rate", "at least 1 Hz", "1e-06 Hz"),
     ),
+    Case(
+        "sampling rate of no feature",
+        ("features", "whole.npy", "--rate", "100", "--unit", "g"),
+        65,
+        ("feature", "needs a sampling_rate of", "got 100 Hz"),
+    ),
     Case("no unit", ("predict", "no_unit.csv"), 2, ("--unit",)),
     Case("unknown unit", ("predict", "no_unit.csv", "--unit", "stone"), 65, ("stone", "force: N")),
     Case("wrong quantity", ("predict", "acceleration.csv", "--model", "model.npz"), 65, ("acceleration", "--mass KG")),

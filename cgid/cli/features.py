@@ -127,7 +127,10 @@ def _chosen(names: tuple[str, ...] | None, kind: Any, sampling_rate: float, n_sa
     """Return the features asked for, else all of the kind that rate and frames allow."""
     from cgid.features import choose, supported
 
-    return supported(choose(None, kind), sampling_rate, n_samples) if names is None else names
+    if names is not None:
+        return names
+    every = choose(None, kind)
+    return supported(every, sampling_rate, n_samples) or every  # where none is, the first says what it needs
 
 
 def _print_dataset(
