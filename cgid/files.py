@@ -5,10 +5,12 @@ from __future__ import annotations
 import contextlib
 import errno
 import os
+import re
 import secrets
 import shutil
 from collections.abc import Collection, Iterator
 from pathlib import Path
+from typing import Any
 
 from cgid.errors import CannotCreate, CgidError, WriteFailed
 
@@ -18,6 +20,27 @@ FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
 _NO_LINKS = {errno.EPERM, errno.EOPNOTSUPP, errno.ENOTSUP, errno.ENOSYS, errno.EMLINK, errno.EINVAL}
 #: Of renameat2(2).
 _AT_FDCWD, _RENAME_EXCHANGE = -100, 2
+
+#: Parts of a dotted key of TOML, at most: Python's parser takes time and memory with their square.
+_MOST_PARTS = 16
+_PART = r"""\.[ \t]*+(?:[A-Za-z0-9_-]++|"(?:[^"\\\n]|\\.)*+"|'[^'\n]*+')[ \t]*+"""
+
+
+def parse_toml(text: str, most_keys: int) -> dict[str, Any]:
+    """Return the content of a TOML text; raise `ValueError` for what is none, or has too many keys or levels."""
+    import tomllib
+
+    n_keys = text.count("=") + f"\n{text}".count("\n[")
+    if n_keys > most_keys:
+        raise ValueError(f"it must have at most {most_keys} keys and tables, got {n_keys}")
+    # Looked for in strings and comments, too: telling them apart would take another parser.
+    if long := re.search(f"(?:{_PART}){{{_MOST_PARTS}}}", text):
+        line = text.count("\n", 0, long.start()) + 1
+        raise ValueError(f"a dotted key must have at most {_MOST_PARTS} parts, that of line {line} has more")
+    try:
+        return tomllib.loads(text)
+    except RecursionError:
+        raise ValueError("it must have fewer levels of brackets") from None
 
 
 def write_whole(path: str | Path, content: bytes | memoryview, *, overwrite: bool = True) -> None:

@@ -22,12 +22,17 @@ from cgid import validation
 from cgid.counting import count
 from cgid.elementary import sin
 from cgid.errors import InvalidValue
-from cgid.validation import Floats
+from cgid.validation import Floats, require_rate
 
 #: Rows transformed at once: so many spectra stay in the processor's cache.
 _ROWS = 32
 #: Width of the edge of a scene's sensor over its frequency.
 SENSOR_TAPER = 0.5
+#: Lowest edge over the sampling rate of which an impulse response is asked for: what rings on for longer than a million
+#: samples is no sensor.
+_LOWEST_EDGE = 2.0**-14
+#: Most samples through which a matrix mixes: it takes 2 GiB.
+_MOST_MIXED = 1 << 14
 #: An impulse response is followed for this many periods of its edge, and down to this share of its largest value.
 _RESPONSE_PERIODS, _RESPONSE_FLOOR = 64, 1e-5
 
@@ -62,7 +67,8 @@ def fft_filter(
     Raises
     ------
     InvalidValue
-        Edges are not in order or above the Nyquist frequency, samples are not finite, taper is not in [0, 1].
+        Edges are not in order or above the Nyquist frequency, samples are masked or not finite, taper is not in
+        [0, 1].
 
     Examples
     --------
@@ -71,13 +77,13 @@ def fft_filter(
     >>> bool(np.allclose(fft_filter(two, 1e4, high=1000), np.sin(2 * np.pi * 100 * t)))
     True
     """
-    given = np.asarray(samples)
+    given = validation.plain("samples", samples)
     values: NDArray[np.floating] = given if given.dtype == np.float32 else validation.real("samples", given)
     if values.ndim == 0 or values.shape[-1] < 2:
         raise InvalidValue(f"samples must hold at least 2 samples along the last axis, got shape {values.shape}")
     if not np.isfinite(values).all():
         raise InvalidValue(f"samples must be finite, {np.sum(~np.isfinite(values))} of {values.size} are not")
-    rate = float(validation.positive("sampling_rate", sampling_rate, "Hz"))
+    rate = require_rate(sampling_rate)
     frequency = np.asarray(np.fft.rfftfreq(values.shape[-1], 1 / rate), np.float64)
     gain = filter_gain(frequency, rate, low, high, taper).astype(values.dtype)
     rows = values.reshape(-1, values.shape[-1])
@@ -91,15 +97,13 @@ def fft_filter(
 
 def filter_gain(frequency: Floats, sampling_rate: float, low: float | None, high: float | None, taper: float) -> Floats:
     """Return the gain of `fft_filter` at frequencies [Hz], between 0 and 1."""
-    width = float(validation.real("taper", taper))
-    if not 0 <= width <= 1:
-        raise InvalidValue(f"taper must lie between 0 and 1, got {width:g}")
+    width = validation.number("taper", validation.between("taper", taper, 0, 1))
     nyquist = sampling_rate / 2
     gain = np.ones(frequency.shape)
     for name, edge in (("low", low), ("high", high)):
         if edge is None:
             continue
-        cut = float(validation.positive(name, edge, "Hz"))
+        cut = validation.number(name, edge, "Hz", validation.positive)
         if cut > nyquist:
             raise InvalidValue(
                 f"{name} must be at most half the sampling rate, {nyquist:g} Hz, got {cut:g} Hz: "
@@ -128,12 +132,19 @@ def low_pass_response(sampling_rate: float, edge: float, taper: float = SENSOR_T
     taper : float
         That of a scene's sensor if not given.
 
+    Raises
+    ------
+    InvalidValue
+        The edge, the bandwidth of the sensor, is not within 2^-14 and 1/2 of the sampling rate.
+
     Examples
     --------
     >>> response = low_pass_response(1e5, 1e4)
     >>> round(float(response[0] + 2 * response[1:].sum()), 4)  # gain at 0 Hz
     1.0
     """
+    edge = validation.number("bandwidth", edge, "Hz")
+    validation.between("bandwidth", edge, _LOWEST_EDGE * sampling_rate, sampling_rate / 2, "Hz")
     n = int(2 ** np.ceil(np.log2(_RESPONSE_PERIODS * sampling_rate / edge)))
     gain = filter_gain(np.asarray(np.fft.rfftfreq(n, 1 / sampling_rate), np.float64), sampling_rate, None, edge, taper)
     response = np.fft.irfft(gain, n=n)[: n // 2]
@@ -143,6 +154,19 @@ def low_pass_response(sampling_rate: float, edge: float, taper: float = SENSOR_T
 
 
 def mixing_matrix(response: Floats, n_samples: int) -> Floats:
-    """Return the matrix (n_samples, n_samples) that applies a symmetric impulse response to rows of samples."""
-    lag = np.abs(np.subtract.outer(np.arange(n_samples), np.arange(n_samples)))
-    return np.where(lag < len(response), response[np.minimum(lag, len(response) - 1)], 0.0)
+    """Return the matrix (n_samples, n_samples) that applies a symmetric impulse response to rows of samples.
+
+    Raises
+    ------
+    InvalidValue
+        There are more samples than a matrix can be made for.
+    """
+    if n_samples > _MOST_MIXED:
+        raise InvalidValue(
+            f"a pulse seen through a bandwidth must last at most {_MOST_MIXED} samples with what rings beside it, got "
+            f"{n_samples}; leave the bandwidth out, which so long a pulse hardly feels, or take fewer samples"
+        )
+    lags = np.zeros(2 * n_samples - 1)
+    kept = response[:n_samples]
+    lags[n_samples - len(kept) : n_samples], lags[n_samples - 1 : n_samples - 1 + len(kept)] = kept[::-1], kept
+    return np.ascontiguousarray(np.lib.stride_tricks.sliding_window_view(lags, n_samples)[::-1])

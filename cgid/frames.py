@@ -3,14 +3,49 @@
 from __future__ import annotations
 
 from functools import cached_property
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
+from cgid import validation
+from cgid.errors import BadData
 from cgid.validation import Floats
 
+#: A frame must hold the fewest samples of a pulse and one on either side.
+MINIMUM_FRAME = 6
+#: Beyond it squares are no numbers.
+LARGEST = 1e150
 #: An impact must pass this many standard deviations of the noise.
 DETECTION_LIMIT = 5.0
+
+
+def frames_of(samples: ArrayLike, pre_trigger: int | None = None) -> NDArray[Any]:
+    """Return samples as rows of float32 or float64, (n_signals, n_samples).
+
+    Raises
+    ------
+    BadData
+        They are no rows of at least `MINIMUM_FRAME` samples, or one is not finite or too large.
+    InvalidValue
+        They are no real numbers or masked, or none of a row is left behind the pre-trigger.
+    """
+    frames = validation.plain("samples", samples)
+    if frames.dtype not in (np.float32, np.float64):
+        frames = validation.real("samples", frames)
+    frames = frames[None] if frames.ndim == 1 else frames
+    if frames.ndim != 2 or frames.shape[1] < MINIMUM_FRAME:
+        raise BadData(
+            f"samples must be rows of at least {MINIMUM_FRAME} samples, got shape {np.shape(samples)}: record longer"
+        )
+    if frames.size and not -LARGEST <= float(frames.min()) <= float(frames.max()) <= LARGEST:  # nan lies nowhere
+        row, column = np.argwhere(~(np.abs(frames, dtype=np.float64) <= LARGEST))[0]
+        where = f"signal {row} sample {column}" if len(frames) > 1 else f"sample {column}"
+        rule = f"lie within +-{LARGEST:g}" if np.isfinite(frames[row, column]) else "be finite"
+        raise BadData(f"samples must {rule}, {where} is {frames[row, column]}: cut or repair the recording there")
+    if pre_trigger is not None:
+        validation.whole("pre_trigger", pre_trigger, 0, frames.shape[1] - 1)
+    return frames
 
 
 class Frames:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from cgid import validation
 from cgid.errors import BadData, InvalidValue
-from cgid.validation import Floats
+from cgid.validation import Floats, require_rate
 
 #: A waveform has at most so many columns, and at least half of them once it has that many samples;
 WAVEFORM_COLUMNS = 4096
@@ -114,7 +114,7 @@ class OverviewStream:
     """
 
     def __init__(self, sampling_rate: float, n_channels: int = 1, source: str = "recording") -> None:
-        self._rate = float(validation.positive("sampling_rate", sampling_rate, "Hz"))
+        self._rate = require_rate(sampling_rate)
         self._source = source
         self._n_channels = validation.count("n_channels", n_channels)
         self._lowest = _Columns(np.minimum, (n_channels,), WAVEFORM_COLUMNS)
@@ -139,6 +139,7 @@ class OverviewStream:
         BadData
             A sample is so large that the power of the recording is no number.
         """
+        block = validation.plain("block", block)
         if block.ndim != 2 or len(block) != self._n_channels:
             raise InvalidValue(f"block must be of shape ({self._n_channels}, n_samples), got shape {block.shape}")
         for start in range(0, block.shape[1], _SAMPLES_AT_ONCE):

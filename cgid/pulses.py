@@ -43,6 +43,24 @@ SPECTRUM_LIMIT = 4.0
 _ZERO_PADDING = 8
 
 
+def without_impact(samples: NDArray[np.floating], fit: PulseFit) -> dict[int, str]:
+    """Return, for each row whose fitted pulse may be chance, the rule it breaks, its value and the cure."""
+    found: dict[int, str] = {}
+    for row in np.flatnonzero(~(fit.evidence > EVIDENCE) | ~(fit.peak > 0)):
+        explained = np.nan_to_num(fit.evidence[row])
+        found[int(row)] = (
+            f"no impact: a pulse must explain {EVIDENCE:g} times the variance of the noise, the best one explains "
+            f"{explained:.3g} times; if the pulse points downwards, invert the signal"
+        )
+        if fit.peak[row] < 0:
+            found[int(row)] = (
+                f"no impact: a pulse must point upwards, the best one reaches {fit.peak[row]:.3g}; invert the signal"
+            )
+        if np.ptp(samples[row]) == 0:
+            found[int(row)] = f"no impact: all samples are {samples[row, 0]:g}; check the sensor and its cable"
+    return found
+
+
 class PulseBatch(Frames):
     """Single pulses in frames, measured lazily.
 
@@ -290,16 +308,8 @@ class PulseBatch(Frames):
 
     def fit_problems(self) -> dict[int, str]:
         """Return, for each row that cannot be fitted, the rule it breaks, its value and the cure."""
-        found: dict[int, str] = {}
+        found = without_impact(self.samples, self.fit)
         last = self.samples.shape[1] - 1
-        for row in np.flatnonzero(~(self.fit.evidence > EVIDENCE) | ~(self.fit.peak > 0)):
-            explained = np.nan_to_num(self.fit.evidence[row])
-            found[int(row)] = (
-                f"no impact: a pulse must explain {EVIDENCE:g} times the variance of the noise, the best one explains "
-                f"{explained:.3g} times; if the pulse points downwards, invert the signal"
-            )
-            if np.ptp(self.samples[row]) == 0:
-                found[int(row)] = f"no impact: all samples are {self.samples[row, 0]:g}; check the sensor and its cable"
         middle = self.fit.onset + 0.5 * self.fit.duration
         for row in np.flatnonzero((self.fit.onset < -0.5) | (middle > last)):
             end, column = ("start", 0) if self.fit.onset[row] < -0.5 else ("end", last)

@@ -12,12 +12,10 @@ from numpy.typing import NDArray
 
 from cgid import validation
 from cgid.errors import BadData, InvalidValue
+from cgid.validation import require_rate
 
 #: Standard gravity [m/s^2], the factor from g.
 STANDARD_GRAVITY = 9.80665
-
-#: Beyond these no recorder samples, and squares of times are no numbers any more [Hz].
-RATES = (1e-6, 1e12)
 
 #: Quantity -> its units -> factor to the SI unit, which comes first.
 UNITS: Mapping[str, Mapping[str, float]] = {
@@ -64,14 +62,6 @@ def quantity_of(unit: str) -> str:
     raise InvalidValue(f"unit must be one of the known ones, got {unit!r} ({known})")
 
 
-def require_rate(sampling_rate: float) -> float:
-    """Return a sampling rate [Hz] that some recorder could have; raises `InvalidValue` otherwise."""
-    rate = float(validation.positive("sampling_rate", sampling_rate, "Hz"))
-    if not RATES[0] <= rate <= RATES[1]:
-        raise InvalidValue(f"sampling_rate must lie between {RATES[0]:g} and {RATES[1]:g} Hz, got {rate:g} Hz")
-    return rate
-
-
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Signal:
     """One channel of samples, with everything one must know to read it.
@@ -100,7 +90,7 @@ class Signal:
     BadData
         Samples are not one-dimensional, empty or not finite (the sample is named).
     InvalidValue
-        The sampling rate or the unit breaks its rule.
+        The sampling rate, the unit or the pre-trigger breaks its rule, or samples are masked.
     """
 
     samples: NDArray[Any]
@@ -113,7 +103,7 @@ class Signal:
     warnings: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        samples = np.asarray(self.samples)
+        samples = validation.plain(f"{self.name}: samples", self.samples)
         if samples.dtype.kind not in "fiu":
             raise BadData(f"{self.name}: samples must be real numbers, got type {samples.dtype}")
         if samples.dtype not in (np.float32, np.float64):
@@ -130,6 +120,8 @@ class Signal:
         rate = require_rate(self.sampling_rate)
         if self.unit is not None:
             quantity_of(self.unit)
+        if self.pre_trigger is not None:
+            validation.whole("pre_trigger", self.pre_trigger, 0, samples.size - 1)
         object.__setattr__(self, "samples", samples)
         object.__setattr__(self, "sampling_rate", rate)
 
@@ -177,7 +169,7 @@ class Signal:
         InvalidValue
             The mass is not above 0, or the signal is no acceleration.
         """
-        mass = float(validation.positive("mass", mass, "kg"))
+        mass = validation.number("mass", mass, "kg", validation.positive)
         if self.quantity != "acceleration":
             raise InvalidValue(
                 f"{self.name}: mass turns an acceleration into a force, this is {self.quantity}; leave the mass out"

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import operator
+import sys
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -11,6 +13,8 @@ from numpy.typing import ArrayLike, NDArray
 from cgid.errors import InvalidValue
 
 Floats = NDArray[np.float64]
+#: Beyond these no recorder samples, and squares of times are no numbers any more [Hz].
+RATES = (1e-6, 1e12)
 
 
 def real(name: str, value: ArrayLike, unit: str = "") -> Floats:
@@ -33,17 +37,50 @@ def real(name: str, value: ArrayLike, unit: str = "") -> Floats:
     Raises
     ------
     InvalidValue
-        If a value is no real number, nan or infinite.
+        If a value is no real number, masked, nan or infinite.
     """
     try:
-        given: NDArray[Any] = np.asarray(value)
+        given = plain(name, value)
         numbers = given.astype(np.float64) if given.dtype.kind in "fiu" else None
-    except (TypeError, ValueError):
+    except (TypeError, ValueError) as error:
+        if isinstance(error, InvalidValue):
+            raise
         numbers = None
     if numbers is None:
-        raise InvalidValue(f"{name} must be a real number or an array of them, got {value!r}")
+        raise InvalidValue(f"{name} must be a real number or an array of them, got {shown(value)}")
     _require(np.isfinite(numbers), name, "must be finite", numbers, unit)
     return numbers
+
+
+def plain(name: str, value: Any) -> NDArray[Any]:
+    """Return `value` as an array, whatever its type; raise `InvalidValue` where numbers are masked.
+
+    An array has no mask: what was masked would count as measured.
+    """
+    masked = _masked(value)
+    if masked:
+        raise InvalidValue(
+            f"{name} must have no masked numbers, got {masked} of {np.size(value)}; cut them out, or fill them (filled)"
+        )
+    return np.asarray(value)
+
+
+def _masked(value: Any) -> int:
+    """Return how many numbers of an array, or of lists of arrays, are masked."""
+    ma = sys.modules.get("numpy.ma")  # NumPy loads it for the first who asks: without it there is no mask
+    if ma is not None and isinstance(value, ma.MaskedArray):
+        return int(np.count_nonzero(ma.getmaskarray(value)))
+    if ma is not None and isinstance(value, list | tuple):
+        return sum(_masked(part) for part in value if not isinstance(part, float | int))
+    return 0
+
+
+def number(name: str, value: ArrayLike, unit: str = "", rule: Callable[[str, ArrayLike, str], Floats] = real) -> float:
+    """Return `value` as one float that keeps a rule, such as `positive`; raise `InvalidValue` also for an array."""
+    checked = rule(name, value, unit)
+    if checked.ndim:
+        raise InvalidValue(f"{name} must be one number, got an array of shape {checked.shape}; take one out of it")
+    return float(checked)
 
 
 def positive(name: str, value: ArrayLike, unit: str = "") -> Floats:
@@ -58,6 +95,24 @@ def not_negative(name: str, value: ArrayLike, unit: str = "") -> Floats:
     numbers = real(name, value, unit)
     _require(numbers >= 0, name, "must be 0 or more", numbers, unit)
     return numbers
+
+
+def between(name: str, value: ArrayLike, lowest: float, highest: float, unit: str = "") -> Floats:
+    """Return `value` as float64 within [lowest, highest], or raise `InvalidValue`."""
+    numbers = real(name, value, unit)
+    rule = f"must lie between {lowest:g} and {highest:g}{' ' + unit if unit else ''}"
+    _require((numbers >= lowest) & (numbers <= highest), name, rule, numbers, unit)
+    return numbers
+
+
+def rates(name: str, value: ArrayLike, unit: str = "Hz") -> Floats:
+    """Return sampling rates [Hz] that some recorder could have, or raise `InvalidValue`."""
+    return between(name, positive(name, value, unit), *RATES, unit)
+
+
+def require_rate(sampling_rate: float) -> float:
+    """Return a sampling rate [Hz] as `rates`, which is one number."""
+    return number("sampling_rate", sampling_rate, "Hz", rates)
 
 
 def poisson_ratio(name: str, value: ArrayLike) -> Floats:
@@ -86,19 +141,25 @@ def broadcast(**values: Floats) -> tuple[Floats, ...]:
 def choice(name: str, value: str, allowed: tuple[str, ...] | dict[str, Any]) -> str:
     """Return `value` if it is one of `allowed`; else raise with the list of names."""
     if not isinstance(value, str) or value not in allowed:
-        raise InvalidValue(f"{name} must be one of {', '.join(map(repr, allowed))}, got {value!r}")
+        raise InvalidValue(f"{name} must be one of {', '.join(map(repr, allowed))}, got {shown(value)}")
     return value
 
 
 def count(name: str, value: Any) -> int:
     """Return `value` as a whole number of 1 or more, or raise `InvalidValue`."""
+    return whole(name, value, 1)
+
+
+def whole(name: str, value: Any, lowest: int, highest: int | None = None) -> int:
+    """Return `value` as a whole number within [lowest, highest], or raise `InvalidValue`."""
     try:
-        number = operator.index(value)
+        found = operator.index(value)
     except TypeError:
-        number = 0
-    if number < 1:
-        raise InvalidValue(f"{name} must be a whole number of 1 or more, got {value!r}")
-    return number
+        found = lowest - 1
+    if _masked(value) or found < lowest or (highest is not None and found > highest):
+        limits = f"of {lowest} or more" if highest is None else f"between {lowest} and {highest}"
+        raise InvalidValue(f"{name} must be a whole number {limits}, got {shown(value)}")
+    return found
 
 
 def hold(owner: Any, *names: str) -> None:
@@ -116,7 +177,19 @@ def instance(name: str, value: Any, *types: type) -> None:
     if not isinstance(value, types):
         names = " or ".join(allowed.__name__ for allowed in types)
         article = "an" if names[0] in "AEIOU" else "a"
-        raise InvalidValue(f"{name} must be {article} {names}, got {value!r}")
+        raise InvalidValue(f"{name} must be {article} {names}, got {shown(value)}")
+
+
+def shown(value: Any) -> str:
+    """Write a value for a message: on one line, and cut where it is long."""
+    if isinstance(value, int) and value.bit_length() > 64:
+        return f"an integer of {value.bit_length()} bits"
+    return cut(" ".join(repr(value).split()))
+
+
+def cut(text: str) -> str:
+    """Return the beginning of a text that is long, for a message."""
+    return text if len(text) <= 80 else text[:80] + "..."
 
 
 def _require(holds: NDArray[np.bool_] | bool, name: str, rule: str, values: Floats, unit: str = "") -> None:

@@ -128,6 +128,9 @@ def make_files(folder: Path) -> None:
     (folder / "old.html").write_bytes(b"mine")
     make_recordings(folder)
     _scene(folder / "toml.toml", lambda text: text.replace("[impact]", "[impact"))
+    _scene(folder / "dotted.toml", lambda text: f"a{'.a' * 2000} = 1\n{text}")
+    _scene(folder / "keys.toml", lambda text: text + "".join(f"[k{number}]\n" for number in range(100_000)))
+    _scene(folder / "line.toml", lambda text: f'"a\\nb{"c" * 1000}" = 1\n{text}')
     _scene(
         folder / "three.toml",
         lambda text: text.replace("3.1 GPa", "3 s").replace("jitter", "jittter").replace("relative_noise", "noise"),
@@ -259,6 +262,18 @@ CASES = (
     Case("no sampling rate", ("predict", "no_rate.csv"), 2, ("--rate",)),
     Case("sampling rate zero", ("predict", "whole.npy", "--rate", "0", "--unit", "N"), 65, ("sampling_rate", "0 Hz")),
     Case("sampling rate negative", ("features", "whole.npy", "--rate", "-5"), 65, ("sampling_rate", "-5 Hz")),
+    Case(
+        "sampling rate of years",
+        ("predict", "whole.npy", "--rate", "1e-6", "--unit", "N"),
+        65,
+        ("sampling_rate", "at least 1 Hz", "1e-06 Hz"),
+    ),
+    Case(
+        "sampling rate of no feature",
+        ("features", "whole.npy", "--rate", "100", "--unit", "g"),
+        65,
+        ("feature", "needs a sampling_rate of", "got 100 Hz"),
+    ),
     Case("no unit", ("predict", "no_unit.csv"), 2, ("--unit",)),
     Case("unknown unit", ("predict", "no_unit.csv", "--unit", "stone"), 65, ("stone", "force: N")),
     Case("wrong quantity", ("predict", "acceleration.csv", "--model", "model.npz"), 65, ("acceleration", "--mass KG")),
@@ -395,6 +410,9 @@ CASES = (
         ("randomise.sampling_rate", "one sampling rate", "50000 to 90000 Hz", "cgid train"),
     ),
     Case("scene is no TOML", ("check", "toml.toml"), 65, ("toml.toml", "TOML")),
+    Case("key of many parts", ("check", "dotted.toml"), 65, ("line 1", "at most 16 parts")),
+    Case("many keys", ("check", "keys.toml"), 65, ("keys.toml", "at most 100000 keys and tables")),
+    Case("key of several lines", ("check", "line.toml"), 65, ("line.toml: 'a\\nbccc", "...: unknown key")),
     Case("three errors at once", ("check", "three.toml"), 65, ("youngs_modulus", "jittter", "sensor.noise")),
     Case("missing scene", ("generate", "none.toml", "-o", "new.h5"), 66, ("none.toml",)),
     Case("dataset exists", ("generate", "reference.toml", "-o", "two.h5"), 73, ("two.h5", "--overwrite")),
@@ -406,6 +424,8 @@ CASES = (
     Case("too many signals", ("generate", "reference.toml", "-o", "new", "-n", "9999999999999"), 65, ("n_signals",)),
     Case("ceiling of no scene", ("ceiling", "none.toml"), 66, ("none.toml",)),
     Case("ceiling of no signals", ("ceiling", "reference", "-n", "0"), 65, ("n_signals", "got 0")),
+    Case("ceiling without end", ("ceiling", "reference", "-n", "9" * 14), 65, ("n_signals", "between 2 and 10000000")),
+    Case("learner without end", ("ceiling", "peers", "--learner", "9" * 14), 65, ("learner", "at most 10000000")),
     Case("ceiling of taps", ("ceiling", "strangers"), 65, ("strangers", "taps")),
     Case("ceiling on a plate", ("ceiling", "plate.toml"), 65, ("half space", "plate")),
     Case("ceiling without noise", ("ceiling", "silent.toml"), 65, ("noise", "told exactly")),

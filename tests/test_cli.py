@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 import signal
@@ -15,7 +16,7 @@ import numpy as np
 import pytest
 
 from cgid.cli.main import run
-from cgid.errors import NoInput
+from cgid.errors import MissingExtra, NoInput
 from tests.bad_input import CASES, Case, make_files
 
 ROOT = Path(__file__).parents[1]
@@ -53,6 +54,40 @@ def test_bad_input(
     assert "Traceback" not in err
     assert out == ""
     assert {path: path.stat().st_mtime_ns for path in bad_files.rglob("*")} == before
+
+
+def _led_to(error: Exception, cause: Exception) -> Exception:
+    error.__context__ = cause
+    return error
+
+
+_UNMAPPED = ImportError("libblas.so: failed to map segment from shared object")
+
+
+@pytest.mark.parametrize(
+    "error",
+    [
+        MemoryError(),
+        MemoryError("Unable to allocate 72.8 TiB"),
+        OSError(errno.ENOMEM, os.strerror(errno.ENOMEM)),
+        _UNMAPPED,
+        _led_to(OSError("Could not find/load shared object file 'libllvmlite.so'"), OSError(str(_UNMAPPED))),
+        _led_to(MissingExtra("pictures need matplotlib; pip install cgid[plot]"), _UNMAPPED),
+        RuntimeError("can't start new thread"),
+    ],
+    ids=str,
+)
+def test_short_memory_is_one_line(
+    error: Exception, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def fail(_: str) -> None:
+        raise error
+
+    monkeypatch.setattr("cgid.shipped.scene_path", fail)
+    assert run(["check", "reference"]) == 65
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith("cgid: error: memory ran short")
+    assert "smaller input" in line and "--jobs" in line
 
 
 def test_train_then_predict_on_new_impacts(made: Path, capsys: pytest.CaptureFixture[str]) -> None:

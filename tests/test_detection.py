@@ -363,7 +363,7 @@ def test_what_is_no_block_is_refused():
     ("options", "says"),
     [
         ({"kind": "window"}, "kind must be one of"),
-        ({"kind": "pulse", "n_channels": 0}, "n_channels must be at least 1"),
+        ({"kind": "pulse", "n_channels": 0}, "n_channels must be a whole number of 1 or more"),
         ({"kind": "pulse", "dead_time": -1.0}, "dead_time"),
         ({"kind": "pulse", "event_time": 0.0}, "event_time"),
         ({"kind": "pulse", "sampling_rate": 0.0}, "sampling_rate"),

@@ -1,5 +1,7 @@
 """Fitted pulses, their bound and their posterior against exact pulses, scipy's least squares, and many noisy draws."""
 
+import tracemalloc
+
 import numpy as np
 import pytest
 from scipy import stats
@@ -338,9 +340,80 @@ def test_estimate_wants_rows_of_six_samples(shape):
         estimate(np.zeros(shape), 1e5)
 
 
+_BROKEN = [
+    ({"noise": 1e300}, "noise"),
+    ({"noise": [1.0, 2.0]}, r"noise must be one number or one for each of 1 signals, got shape \(2,\)"),
+    *(({"bandwidth": edge}, "bandwidth must") for edge in (-1.0, 0.0, 1e-3, np.nan, np.inf, "x", [1e4, 2e4])),
+    *(({"pre_trigger": before}, "pre_trigger must be a whole number") for before in (-5, 10**9, 2.5, np.nan, "x")),
+    ({"noise": -1.0}, "noise"),
+    ({"clip_level": 0.0}, "clip_level"),
+    ({"bandwidth": 2e5}, "bandwidth"),
+    *(({"onset": touch}, "onset must lie between 0 and .* s, got") for touch in (-1e-5, 1.0, 1e300)),
+]
+
+
+def test_estimate_takes_no_frame_that_is_all_before_touch():
+    frames = frames_of(0.65, 60)[0]
+    with pytest.raises(InvalidValue, match="pre_trigger must be a whole number between 0 and"):
+        estimate(frames, 2e5, pre_trigger=frames.shape[1])
+
+
 @pytest.mark.parametrize(
-    ("options", "name"), [({"noise": -1.0}, "noise"), ({"clip_level": 0.0}, "clip_level"), ({"bandwidth": 2e5}, "high")]
+    ("samples", "options", "says"),
+    [
+        (np.zeros(400), {}, "all samples are 0"),
+        (-1.0, {}, "point upwards"),
+        (1.0, {"onset": 0.0}, "no impact"),
+        (1.0, {"onset": 1.5e-3}, "no impact"),
+        (1e-300, {}, "no impact"),
+        (1e300, {}, "within"),
+    ],
 )
+def test_estimate_refuses_what_is_no_impact(samples, options, says):
+    times = np.arange(400) / 2e5
+    pulse = 800 * np.sin(np.pi * np.clip((times - 6e-4) / 5e-4, 0, 1)) ** 1.5
+    with pytest.raises(BadData, match=says):
+        estimate(samples * pulse, 2e5, **options)
+    with pytest.raises(BadData, match=f"signal 1: .*{says}|signal 1 .*"):
+        estimate(np.stack([pulse, samples * pulse]), 2e5, **{name: [6e-4, value] for name, value in options.items()})
+
+
+@pytest.mark.parametrize("n_nodes", [0, 2, 10**9, 5.5])
+def test_posterior_wants_a_few_nodes(n_nodes):
+    prior = Prior.from_draws(*np.random.default_rng(0).uniform(0.3, 0.8, (3, 500)))
+    with pytest.raises(InvalidValue, match="n_nodes must be a whole number between 3 and 4096"):
+        posterior(frames_of(0.65, 60)[0], 2e5, prior, noise=0.01, n_nodes=n_nodes)
+
+
+@pytest.mark.parametrize(
+    ("numbers", "options", "says"),
+    [
+        ((60000.0, 0.5, 0.01, 2e5), {}, "contact_duration must be at most 1000000 samples, got 1.2e.10"),
+        ((0.01, 0.5, 0.01, 2e6), {"bandwidth": 1e5}, "at most 16384 samples"),
+        ((1e-3, 0.5, 0.01, 2e5), {"onset": 2.0}, "onset must lie between 0 and 1"),
+        ((1e-3, 0.5, 0.01, 2e5), {"bandwidth": -1.0}, "bandwidth"),
+    ],
+)
+def test_bound_of_a_pulse_too_long_for_the_memory(numbers, options, says):
+    with pytest.raises(InvalidValue, match=says):
+        cramer_rao_bound(*numbers, **options)
+
+
+def test_bound_of_many_long_pulses_fits_in_memory():
+    tracemalloc.start()
+    try:
+        bound = cramer_rao_bound(np.full(16, 0.1), 0.5, 0.01, 2e6)
+        held = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    assert held < 2**28
+    # With a hundred times the samples a tenth of the deviation.
+    assert bound.restitution_deviation[7] * 10 == pytest.approx(
+        cramer_rao_bound(0.001, 0.5, 0.01, 2e6).restitution_deviation, rel=1e-3
+    )
+
+
+@pytest.mark.parametrize(("options", "name"), _BROKEN)
 def test_estimate_names_the_number_that_breaks_its_rule(options, name):
     with pytest.raises(InvalidValue, match=name):
         estimate(frames_of(0.65, 60)[0], 2e5, **options)

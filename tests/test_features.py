@@ -14,7 +14,8 @@ from scipy import integrate, optimize, signal, stats
 from cgid import family
 from cgid.errors import BadData, CgidError, InvalidValue
 from cgid.features import FEATURES as ALL_FEATURES
-from cgid.features import MINIMUM_FRAME, choose, extract, extract_array
+from cgid.features import choose, extract, extract_array
+from cgid.frames import MINIMUM_FRAME
 from cgid.identification.events import find_impacts
 from cgid.impact import Elastic, HalfSpace, HuntCrossley, Impact, Sphere
 from cgid.materials import STEEL, YANG2018_SPHERES
@@ -502,7 +503,7 @@ def test_features_are_known_and_named_once(names, message):
 
 @pytest.mark.parametrize("pre_trigger", [-1, 100, 10**9])
 def test_pre_trigger_lies_in_the_frame(pre_trigger):
-    with pytest.raises(InvalidValue, match=f"pre_trigger must lie between 0 and the 100 .*got {pre_trigger}"):
+    with pytest.raises(InvalidValue, match=f"pre_trigger must be a whole number between 0 and 99, got {pre_trigger}"):
         extract_array(np.ones(100), 1e5, pre_trigger=pre_trigger)
 
 

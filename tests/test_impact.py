@@ -1,6 +1,9 @@
 """Impact against the paper's printed numbers, closed forms, and quadrature of the evaluated force."""
 
 import linecache
+import signal
+import threading
+import time
 from dataclasses import replace
 
 import mpmath
@@ -22,12 +25,14 @@ from cgid.impact import (
     ThinPlate,
     Viscoelastic,
     _kernels,
+    curves,
     dispatch,
     free_fall_velocity,
 )
 from cgid.impact.closed_forms import peak_displacement, peak_force
 from cgid.impact.quadrature import reference_pulse
 from cgid.impact.restitution import damping_number
+from cgid.impact.threads import in_threads
 from cgid.materials import COAL, STEEL, YANG2018_RADIUS, YANG2018_SPHERES, Material
 
 
@@ -434,6 +439,37 @@ def test_single_precision_rounds_the_double_one(name):
     frames = impact.force_frames(1e6, 400, 3.3e-6, dtype="float32")
     assert frames.dtype == np.float32
     assert (frames == impact.force_frames(1e6, 400, 3.3e-6).astype(np.float32)).all()
+
+
+@pytest.mark.parametrize("n_threads", [1, 3])
+def test_kernels_stop_when_interrupted(n_threads):
+    done = []
+
+    def run(rows):
+        done.append(rows)
+        if threading.current_thread() is threading.main_thread() or len(done) > n_threads:
+            signal.raise_signal(signal.SIGINT)
+        time.sleep(0.01)
+
+    with pytest.raises(KeyboardInterrupt):
+        in_threads(run, (), np.arange(100_000), n_threads)
+    assert len(done) < 20  # of a hundred
+    assert max(rows.size for rows in done) <= 1024
+
+
+@pytest.mark.parametrize("n_impacts", [1, 5000])
+def test_integrated_impacts_run_in_short_parts(n_impacts, monkeypatch):
+    parts = []
+
+    def summaries(parameters, order, tolerance, found, rows):
+        parts.append(rows)
+        found[rows] = 0.0
+
+    monkeypatch.setattr(curves, "kernel", lambda *_: summaries)
+    viscous = paper_impact(velocity=np.linspace(1, 2, n_impacts), dissipation=Viscoelastic(time_constant=1e-6))
+    _ = viscous.curves._summary
+    assert max(rows.size for rows in parts) <= 1024
+    assert (np.concatenate(parts) == np.arange(n_impacts)).all()
 
 
 @pytest.mark.parametrize("threads", [2, 5])

@@ -125,6 +125,7 @@ TOML_MISTAKES = {
     "channel a truth": ("[[recording]]\npath = 'a'\nlabel = 'b'\nchannel = true\n", "channel must be"),
     "start a truth": ("[[recording]]\npath = 'a'\nlabel = 'b'\nstart = true\n", "start must be a number"),
     "nested without end": ("a = " + "[" * 3000, "must be TOML"),
+    "key of many parts": ("a" + ".a" * 2000 + " = 1", "at most 16 parts"),
 }
 
 

@@ -355,6 +355,12 @@ def test_all_mistakes_are_reported_at_once():
     assert paths == {"populations.1.density", "sampling.jittter", "sensor.relative_noise", "populations.0.label"}
 
 
+def test_few_of_many_mistakes_are_reported():
+    lines = complaints(**{f"sampling__key{number}": 1 for number in range(1000)})
+    assert len(lines) == 21
+    assert lines[-1] == "and 980 more mistakes"
+
+
 def test_two_wrong_units_of_one_distribution():
     wrong = {"distribution": "uniform", "lowest": "1 mm", "highest": "2 s"}
     (line,) = complaints(populations__1__density=wrong)

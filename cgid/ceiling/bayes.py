@@ -32,6 +32,8 @@ from cgid.scene.synthesis import synthesise
 from cgid.signals import Batch
 from cgid.validation import Floats
 
+#: Most signals that are judged on, or learnt from: they take hours, and tell the accuracy to 1e-4.
+MOST_SIGNALS = 10_000_000
 #: Draws that make the density of one population.
 PRIOR_DRAWS = 1 << 19
 #: Their seed: not one that a user would choose for the signals.
@@ -120,7 +122,7 @@ def ceiling(
     scene : Scene
         Of impacts on a half space or a rigid wall, with noise; its noise level is taken as known.
     n_signals : int
-        The standard error falls with their root.
+        The standard error falls with their root; at most `MOST_SIGNALS`.
     seed : int
         Of the signals.
     drop_height_known : bool
@@ -131,7 +133,7 @@ def ceiling(
     Raises
     ------
     InvalidValue
-        The scene is one that the integration does not cover, or has a single label.
+        The scene is one that the integration does not cover, or has a single label; or `n_signals` breaks its rule.
     """
     return ceilings(scene, n_signals, seed, (drop_height_known,), progress=progress)[0]
 
@@ -150,8 +152,7 @@ def ceilings(
     The likelihoods cost nearly everything and are the same whatever is known of the drop height.
     """
     check_covered(scene)
-    if validation.count("n_signals", n_signals) < 2:
-        raise InvalidValue(f"n_signals must be 2 or more for a standard error, got {n_signals}")
+    validation.whole("n_signals", n_signals, 2, MOST_SIGNALS)  # of one there is no standard error
     known = [
         [_Knowledge.of(scene, index, height) for index in range(len(scene.populations))] for height in drop_height_known
     ]

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cgid import validation
-from cgid.ceiling.bayes import Ceiling, ceiling
+from cgid.ceiling.bayes import MOST_SIGNALS, Ceiling, ceiling
 from cgid.errors import InvalidValue
 from cgid.features import extract_array
 from cgid.scene import Scene, synthesise
@@ -94,6 +94,8 @@ def sizes_up_to(highest: int) -> tuple[int, ...]:
     """
     if validation.count("learner", highest) < FEWEST:
         raise InvalidValue(f"learner must have at least {FEWEST} signals to train on, got {highest}; give more")
+    if highest > MOST_SIGNALS:
+        raise InvalidValue(f"learner must have at most {MOST_SIGNALS} signals to train on, got {highest}; give fewer")
     steps = [base * 10**power for power in range(3, 10) for base in (1, 3)]
     return (*(step for step in steps if step < highest), highest)
 

@@ -125,9 +125,15 @@ def _print(
 
 def _chosen(names: tuple[str, ...] | None, kind: Any, sampling_rate: float, n_samples: int) -> tuple[str, ...]:
     """Return the features asked for, else all of the kind that rate and frames allow."""
-    from cgid.features import choose, supported
+    from cgid.features import choose, require_supported, supported
 
-    return supported(choose(None, kind), sampling_rate, n_samples) if names is None else names
+    if names is not None:
+        return names
+    every = choose(None, kind)
+    found = supported(every, sampling_rate, n_samples)
+    if not found:
+        require_supported(every[:1], sampling_rate, n_samples)
+    return found
 
 
 def _print_dataset(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import os
 import sys
 import warnings
@@ -28,9 +29,18 @@ from cgid.cli.saying import say
 from cgid.cli.streams import drop, open_missing
 from cgid.cli.train import train
 from cgid.cli.verify import verify
-from cgid.errors import CgidError
+from cgid.errors import CgidError, MissingExtra
 
-_INTERRUPTED, _INTERNAL, _OUTPUT_FAILED, _NO_INPUT = 130, 70, 74, 66
+_INTERRUPTED, _INTERNAL, _OUTPUT_FAILED, _NO_INPUT, _BAD_DATA = 130, 70, 74, 66, 65
+#: What loaders, threads, C++ and HDF5 say where memory runs short.
+_MEMORY_SHORT = (
+    "failed to map segment",
+    "cannot allocate memory",
+    "can't start new thread",
+    "bad_alloc",
+    "memory allocation failed",
+    "no space available for allocation",
+)
 
 
 @click.group(context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110})
@@ -64,6 +74,8 @@ def run(arguments: list[str] | None = None) -> int:
         say(f"cgid: error: {' '.join(error.format_message().split()).rstrip('.')}{cure}", err=True)
         return error.exit_code
     except CgidError as error:
+        if isinstance(error, MissingExtra) and _memory_is_short(error):  # its library is there, and cannot be loaded
+            return _say_memory(error)
         say_error(error)
         return error.exit_code
     except (click.Abort, KeyboardInterrupt):
@@ -75,6 +87,8 @@ def run(arguments: list[str] | None = None) -> int:
         drop(sys.stdout)
         return 0
     except OSError as error:
+        if _memory_is_short(error):
+            return _say_memory(error)
         if _is_adrift():
             say("cgid: error: the current folder must exist, it has been removed; go to another one", err=True)
             return _NO_INPUT
@@ -82,17 +96,40 @@ def run(arguments: list[str] | None = None) -> int:
         with contextlib.suppress(OSError, AttributeError):
             sys.stdout.flush()
         drop(sys.stdout)
-        say(f"cgid: error: output: writing failed ({error.strerror}); make room or choose another place", err=True)
+        say(
+            f"cgid: error: output: writing failed ({error.strerror or error}); make room or choose another place",
+            err=True,
+        )
         return _OUTPUT_FAILED
-    except MemoryError:
-        say("cgid: error: memory: the input must fit into it, it does not; use a smaller one", err=True)
-        return 65
     except Exception as error:
+        if _memory_is_short(error):
+            return _say_memory(error)
         if os.environ.get("CGID_DEBUG"):
             raise
         text = " ".join(f"{type(error).__name__}: {error}".split())
         say(f"cgid: internal error: {text}; please report it (CGID_DEBUG=1 shows where)", err=True)
         return _INTERNAL
+
+
+def _memory_is_short(error: BaseException | None) -> bool:
+    """Return whether a failure, or one that led to it, is a lack of memory; libraries say so in many ways."""
+    while error is not None:
+        if isinstance(error, MemoryError) or getattr(error, "errno", None) == errno.ENOMEM:
+            return True
+        if any(words in str(error).lower() for words in _MEMORY_SHORT):
+            return True
+        error = error.__cause__ or error.__context__
+    return False
+
+
+def _say_memory(error: BaseException) -> int:
+    text = " ".join(str(error).split()) if isinstance(error, MemoryError) else ""
+    say(
+        f"cgid: error: memory ran short{f' ({text})' if text else ''}; give a smaller input, ask for fewer signals or "
+        "--jobs at once, or raise the limit (ulimit -v)",
+        err=True,
+    )
+    return _BAD_DATA
 
 
 def _is_adrift() -> bool:

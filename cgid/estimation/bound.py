@@ -12,10 +12,12 @@ from cgid.errors import InvalidValue
 from cgid.estimation.model import PARAMETERS, covariance_of, parameters_of, pulse_and_slopes
 from cgid.estimation.template import HIGHEST_SHAPE, LOWEST_SHAPE, relative_times
 from cgid.filters import low_pass_response, mixing_matrix
-from cgid.validation import Floats
+from cgid.validation import Floats, rates
 
-#: Impacts treated at once.
-_ROWS = 64
+#: Impacts treated at once, at most, and their samples.
+_ROWS, _SAMPLES = 64, 1 << 20
+#: Most samples of a contact: with more of them the bound only falls with their root.
+MOST_SAMPLES = 1_000_000
 #: The band-limited pulse is followed this many contact durations beyond touch and separation.
 _RINGING = 1.0
 
@@ -82,7 +84,7 @@ def cramer_rao_bound(
     noise : array_like
         Standard deviation of a sample over the peak.
     sampling_rate : array_like
-        [Hz]; `contact_duration * sampling_rate` are the samples in contact.
+        [Hz]; `contact_duration * sampling_rate` are the samples in contact, at most `MOST_SAMPLES`.
     bandwidth : float, optional
         Edge of the sensor's low-pass [Hz], as in `cgid.scene.Sensor`; the noise comes behind it, white. Then the
         sampling rate must be one number.
@@ -115,8 +117,8 @@ def cramer_rao_bound(
         contact_duration=validation.positive("contact_duration", contact_duration, "s"),
         restitution=validation.positive("restitution", restitution),
         noise=validation.positive("noise", noise),
-        sampling_rate=validation.positive("sampling_rate", sampling_rate, "Hz"),
-        onset=validation.real("onset", onset),
+        sampling_rate=rates("sampling_rate", sampling_rate),
+        onset=validation.between("onset", onset, 0, 1),
     )
     s = np.log(e).ravel()
     if not ((s >= LOWEST_SHAPE - 1e-12) & (s <= HIGHEST_SHAPE + 1e-12)).all():
@@ -128,10 +130,16 @@ def cramer_rao_bound(
             raise InvalidValue("sampling_rate must be one number when there is a bandwidth; ask for each rate apart")
         response = low_pass_response(float(rate.flat[0]), bandwidth)
     samples = (duration * rate).ravel()
+    if (samples > MOST_SAMPLES).any():
+        raise InvalidValue(
+            f"contact_duration must be at most {MOST_SAMPLES} samples, got {samples.max():g} "
+            f"({duration.max():g} s); give it in seconds, or lower the sampling rate"
+        )
     covariance = np.empty((s.size, 5, 5))
     order = np.argsort(samples)
-    for first in range(0, s.size, _ROWS):
-        rows = order[first : first + _ROWS]
+    together = int(np.clip(_SAMPLES / samples.max(initial=1.0), 1, _ROWS))
+    for first in range(0, s.size, together):
+        rows = order[first : first + together]
         covariance[rows] = _covariance(samples[rows], s[rows], phase.ravel()[rows], response, onset_known, fit_baseline)
     covariance *= (level.ravel() ** 2)[:, None, None]
     covariance[:, 2] /= rate.ravel()[:, None]
@@ -147,11 +155,12 @@ def _covariance(
     parameters = parameters_of(np.ones_like(shape), width, phase, shape)
     margin = 1 if response is None else int(_RINGING * samples.max()) + len(response)
     times = np.arange(-margin, int(samples.max()) + margin + 3, dtype=np.float64)
+    mixing = None if response is None else mixing_matrix(response, times.size)
     _, slopes = pulse_and_slopes(
         parameters, np.broadcast_to(times, (len(shape), times.size)), onset_known, fit_baseline
     )
-    if response is not None:
-        slopes = slopes @ mixing_matrix(response, times.size)
+    if mixing is not None:
+        slopes = slopes @ mixing
     if fit_baseline:
         # Samples in contact alone: how many there are beside it is no matter of the pulse.
         slopes = slopes * ((times > phase[:, None]) & (times < (phase + samples)[:, None]))[:, None]

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from cgid import family
+from cgid import family, validation
 from cgid.estimation.profile import Profile
 from cgid.validation import Floats
 
@@ -49,6 +49,11 @@ class Prior:
 
         The restitution must not depend on the other two within the population.
         """
+        log_peak, log_duration, restitution = validation.broadcast(
+            log_peak=validation.real("log_peak", log_peak),
+            log_duration=validation.real("log_duration", log_duration),
+            restitution=validation.positive("restitution", restitution),
+        )
         shape = np.log(restitution)
         size_free, time = _scales(log_peak, log_duration, shape)
         points = np.stack([size_free, time], axis=1)

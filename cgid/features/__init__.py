@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Iterable, Mapping
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -24,9 +24,9 @@ from cgid.features.feature import Feature, ImpactKind, Kind
 from cgid.features.pulse import PULSE_FEATURES
 from cgid.features.vibration import VIBRATION_FEATURES
 from cgid.features.window import WINDOW_FEATURES
-from cgid.frames import DETECTION_LIMIT
+from cgid.frames import DETECTION_LIMIT, frames_of
 from cgid.pulses import PulseBatch
-from cgid.validation import Floats
+from cgid.validation import Floats, require_rate
 from cgid.vibration import VibrationBatch
 from cgid.windows import WindowBatch
 
@@ -39,8 +39,6 @@ _ROWS = 1024
 _WINDOWED_SAMPLES = 1 << 17
 #: What is measured, by its kind.
 Batches = Mapping[Kind, PulseBatch | VibrationBatch | WindowBatch]
-#: A frame must hold the fewest samples of a pulse and one on either side.
-MINIMUM_FRAME = 6
 
 
 #: Every feature by name, in the order of the columns.
@@ -123,11 +121,7 @@ def extract_array(
         In the order of `features`.
     """
     names = choose(features)
-    frames, rate = _frames(samples), float(validation.positive("sampling_rate", sampling_rate, "Hz"))
-    if pre_trigger is not None and not 0 <= pre_trigger < frames.shape[1]:
-        raise InvalidValue(
-            f"pre_trigger must lie between 0 and the {frames.shape[1]} samples of the frame, got {pre_trigger}"
-        )
+    frames, rate = frames_of(samples, pre_trigger), require_rate(sampling_rate)
     validation.choice("invalid", invalid, ("raise", "nan"))
     require_supported(names, rate, frames.shape[1])
     if equalisation is not None and kind_of(names) == "pulse":
@@ -300,20 +294,3 @@ def extract(
         samples, sampling_rate, names, pre_trigger=pre_trigger, remove_baseline=remove_baseline, invalid=invalid
     )
     return pandas.DataFrame(values, columns=list(names))
-
-
-def _frames(samples: ArrayLike) -> NDArray[Any]:
-    frames = np.asarray(samples)
-    if frames.dtype not in (np.float32, np.float64):
-        frames = validation.real("samples", frames)
-    frames = frames[None] if frames.ndim == 1 else frames
-    if frames.ndim != 2 or frames.shape[1] < MINIMUM_FRAME:
-        raise BadData(
-            f"samples must be rows of at least {MINIMUM_FRAME} samples, got shape {np.shape(samples)}: record longer"
-        )
-    finite = np.isfinite(frames)
-    if not finite.all():
-        row, column = np.argwhere(~finite)[0]
-        where = f"signal {row} sample {column}" if len(frames) > 1 else f"sample {column}"
-        raise BadData(f"samples must be finite, {where} is {frames[row, column]}: cut or repair the recording there")
-    return frames

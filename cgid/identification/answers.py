@@ -11,8 +11,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from cgid.equalisation import Equalisation
 from cgid.errors import BadData, InvalidValue, MissingOption
-from cgid.features import MINIMUM_FRAME, extract_array, problems_of
-from cgid.frames import DETECTION_LIMIT
+from cgid.features import extract_array, problems_of
+from cgid.frames import DETECTION_LIMIT, MINIMUM_FRAME
 from cgid.identification.events import Event, find_impacts
 from cgid.identification.known import known_columns
 from cgid.identification.model import UNKNOWN, Model

@@ -169,6 +169,7 @@ class ImpactClassifier(ClassifierMixin, BaseEstimator):  # type: ignore[misc]
         fits the folds, one thread each: sums made by several would differ in their last digits.
         """
         validation.choice("family", self.family, tuple(self.ESTIMATORS))
+        validation.plain("X", X)
         features, labels = validate_data(self, X, y, dtype=np.float64, ensure_min_samples=2)
         check_classification_targets(labels)
         self.classes_, encoded = np.unique(labels, return_inverse=True)
@@ -206,6 +207,7 @@ class ImpactClassifier(ClassifierMixin, BaseEstimator):  # type: ignore[misc]
 
     def _standardised(self, X: ArrayLike) -> Floats:
         check_is_fitted(self)
+        validation.plain("X", X)
         return self.standardiser_.apply(validate_data(self, X, dtype=np.float64, reset=False))
 
     def _inputs(self, standardised: Floats) -> Floats:

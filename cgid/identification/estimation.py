@@ -20,17 +20,16 @@ from cgid.estimation.fit import PulseFit, fit_pulses
 from cgid.estimation.prior import Prior
 from cgid.estimation.profile import profile
 from cgid.filters import low_pass_response
-from cgid.pulses import PulseBatch
-from cgid.validation import Floats
+from cgid.frames import LARGEST, frames_of
+from cgid.pulses import PulseBatch, without_impact
+from cgid.validation import Floats, require_rate
 
 __all__ = ["Bound", "Estimates", "Posterior", "Prior", "cramer_rao_bound", "estimate", "posterior"]
 
-#: Rows treated at once.
-_ROWS = 512
+#: Rows treated at once, and most nodes of a posterior.
+_ROWS, _MOST_NODES = 512, 4096
 #: A squared residual this many times that of the noise is no chance: the pulse is not of the family.
 FAMILY_LIMIT = 2.5
-#: Fewest samples of a frame.
-_FEWEST = 6
 
 
 @dataclass(frozen=True)
@@ -109,7 +108,7 @@ class Posterior:
         InvalidValue
             The share is not between 0 and 1.
         """
-        if not 0 < share < 1:
+        if not 0 < validation.number("share", share) < 1:
             raise InvalidValue(f"share must lie between 0 and 1 (exclusive), got {share:g}")
         # Half of a node's probability lies on either side of it.
         below = np.cumsum(self.weight, axis=1) - 0.5 * self.weight
@@ -167,9 +166,9 @@ def estimate(
     Raises
     ------
     BadData
-        Samples are not finite rows of numbers.
+        Samples are not finite rows of numbers, or a signal has no impact.
     InvalidValue
-        A number breaks its rule.
+        A number breaks its rule, or numbers are masked.
 
     Examples
     --------
@@ -179,12 +178,11 @@ def estimate(
     >>> [round(float(x[0]), 3) for x in (found.peak, found.contact_duration * 1e3, found.restitution)]
     [805.24, 0.509, 1.0]
     """
-    frames = _frames(samples)
-    rate = float(validation.positive("sampling_rate", sampling_rate, "Hz"))
-    n = len(frames)
-    given_noise = None if noise is None else np.broadcast_to(validation.not_negative("noise", noise), (n,))
-    touch = None if onset is None else np.broadcast_to(validation.real("onset", onset, "s") * rate, (n,))
-    limit = None if clip_level is None else np.broadcast_to(validation.positive("clip_level", clip_level), (n,))
+    frames, rate = frames_of(samples, pre_trigger).astype(np.float64, copy=False), require_rate(sampling_rate)
+    n, last = frames.shape[0], (frames.shape[1] - 1) / rate
+    given_noise = None if noise is None else _each("noise", validation.between("noise", noise, 0, LARGEST), n)
+    touch = None if onset is None else _each("onset", validation.between("onset", onset, 0, last, "s") * rate, n)
+    limit = None if clip_level is None else _each("clip_level", validation.positive("clip_level", clip_level), n)
     response = None if bandwidth is None else low_pass_response(rate, bandwidth)
     parts, overloads = [], []
     for first in range(0, n, _ROWS):
@@ -203,6 +201,9 @@ def estimate(
                 response=response,
             )
         )
+        if found := without_impact(pulses.samples, parts[-1]):
+            row = min(found)
+            raise BadData(f"signal {first + row}: {found[row]}" if n > 1 else found[row])
         cut = parts[-1].clipped > 0
         overloads.append(np.where(cut, parts[-1].peak / (level if level is not None else 1.0) - 1, 0.0).clip(0.0))
     return _in_seconds(PulseFit.joined(parts), np.concatenate(overloads), rate)
@@ -234,9 +235,10 @@ def posterior(
     BadData, InvalidValue
         As `estimate`; or there is no noise.
     """
-    frames = _frames(samples)
-    rate = float(validation.positive("sampling_rate", sampling_rate, "Hz"))
-    given = None if noise is None else np.broadcast_to(validation.positive("noise", noise), (len(frames),))
+    validation.instance("prior", prior, Prior)
+    validation.whole("n_nodes", n_nodes, 3, _MOST_NODES)
+    frames, rate = frames_of(samples, pre_trigger).astype(np.float64, copy=False), require_rate(sampling_rate)
+    given = None if noise is None else _each("noise", validation.positive("noise", noise), len(frames))
     response = None if bandwidth is None else low_pass_response(rate, bandwidth)
     lowest, highest = prior.shape_bounds
     parts = []
@@ -276,14 +278,11 @@ def posterior(
     return Posterior(*(np.concatenate(column) for column in zip(*parts, strict=True)))
 
 
-def _frames(samples: ArrayLike) -> NDArray[np.floating]:
-    frames = validation.real("samples", samples)
-    frames = frames[None] if frames.ndim == 1 else frames
-    if frames.ndim != 2 or frames.shape[1] < _FEWEST:
-        raise BadData(
-            f"samples must be rows of at least {_FEWEST} samples, got shape {np.shape(samples)}: record longer"
-        )
-    return frames
+def _each(name: str, numbers: Floats, n: int) -> Floats:
+    """Return one number for each of n signals."""
+    if numbers.shape not in ((), (1,), (n,)):
+        raise InvalidValue(f"{name} must be one number or one for each of {n} signals, got shape {numbers.shape}")
+    return np.broadcast_to(numbers, (n,))
 
 
 def _in_seconds(fit: PulseFit, overload: Floats, rate: float) -> Estimates:

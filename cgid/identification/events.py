@@ -10,10 +10,9 @@ import numpy as np
 from cgid import validation
 from cgid.errors import BadData
 from cgid.features.feature import ImpactKind
-from cgid.frames import DETECTION_LIMIT
+from cgid.frames import DETECTION_LIMIT, LARGEST
 from cgid.identification.detection.detector import (
     DEAD_TIME,
-    LARGEST,
     VIBRATION_DEAD_TIME,
     ImpactDetector,
 )
@@ -64,7 +63,7 @@ def find_impacts(signal: Signal, *, kind: ImpactKind = "pulse", dead_time: float
     """
     validation.choice("kind", kind, get_args(ImpactKind))
     if dead_time is not None:
-        dead_time = float(validation.not_negative("dead_time", dead_time, "s"))
+        dead_time = validation.number("dead_time", dead_time, "s", validation.not_negative)
     lowest, highest = float(signal.samples.min()), float(signal.samples.max())
     if max(highest, -lowest) > LARGEST:
         raise BadData(

@@ -206,6 +206,7 @@ class Model:
         distance = _in_blocks(near.novelty, self._standardised(inputs), near.centres.size)
         if guards is None and not self.guards:
             return distance
+        guards = None if guards is None else validation.plain("guards", guards)
         rows = len(inputs), len(self.guards)
         if guards is None or guards.shape != rows or not np.isfinite(guards).all():
             raise InvalidValue(
@@ -278,6 +279,7 @@ class Model:
         return np.asarray(np.array(self.labels)[np.argmax(probabilities * weights, axis=1)])
 
     def _standardised(self, inputs: Floats) -> Floats:
+        inputs = validation.plain("features", inputs)
         if inputs.ndim != 2 or inputs.shape[1] != len(self.inputs) or not np.isfinite(inputs).all():
             raise InvalidValue(
                 f"features must be finite rows of {len(self.inputs)} ({', '.join(self.inputs)}), "

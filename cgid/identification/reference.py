@@ -18,7 +18,7 @@ from cgid import validation
 from cgid.bands import MEL_BANDS
 from cgid.equalisation import Equalisation
 from cgid.errors import BadData, InvalidValue
-from cgid.validation import Floats
+from cgid.validation import Floats, require_rate
 from cgid.windows import WindowBatch
 
 #: A session that is further from the reference run of its sensor is warned of [dB].
@@ -46,7 +46,7 @@ class MeanSpectrum:
     """
 
     def __init__(self, sampling_rate: float) -> None:
-        self.sampling_rate = float(validation.positive("sampling_rate", sampling_rate, "Hz"))
+        self.sampling_rate = require_rate(sampling_rate)
         self.n_bands = len(MEL_BANDS.within(0.5 * self.sampling_rate))
         if not self.n_bands:
             raise InvalidValue(

@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 from cgid import validation
 from cgid.equalisation import Equalisation
 from cgid.errors import InvalidValue
-from cgid.features import MINIMUM_FRAME, extract_array
+from cgid.features import extract_array
+from cgid.frames import MINIMUM_FRAME
 from cgid.identification.transform import softmax
 from cgid.validation import Floats
 
@@ -77,8 +78,8 @@ class Grid:
         >>> Grid.at(44_100.0, 0.1, 0.05)
         Grid(length=4410, hop=2205)
         """
-        length = round(float(validation.positive("window_time", window_time, "s")) * sampling_rate)
-        hop = round(float(validation.positive("hop_time", hop_time, "s")) * sampling_rate)
+        length = round(validation.number("window_time", window_time, "s", validation.positive) * sampling_rate)
+        hop = round(validation.number("hop_time", hop_time, "s", validation.positive) * sampling_rate)
         if length < MINIMUM_FRAME:
             raise InvalidValue(
                 f"window_time must be at least {MINIMUM_FRAME} samples, {MINIMUM_FRAME / sampling_rate:g} s at "

@@ -149,7 +149,7 @@ class Curves:
         found = np.full((self.plain.size, len(_taylor.RESULTS)), np.nan)
         count("integrated_impacts", np.count_nonzero(~self.tabulated))
         summaries = kernel(_taylor, "summaries", self.plain.size)
-        summaries(self._parameters, _taylor.ORDER, 0.0, found, np.flatnonzero(~self.tabulated))
+        in_threads(summaries, (self._parameters, _taylor.ORDER, 0.0, found), np.flatnonzero(~self.tabulated), 1)
         return dict(zip(_taylor.RESULTS, found.T, strict=True))
 
     @cached_property

@@ -63,7 +63,7 @@ def smoothed(times: ArrayLike, forces: ArrayLike, contact_duration: float, share
 
     since, course = validation.real("times", times, "s"), validation.real("forces", forces, "N")
     _require_course(since, course)
-    lasts = float(validation.positive("contact_duration", contact_duration, "s"))
+    lasts = validation.number("contact_duration", contact_duration, "s", validation.positive)
     inside = (since > 0) & (since < lasts)
     if inside.sum() < 2 * (knots + FEWEST_POINTS):
         raise InvalidValue(

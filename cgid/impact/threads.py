@@ -10,17 +10,19 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-#: Rows below which another thread does not pay.
-_LEAST = 200
+#: Rows below which another thread does not pay, and those after which Python may look for an interruption.
+_LEAST, _MOST = 200, 1024
 
 
 def in_threads(run: Callable[..., None], arguments: tuple[Any, ...], rows: NDArray[np.intp], threads: int) -> None:
-    """Call a kernel, which lets go of the interpreter's lock, for parts of the rows in threads."""
-    threads = min(threads, -(-rows.size // _LEAST))
-    if threads <= 1:
-        run(*arguments, rows)
-        return
-    list(pool(threads).map(lambda part: run(*arguments, part), np.array_split(rows, threads)))
+    """Call a kernel, which lets go of the interpreter's lock, for parts of the rows, in threads if there are several.
+
+    No part takes long, so that Ctrl-C is heard.
+    """
+    threads = max(min(threads, -(-rows.size // _LEAST)), 1)
+    parts = np.array_split(rows, max(threads, -(-rows.size // _MOST)))
+    each = pool(threads).map if threads > 1 else map
+    list(each(lambda part: run(*arguments, part), parts))
 
 
 @cache

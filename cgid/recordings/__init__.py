@@ -12,14 +12,12 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
-from cgid import validation
-from cgid.errors import BadData, InvalidValue, NoInput, WriteFailed
+from cgid.errors import BadData, NoInput, WriteFailed
 from cgid.recordings.formats import HDF5_MAGIC, format_of
 from cgid.recordings.own import DATASET_CURE
 from cgid.recordings.recording_file import BLOCK_LENGTH, Channel, RecordingFile, told
 from cgid.signals import Signal, quantity_of
+from cgid.validation import require_rate
 
 __all__ = ["BLOCK_LENGTH", "Channel", "RecordingFile", "is_dataset", "open_recording", "read_recording"]
 
@@ -140,9 +138,7 @@ def open_recording(
     ((Channel(name='1', unit='kN'),), [[[0.0, 1.5]], [[0.5]]])
     """
     if sampling_rate is not None:
-        if np.ndim(sampling_rate):
-            raise InvalidValue(f"sampling_rate must be one number in Hz, got {sampling_rate!r}")
-        sampling_rate = float(validation.positive("sampling_rate", sampling_rate, "Hz"))
+        sampling_rate = require_rate(sampling_rate)
     if unit is not None:
         quantity_of(unit)
     source = "stdin" if str(path) == "-" else str(path)

@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 from cgid.errors import BadData, CgidError, NoInput
 from cgid.recordings.contents import Contents
 from cgid.recordings.sound.pcm import MOST_NUMBERS
-from cgid.signals import Signal, quantity_of, require_rate
+from cgid.signals import Signal, quantity_of
+from cgid.validation import require_rate
 
 #: Samples of a channel that are read at once if nobody says otherwise.
 BLOCK_LENGTH = 1 << 16

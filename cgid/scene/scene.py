@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import tomllib
 from collections.abc import Sequence
 from functools import cached_property
 from pathlib import Path
@@ -17,6 +16,7 @@ from typing import Any, Self
 from pydantic import Field, ValidationError, model_validator
 
 from cgid.errors import BadData, InvalidValue, NoInput
+from cgid.files import parse_toml
 from cgid.impact.bodies import Target
 from cgid.impact.tail_beam import TailBeam
 from cgid.scene.background import BackgroundSection
@@ -34,11 +34,13 @@ from cgid.scene.sections import (
 )
 from cgid.scene.sensor import Sensor
 from cgid.scene.stream.sections import StreamSection
-from cgid.scene.units import shown
 from cgid.scene.weight import problem_of_weight
+from cgid.validation import cut, shown
 
-#: No scene is longer.
-_LARGEST_FILE = 8 << 20
+#: No scene is longer [bytes], nor has more keys: 10,000 measured modes have 60,000.
+_LARGEST_FILE, _MOST_KEYS = 8 << 20, 100_000
+#: This many mistakes are reported.
+_MOST_MISTAKES = 20
 
 
 class Scene(Section):
@@ -195,9 +197,9 @@ def load_scene(path: str | Path) -> Scene:
     except UnicodeDecodeError:
         raise BadData(f"{path}: a scene file must be UTF-8 text; this one is not") from None
     try:
-        content = tomllib.loads(text)
-    except (ValueError, RecursionError) as error:  # also integers of thousands of digits, and nesting without end
-        raise BadData(f"{path}: a scene file must be valid TOML: {error}") from None
+        content = parse_toml(text, _MOST_KEYS)
+    except ValueError as error:  # also integers of thousands of digits
+        raise BadData(f"{path}: a scene file must be valid TOML: {error}; correct it there") from None
     folder = Path(path).parent
     return parse_scene(with_table(content, folder), source=str(path), folder=folder)
 
@@ -216,13 +218,15 @@ def parse_scene(content: dict[str, Any], source: str = "scene", folder: Path | N
         found = error.errors(include_url=False)
         entries = [entry for entry in found if not _besides(entry, found)]
         problems = [line for entry in entries for line in _lines(entry)]
-        raise BadData("\n".join(f"{source}: {line}" for line in problems)) from None
+        more = [f"and {len(problems) - _MOST_MISTAKES} more mistakes"] * (len(problems) > _MOST_MISTAKES)
+        raise BadData("\n".join(f"{source}: {line}" for line in problems[:_MOST_MISTAKES] + more)) from None
 
 
 def _path(location: tuple[int | str, ...]) -> str:
     """Write a path without the names of the alternatives that pydantic puts in."""
     left_out = {*DISTRIBUTION_NAMES, "TargetSection", "literal['rigid']"}
-    return ".".join(str(part) for part in location if part not in left_out) or "scene"
+    parts = [str(part) for part in location if part not in left_out]
+    return ".".join(cut(part if part.isprintable() else repr(part)) for part in parts) or "scene"
 
 
 def _besides(entry: Any, found: Sequence[Any]) -> bool:
@@ -253,7 +257,7 @@ def _message(entry: Any) -> str:
         least, bound = ("at least", "min_length") if entry["type"] == "too_short" else ("at most", "max_length")
         return f"must have {least} {context[bound]}, got {context['actual_length'] or 'none'}"
     if entry["type"] in ("union_tag_not_found", "union_tag_invalid"):
-        got = f", got {entry['ctx']['tag']!r}" if "tag" in entry.get("ctx", {}) else ""
+        got = f", got {shown(entry['ctx']['tag'])}" if "tag" in entry.get("ctx", {}) else ""
         return f"must name its distribution: one of {', '.join(DISTRIBUTION_NAMES)}{got}"
     text = str(entry["msg"]).removeprefix("Value error, ").replace("Input should", "must")
     given = entry["input"]

@@ -10,6 +10,7 @@ from typing import Annotated, Any
 from pydantic import BeforeValidator, Field, Strict
 
 from cgid.signals import STANDARD_GRAVITY
+from cgid.validation import shown
 
 #: Dimension -> unit -> factor to the SI unit, which comes first.
 DIMENSIONS: dict[str, dict[str, float]] = {
@@ -67,12 +68,12 @@ def parse(value: Any, dimension: str) -> float:
     if isinstance(value, str):
         match = _NUMBER.fullmatch(value.strip())
         if match is None:
-            raise ValueError(f"must be a number with a unit such as '1 {next(iter(units))}', got {value!r}")
+            raise ValueError(f"must be a number with a unit such as '1 {next(iter(units))}', got {shown(value)}")
         unit = match[3]
         if unit not in units:
             known = ", ".join(name or "no unit" for name in units)
             article = "an" if dimension[0] in "aeiou" else "a"
-            raise ValueError(f"must be {article} {dimension} in {known}, got {value!r}")
+            raise ValueError(f"must be {article} {dimension} in {known}, got {shown(value)}")
         # A power of ten goes into the exponent: "136.51 GPa" is the very number 136.51e9, without a second rounding.
         factor, exponent = units[unit], int(match[2] or 0)
         power = round(math.log10(factor))
@@ -86,14 +87,6 @@ def parse(value: Any, dimension: str) -> float:
     if not math.isfinite(number):
         raise ValueError(f"must be a finite number [{next(iter(units)) or '1'}], got {shown(value)}")
     return number
-
-
-def shown(value: Any) -> str:
-    """Write a value for a message, cut where it is long (an integer of TOML has no bounds)."""
-    if isinstance(value, int) and value.bit_length() > 64:
-        return f"an integer of {value.bit_length()} bits"
-    text = repr(value)
-    return text if len(text) <= 80 else text[:80] + "..."
 
 
 def _reader(dimension: str) -> Callable[[Any], float]:

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cgid.errors import BadData
-from cgid.signals import RATES, UNITS
+from cgid.signals import UNITS
 from cgid.store import limits
 from cgid.store.chunks import DAMAGE, chunk_bytes
 from cgid.store.header import (
@@ -27,6 +27,7 @@ from cgid.store.header import (
     require_schema,
 )
 from cgid.store.opening import attributes_of, bytes_of, members, opened, plain_dataset
+from cgid.validation import RATES
 
 #: Labels and names are shorter [bytes].
 _WIDEST_TEXT = 4096

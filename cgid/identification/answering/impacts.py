@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cgid.errors import BadData
+from cgid.errors import BadData, InvalidValue
 from cgid.features.feature import ImpactKind
 from cgid.identification.answering.question import BATCH, Question, Step
 from cgid.identification.answers import Answer, identify_events
@@ -18,6 +18,9 @@ from cgid.identification.detection.detector import ImpactDetector
 from cgid.identification.events import Event, find_impacts
 from cgid.identification.model import Model
 from cgid.signals import Signal
+
+#: No recorder of impacts is slower [Hz]: a short file would last for years, and shares of it come every few seconds.
+SLOWEST = 1.0
 
 
 def impacts_answered(
@@ -32,6 +35,11 @@ def impacts_answered(
 
     As `cgid.identification.answering.stream.identify_blocks`.
     """
+    if sampling_rate < SLOWEST:
+        raise InvalidValue(
+            f"{source}: sampling_rate must be at least {SLOWEST:g} Hz where impacts are answered for, got "
+            f"{sampling_rate:g} Hz; check it"
+        )
     coming = iter(blocks)
     held: list[NDArray[Any]] = []
     size = 0

@@ -96,7 +96,7 @@ class ShareWindow:
     """
 
     def __init__(self, length: float, *, trained_share: float = 0.5, weight: float = 1.0, channel: str = "1") -> None:
-        self.length = float(validation.positive("window", length, "s"))
+        self.length = validation.number("window", length, "s", validation.positive)
         self.channel = channel
         if not 0 < trained_share < 1:
             raise InvalidValue(f"trained_share must lie between 0 and 1 (exclusive), got {trained_share:g}")

@@ -70,7 +70,7 @@ class Shutting:
     """
 
     def __init__(self, gangue_cost: float = 1.0) -> None:
-        self.gangue_cost = float(validation.positive("gangue_cost", gangue_cost))
+        self.gangue_cost = validation.number("gangue_cost", gangue_cost, "", validation.positive)
         self.threshold = 1.0 / (1.0 + self.gangue_cost)
         self._shut = False
 

@@ -10,21 +10,20 @@ from numpy.typing import ArrayLike, NDArray
 from cgid import validation
 from cgid.errors import BadData, InvalidValue
 from cgid.features.feature import ImpactKind
+from cgid.frames import LARGEST
 from cgid.identification.detection.frames import Event, FrameCutter, Framing
 from cgid.identification.detection.onsets import Onset
 from cgid.identification.detection.pulses import START_CHUNKS as PULSE_START
 from cgid.identification.detection.pulses import PulseOnsets
 from cgid.identification.detection.ringing import START_CHUNKS as RINGING_START
 from cgid.identification.detection.ringing import RingingOnsets
-from cgid.validation import Floats
+from cgid.validation import Floats, require_rate
 from cgid.vibration import SHORTEST_EVENT
 
 #: What follows within this time belongs to the same blow: a struck body rings [s].
 DEAD_TIME = 2e-3
 #: The same for a vibration: of what another follows sooner, too little is left to be measured.
 VIBRATION_DEAD_TIME = SHORTEST_EVENT
-#: What is larger is no measurement, and its square no number.
-LARGEST = 1e150
 #: No recorder of impacts is faster: frames would fill the memory [Hz].
 FASTEST = 2e7
 #: About so many samples are looked at together: they and what is made of them stay in the processor's cache.
@@ -85,18 +84,17 @@ class ImpactDetector:
         event_time: float | None = None,
     ) -> None:
         validation.choice("kind", kind, get_args(ImpactKind))
-        rate = float(validation.positive("sampling_rate", sampling_rate, "Hz"))
+        rate = require_rate(sampling_rate)
         if rate > FASTEST:
             raise InvalidValue(
                 f"sampling_rate must be at most {FASTEST:g} Hz where impacts are looked for, got {rate:g} Hz; check it"
             )
-        if n_channels < 1:
-            raise InvalidValue(f"n_channels must be at least 1, got {n_channels}")
+        n_channels = validation.count("n_channels", n_channels)
         if dead_time is None:
             dead_time = DEAD_TIME if kind == "pulse" else VIBRATION_DEAD_TIME
-        dead_time = float(validation.not_negative("dead_time", dead_time, "s"))
+        dead_time = validation.number("dead_time", dead_time, "s", validation.not_negative)
         if event_time is not None:
-            event_time = float(validation.positive("event_time", event_time, "s"))
+            event_time = validation.number("event_time", event_time, "s", validation.positive)
         self.n_channels, self.joint = n_channels, joint
         self._framing = Framing.of(kind, rate, event_time)
         self.n_samples, self.n_quiet = self._framing.n_samples, self._framing.quiet
@@ -173,7 +171,7 @@ class ImpactDetector:
     def _checked(self, block: ArrayLike) -> NDArray[Any]:
         if self._ended:
             raise InvalidValue("the recording is over: after finish() no block can be taken; make another detector")
-        samples = np.asarray(block)
+        samples = validation.plain("block", block)
         if samples.ndim == 1 and self.n_channels == 1:
             samples = samples[None]
         if samples.ndim != 2 or len(samples) != self.n_channels or samples.dtype.kind not in "fiu":

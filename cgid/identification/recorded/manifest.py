@@ -8,17 +8,17 @@ from __future__ import annotations
 
 import csv
 import io
-import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from cgid.errors import BadData, CgidError, InvalidValue, NoInput
+from cgid.files import parse_toml
 from cgid.identification.recorded.annotation import COLUMNS, Annotation, annotation_of, contradictions
 
-#: A larger file is no manifest.
-LARGEST_FILE = 16 << 20
+#: A larger file is no manifest [bytes], nor one of more keys.
+LARGEST_FILE, _MOST_KEYS = 16 << 20, 1_000_000
 #: What may be said once for all recordings of a TOML manifest.
 _SHARED = ("group", "channel", "gain", "sensor", "rate", "unit", "variable")
 #: So many mistakes are said at once.
@@ -136,11 +136,11 @@ def _csv_rows(path: Path) -> tuple[list[Row], tuple[str, ...] | None]:
 
 def _toml(path: Path) -> dict[str, Any]:
     try:
-        return tomllib.loads(_text(path))
-    except tomllib.TOMLDecodeError as error:
+        return parse_toml(_text(path), _MOST_KEYS)
+    except CgidError:
+        raise
+    except ValueError as error:
         raise BadData(f"{path}: a manifest must be TOML: {error}; correct it there") from None
-    except RecursionError:
-        raise BadData(f"{path}: a manifest must be TOML of few levels; correct it") from None
 
 
 def _toml_rows(path: Path) -> tuple[list[Row], tuple[str, ...] | None]:

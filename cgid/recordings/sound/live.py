@@ -14,7 +14,8 @@ from cgid.errors import BadData, InvalidValue, MissingOption
 from cgid.recordings.contents import MAX_CHANNELS, rates_agree
 from cgid.recordings.sound.pcm import Coding
 from cgid.recordings.sound.riff import ENDLESS, WAV_MAGICS, read_wave_head
-from cgid.signals import quantity_of, require_rate
+from cgid.signals import quantity_of
+from cgid.validation import require_rate
 
 #: Numbers that are taken from the stream at once at most.
 _MOST_NUMBERS = 1 << 16
@@ -162,7 +163,7 @@ def live_stream(
     """
     if unit is not None:
         quantity_of(unit)
-    given = None if sampling_rate is None else float(validation.positive("sampling_rate", sampling_rate, "Hz"))
+    given = None if sampling_rate is None else require_rate(sampling_rate)
     if n_channels is not None and validation.count("n_channels", n_channels) > MAX_CHANNELS:
         raise InvalidValue(f"n_channels must be at most {MAX_CHANNELS}, got {n_channels}")
     coding = None if sample_format is None else Coding.of_name(sample_format)
@@ -188,7 +189,7 @@ def live_stream(
         file=file,
         coding=coding,
         n_channels=n_channels,
-        sampling_rate=require_rate(given),
+        sampling_rate=given,
         unit=unit or (None if coding.kind == "f" else "FS"),
         source=source,
         head=start,
