@@ -76,6 +76,12 @@ RECORDING_CASES: tuple[tuple[str, tuple[str, ...], int, tuple[str, ...]], ...] =
         ("blow.npy: the sampling_rate must be at least 22", "got 1000 Hz", "record faster"),
     ),
     (
+        "sampled absurdly slowly",
+        ("predict", "blow.npy", "--rate", "1e-5", "--unit", "N"),
+        65,
+        ("blow.npy: the sampling_rate must be at least 10 Hz", "got 1e-05 Hz", "check it"),
+    ),
+    (
         "sampled absurdly fast",
         ("predict", "blow.npy", "--rate", "1e12", "--unit", "g"),
         65,

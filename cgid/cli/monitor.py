@@ -49,9 +49,9 @@ def monitor(
 ) -> None:
     """Identify the impacts in STREAM as they come: raw numbers or WAV; - is stdin.
 
-    Each channel is a support with a gangue share of its own, told ten times within its window. A line SHUT says that
-    going on begins to cost more than it brings: drawn gangue (--gangue-cost) against lost coal (1); OPEN, that it pays
-    again. Nothing is dropped: whoever is slower than the stream says how far behind.
+    Each channel is a support with a gangue share of its own, told ten times within its window, and once in a pause. A
+    line SHUT says that going on begins to cost more than it brings: drawn gangue (--gangue-cost) against lost coal (1);
+    OPEN, that it pays again. Nothing is dropped: whoever is slower than the stream says how far behind.
     """
     from cgid import validation
     from cgid.recordings.sound.live import live_stream
@@ -79,13 +79,14 @@ def _follow(live: Any, scale: float, asked: Asked, lines: AnswerLines) -> None:
     model = asked.models.of(None if live.unit is None else quantity_of(live.unit))
     factor = factor_of(model, live.unit, live.source, mass=asked.mass) * (-scale if asked.invert else scale)
     names = [str(number) for number in range(1, live.n_channels + 1)]
+    inbox, delay = Inbox(live, live.sampling_rate), _Delay(live.source, lines)
+    blocks, question = scaled(inbox, [factor] * live.n_channels), asked.question(batch=1, whole=0)
+    steps = identify_blocks(blocks, live.sampling_rate, model, names, question, live.source)
     asked.warn_of_sensor(live.source, model)
     telling = Telling(live.source, model, names, live.sampling_rate, asked, lines, always=True)
     warn_of_rate(live.source, live.sampling_rate, model)
-    inbox, delay = Inbox(live, live.sampling_rate), _Delay(live.source, lines)
-    blocks, question = scaled(inbox, [factor] * live.n_channels), asked.question(batch=1, whole=0)
     try:
-        for step in identify_blocks(blocks, live.sampling_rate, model, names, question, live.source):
+        for step in steps:
             telling.feed(step.answers, step.until)
             delay.see(inbox)
             for warning in step.warnings:
