@@ -293,7 +293,7 @@ def test_a_pause_is_told_once_and_all_windows_of_impacts_are() -> None:
             if share.n_impacts or not was_told:
                 every.append((end, channel, share.n_impacts))
             was_told = not share.n_impacts
-    for untils in ([1000.0], list(np.sort(rng.uniform(0, 1000, 300))) + [1000.0]):
+    for untils in ([1000.0], [*np.sort(rng.uniform(0, 1000, 300)), 1000.0]):
         told = watched(answers, untils, **settings)
         assert [(one.time, one.channel, one.n_impacts) for one in told] == sorted(every)
 
