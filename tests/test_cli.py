@@ -10,11 +10,13 @@ import sys
 import time
 from pathlib import Path
 
+import click
 import h5py
 import numpy as np
 import pytest
 
-from cgid.cli.main import run
+from cgid.cli.main import cli, run
+from cgid.cli.options import PATH
 from cgid.errors import NoInput
 from tests.bad_input import CASES, Case, make_files
 
@@ -372,3 +374,26 @@ def test_generate_makes_taps_on_a_thin_plate_without_a_word(tmp_path, capsys):
     )
     assert run(["generate", str(tmp_path / "taps.toml"), "-n", "2", "-o", str(tmp_path / "d.h5")]) == 0
     assert "warning" not in capsys.readouterr().err
+
+
+def test_an_empty_name_is_wrong_usage_for_every_path(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)  # which an empty name would mean
+    texts = set()
+    for name, command in cli.commands.items():
+        needed = [one for one in command.params if one.required or isinstance(one, click.Argument)]
+        for parameter in command.params:
+            if isinstance(parameter.type, click.types.StringParamType):
+                texts.add(parameter.name)
+            if parameter.type is not PATH:
+                continue
+            arguments = [name]
+            for one in dict.fromkeys([*needed, parameter]):
+                arguments += one.opts[:1] if isinstance(one, click.Option) else []
+                arguments.append("" if one is parameter else "x")
+            with pytest.raises(click.BadParameter, match="must not be empty"):
+                command.make_context(name, arguments[1:])
+    # Whoever adds a text here has thought about whether it is the name of a file.
+    assert texts == {
+        "channel", "channels", "class_weights", "costs", "features", "gangue", "names", "quantities", "sample_format",
+        "scheduler", "sensor", "unit", "variable",
+    }  # fmt: skip

@@ -6,7 +6,7 @@ from typing import Any
 
 import click
 
-from cgid.cli.options import print_json
+from cgid.cli.options import PATH, print_json
 from cgid.cli.saying import say
 
 #: Samples of all channels that are held in memory; longer recordings are read block by block.
@@ -16,7 +16,7 @@ _LOCAL_HEAD, _HEADER = 30, b"header.npy"
 
 
 @click.command(short_help="Say what is in a dataset, a model or a recording.")
-@click.argument("file")
+@click.argument("file", type=PATH)
 @click.option("--rate", "sampling_rate", type=float, help="Sampling rate [Hz], where a recording does not say it.")
 @click.option("--unit", help="Unit of the samples, where a recording does not say it.")
 @click.option("--variable", help="Which array, table or group of a recording, where it holds several.")

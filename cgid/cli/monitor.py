@@ -14,7 +14,7 @@ from cgid.cli.answer_lines import AnswerLines
 from cgid.cli.asked import Asked, answering_options, asked_of
 from cgid.cli.inbox import Inbox, UnbufferedInput
 from cgid.cli.model_choice import warn_of_rate
-from cgid.cli.options import dead_time_in_seconds
+from cgid.cli.options import PATH, dead_time_in_seconds
 from cgid.cli.telling import Telling
 
 #: Shares are told so many times within their window.
@@ -24,7 +24,7 @@ _BEHIND = 1.0
 
 
 @click.command(short_help="Identify impacts in a live stream, and say when to shut the window.")
-@click.argument("stream", default="-")
+@click.argument("stream", type=PATH, default="-")
 @click.option("--rate", "sampling_rate", type=float, help="Sampling rate [Hz] of raw numbers.")
 @click.option("--channels", "n_channels", type=int, help="Number of channels of raw numbers.")
 @click.option("--sample-format", help="How raw numbers are written: u8, s16le, s24le, s32le, f32le, ..., or be.")

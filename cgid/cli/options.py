@@ -26,6 +26,21 @@ JSON_VERSION = 1
 LONGEST_DEAD_TIME = 1e4
 
 
+class PathName(click.ParamType):
+    """The name of a file or folder; an empty one, such as that of an unset variable of a shell, means none of them."""
+
+    name = "path"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """Return the name, or fail as wrong usage."""
+        if value == "":
+            self.fail("a name must not be empty; give one, or leave it out", param, ctx)
+        return value
+
+
+PATH = PathName()
+
+
 def recording_options(command: F) -> F:
     """Add the options of a command that reads recordings and prints what is in them."""
     options: list[Callable[[Any], Any]] = [

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from cgid.cli.options import dead_time_in_seconds, open_file, print_json, read_signals, reading_options
+from cgid.cli.options import PATH, dead_time_in_seconds, open_file, print_json, read_signals, reading_options
 from cgid.cli.saying import say
 
 if TYPE_CHECKING:
@@ -20,8 +20,8 @@ if TYPE_CHECKING:
 
 
 @click.command(short_help="Draw a recording: waveform, spectrogram, spectrum and impacts.")
-@click.argument("file")
-@click.option("-o", "--output", required=True, metavar="PICTURE", help="Ends in .png, .svg or .pdf.")
+@click.argument("file", type=PATH)
+@click.option("-o", "--output", type=PATH, required=True, metavar="PICTURE", help="Ends in .png, .svg or .pdf.")
 @click.option("--events/--no-events", default=True, show_default=True, help="Mark the impacts that are found.")
 @click.option(
     "--kind",

@@ -8,7 +8,7 @@ from typing import Any
 
 import click
 
-from cgid.cli.options import crew_options, print_json, progress_bar, require_one_crew, say_error
+from cgid.cli.options import PATH, crew_options, print_json, progress_bar, require_one_crew, say_error
 from cgid.cli.saying import say
 from cgid.errors import InvalidValue
 
@@ -32,8 +32,10 @@ _OF_DATASETS = {
 
 
 @click.command(short_help="Train a model on datasets, on a scene, or on recordings.")
-@click.argument("data", nargs=-1, required=True, metavar="DATA...")
-@click.option("-o", "--output", required=True, help="Model file, ending in .npz; the card goes beside it as .md.")
+@click.argument("data", type=PATH, nargs=-1, required=True, metavar="DATA...")
+@click.option(
+    "-o", "--output", type=PATH, required=True, help="Model file, ending in .npz; the card goes beside it as .md."
+)
 @click.option(
     "--family",
     type=click.Choice(["logistic", "boosting", "discriminant", "network", "linear"]),
