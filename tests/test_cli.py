@@ -382,9 +382,8 @@ def test_an_empty_name_is_wrong_usage_for_every_path(tmp_path: Path, monkeypatch
     for name, command in cli.commands.items():
         needed = [one for one in command.params if one.required or isinstance(one, click.Argument)]
         for parameter in command.params:
-            if isinstance(parameter.type, click.types.StringParamType):
-                texts.add(parameter.name)
             if parameter.type is not PATH:
+                texts |= {parameter.name} if isinstance(parameter.type, click.types.StringParamType) else set()
                 continue
             arguments = [name]
             for one in dict.fromkeys([*needed, parameter]):

@@ -463,6 +463,8 @@ def test_training_says_how_windows_recordings_and_votes_did(recorded: Recorded) 
     assert f"{metrics['accuracy']:.4f} (95 % interval" in card
     assert "running vote over 0.5 s" in card
     assert "| 0.npy | coal |" in card
+    metrics["recordings"]["rows"][0]["name"] = "<i>|*x"
+    assert r"| \<i\>\|\*x | coal |" in write_card(model, "m.npz")
 
 
 def test_shuffled_labels_of_recordings_score_at_chance(tmp_path: Path) -> None:

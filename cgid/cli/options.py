@@ -26,7 +26,7 @@ JSON_VERSION = 1
 LONGEST_DEAD_TIME = 1e4
 
 
-class PathName(click.ParamType):
+class PathName(click.types.StringParamType):
     """The name of a file or folder; an empty one, such as that of an unset variable of a shell, means none of them."""
 
     name = "path"
@@ -35,7 +35,7 @@ class PathName(click.ParamType):
         """Return the name, or fail as wrong usage."""
         if value == "":
             self.fail("a name must not be empty; give one, or leave it out", param, ctx)
-        return value
+        return super().convert(value, param, ctx)
 
 
 PATH = PathName()
