@@ -333,7 +333,7 @@ def test_few_rows_of_each_label_are_folds_enough() -> None:
 
 
 def test_what_keeps_features_from_being_measured_is_named(folder: Path) -> None:
-    with pytest.raises(InvalidValue, match="window must last 0.02 s at least to have a feature at 8000 Hz, got"):
+    with pytest.raises(InvalidValue, match=r"window must last 0.02 s at least to have a feature at 8000 Hz, got"):
         record(read_manifest(folder / "good.csv"), slicing=Slicing(window_time=0.01, hop_time=0.01))
     assert record(read_manifest(folder / "good.csv"), slicing=Slicing(window_time=0.02, hop_time=0.5)).names
     (folder / "slow.csv").write_text("path,label,rate,unit\n0.npy,coal,800,g\n1.npy,gangue,800,g\n")
