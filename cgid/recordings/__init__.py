@@ -71,7 +71,8 @@ def open_recording(
     r"""Open a recording; the format is told by the content, not by the file's name.
 
     Text (CSV, TXT, ...) may use any of comma, semicolon, tab, bar and blanks between its columns, a decimal comma
-    unless the comma separates columns, comments, any number of header lines, UTF-8, UTF-16, GB 18030 or Latin-1. A
+    unless the comma separates columns, comments above and below the numbers, header lines, UTF-8, UTF-16, GB 18030 or
+    Latin-1. A
     header such as ``time (ms), force [kN]`` gives names and units, ``# sampling_rate: 200 kHz`` and ``# unit: N`` say
     the rest. A time column is in seconds unless its header says ms or us, or holds times of day.
 
