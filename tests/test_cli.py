@@ -9,6 +9,7 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from typing import Any
 
 import click
 import h5py
@@ -18,7 +19,7 @@ import pytest
 from cgid.cli.main import cli, run
 from cgid.cli.options import PATH
 from cgid.errors import NoInput
-from tests.bad_input import CASES, Case, make_files
+from tests.bad_input import CASES, Case, make_files, pulse
 
 ROOT = Path(__file__).parents[1]
 
@@ -396,3 +397,15 @@ def test_an_empty_name_is_wrong_usage_for_every_path(tmp_path: Path, monkeypatch
         "channel", "channels", "class_weights", "costs", "features", "gangue", "names", "quantities", "sample_format",
         "scheduler", "sensor", "unit", "variable",
     }  # fmt: skip
+
+
+@pytest.mark.parametrize("arguments", [["info"], ["plot", "-o", "p.png"], ["features"], ["predict", "--unit", "N"]])
+@pytest.mark.parametrize("n_quiet", [0, 5_000_000])
+def test_pulses_that_point_downwards_are_told_to_be_turned_over(
+    arguments: list[str], n_quiet: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Any
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    quiet = np.random.default_rng(0).normal(0, 20, n_quiet).astype(np.float32)
+    np.save("down.npy", np.concatenate([-pulse().astype(np.float32), quiet]))
+    run([*arguments, "down.npy", "--rate", "2e5"])
+    assert capsys.readouterr().err.count("turn it over with --invert") == 1

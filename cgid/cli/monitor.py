@@ -85,8 +85,10 @@ def _follow(live: Any, scale: float, asked: Asked, lines: AnswerLines) -> None:
     asked.warn_of_sensor(live.source, model)
     telling = Telling(live.source, model, names, live.sampling_rate, asked, lines, always=True)
     warn_of_rate(live.source, live.sampling_rate, model)
+    silent: tuple[str, ...] = ()
     try:
         for step in steps:
+            silent += step.silent
             telling.feed(step.answers, step.until)
             delay.see(inbox)
             for warning in step.warnings:
@@ -95,7 +97,7 @@ def _follow(live: Any, scale: float, asked: Asked, lines: AnswerLines) -> None:
         for warning in live.warnings:
             lines.warning(live.source, f"{live.source}: {warning}")
         if inbox.n_taken:
-            telling.finish(inbox.n_taken / live.sampling_rate)
+            telling.finish(inbox.n_taken / live.sampling_rate, silent)
 
 
 class _Delay:

@@ -52,6 +52,7 @@ def plot(
     itself, as cgid predict does it.
     """
     from cgid.files import check_new, write_whole
+    from cgid.identification.events import TURN_OVER
     from cgid.overview import OverviewStream
     from cgid.plots import FORMATS, MOST_CHANNELS, overview_figure, picture, require_matplotlib
 
@@ -75,6 +76,8 @@ def plot(
         if finder is not None:
             finder.feed(drawn)
     marks = [] if finder is None else finder.finish()
+    for name in [] if finder is None else finder.upside_down():
+        say(f"cgid: warning: {recording.source} channel {name}: no impact: {TURN_OVER}", err=True)
     for warning in recording.warnings:
         say(f"cgid: warning: {warning}", err=True)
     overview = stream.overview()
@@ -123,7 +126,7 @@ class _Finder:
         begin: float,
     ) -> None:
         from cgid.features import kind_for
-        from cgid.identification.detection.detector import ImpactDetector
+        from cgid.identification.events import Extent, ImpactDetector
 
         self._rate, self._channels, self._begin = sampling_rate, channels, begin
         rows: dict[ImpactKind, list[int]] = {}
@@ -132,10 +135,12 @@ class _Finder:
         self._detectors: list[tuple[list[int], Any]] = [
             (own, ImpactDetector(sampling_rate, len(own), kind=kind, dead_time=dead_time)) for kind, own in rows.items()
         ]
+        self._pulses, self._extent = rows.get("pulse", []), Extent(len(channels))
         self._marks: list[Mark] = []
 
     def feed(self, block: NDArray[Any]) -> None:
         """Take the next samples, (n_channels, n_samples)."""
+        self._extent.see(block)
         for rows, detector in self._detectors:
             self._keep(rows, detector.feed(block[rows]))
 
@@ -144,6 +149,16 @@ class _Finder:
         for rows, detector in self._detectors:
             self._keep(rows, detector.finish())
         return sorted(self._marks, key=lambda mark: mark.time)
+
+    def upside_down(self) -> list[str]:
+        """Return the channels without pulses that fall where they should rise."""
+        from cgid.identification.events import TURN_OVER
+
+        heard = {mark.channel for mark in self._marks}
+        names = {self._channels[row].name: row for row in self._pulses}
+        return [
+            name for name, row in names.items() if name not in heard and self._extent.cure(row, "pulse") == TURN_OVER
+        ]
 
     def _keep(self, rows: Sequence[int], events: Iterable[Any]) -> None:
         from cgid.plots import Mark
