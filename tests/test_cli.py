@@ -409,3 +409,16 @@ def test_pulses_that_point_downwards_are_told_to_be_turned_over(
     np.save("down.npy", np.concatenate([-pulse().astype(np.float32), quiet]))
     run([*arguments, "down.npy", "--rate", "2e5"])
     assert capsys.readouterr().err.count("turn it over with --invert") == 1
+
+
+def test_every_command_takes_several_channels_in_one_word(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Any
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    np.save("three.npy", np.stack([pulse(), -pulse(), 2 * pulse()]))
+    for command in ("predict", "features"):
+        assert run([command, "three.npy", "--rate", "2e5", "--unit", "N", "--channel", "1+3", "--json"]) == 0
+        out = capsys.readouterr().out
+        assert ("channel 2" in out, "channel 3" in out) == (False, True)
+    assert run(["plot", "three.npy", "--rate", "2e5", "--channel", "1+3", "-o", "p.png", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["channels"] == ["1", "3"]

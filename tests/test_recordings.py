@@ -187,6 +187,17 @@ def test_name_of_two_channels_is_refused():
 
 
 @pytest.mark.parametrize(
+    ("choice", "names"),
+    [("1+3", ["a", "b+c"]), ("3 + 1", ["b+c", "a"]), ("b+c", ["b+c"]), (["a+2", 1], ["a", "2"]), ("1+1", ["a"])],
+)
+def test_several_channels_are_joined_by_a_plus(choice, names):
+    signals = read_text("a,2,b+c\n1,2,3\n4,4,4\n", sampling_rate=10, channel=choice)
+    assert [signal.channel for signal in signals] == names
+    with pytest.raises(InvalidValue, match="channel '9' is none of them"):
+        read_text("a,2,b+c\n1,2,3\n4,4,4\n", sampling_rate=10, channel="1+9")
+
+
+@pytest.mark.parametrize(
     ("text", "expected"),
     [
         ("1,2,\n5,3,\n", [[1, 5], [2, 3]]),

@@ -59,7 +59,7 @@ def reading_options(command: F) -> F:
         click.option("--rate", "sampling_rate", type=float, help="Sampling rate [Hz], where the file does not say it."),
         click.option("--unit", help="Unit of the samples (N, kN, g, m/s^2, ...), where the file does not say it."),
         click.option(
-            "--channel", multiple=True, help="Only this channel: its name, or its number from 1; may be given again."
+            "--channel", multiple=True, help="Only this channel: its name or number from 1; several as 1+2, or again."
         ),
         click.option("--variable", help="Which array, table or group of the file, where it holds several."),
         click.option("--index", type=int, help="Only this signal of a dataset, from 0; else all of them."),

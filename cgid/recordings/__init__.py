@@ -108,7 +108,7 @@ def open_recording(
     unit : str, optional
         What the numbers are in, where the file does not say it; nothing is converted.
     channel : int, str or sequence of these, optional
-        Read only these channels: number from 1 (the time column does not count) or name in the header.
+        Read only these channels: number from 1 (the time column does not count) or name in the header; "1+2" is both.
     variable : str, optional
         Which of the arrays, tables or groups of the file is meant.
 
