@@ -2,13 +2,18 @@
 
 import errno
 import io
+import os
 import random
 import struct
 import subprocess
 import sys
+import threading
+import time
 from pathlib import Path
+from signal import SIGKILL
 from types import SimpleNamespace
 
+import h5py
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -421,9 +426,73 @@ def test_a_full_disk_for_a_stream_is_told(monkeypatch):
     def full(*_):
         raise OSError(errno.ENOSPC, "No space left on device")
 
-    monkeypatch.setattr("os.fdopen", full)
+    monkeypatch.setattr("tempfile.TemporaryFile", full)
     with pytest.raises(WriteFailed, match="room"):
         read_bytes(b"1\n2\n", sampling_rate=1)
+
+
+_KILLED = """
+import os, signal, sys
+from cgid.recordings import open_recording
+recording = open_recording("-", sampling_rate=1e3, unit="N")
+print(sum(block.size for block in recording.blocks()), flush=True)
+if sys.argv[1] == "kill":
+    os.kill(os.getpid(), signal.SIGKILL)
+"""
+
+
+@pytest.mark.parametrize("how", ["kill", "end"])
+@pytest.mark.parametrize("kind", ["text", "hdf5"])
+def test_nothing_of_a_stream_is_left_behind(how, kind, tmp_path, write):
+    if kind == "text":
+        content = b"1.5\n" * 400
+    else:
+        with h5py.File(tmp_path / "made.h5", "w") as file:
+            file["force"] = np.arange(400.0)
+        content = (tmp_path / "made.h5").read_bytes()
+    (tmp_path / "tmp").mkdir()
+    done = subprocess.run(
+        [sys.executable, "-c", _KILLED, how],
+        input=content,
+        capture_output=True,
+        env={**os.environ, "TMPDIR": str(tmp_path / "tmp")},
+    )
+    assert done.stdout == b"400\n"
+    assert (done.returncode, done.stderr) == (-SIGKILL if how == "kill" else 0, b"")
+    for _ in range(500):  # somebody else removes a file that must have a name
+        if not list((tmp_path / "tmp").iterdir()):
+            break
+        time.sleep(0.02)
+    assert not list((tmp_path / "tmp").iterdir())
+
+
+def test_a_pipe_that_nobody_writes_into_is_told_and_a_device_refused(tmp_path, monkeypatch):
+    os.mkfifo(tmp_path / "pipe")
+    said = threading.Event()
+    monkeypatch.setattr("cgid.recordings._PATIENCE", 0.01)
+    monkeypatch.setattr("cgid.recordings._say_waiting", lambda source: said.set())
+
+    def write_later():
+        said.wait(60)
+        (tmp_path / "pipe").write_text("1\n2\n")
+
+    writer = threading.Thread(target=write_later)
+    writer.start()
+    (read,) = read_recording(tmp_path / "pipe", sampling_rate=1)
+    writer.join()
+    assert (read.samples.tolist(), said.is_set()) == ([1, 2], True)
+    for device in ("/dev/zero", "/dev/null"):
+        with pytest.raises(NoInput, match=rf"{device}: a recording must be a file or a pipe, this is a device"):
+            read_recording(device, sampling_rate=1)
+
+
+def test_a_terminal_is_no_recording(monkeypatch):
+    ours, theirs = os.openpty()
+    with os.fdopen(theirs, "rb") as terminal, monkeypatch.context() as patch:
+        patch.setattr(sys, "stdin", SimpleNamespace(buffer=terminal))
+        with pytest.raises(NoInput, match="stdin: a recording must be a file or a pipe, this is a terminal"):
+            read_recording("-", sampling_rate=1)
+    os.close(ours)
 
 
 def test_a_stream_without_end_is_refused(monkeypatch):
