@@ -90,7 +90,12 @@ class EnergySpectrum:
 
     @cached_property
     def standardised_moments(self) -> tuple[Floats, Floats]:
-        """Third and fourth moment of the frequency about its mean, in standard deviations."""
+        """Third and fourth moment of the frequency about its mean, in standard deviations.
+
+        They depend on the sampling rate. The energy of a vibration that begins at once falls with the fourth power of
+        the frequency, so the sum over all bins grows with their number: the third moment like the logarithm of the
+        rate, the fourth in proportion to it.
+        """
         mean, deviation = self.moments
         # A line in one bin has no width to count in: its own bin's.
         place = (self.frequency - mean[:, None]) / np.maximum(deviation, 0.1 * self.spacing)[:, None]
@@ -105,7 +110,10 @@ class EnergySpectrum:
 
     @cached_property
     def flatness(self) -> Floats:
-        """Logarithm (base 10) of the geometric over the arithmetic mean above 0 Hz: 0 is flat."""
+        """Logarithm (base 10) of the geometric over the arithmetic mean above 0 Hz: 0 is flat.
+
+        It depends on the sampling rate: the more of the spectrum lies where there is little energy, the lower it is.
+        """
         above = self.energy[:, 1:]
         mean = above.mean(axis=1)
         floor = np.maximum(LOWEST_SHARE * mean, np.finfo(np.float64).tiny)[:, None]

@@ -201,6 +201,11 @@ class Batch:
         What the signals were made from, where known.
     source : str
         Identity of the data, such as the SHA-256 of the scene.
+
+    Raises
+    ------
+    InvalidValue
+        A label breaks the rule of `cgid.validation.label`.
     """
 
     signals: NDArray[Any]
@@ -211,6 +216,10 @@ class Batch:
     specimen: NDArray[np.uint64]
     parameters: Mapping[str, NDArray[np.float64]] = field(default_factory=dict)
     source: str = ""
+
+    def __post_init__(self) -> None:
+        for label in np.unique(self.labels).tolist():
+            validation.label("label", label)
 
     def __len__(self) -> int:
         return len(self.signals)

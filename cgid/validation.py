@@ -16,6 +16,13 @@ Floats = NDArray[np.float64]
 #: Beyond these no recorder samples, and squares of times are no numbers any more [Hz].
 RATES = (1e-6, 1e12)
 
+#: What models answer strangers with: nothing that can be taught is called so.
+UNKNOWN = "unknown"
+#: No label has more characters,
+LONGEST_LABEL = 100
+#: and these beside letters and digits of any script: labels stand in file headers, options, tables and pages.
+_LABEL_SIGNS = " _.-"
+
 
 def real(name: str, value: ArrayLike, unit: str = "") -> Floats:
     """Return `value` as finite float64 numbers, or raise.
@@ -143,6 +150,27 @@ def choice(name: str, value: str, allowed: tuple[str, ...] | dict[str, Any]) -> 
     if not isinstance(value, str) or value not in allowed:
         raise InvalidValue(f"{name} must be one of {', '.join(map(repr, allowed))}, got {shown(value)}")
     return value
+
+
+def label(name: str, value: Any) -> str:
+    """Return `value` as the name of a kind of bodies, or raise `InvalidValue`; the one rule for labels.
+
+    Examples
+    --------
+    >>> label("label", "coal, wet")
+    Traceback (most recent call last):
+        ...
+    cgid.errors.InvalidValue: label must be 1 to 100 letters, digits, blanks, _, . or -, got 'coal, wet'; rename it
+    """
+    letters = "".join(sign for sign in value if sign not in _LABEL_SIGNS) if isinstance(value, str) else ""
+    # Behind a letter, what may stand in an identifier is a letter, a mark upon one, or a digit.
+    if not letters or len(value) > LONGEST_LABEL or value != value.strip() or not f"a{letters}".isidentifier():
+        raise InvalidValue(
+            f"{name} must be 1 to {LONGEST_LABEL} letters, digits, blanks, _, . or -, got {value!r}; rename it"
+        )
+    if value == UNKNOWN:
+        raise InvalidValue(f"{name} must not be {UNKNOWN!r}, which is what models answer strangers with; rename it")
+    return str(value)
 
 
 def count(name: str, value: Any) -> int:

@@ -5,6 +5,10 @@ relative to a baseline and a noise taken before touch, and happens in an event: 
 
 Most of it looks at the event times `exp(-t / WINDOW_TIME)`, the exponential window of impact testing: what comes late
 weighs little, be it noise, the next blow or the end of the frame. So frames of other lengths are measured alike.
+
+Other sampling rates give the same numbers, too, as long as the vibration lies well below half of the lower one. Three
+numbers depend on the rate all the same, for all of the spectrum tells them: skewness, kurtosis and flatness
+(`EnergySpectrum`).
 """
 
 from __future__ import annotations

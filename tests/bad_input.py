@@ -12,6 +12,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+import h5py
 import numpy as np
 
 from cgid import shipped
@@ -113,6 +114,7 @@ def make_files(folder: Path) -> None:
         folder / "high.toml", lambda text: text.replace("lowest = 0.1, highest = 0.9", "lowest = 0.1, highest = 1.2")
     )
     _scene(folder / "negative.toml", lambda text: text.replace('mean = "1400 kg/m^3"', 'mean = "-1400 kg/m^3"'))
+    _scene(folder / "stranger.toml", lambda text: text.replace('label = "coal"', 'label = "unknown"'))
     _scene(folder / "unknown.toml", lambda text: text.replace("jitter", "jittter"))
     _scene(folder / "unit.toml", lambda text: text.replace("3.1 GPa", "3.1 GHz"))
     _scene(folder / "shape.toml", lambda text: f"{text}[[taps]]\n{_TAP.replace('square', 'saw')}")
@@ -147,6 +149,9 @@ def make_files(folder: Path) -> None:
     (folder / "truncated.h5").write_bytes((folder / "two.h5").read_bytes()[:20000])
     (folder / "unfinished").mkdir()
     shutil.copy(folder / "two.h5", folder / "unfinished" / "shard-00000.h5")
+    shutil.copy(folder / "two.h5", folder / "tagged.h5")
+    with h5py.File(folder / "tagged.h5", "r+") as file:
+        file["labels"][:5] = b"<b>"
 
 
 _TAP = 'label = "tap"\nshape = "square"\npeak_force = "1 kN"\ncontact_duration = "2 ms"\n'
@@ -289,6 +294,11 @@ CASES = (
     Case("mass of a force", ("predict", "good.csv", "--mass", "2"), 65, ("mass", "force")),
     Case("mass zero", ("predict", "acceleration.csv", "--mass", "0"), 65, ("mass", "0 kg")),
     Case("no model", ("predict", "good.csv", "--model", "none.npz"), 66, ("none.npz",)),
+    Case("model of no name", ("predict", "good.csv", "--model", ""), 2, ("'--model'", "must not be empty")),
+    Case("recording of no name", ("predict", ""), 2, ("'FILE...'", "must not be empty")),
+    Case("label that models answer strangers with", ("check", "stranger.toml"), 65, ("label must not be 'unknown'",)),
+    Case("label of a page", ("train", "tagged.h5", "-o", "new.npz"), 65, ("tagged.h5: label must be", "'<b>'")),
+    Case("verify no name", ("verify", ""), 2, ("'DATA...'", "must not be empty")),
     Case("model of junk", ("predict", "good.csv", "--model", "text.npz"), 65, ("text.npz", "no sound model")),
     Case("unknown label in costs", ("predict", "good.csv", "--cost", "granite=2"), 65, ("granite",)),
     Case("cost that is no number", ("predict", "good.csv", "--cost", "coal=much"), 2, ("LABEL=COST",)),

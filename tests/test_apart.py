@@ -269,3 +269,16 @@ def test_headers_are_what_json_can_hold(path):
     KINDS["dataset"].write(path)
     about = apart.call("shard_header", path)
     assert json.loads(json.dumps(about)) == about and about["n_signals"] == 24
+
+
+@pytest.mark.parametrize(("rests", "code"), [(False, -signal.SIGALRM), (True, 0)])
+def test_a_reader_that_is_held_up_ends_by_itself(tmp_path, rests, code):
+    """By a pipe that nobody writes into, which takes no time of the processor."""
+    (tmp_path / "file").write_bytes(b"")
+    script = (
+        "import os, select, sys; from cgid.store import limits; limits._CLOCK, limits._LATER = 0.05, 0.05\n"
+        "limits.begin(sys.argv[1]); sys.argv[2] == 'True' and limits.rest()\n"
+        "select.select([os.pipe()[0]], [], [], 0.5 if sys.argv[2] == 'True' else 60)"
+    )
+    done = subprocess.run([sys.executable, "-c", script, str(tmp_path / "file"), str(rests)], capture_output=True)
+    assert done.returncode == code, done.stderr

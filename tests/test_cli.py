@@ -10,14 +10,17 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from typing import Any
 
+import click
 import h5py
 import numpy as np
 import pytest
 
-from cgid.cli.main import run
+from cgid.cli.main import cli, run
+from cgid.cli.options import PATH
 from cgid.errors import MissingExtra, NoInput
-from tests.bad_input import CASES, Case, make_files
+from tests.bad_input import CASES, Case, make_files, pulse
 
 ROOT = Path(__file__).parents[1]
 
@@ -407,3 +410,50 @@ def test_generate_makes_taps_on_a_thin_plate_without_a_word(tmp_path, capsys):
     )
     assert run(["generate", str(tmp_path / "taps.toml"), "-n", "2", "-o", str(tmp_path / "d.h5")]) == 0
     assert "warning" not in capsys.readouterr().err
+
+
+def test_an_empty_name_is_wrong_usage_for_every_path(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)  # which an empty name would mean
+    texts = set()
+    for name, command in cli.commands.items():
+        needed = [one for one in command.params if one.required or isinstance(one, click.Argument)]
+        for parameter in command.params:
+            if parameter.type is not PATH:
+                texts |= {parameter.name} if isinstance(parameter.type, click.types.StringParamType) else set()
+                continue
+            arguments = [name]
+            for one in dict.fromkeys([*needed, parameter]):
+                arguments += one.opts[:1] if isinstance(one, click.Option) else []
+                arguments.append("" if one is parameter else "x")
+            with pytest.raises(click.BadParameter, match="must not be empty"):
+                command.make_context(name, arguments[1:])
+    # Whoever adds a text here has thought about whether it is the name of a file.
+    assert texts == {
+        "channel", "channels", "class_weights", "costs", "features", "gangue", "names", "quantities", "sample_format",
+        "scheduler", "sensor", "unit", "variable",
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize("arguments", [["info"], ["plot", "-o", "p.png"], ["features"], ["predict", "--unit", "N"]])
+@pytest.mark.parametrize("n_quiet", [0, 5_000_000])
+def test_pulses_that_point_downwards_are_told_to_be_turned_over(
+    arguments: list[str], n_quiet: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Any
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    quiet = np.random.default_rng(0).normal(0, 20, n_quiet).astype(np.float32)
+    np.save("down.npy", np.concatenate([-pulse().astype(np.float32), quiet]))
+    run([*arguments, "down.npy", "--rate", "2e5"])
+    assert capsys.readouterr().err.count("turn it over with --invert") == 1
+
+
+def test_every_command_takes_several_channels_in_one_word(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Any
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    np.save("three.npy", np.stack([pulse(), -pulse(), 2 * pulse()]))
+    for command in ("predict", "features"):
+        assert run([command, "three.npy", "--rate", "2e5", "--unit", "N", "--channel", "1+3", "--json"]) == 0
+        out = capsys.readouterr().out
+        assert ("channel 2" in out, "channel 3" in out) == (False, True)
+    assert run(["plot", "three.npy", "--rate", "2e5", "--channel", "1+3", "-o", "p.png", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["channels"] == ["1", "3"]

@@ -204,7 +204,7 @@ def test_noise_alone(seed, baseline):
 
 def test_inverted_recording_is_told_to_be_inverted():
     samples = -placed(5000, {1000: sharp(1000)}, noise=1.0)
-    with pytest.raises(BadData, match="invert it"):
+    with pytest.raises(BadData, match="turn it over with --invert"):
         find_impacts(recording(samples))
     assert found_samples(-samples) == [1000]
 

@@ -1,6 +1,7 @@
 """Features against exact pulses of the family, slow twins, their own units, noise, and bad input."""
 
 import re
+import tracemalloc
 import warnings
 from pathlib import Path
 
@@ -623,3 +624,19 @@ def test_junk_is_measured_or_refused(samples, pre_trigger, remove_baseline):
         found = extract_array(samples, 1e5, pre_trigger=pre_trigger, remove_baseline=remove_baseline, invalid="nan")
     refused = np.isnan(found).all(axis=1)
     assert np.isfinite(found[~refused]).all()
+
+
+def test_memory_is_bounded_by_samples_not_by_rows(monkeypatch):
+    monkeypatch.setattr("cgid.features._SAMPLES", 1 << 16)
+    n_samples, peaks = 1 << 14, []
+    times = np.arange(n_samples) / 2e5
+    pulse = 9e3 * np.sin(np.pi * np.clip((times - 1.5e-3) / 5e-4, 0, 1)) ** 1.5
+    samples = pulse + np.random.default_rng(0).normal(0, 20, (64, n_samples))
+    for n_rows in (4, 64):
+        tracemalloc.start()
+        found = extract_array(samples[:n_rows], 2e5, pre_trigger=250)
+        peaks.append(tracemalloc.get_traced_memory()[1])
+        tracemalloc.stop()
+    # Beyond what a block takes: whether each sample is finite, one byte each.
+    assert peaks[1] < peaks[0] + 1.5 * samples.size
+    assert np.array_equal(found[:4], extract_array(samples[:4], 2e5, pre_trigger=250))

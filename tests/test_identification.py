@@ -5,9 +5,11 @@ from __future__ import annotations
 import io
 import json
 import os
+import re
 import subprocess
 import sys
 import zipfile
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -440,6 +442,14 @@ def test_harmful_arrays_are_refused(harm: str, trained: Trained, tmp_path: Path)
         Model.load(tmp_path / "m.npz")
 
 
+@pytest.mark.parametrize("label", ["unknown", "<script>"])
+def test_labels_of_a_model_file_keep_the_rule(trained: Trained, tmp_path: Path, label: str) -> None:
+    model = trained["logistic"].model
+    (tmp_path / "m.npz").write_bytes(rewritten(model, header={"labels": ["coal", label]}))
+    with pytest.raises(BadData, match="no sound model: labels must"):
+        Model.load(tmp_path / "m.npz")
+
+
 def test_old_models_are_refused_by_their_version(trained: Trained, tmp_path: Path) -> None:
     model = trained["logistic"].model
     (tmp_path / "m.npz").write_bytes(rewritten(model, header={"schema_version": 1}))
@@ -596,6 +606,16 @@ def test_card_tells_the_figures_of_the_model(trained: Trained) -> None:
     assert model.training["sources"][0] in card
     assert "![a.png](a.png)" in card
     assert all(feature in card for feature in model.features)
+
+
+def test_card_shows_names_as_they_are(trained: Trained) -> None:
+    model = trained["logistic"].model
+    name = "<b>*x*|[a](b)\x1b"
+    training = dict(model.training) | {"sources": [name], "versions": {name: name}}
+    training["domain_shift"] = [{"name": name, "n": 1, "accuracy": None, "flagged_share": 0.5}]
+    card = write_card(replace(model, training=training), name, (name,))
+    assert card.count(r"\<b\>\*x\*\|\[a\](b)\\x1b") == 6
+    assert not re.search(r"(?<!\\)(<b>|\*x|\|\[)|\x1b", card)
 
 
 def test_pictures_card_and_model_are_written(trained: Trained, tmp_path: Path) -> None:

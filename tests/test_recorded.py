@@ -313,6 +313,34 @@ def test_each_group_is_left_out_once_and_as_a_whole() -> None:
             assert not np.intersect1d(group[fold], group[~fold]).size
 
 
+@pytest.mark.parametrize("n_rare", [2, 11, 30])
+def test_many_recordings_of_one_blow_each_are_groups(n_rare: int) -> None:
+    labels = np.repeat(["a", "b"], [22, n_rare])
+    group = np.random.default_rng(2).permutation(labels.size)
+    folds = list(leave_groups_out(labels, group, 0))
+    assert (np.sum(folds, axis=0) == 1).all()
+    for fold in folds:
+        assert fold.any()
+        assert set(labels[~fold]) == {"a", "b"}
+
+
+def test_few_rows_of_each_label_are_folds_enough() -> None:
+    labels, group = np.repeat(["a", "b"], 12), np.arange(24)
+    rows = rows_of(labels, group, np.random.default_rng(3).normal(size=(24, 3)) + 5.0 * (labels == "a")[:, None])
+    candidate = Candidate(name="all", features=rows.names, family="linear")
+    answers = judge(lesson_of(rows, [candidate])).probabilities
+    assert (np.unique(labels)[np.argmax(answers, axis=1)] == labels).mean() > 0.9
+
+
+def test_what_keeps_features_from_being_measured_is_named(folder: Path) -> None:
+    with pytest.raises(InvalidValue, match=r"window must last 0.02 s at least to have a feature at 8000 Hz, got"):
+        record(read_manifest(folder / "good.csv"), slicing=Slicing(window_time=0.01, hop_time=0.01))
+    assert record(read_manifest(folder / "good.csv"), slicing=Slicing(window_time=0.02, hop_time=0.5)).names
+    (folder / "slow.csv").write_text("path,label,rate,unit\n0.npy,coal,800,g\n1.npy,gangue,800,g\n")
+    with pytest.raises(BadData, match="sampled at 2000 Hz at least to have a feature, got 800 Hz; sample faster"):
+        record(read_manifest(folder / "slow.csv"), slicing=Slicing(window_time=1.0, hop_time=1.0))
+
+
 def test_who_knows_the_recordings_by_heart_gains_nothing() -> None:
     """Features that name the recording and nothing else: any window on both sides would be right."""
     generator, group = np.random.default_rng(6), np.repeat(np.arange(12), 20)
@@ -463,6 +491,8 @@ def test_training_says_how_windows_recordings_and_votes_did(recorded: Recorded) 
     assert f"{metrics['accuracy']:.4f} (95 % interval" in card
     assert "running vote over 0.5 s" in card
     assert "| 0.npy | coal |" in card
+    metrics["recordings"]["rows"][0]["name"] = "<i>|*x"
+    assert r"| \<i\>\|\*x | coal |" in write_card(model, "m.npz")
 
 
 def test_shuffled_labels_of_recordings_score_at_chance(tmp_path: Path) -> None:

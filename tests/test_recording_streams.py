@@ -75,7 +75,7 @@ def test_text_by_pieces_is_the_text_at_once(tmp_path_factory, seed, n_samples, s
     if comma:
         lines = [line.replace(".", ",") for line in lines]
     if comments:
-        lines[30:30] = ["# a remark, in between", "", "% another one"]
+        lines += ["# a remark behind the last row", "", *["% another one"] * 40]
     path = tmp_path_factory.mktemp("text") / "long.csv"
     path.write_bytes("\n".join(["时间 (s);左 (g);right (m/s^2)", *lines, ""]).encode(encoding))
     with pytest.MonkeyPatch.context() as patch:
@@ -89,6 +89,19 @@ def test_text_by_pieces_is_the_text_at_once(tmp_path_factory, seed, n_samples, s
     assert second.samples.tolist() == table[:, 1].tolist()
     assert recording.sampling_rate == pytest.approx(1000, rel=1e-9)
     assert [(channel.name, channel.unit) for channel in recording.channels] == [("左", "g"), ("right", "m/s^2")]
+
+
+@pytest.mark.parametrize("size", [40, 57, 90])
+def test_a_line_among_rows_is_found_whatever_the_pieces(write, small_pieces, size):
+    small_pieces(size)
+    rows_of_text = [f"{k}.5" for k in range(12)]
+    for place in range(1, 12):
+        lines = [*rows_of_text[:place], *["# N/A"] * (1 + place % 7), *rows_of_text[place:]]
+        path = write("# sampling_rate: 1000 Hz\n" + "\n".join(lines) + "\n")
+        with pytest.raises(BadData, match=rf"line {place + 2} before sample {place} is '# N/A'"):
+            whole(open_recording(path))
+    path = write("# sampling_rate: 1000 Hz\n" + "\n".join([*rows_of_text, *["# N/A"] * 9]))
+    assert whole(open_recording(path)).tolist() == [[k + 0.5 for k in range(12)]]
 
 
 def long_text(n_samples=300, rate=44100, digits=6):

@@ -2,13 +2,18 @@
 
 import errno
 import io
+import os
 import random
 import struct
 import subprocess
 import sys
+import threading
+import time
 from pathlib import Path
+from signal import SIGKILL
 from types import SimpleNamespace
 
+import h5py
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -187,6 +192,17 @@ def test_name_of_two_channels_is_refused():
 
 
 @pytest.mark.parametrize(
+    ("choice", "names"),
+    [("1+3", ["a", "b+c"]), ("3 + 1", ["b+c", "a"]), ("b+c", ["b+c"]), (["a+2", 1], ["a", "2"]), ("1+1", ["a"])],
+)
+def test_several_channels_are_joined_by_a_plus(choice, names):
+    signals = read_text("a,2,b+c\n1,2,3\n4,4,4\n", sampling_rate=10, channel=choice)
+    assert [signal.channel for signal in signals] == names
+    with pytest.raises(InvalidValue, match="channel '9' is none of them"):
+        read_text("a,2,b+c\n1,2,3\n4,4,4\n", sampling_rate=10, channel="1+9")
+
+
+@pytest.mark.parametrize(
     ("text", "expected"),
     [
         ("1,2,\n5,3,\n", [[1, 5], [2, 3]]),
@@ -195,8 +211,8 @@ def test_name_of_two_channels_is_refused():
         ("1,5 2\n5 3,5\n", [[1.5, 5], [2, 3.5]]),
         ("5 2\n1 3,5\n", [[5, 1], [2, 3.5]]),
         ("1, 2\t7\n5,3 4\n", [[1, 5], [2, 3], [7, 4]]),
-        ("1,2\n\n# remark, 5\n% remark\n   \n5,3 # end\n; nothing\n", [[1, 5], [2, 3]]),
-        ("1,2\n// remark\n5,3", [[1, 5], [2, 3]]),
+        ("\n# remark, 5\n% remark\n   \n1,2\n5,3 # end\n; nothing\n\n# 7\n", [[1, 5], [2, 3]]),
+        ("1,2\n5,3\n// remark", [[1, 5], [2, 3]]),
         ("-.5e1,+2.\n5E-1,3\n\x1a", [[-5, 0.5], [2, 3]]),
         ("1000 samples\n2 rows\n1 2\n5 3\n", [[1, 5], [2, 3]]),
         ("force (N)\n3\n4\n", [[3, 4]]),
@@ -310,7 +326,13 @@ def test_uneven_first_column_without_header_is_a_channel():
         ("0,1\n1,٣\n", ["sample 1", "'٣'"]),
         ("0;1,5\n1;2.5\n", ["sample 1", "'2.5'"]),
         ("0;0.5\n1;2,000.5\n", ["sample 0", "'0.5'"]),
-        ("0,1\n# remark\n\n1,2,3\n", ["sample 1", "line 4", "2 fields", "has 3"]),
+        # What a program writes for a number it has not, and what else a line among the rows may stand for.
+        ("1\n2\n#N/A\n4\n", ["line 3", "sample 2", "'#N/A'", "repair or cut"]),
+        ("1\n%5\n3\n", ["line 2", "sample 1", "'%5'"]),
+        ("force (N)\n1\n\n3\n", ["line 3", "sample 1", "is empty"]),
+        ("1;2\n;;\n3;4\n", ["line 2", "sample 1", "';;'"]),
+        ("1;2\n// 5\n# remark\n3;4", ["line 2", "sample 1", "'// 5'"]),
+        ("# remark\n\n0,1\n1,2,3\n", ["sample 1", "line 4", "2 fields", "has 3"]),
         ("0,1\n1\n2,3\n", ["sample 1", "line 2", "has 1"]),
         ("0,1\n1,2\n2", ["sample 2", "line 3", "cut off"]),
         ("0,1\n1,2\n2,1e", ["sample 2", "line 3", "cut off"]),
@@ -404,9 +426,73 @@ def test_a_full_disk_for_a_stream_is_told(monkeypatch):
     def full(*_):
         raise OSError(errno.ENOSPC, "No space left on device")
 
-    monkeypatch.setattr("os.fdopen", full)
+    monkeypatch.setattr("tempfile.TemporaryFile", full)
     with pytest.raises(WriteFailed, match="room"):
         read_bytes(b"1\n2\n", sampling_rate=1)
+
+
+_KILLED = """
+import os, signal, sys
+from cgid.recordings import open_recording
+recording = open_recording("-", sampling_rate=1e3, unit="N")
+print(sum(block.size for block in recording.blocks()), flush=True)
+if sys.argv[1] == "kill":
+    os.kill(os.getpid(), signal.SIGKILL)
+"""
+
+
+@pytest.mark.parametrize("how", ["kill", "end"])
+@pytest.mark.parametrize("kind", ["text", "hdf5"])
+def test_nothing_of_a_stream_is_left_behind(how, kind, tmp_path, write):
+    if kind == "text":
+        content = b"1.5\n" * 400
+    else:
+        with h5py.File(tmp_path / "made.h5", "w") as file:
+            file["force"] = np.arange(400.0)
+        content = (tmp_path / "made.h5").read_bytes()
+    (tmp_path / "tmp").mkdir()
+    done = subprocess.run(
+        [sys.executable, "-c", _KILLED, how],
+        input=content,
+        capture_output=True,
+        env={**os.environ, "TMPDIR": str(tmp_path / "tmp")},
+    )
+    assert done.stdout == b"400\n"
+    assert (done.returncode, done.stderr) == (-SIGKILL if how == "kill" else 0, b"")
+    for _ in range(500):  # somebody else removes a file that must have a name
+        if not list((tmp_path / "tmp").iterdir()):
+            break
+        time.sleep(0.02)
+    assert not list((tmp_path / "tmp").iterdir())
+
+
+def test_a_pipe_that_nobody_writes_into_is_told_and_a_device_refused(tmp_path, monkeypatch):
+    os.mkfifo(tmp_path / "pipe")
+    said = threading.Event()
+    monkeypatch.setattr("cgid.recordings._PATIENCE", 0.01)
+    monkeypatch.setattr("cgid.recordings._say_waiting", lambda source: said.set())
+
+    def write_later():
+        said.wait(60)
+        (tmp_path / "pipe").write_text("1\n2\n")
+
+    writer = threading.Thread(target=write_later)
+    writer.start()
+    (read,) = read_recording(tmp_path / "pipe", sampling_rate=1)
+    writer.join()
+    assert (read.samples.tolist(), said.is_set()) == ([1, 2], True)
+    for device in ("/dev/zero", "/dev/null"):
+        with pytest.raises(NoInput, match=rf"{device}: a recording must be a file or a pipe, this is a device"):
+            read_recording(device, sampling_rate=1)
+
+
+def test_a_terminal_is_no_recording(monkeypatch):
+    ours, theirs = os.openpty()
+    with os.fdopen(theirs, "rb") as terminal, monkeypatch.context() as patch:
+        patch.setattr(sys, "stdin", SimpleNamespace(buffer=terminal))
+        with pytest.raises(NoInput, match="stdin: a recording must be a file or a pipe, this is a terminal"):
+            read_recording("-", sampling_rate=1)
+    os.close(ours)
 
 
 def test_a_stream_without_end_is_refused(monkeypatch):

@@ -263,7 +263,7 @@ NORMAL = {"distribution": "normal", "mean": "1400 kg/m^3", "deviation": "200 kg/
         ({"populations__0__radius": 10**400}, "populations.0.radius", "integer of 1329 bits"),
         ({"populations__0__weight": True}, "populations.0.weight", "number"),
         ({"populations__0__weight": 0}, "populations.0.weight", "greater than 0"),
-        ({"populations__0__label": "a/b"}, "populations.0.label", "pattern"),
+        ({"populations__0__label": "a/b"}, "populations.0.label", "letters"),
         ({"populations__0__radius": None}, "populations.0.radius", "missing"),
         ({"populations": []}, "populations", "at least 1 where there are no taps"),
         ({"populations": [], "taps": []}, "populations", "at least 1 where there are no taps"),

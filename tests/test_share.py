@@ -13,6 +13,7 @@ from scipy.integrate import quad
 from cgid.errors import InvalidValue
 from cgid.identification.answering.share import Share, ShareWindow, trained_share
 from cgid.identification.answering.shutting import FEWEST_IMPACTS, Shutting
+from cgid.identification.answering.watch import CavingWatch, ShareSettings
 
 #: How far the scores of coal and gangue lie apart, in their deviations: right in 77 % of the impacts.
 SEPARATION = 1.5
@@ -257,3 +258,58 @@ def test_caving_window_is_shut_close_to_the_best_time() -> None:
 def test_cost_must_be_above_zero() -> None:
     with pytest.raises(InvalidValue, match="gangue_cost must be above 0"):
         Shutting(0.0)
+
+
+# -- a recording's shares ---------------------------------------------------------------------------------
+
+MODEL: Any = SimpleNamespace(labels=("coal", "gangue"), training={})
+
+
+def answer(time: float, channel: str = "1") -> Any:
+    return SimpleNamespace(time=time, channel=channel, novelty=0.5, probabilities={"coal": 0.7, "gangue": 0.3})
+
+
+def watched(answers: list[Any], untils: list[float], **settings: float) -> list[Share]:
+    watch = CavingWatch(MODEL, ["1", "2"], ShareSettings(**settings))
+    told: list[Any] = []
+    for last, until in zip([-1.0, *untils], untils, strict=False):
+        told += watch.feed([one for one in answers if last < one.time <= until], until)
+    return told + watch.finish(untils[-1])
+
+
+def test_a_pause_is_told_once_and_all_windows_of_impacts_are() -> None:
+    rng = np.random.default_rng(8)
+    times = np.sort(np.concatenate([rng.uniform(first, first + 5, 20) for first in (3.0, 40.0, 900.0)]))
+    answers = [answer(time, str(rng.integers(1, 3))) for time in times]
+    settings = {"length": 4.0, "step": 0.5}
+    every = []
+    for channel in ("1", "2"):
+        window, was_told = ShareWindow(4.0, channel=channel), False
+        own = [one for one in answers if one.channel == channel]
+        for end in np.arange(1, 2001) * 0.5:
+            while own and own[0].time <= end:
+                window.add(own.pop(0).time, 0.3)
+            share = window.at(end)
+            if share.n_impacts or not was_told:
+                every.append((end, channel, share.n_impacts))
+            was_told = not share.n_impacts
+    for untils in ([1000.0], [*np.sort(rng.uniform(0, 1000, 300)), 1000.0]):
+        told = watched(answers, untils, **settings)
+        assert [(one.time, one.channel, one.n_impacts) for one in told] == sorted(every)
+
+
+def test_silence_costs_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Two impacts, thirty years apart: windows are counted, as the clock would tell little."""
+    asked: list[float] = []
+    at = ShareWindow.at
+
+    def counted(self: ShareWindow, time: float) -> Share:
+        asked.append(time)
+        assert len(asked) < 100
+        return at(self, time)
+
+    monkeypatch.setattr(ShareWindow, "at", counted)
+    untils = [10.0, 1e6, 2e6, 1e9]
+    told = watched([answer(1.0), answer(5e8 + 0.01)], untils, length=10.0, step=1.0)
+    heard = [*range(1, 11), *range(500_000_001, 500_000_011)]
+    assert [one.time for one in told if one.n_impacts] == heard

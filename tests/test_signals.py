@@ -5,6 +5,7 @@ from dataclasses import FrozenInstanceError
 import numpy as np
 import pytest
 
+from cgid import validation
 from cgid.errors import BadData, InvalidValue
 from cgid.signals import UNITS, Batch, Signal, quantity_of
 
@@ -189,3 +190,23 @@ def test_batch_has_the_length_of_its_signals_and_is_frozen():
     assert len(batch) == 4
     with pytest.raises(FrozenInstanceError):
         batch.unit = "kN"
+
+
+STRANGE_LABELS = ["unknown", "", " coal", "-", "<script>", "a|b", "`x`", "a,b", "a=b", "a/b", "co\u202eal", "x" * 101]
+
+
+@pytest.mark.parametrize("label", ["coal", "Kohle naß", "煤 1", "unknown 2", "Unknown", "a_b.c-d", "x" * 100])
+def test_labels_of_any_script_are_labels(label: str) -> None:
+    assert validation.label("label", label) == label
+
+
+@pytest.mark.parametrize("label", [*STRANGE_LABELS, 7, None], ids=repr)
+def test_what_options_and_pages_cannot_hold_is_no_label(label: object) -> None:
+    with pytest.raises(InvalidValue, match="label must"):
+        validation.label("label", label)
+
+
+def test_batch_refuses_a_label_that_is_none() -> None:
+    about = {"sampling_rate": 1e5, "unit": "N", "pre_trigger": 2, "specimen": np.arange(2, dtype=np.uint64)}
+    with pytest.raises(InvalidValue, match="label must not be 'unknown'"):
+        Batch(signals=np.zeros((2, 10)), labels=np.array(["coal", "unknown"]), **about)

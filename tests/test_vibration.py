@@ -332,6 +332,26 @@ def test_known_touch_and_found_touch_agree(rung):
     assert np.abs(known - found).mean() < 0.005
 
 
+@pytest.mark.parametrize("kind", ["vibration", "window"])
+def test_what_depends_on_the_rate_says_so(kind):
+    """Bands are left out: those about half of the lower rate see what is mirrored there."""
+    names = [n for n in supported(choose(None, kind), RATE, round(0.3 * RATE)) if not re.search(r"_hz$|\d$", n)]
+    found = []
+    for rate in (RATE, 4 * RATE):
+        time = np.arange(round(0.3 * rate)) / rate - 0.1
+        after = np.maximum(time, 0.0)
+        modes = ((1.0, 900, 60), (0.5, 2300, 150), (0.3, 5200, 300))
+        rung = sum(a * np.exp(-decay * after) * np.sin(2 * np.pi * f * after) for a, f, decay in modes)
+        rung += 1e-9 * np.random.default_rng(0).normal(size=time.size)
+        found.append(extract_array(rung, rate, names, pre_trigger=None if kind == "window" else round(0.09 * rate))[0])
+    changed = {name for name, a, b in zip(names, *found, strict=True) if abs(a - b) > 0.12 * max(abs(a), abs(b), 1e-4)}
+    said = {name for name in names if "half the sampling rate, on which it depends" in FEATURES[name].definition}
+    assert changed == said
+    assert len(said) == 3
+    (kurtosis,) = (row for row, name in enumerate(names) if name in ("vibration_kurtosis", "window_spectral_kurtosis"))
+    assert found[1][kurtosis] > 2.5 * found[0][kurtosis]
+
+
 def test_other_rates_give_the_same_levels():
     """What a model was trained on at 25.6 kHz it finds at 51.2 kHz."""
     slow, fast = (

@@ -9,6 +9,7 @@ from typing import Any, TypeVar
 import click
 
 from cgid.cli.model_choice import Models, parse_cost
+from cgid.cli.options import PATH
 from cgid.cli.saying import say
 
 F = TypeVar("F", bound=Callable[..., Any])
@@ -83,7 +84,9 @@ class Asked:
 def answering_options(command: F) -> F:
     """Add the options that say by which model, and how, is answered."""
     options: list[Callable[[Any], Any]] = [
-        click.option("--model", "model_path", help="Model file; the default model of the quantity if not given."),
+        click.option(
+            "--model", "model_path", type=PATH, help="Model file; the default model of the quantity if not given."
+        ),
         click.option("--mass", type=float, help="Mass of the accelerated striker [kg]: force = mass x acceleration."),
         click.option("--drop-height", type=float, help="How far the rocks fell [m], for a model that needs to know."),
         click.option(

@@ -7,7 +7,7 @@ from typing import Any
 
 import click
 
-from cgid.cli.options import print_json, progress_bar
+from cgid.cli.options import PATH, print_json, progress_bar
 from cgid.cli.saying import say
 
 #: Signals at each point of the survey.
@@ -16,12 +16,14 @@ _NAMES = {"snr": "SNR [dB]", "sampling_rate": "rate [Hz]", "size_spread": "sizes
 
 
 @click.command(short_help="Say how well anybody could tell a scene's labels apart.")
-@click.argument("scene")
+@click.argument("scene", type=PATH)
 @click.option("-n", "--signals", "n_signals", type=int, default=20_000, show_default=True, help="To judge on.")
 @click.option("--seed", type=int, default=1_000_003, show_default=True, help="Of these signals.")
 @click.option("--drop-height", is_flag=True, help="It is known how far each rock fell.")
 @click.option("--learner", type=int, help="Also what a learner reaches, trained on up to so many signals.")
-@click.option("--plot", "picture", help="Survey noise, sampling rate and spread of sizes: a PNG picture and a table.")
+@click.option(
+    "--plot", "picture", type=PATH, help="Survey noise, sampling rate and spread of sizes: a PNG picture and a table."
+)
 @click.option("--overwrite", is_flag=True, help="Replace an old picture.")
 @click.option("--json", "as_json", is_flag=True, help="One JSON object.")
 def ceiling(

@@ -6,7 +6,7 @@ from typing import Any
 
 import click
 
-from cgid.cli.options import print_json
+from cgid.cli.options import PATH, print_json
 from cgid.cli.saying import say
 
 #: Blocks of 256 impacts that are drawn for the preview.
@@ -14,7 +14,7 @@ _BLOCKS = 16
 
 
 @click.command(short_help="Validate a scene and say what it would make.")
-@click.argument("scene")
+@click.argument("scene", type=PATH)
 @click.option("--seed", type=int, default=0, show_default=True)
 @click.option("--json", "as_json", is_flag=True, help="One JSON object.")
 def check(scene: str, seed: int, as_json: bool) -> None:

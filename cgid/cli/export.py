@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import click
 
-from cgid.cli.options import progress_bar
+from cgid.cli.options import PATH, progress_bar
 from cgid.cli.saying import say
 
 
 @click.command(short_help="Write a dataset as one plain HDF5 file.")
-@click.argument("data")
-@click.option("-o", "--output", required=True, help="Ending in .h5 or .hdf5.")
+@click.argument("data", type=PATH)
+@click.option("-o", "--output", type=PATH, required=True, help="Ending in .h5 or .hdf5.")
 @click.option("--overwrite", is_flag=True, help="Replace an old file.")
 def export(data: str, output: str, overwrite: bool) -> None:
     """Write the dataset DATA, a folder or a file, as one HDF5 file that h5dump, h5py or MATLAB open as it is.

@@ -7,6 +7,7 @@ from typing import Any
 import click
 
 from cgid.cli.options import (
+    PATH,
     asks_for_whole_dataset,
     dead_time_in_seconds,
     each_file,
@@ -21,7 +22,7 @@ _MOST_TOLD = 3
 
 
 @click.command(short_help="Measure the impacts in recordings: one row each.")
-@click.argument("files", nargs=-1, metavar="FILE...")
+@click.argument("files", type=PATH, nargs=-1, metavar="FILE...")
 @click.option("--list", "as_list", is_flag=True, help="Print the table of features: unit, definition, source, kind.")
 @click.option("--features", "names", help="Only these, with commas between them.")
 @click.option("--keep-baseline", is_flag=True, help="Do not subtract the mean before touch.")

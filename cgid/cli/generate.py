@@ -8,7 +8,7 @@ from typing import Any
 
 import click
 
-from cgid.cli.options import crew_options, print_json, progress_bar, require_one_crew
+from cgid.cli.options import PATH, crew_options, print_json, progress_bar, require_one_crew
 from cgid.cli.saying import say
 
 #: Options that leave signals out, with what they ask for and the option that says which of it.
@@ -24,10 +24,11 @@ _OF_DATASETS = (*_OF_RECORDINGS, "shard_signals", "compression", "jobs", "schedu
 
 
 @click.command(short_help="Make a dataset from a scene.")
-@click.argument("scene")
+@click.argument("scene", type=PATH)
 @click.option(
     "-o",
     "--output",
+    type=PATH,
     help="Ending in .h5: one file; else a folder of shards. Without signals: ending in .h5, .parquet or .csv.",
 )
 @click.option("-n", "--signals", "n_signals", type=int, help="How many signals (10000), or recordings of a stream (1).")

@@ -6,7 +6,7 @@ from typing import Any
 
 import click
 
-from cgid.cli.options import print_json
+from cgid.cli.options import PATH, print_json
 from cgid.cli.saying import say
 
 #: Samples of all channels that are held in memory; longer recordings are read block by block.
@@ -16,7 +16,7 @@ _LOCAL_HEAD, _HEADER = 30, b"header.npy"
 
 
 @click.command(short_help="Say what is in a dataset, a model or a recording.")
-@click.argument("file")
+@click.argument("file", type=PATH)
 @click.option("--rate", "sampling_rate", type=float, help="Sampling rate [Hz], where a recording does not say it.")
 @click.option("--unit", help="Unit of the samples, where a recording does not say it.")
 @click.option("--variable", help="Which array, table or group of a recording, where it holds several.")
@@ -153,15 +153,17 @@ def _held_channels(recording: Any) -> dict[str, Any]:
 
     from cgid.errors import BadData
     from cgid.features import kind_for
-    from cgid.identification.events import find_impacts
+    from cgid.identification.events import TURN_OVER, find_impacts
 
     channels = {}
     for signal in recording.signals():
         samples = signal.samples
         try:
             impacts = len(find_impacts(signal, kind=kind_for(signal.quantity)))
-        except BadData:
+        except BadData as error:
             impacts = 0
+            if TURN_OVER in str(error):
+                say(f"cgid: warning: {signal.name}: no impact: {TURN_OVER}", err=True)
         channels[f"channel {signal.channel}"] = {
             **_facts(recording, signal, samples.size, samples.dtype.name),
             "lowest": float(samples.min()),
@@ -176,28 +178,28 @@ def _long_channels(recording: Any) -> dict[str, Any]:
     """Return what is in each channel of a long recording, which is read block by block; a median would hold it all."""
     from collections import Counter
 
-    import numpy as np
-
     from cgid.features import kind_for
-    from cgid.identification.detection.detector import ImpactDetector
+    from cgid.identification.events import TURN_OVER, Extent, ImpactDetector
 
     names = recording.channels
-    lowest, highest, total = np.full(len(names), np.inf), np.full(len(names), -np.inf), np.zeros(len(names))
-    rate, n_samples, dtype = recording.sampling_rate, 0, ""
-    detectors = [ImpactDetector(rate, kind=kind_for(c.quantity)) for c in names]
+    extent, dtype = Extent(len(names)), ""
+    kinds = [kind_for(channel.quantity) for channel in names]
+    detectors = [ImpactDetector(recording.sampling_rate, kind=kind) for kind in kinds]
     impacts: Counter[int] = Counter()
     for block in recording.blocks():
-        lowest, highest = np.minimum(lowest, block.min(axis=1)), np.maximum(highest, block.max(axis=1))
-        total += block.sum(axis=1, dtype=np.float64)
-        n_samples, dtype = n_samples + block.shape[1], block.dtype.name
+        extent.see(block)
+        dtype = block.dtype.name
         impacts.update({row: len(detector.feed(block[[row]])) for row, detector in enumerate(detectors)})
     impacts.update({row: len(detector.finish()) for row, detector in enumerate(detectors)})
+    for row, channel in enumerate(names):
+        if not impacts[row] and extent.cure(row, kinds[row]) == TURN_OVER:
+            say(f"cgid: warning: {recording.source} channel {channel.name}: no impact: {TURN_OVER}", err=True)
     return {
         f"channel {channel.name}": {
-            **_facts(recording, channel, n_samples, dtype),
-            "lowest": float(lowest[row]),
-            "mean": float(total[row] / n_samples),
-            "highest": float(highest[row]),
+            **_facts(recording, channel, extent.n_samples, dtype),
+            "lowest": float(extent.lowest[row]),
+            "mean": float(extent.mean[row]),
+            "highest": float(extent.highest[row]),
             "impacts": impacts[row],
         }
         for row, channel in enumerate(names)

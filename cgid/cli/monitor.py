@@ -14,7 +14,7 @@ from cgid.cli.answer_lines import AnswerLines
 from cgid.cli.asked import Asked, answering_options, asked_of
 from cgid.cli.inbox import Inbox, UnbufferedInput
 from cgid.cli.model_choice import warn_of_rate
-from cgid.cli.options import dead_time_in_seconds
+from cgid.cli.options import PATH, dead_time_in_seconds
 from cgid.cli.telling import Telling
 
 #: Shares are told so many times within their window.
@@ -24,7 +24,7 @@ _BEHIND = 1.0
 
 
 @click.command(short_help="Identify impacts in a live stream, and say when to shut the window.")
-@click.argument("stream", default="-")
+@click.argument("stream", type=PATH, default="-")
 @click.option("--rate", "sampling_rate", type=float, help="Sampling rate [Hz] of raw numbers.")
 @click.option("--channels", "n_channels", type=int, help="Number of channels of raw numbers.")
 @click.option("--sample-format", help="How raw numbers are written: u8, s16le, s24le, s32le, f32le, ..., or be.")
@@ -49,9 +49,9 @@ def monitor(
 ) -> None:
     """Identify the impacts in STREAM as they come: raw numbers or WAV; - is stdin.
 
-    Each channel is a support with a gangue share of its own, told ten times within its window. A line SHUT says that
-    going on begins to cost more than it brings: drawn gangue (--gangue-cost) against lost coal (1); OPEN, that it pays
-    again. Nothing is dropped: whoever is slower than the stream says how far behind.
+    Each channel is a support with a gangue share of its own, told ten times within its window, and once in a pause. A
+    line SHUT says that going on begins to cost more than it brings: drawn gangue (--gangue-cost) against lost coal (1);
+    OPEN, that it pays again. Nothing is dropped: whoever is slower than the stream says how far behind.
     """
     from cgid import validation
     from cgid.recordings.sound.live import live_stream
@@ -79,13 +79,16 @@ def _follow(live: Any, scale: float, asked: Asked, lines: AnswerLines) -> None:
     model = asked.models.of(None if live.unit is None else quantity_of(live.unit))
     factor = factor_of(model, live.unit, live.source, mass=asked.mass) * (-scale if asked.invert else scale)
     names = [str(number) for number in range(1, live.n_channels + 1)]
+    inbox, delay = Inbox(live, live.sampling_rate), _Delay(live.source, lines)
+    blocks, question = scaled(inbox, [factor] * live.n_channels), asked.question(batch=1, whole=0)
+    steps = identify_blocks(blocks, live.sampling_rate, model, names, question, live.source)
     asked.warn_of_sensor(live.source, model)
     telling = Telling(live.source, model, names, live.sampling_rate, asked, lines, always=True)
     warn_of_rate(live.source, live.sampling_rate, model)
-    inbox, delay = Inbox(live, live.sampling_rate), _Delay(live.source, lines)
-    blocks, question = scaled(inbox, [factor] * live.n_channels), asked.question(batch=1, whole=0)
+    silent: tuple[str, ...] = ()
     try:
-        for step in identify_blocks(blocks, live.sampling_rate, model, names, question, live.source):
+        for step in steps:
+            silent += step.silent
             telling.feed(step.answers, step.until)
             delay.see(inbox)
             for warning in step.warnings:
@@ -94,7 +97,7 @@ def _follow(live: Any, scale: float, asked: Asked, lines: AnswerLines) -> None:
         for warning in live.warnings:
             lines.warning(live.source, f"{live.source}: {warning}")
         if inbox.n_taken:
-            telling.finish(inbox.n_taken / live.sampling_rate)
+            telling.finish(inbox.n_taken / live.sampling_rate, silent)
 
 
 class _Delay:

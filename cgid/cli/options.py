@@ -26,6 +26,21 @@ JSON_VERSION = 1
 LONGEST_DEAD_TIME = 1e4
 
 
+class PathName(click.types.StringParamType):
+    """The name of a file or folder; an empty one, such as that of an unset variable of a shell, means none of them."""
+
+    name = "path"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """Return the name, or fail as wrong usage."""
+        if value == "":
+            self.fail("a name must not be empty; give one, or leave it out", param, ctx)
+        return super().convert(value, param, ctx)
+
+
+PATH = PathName()
+
+
 def recording_options(command: F) -> F:
     """Add the options of a command that reads recordings and prints what is in them."""
     options: list[Callable[[Any], Any]] = [
@@ -44,7 +59,7 @@ def reading_options(command: F) -> F:
         click.option("--rate", "sampling_rate", type=float, help="Sampling rate [Hz], where the file does not say it."),
         click.option("--unit", help="Unit of the samples (N, kN, g, m/s^2, ...), where the file does not say it."),
         click.option(
-            "--channel", multiple=True, help="Only this channel: its name, or its number from 1; may be given again."
+            "--channel", multiple=True, help="Only this channel: its name or number from 1; several as 1+2, or again."
         ),
         click.option("--variable", help="Which array, table or group of the file, where it holds several."),
         click.option("--index", type=int, help="Only this signal of a dataset, from 0; else all of them."),

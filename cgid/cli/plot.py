@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from cgid.cli.options import dead_time_in_seconds, open_file, print_json, read_signals, reading_options
+from cgid.cli.options import PATH, dead_time_in_seconds, open_file, print_json, read_signals, reading_options
 from cgid.cli.saying import say
 
 if TYPE_CHECKING:
@@ -20,8 +20,8 @@ if TYPE_CHECKING:
 
 
 @click.command(short_help="Draw a recording: waveform, spectrogram, spectrum and impacts.")
-@click.argument("file")
-@click.option("-o", "--output", required=True, metavar="PICTURE", help="Ends in .png, .svg or .pdf.")
+@click.argument("file", type=PATH)
+@click.option("-o", "--output", type=PATH, required=True, metavar="PICTURE", help="Ends in .png, .svg or .pdf.")
 @click.option("--events/--no-events", default=True, show_default=True, help="Mark the impacts that are found.")
 @click.option(
     "--kind",
@@ -52,6 +52,7 @@ def plot(
     itself, as cgid predict does it.
     """
     from cgid.files import check_new, write_whole
+    from cgid.identification.events import TURN_OVER
     from cgid.overview import OverviewStream
     from cgid.plots import FORMATS, MOST_CHANNELS, overview_figure, picture, require_matplotlib
 
@@ -75,6 +76,8 @@ def plot(
         if finder is not None:
             finder.feed(drawn)
     marks = [] if finder is None else finder.finish()
+    for name in [] if finder is None else finder.upside_down():
+        say(f"cgid: warning: {recording.source} channel {name}: no impact: {TURN_OVER}", err=True)
     for warning in recording.warnings:
         say(f"cgid: warning: {warning}", err=True)
     overview = stream.overview()
@@ -123,7 +126,7 @@ class _Finder:
         begin: float,
     ) -> None:
         from cgid.features import kind_for
-        from cgid.identification.detection.detector import ImpactDetector
+        from cgid.identification.events import Extent, ImpactDetector
 
         self._rate, self._channels, self._begin = sampling_rate, channels, begin
         rows: dict[ImpactKind, list[int]] = {}
@@ -132,10 +135,12 @@ class _Finder:
         self._detectors: list[tuple[list[int], Any]] = [
             (own, ImpactDetector(sampling_rate, len(own), kind=kind, dead_time=dead_time)) for kind, own in rows.items()
         ]
+        self._pulses, self._extent = rows.get("pulse", []), Extent(len(channels))
         self._marks: list[Mark] = []
 
     def feed(self, block: NDArray[Any]) -> None:
         """Take the next samples, (n_channels, n_samples)."""
+        self._extent.see(block)
         for rows, detector in self._detectors:
             self._keep(rows, detector.feed(block[rows]))
 
@@ -144,6 +149,16 @@ class _Finder:
         for rows, detector in self._detectors:
             self._keep(rows, detector.finish())
         return sorted(self._marks, key=lambda mark: mark.time)
+
+    def upside_down(self) -> list[str]:
+        """Return the channels without pulses that fall where they should rise."""
+        from cgid.identification.events import TURN_OVER
+
+        heard = {mark.channel for mark in self._marks}
+        names = {self._channels[row].name: row for row in self._pulses}
+        return [
+            name for name, row in names.items() if name not in heard and self._extent.cure(row, "pulse") == TURN_OVER
+        ]
 
     def _keep(self, rows: Sequence[int], events: Iterable[Any]) -> None:
         from cgid.plots import Mark

@@ -11,6 +11,7 @@ from cgid.cli.asked import Asked, answering_options, asked_of
 from cgid.cli.dataset_answers import heights, identify_dataset
 from cgid.cli.model_choice import warn_of_rate
 from cgid.cli.options import (
+    PATH,
     asks_for_whole_dataset,
     dead_time_in_seconds,
     each_file,
@@ -24,10 +25,12 @@ from cgid.cli.saying import say
 
 
 @click.command(short_help="Identify the material of the impacts in recordings.")
-@click.argument("files", nargs=-1, metavar="FILE...")
+@click.argument("files", type=PATH, nargs=-1, metavar="FILE...")
 @click.option("--sample", is_flag=True, help="Use the recording that comes with cgid.")
 @answering_options
-@click.option("--report", metavar="PAGE", help="Write pictures and answers of the recordings as one page, .html.")
+@click.option(
+    "--report", type=PATH, metavar="PAGE", help="Write pictures and answers of the recordings as one page, .html."
+)
 @click.option("--overwrite", is_flag=True, help="Replace an old report.")
 @recording_options
 def predict(

@@ -49,11 +49,12 @@ def _answer_channels(
     names, rate, source = [recording.channels[row].name for row in rows], recording.sampling_rate, recording.source
     passing = Passing() if pages is None else pages.drawing(recording, rows)
     blocks = model_blocks(recording, model, rows, mass=asked.mass, invert=asked.invert, seen=passing.see)
+    steps = identify_blocks(blocks, rate, model, names, asked.question(), source)
     asked.warn_of_sensor(source, model)
     telling = Telling(source, model, names, rate, asked, lines, keep=pages is not None)
     warn_of_rate(telling.name(telling.channels[0]), rate, model)
     silent: tuple[str, ...] = ()
-    for step in identify_blocks(blocks, rate, model, names, asked.question(), source):
+    for step in steps:
         telling.feed(step.answers, step.until)
         silent += step.silent
         for warning in step.warnings:

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import click
 
-from cgid.cli.options import progress_bar
+from cgid.cli.options import PATH, progress_bar
 from cgid.cli.saying import say
 
 
 @click.command(short_help="Compute the paper's figures and tables, and a report.")
-@click.option("-o", "--output", required=True, help="Folder for the pictures, the data and report.md.")
+@click.option("-o", "--output", type=PATH, required=True, help="Folder for the pictures, the data and report.md.")
 @click.option("--overwrite", is_flag=True, help="Replace such files in a folder that is not empty; others stay.")
 @click.option(
     "--finite-element", is_flag=True, help="Simulate all impacts anew (minutes), and write finite_element.npz, too."

@@ -88,11 +88,11 @@ class Telling:
         Raises
         ------
         BadData
-            There was nothing, or nothing could be measured.
+            There was nothing, or nothing could be measured; never of a live stream.
         """
         from cgid.errors import BadData
 
-        if silent and not self.tally.total:
+        if silent and not self.tally.total and not self._always:
             raise BadData(silent[0])
         for message in silent[:_MOST_SILENT]:
             self.lines.warning(self.source, message)

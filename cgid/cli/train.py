@@ -8,7 +8,7 @@ from typing import Any
 
 import click
 
-from cgid.cli.options import crew_options, print_json, progress_bar, require_one_crew, say_error
+from cgid.cli.options import PATH, crew_options, print_json, progress_bar, require_one_crew, say_error
 from cgid.cli.saying import say
 from cgid.errors import InvalidValue
 
@@ -32,8 +32,10 @@ _OF_DATASETS = {
 
 
 @click.command(short_help="Train a model on datasets, on a scene, or on recordings.")
-@click.argument("data", nargs=-1, required=True, metavar="DATA...")
-@click.option("-o", "--output", required=True, help="Model file, ending in .npz; the card goes beside it as .md.")
+@click.argument("data", type=PATH, nargs=-1, required=True, metavar="DATA...")
+@click.option(
+    "-o", "--output", type=PATH, required=True, help="Model file, ending in .npz; the card goes beside it as .md."
+)
 @click.option(
     "--family",
     type=click.Choice(["logistic", "boosting", "discriminant", "network", "linear"]),
@@ -63,7 +65,7 @@ _OF_DATASETS = {
 @click.option("--level-free", is_flag=True, help="Only features in which the gain of a sensor cancels.")
 @click.option("--rate", "sampling_rate", type=float, help="Sampling rate [Hz], where a recording does not say it.")
 @click.option("--unit", help="Unit of the samples (N, g, ...), where a recording does not say it.")
-@click.option("--channel", "channels", multiple=True, help="Of the recordings, again for several together; else all.")
+@click.option("--channel", "channels", multiple=True, help="Of the recordings, several together as 1+2; else all.")
 @click.option("--dead-time", type=float, help="Ringing after a blow [ms], with --by impact.")
 @click.option("--strict", is_flag=True, help="Stop at the first recording that cannot be read.")
 @click.option("--seed", type=int, default=0, show_default=True, help="Of the split, and of the signals of a scene.")

@@ -7,7 +7,7 @@ from typing import Any
 
 import click
 
-from cgid.cli.options import each_file, print_json, progress_bar
+from cgid.cli.options import PATH, each_file, print_json, progress_bar
 from cgid.cli.saying import say
 
 #: Problems that are told, and left as they are.
@@ -15,9 +15,9 @@ _KEPT = ("pending", "foreign")
 
 
 @click.command(short_help="Say what is damaged in a dataset; make it again.")
-@click.argument("data", nargs=-1, required=True, metavar="DATA...")
+@click.argument("data", type=PATH, nargs=-1, required=True, metavar="DATA...")
 @click.option("--repair", is_flag=True, help="Make again what is damaged, and remove what stopped runs have left.")
-@click.option("--scene", help="Scene file a dataset was made of, where that names a recorded background.")
+@click.option("--scene", type=PATH, help="Scene file a dataset was made of, where that names a recorded background.")
 @click.option("--json", "as_json", is_flag=True, help="One JSON object for each DATA.")
 def verify(data: tuple[str, ...], repair: bool, scene: str | None, as_json: bool) -> int:
     """Say what is damaged in DATA: datasets (folders or files), recordings, tables, models; the exit code is 65 then.

@@ -33,8 +33,8 @@ from cgid.windows import WindowBatch
 if TYPE_CHECKING:
     import pandas
 
-#: Rows measured at once: enough to share the overhead of the fit, few enough for the memory to stay flat.
-_ROWS = 1024
+#: Samples measured at once: enough to share the overhead of the fit, few enough for the memory to stay flat; and rows.
+_SAMPLES, _ROWS = 1 << 21, 1024
 #: Windows are long, and their frames overlap: so many samples of them at once stay in the processor's cache.
 _WINDOWED_SAMPLES = 1 << 17
 #: What is measured, by its kind.
@@ -127,7 +127,8 @@ def extract_array(
     if equalisation is not None and kind_of(names) == "pulse":
         raise InvalidValue("equalisation must be of vibrations or windows, got features of pulses: leave it out")
     out = np.full((len(frames), len(names)), np.nan)
-    n_rows = max(_WINDOWED_SAMPLES // frames.shape[1], 1) if kind_of(names) == "window" else _ROWS
+    most = _WINDOWED_SAMPLES if kind_of(names) == "window" else _SAMPLES
+    n_rows = max(min(most // frames.shape[1], _ROWS), 1)
     for first in range(0, len(frames), n_rows):
         part = frames[first : first + n_rows]
         if equalisation is not None:

@@ -13,6 +13,8 @@ from cgid.validation import Floats
 ImpactKind = Literal["pulse", "vibration"]
 #: What features are measured on: an impact, or a window of a recording, in which any number of them may lie.
 Kind = Literal[ImpactKind, "window"]
+#: What a definition says of a feature that the whole spectrum tells, where little energy lies, too.
+OF_THE_RATE = "taken up to half the sampling rate, on which it depends: compare at one rate"
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ from functools import partial
 import numpy as np
 
 from cgid.bands import MEL_BANDS
-from cgid.features.feature import Feature
+from cgid.features.feature import OF_THE_RATE, Feature
 from cgid.validation import Floats
 from cgid.vibration import APART, EARLY_TIME, WINDOW_TIME, VibrationBatch
 from cgid.wavelets import LEVEL, N_PACKETS, WAVELET
@@ -259,14 +259,14 @@ VIBRATION_FEATURES = (
     _vibration(
         "vibration_skewness",
         "1",
-        "third standardised moment about vibration_centroid",
+        f"third standardised moment about vibration_centroid; {OF_THE_RATE}",
         _PEETERS,
         lambda v: v.clean_spectrum.standardised_moments[0],
     ),
     _vibration(
         "vibration_kurtosis",
         "1",
-        "fourth standardised moment about vibration_centroid",
+        f"fourth standardised moment about vibration_centroid; {OF_THE_RATE}",
         _PEETERS,
         lambda v: v.clean_spectrum.standardised_moments[1],
         positive=True,
@@ -274,7 +274,8 @@ VIBRATION_FEATURES = (
     _vibration(
         "vibration_flatness",
         "1",
-        "log10 of the geometric over the arithmetic mean of the same spectrum above 0 Hz, noise left in",
+        "log10 of the geometric over the arithmetic mean of the same spectrum above 0 Hz, noise left in; "
+        f"{OF_THE_RATE}",
         _PEETERS,
         lambda v: v.spectrum.flatness,
     ),

@@ -9,7 +9,7 @@ from collections.abc import Callable
 from functools import partial
 
 from cgid.bands import EVEN_BANDS, MEL_BANDS, TriangularBands
-from cgid.features.feature import Feature
+from cgid.features.feature import OF_THE_RATE, Feature
 from cgid.features.vibration import PACKETS_SOURCE, THIRD_OCTAVES, band_edges
 from cgid.validation import Floats
 from cgid.wavelets import LEVEL, N_PACKETS, WAVELET
@@ -159,14 +159,14 @@ WINDOW_FEATURES = (
     _window(
         "spectral_skewness",
         "1",
-        "third standardised moment about the centroid",
+        f"third standardised moment about the centroid; {OF_THE_RATE}",
         _PEETERS,
         lambda w: w.spectrum.standardised_moments[0],
     ),
     _window(
         "spectral_kurtosis",
         "1",
-        "fourth standardised moment about the centroid",
+        f"fourth standardised moment about the centroid; {OF_THE_RATE}",
         _PEETERS,
         lambda w: w.spectrum.standardised_moments[1],
         positive=True,
@@ -176,7 +176,7 @@ WINDOW_FEATURES = (
     _window(
         "flatness",
         "1",
-        "log10 of the geometric over the arithmetic mean of the spectrum above 0 Hz",
+        f"log10 of the geometric over the arithmetic mean of the spectrum above 0 Hz; {OF_THE_RATE}",
         _PEETERS,
         lambda w: w.spectrum.flatness,
     ),

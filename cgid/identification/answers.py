@@ -15,9 +15,9 @@ from cgid.features import extract_array, problems_of
 from cgid.frames import DETECTION_LIMIT, MINIMUM_FRAME
 from cgid.identification.events import Event, find_impacts
 from cgid.identification.known import known_columns
-from cgid.identification.model import UNKNOWN, Model
+from cgid.identification.model import Model
 from cgid.signals import UNITS, Signal
-from cgid.validation import Floats
+from cgid.validation import UNKNOWN, Floats
 
 
 @dataclass(frozen=True, kw_only=True)

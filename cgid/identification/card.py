@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from typing import Any
+from urllib.parse import quote
 
-from cgid.identification.card_tables import table
+from cgid.identification.card_tables import plain, table
 from cgid.identification.events import VIBRATION_DEAD_TIME
 from cgid.identification.known import KNOWN
 from cgid.identification.model import Model
@@ -35,11 +36,11 @@ def write_card(model: Model, name: str, pictures: tuple[str, ...] = ()) -> str:
         File names, relative to the card.
     """
     training = model.training
-    lines = [f"# Model card: {name}", ""]
+    lines = [f"# Model card: {plain(name)}", ""]
     if training["labels_shuffled"]:
         lines += ["**Trained on shuffled labels: a check of the method, of no other use.**", ""]
     of = "a window of a recording" if model.kind == "window" else "one impact"
-    lines += [f"Identifies {', '.join(model.labels)} from the {model.quantity} of {of}.", ""]
+    lines += [f"Identifies {', '.join(map(plain, model.labels))} from the {model.quantity} of {of}.", ""]
     lines += table(("", ""), _identity(model))
     lines += [
         "",
@@ -49,7 +50,7 @@ def write_card(model: Model, name: str, pictures: tuple[str, ...] = ()) -> str:
     ]
     if "recorded" in training:
         lines += judgement_of_recorded(model)
-    lines += [f"![{picture}]({picture})" for picture in pictures] + [""] * bool(pictures)
+    lines += [f"![{plain(picture)}]({quote(picture)})" for picture in pictures] + [""] * bool(pictures)
     lines += ["## Calibration and reject option", "", *_calibration(model)]
     if "domain_shift" in training:
         lines += ["## Domain shift", "", *domain_shift_table(training["domain_shift"]), ""]
@@ -80,7 +81,7 @@ def domain_shift_table(rows: Rows) -> list[str]:
         ("impacts of", "number", "accuracy", "flagged as strange"),
         [
             (
-                row["name"],
+                plain(row["name"]),
                 row["n"],
                 "-" if row["accuracy"] is None else f"{row['accuracy']:.4f}",
                 f"{row['flagged_share']:.2%}",
@@ -97,7 +98,7 @@ def selection_table(rows: Rows) -> list[str]:
         (*titles, "fit [s]", "one impact [us]", "size [kB]"),
         [
             (
-                f"**{row['name']}**" if row["chosen"] else row["name"],
+                f"**{plain(row['name'])}**" if row["chosen"] else plain(row["name"]),
                 "yes" if row["exportable"] else "no",
                 f"{row['accuracy']:.4f}",
                 f"{row['difference']:+.4f} ± {row['standard_error']:.4f}",
@@ -121,7 +122,7 @@ def force_table(row: Mapping[str, Any]) -> list[str]:
     """
     rows = [
         ("this model, on the vibration", row["n"], f"{row['accuracy']:.4f}"),
-        (row["name"], row["n"], f"{row['force_accuracy']:.4f}"),
+        (plain(row["name"]), row["n"], f"{row['force_accuracy']:.4f}"),
     ]
     lost = f"{row['difference']:.4f} ± {row['standard_error']:.4f} of the accuracy"
     told = [*table(("the same impacts", "number", "accuracy"), rows), "", f"The way through the beam costs {lost}."]
@@ -132,7 +133,7 @@ def force_table(row: Mapping[str, Any]) -> list[str]:
         *told,
         "",
         "Nobody integrates the likelihood of a vibration here: a learner holds the ceiling from below. "
-        f"{learner['name']} is right in {learner['accuracy']:.4f} (95 % interval {learner['low']:.4f} to "
+        f"{plain(learner['name'])} is right in {learner['accuracy']:.4f} (95 % interval {learner['low']:.4f} to "
         f"{learner['high']:.4f}) of the {learner['n']} impacts that judge. From above the ceiling of the force "
         "holds it, for the force has all that the vibration has. It lies between the two.",
     ]
@@ -155,17 +156,17 @@ def _identity(model: Model) -> list[tuple[str, str]]:
         ),
         (
             f"data (SHA-256 of the {'files' if 'recorded' in training else 'scene'})",
-            ", ".join(source or "unknown" for source in training["sources"]),
+            ", ".join(plain(source or "unknown") for source in training["sources"]),
         ),
-        ("seed", str(training["seed"])),
-        ("versions", ", ".join(f"{name} {version}" for name, version in training["versions"].items())),
+        ("seed", plain(training["seed"])),
+        ("versions", ", ".join(plain(f"{name} {version}") for name, version in training["versions"].items())),
     ]
 
 
 def _features(model: Model) -> str:
     if len(model.features) <= _MOST_NAMES:
         return ", ".join(model.features)
-    chosen = [row["name"] for row in model.training.get("recorded", {}).get("candidates", ()) if row["chosen"]]
+    chosen = [plain(row["name"]) for row in model.training.get("recorded", {}).get("candidates", ()) if row["chosen"]]
     return f"{len(model.features)}: {', '.join(chosen) or 'many'} (`cgid info` lists them)"
 
 
@@ -183,18 +184,18 @@ def _judgement(model: Model) -> list[str]:
     low, high = metrics["accuracy_interval_95"]
     rows = [
         ("accuracy", f"{metrics['accuracy']:.4f} (95 % interval {low:.4f} to {high:.4f})"),
-        *((f"recall of {label}", f"{value:.4f}") for label, value in metrics["recall"].items()),
+        *((f"recall of {plain(label)}", f"{value:.4f}") for label, value in metrics["recall"].items()),
         ("Brier score (sum over the labels)", f"{metrics['brier_score']:.4f}"),
         ("log loss", f"{metrics['log_loss']:.4f}"),
-        *((f"area under the ROC curve, {label}", f"{value:.4f}") for label, value in metrics["roc_area"].items()),
+        *((f"area under the ROC curve, {plain(label)}", f"{area:.4f}") for label, area in metrics["roc_area"].items()),
     ]
-    confusion = zip(model.labels, metrics["confusion"], strict=True)
+    labels = list(map(plain, model.labels))
     return [
         *table(("", ""), rows),
         "",
         "Confusion (rows: truth, columns: answer):",
         "",
-        *table(("", *model.labels), [(label, *row) for label, row in confusion]),
+        *table(("", *labels), [(label, *row) for label, row in zip(labels, metrics["confusion"], strict=True)]),
         "",
     ]
 
@@ -231,7 +232,7 @@ def _calibration(model: Model) -> list[str]:
         )
         for row in metrics["prediction_sets"]
     ]
-    titles = ("coverage asked", "of", "achieved", *(f"of {label}" for label in model.labels))
+    titles = ("coverage asked", "of", "achieved", *(f"of {plain(label)}" for label in model.labels))
     return [
         *lines,
         "Prediction sets (split conformal) hold the truth as often as asked, over the mix of the training or for each",

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import get_args
+from typing import Any, get_args
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cgid import validation
 from cgid.errors import BadData
@@ -20,20 +21,28 @@ from cgid.identification.detection.frames import FOUND_LIMIT, Event
 from cgid.identification.detection.pulses import THRESHOLD_OVER_NOISE, THRESHOLD_OVER_PEAK
 from cgid.identification.detection.ringing import RISE_OVER_NOISE
 from cgid.signals import Signal
+from cgid.validation import Floats
 
 __all__ = [
     "DEAD_TIME",
     "FOUND_LIMIT",
     "THRESHOLD_OVER_NOISE",
     "THRESHOLD_OVER_PEAK",
+    "TURN_OVER",
     "VIBRATION_DEAD_TIME",
     "Event",
+    "Extent",
     "ImpactDetector",
+    "cure_of_silence",
     "find_impacts",
 ]
 
 #: A recording of which more samples than this lie at its limits is clipped from its beginning to its end.
 _CLIPPED_SHARE = 0.5
+#: What falls this many times as far as it rises is upside down.
+_UPSIDE_DOWN = 3.0
+#: What cures that.
+TURN_OVER = "turn it over with --invert, for pulses must point upwards"
 
 
 def find_impacts(signal: Signal, *, kind: ImpactKind = "pulse", dead_time: float | None = None) -> list[Event]:
@@ -142,8 +151,49 @@ def _nothing_in(signal: Signal, kind: ImpactKind) -> str:
             f"({noise:.3g}{unit}), it nowhere does; the farthest sample lies {max(highest, lowest):.3g}{unit} from the "
             "median; record nearer or with less noise"
         )
-    cure = "invert it" if lowest > THRESHOLD_OVER_NOISE * noise else "record nearer or with less noise"
     return (
         f"{signal.name}: no impact: a sample must rise {THRESHOLD_OVER_NOISE:g} times the noise ({noise:.3g}{unit}) "
-        f"above the median, the highest rises {highest:.3g}{unit}, the deepest falls {lowest:.3g}{unit}; {cure}"
+        f"above the median, the highest rises {highest:.3g}{unit}, the deepest falls {lowest:.3g}{unit}; "
+        f"{cure_of_silence(kind, highest, lowest)}"
     )
+
+
+def cure_of_silence(kind: ImpactKind, rise: float, fall: float) -> str:
+    """Return what to do where no impact is found, by how far samples rise above their middle and fall below it.
+
+    Examples
+    --------
+    >>> cure_of_silence("pulse", 2.0, 90.0) == TURN_OVER
+    True
+    """
+    return TURN_OVER if kind == "pulse" and fall > _UPSIDE_DOWN * rise else "record nearer or with less noise"
+
+
+class Extent:
+    """How far the samples of channels reach, of blocks that pass by.
+
+    Attributes
+    ----------
+    lowest, highest, mean : ndarray, (n_channels,)
+    n_samples : int
+    """
+
+    def __init__(self, n_channels: int) -> None:
+        self.lowest, self.highest = np.full(n_channels, np.inf), np.full(n_channels, -np.inf)
+        self._total, self.n_samples = np.zeros(n_channels), 0
+
+    @property
+    def mean(self) -> Floats:
+        """Of all samples."""
+        return self._total / self.n_samples
+
+    def see(self, block: NDArray[Any]) -> None:
+        """Look at the next samples, (n_channels, n)."""
+        self.lowest = np.minimum(self.lowest, block.min(axis=1))
+        self.highest = np.maximum(self.highest, block.max(axis=1))
+        self._total += block.sum(axis=1, dtype=np.float64)
+        self.n_samples += block.shape[1]
+
+    def cure(self, row: int, kind: ImpactKind) -> str:
+        """Return what to do where no impact of a kind is found in a channel."""
+        return cure_of_silence(kind, self.highest[row] - self.mean[row], self.mean[row] - self.lowest[row])

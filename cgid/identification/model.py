@@ -40,8 +40,6 @@ LARGEST_FILE = 64 << 20
 _LONGEST_MESSAGE = 400
 #: Numbers that are held at once while rows are answered for.
 _MOST_HELD = 1 << 20
-#: The answer for an impact that lies outside of what the model was trained on.
-UNKNOWN = "unknown"
 
 
 def inputs_of(features: tuple[str, ...], n_channels: int) -> tuple[str, ...]:

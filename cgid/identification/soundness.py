@@ -51,6 +51,8 @@ def check_names(model: Model) -> None:
             raise BadData(
                 f"{name} must be at least {least} different words of 1 to {_LONGEST_WORD} letters that can be printed"
             )
+    for label in model.labels:
+        validation.label("labels", label)
     for name, values, most in (("labels", model.labels, MOST_LABELS), ("sensors", model.sensors, _MOST_SENSORS)):
         if len(values) > most:
             raise BadData(f"{name} must be at most {most}, got {len(values)}")

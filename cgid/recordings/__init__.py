@@ -3,17 +3,21 @@
 from __future__ import annotations
 
 import errno
-import os
 import sys
 import tempfile
+import warnings
 import weakref
-from collections.abc import Sequence
-from contextlib import suppress
+from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager, ExitStack, nullcontext, suppress
+from functools import partial
 from pathlib import Path
-from typing import Any
+from threading import Timer
+from typing import IO, Any
+
+import numpy as np
 
 from cgid.errors import BadData, NoInput, WriteFailed
-from cgid.recordings.formats import HDF5_MAGIC, format_of
+from cgid.recordings.formats import HDF5_MAGIC, HEAD_SIZE, format_of, is_hdf5
 from cgid.recordings.own import DATASET_CURE
 from cgid.recordings.recording_file import BLOCK_LENGTH, Channel, RecordingFile, told
 from cgid.signals import Signal, quantity_of
@@ -25,6 +29,8 @@ __all__ = ["BLOCK_LENGTH", "Channel", "RecordingFile", "is_dataset", "open_recor
 #: A longer stream on the standard input is refused: it is put on the disk before it is read.
 LARGEST_STREAM = 32 << 30
 _PIECE = 1 << 20
+#: Who waits for longer says so [s].
+_PATIENCE = 5.0
 
 
 def is_dataset(path: str | Path) -> bool:
@@ -69,7 +75,8 @@ def open_recording(
     r"""Open a recording; the format is told by the content, not by the file's name.
 
     Text (CSV, TXT, ...) may use any of comma, semicolon, tab, bar and blanks between its columns, a decimal comma
-    unless the comma separates columns, comments, any number of header lines, UTF-8, UTF-16, GB 18030 or Latin-1. A
+    unless the comma separates columns, comments above and below the numbers, header lines, UTF-8, UTF-16, GB 18030 or
+    Latin-1. A
     header such as ``time (ms), force [kN]`` gives names and units, ``# sampling_rate: 200 kHz`` and ``# unit: N`` say
     the rest. A time column is in seconds unless its header says ms or us, or holds times of day.
 
@@ -105,7 +112,7 @@ def open_recording(
     unit : str, optional
         What the numbers are in, where the file does not say it; nothing is converted.
     channel : int, str or sequence of these, optional
-        Read only these channels: number from 1 (the time column does not count) or name in the header.
+        Read only these channels: number from 1 (the time column does not count) or name in the header; "1+2" is both.
     variable : str, optional
         Which of the arrays, tables or groups of the file is meant.
 
@@ -142,7 +149,7 @@ def open_recording(
     if unit is not None:
         quantity_of(unit)
     source = "stdin" if str(path) == "-" else str(path)
-    regular, spooled = _regular(path, source)
+    regular, spool = _regular(path, source)
     try:
         with told(source):
             found = format_of(regular, source)
@@ -155,11 +162,9 @@ def open_recording(
                 channel=channel,
             )
     except BaseException:
-        if spooled:
-            _forget(regular)
+        spool.close()
         raise
-    if spooled:
-        weakref.finalize(recording, _forget, regular)
+    weakref.finalize(recording, spool.close)
     return recording
 
 
@@ -189,8 +194,8 @@ def read_recording(
     return open_recording(path, sampling_rate=sampling_rate, unit=unit, channel=channel, variable=variable).signals()
 
 
-def _regular(path: str | Path, source: str) -> tuple[Path, bool]:
-    """Return a regular file with the content, and whether it is a copy that has to be removed."""
+def _regular(path: str | Path, source: str) -> tuple[Path, ExitStack]:
+    """Return a regular file with the content, and what holds it where it is a copy: that is gone when this closes."""
     if not str(path):
         raise NoInput("the name of the recording must not be empty; give a file, or - for the standard input")
     try:
@@ -198,16 +203,22 @@ def _regular(path: str | Path, source: str) -> tuple[Path, bool]:
             if str(path) == "-":
                 if sys.stdin is None:
                     raise NoInput("stdin: the standard input must be open, it is closed; give a file, or pipe one in")
-                return _spooled(sys.stdin.buffer), True
+                if sys.stdin.buffer.isatty():
+                    raise NoInput("stdin: a recording must be a file or a pipe, this is a terminal; pipe one in")
+                return _spooled(lambda: nullcontext(sys.stdin.buffer), source)
             path = Path(path)
             if path.is_dir():
                 raise BadData(f"{source}: a directory is a dataset, not one recording; {DATASET_CURE}")
+            if path.is_char_device() or path.is_block_device():
+                raise NoInput(
+                    f"{source}: a recording must be a file or a pipe, this is a device; record it to a file, or follow "
+                    "it by cgid monitor"
+                )
             if path.exists() and not path.is_file():
-                with path.open("rb") as pipe:
-                    return _spooled(pipe), True
+                return _spooled(partial(path.open, "rb"), source)
             # Opened once, so that what is wrong with it is said before anything else.
             path.open("rb").close()
-            return path, False
+            return path, ExitStack()
     except (BadData, NoInput):
         raise
     # A closed standard input and a NUL byte in the name are ValueErrors, a missing standard input has no buffer.
@@ -215,27 +226,67 @@ def _regular(path: str | Path, source: str) -> tuple[Path, bool]:
         raise NoInput(f"{source!r}: the file cannot be opened ({error}); check the name") from None
 
 
-def _spooled(stream: Any) -> Path:
-    """Return a file with all that comes from a stream: some formats have their index at the end."""
-    handle, name = tempfile.mkstemp(prefix="cgid-", suffix=".recording")
+def _spooled(opened: Callable[[], AbstractContextManager[Any]], source: str) -> tuple[Path, ExitStack]:
+    """Return a file with all that comes from a stream: some formats have their index at the end.
+
+    Nothing of it outlives this process, however that ends: the file has no name, or somebody who removes it.
+    """
+    waiting = Timer(_PATIENCE, _say_waiting, [source])
+    waiting.daemon = True
+    waiting.start()
+    spool = ExitStack()
     try:
-        with os.fdopen(handle, "wb") as file:
-            while piece := stream.read(_PIECE):
+        with opened() as stream:
+            piece = stream.read(_PIECE)
+            waiting.cancel()
+            path, file = _temporary(spool, is_hdf5(piece[:HEAD_SIZE], ""))
+            while piece:
                 if file.tell() > LARGEST_STREAM:
                     raise BadData(
                         f"stream: it must end within {LARGEST_STREAM >> 30} GiB to be read as a recording, it goes on; "
                         "save it as a file, or follow it by cgid monitor"
                     )
                 file.write(piece)
+                piece = stream.read(_PIECE)
+        file.flush()
     except BaseException as error:
-        _forget(Path(name))
+        with suppress(OSError):
+            spool.close()
         if isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT):
-            folder = Path(name).parent
+            folder = tempfile.gettempdir()
             raise WriteFailed(f"{folder}: the disk must have room for the stream, it is full; set TMPDIR") from None
         raise
-    return Path(name)
+    finally:
+        waiting.cancel()
+    return path, spool
 
 
-def _forget(path: Path) -> None:
-    with suppress(OSError):
-        path.unlink()
+def _temporary(spool: ExitStack, named: bool) -> tuple[Path, IO[bytes]]:
+    """Return the path of a temporary file, and the file, which goes when the spool closes or this process ends."""
+    if not named and Path("/proc/self/fd").is_dir():
+        file = spool.enter_context(tempfile.TemporaryFile())  # noqa: SIM115
+        return Path(f"/proc/self/fd/{file.fileno()}"), file
+    # HDF5 opens nothing without a name, and other systems than Linux let nobody open it twice.
+    import subprocess
+
+    kept = tempfile.NamedTemporaryFile(prefix="cgid-", suffix=".recording", delete=False)  # noqa: SIM115
+    spool.callback(Path(kept.name).unlink, missing_ok=True)
+    spool.enter_context(kept)
+    with suppress(FileNotFoundError):  # where there is no shell, the name stays if the process is killed
+        remover = subprocess.Popen(
+            ["/bin/sh", "-c", 'cat; rm -f -- "$1"', "sh", kept.name],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+            start_new_session=True,
+        )
+        spool.enter_context(remover)
+    return Path(kept.name), kept.file
+
+
+def _say_waiting(source: str) -> None:
+    warnings.warn(
+        f"{source}: nothing has come for {_PATIENCE:g} s, a recording is read when its stream has ended; write into "
+        "it, or follow a live one by cgid monitor",
+        stacklevel=1,
+    )

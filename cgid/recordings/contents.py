@@ -94,8 +94,17 @@ class Contents:
         name = self.name(index)
         return name if self.names.count(name) == 1 else _numbered(index, name)
 
-    def selected(self, channel: int | str, source: str) -> int:
-        """Return the index of the channel of this number (from 1) or name, or of both as `label` has them."""
+    def selected(self, channel: int | str, source: str) -> list[int]:
+        """Return the indices of the channels that are meant: a number (from 1) or name, or several, as in 1+2."""
+        if not (isinstance(channel, str) and "+" in channel):
+            return [self._index(channel, source)]
+        try:  # a name may hold the sign
+            return [self._index(channel, source)]
+        except InvalidValue:
+            return [self._index(part.strip(), source) for part in channel.split("+")]
+
+    def _index(self, channel: int | str, source: str) -> int:
+        """Return the index of the channel of this number or name, or of both as `label` has them."""
         names = [self.name(index) for index in range(self.n_channels)]
         if isinstance(channel, str) and channel and names.count(channel) == 1:
             return names.index(channel)

@@ -59,7 +59,8 @@ def _starts(*magics: bytes) -> Callable[[bytes, str], bool]:
     return lambda head, suffix: head.startswith(magics)
 
 
-def _is_hdf5(head: bytes, suffix: str) -> bool:
+def is_hdf5(head: bytes, suffix: str) -> bool:
+    """Return whether a file begins as HDF5 does, or as MATLAB's files in it."""
     # The superblock may stand behind a block of the user's, as MATLAB's header is.
     return any(head[place:].startswith(HDF5_MAGIC) for place in (0, 512))
 
@@ -69,7 +70,7 @@ FORMATS: tuple[Format, ...] = (
     Format("NPY", _starts(b"\x93NUMPY"), "arrays:read_npy"),
     Format("WAV", _starts(*WAV_MAGICS), "sound.wav:read_wav"),
     Format("NPZ", _starts(b"PK\3\4"), "npz:read_npz", takes_variable=True),
-    Format("HDF5", _is_hdf5, "hdf5:read_hdf5", takes_variable=True),
+    Format("HDF5", is_hdf5, "hdf5:read_hdf5", takes_variable=True),
     Format("MATLAB", lambda head, suffix: head[124:128] in MAT_ORDERS, "mat.reader:read_mat", takes_variable=True),
     Format("TDMS", _starts(b"TDSm"), "tdms:read_tdms", takes_variable=True),
     Format("UFF", lambda head, suffix: _UFF.match(head) is not None, "uff:read_uff", takes_variable=True),

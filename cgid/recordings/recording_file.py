@@ -169,7 +169,7 @@ def _selected(contents: Contents, channel: int | str | Sequence[int | str] | Non
     if channel is None:
         return tuple(range(contents.n_channels))
     asked = [channel] if isinstance(channel, int | str) else list(channel)
-    return tuple(dict.fromkeys(contents.selected(one, source) for one in asked))
+    return tuple(dict.fromkeys(index for one in asked for index in contents.selected(one, source)))
 
 
 @contextmanager

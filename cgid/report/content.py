@@ -9,10 +9,11 @@ from dataclasses import dataclass, field
 from cgid.identification.answering.share import Share
 from cgid.identification.answering.shutting import Turn
 from cgid.identification.answers import Answer
-from cgid.identification.model import UNKNOWN, Model
+from cgid.identification.model import Model
 from cgid.overview import Overview
 from cgid.plots import hertz, written
 from cgid.recordings import Channel, RecordingFile
+from cgid.validation import UNKNOWN
 
 #: More names than these are not all listed.
 _MOST_NAMES = 8

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self
 
 from pydantic import (
+    AfterValidator,
     BaseModel,
     ConfigDict,
     Field,
@@ -13,6 +15,7 @@ from pydantic import (
     model_validator,
 )
 
+from cgid import validation
 from cgid.family import HIGHEST_RESTITUTION, LOWEST_RESTITUTION
 from cgid.impact import HUNT_CROSSLEY_LAWS, RIGID, HalfSpace, RigidWall, ThinPlate
 from cgid.materials import Material
@@ -49,7 +52,7 @@ class _Source(Section):
 
     _DRAWN: ClassVar[tuple[str, ...]] = ()
 
-    label: str = Field(min_length=1, max_length=32, pattern=r"^[A-Za-z0-9_. -]+$")
+    label: Annotated[str, AfterValidator(partial(validation.label, "label"))]
     weight: Number = Field(default=1.0, gt=0, le=1e9)
     second_hit: SecondHit | None = None
     # The share of a pulse's peak at which the sensor's range ends, as if it were too small for this impact.

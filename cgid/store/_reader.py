@@ -53,6 +53,7 @@ def _main() -> None:
 
 def _serve(function: str, arguments: list[Any], requests: Any, answers: Any) -> None:
     for number, (message, arrays) in enumerate(_replies(function, arguments)):
+        limits.rest()
         # The next item is ready before it is asked for.
         if number and not json.loads(requests.readline() or "{}").get("next"):
             wire.send(answers, {"end": True})

@@ -113,7 +113,7 @@ class Dataset:
         Raises
         ------
         BadData
-            A checksum does not fit: the file is damaged.
+            A checksum does not fit: the file is damaged. A label breaks the rule of `cgid.validation.label`.
         """
         for shard, count in zip(self._shards, self._counts, strict=True):
             yield from self._read(shard, 0, count, n_rows)
@@ -130,16 +130,19 @@ class Dataset:
                 yield self._batch(part)
 
     def _batch(self, part: dict[str, NDArray[Any]]) -> Batch:
-        return Batch(
-            signals=part["signals"],
-            labels=text_of(part["labels"]),
-            sampling_rate=self.sampling_rate,
-            unit=self.unit,
-            pre_trigger=self.pre_trigger,
-            specimen=part["specimen"].astype(np.uint64),
-            parameters={name: part[f"parameters/{name}"] for name in self.header.parameter_units},
-            source=self.source,
-        )
+        try:
+            return Batch(
+                signals=part["signals"],
+                labels=text_of(part["labels"]),
+                sampling_rate=self.sampling_rate,
+                unit=self.unit,
+                pre_trigger=self.pre_trigger,
+                specimen=part["specimen"].astype(np.uint64),
+                parameters={name: part[f"parameters/{name}"] for name in self.header.parameter_units},
+                source=self.source,
+            )
+        except InvalidValue as error:
+            raise BadData(f"{self.path}: {error}") from None
 
     def impact(self, index: int) -> Batch:
         """Return one signal with all that is stored of it.

@@ -10,6 +10,8 @@ from pathlib import Path
 _SECONDS, _BYTES_A_SECOND = 1.0, 32 << 20
 #: The clock is only a wide net [times as long]: a busy machine or a slow disk is no reason to break off.
 _CLOCK = 60
+#: Who asks breaks off first, and says why; so much later the process ends by itself [s].
+_LATER = 5.0
 #: Beyond what Python and its libraries take, and what an answer was allowed [bytes].
 _SPARE = 128 << 20
 _base = 0
@@ -47,7 +49,15 @@ def begin(path: str | Path) -> None:
     if hasattr(signal, "setitimer"):
         # Its signal, which nobody waits for, ends the process; a limit of the processor's time counts whole seconds.
         signal.setitimer(signal.ITIMER_PROF, seconds_for(path))
+        # A device that blocks takes no time of the processor, and who asks may be gone: nobody else would end this.
+        signal.setitimer(signal.ITIMER_REAL, patience_for(path) + _LATER)
     allow(0)
+
+
+def rest() -> None:
+    """Let nothing but the processor's time run while an answer waits to be taken."""
+    if hasattr(signal, "setitimer"):
+        signal.setitimer(signal.ITIMER_REAL, 0.0)
 
 
 def allow(size: int) -> None:

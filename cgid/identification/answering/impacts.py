@@ -15,7 +15,7 @@ from cgid.features.feature import ImpactKind
 from cgid.identification.answering.question import BATCH, Question, Step
 from cgid.identification.answers import Answer, identify_events
 from cgid.identification.detection.detector import ImpactDetector
-from cgid.identification.events import Event, find_impacts
+from cgid.identification.events import Event, Extent, find_impacts
 from cgid.identification.model import Model
 from cgid.signals import Signal
 
@@ -50,7 +50,9 @@ def impacts_answered(
         samples = held[0] if len(held) == 1 else np.concatenate(held, axis=1)
         yield _whole_answered(samples, sampling_rate, model, channels, question, source)
         return
-    detector = ImpactDetector(sampling_rate, len(channels), kind=kind_found(model), dead_time=question.dead_time)
+    kind = kind_found(model)
+    detector = ImpactDetector(sampling_rate, len(channels), kind=kind, dead_time=question.dead_time)
+    extent = Extent(len(channels))
     waiting: list[Event] = []
     heard: set[int] = set()
 
@@ -61,18 +63,18 @@ def impacts_answered(
         return Step(answers, detector.told / sampling_rate, silent)
 
     for block in chain(_emptied(held), coming):
+        extent.see(block)
         waiting += detector.feed(block)
         if not waiting or len(waiting) >= question.batch:
             yield step()
     waiting += detector.finish()
     quiet = [channel for number, channel in enumerate(channels) if number not in heard | {e.channel for e in waiting}]
-    yield step(tuple(_silence(_name(source, channel, channels), detector.told / sampling_rate) for channel in quiet))
-
-
-def _silence(name: str, duration: float) -> str:
-    return (
-        f"{name}: no impact in {duration:g} s: nothing rises above the noise; look at it with cgid plot, or record "
-        "nearer or with less noise"
+    yield step(
+        tuple(
+            f"{_name(source, channel, channels)}: no impact in {detector.told / sampling_rate:g} s: nothing rises "
+            f"above the noise; look at it with cgid plot, or {extent.cure(list(channels).index(channel), kind)}"
+            for channel in quiet
+        )
     )
 
 

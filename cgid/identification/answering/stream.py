@@ -24,6 +24,9 @@ from cgid.signals import Signal
 if TYPE_CHECKING:
     from cgid.recordings import RecordingFile
 
+#: No recorder of impacts is slower: a rate below is one in another unit, or that of something else [Hz].
+SLOWEST = 10.0
+
 
 def identify_recording(
     recording: RecordingFile,
@@ -139,11 +142,11 @@ def identify_blocks(
     InvalidValue
         The recording is sampled too slowly for what the model measures, or absurdly fast.
     """
-    needed = 2 * max((FEATURES[name].highest_frequency for name in model.measured), default=0.0)
+    needed = max([SLOWEST, *(2 * FEATURES[name].highest_frequency for name in model.measured)])
     if sampling_rate < needed:
         raise InvalidValue(
             f"{source}: the sampling_rate must be at least {math.ceil(needed)} Hz for this model, got "
-            f"{sampling_rate:g} Hz; record faster, or train a model on recordings like this one"
+            f"{sampling_rate:g} Hz; check it, record faster, or train a model on recordings like this one"
         )
     how = windows_answered if model.kind == "window" else impacts_answered
     return _named(how(blocks, sampling_rate, model, channels, question, source), source)

@@ -89,6 +89,8 @@ class CavingWatch:
         self._rules = {name: Shutting(settings.gangue_cost) for name in channels}
         self._waiting: deque[Answer] = deque()
         self._steps = 0
+        # Channels whose last window held nothing, and has been told.
+        self._silent: set[str] = set()
 
     @property
     def threshold(self) -> float:
@@ -97,6 +99,8 @@ class CavingWatch:
 
     def feed(self, answers: Iterable[Answer], until: float) -> list[Share | Turn]:
         """Return the shares of the windows that end by now, and the turns that they bring.
+
+        Of windows without impacts only the first is told, so that a pause costs nothing, however long it is.
 
         Parameters
         ----------
@@ -107,9 +111,11 @@ class CavingWatch:
         """
         self._waiting.extend(answers)
         told: list[Share | Turn] = []
+        self._pass_silence(until)
         while (end := (self._steps + 1) * self._settings.step) <= until:
             self._steps += 1
             told += self._at(end)
+            self._pass_silence(until)
         return told
 
     def finish(self, duration: float) -> list[Share | Turn]:
@@ -117,12 +123,24 @@ class CavingWatch:
         told = self.feed((), duration)
         return told + list(self._at(duration)) if self._waiting or not self._steps else told
 
+    def _pass_silence(self, until: float) -> None:
+        """Go on to the window of the next impact where all channels are silent, at most to the last one by now."""
+        if len(self._silent) == len(self._windows):
+            due = min(until, self._waiting[0].time) if self._waiting else until
+            self._steps = max(self._steps, int(due / self._settings.step) - 1)
+
     def _at(self, end: float) -> Iterator[Share | Turn]:
         while self._waiting and self._waiting[0].time <= end:
             answer = self._waiting.popleft()
             self._windows[answer.channel].add(answer.time, self._probability(answer))
         for name, window in self._windows.items():
             share = window.at(end)
+            if share.n_impacts + share.n_unknown:
+                self._silent.discard(name)
+            elif name in self._silent:
+                continue
+            else:
+                self._silent.add(name)
             yield share
             turn = self._rules[name].watch(share)
             if turn is not None:

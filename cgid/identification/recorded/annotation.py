@@ -9,8 +9,8 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
+from cgid import validation
 from cgid.errors import InvalidValue
-from cgid.identification.model import UNKNOWN
 from cgid.signals import quantity_of
 
 #: What may be said of a recording or an interval of it.
@@ -91,10 +91,10 @@ def annotation_of(row: Mapping[str, Any], folder: Path, labels: tuple[str, ...] 
             raise InvalidValue("a reference run must name its sensor and have no label")
     elif not label:
         raise InvalidValue("label must be said of every recording or interval; add it, or take the row out")
-    elif label == UNKNOWN:
-        raise InvalidValue(f"label must not be {UNKNOWN!r}, which is what models answer strangers with; name it")
-    elif labels is not None and label not in labels:
-        raise InvalidValue(f"label must be one of {', '.join(map(repr, labels))}, got {label!r}")
+    else:
+        validation.label("label", label)
+        if labels is not None and label not in labels:
+            raise InvalidValue(f"label must be one of {', '.join(map(repr, labels))}, got {label!r}")
     start, end = _number("start", row.get("start", 0.0), " in s"), _number("end", row.get("end", math.inf), " in s")
     if not 0 <= start < end:
         raise InvalidValue(f"start and end must rise from 0 s, got {start:g} and {end:g} s")

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from cgid.identification.card_tables import table
+from cgid.identification.card_tables import plain, table
 from cgid.identification.model import Model
 
 
@@ -25,7 +25,7 @@ def identity_of_recorded(model: Model) -> list[tuple[str, str]]:
         ("class weights", _weights(recorded["class_weights"])),
     ]
     if model.sensors:
-        rows.append(("reference spectra of sensors", ", ".join(model.sensors)))
+        rows.append(("reference spectra of sensors", ", ".join(map(plain, model.sensors))))
     if recorded["failures"]:
         rows.append(("could not be read", f"{len(recorded['failures'])} recordings"))
     return rows
@@ -34,6 +34,10 @@ def identity_of_recorded(model: Model) -> list[tuple[str, str]]:
 def judgement_of_recorded(model: Model) -> list[str]:
     """Return how whole recordings and running votes did, as Markdown."""
     recordings = model.training["metrics"]["recordings"]
+    judged = [
+        (plain(row["name"]), plain(row["label"]), _vote(row), row["n"], f"{row['accuracy']:.4f}")
+        for row in recordings["rows"]
+    ]
     rows = [(f"one {model.training['recorded']['by']}", *_share(model.training["metrics"]))]
     rows += [
         (f"running vote over {row['time']:g} s", *_share(row))
@@ -48,7 +52,7 @@ def judgement_of_recorded(model: Model) -> list[str]:
         "",
         *table(
             ("recording", "label", "vote", "rows", "right"),
-            [(row["name"], row["label"], _vote(row), row["n"], f"{row['accuracy']:.4f}") for row in recordings["rows"]],
+            judged,
         ),
         "",
     ]
@@ -62,7 +66,7 @@ def adaptation_lines(row: Mapping[str, Any], accuracy: float) -> list[str]:
         f"trains alone. With them {accuracy:.4f} of the recorded impacts are answered right, without them "
         f"{row['accuracy_without']:.4f}.",
         "",
-        *table(("feature", "moved by [dB]"), [(name, f"{by:+.1f}") for name, by in row["moved_db"].items()]),
+        *table(("feature", "moved by [dB]"), [(plain(name), f"{by:+.1f}") for name, by in row["moved_db"].items()]),
         "",
     ]
 
@@ -74,8 +78,8 @@ def choice_table(rows: Sequence[Mapping[str, Any]]) -> list[str]:
             ("features", "family", "number", "accuracy", "taken in folds"),
             [
                 (
-                    f"**{row['name']}**" if row["chosen"] else row["name"],
-                    row["family"],
+                    f"**{plain(row['name'])}**" if row["chosen"] else plain(row["name"]),
+                    plain(row["family"]),
                     row["n_features"],
                     f"{row['accuracy']:.4f}",
                     row["taken_in_folds"],
@@ -114,8 +118,8 @@ def _decides_on(model: Model) -> str:
 
 def _weights(weights: Any) -> str:
     if not isinstance(weights, Mapping):
-        return weights or "all rows count the same"
-    return ", ".join(f"{label} {weight:g}" for label, weight in weights.items())
+        return plain(weights or "all rows count the same")
+    return ", ".join(f"{plain(label)} {weight:g}" for label, weight in weights.items())
 
 
 def _share(row: Mapping[str, Any]) -> tuple[str, str, int]:
@@ -124,4 +128,5 @@ def _share(row: Mapping[str, Any]) -> tuple[str, str, int]:
 
 
 def _vote(row: Mapping[str, Any]) -> str:
-    return str(row["vote"]) if row["vote"] == row["label"] else f"**{row['vote']}**"
+    vote = plain(row["vote"])
+    return vote if row["vote"] == row["label"] else f"**{vote}**"

@@ -6,6 +6,7 @@ take and how much to trust its probabilities. So nothing that was chosen has see
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing
 from dataclasses import dataclass, replace
@@ -168,8 +169,14 @@ def leave_groups_out(labels: NDArray[np.str_], group: NDArray[np.intp], seed: in
         for one in groups:
             yield group == one
         return
-    splitter = StratifiedGroupKFold(MOST_FOLDS, shuffle=True, random_state=seed)
-    for _, test in splitter.split(recorded, labels[recorded], group[recorded]):
+    # No more folds than the rows of a label, which are spread over them: it may be one row a group.
+    n_folds = min(MOST_FOLDS, int(np.unique(labels[recorded], return_counts=True)[1].max()))
+    splitter = StratifiedGroupKFold(n_folds, shuffle=True, random_state=seed)
+    with warnings.catch_warnings():
+        # A rare label is in some of the folds only.
+        warnings.simplefilter("ignore", UserWarning)
+        folds = list(splitter.split(recorded, labels[recorded], group[recorded]))
+    for _, test in folds:
         left_out = np.zeros(len(labels), bool)
         left_out[recorded[test]] = True
         yield left_out

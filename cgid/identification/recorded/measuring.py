@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Literal
+from typing import Literal, NoReturn
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cgid import validation
 from cgid.errors import BadData, CgidError, InvalidValue
-from cgid.features import choose, extract_array, kind_for, kind_of, require_supported, supported
+from cgid.features import FEATURES, choose, extract_array, kind_for, kind_of, require_supported, supported
 from cgid.features.feature import Kind
 from cgid.identification.events import Event, ImpactDetector
 from cgid.identification.recorded.annotated import AnnotatedFile, Failures, Reading, annotated_blocks, open_all
@@ -219,8 +220,23 @@ def _names(
         raise InvalidValue(f"features of a {kind} must be named, there is no set of level-free ones; or allow all")
     names = supported(wanted, rate, _length(kind, rate, slicing))
     if not names:
-        raise BadData(f"recordings must be sampled fast enough for a feature, {rate:g} Hz is not; sample faster")
+        _refuse(wanted, rate, slicing)
     return names
+
+
+def _refuse(wanted: Sequence[str], rate: float, slicing: Slicing) -> NoReturn:
+    """Say whether the rate [Hz] or the window is too small for all features."""
+    slowest = min(2 * FEATURES[name].highest_frequency for name in wanted)
+    if rate < slowest:
+        raise BadData(
+            f"recordings must be sampled at {math.ceil(slowest)} Hz at least to have a feature, got {rate:g} Hz; "
+            "sample faster"
+        )
+    shortest = min(FEATURES[name].shortest_frame for name in wanted if 2 * FEATURES[name].highest_frequency <= rate)
+    raise InvalidValue(
+        f"window must last {math.ceil(shortest * rate) / rate:.6g} s at least to have a feature at {rate:g} Hz, got "
+        f"{slicing.window_time:g} s; give a longer --window"
+    )
 
 
 def _length(kind: Kind, rate: float, slicing: Slicing) -> int:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import io
 import math
 import re
-import warnings
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -67,26 +66,32 @@ class Body:
         Raises
         ------
         BadData
-            A row has more or fewer fields than the first, or a field that is needed is no finite number; sample and
-            line are named.
+            A row has more or fewer fields than the first, a field that is needed is no finite number, or a remark or
+            an empty line stands among the rows, where a sample may be missing; sample and line are named.
         """
         wanted = list(needed)
         layout, sample, line = self.layout, 0, self.first_line
-        points = False
+        points, remark = False, None
         for written, is_last in whole_lines(self.path, self.encoding, self.source, self.start):
-            text = with_seconds(written, layout)
+            # Remarks behind the last row are remarks; among the rows they may stand for samples.
+            held = _without_end(written)
+            if held and remark is not None:
+                raise _among_rows(*remark, sample, self.source)
+            if remark is None and len(held) < len(written):
+                remark = line + held.count("\n"), written[len(held) :].partition("\n")[0]
+            text = with_seconds(held, layout)
             if not points:
                 # As long as all numbers were whole ones, nobody could know the decimal mark.
                 layout = with_decimal_mark(layout, text)
             points = points or "." in text
-            rows = _parsed_at_once(text, layout)
-            if rows is None or not np.isfinite(rows[:, wanted]).all():
+            rows = _parsed_at_once(text, layout) if text else np.empty((0, layout.n_columns))
+            if rows is None or len(rows) < _n_lines(text) or not np.isfinite(rows[:, wanted]).all():
                 # Going through the lines either finds the fault or leaves out what numpy's parser stumbled over.
                 checked = list(_checked_rows(text, layout, wanted, sample, line, self.source))
                 rows = np.loadtxt(checked, comments=None, ndmin=2) if checked else np.empty((0, layout.n_columns))
             yield rows, is_last
             sample += len(rows)
-            line += text.count("\n")
+            line += written.count("\n")
 
     def last_row(self) -> Floats | None:
         """Return the last row, (n_columns,), None where it cannot be told from the end of the file alone."""
@@ -151,10 +156,7 @@ def _parsed_at_once(text: str, layout: Layout) -> Floats | None:
     for old, new in exchange.items():
         parsed = parsed.replace(old, new)
     try:
-        with warnings.catch_warnings():
-            # A piece may hold comments only.
-            warnings.simplefilter("ignore", UserWarning)
-            rows = np.loadtxt(io.StringIO(parsed), delimiter=delimiter, comments="#" if "#" in text else None, ndmin=2)
+        rows = np.loadtxt(io.StringIO(parsed), delimiter=delimiter, comments="#" if "#" in text else None, ndmin=2)
     except ValueError:
         return None
     if rows.shape[1] != layout.n_columns:
@@ -171,9 +173,9 @@ def _checked_rows(
 ) -> Iterator[str]:
     # The very last line is the only one that may lack its end.
     unended = first_line + text.count("\n")
-    for number, line in enumerate(text.split("\n"), first_line):
+    for number, line in enumerate(text.removesuffix("\n").split("\n"), first_line):
         if is_comment(line):
-            continue
+            raise _among_rows(number, line, sample, source)
         fields = layout.fields(line.partition("#")[0])
         cut = "; the file looks cut off" if number == unended else ""
         if len(fields) != layout.n_columns:
@@ -193,6 +195,25 @@ def _checked_rows(
                 )
         yield " ".join(value or "nan" for value in values)
         sample += 1
+
+
+def _without_end(text: str) -> str:
+    """Return lines without the remarks and empty lines behind the last row."""
+    end = len(text)
+    while end and is_comment(text[(start := text.rfind("\n", 0, end - 1) + 1) : end]):
+        end = start
+    return text[:end]
+
+
+def _n_lines(text: str) -> int:
+    return text.removesuffix("\n").count("\n") + 1 if text else 0
+
+
+def _among_rows(number: int, line: str, sample: int, source: str) -> BadData:
+    return BadData(
+        f"{source}: every line among the numbers must be a row, or a sample may be missing, line {number} before "
+        f"sample {sample} is {_shown(line.strip())}; repair or cut the recording there, or take the line out"
+    )
 
 
 def _shown(field: str) -> str:
