@@ -301,6 +301,21 @@ def test_a_folder_of_the_first_version_is_readable_when_it_has_been_repaired(tmp
     np.testing.assert_allclose(one, two, rtol=1e-5)
 
 
+def test_shards_of_another_dataset_than_the_manifest_are_never_replaced(
+    copies: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    generate(SCENE, copies / "other", N, 5, shard_signals=IN_SHARD)
+    folder = copies / "folder"
+    shutil.copy(copies / "other" / "manifest.json", folder)
+    before = contents(folder)
+    assert run(["verify", str(folder), "--repair"]) == 65
+    assert contents(folder) == before
+    assert capsys.readouterr().out.count("seed must be that of manifest.json, 5, got 7") == 3
+    (folder / "shard-00001.h5").unlink()  # out of the way, a shard is made again
+    assert mended(folder) == [False, True, False]
+    assert (folder / "shard-00001.h5").read_bytes() == (copies / "other" / "shard-00001.h5").read_bytes()
+
+
 def test_what_has_been_replaced_since_it_was_verified_is_left_alone(copies: Path) -> None:
     folder = copies / "folder"
     (folder / "shard-00001.h5").unlink()
@@ -443,6 +458,18 @@ def test_an_export_of_what_is_damaged_leaves_nothing(copies: Path, tmp_path: Pat
         export(copies / "folder", tmp_path / "all.h5", overwrite=True)
     assert (tmp_path / "all.h5").read_bytes() == b"old"
     assert sorted(file.name for file in tmp_path.iterdir()) == ["all.h5", "copies"]
+
+
+def test_an_exchanged_shard_is_neither_exported_nor_trained_on(copies: Path, tmp_path: Path) -> None:
+    """Not even one that says of itself what the manifest does: other numbers, with checksums of their own."""
+    folder = copies / "folder"
+    changed(folder / "shard-00001.h5", "signals", 5)
+    assert sum(map(len, Dataset(folder))) == N
+    for command, output in (("export", "all.h5"), ("train", "model.npz")):
+        assert run([command, str(folder), "-o", str(tmp_path / output)]) == 65
+        assert not (tmp_path / output).exists()
+    with pytest.raises(BadData, match=r"shard-00001\.h5: must have the SHA-256 that manifest\.json says"):
+        export(folder, tmp_path / "all.h5")
 
 
 def test_an_export_is_no_other_than_its_data(copies: Path) -> None:

@@ -288,4 +288,4 @@ def _batches(data: list[str], n_signals: int, seed: int) -> Iterator[Any]:
 
             yield from synthesise(load_scene(shipped.scene_path(item)), n_signals, seed)
         else:
-            yield from Dataset(item).batches()
+            yield from Dataset(item).batches(check_sums=True)

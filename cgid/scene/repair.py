@@ -237,8 +237,12 @@ def _mend_shard(
     room: Room,
     progress: Progress | None,
 ) -> tuple[str, Manifest]:
-    """Make a shard again and return what was done, and the manifest as it is then."""
+    """Make a shard again and return what was done, and the manifest as it is then.
+
+    A shard that can be read and names another seed or scene is not damaged: it is never replaced.
+    """
     path, attributes = finding.file, manifest.attributes
+    manifest.require_own(path, finding.examined.get("attributes", {}))
     if manifest.n_samples is not None and manifest.dtype is not None:
         room.take(path, size_of(entry.n_signals, manifest.n_samples, manifest.dtype))
     scene, seed = scene_of(verified.path / MANIFEST, attributes, given), whole_number(path, attributes, "seed")

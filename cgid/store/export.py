@@ -65,7 +65,7 @@ def export(
     first = dataset.header.attributes.get("first_signal", 0)
     require_room(path, path.parent, plan.size(len(dataset)), "signals", "make room")
     with whole_file(path, overwrite=overwrite) as temporary:
-        write_dataset(temporary, plan, first, len(dataset), dataset.batches(), progress)
+        write_dataset(temporary, plan, first, len(dataset), dataset.batches(check_sums=True), progress)
     return path
 
 

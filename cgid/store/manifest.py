@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import re
 from collections.abc import Mapping
@@ -16,6 +17,7 @@ from cgid.store.digest import is_sound, sealed
 from cgid.store.folder_text import read_text
 from cgid.store.header import FORMAT
 from cgid.store.journal import read_journal
+from cgid.store.sameness import first_difference
 
 MANIFEST = "manifest.json"
 #: Version 1 had neither digest nor the fields that `_ADDED` names.
@@ -39,6 +41,14 @@ class ShardEntry:
     bytes: int
     sha256: str
     labels: dict[str, int]
+
+    def fits(self, path: Path) -> bool:
+        """Return whether a file has the SHA-256 of this shard; the file is read once, block by block."""
+        try:
+            with path.open("rb") as stream:
+                return hashlib.file_digest(stream, "sha256").hexdigest() == self.sha256
+        except OSError:
+            return False
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -76,6 +86,16 @@ class Manifest:
         """All but the shards: what is settled before the first of them is made."""
         named = {name: getattr(self, name) for name in ("n_signals", *_ADDED)}
         return {"format": FORMAT, "schema_version": MANIFEST_VERSION, **named, "attributes": dict(self.attributes)}
+
+    def require_own(self, shard: Path, attributes: Mapping[str, Any]) -> None:
+        """Raise `BadData` if a shard names another seed, scene or the like: shard or manifest is another dataset's."""
+        name = first_difference({"attributes": attributes}, {"attributes": self.attributes})
+        if name is not None:
+            wanted, got = (f"{said[name]!s:.80}" for said in (self.attributes, attributes))
+            raise BadData(
+                f"{shard}: {name} must be that of {MANIFEST}, {wanted}, got {got}: one of the two files belongs to "
+                "another dataset; put the right one in its place, or move the shard away"
+            )
 
     def to_bytes(self) -> bytes:
         """Return the content of the file, with the SHA-256 of all that it says."""
