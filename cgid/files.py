@@ -7,10 +7,11 @@ import errno
 import os
 import secrets
 import shutil
+import stat
 from collections.abc import Collection, Iterator
 from pathlib import Path
 
-from cgid.errors import CannotCreate, CgidError, WriteFailed
+from cgid.errors import BadData, CannotCreate, CgidError, NoInput, WriteFailed
 
 #: What a disk says that has no room.
 FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
@@ -73,6 +74,51 @@ def whole_file(path: str | Path, *, overwrite: bool = True) -> Iterator[Path]:
         _remove(temporary)
         raise
     sync_folder(path.parent)
+
+
+def require_regular(path: str | Path, what: str, largest: int) -> int:
+    """Return the size of a regular file that may come from a stranger, or be named in a file that does [bytes].
+
+    A pipe would be waited for, a device never ends, and a large file fills memory or disk.
+
+    Parameters
+    ----------
+    path : str or Path
+    what : str
+        What it should be, with its article.
+    largest : int
+        [bytes].
+
+    Raises
+    ------
+    BadData
+        It is no regular file, or larger.
+    OSError
+        There is none, or it is a folder.
+    """
+    about = Path(path).stat()
+    if stat.S_ISDIR(about.st_mode):
+        raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR))
+    if not stat.S_ISREG(about.st_mode):
+        raise BadData(f"{path}: {what} must be a regular file, it is a pipe or a device; copy it to a file first")
+    if about.st_size > largest:
+        raise BadData(
+            f"{path}: {what} must be at most {largest >> 20} MiB, it has {about.st_size >> 20} MiB; give a smaller file"
+        )
+    return about.st_size
+
+
+def read_regular(path: str | Path, what: str, largest: int, cure: str = "check the name") -> bytes:
+    """Return the content of a regular file; parameters and `BadData` as `require_regular`, else `NoInput`."""
+    try:
+        size = require_regular(path, what, largest)
+        with Path(path).open("rb") as stream:
+            return stream.read(size)
+    except CgidError:
+        raise
+    except (OSError, ValueError) as error:  # a name with a zero byte is a ValueError
+        reason = getattr(error, "strerror", None) or error
+        raise NoInput(f"{path}: {what} cannot be read ({reason}); {cure}") from None
 
 
 def half_written(name: str) -> str:

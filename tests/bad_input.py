@@ -67,6 +67,7 @@ def _tables(folder: Path) -> None:
         beam = f'[tail_beam]\nmodes = "{name}.csv"\n\n'
         (folder / f"{name}.toml").write_text(text[:start] + beam + text[stop:])
     good = (folder / "modes.toml").read_text()
+    (folder / "device.toml").write_text(good.replace("modes.csv", "/dev/null"))
     (folder / "no_table.toml").write_text(good.replace("modes.csv", "gone.csv"))
     (folder / "endless.toml").write_text(good.replace('"modes.csv"', '"modes.csv"\ncoupling = "impedance"'))
     (folder / "both.toml").write_text(good.replace('"modes.csv"', '"modes.csv"\nlength = "1.6 m"'))
@@ -170,6 +171,10 @@ _BEAMS = {
     "step": ('range = "500 g"\n', ""),
     "deaf": ("bits = 16", "bits = 16\ngain = 0"),
     "modes_too_many": ('"10 kHz", order = 8 }', '"10 kHz", order = 1 }'),
+    "hum_device": (
+        "[sampling]",
+        '[background]\nrecorded = { path = "/dev/null", signal_to_noise = "20 dB" }\n[sampling]',
+    ),
     "hum_missing": (
         "[sampling]",
         '[background]\nrecorded = { path = "gone.wav", signal_to_noise = "20 dB" }\n[sampling]',
@@ -211,6 +216,7 @@ def _manifests(folder: Path, good: np.ndarray) -> None:
     """Write manifests of labelled recordings, each with one thing wrong."""
     _csv(folder / "twice.csv", np.concatenate([good, good]))
     (folder / "m_gone.csv").write_text("path,label\ngone.csv,coal\ngood.csv,gangue\n")
+    (folder / "m_device.csv").write_text("path,label\n/dev/null,coal\n")
     (folder / "m_label.toml").write_text(
         'labels = ["coal", "gangue"]\n[[recording]]\npath = "good.csv"\nlabel = "cole"\n'
     )
@@ -351,6 +357,12 @@ CASES = (
         ("gone.csv", "must exist"),
     ),
     Case(
+        "recording of a manifest is a device",
+        ("train", "m_device.csv", "--strict", "-o", "new.npz"),
+        65,
+        ("/dev/null", "recording of a manifest must be a regular file"),
+    ),
+    Case(
         "label that a manifest does not allow",
         ("train", "m_label.toml", "-o", "new.npz"),
         65,
@@ -395,6 +407,7 @@ CASES = (
         ("randomise.sampling_rate", "one sampling rate", "50000 to 90000 Hz", "cgid train"),
     ),
     Case("scene is no TOML", ("check", "toml.toml"), 65, ("toml.toml", "TOML")),
+    Case("scene is a device", ("check", "/dev/null"), 65, ("/dev/null", "scene file must be a regular file")),
     Case("three errors at once", ("check", "three.toml"), 65, ("youngs_modulus", "jittter", "sensor.noise")),
     Case("missing scene", ("generate", "none.toml", "-o", "new.h5"), 66, ("none.toml",)),
     Case("dataset exists", ("generate", "reference.toml", "-o", "two.h5"), 73, ("two.h5", "--overwrite")),
@@ -454,8 +467,15 @@ CASES = (
         ("tail_beam", "1000 modes", "anti_alias.frequency", "smaller or thicker"),
     ),
     Case("background of no file", ("check", "hum_missing.toml"), 66, ("gone.wav",)),
+    Case(
+        "background that is a device",
+        ("generate", "hum_device.toml", "-o", "new.h5"),
+        65,
+        ("/dev/null", "background must be a regular file"),
+    ),
     Case("ceiling of a beam", ("ceiling", "tail_beam"), 65, ("tail_beam", "force itself", "cgid train")),
     Case("no table of modes", ("generate", "no_table.toml", "-o", "new.h5"), 66, ("gone.csv", "table of modes")),
+    Case("table of modes is a device", ("check", "device.toml"), 65, ("/dev/null", "modes must be a regular file")),
     Case("modes not sorted", ("generate", "unsorted.toml", "-o", "new.h5"), 65, ("unsorted.csv, line 3", "ascend")),
     Case("table without a mode", ("check", "no_modes.toml"), 65, ("no_modes.csv", "a line a mode")),
     Case("number of a mode missing", ("check", "gap.toml"), 65, ("gap.csv, line 3", "shape_sensor", "''")),

@@ -16,7 +16,8 @@ from typing import Any, Self
 
 from pydantic import Field, ValidationError, model_validator
 
-from cgid.errors import BadData, InvalidValue, NoInput
+from cgid.errors import BadData, InvalidValue
+from cgid.files import read_regular
 from cgid.impact.bodies import Target
 from cgid.impact.tail_beam import TailBeam
 from cgid.scene.background import BackgroundSection
@@ -185,13 +186,7 @@ def load_scene(path: str | Path) -> Scene:
         It is no TOML, or breaks rules; one line for each, with its path in the file.
     """
     try:
-        with Path(path).open("rb") as stream:
-            stored = stream.read(_LARGEST_FILE + 1)
-        if len(stored) > _LARGEST_FILE:
-            raise BadData(f"{path}: a scene file must be at most {_LARGEST_FILE >> 20} MiB, it is larger")
-        text = stored.decode()
-    except OSError as error:
-        raise NoInput(f"{path}: the scene file cannot be read ({error.strerror}); give a .toml file") from None
+        text = read_regular(path, "a scene file", _LARGEST_FILE, "give a .toml file").decode()
     except UnicodeDecodeError:
         raise BadData(f"{path}: a scene file must be UTF-8 text; this one is not") from None
     try:

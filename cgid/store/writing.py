@@ -26,6 +26,8 @@ from cgid.store.shard import ShardBuilder, ShardPlan
 #: What a dataset folder may hold beside a journal, with what a killed run leaves behind.
 _WHOLE = rf"{re.escape(MANIFEST)}|{SHARD_NAME}"
 _OURS = re.compile(f"{_WHOLE}|{half_written(_WHOLE)}")
+#: Bytes of a manifest in which it says its format.
+_HEAD = 4096
 SUFFIXES = (".h5", ".hdf5")
 #: Their manifest has some 100 MB, which readers hold in memory.
 MOST_SHARDS = 300_000
@@ -75,8 +77,10 @@ def _require_room(path: Path, overwrite: bool, ours: re.Pattern[str]) -> None:
     if path.exists() and content != [] and not overwrite:
         raise exists_already(path)
     foreign = [name for name in content or () if not ours.fullmatch(name) and not JOURNAL_FILES.fullmatch(name)]
-    if (path / MANIFEST).is_file() and f'"{FORMAT}"'.encode() not in (path / MANIFEST).read_bytes():
-        foreign.append(MANIFEST)
+    if (path / MANIFEST).is_file():
+        with (path / MANIFEST).open("rb") as stream:
+            if f'"{FORMAT}"'.encode() not in stream.read(_HEAD):
+                foreign.append(MANIFEST)
     if foreign:
         raise CannotCreate(
             f"{path}: is a folder with other things in it, such as {foreign[0]}, and is not overwritten; "

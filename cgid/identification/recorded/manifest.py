@@ -14,7 +14,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from cgid.errors import BadData, CgidError, InvalidValue, NoInput
+from cgid.errors import BadData, CgidError, InvalidValue
+from cgid.files import read_regular
 from cgid.identification.recorded.annotation import COLUMNS, Annotation, annotation_of, contradictions
 
 #: A larger file is no manifest.
@@ -93,20 +94,9 @@ Row = tuple[str, Mapping[str, Any]]
 
 def _text(path: Path) -> str:
     try:
-        with path.open("rb") as file:
-            content = file.read(LARGEST_FILE + 1)
-        if len(content) > LARGEST_FILE:
-            raise BadData(f"{path}: a manifest must be at most {LARGEST_FILE >> 20} MiB, it is larger")
-        return content.decode("utf-8-sig")
-    except (OSError, ValueError) as error:
-        if isinstance(error, CgidError):
-            raise
-        if isinstance(error, UnicodeDecodeError):
-            raise BadData(
-                f"{path}: a manifest must be UTF-8 text, byte {error.start} is not; save it as UTF-8"
-            ) from None
-        reason = getattr(error, "strerror", None) or str(error)
-        raise NoInput(f"{str(path)!r}: the manifest cannot be read ({reason}); check the name") from None
+        return read_regular(path, "a manifest", LARGEST_FILE).decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise BadData(f"{path}: a manifest must be UTF-8 text, byte {error.start} is not; save it as UTF-8") from None
 
 
 def _csv_rows(path: Path) -> tuple[list[Row], tuple[str, ...] | None]:
