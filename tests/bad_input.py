@@ -18,6 +18,8 @@ from cgid import shipped
 from cgid.identification.model import Model
 from cgid.identification.training import train
 from cgid.scene import generate, load_scene, parse_scene, synthesise
+from cgid.scene.plan import plan
+from cgid.scene.tabulation import tabulate
 from tests.bad_recordings import RECORDING_CASES, make_recordings
 
 ROOT = Path(__file__).parents[1]
@@ -137,6 +139,9 @@ def make_files(folder: Path) -> None:
     _changed(folder, "caving", _STREAMS)
     _changed(folder, "reference", {"range": ("[sensor]", '[sensor]\nrange = "500 g"')})
     _tables(folder)
+    tabulate(plan(load_scene(ROOT / "datasets" / "reference.toml"), ["closed-form"]), folder / "table.csv", 9)
+    lines = (folder / "table.csv").read_text().splitlines()
+    (folder / "damaged_table.csv").write_text("\n".join([*lines[:6], lines[6] + ",7", *lines[7:]]))
     one = parse_scene(_one_label())
     generate(one, folder / "one.h5", 64)
     two = _one_label()
@@ -249,6 +254,8 @@ def _one_label() -> dict:
 
 CASES = (
     Case("missing file", ("predict", "none.csv"), 66, ("none.csv",)),
+    Case("line break in a name", ("predict", "no\ncgid: error: forged.csv"), 66, ("no\\ncgid: error: forged.csv",)),
+    Case("damaged table", ("info", "damaged_table.csv"), 65, ("damaged_table.csv", "line 6", "make it again")),
     Case("empty file", ("predict", "empty.csv"), 65, ("empty.csv", "empty")),
     Case("binary junk", ("predict", "junk.csv"), 65, ("junk.csv", "neither text nor of another format")),
     Case("truncated WAV", ("predict", "truncated.wav"), 65, ("truncated.wav",)),

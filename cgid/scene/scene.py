@@ -211,7 +211,7 @@ def parse_scene(content: dict[str, Any], source: str = "scene", folder: Path | N
         found = error.errors(include_url=False)
         entries = [entry for entry in found if not _besides(entry, found)]
         problems = [line for entry in entries for line in _lines(entry)]
-        raise BadData("\n".join(f"{source}: {line}" for line in problems)) from None
+        raise BadData(*(f"{source}: {line}" for line in problems)) from None
 
 
 def _path(location: tuple[int | str, ...]) -> str:

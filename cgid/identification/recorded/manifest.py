@@ -83,7 +83,7 @@ def read_manifest(path: str | Path) -> Manifest:
         mistakes.append(f"{path}: a manifest must name recordings, there is none; give a path and a label each")
     if mistakes:
         more = len(mistakes) - _MOST_MISTAKES
-        raise BadData("\n".join(mistakes[:_MOST_MISTAKES] + [f"{path}: and {more} more mistakes"] * (more > 0)))
+        raise BadData(*mistakes[:_MOST_MISTAKES], *[f"{path}: and {more} more mistakes"] * (more > 0))
     return Manifest(source=str(path), annotations=tuple(annotations))
 
 
