@@ -223,6 +223,14 @@ def test_one_file_that_is_not_whole(tmp_path, damage):
         recordings(other, n_recordings=1, resume=True)
 
 
+def test_a_file_of_another_program_is_not_to_be_overwritten(tmp_path):
+    path = tmp_path / "data.h5"
+    path.write_text("my thesis")
+    with pytest.raises(BadData, match=r"is there and is no cgid-dataset; choose another name$"):
+        dataset(path, resume=True)
+    assert path.read_text() == "my thesis"
+
+
 def test_a_folder_by_another_name(tmp_path, path, monkeypatch):
     dataset(path)
     link = tmp_path / "link"

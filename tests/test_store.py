@@ -735,6 +735,8 @@ def test_a_dataset_with_a_foreign_file_is_not_overwritten(folder):
     (folder / "thesis.txt").touch()
     with pytest.raises(CannotCreate, match=r"such as thesis\.txt"):
         generate(scene_of(32), folder, 10, overwrite=True)
+    with pytest.raises(CannotCreate, match=r"such as thesis\.txt.*choose another name$"):
+        generate(scene_of(32), folder, 10)
     assert len(Dataset(folder)) == N
 
 

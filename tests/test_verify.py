@@ -10,6 +10,7 @@ import shutil
 import subprocess
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import h5py
 import numpy as np
@@ -23,7 +24,7 @@ from cgid.scene.plan import plan
 from cgid.scene.repair import repair
 from cgid.scene.stream.generation import generate_recordings
 from cgid.scene.tabulation import tabulate
-from cgid.store import Dataset, read_table
+from cgid.store import Dataset, opening, read_table
 from cgid.store.examination import damaged_rows, examine_file
 from cgid.store.export import export
 from cgid.store.manifest import read_manifest
@@ -209,6 +210,41 @@ def test_an_unfinished_run_says_how_far_it_has_come(tmp_path: Path, capsys: pyte
     assert len(verify(tmp_path / "data").findings) == 1
     assert run(["verify", str(tmp_path / "data")]) == 65
     assert capsys.readouterr().err.endswith("go on with cgid generate ... --resume\n")
+
+
+@pytest.mark.parametrize("name", ["manifest.json", "shard-00001.h5", "unfinished.jsonl"])
+def test_what_one_may_not_read_is_not_called_damaged_and_stays(
+    copies: Path, name: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder, opened = copies / "folder", Path.open
+    if name == "unfinished.jsonl":
+        (folder / name).write_text("{}")
+    before = contents(folder)
+
+    def refused(self: Path, *arguments: Any, **options: Any) -> Any:
+        if self == folder / name:  # as the kernel says it to those who are not root
+            raise PermissionError(13, "Permission denied")
+        return opened(self, *arguments, **options)
+
+    with monkeypatch.context() as patched:
+        patched.setattr(Path, "open", refused)
+        for options in ([], ["--repair"]):
+            assert run(["verify", str(folder), *options]) == 66
+            said = capsys.readouterr().err
+            assert f"{name}: cannot be read (Permission denied)" in said and "overwrite" not in said
+        if name == "manifest.json":
+            with pytest.raises((NoInput, CannotCreate), match="Permission denied"):
+                generate(SCENE, folder, N, 7, shard_signals=IN_SHARD, resume=True)
+    assert contents(folder) == before
+
+
+def test_hdf5_one_may_not_read_is_not_called_damaged(made: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refused(*_: Any, **__: Any) -> None:
+        raise PermissionError(13, "Permission denied")
+
+    monkeypatch.setattr(h5py, "File", refused)
+    with pytest.raises(NoInput, match="see to its permissions"), opening.opened(str(made / "one.h5"), "one.h5"):
+        pass
 
 
 def test_nothing_there(tmp_path: Path) -> None:

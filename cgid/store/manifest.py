@@ -11,7 +11,7 @@ from itertools import accumulate
 from pathlib import Path
 from typing import Any
 
-from cgid.errors import BadData
+from cgid.errors import BadData, NoInput
 from cgid.store.compression import COMPRESSIONS
 from cgid.store.digest import is_sound, sealed
 from cgid.store.folder_text import read_text
@@ -43,10 +43,18 @@ class ShardEntry:
     labels: dict[str, int]
 
     def fits(self, path: Path) -> bool:
-        """Return whether a file has the SHA-256 of this shard; the file is read once, block by block."""
+        """Return whether a file has the SHA-256 of this shard; the file is read once, block by block.
+
+        Raises
+        ------
+        NoInput
+            One may not read it: it may be sound.
+        """
         try:
             with path.open("rb") as stream:
                 return hashlib.file_digest(stream, "sha256").hexdigest() == self.sha256
+        except PermissionError as error:
+            raise NoInput(f"{path}: cannot be read ({error.strerror}); see to its permissions") from None
         except OSError:
             return False
 
@@ -110,18 +118,19 @@ def read_manifest(folder: Path) -> Manifest:
     ------
     BadData
         There is none (an unfinished run is told as such), it is damaged, of a newer version, or another program's.
+    NoInput
+        It cannot be read.
     """
     file = folder / MANIFEST
-    try:
-        content = read_text(file)
-    except OSError:
+    content = read_text(file)
+    if content is None:
         unfinished = read_journal(folder)
         if unfinished is not None:
-            raise BadData(f"{folder}: the run that makes it is not finished: {unfinished.progress}") from None
+            raise BadData(f"{folder}: the run that makes it is not finished: {unfinished.progress}")
         raise BadData(
             f"{folder}: a dataset folder must hold {MANIFEST}; without it the run that made it was not "
             "finished: generate it again"
-        ) from None
+        )
     return parse_manifest(content, file)
 
 

@@ -22,7 +22,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from cgid.errors import BadData, CannotCreate, WriteFailed
+from cgid.errors import BadData, CannotCreate, CgidError, WriteFailed
 from cgid.files import exchange, half_written, sync_folder
 from cgid.lock import locked
 from cgid.store.journal import JOURNAL, Journal, Unfinished, read_journal
@@ -181,7 +181,7 @@ def _hold(goal: Goal, held: ExitStack) -> None:
 
 def _writer(goal: Goal) -> str:
     for folder in (goal.hidden, goal.output):
-        with contextlib.suppress(BadData):
+        with contextlib.suppress(CgidError):
             found = read_journal(folder)
             if found is not None:
                 return found.process

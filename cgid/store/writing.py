@@ -74,8 +74,6 @@ def _require_room(path: Path, overwrite: bool, ours: re.Pattern[str]) -> None:
     if path.exists() and not path.is_dir() and not is_single_file(path):
         raise CannotCreate(f"{path}: is a file; choose another name for the folder, or one ending in .h5")
     content = sorted(entry.name for entry in path.iterdir()) if path.is_dir() else None
-    if path.exists() and content != [] and not overwrite:
-        raise exists_already(path)
     foreign = [name for name in content or () if not ours.fullmatch(name) and not JOURNAL_FILES.fullmatch(name)]
     if (path / MANIFEST).is_file():
         with (path / MANIFEST).open("rb") as stream:
@@ -86,6 +84,8 @@ def _require_room(path: Path, overwrite: bool, ours: re.Pattern[str]) -> None:
             f"{path}: is a folder with other things in it, such as {foreign[0]}, and is not overwritten; "
             "choose another name"
         )
+    if path.exists() and content != [] and not overwrite:
+        raise exists_already(path)
 
 
 class DatasetWriter:
