@@ -236,8 +236,10 @@ def check_new(path: Path, what: str, endings: Collection[str], *, overwrite: boo
 
 @contextlib.contextmanager
 def looking_at(path: Path) -> Iterator[None]:
-    """Raise `CannotCreate` where it cannot even be told what is at a place, or in a folder that one may not enter."""
+    """Raise `CannotCreate` where one may not look, in a closed folder or behind a link that leads to itself."""
     try:
+        with contextlib.suppress(FileNotFoundError, NotADirectoryError):
+            path.stat()
         yield
     except CgidError:
         raise

@@ -148,6 +148,8 @@ def make_files(folder: Path) -> None:
     two["populations"] = [two["populations"][0], {**two["populations"][0], "label": "gangue", "density": 2400}]
     generate(parse_scene(two), folder / "two.h5", 64)
     (folder / "truncated.h5").write_bytes((folder / "two.h5").read_bytes()[:20000])
+    for name in ("loop", "loop.h5", "loop.npz"):
+        (folder / name).symlink_to(name)
     (folder / "unfinished").mkdir()
     shutil.copy(folder / "two.h5", folder / "unfinished" / "shard-00000.h5")
 
@@ -394,6 +396,7 @@ CASES = (
         ("--test-share", "left out"),
     ),
     Case("model name without .npz", ("train", "two.h5", "-o", "new.txt"), 73, ("new.txt", ".npz")),
+    Case("model is a link to itself", ("train", "two.h5", "-o", "loop.npz"), 73, ("loop.npz", "symbolic links")),
     Case("model exists", ("train", "two.h5", "-o", "model.npz"), 73, ("model.npz", "--overwrite")),
     Case("folder of the model is missing", ("train", "two.h5", "-o", "no/new.npz"), 73, ("no",)),
     Case("restitution 0", ("check", "zero.toml"), 65, ("populations.0.restitution", "0.05 and 1")),
@@ -419,6 +422,8 @@ CASES = (
     Case("missing scene", ("generate", "none.toml", "-o", "new.h5"), 66, ("none.toml",)),
     Case("dataset exists", ("generate", "reference.toml", "-o", "two.h5"), 73, ("two.h5", "--overwrite")),
     Case("folder is missing", ("generate", "reference.toml", "-o", "no/new.h5"), 73, ("no",)),
+    Case("dataset is a link to itself", ("generate", "reference.toml", "-o", "loop"), 73, ("loop", "symbolic links")),
+    Case("file is a link to itself", ("export", "two.h5", "-o", "loop.h5"), 73, ("loop.h5", "symbolic links")),
     Case("no signals", ("generate", "reference.toml", "-o", "new.h5", "-n", "0"), 65, ("n_signals", "0")),
     Case("seed negative", ("generate", "reference.toml", "-o", "new.h5", "--seed", "-1"), 65, ("seed", "-1")),
     Case("one file too large", ("generate", "reference.toml", "-o", "new.h5", "-n", "999999"), 65, ("2 GiB", ".h5")),

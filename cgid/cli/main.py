@@ -30,6 +30,8 @@ from cgid.cli.train import train
 from cgid.cli.verify import verify
 from cgid.errors import CgidError
 
+#: How many threads numba may take; it refuses to be loaded for less than one.
+_THREADS = "NUMBA_NUM_THREADS"
 _INTERRUPTED, _INTERNAL, _OUTPUT_FAILED, _NO_INPUT = 130, 70, 74, 66
 
 
@@ -90,9 +92,19 @@ def run(arguments: list[str] | None = None) -> int:
     except Exception as error:
         if os.environ.get("CGID_DEBUG"):
             raise
+        if _asks_for_no_threads():
+            say(f"cgid: error: {_THREADS} must be 1 or more, got {os.environ[_THREADS]}; unset it", err=True)
+            return 65
         text = " ".join(f"{type(error).__name__}: {error}".split())
         say(f"cgid: internal error: {text}; please report it (CGID_DEBUG=1 shows where)", err=True)
         return _INTERNAL
+
+
+def _asks_for_no_threads() -> bool:
+    try:
+        return int(os.environ.get(_THREADS, "1")) < 1
+    except ValueError:
+        return False  # numba passes over it
 
 
 def _is_adrift() -> bool:
