@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import errno
 import os
+import re
 import secrets
 import shutil
 import stat
@@ -12,6 +13,7 @@ from collections.abc import Collection, Iterator
 from pathlib import Path
 
 from cgid.errors import BadData, CannotCreate, CgidError, NoInput, WriteFailed
+from cgid.lock import locked
 
 #: What a disk says that has no room.
 FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
@@ -48,13 +50,14 @@ def whole_file(path: str | Path, *, overwrite: bool = True) -> Iterator[Path]:
     temporary = path.with_name(f".{path.name}.{secrets.token_hex(6)}.part")
     try:
         _create(temporary, path)
-        yield temporary
-        with temporary.open("rb+") as stream:
-            os.fsync(stream.fileno())
-        if overwrite:
-            temporary.replace(path)
-        else:
-            _publish_new(temporary, path)
+        with locked(temporary):  # for `clear_half_written`
+            yield temporary
+            with temporary.open("rb+") as stream:
+                os.fsync(stream.fileno())
+            if overwrite:
+                temporary.replace(path)
+            else:
+                _publish_new(temporary, path)
     except IsADirectoryError:
         _remove(temporary)
         raise CannotCreate(f"{path}: is a folder; choose another name or move it away") from None
@@ -131,6 +134,17 @@ def half_written(name: str) -> str:
     True
     """
     return rf"\.(?:{name})\.[0-9a-f]+\.part"
+
+
+def clear_half_written(path: Path) -> None:
+    """Remove what killed processes have left of files that were to bear this name; who still writes one holds it."""
+    pattern = re.compile(half_written(re.escape(path.name)))
+    with contextlib.suppress(OSError):
+        for found in path.parent.iterdir():
+            if pattern.fullmatch(found.name) and stat.S_ISREG(found.lstat().st_mode):
+                with contextlib.suppress(OSError), locked(found) as held:
+                    if held:
+                        found.unlink()
 
 
 def _create(temporary: Path, path: Path) -> None:

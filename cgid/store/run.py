@@ -139,6 +139,8 @@ def begun(goal: Goal, *, overwrite: bool = False, resume: bool = False) -> Itera
                 raise CannotCreate(
                     f"{goal.output}: the current folder cannot be replaced by another; go to the one above it first"
                 )
+            if not (goal.hidden / JOURNAL).exists():
+                _clear_away(goal)  # what an earlier run could not
             run = _started(goal, *place, held)
             try:
                 yield run
@@ -279,6 +281,9 @@ def _change_places(goal: Goal) -> None:
 def _clear_away(goal: Goal) -> None:
     """Remove the folders that have been replaced; what others have put into them meanwhile goes where it was put."""
     for folder in (goal.hidden, goal.replaced):
+        with contextlib.suppress(OSError):
+            if not folder.is_symlink():
+                folder.chmod(stat.S_IRWXU)  # a folder that is read-only can be replaced, but not cleared
         _clear(folder, goal.ours)
         with contextlib.suppress(OSError):
             for foreign in folder.iterdir():

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from cgid.errors import BadData, CannotCreate, InvalidValue
-from cgid.files import half_written, looking_at, require_room, write_whole
+from cgid.files import clear_half_written, half_written, looking_at, require_room, write_whole
 from cgid.signals import Batch
 from cgid.store.dataset import Dataset
 from cgid.store.examination import compression_of, examine_whole
@@ -175,6 +175,7 @@ class DatasetWriter:
         """
         self._overwrites = overwrite
         if is_single_file(self.output):
+            clear_half_written(self.output)
             yield DatasetRun(self.shards if self._must_be_made(overwrite, resume) else [])
             return
         goal = Goal(
