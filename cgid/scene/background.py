@@ -22,7 +22,6 @@ from cgid.scene.sensor import QUANTITIES, Sensor
 from cgid.scene.units import Decibel, Frequency, parse
 from cgid.validation import Floats
 
-
 #: A recorded background is held in memory [bytes].
 _LARGEST_RECORDING = 1 << 30
 

@@ -143,8 +143,8 @@ def read_journal(folder: Path) -> Unfinished | None:
     for name, kind in (("run", str), ("process", str), ("plan", dict), ("n_files", int), ("noun", str)):
         if not isinstance(found.get(name), kind) or not _is_short(found[name]):
             raise BadData(
-                f"{file}: is damaged or not of cgid, so that no run can go on; choose another name, or start again with "
-                "--overwrite"
+                f"{file}: is damaged or not of cgid, so that no run can go on; choose another name, or start again "
+                "with --overwrite"
             )
     # A line that is torn or damaged is passed over: its file is made again.
     entries = [_content(line).get("entry") for line in lines[2:]]

@@ -36,8 +36,8 @@ def opened(path: str, source: str, **options: Any) -> Iterator[h5py.File]:
         raise NoInput(f"{source}: cannot be read (Permission denied); see to its permissions") from None
     except DAMAGE:
         raise BadData(
-            f"{source}: must be a readable HDF5 file, it is empty, truncated or no HDF5 file; copy it again, or generate "
-            "it anew"
+            f"{source}: must be a readable HDF5 file, it is empty, truncated or no HDF5 file; copy it again, or "
+            "generate it anew"
         ) from None
     try:
         yield file

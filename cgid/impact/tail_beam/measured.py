@@ -108,7 +108,8 @@ def read_measured_modes(path: str | Path) -> MeasuredModes:
     NoInput
         The file cannot be opened.
     BadData
-        It is no regular file or too large, a column or a number is missing, the rows are not sorted, or a number breaks its rule; with the line's number.
+        It is no regular file or too large, a column or a number is missing, the rows are not sorted, or a number breaks
+        its rule; with the line's number.
 
     Examples
     --------
