@@ -50,7 +50,8 @@ def whole_file(path: str | Path, *, overwrite: bool = True) -> Iterator[Path]:
     temporary = path.with_name(f".{path.name}.{secrets.token_hex(6)}.part")
     try:
         _create(temporary, path)
-        with locked(temporary):  # for `clear_half_written`
+        # For `clear_half_written`; shared, so that nobody is kept from reading the file once it has its name.
+        with locked(temporary, shared=True):
             yield temporary
             with temporary.open("rb+") as stream:
                 os.fsync(stream.fileno())
