@@ -7,9 +7,15 @@ from __future__ import annotations
 
 
 class CgidError(Exception):
-    """Base of every error that cgid raises on purpose; `exit_code` is what the command line returns."""
+    """Base of every error that cgid raises on purpose; `exit_code` is what the command line returns.
+
+    Each argument is a mistake and stands on a line of its own: a name in it may hold line breaks, too.
+    """
 
     exit_code = 70
+
+    def __str__(self) -> str:
+        return "\n".join(map(str, self.args))
 
 
 class InvalidValue(CgidError, ValueError):

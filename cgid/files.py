@@ -8,11 +8,13 @@ import os
 import re
 import secrets
 import shutil
+import stat
 from collections.abc import Collection, Iterator
 from pathlib import Path
 from typing import Any
 
-from cgid.errors import CannotCreate, CgidError, WriteFailed
+from cgid.errors import BadData, CannotCreate, CgidError, NoInput, WriteFailed
+from cgid.lock import locked
 
 #: What a disk says that has no room.
 FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
@@ -70,13 +72,15 @@ def whole_file(path: str | Path, *, overwrite: bool = True) -> Iterator[Path]:
     temporary = path.with_name(f".{path.name}.{secrets.token_hex(6)}.part")
     try:
         _create(temporary, path)
-        yield temporary
-        with temporary.open("rb+") as stream:
-            os.fsync(stream.fileno())
-        if overwrite:
-            temporary.replace(path)
-        else:
-            _publish_new(temporary, path)
+        # For `clear_half_written`; shared, so that nobody is kept from reading the file once it has its name.
+        with locked(temporary, shared=True):
+            yield temporary
+            with temporary.open("rb+") as stream:
+                os.fsync(stream.fileno())
+            if overwrite:
+                temporary.replace(path)
+            else:
+                _publish_new(temporary, path)
     except IsADirectoryError:
         _remove(temporary)
         raise CannotCreate(f"{path}: is a folder; choose another name or move it away") from None
@@ -98,6 +102,51 @@ def whole_file(path: str | Path, *, overwrite: bool = True) -> Iterator[Path]:
     sync_folder(path.parent)
 
 
+def require_regular(path: str | Path, what: str, largest: int) -> int:
+    """Return the size of a regular file that may come from a stranger, or be named in a file that does [bytes].
+
+    A pipe would be waited for, a device never ends, and a large file fills memory or disk.
+
+    Parameters
+    ----------
+    path : str or Path
+    what : str
+        What it should be, with its article.
+    largest : int
+        [bytes].
+
+    Raises
+    ------
+    BadData
+        It is no regular file, or larger.
+    OSError
+        There is none, or it is a folder.
+    """
+    about = Path(path).stat()
+    if stat.S_ISDIR(about.st_mode):
+        raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR))
+    if not stat.S_ISREG(about.st_mode):
+        raise BadData(f"{path}: {what} must be a regular file, it is a pipe or a device; copy it to a file first")
+    if about.st_size > largest:
+        raise BadData(
+            f"{path}: {what} must be at most {largest >> 20} MiB, it has {about.st_size >> 20} MiB; give a smaller file"
+        )
+    return about.st_size
+
+
+def read_regular(path: str | Path, what: str, largest: int, cure: str = "check the name") -> bytes:
+    """Return the content of a regular file; parameters and `BadData` as `require_regular`, else `NoInput`."""
+    try:
+        size = require_regular(path, what, largest)
+        with Path(path).open("rb") as stream:
+            return stream.read(size)
+    except CgidError:
+        raise
+    except (OSError, ValueError) as error:  # a name with a zero byte is a ValueError
+        reason = getattr(error, "strerror", None) or error
+        raise NoInput(f"{path}: {what} cannot be read ({reason}); {cure}") from None
+
+
 def half_written(name: str) -> str:
     """Return the pattern of what a killed process leaves of files whose names have this pattern; see `whole_file`.
 
@@ -108,6 +157,17 @@ def half_written(name: str) -> str:
     True
     """
     return rf"\.(?:{name})\.[0-9a-f]+\.part"
+
+
+def clear_half_written(path: Path) -> None:
+    """Remove what killed processes have left of files that were to bear this name; who still writes one holds it."""
+    pattern = re.compile(half_written(re.escape(path.name)))
+    with contextlib.suppress(OSError):
+        for found in path.parent.iterdir():
+            if pattern.fullmatch(found.name) and stat.S_ISREG(found.lstat().st_mode):
+                with contextlib.suppress(OSError), locked(found) as held:
+                    if held:
+                        found.unlink()
 
 
 def _create(temporary: Path, path: Path) -> None:
@@ -213,8 +273,10 @@ def check_new(path: Path, what: str, endings: Collection[str], *, overwrite: boo
 
 @contextlib.contextmanager
 def looking_at(path: Path) -> Iterator[None]:
-    """Raise `CannotCreate` where it cannot even be told what is at a place, or in a folder that one may not enter."""
+    """Raise `CannotCreate` where one may not look, in a closed folder or behind a link that leads to itself."""
     try:
+        with contextlib.suppress(FileNotFoundError, NotADirectoryError):
+            path.stat()
         yield
     except CgidError:
         raise

@@ -15,7 +15,7 @@ _PAUSE = 0.02
 
 
 @contextmanager
-def locked(path: Path, *, shared: bool = False, patience: float = 0.0) -> Iterator[None]:
+def locked(path: Path, *, shared: bool = False, patience: float = 0.0) -> Iterator[bool]:
     """Hold a file or a folder within this context, alone or with others who hold it shared.
 
     The kernel lets go of it when the process ends, however it ends. Where there are no such locks, nothing is held.
@@ -27,6 +27,11 @@ def locked(path: Path, *, shared: bool = False, patience: float = 0.0) -> Iterat
     patience : float
         How long others are waited for [s].
 
+    Yields
+    ------
+    bool
+        Whether it is held.
+
     Raises
     ------
     BlockingIOError
@@ -37,9 +42,9 @@ def locked(path: Path, *, shared: bool = False, patience: float = 0.0) -> Iterat
     try:
         import fcntl
     except ImportError:  # Windows
-        yield
+        yield False
         return
-    descriptor = os.open(path, os.O_RDONLY)
+    descriptor, held = os.open(path, os.O_RDONLY), True
     try:
         end = time.monotonic() + patience
         while True:
@@ -53,9 +58,10 @@ def locked(path: Path, *, shared: bool = False, patience: float = 0.0) -> Iterat
             except OSError as error:
                 if error.errno not in _NO_LOCKS:
                     raise
+                held = False
                 break
         if not os.path.samestat(os.fstat(descriptor), path.stat()):
             raise BlockingIOError(errno.EWOULDBLOCK, "another file has its name by now")
-        yield
+        yield held
     finally:
         os.close(descriptor)

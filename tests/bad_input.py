@@ -19,6 +19,8 @@ from cgid import shipped
 from cgid.identification.model import Model
 from cgid.identification.training import train
 from cgid.scene import generate, load_scene, parse_scene, synthesise
+from cgid.scene.plan import plan
+from cgid.scene.tabulation import tabulate
 from tests.bad_recordings import RECORDING_CASES, make_recordings
 
 ROOT = Path(__file__).parents[1]
@@ -68,6 +70,7 @@ def _tables(folder: Path) -> None:
         beam = f'[tail_beam]\nmodes = "{name}.csv"\n\n'
         (folder / f"{name}.toml").write_text(text[:start] + beam + text[stop:])
     good = (folder / "modes.toml").read_text()
+    (folder / "device.toml").write_text(good.replace("modes.csv", "/dev/null"))
     (folder / "no_table.toml").write_text(good.replace("modes.csv", "gone.csv"))
     (folder / "endless.toml").write_text(good.replace('"modes.csv"', '"modes.csv"\ncoupling = "impedance"'))
     (folder / "both.toml").write_text(good.replace('"modes.csv"', '"modes.csv"\nlength = "1.6 m"'))
@@ -141,12 +144,17 @@ def make_files(folder: Path) -> None:
     _changed(folder, "caving", _STREAMS)
     _changed(folder, "reference", {"range": ("[sensor]", '[sensor]\nrange = "500 g"')})
     _tables(folder)
+    tabulate(plan(load_scene(ROOT / "datasets" / "reference.toml"), ["closed-form"]), folder / "table.csv", 9)
+    lines = (folder / "table.csv").read_text().splitlines()
+    (folder / "damaged_table.csv").write_text("\n".join([*lines[:6], lines[6] + ",7", *lines[7:]]))
     one = parse_scene(_one_label())
     generate(one, folder / "one.h5", 64)
     two = _one_label()
     two["populations"] = [two["populations"][0], {**two["populations"][0], "label": "gangue", "density": 2400}]
     generate(parse_scene(two), folder / "two.h5", 64)
     (folder / "truncated.h5").write_bytes((folder / "two.h5").read_bytes()[:20000])
+    for name in ("loop", "loop.h5", "loop.npz"):
+        (folder / name).symlink_to(name)
     (folder / "unfinished").mkdir()
     shutil.copy(folder / "two.h5", folder / "unfinished" / "shard-00000.h5")
     shutil.copy(folder / "two.h5", folder / "tagged.h5")
@@ -178,6 +186,10 @@ _BEAMS = {
     "step": ('range = "500 g"\n', ""),
     "deaf": ("bits = 16", "bits = 16\ngain = 0"),
     "modes_too_many": ('"10 kHz", order = 8 }', '"10 kHz", order = 1 }'),
+    "hum_device": (
+        "[sampling]",
+        '[background]\nrecorded = { path = "/dev/null", signal_to_noise = "20 dB" }\n[sampling]',
+    ),
     "hum_missing": (
         "[sampling]",
         '[background]\nrecorded = { path = "gone.wav", signal_to_noise = "20 dB" }\n[sampling]',
@@ -219,6 +231,7 @@ def _manifests(folder: Path, good: np.ndarray) -> None:
     """Write manifests of labelled recordings, each with one thing wrong."""
     _csv(folder / "twice.csv", np.concatenate([good, good]))
     (folder / "m_gone.csv").write_text("path,label\ngone.csv,coal\ngood.csv,gangue\n")
+    (folder / "m_device.csv").write_text("path,label\n/dev/null,coal\n")
     (folder / "m_label.toml").write_text(
         'labels = ["coal", "gangue"]\n[[recording]]\npath = "good.csv"\nlabel = "cole"\n'
     )
@@ -251,6 +264,8 @@ def _one_label() -> dict:
 
 CASES = (
     Case("missing file", ("predict", "none.csv"), 66, ("none.csv",)),
+    Case("line break in a name", ("predict", "no\ncgid: error: forged.csv"), 66, ("no\\ncgid: error: forged.csv",)),
+    Case("damaged table", ("info", "damaged_table.csv"), 65, ("damaged_table.csv", "line 6", "make it again")),
     Case("empty file", ("predict", "empty.csv"), 65, ("empty.csv", "empty")),
     Case("binary junk", ("predict", "junk.csv"), 65, ("junk.csv", "neither text nor of another format")),
     Case("truncated WAV", ("predict", "truncated.wav"), 65, ("truncated.wav",)),
@@ -271,7 +286,7 @@ CASES = (
         "sampling rate of years",
         ("predict", "whole.npy", "--rate", "1e-6", "--unit", "N"),
         65,
-        ("sampling_rate", "at least 1 Hz", "1e-06 Hz"),
+        ("sampling_rate", "at least 10 Hz", "1e-06 Hz"),
     ),
     Case(
         "sampling rate of no feature",
@@ -376,6 +391,12 @@ CASES = (
         ("gone.csv", "must exist"),
     ),
     Case(
+        "recording of a manifest is a device",
+        ("train", "m_device.csv", "--strict", "-o", "new.npz"),
+        65,
+        ("/dev/null", "recording of a manifest must be a regular file"),
+    ),
+    Case(
         "label that a manifest does not allow",
         ("train", "m_label.toml", "-o", "new.npz"),
         65,
@@ -400,6 +421,7 @@ CASES = (
         ("--test-share", "left out"),
     ),
     Case("model name without .npz", ("train", "two.h5", "-o", "new.txt"), 73, ("new.txt", ".npz")),
+    Case("model is a link to itself", ("train", "two.h5", "-o", "loop.npz"), 73, ("loop.npz", "symbolic links")),
     Case("model exists", ("train", "two.h5", "-o", "model.npz"), 73, ("model.npz", "--overwrite")),
     Case("folder of the model is missing", ("train", "two.h5", "-o", "no/new.npz"), 73, ("no",)),
     Case("restitution 0", ("check", "zero.toml"), 65, ("populations.0.restitution", "0.05 and 1")),
@@ -423,10 +445,13 @@ CASES = (
     Case("key of many parts", ("check", "dotted.toml"), 65, ("line 1", "at most 16 parts")),
     Case("many keys", ("check", "keys.toml"), 65, ("keys.toml", "at most 100000 keys and tables")),
     Case("key of several lines", ("check", "line.toml"), 65, ("line.toml: 'a\\nbccc", "...: unknown key")),
+    Case("scene is a device", ("check", "/dev/null"), 65, ("/dev/null", "scene file must be a regular file")),
     Case("three errors at once", ("check", "three.toml"), 65, ("youngs_modulus", "jittter", "sensor.noise")),
     Case("missing scene", ("generate", "none.toml", "-o", "new.h5"), 66, ("none.toml",)),
     Case("dataset exists", ("generate", "reference.toml", "-o", "two.h5"), 73, ("two.h5", "--overwrite")),
     Case("folder is missing", ("generate", "reference.toml", "-o", "no/new.h5"), 73, ("no",)),
+    Case("dataset is a link to itself", ("generate", "reference.toml", "-o", "loop"), 73, ("loop", "symbolic links")),
+    Case("file is a link to itself", ("export", "two.h5", "-o", "loop.h5"), 73, ("loop.h5", "symbolic links")),
     Case("no signals", ("generate", "reference.toml", "-o", "new.h5", "-n", "0"), 65, ("n_signals", "0")),
     Case("seed negative", ("generate", "reference.toml", "-o", "new.h5", "--seed", "-1"), 65, ("seed", "-1")),
     Case("one file too large", ("generate", "reference.toml", "-o", "new.h5", "-n", "999999"), 65, ("2 GiB", ".h5")),
@@ -484,8 +509,15 @@ CASES = (
         ("tail_beam", "1000 modes", "anti_alias.frequency", "smaller or thicker"),
     ),
     Case("background of no file", ("check", "hum_missing.toml"), 66, ("gone.wav",)),
+    Case(
+        "background that is a device",
+        ("generate", "hum_device.toml", "-o", "new.h5"),
+        65,
+        ("/dev/null", "background must be a regular file"),
+    ),
     Case("ceiling of a beam", ("ceiling", "tail_beam"), 65, ("tail_beam", "force itself", "cgid train")),
     Case("no table of modes", ("generate", "no_table.toml", "-o", "new.h5"), 66, ("gone.csv", "table of modes")),
+    Case("table of modes is a device", ("check", "device.toml"), 65, ("/dev/null", "modes must be a regular file")),
     Case("modes not sorted", ("generate", "unsorted.toml", "-o", "new.h5"), 65, ("unsorted.csv, line 3", "ascend")),
     Case("table without a mode", ("check", "no_modes.toml"), 65, ("no_modes.csv", "a line a mode")),
     Case("number of a mode missing", ("check", "gap.toml"), 65, ("gap.csv, line 3", "shape_sensor", "''")),

@@ -151,6 +151,21 @@ def test_a_forked_process_has_readers_of_its_own(path):
     assert len(list(stream)) == 6
 
 
+def test_a_forked_process_is_told_that_it_cannot_read_on(path):
+    """The file is not to blame, and the process that began reads on."""
+    stream = parts(path)
+    next(stream)
+    child = os.fork()
+    if not child:
+        try:
+            next(stream)
+        except Exception as error:
+            os._exit(7 if "was forked from it meanwhile; begin anew here" in str(error) else 1)
+        os._exit(2)
+    assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 7
+    assert len(list(stream)) == 6
+
+
 def test_a_reader_ends_with_whom_it_reads_for_and_hears_no_interruption(path):
     code = (
         "import os, signal, sys; from pathlib import Path; from cgid.store import apart; path = Path(sys.argv[1]);"

@@ -47,7 +47,7 @@ def test_bad_input(
     case: Case, bad_files: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(bad_files)
-    before = {path: path.stat().st_mtime_ns for path in bad_files.rglob("*")}
+    before = {path: path.lstat().st_mtime_ns for path in bad_files.rglob("*")}
     code = run(list(case.arguments))
     out, err = capsys.readouterr()
     assert code == case.exit_code, err
@@ -56,7 +56,27 @@ def test_bad_input(
     assert all(word in " ".join(errors) for word in case.says), err
     assert "Traceback" not in err
     assert out == ""
-    assert {path: path.stat().st_mtime_ns for path in bad_files.rglob("*")} == before
+    assert {path: path.lstat().st_mtime_ns for path in bad_files.rglob("*")} == before
+
+
+def test_recordings_that_could_not_be_read_are_named_where_too_few_are_left(
+    bad_files: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(bad_files)
+    assert run(["train", "m_gone.csv", "--by", "impact", "-o", "new.npz"]) == 65
+    first, second = capsys.readouterr().err.splitlines()
+    assert first == "cgid: error: gone.csv: the file must exist and does not; check the name"
+    assert "at least 2 labels" in second
+
+
+@pytest.mark.parametrize("number", ["0", "-1"])
+def test_a_number_of_threads_that_numba_refuses_is_named(number: str) -> None:
+    """By a new process: numba looks at it when it is loaded."""
+    command = [sys.executable, "-m", "cgid", "check", "reference"]
+    asked = {**os.environ, "NUMBA_NUM_THREADS": number}
+    done = subprocess.run(command, capture_output=True, text=True, env=asked, cwd=ROOT)
+    assert done.returncode == 65
+    assert done.stderr == f"cgid: error: NUMBA_NUM_THREADS must be 1 or more, got {number}; unset it\n"
 
 
 def _led_to(error: Exception, cause: Exception) -> Exception:

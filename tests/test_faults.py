@@ -144,6 +144,38 @@ def test_a_reader_during_a_write_sees_old_or_new(tmp_path):
     assert len(seen) > 1 and sorted(file.name for file in tmp_path.iterdir()) == ["data.h5"]
 
 
+MAKERS = {
+    "export": ("export {0}/../two.h5 -o {0}/data.h5 --overwrite", "data.h5"),
+    "signals": ("generate reference -n 9 -o {0}/data.h5 --overwrite", "data.h5"),
+    "table": ("generate reference -n 9 --parameters-only -o {0}/data.csv --overwrite", "data.csv"),
+    "recording": ("generate {0}/../stream.toml -o {0}/data.h5 --overwrite", "data.h5"),
+}
+
+
+@pytest.fixture(scope="module")
+def sources(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("sources")
+    assert run(["generate", "reference", "-n", "9", "-o", str(folder / "two.h5")]) == 0
+    shutil.copy(ROOT / "tests" / "golden" / "stream.toml", folder)
+    return folder
+
+
+@pytest.mark.parametrize("name", MAKERS)
+def test_the_next_file_of_a_name_clears_what_a_killed_process_left(sources, name):
+    command, file = MAKERS[name]
+    folder = sources / name
+    folder.mkdir()
+    other = folder / f".{file}x.0123456789ab.part"  # of another name
+    other.touch()
+    died = "import os, signal, sys; from cgid.files import whole_file\n"
+    died += "with whole_file(sys.argv[1]) as part: part.write_bytes(b'half'); os.kill(os.getpid(), signal.SIGKILL)"
+    subprocess.run([sys.executable, "-c", died, folder / file], cwd=ROOT, check=False)
+    (left,) = folder.glob(f".{file}.*.part")
+    with whole_file(folder / file) as written_by_another:
+        assert run(command.format(folder).split()) == 0
+        assert written_by_another.exists() and other.exists() and not left.exists()
+
+
 # ---- files together --------------------------------------------------------------------------------------------------
 
 

@@ -163,6 +163,9 @@ def test_files_that_are_no_text_are_refused(tmp_path: Path) -> None:
         read_manifest(tmp_path / "gone.csv")
     with pytest.raises(NoInput, match="cannot be read"):
         read_manifest(tmp_path)
+    (tmp_path / "null.csv").symlink_to("/dev/null")
+    with pytest.raises(BadData, match="a manifest must be a regular file"):
+        read_manifest(tmp_path / "null.csv")
     with pytest.raises(BadData, match="must be UTF-8 text, byte 11"):
         read_manifest(written(tmp_path, "path,label\n\xe9,b\n", encoding="latin-1"))
 

@@ -223,6 +223,14 @@ def test_one_file_that_is_not_whole(tmp_path, damage):
         recordings(other, n_recordings=1, resume=True)
 
 
+def test_a_file_of_another_program_is_not_to_be_overwritten(tmp_path):
+    path = tmp_path / "data.h5"
+    path.write_text("my thesis")
+    with pytest.raises(BadData, match=r"is there and is no cgid-dataset; choose another name$"):
+        dataset(path, resume=True)
+    assert path.read_text() == "my thesis"
+
+
 def test_a_folder_by_another_name(tmp_path, path, monkeypatch):
     dataset(path)
     link = tmp_path / "link"
@@ -294,6 +302,28 @@ def test_a_file_that_another_run_has_made_meanwhile_is_kept(tmp_path, make):
 
 
 # ---- overwriting -----------------------------------------------------------------------------------------------------
+
+
+def test_a_folder_that_is_read_only_is_replaced_and_goes(whole, path, monkeypatch):
+    """Root may write into any folder, so the kernel's refusal is put in its place."""
+    dataset(path, seed=1)
+    path.chmod(0o555)
+    unlink = Path.unlink
+
+    def refused(self, **options):
+        if self.exists() and not self.parent.stat().st_mode & 0o200:
+            raise PermissionError(13, "Permission denied")
+        unlink(self, **options)
+
+    monkeypatch.setattr(Path, "unlink", refused)
+    dataset(path, overwrite=True)
+    assert files(path) == whole[dataset]
+    assert [left.name for left in path.parent.iterdir()] == ["data"]
+    left = path.with_name(".data.unfinished")  # by an earlier version
+    shutil.copytree(path, left)
+    left.chmod(0o555)
+    dataset(path, overwrite=True)
+    assert [left.name for left in path.parent.iterdir()] == ["data"]
 
 
 def test_what_others_put_into_a_folder_meanwhile_is_kept(path):

@@ -325,6 +325,8 @@ def test_other_files_are_refused(solved, tmp_path, change, message):
 def test_files_that_are_none_are_refused(tmp_path):
     with pytest.raises(NoInput, match=r"missing.npz: solved impacts cannot be read .*make them: python datasets"):
         SolvedImpacts.load(tmp_path / "missing.npz")
+    with pytest.raises(BadData, match="solved impacts must be a regular file"):
+        SolvedImpacts.load("/dev/null")
     path = tmp_path / "text.npz"
     path.write_text("no archive")
     with warnings.catch_warnings(), pytest.raises(BadData, match=r"text.npz: no solved impacts"):

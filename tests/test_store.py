@@ -384,6 +384,36 @@ def test_shard_of_another_length(folder):
         Dataset(folder)
 
 
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        ("repeated", r"shard-00001\.h5: first_signal must be 300 as manifest\.json says, got 0"),
+        ("swapped", r"shard-00000\.h5: first_signal must be 0 as manifest\.json says, got 300"),
+        ("longer", r"shard-00001\.h5: bytes must be [0-9]+ as manifest\.json says"),
+        ("seed", r"shard-00001\.h5: seed must be that of manifest\.json, 7, got 8"),
+        ("scene", r"shard-00001\.h5: scene_(name|sha256) must be that of manifest\.json"),
+    ],
+)
+def test_a_shard_exchanged_for_another_is_not_read(folder, tmp_path, change, says):
+    first, second = folder / "shard-00000.h5", folder / "shard-00001.h5"
+    if change == "repeated":
+        shutil.copy(first, second)
+    elif change == "swapped":
+        first.rename(tmp_path / "kept")
+        second.rename(first)
+        (tmp_path / "kept").rename(second)
+    elif change == "longer":
+        second.write_bytes(second.read_bytes() + b"\0")
+    else:
+        scene = json.loads(scene_of().text)
+        scene["populations"][0]["density"] = 1500.0
+        other = (scene_of(), 8) if change == "seed" else (parse_scene(scene), 7)
+        generate(other[0], tmp_path / "other", 600, other[1], shard_signals=300)
+        shutil.copy(tmp_path / "other" / "shard-00001.h5", second)
+    with pytest.raises(BadData, match=says):
+        Dataset(folder)
+
+
 def test_shard_of_another_frame(folder, tiny):
     shutil.copy(tiny, folder / "shard-00003.h5")
     with pytest.raises(BadData, match="n_samples must be that of the other shards, 64, got 32"):
@@ -705,6 +735,8 @@ def test_a_dataset_with_a_foreign_file_is_not_overwritten(folder):
     (folder / "thesis.txt").touch()
     with pytest.raises(CannotCreate, match=r"such as thesis\.txt"):
         generate(scene_of(32), folder, 10, overwrite=True)
+    with pytest.raises(CannotCreate, match=r"such as thesis\.txt.*choose another name$"):
+        generate(scene_of(32), folder, 10)
     assert len(Dataset(folder)) == N
 
 

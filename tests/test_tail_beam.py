@@ -2,6 +2,7 @@
 
 import csv
 import math
+import os
 from pathlib import Path
 
 import mpmath
@@ -363,7 +364,7 @@ def test_bad_tables_name_the_line(tmp_path, rows, message):
 
 
 def test_tables_that_are_none(tmp_path):
-    with pytest.raises(NoInput, match="cannot be opened"):
+    with pytest.raises(NoInput, match="cannot be read"):
         read_measured_modes(tmp_path / "none.csv")
     file = tmp_path / "tap.csv"
     file.write_text(TABLE.replace(",modal_mass [kg]", ",modal_mass [g]") + "\n1,1,1,1,1\n")
@@ -371,6 +372,13 @@ def test_tables_that_are_none(tmp_path):
         read_measured_modes(file)
     file.write_bytes(b"\xff\xfe\x00")
     with pytest.raises(BadData, match="UTF-8"):
+        read_measured_modes(file)
+    file.write_text("root:x:0:0\nand more\n")  # what a scene names may be anybody's file
+    with pytest.raises(BadData, match="got none of the columns") as caught:
+        read_measured_modes(file)
+    assert "root:x" not in str(caught.value)
+    os.truncate(file, 9 << 20)
+    with pytest.raises(BadData, match="must be at most 8 MiB, it has 9 MiB"):
         read_measured_modes(file)
 
 

@@ -10,6 +10,7 @@ import shutil
 import subprocess
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import h5py
 import numpy as np
@@ -23,7 +24,7 @@ from cgid.scene.plan import plan
 from cgid.scene.repair import repair
 from cgid.scene.stream.generation import generate_recordings
 from cgid.scene.tabulation import tabulate
-from cgid.store import Dataset, read_table
+from cgid.store import Dataset, opening, read_table
 from cgid.store.examination import damaged_rows, examine_file
 from cgid.store.export import export
 from cgid.store.manifest import read_manifest
@@ -211,6 +212,41 @@ def test_an_unfinished_run_says_how_far_it_has_come(tmp_path: Path, capsys: pyte
     assert capsys.readouterr().err.endswith("go on with cgid generate ... --resume\n")
 
 
+@pytest.mark.parametrize("name", ["manifest.json", "shard-00001.h5", "unfinished.jsonl"])
+def test_what_one_may_not_read_is_not_called_damaged_and_stays(
+    copies: Path, name: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder, opened = copies / "folder", Path.open
+    if name == "unfinished.jsonl":
+        (folder / name).write_text("{}")
+    before = contents(folder)
+
+    def refused(self: Path, *arguments: Any, **options: Any) -> Any:
+        if self == folder / name:  # as the kernel says it to those who are not root
+            raise PermissionError(13, "Permission denied")
+        return opened(self, *arguments, **options)
+
+    with monkeypatch.context() as patched:
+        patched.setattr(Path, "open", refused)
+        for options in ([], ["--repair"]):
+            assert run(["verify", str(folder), *options]) == 66
+            said = capsys.readouterr().err
+            assert f"{name}: cannot be read (Permission denied)" in said and "overwrite" not in said
+        if name == "manifest.json":
+            with pytest.raises((NoInput, CannotCreate), match="Permission denied"):
+                generate(SCENE, folder, N, 7, shard_signals=IN_SHARD, resume=True)
+    assert contents(folder) == before
+
+
+def test_hdf5_one_may_not_read_is_not_called_damaged(made: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refused(*_: Any, **__: Any) -> None:
+        raise PermissionError(13, "Permission denied")
+
+    monkeypatch.setattr(h5py, "File", refused)
+    with pytest.raises(NoInput, match="see to its permissions"), opening.opened(str(made / "one.h5"), "one.h5"):
+        pass
+
+
 def test_nothing_there(tmp_path: Path) -> None:
     with pytest.raises(NoInput):
         verify(tmp_path / "nothing")
@@ -299,6 +335,21 @@ def test_a_folder_of_the_first_version_is_readable_when_it_has_been_repaired(tmp
     assert not verify(folder).findings
     one, two = (np.concatenate([batch.signals for batch in Dataset(path)]) for path in (GOLDEN, folder))
     np.testing.assert_allclose(one, two, rtol=1e-5)
+
+
+def test_shards_of_another_dataset_than_the_manifest_are_never_replaced(
+    copies: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    generate(SCENE, copies / "other", N, 5, shard_signals=IN_SHARD)
+    folder = copies / "folder"
+    shutil.copy(copies / "other" / "manifest.json", folder)
+    before = contents(folder)
+    assert run(["verify", str(folder), "--repair"]) == 65
+    assert contents(folder) == before
+    assert capsys.readouterr().out.count("seed must be that of manifest.json, 5, got 7") == 3
+    (folder / "shard-00001.h5").unlink()  # out of the way, a shard is made again
+    assert mended(folder) == [False, True, False]
+    assert (folder / "shard-00001.h5").read_bytes() == (copies / "other" / "shard-00001.h5").read_bytes()
 
 
 def test_what_has_been_replaced_since_it_was_verified_is_left_alone(copies: Path) -> None:
@@ -443,6 +494,18 @@ def test_an_export_of_what_is_damaged_leaves_nothing(copies: Path, tmp_path: Pat
         export(copies / "folder", tmp_path / "all.h5", overwrite=True)
     assert (tmp_path / "all.h5").read_bytes() == b"old"
     assert sorted(file.name for file in tmp_path.iterdir()) == ["all.h5", "copies"]
+
+
+def test_an_exchanged_shard_is_neither_exported_nor_trained_on(copies: Path, tmp_path: Path) -> None:
+    """Not even one that says of itself what the manifest does: other numbers, with checksums of their own."""
+    folder = copies / "folder"
+    changed(folder / "shard-00001.h5", "signals", 5)
+    assert sum(map(len, Dataset(folder))) == N
+    for command, output in (("export", "all.h5"), ("train", "model.npz")):
+        assert run([command, str(folder), "-o", str(tmp_path / output)]) == 65
+        assert not (tmp_path / output).exists()
+    with pytest.raises(BadData, match=r"shard-00001\.h5: must have the SHA-256 that manifest\.json says"):
+        export(folder, tmp_path / "all.h5")
 
 
 def test_an_export_is_no_other_than_its_data(copies: Path) -> None:

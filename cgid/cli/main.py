@@ -31,6 +31,8 @@ from cgid.cli.train import train
 from cgid.cli.verify import verify
 from cgid.errors import CgidError, MissingExtra
 
+#: How many threads numba may take; it refuses to be loaded for less than one.
+_THREADS = "NUMBA_NUM_THREADS"
 _INTERRUPTED, _INTERNAL, _OUTPUT_FAILED, _NO_INPUT, _BAD_DATA = 130, 70, 74, 66, 65
 #: What loaders, threads, C++ and HDF5 say where memory runs short.
 _MEMORY_SHORT = (
@@ -106,6 +108,9 @@ def run(arguments: list[str] | None = None) -> int:
             return _say_memory(error)
         if os.environ.get("CGID_DEBUG"):
             raise
+        if _asks_for_no_threads():
+            say(f"cgid: error: {_THREADS} must be 1 or more, got {os.environ[_THREADS]}; unset it", err=True)
+            return 65
         text = " ".join(f"{type(error).__name__}: {error}".split())
         say(f"cgid: internal error: {text}; please report it (CGID_DEBUG=1 shows where)", err=True)
         return _INTERNAL
@@ -130,6 +135,13 @@ def _say_memory(error: BaseException) -> int:
         err=True,
     )
     return _BAD_DATA
+
+
+def _asks_for_no_threads() -> bool:
+    try:
+        return int(os.environ.get(_THREADS, "1")) < 1
+    except ValueError:
+        return False  # numba passes over it
 
 
 def _is_adrift() -> bool:

@@ -163,8 +163,8 @@ def each_file(files: Iterable[str], treat: Callable[[str], None], *, strict: boo
 
 def say_error(error: CgidError) -> None:
     """Say what is wrong on stderr, a line for each mistake."""
-    for line in str(error).split("\n"):
-        say(f"cgid: error: {line}", err=True)
+    for mistake in error.args:
+        say(f"cgid: error: {mistake}", err=True)
 
 
 def print_json(content: dict[str, Any], version: int = JSON_VERSION) -> None:

@@ -10,7 +10,7 @@ import click
 
 from cgid.cli.options import PATH, crew_options, print_json, progress_bar, require_one_crew, say_error
 from cgid.cli.saying import say
-from cgid.errors import InvalidValue
+from cgid.errors import CgidError, InvalidValue
 
 #: Options that belong to the recordings of a manifest, and those that do not.
 _OF_RECORDINGS = {
@@ -176,19 +176,24 @@ def _recorded(manifests: list[str], others: list[str], asked: dict[str, Any]) ->
         recorded, synthetic = _measured(others, recorded, asked)
     for warning in recorded.warnings:
         say(f"cgid: warning: {warning}", err=True)
-    with progress_bar(None, "groups") as progress:
-        training = train_recorded(
-            recorded,
-            features=asked["features"],
-            families=(asked["family"] or "linear",),
-            level_free=asked["level_free"],
-            class_weights=asked["class_weights"],
-            seed=asked["seed"],
-            shuffle_labels=asked["shuffle_labels"],
-            synthetic=synthetic,
-            progress=progress,
-            crew=asked["crew"],
-        )
+    try:
+        with progress_bar(None, "groups") as progress:
+            training = train_recorded(
+                recorded,
+                features=asked["features"],
+                families=(asked["family"] or "linear",),
+                level_free=asked["level_free"],
+                class_weights=asked["class_weights"],
+                seed=asked["seed"],
+                shuffle_labels=asked["shuffle_labels"],
+                synthetic=synthetic,
+                progress=progress,
+                crew=asked["crew"],
+            )
+    except CgidError:
+        for failure in recorded.failures:  # what could not be read may be what is missing
+            say_error(failure)
+        raise
     return training, list(recorded.failures)
 
 
@@ -290,4 +295,4 @@ def _batches(data: list[str], n_signals: int, seed: int) -> Iterator[Any]:
 
             yield from synthesise(load_scene(shipped.scene_path(item)), n_signals, seed)
         else:
-            yield from Dataset(item).batches()
+            yield from Dataset(item).batches(check_sums=True)

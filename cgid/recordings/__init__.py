@@ -14,8 +14,6 @@ from pathlib import Path
 from threading import Timer
 from typing import IO, Any
 
-import numpy as np
-
 from cgid.errors import BadData, NoInput, WriteFailed
 from cgid.recordings.formats import HDF5_MAGIC, HEAD_SIZE, format_of, is_hdf5
 from cgid.recordings.own import DATASET_CURE

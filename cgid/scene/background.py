@@ -9,16 +9,22 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from functools import partial
 from itertools import pairwise
+from pathlib import Path
 from typing import Annotated, Any, Self
 
 import numpy as np
 from pydantic import AfterValidator, Field, model_validator
 
 from cgid.elementary import exp, expm1, log
+from cgid.files import require_regular
+from cgid.recordings.recording_file import told
 from cgid.scene.sections import Section
 from cgid.scene.sensor import QUANTITIES, Sensor
 from cgid.scene.units import Decibel, Frequency, parse
 from cgid.validation import Floats
+
+#: A recorded background is held in memory [bytes].
+_LARGEST_RECORDING = 1 << 30
 
 
 def _number_or_text(value: Any) -> Any:
@@ -100,6 +106,13 @@ class RecordedBackground(Section):
     signal_to_noise: Decibel
     sampling_rate: Frequency | None = None
     channel: str | None = None
+
+    def file(self, folder: Path) -> Path:
+        """Return the file, which lies in a folder; raises `NoInput`, or `BadData` for a pipe, a device or too much."""
+        path = folder / self.path
+        with told(str(path)):
+            require_regular(path, "a recorded background", _LARGEST_RECORDING)
+        return path
 
 
 class BackgroundSection(Section):

@@ -184,7 +184,7 @@ def background_of(scene: Scene) -> Background | None:
     recorded, level = None, 0.0
     if section.recorded is not None:
         asked = section.recorded
-        path = scene.folder / asked.path
+        path = asked.file(scene.folder)
         recorded = _unit_recording(path, _age(path), asked.sampling_rate, asked.channel, sampling_rate)
         level = float(reference_peak(scene) * power(10.0, -asked.signal_to_noise / 20))
     return Background(section, scene.sensor.quantity, sampling_rate, recorded, level)

@@ -35,9 +35,9 @@ def attributes_of(scene: Scene, seed: int, compression: str = "none") -> dict[st
         "versions": f"cgid {__version__}, Python {platform.python_version()}, {packages}",
     }
     if scene.background is not None and scene.background.recorded is not None:
-        content = (scene.folder / scene.background.recorded.path).read_bytes()
         # The scene names the file only, and the samples depend on what is in it.
-        found["background_sha256"] = hashlib.sha256(content).hexdigest()
+        with scene.background.recorded.file(scene.folder).open("rb") as stream:
+            found["background_sha256"] = hashlib.file_digest(stream, "sha256").hexdigest()
     return found
 
 

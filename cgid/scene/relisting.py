@@ -66,9 +66,7 @@ def relist(file: Path) -> str:
 
 def _require_all(file: Path, n_there: int) -> None:
     """Raise `BadData` if a damaged manifest still names more shards: a new one would lose sight of them."""
-    if not file.is_file():
-        return
-    named = set(re.findall(SHARD_NAME.encode(), read_text(file)))
+    named = set(re.findall(SHARD_NAME.encode(), read_text(file) or b""))
     if len(named) > n_there:
         raise BadData(
             f"{file}: names {len(named)} shards, {n_there} are there, and without a manifest those that are missing "

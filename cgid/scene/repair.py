@@ -147,11 +147,13 @@ def _mend_file(finding: Finding, given: Scene | None, room: Room, progress: Prog
     if re.fullmatch(RECORDING_NAME, path.name) and (not examined or examined["fault"]):
         return _mend_lost_recording(path, given, room, progress)
     kind = examined.get("attributes", {}).get("format")
-    if not examined or examined["fault"] or kind not in (FORMAT, RECORDING_FORMAT):
+    if not examined or examined["fault"]:
         raise BadData(
-            f"{path}: does not say any more how it was made, or is no file that is made again in part; make it again "
-            "by cgid generate with --overwrite"
+            f"{path}: does not say any more how it was made; if it was made by cgid, make it again by cgid generate "
+            "with --overwrite"
         )
+    if kind not in (FORMAT, RECORDING_FORMAT):
+        raise BadData(f"{path}: is no file that is made again in part; make it again by the command that made it")
     attributes = examined["attributes"]
     scene, seed = scene_of(path, attributes, given), whole_number(path, attributes, "seed")
     room.take(path, size_made(path, examined, scene))
@@ -237,8 +239,12 @@ def _mend_shard(
     room: Room,
     progress: Progress | None,
 ) -> tuple[str, Manifest]:
-    """Make a shard again and return what was done, and the manifest as it is then."""
+    """Make a shard again and return what was done, and the manifest as it is then.
+
+    A shard that can be read and names another seed or scene is not damaged: it is never replaced.
+    """
     path, attributes = finding.file, manifest.attributes
+    manifest.require_own(path, finding.examined.get("attributes", {}))
     if manifest.n_samples is not None and manifest.dtype is not None:
         room.take(path, size_of(entry.n_signals, manifest.n_samples, manifest.dtype))
     scene, seed = scene_of(verified.path / MANIFEST, attributes, given), whole_number(path, attributes, "seed")

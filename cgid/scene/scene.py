@@ -15,8 +15,8 @@ from typing import Any, Self
 
 from pydantic import Field, ValidationError, model_validator
 
-from cgid.errors import BadData, InvalidValue, NoInput
-from cgid.files import parse_toml
+from cgid.errors import BadData, InvalidValue
+from cgid.files import parse_toml, read_regular
 from cgid.impact.bodies import Target
 from cgid.impact.tail_beam import TailBeam
 from cgid.scene.background import BackgroundSection
@@ -187,13 +187,7 @@ def load_scene(path: str | Path) -> Scene:
         It is no TOML, or breaks rules; one line for each, with its path in the file.
     """
     try:
-        with Path(path).open("rb") as stream:
-            stored = stream.read(_LARGEST_FILE + 1)
-        if len(stored) > _LARGEST_FILE:
-            raise BadData(f"{path}: a scene file must be at most {_LARGEST_FILE >> 20} MiB, it is larger")
-        text = stored.decode()
-    except OSError as error:
-        raise NoInput(f"{path}: the scene file cannot be read ({error.strerror}); give a .toml file") from None
+        text = read_regular(path, "a scene file", _LARGEST_FILE, "give a .toml file").decode()
     except UnicodeDecodeError:
         raise BadData(f"{path}: a scene file must be UTF-8 text; this one is not") from None
     try:
@@ -219,7 +213,7 @@ def parse_scene(content: dict[str, Any], source: str = "scene", folder: Path | N
         entries = [entry for entry in found if not _besides(entry, found)]
         problems = [line for entry in entries for line in _lines(entry)]
         more = [f"and {len(problems) - _MOST_MISTAKES} more mistakes"] * (len(problems) > _MOST_MISTAKES)
-        raise BadData("\n".join(f"{source}: {line}" for line in problems[:_MOST_MISTAKES] + more)) from None
+        raise BadData(*(f"{source}: {line}" for line in problems[:_MOST_MISTAKES] + more)) from None
 
 
 def _path(location: tuple[int | str, ...]) -> str:

@@ -17,7 +17,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cgid import validation
-from cgid.errors import BadData, NoInput
+from cgid.errors import BadData
+from cgid.files import read_regular
 from cgid.impact.sampled import SampledPulses
 from cgid.scene.given_pulses import synthesise_given
 from cgid.scene.population import FALL, numbers_of
@@ -99,11 +100,7 @@ class SolvedImpacts:
         BadData
             It holds something else.
         """
-        try:
-            with Path(path).open("rb") as stream:
-                content = stream.read(_LARGEST_FILE)
-        except OSError as error:
-            raise NoInput(f"{path}: solved impacts cannot be read ({error.strerror}); make them: {_MAKER}") from None
+        content = read_regular(path, "solved impacts", _LARGEST_FILE, f"make them: {_MAKER}")
         try:
             with np.load(io.BytesIO(content), allow_pickle=False) as stored:
                 held = {name: stored[name] for name in stored.files}

@@ -173,6 +173,11 @@ class _Child:
         self, path: Path, source: str, message: dict[str, Any] | None, largest: int
     ) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
         """Send a message, if there is one, and return the answer, which must come in time; raises `BadData` if not."""
+        if self in _disowned:
+            raise CgidError(
+                f"{source}: must be read on by the process that began to, this one was forked from it meanwhile; begin "
+                "anew here"
+            )
         self.in_step = False
         patience = threading.Timer(limits.patience_for(path), self._lose_patience)
         patience.daemon = True

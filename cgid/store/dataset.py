@@ -15,7 +15,7 @@ from cgid.signals import Batch, Signal, quantity_of
 from cgid.store import apart
 from cgid.store.header import ShardHeader, text_of
 from cgid.store.identity import Identity
-from cgid.store.manifest import LINKED, MANIFEST, read_manifest
+from cgid.store.manifest import LINKED, MANIFEST, Manifest, ShardEntry, read_manifest
 
 #: Signals read at once, and what they may take [bytes].
 _ROWS, _LARGEST_BATCH = 1024, 32 << 20
@@ -33,7 +33,7 @@ class Dataset:
     NoInput
         There is nothing.
     BadData
-        It is no dataset, unfinished (no manifest), damaged, or its shards do not fit together.
+        It is no dataset, unfinished (no manifest), damaged, or its shards do not fit together or to the manifest.
     """
 
     #: What all shards have in common; the counts are those of the first.
@@ -48,21 +48,25 @@ class Dataset:
         if not is_there:
             raise NoInput(f"{path}: no such file or folder; give a dataset made by cgid generate")
         self._identity = Identity(self.path)
-        self._entries = read_manifest(self.path).shards if self.path.is_dir() else None
-        names = [entry.file for entry in self._entries] if self._entries is not None else [self.path.name]
-        folder = self.path if self.path.is_dir() else self.path.parent
-        self._shards = [folder / name for name in names]
+        manifest = read_manifest(self.path) if self.path.is_dir() else None
+        # A file by itself is listed nowhere.
+        self._entries: tuple[ShardEntry | None, ...] = (None,) if manifest is None else manifest.shards
+        self._shards = [self.path if entry is None else self.path / entry.file for entry in self._entries]
         self._counts: list[int] = []
-        for shard in self._shards:
-            if self._entries is not None and shard.is_symlink():
-                raise BadData(f"{shard}: {LINKED}")
-            header = ShardHeader(**apart.call("shard_header", shard))
-            if not self._counts:
-                self.header = header
-            self._require_fit(shard, header)
-            self._counts.append(header.n_signals)
-        if self._entries is not None and self._counts != [entry.n_signals for entry in self._entries]:
-            raise BadData(f"{path}: shards must hold as many signals as {MANIFEST} says; generate the dataset again")
+        try:
+            for shard, entry in zip(self._shards, self._entries, strict=True):
+                if entry is not None and shard.is_symlink():
+                    raise BadData(f"{shard}: {LINKED}")
+                header = ShardHeader(**apart.call("shard_header", shard))
+                if not self._counts:
+                    self.header = header
+                self._require_fit(shard, header)
+                if manifest is not None and entry is not None:
+                    _require_listed(shard, header, manifest, entry)
+                self._counts.append(header.n_signals)
+        except BadData:
+            self._identity.require()
+            raise
         self._identity.require()  # shards of an overwriting run have the same names
 
     def _require_fit(self, shard: Path, header: ShardHeader) -> None:
@@ -102,21 +106,31 @@ class Dataset:
     def __iter__(self) -> Iterator[Batch]:
         return self.batches()
 
-    def batches(self, n_rows: int | None = None) -> Iterator[Batch]:
+    def batches(self, n_rows: int | None = None, *, check_sums: bool = False) -> Iterator[Batch]:
         """Yield the signals in order.
 
         Parameters
         ----------
         n_rows : int, optional
             Signals at once, at most; without it as many as are read quickly: 1024, fewer of long ones.
+        check_sums : bool
+            Whether each shard of a folder must have the SHA-256 of the manifest. It is checked behind its last batch:
+            damage is named by its rows before, and the system still holds the file in memory.
 
         Raises
         ------
         BadData
-            A checksum does not fit: the file is damaged. A label breaks the rule of `cgid.validation.label`.
+            A checksum does not fit: the file is damaged, or another has its name. A label breaks the rule of
+            `cgid.validation.label`.
         """
-        for shard, count in zip(self._shards, self._counts, strict=True):
+        for shard, entry, count in zip(self._shards, self._entries, self._counts, strict=True):
             yield from self._read(shard, 0, count, n_rows)
+            if check_sums and entry is not None and not entry.fits(shard):
+                self._identity.require()
+                raise BadData(
+                    f"{shard}: must have the SHA-256 that {MANIFEST} says, it has not: it is damaged or another file; "
+                    "see cgid verify"
+                )
 
     def _read(self, shard: Path, first: int, stop: int, n_rows: int | None) -> Iterator[Batch]:
         row = self.header.n_samples * np.dtype(self.header.dtype).itemsize
@@ -171,3 +185,24 @@ class Dataset:
             source=f"{self.path} index {index}",
             pre_trigger=self.pre_trigger,
         )
+
+
+def _require_listed(shard: Path, header: ShardHeader, manifest: Manifest, entry: ShardEntry) -> None:
+    """Raise `BadData` unless a shard says of itself what the manifest says of it."""
+    if header.n_signals != entry.n_signals:
+        raise BadData(
+            f"{shard}: must hold as many signals as {MANIFEST} says, {entry.n_signals}, got {header.n_signals}; see "
+            "cgid verify"
+        )
+    manifest.require_own(shard, header.attributes)
+    try:
+        size = shard.stat().st_size
+    except OSError as error:
+        raise BadData(f"{shard}: cannot be looked at ({error.strerror}); read it again") from None
+    first = header.attributes.get("first_signal", 0)
+    for name, wanted, got in (("first_signal", entry.first_signal, first), ("bytes", entry.bytes, size)):
+        if got != wanted:
+            raise BadData(
+                f"{shard}: {name} must be {wanted} as {MANIFEST} says, got {got!s:.80}: the shard has been exchanged "
+                "for another or changed; see cgid verify"
+            )

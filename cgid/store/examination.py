@@ -87,8 +87,12 @@ def examine_whole(path: Path, kind: str) -> dict[str, Any]:
     ------
     BadData
         It is not whole, or of another kind than the format `kind`.
+    NoInput
+        It cannot be read.
     """
     examined = examine_file(path)
+    if examined["fault"] and not apart.is_hdf5(path):
+        raise BadData(f"{path}: is there and is no {kind}; choose another name")
     if examined["fault"] or any(damaged_rows(chunks) for chunks in examined["chunks"].values()):
         raise BadData(f"{path}: is there and is not whole; make it again with --overwrite, without --resume")
     if examined["attributes"].get("format") != kind:

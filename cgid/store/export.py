@@ -14,7 +14,7 @@ import h5py
 import numpy as np
 
 from cgid.errors import BadData, CannotCreate
-from cgid.files import check_new, require_room, whole_file
+from cgid.files import check_new, clear_half_written, require_room, whole_file
 from cgid.signals import Batch
 from cgid.store.dataset import Dataset
 from cgid.store.disk import hdf5_on_disk
@@ -55,6 +55,7 @@ def export(
     path = check_new(Path(output), "an exported dataset", SUFFIXES, overwrite=overwrite)
     if dataset.path.resolve() in (path.resolve(), path.resolve().parent):
         raise CannotCreate(f"{path}: must not be part of what it is made from; choose another name")
+    clear_half_written(path)
     plan = ShardPlan(
         n_samples=dataset.header.n_samples,
         dtype=dataset.header.dtype,
@@ -65,7 +66,7 @@ def export(
     first = dataset.header.attributes.get("first_signal", 0)
     require_room(path, path.parent, plan.size(len(dataset)), "signals", "make room")
     with whole_file(path, overwrite=overwrite) as temporary:
-        write_dataset(temporary, plan, first, len(dataset), dataset.batches(), progress)
+        write_dataset(temporary, plan, first, len(dataset), dataset.batches(check_sums=True), progress)
     return path
 
 

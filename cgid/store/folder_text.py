@@ -9,7 +9,7 @@ from __future__ import annotations
 import stat
 from pathlib import Path
 
-from cgid.errors import BadData
+from cgid.errors import BadData, NoInput
 
 #: What may be said beside the files [bytes], of which the scene is most, and of each file.
 _ROOM, _ROOM_OF_FILE = 16 << 20, 4096
@@ -17,16 +17,25 @@ _ROOM, _ROOM_OF_FILE = 16 << 20, 4096
 _VALUES, _VALUES_OF_FILE = 100_000, 100
 
 
-def read_text(file: Path) -> bytes:
-    """Return the content of a plain file that is as large as the files beside it make it, at most.
+def read_text(file: Path) -> bytes | None:
+    """Return the content of a plain file that is as large as the files beside it make it, at most; None without one.
 
     Raises
     ------
     BadData
         It is a link, no plain file, or larger.
-    OSError
-        There is none, or it cannot be read.
+    NoInput
+        It cannot be read: what it says may be sound.
     """
+    try:
+        return _content(file)
+    except (FileNotFoundError, NotADirectoryError):
+        return None
+    except OSError as error:
+        raise NoInput(f"{file}: cannot be read ({error.strerror}); see to its permissions, or to the disk") from None
+
+
+def _content(file: Path) -> bytes:
     about = file.lstat()  # of a link, where it leads is not looked at
     if not stat.S_ISREG(about.st_mode):
         raise BadData(

@@ -130,19 +130,22 @@ def read_journal(folder: Path) -> Unfinished | None:
     ------
     BadData
         Its first lines are damaged, so that nobody knows what the run was to make; or it is no file of such a size.
+    NoInput
+        It cannot be read.
     """
     file = folder / JOURNAL
-    try:
-        lines = read_text(file).split(b"\n")
-    except (FileNotFoundError, NotADirectoryError):
+    content = read_text(file)
+    if content is None:
         return None
-    except OSError as error:
-        raise BadData(f"{file}: cannot be read ({error.strerror}); start again with --overwrite") from None
+    lines = content.split(b"\n")
     first, second = (_content(line) for line in [*lines, b""][:2])
     found = {**first, **second}
     for name, kind in (("run", str), ("process", str), ("plan", dict), ("n_files", int), ("noun", str)):
         if not isinstance(found.get(name), kind) or not _is_short(found[name]):
-            raise BadData(f"{file}: is damaged, so that the run cannot go on; start again with --overwrite")
+            raise BadData(
+                f"{file}: is damaged or not of cgid, so that no run can go on; choose another name, or start again "
+                "with --overwrite"
+            )
     # A line that is torn or damaged is passed over: its file is made again.
     entries = [_content(line).get("entry") for line in lines[2:]]
     sound = tuple(entry for entry in entries if isinstance(entry, dict) and isinstance(entry.get("file"), str))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import re
 from collections.abc import Mapping
@@ -10,12 +11,13 @@ from itertools import accumulate
 from pathlib import Path
 from typing import Any
 
-from cgid.errors import BadData
+from cgid.errors import BadData, NoInput
 from cgid.store.compression import COMPRESSIONS
 from cgid.store.digest import is_sound, sealed
 from cgid.store.folder_text import read_text
 from cgid.store.header import FORMAT
 from cgid.store.journal import read_journal
+from cgid.store.sameness import first_difference
 
 MANIFEST = "manifest.json"
 #: Version 1 had neither digest nor the fields that `_ADDED` names.
@@ -39,6 +41,22 @@ class ShardEntry:
     bytes: int
     sha256: str
     labels: dict[str, int]
+
+    def fits(self, path: Path) -> bool:
+        """Return whether a file has the SHA-256 of this shard; the file is read once, block by block.
+
+        Raises
+        ------
+        NoInput
+            One may not read it: it may be sound.
+        """
+        try:
+            with path.open("rb") as stream:
+                return hashlib.file_digest(stream, "sha256").hexdigest() == self.sha256
+        except PermissionError as error:
+            raise NoInput(f"{path}: cannot be read ({error.strerror}); see to its permissions") from None
+        except OSError:
+            return False
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -77,6 +95,16 @@ class Manifest:
         named = {name: getattr(self, name) for name in ("n_signals", *_ADDED)}
         return {"format": FORMAT, "schema_version": MANIFEST_VERSION, **named, "attributes": dict(self.attributes)}
 
+    def require_own(self, shard: Path, attributes: Mapping[str, Any]) -> None:
+        """Raise `BadData` if a shard names another seed, scene or the like: shard or manifest is another dataset's."""
+        name = first_difference({"attributes": attributes}, {"attributes": self.attributes})
+        if name is not None:
+            wanted, got = (f"{said[name]!s:.80}" for said in (self.attributes, attributes))
+            raise BadData(
+                f"{shard}: {name} must be that of {MANIFEST}, {wanted}, got {got}: one of the two files belongs to "
+                "another dataset; put the right one in its place, or move the shard away"
+            )
+
     def to_bytes(self) -> bytes:
         """Return the content of the file, with the SHA-256 of all that it says."""
         content = sealed({**self.plan, "shards": [vars(entry) for entry in self.shards]})
@@ -90,18 +118,19 @@ def read_manifest(folder: Path) -> Manifest:
     ------
     BadData
         There is none (an unfinished run is told as such), it is damaged, of a newer version, or another program's.
+    NoInput
+        It cannot be read.
     """
     file = folder / MANIFEST
-    try:
-        content = read_text(file)
-    except OSError:
+    content = read_text(file)
+    if content is None:
         unfinished = read_journal(folder)
         if unfinished is not None:
-            raise BadData(f"{folder}: the run that makes it is not finished: {unfinished.progress}") from None
+            raise BadData(f"{folder}: the run that makes it is not finished: {unfinished.progress}")
         raise BadData(
             f"{folder}: a dataset folder must hold {MANIFEST}; without it the run that made it was not "
             "finished: generate it again"
-        ) from None
+        )
     return parse_manifest(content, file)
 
 

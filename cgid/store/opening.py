@@ -13,7 +13,7 @@ from typing import Any
 
 import h5py
 
-from cgid.errors import BadData, CgidError
+from cgid.errors import BadData, CgidError, NoInput
 from cgid.store.chunks import BEST_RATIO, BEST_RATIO_OF_SILENCE, DAMAGE, missing_chunks, packs_silence, storage_fault
 
 #: What we write has a few dozen [objects of a group], [attributes of an object], [bytes of these].
@@ -32,9 +32,13 @@ def opened(path: str, source: str, **options: Any) -> Iterator[h5py.File]:
     try:
         # A lock would keep writers out, and fails on some network file systems; files are replaced, never changed.
         file = h5py.File(path, "r", locking=False, **options)
-    except DAMAGE as error:
-        reason = "it is empty, truncated or no HDF5 file" if not isinstance(error, PermissionError) else "no permission"
-        raise BadData(f"{source}: must be a readable HDF5 file, {reason}; copy it again, or generate it anew") from None
+    except PermissionError:
+        raise NoInput(f"{source}: cannot be read (Permission denied); see to its permissions") from None
+    except DAMAGE:
+        raise BadData(
+            f"{source}: must be a readable HDF5 file, it is empty, truncated or no HDF5 file; copy it again, or "
+            "generate it anew"
+        ) from None
     try:
         yield file
     except CgidError:

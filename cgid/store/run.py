@@ -22,7 +22,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from cgid.errors import BadData, CannotCreate, WriteFailed
+from cgid.errors import BadData, CannotCreate, CgidError, WriteFailed
 from cgid.files import exchange, half_written, sync_folder
 from cgid.lock import locked
 from cgid.store.journal import JOURNAL, Journal, Unfinished, read_journal
@@ -139,6 +139,8 @@ def begun(goal: Goal, *, overwrite: bool = False, resume: bool = False) -> Itera
                 raise CannotCreate(
                     f"{goal.output}: the current folder cannot be replaced by another; go to the one above it first"
                 )
+            if not (goal.hidden / JOURNAL).exists():
+                _clear_away(goal)  # what an earlier run could not
             run = _started(goal, *place, held)
             try:
                 yield run
@@ -181,7 +183,7 @@ def _hold(goal: Goal, held: ExitStack) -> None:
 
 def _writer(goal: Goal) -> str:
     for folder in (goal.hidden, goal.output):
-        with contextlib.suppress(BadData):
+        with contextlib.suppress(CgidError):
             found = read_journal(folder)
             if found is not None:
                 return found.process
@@ -279,6 +281,9 @@ def _change_places(goal: Goal) -> None:
 def _clear_away(goal: Goal) -> None:
     """Remove the folders that have been replaced; what others have put into them meanwhile goes where it was put."""
     for folder in (goal.hidden, goal.replaced):
+        with contextlib.suppress(OSError):
+            if not folder.is_symlink():
+                folder.chmod(stat.S_IRWXU)  # a folder that is read-only can be replaced, but not cleared
         _clear(folder, goal.ours)
         with contextlib.suppress(OSError):
             for foreign in folder.iterdir():

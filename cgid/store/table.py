@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from cgid.counting import count
 from cgid.errors import CannotCreate, InvalidValue, MissingExtra
-from cgid.files import looking_at, whole_file
+from cgid.files import clear_half_written, looking_at, whole_file
 from cgid.store.digest import sealed
 from cgid.store.disk import Hdf5OnDisk, hdf5_on_disk
 from cgid.store.header import TABLE_FORMAT, TABLE_VERSION
@@ -163,6 +163,7 @@ def table_writer(
         The disk is full or broken; nothing is left behind.
     """
     suffix = Path(path).suffix.lower()
+    clear_half_written(Path(path))
     with whole_file(path, overwrite=overwrite) as temporary, contextlib.ExitStack() as stack:
         if suffix == ".csv":
             stream = stack.enter_context(temporary.open("w", encoding="utf-8", newline=""))

@@ -53,7 +53,14 @@ def read_table(path: str | Path) -> Table:
     except (BadData, MissingExtra):
         raise
     except _DAMAGE as error:
-        raise BadData(f"{path}: must be a whole table of cgid, it is damaged ({error}); make it again") from None
+        raise _damaged(path, error) from None
+
+
+def _damaged(path: str | Path, error: Exception) -> BadData:
+    """Return what to raise where a library says, on several lines perhaps, why it cannot read a table."""
+    return BadData(
+        f"{path}: must be a whole table of cgid, it is damaged ({' '.join(str(error).split())}); make it again"
+    )
 
 
 def is_table(path: str | Path) -> bool:
@@ -110,7 +117,7 @@ def _read_parquet(path: str | Path) -> Table:
     try:
         return _read_pages(path, parquet)
     except arrow.ArrowException as error:
-        raise BadData(f"{path}: must be a whole table of cgid, it is damaged ({error}); make it again") from None
+        raise _damaged(path, error) from None
 
 
 def _read_pages(path: str | Path, parquet: Any) -> Table:

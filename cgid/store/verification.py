@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
@@ -125,7 +124,7 @@ def damaged_shards(path: str | Path) -> list[str]:
     folder = Path(path)
     if not folder.is_dir():
         return []
-    return [str(folder / entry.file) for entry in read_manifest(folder).shards if not _fits(folder / entry.file, entry)]
+    return [str(folder / entry.file) for entry in read_manifest(folder).shards if not entry.fits(folder / entry.file)]
 
 
 def _verify_file(path: Path) -> Verified:
@@ -232,20 +231,11 @@ def _verify_shard(path: Path, entry: ShardEntry) -> list[Finding]:
         return [Finding(file=path, problem="damaged", what=LINKED, entry=entry)]
     if not path.is_file():
         return [Finding(file=path, problem="missing", what="is not there", entry=entry)]
-    if _fits(path, entry):
+    if entry.fits(path):
         return []
     examined = examine_file(path)
     what = damage_in_words(examined) or "does not fit the SHA-256 of the manifest, though all of it can be read"
     return [Finding(file=path, problem="damaged", what=what, examined=examined, entry=entry)]
-
-
-def _fits(path: Path, entry: ShardEntry) -> bool:
-    """Return whether a shard is to the last bit what the manifest says of it."""
-    try:
-        with path.open("rb") as stream:
-            return hashlib.file_digest(stream, "sha256").hexdigest() == entry.sha256
-    except OSError:
-        return False
 
 
 def _unfinished(folder: Path) -> list[Finding]:

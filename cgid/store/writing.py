@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from cgid.errors import BadData, CannotCreate, InvalidValue
-from cgid.files import half_written, looking_at, require_room, write_whole
+from cgid.files import clear_half_written, half_written, looking_at, require_room, write_whole
 from cgid.signals import Batch
 from cgid.store.dataset import Dataset
 from cgid.store.examination import compression_of, examine_whole
@@ -26,6 +26,8 @@ from cgid.store.shard import ShardBuilder, ShardPlan
 #: What a dataset folder may hold beside a journal, with what a killed run leaves behind.
 _WHOLE = rf"{re.escape(MANIFEST)}|{SHARD_NAME}"
 _OURS = re.compile(f"{_WHOLE}|{half_written(_WHOLE)}")
+#: Bytes of a manifest in which it says its format.
+_HEAD = 4096
 SUFFIXES = (".h5", ".hdf5")
 #: Their manifest has some 100 MB, which readers hold in memory.
 MOST_SHARDS = 300_000
@@ -72,16 +74,18 @@ def _require_room(path: Path, overwrite: bool, ours: re.Pattern[str]) -> None:
     if path.exists() and not path.is_dir() and not is_single_file(path):
         raise CannotCreate(f"{path}: is a file; choose another name for the folder, or one ending in .h5")
     content = sorted(entry.name for entry in path.iterdir()) if path.is_dir() else None
-    if path.exists() and content != [] and not overwrite:
-        raise exists_already(path)
     foreign = [name for name in content or () if not ours.fullmatch(name) and not JOURNAL_FILES.fullmatch(name)]
-    if (path / MANIFEST).is_file() and f'"{FORMAT}"'.encode() not in (path / MANIFEST).read_bytes():
-        foreign.append(MANIFEST)
+    if (path / MANIFEST).is_file():
+        with (path / MANIFEST).open("rb") as stream:
+            if f'"{FORMAT}"'.encode() not in stream.read(_HEAD):
+                foreign.append(MANIFEST)
     if foreign:
         raise CannotCreate(
             f"{path}: is a folder with other things in it, such as {foreign[0]}, and is not overwritten; "
             "choose another name"
         )
+    if path.exists() and content != [] and not overwrite:
+        raise exists_already(path)
 
 
 class DatasetWriter:
@@ -171,6 +175,7 @@ class DatasetWriter:
         """
         self._overwrites = overwrite
         if is_single_file(self.output):
+            clear_half_written(self.output)
             yield DatasetRun(self.shards if self._must_be_made(overwrite, resume) else [])
             return
         goal = Goal(

@@ -12,9 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cgid.errors import BadData, CgidError, MissingOption, NoInput
+from cgid.files import require_regular
 from cgid.identification.recorded.annotation import Annotation
 from cgid.identification.recorded.manifest import Manifest
-from cgid.recordings import RecordingFile, open_recording
+from cgid.recordings import LARGEST_STREAM, RecordingFile, open_recording
+from cgid.recordings.recording_file import told
 from cgid.signals import UNITS, quantity_of
 
 
@@ -149,6 +151,8 @@ def _by_channels(annotations: Sequence[Annotation]) -> list[tuple[Annotation, ..
 
 def _opened(annotations: tuple[Annotation, ...], reading: Reading) -> AnnotatedFile:
     first = annotations[0]
+    with told(str(first.path)):  # a manifest may name anything, and a pipe would be copied
+        require_regular(first.path, "a recording of a manifest", LARGEST_STREAM)
     recording = open_recording(
         first.path,
         sampling_rate=first.sampling_rate or reading.sampling_rate,
@@ -163,8 +167,8 @@ def _opened(annotations: tuple[Annotation, ...], reading: Reading) -> AnnotatedF
             f"{recording.source}: the file does not say the unit; give it with --unit U, such as --unit g"
         )
     if len(units) > 1:
-        told = " and ".join(sorted(str(unit) for unit in units))
-        raise BadData(f"{recording.source}: channels must be in one unit, got {told}; choose with --channel")
+        got = " and ".join(sorted(str(unit) for unit in units))
+        raise BadData(f"{recording.source}: channels must be in one unit, got {got}; choose with --channel")
     try:
         with first.path.open("rb") as content:
             digest = hashlib.file_digest(content, "sha256").hexdigest()

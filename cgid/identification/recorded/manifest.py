@@ -13,8 +13,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from cgid.errors import BadData, CgidError, InvalidValue, NoInput
-from cgid.files import parse_toml
+from cgid.errors import BadData, CgidError, InvalidValue
+from cgid.files import parse_toml, read_regular
 from cgid.identification.recorded.annotation import COLUMNS, Annotation, annotation_of, contradictions
 
 #: A larger file is no manifest [bytes], nor one of more keys.
@@ -82,7 +82,7 @@ def read_manifest(path: str | Path) -> Manifest:
         mistakes.append(f"{path}: a manifest must name recordings, there is none; give a path and a label each")
     if mistakes:
         more = len(mistakes) - _MOST_MISTAKES
-        raise BadData("\n".join(mistakes[:_MOST_MISTAKES] + [f"{path}: and {more} more mistakes"] * (more > 0)))
+        raise BadData(*mistakes[:_MOST_MISTAKES], *[f"{path}: and {more} more mistakes"] * (more > 0))
     return Manifest(source=str(path), annotations=tuple(annotations))
 
 
@@ -93,20 +93,9 @@ Row = tuple[str, Mapping[str, Any]]
 
 def _text(path: Path) -> str:
     try:
-        with path.open("rb") as file:
-            content = file.read(LARGEST_FILE + 1)
-        if len(content) > LARGEST_FILE:
-            raise BadData(f"{path}: a manifest must be at most {LARGEST_FILE >> 20} MiB, it is larger")
-        return content.decode("utf-8-sig")
-    except (OSError, ValueError) as error:
-        if isinstance(error, CgidError):
-            raise
-        if isinstance(error, UnicodeDecodeError):
-            raise BadData(
-                f"{path}: a manifest must be UTF-8 text, byte {error.start} is not; save it as UTF-8"
-            ) from None
-        reason = getattr(error, "strerror", None) or str(error)
-        raise NoInput(f"{str(path)!r}: the manifest cannot be read ({reason}); check the name") from None
+        return read_regular(path, "a manifest", LARGEST_FILE).decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise BadData(f"{path}: a manifest must be UTF-8 text, byte {error.start} is not; save it as UTF-8") from None
 
 
 def _csv_rows(path: Path) -> tuple[list[Row], tuple[str, ...] | None]:

@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from cgid import validation
-from cgid.errors import BadData, InvalidValue, NoInput
+from cgid.errors import BadData, InvalidValue
+from cgid.files import read_regular
 from cgid.validation import Floats
 
 #: The columns of a table of modes, with their units.
@@ -21,6 +22,8 @@ COLUMNS = {
     "shape_impact": "1",
     "shape_sensor": "1",
 }
+#: No table of modes is longer [bytes].
+_LARGEST_FILE = 8 << 20
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -105,7 +108,8 @@ def read_measured_modes(path: str | Path) -> MeasuredModes:
     NoInput
         The file cannot be opened.
     BadData
-        A column or a number is missing, the rows are not sorted, or a number breaks its rule; with the line's number.
+        It is no regular file or too large, a column or a number is missing, the rows are not sorted, or a number breaks
+        its rule; with the line's number.
 
     Examples
     --------
@@ -122,9 +126,7 @@ def read_measured_modes(path: str | Path) -> MeasuredModes:
     [0.001714, -0.001167]
     """
     try:
-        text = Path(path).read_text(encoding="utf-8-sig")
-    except OSError as error:
-        raise NoInput(f"{path}: the table of modes cannot be opened ({error.strerror}); check the name") from None
+        text = read_regular(path, "the table of modes", _LARGEST_FILE).decode("utf-8-sig")
     except UnicodeDecodeError:
         raise BadData(f"{path}: a table of modes must be UTF-8 text; save it as CSV in UTF-8") from None
     lines = [
@@ -150,7 +152,10 @@ def _places(path: str | Path, titles: list[str]) -> dict[str, int]:
     wanted = {name: f"{name} [{unit}]" for name, unit in COLUMNS.items()}
     for name, title in wanted.items():
         if titles.count(title) != 1:
-            found = "twice" if title in titles else f"only {', '.join(map(repr, titles))}"
+            # What a scene names may be any file of whoever loads it: only a table of modes is quoted.
+            is_table = any(other in titles for other in wanted.values())
+            others = f"only {', '.join(map(repr, titles))}" if is_table else "none of the columns of a table of modes"
+            found = "twice" if title in titles else others
             raise BadData(f"{path}: the column {title!r} must be there once, got {found}; {name} needs its unit, too")
     return {name: titles.index(title) for name, title in wanted.items()}
 

@@ -9,6 +9,7 @@ from typing import Any, Literal
 
 from cgid import validation
 from cgid.errors import BadData, InvalidValue
+from cgid.files import clear_half_written
 from cgid.scene.background_noise import background_of
 from cgid.scene.provenance import attributes_of
 from cgid.scene.randomness import require_seed
@@ -92,6 +93,7 @@ def generate_recordings(
         attributes=attributes_of(scene, seed),
     )
     if is_single_file(path):
+        clear_half_written(path)
         if not (resume and path.exists() and _is_made(path, plan, overwrite)):
             plan.require_room(path.parent)
             write_recording(path, plan, scene, seed, 0, progress, overwrite=overwrite)
