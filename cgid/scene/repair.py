@@ -15,6 +15,7 @@ from typing import Any
 from cgid.errors import BadData, CannotCreate, CgidError
 from cgid.files import whole_file, write_whole
 from cgid.lock import locked
+from cgid.scene._fourier import LARGEST_FACTOR, transformable
 from cgid.scene.provenance import attributes_of, in_order, plan_of, scene_of, shard_plan, whole_number
 from cgid.scene.relisting import relist
 from cgid.scene.repair_size import Room, require_length, size_made, size_of
@@ -30,7 +31,9 @@ from cgid.store.recording import RECORDING_NAME, RecordingPlan
 from cgid.store.shard import ShardBuilder, ShardPlan
 from cgid.store.verification import Finding, Verified
 
-#: Datasets whose last digits depend on the versions of libraries.
+#: Versions of cgid whose numbers differed from processor to processor.
+_DEPENDENT = "cgid 0.1."
+#: Datasets that tell whether another version makes the same signals.
 _MAIN = ("signals", "samples")
 #: What was left behind by a run that was stopped does not change for so long [s].
 _STILL_WRITTEN = 60.0
@@ -315,11 +318,29 @@ def _require_agreement(
     if differing:
         raise BadData(
             f"{path}: what is undamaged must come out here as it is, {differing} of {len(sound)} chunks do not; "
-            f"nothing was replaced: repair it by the versions that made it, {versions}; here {here}"
+            f"nothing was replaced: {_why_others(versions, here, scene)}"
         )
-    # Draws are the same everywhere; the last digits of signals depend on libraries.
+    # The same numbers come out on every processor; another version may make others.
     if versions != here and not any(name in _MAIN for name, _ in sound):
         raise BadData(
             f"{path}: nothing undamaged is left that tells whether {here} gives the same signals as {versions}; "
             "nothing was replaced: repair it by those versions, or generate it again"
         )
+
+
+def _why_others(versions: Any, here: str, scene: Scene) -> str:
+    """Return why other numbers come out here than those of a file, and what helps."""
+    if str(versions).startswith(_DEPENDENT):
+        return (
+            f"{versions} made it, and cgid 0.1 took the last digits of its numbers from the processor; repair it by that "
+            "version on the kind of machine that made it, or generate it again"
+        )
+    if versions != here:
+        return f"repair it by the versions that made it, {versions}; here {here}"
+    samples = scene.sampling.samples
+    if scene.stream is None and scene.sensor.bandwidth is not None and not transformable(samples):
+        return (
+            f"the bandwidth of frames of {samples} samples, which have a prime factor above {LARGEST_FACTOR}, is left to "
+            "numpy's transform, whose last digits may be the processor's; repair it on the kind of machine that made it"
+        )
+    return f"the versions are the same, {here}, so its numbers have been changed, or others than its scene's"
