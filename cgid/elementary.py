@@ -405,6 +405,14 @@ def complex_product(a: Complex, b: Complex) -> Complex:
     return complex_of(a.real * b.real - a.imag * b.imag, a.real * b.imag + a.imag * b.real)
 
 
+def matrix_product(a: Floats, b: Floats) -> Floats:
+    """Return the product of a (n, k) and b (k, ...), added up in order of k: BLAS has an order for each processor."""
+    out = np.zeros((len(a), *b.shape[1:]))
+    for k, row in enumerate(b):
+        out += a[:, k].reshape(-1, *(1,) * row.ndim) * row
+    return out
+
+
 def modulus(x: Complex) -> Floats:
     """Return the absolute values of complex numbers whose squares are doubles."""
     return np.asarray(np.sqrt(x.real * x.real + x.imag * x.imag))

@@ -15,7 +15,9 @@ import h5py
 import numpy as np
 import pytest
 
+from benchmarks.bit_flips import small_scene
 from cgid.cli.main import run
+from cgid.scene import generate
 from cgid.store.digest import sealed
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="pipes and links as on Unix")
@@ -157,7 +159,7 @@ def test_a_hostile_folder_does_no_harm(name, tmp_path, capsys):
 def test_a_link_to_a_file_outside_is_not_followed_and_its_target_stays(tmp_path, capsys):
     """Not even to the very shard: who unpacks a stranger's folder has none of his own files read."""
     folder, outside = tmp_path / "folder", tmp_path / "outside.h5"
-    shutil.copytree(GOLDEN / "manifest-2", folder)
+    generate(small_scene(), folder, 64, seed=1, shard_signals=32)
     shard = folder / "shard-00001.h5"
     content = shard.read_bytes()
     shard.rename(outside)

@@ -331,7 +331,9 @@ def test_a_folder_of_the_first_version_is_left_to_that_version(tmp_path: Path) -
     before = contents(folder)
     (one,) = repair(verify(folder))
     assert not one.done
-    assert re.search(r"cgid 0\.1\.0, .* made it, and cgid 0\.1 took the last digits .* from the processor; repair", one.told)
+    assert re.search(
+        r"cgid 0\.1\.0, .* made it, and cgid 0\.1 took the last digits .* from the processor; repair", one.told
+    )
     assert contents(folder) == before
 
 

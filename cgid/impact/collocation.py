@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from cgid.elementary import cos, sin
+from cgid.elementary import cos, matrix_product, sin
 
 Floats = NDArray[np.float64]
 
@@ -81,21 +81,22 @@ def collocation(n_nodes: int, n_times: int) -> Collocation:
     # For each Gauss node i the fine nodes between 0 and it, (n, fine).
     before = nodes[:, None] * fine
     share = nodes[:, None] * fine_weights
-    # No BLAS, whose sums are each processor's own.
-    polynomials = np.polynomial.legendre.legvander
-    at_nodes = np.einsum("iqn,nj->iqj", polynomials(2 * before - 1, n_nodes - 1), legendre)
-    at_fine = np.einsum("qn,nj->qj", polynomials(2 * fine - 1, n_nodes - 1), legendre)
+    vander = np.polynomial.legendre.legvander
+    at_nodes, at_fine = (
+        matrix_product(np.asarray(vander(2 * place.ravel() - 1, n_nodes - 1), np.float64), legendre)
+        for place in (before, fine)
+    )
+    at_nodes = at_nodes.reshape(*before.shape, n_nodes)
     integral, memory, moment, cardinal = [], [], [], []
     for time, rate in zip(_TIME, _RATE, strict=True):
-        integral.append(np.einsum("iq,iqj->ij", share * rate(before), at_nodes))
+        weighed = (share * rate(before))[..., None] * at_nodes
+        integral.append(weighed.sum(axis=1))
         past = _cardinal(times, barycentric, time(nodes)[:, None] - time(before))
-        memory.append(np.einsum("iqk,iqj->kij", (share * rate(before))[..., None] * past, at_nodes))
+        memory.append((past[..., None] * weighed[:, :, None]).sum(axis=1).swapaxes(0, 1))
         past = _cardinal(times, barycentric, 1 - time(fine))
-        moment.append(np.einsum("q,qk,qj->kj", fine_weights * rate(fine), past, at_fine))
+        moment.append(matrix_product(past.T, (fine_weights * rate(fine))[:, None] * at_fine))
         cardinal.append(_cardinal(times, barycentric, time(nodes)))
-    flight = np.einsum(
-        "q,iqk->ik", fine_weights, times[:, None, None] * _cardinal(times, barycentric, times[:, None] * fine)
-    )
+    flight = (times[:, None] * fine_weights)[..., None] * _cardinal(times, barycentric, times[:, None] * fine)
     return Collocation(
         place=np.array([time(nodes) for time in _TIME]),
         measure=np.array([weights * rate(nodes) for rate in _RATE]),
@@ -106,7 +107,7 @@ def collocation(n_nodes: int, n_times: int) -> Collocation:
         legendre=legendre,
         times=times,
         barycentric=barycentric,
-        flight=np.ascontiguousarray(flight),
+        flight=flight.sum(axis=1),
     )
 
 

@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from cgid import validation
 from cgid.counting import count
-from cgid.elementary import complex_exp, complex_of, complex_product, modulus
+from cgid.elementary import complex_exp, complex_of, complex_product, matrix_product, modulus
 from cgid.errors import InvalidValue
 from cgid.impact.driving import DrivenSample, Pulses, driven_sample, polynomials_for, windows_of
 from cgid.impact.poles import Complex, LowPass, Resonance, resonator_poles
@@ -176,8 +176,7 @@ class Response:
         own, filters = self._residues
         if participation is None:
             return filters, np.zeros(1)
-        # No BLAS: its sums depend on how many threads it has.
-        mixed = complex_of(*(np.einsum("ir,rj->ij", participation, part) for part in (filters.real, filters.imag)))
+        mixed = complex_of(*(matrix_product(participation, part) for part in (filters.real, filters.imag)))
         passes = self.quantity == "acceleration" and not self.filters
         direct = participation.sum(axis=1) if passes else np.zeros(len(participation))
         return np.concatenate([participation * own, mixed], axis=1), direct

@@ -332,15 +332,15 @@ def _why_others(versions: Any, here: str, scene: Scene) -> str:
     """Return why other numbers come out here than those of a file, and what helps."""
     if str(versions).startswith(_DEPENDENT):
         return (
-            f"{versions} made it, and cgid 0.1 took the last digits of its numbers from the processor; repair it by that "
-            "version on the kind of machine that made it, or generate it again"
+            f"{versions} made it, and cgid 0.1 took the last digits of its numbers from the processor; repair it by "
+            "that version on the kind of machine that made it, or generate it again"
         )
     if versions != here:
         return f"repair it by the versions that made it, {versions}; here {here}"
     samples = scene.sampling.samples
     if scene.stream is None and scene.sensor.bandwidth is not None and not transformable(samples):
         return (
-            f"the bandwidth of frames of {samples} samples, which have a prime factor above {LARGEST_FACTOR}, is left to "
-            "numpy's transform, whose last digits may be the processor's; repair it on the kind of machine that made it"
+            f"the bandwidth of frames of {samples} samples, which have a prime factor above {LARGEST_FACTOR}, is left "
+            "to numpy's transform, whose last digits may be the processor's; repair it on the machine that made it"
         )
     return f"the versions are the same, {here}, so its numbers have been changed, or others than its scene's"

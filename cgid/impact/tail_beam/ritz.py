@@ -19,6 +19,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.polynomial import legendre
 
+from cgid.elementary import matrix_product
 from cgid.impact.collocation import gauss
 from cgid.impact.tail_beam import _eigen
 from cgid.impact.tail_beam.rigidities import Rigidities
@@ -51,13 +52,25 @@ class _Line:
         """
         nodes, weights = gauss(len(self.functions))
         value, slope, bend = (
-            np.einsum("qd,df->qf", legendre.legvander(nodes, len(part) - 1), part)
+            matrix_product(
+                np.asarray(legendre.legvander(nodes, len(part) - 1), np.float64), np.asarray(part, np.float64)
+            )
             for part in (self.functions, legendre.legder(self.functions), legendre.legder(self.functions, 2))
         )
         pairs = ((value, value), (slope, slope), (bend, bend), (bend, value))
         weighed = ((first, weights[:, None] * second) for first, second in pairs)
-        mass, slopes, bending, mixed = (np.einsum("qf,qg->fg", *pair) for pair in weighed)
+        mass, slopes, bending, mixed = (matrix_product(first.T, second) for first, second in weighed)
         return mass, slopes, bending, mixed
+
+
+def _integrated(series: Floats) -> Floats:
+    """Return the integrals from -1 of Legendre series (n_degrees, n); that of P_n is `(P_(n+1) - P_(n-1)) / (2n + 1)`."""
+    shares = series / (2 * np.arange(len(series)) + 1)[:, None]
+    out = np.zeros((len(series) + 1, series.shape[1]))
+    out[1:] = shares
+    out[: len(series) - 1] -= shares[1:]
+    out[0] += shares[0]
+    return out
 
 
 def _line(number: int, held: str) -> list[_Line]:
@@ -70,12 +83,12 @@ def _line(number: int, held: str) -> list[_Line]:
     degrees = np.arange(number) + (2 if held == "both" else 0)
     bends = np.zeros((degrees[-1] + 1, number))
     bends[degrees, np.arange(number)] = np.sqrt(degrees + 0.5)
-    functions: Floats = np.asarray(legendre.legint(bends, m=2, lbnd=-1), dtype=np.float64)
+    functions = _integrated(_integrated(bends))
     if held == "none":
         functions[:2] = 0.0  # what is left bends; the motions of a rigid body are functions of their own
     parts = [functions] if held == "start" else [functions[:, 0::2], functions[:, 1::2]]
     for parity, part in enumerate(parts):
-        parts[parity] = np.einsum("df,fg->dg", part, eigenpairs(_Line(part).integrals()[0])[1])
+        parts[parity] = matrix_product(part, eigenpairs(_Line(part).integrals()[0])[1])
         if held == "none":
             rigid = np.zeros((len(part), 1))
             rigid[parity] = math.sqrt(parity + 0.5)
@@ -138,8 +151,8 @@ class _Panel:
         _eigen.unfactorised(factor, vectors)
         vectors *= scale[:, None] / np.sqrt(inverse)
         cube = vectors.reshape(self.along.functions.shape[1], self.across.functions.shape[1], -1)
-        half = np.einsum("ai,ijm->ajm", self.along.functions, cube)
-        return 1 / np.sqrt(inverse), np.einsum("bj,ajm->abm", self.across.functions, half)
+        half = matrix_product(self.along.functions, cube).swapaxes(0, 1)
+        return 1 / np.sqrt(inverse), matrix_product(self.across.functions, half).swapaxes(0, 1)
 
 
 def ritz_modes(
