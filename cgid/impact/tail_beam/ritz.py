@@ -64,7 +64,7 @@ class _Line:
 
 
 def _integrated(series: Floats) -> Floats:
-    """Return the integrals from -1 of Legendre series (n_degrees, n); that of P_n is `(P_(n+1) - P_(n-1)) / (2n + 1)`."""
+    """Return the integrals from -1 of Legendre series (n_degrees, n): `(P_(n+1) - P_(n-1)) / (2 n + 1)` of P_n."""
     shares = series / (2 * np.arange(len(series)) + 1)[:, None]
     out = np.zeros((len(series) + 1, series.shape[1]))
     out[1:] = shares
