@@ -86,3 +86,17 @@ def sincos_loop(x: Array, sine: Array, cosine: Array) -> None:
     """Fill sine and cosine (n,) of the angles x (n,)."""
     for k in range(x.size):
         sine[k], cosine[k] = sincos(x[k])
+
+
+@jit
+def normal_quantile_loop(p: Array, out: Array) -> None:
+    """Fill out (n,) with the values below which the shares p (n,) of a standard normal distribution lie."""
+    for k in range(p.size):
+        q = p[k] - 0.5
+        if abs(q) <= 0.425:
+            out[k] = q * elementary.normal_ratio(0, 0.180625 - q * q)
+            continue
+        r = math.sqrt(-log(p[k] if q < 0.0 else 1.0 - p[k]))
+        if r < math.inf:
+            r = elementary.normal_ratio(2, r - 5.0) if r > 5.0 else elementary.normal_ratio(1, r - 1.6)
+        out[k] = -r if q < 0.0 else r

@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import math
 import sys
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -265,6 +266,14 @@ def power_of(x: Any, y: Any) -> Any:
     return times_power_of_two(high + low, n)
 
 
+def normal_ratio(which: int, x: Any) -> Any:
+    """Return one of the rational functions of the normal quantile, as `exp_of`."""
+    above, below = _NORMAL[which][0][0] + 0.0 * x, _NORMAL[which][1][0] + 0.0 * x
+    for k in range(1, 8):
+        above, below = above * x + _NORMAL[which][0][k], below * x + _NORMAL[which][1][k]
+    return above / below
+
+
 #: Those that numba compiles (`cgid._elementary`).
 FORMULAS = (
     product_parts,
@@ -278,6 +287,7 @@ FORMULAS = (
     log_of,
     log1p_of,
     power_of,
+    normal_ratio,
 )
 
 
@@ -429,23 +439,22 @@ def normal_quantile(probability: ArrayLike) -> Floats:
     (0.0, 1.959963984540)
     """
     (p,) = _arrays(probability)
+    loop = _loop("normal_quantile_loop")
+    if loop is not None:
+        out = np.empty(p.shape)
+        loop(np.ascontiguousarray(p).ravel(), out.ravel())
+        return out
     q = p - 0.5
     r = np.sqrt(-log(np.where(q < 0, p, 1 - p)))
     middle, far = np.abs(q) <= 0.425, r > 5.0
     with np.errstate(invalid="ignore"):
-        tail = np.where(far, _ratio(_NORMAL[2], r - 5.0), _ratio(_NORMAL[1], r - 1.6))
-        inside = q * _ratio(_NORMAL[0], np.where(middle, 0.180625 - q * q, 0.0))
+        tail = np.where(far, normal_ratio(2, r - 5.0), normal_ratio(1, r - 1.6))
+        inside = q * normal_ratio(0, np.where(middle, 0.180625 - q * q, 0.0))
         tail = np.where(r == np.inf, np.inf, tail)
     return np.where(middle, inside, np.where(q < 0, -tail, tail))
 
 
-def _ratio(polynomials: tuple[tuple[float, ...], tuple[float, ...]], x: Floats) -> Floats:
-    above, below = (np.zeros_like(x) for _ in range(2))
-    for numerator, denominator in zip(*polynomials, strict=True):
-        above, below = above * x + numerator, below * x + denominator
-    return above / below
-
-
+@lru_cache(maxsize=1024)
 def normal_share(value: float) -> float:
     """Return the share of a standard normal distribution that lies below a value.
 

@@ -156,3 +156,12 @@ def test_the_normal_distribution() -> None:
     assert elementary.normal_quantile([0.0, 1.0]).tolist() == [-np.inf, np.inf]
     assert np.isnan(elementary.normal_quantile([-0.1, 1.1, np.nan])).all()
     assert (elementary.normal_share(-np.inf), elementary.normal_share(np.inf)) == (0.0, 1.0)
+
+
+def test_the_normal_quantile_is_the_same_compiled_and_by_numpy(monkeypatch: pytest.MonkeyPatch) -> None:
+    rng = np.random.default_rng(SEED)
+    ends = [0.0, 1.0, -0.1, 1.1, np.nan, 0.075, 0.925, np.exp(-25.0)]
+    shares = np.concatenate([rng.uniform(0, 1, 2000), 10 ** rng.uniform(-16.2, 0, 2000), ends])
+    compiled = elementary.normal_quantile(shares)
+    monkeypatch.setattr(elementary, "_loop", lambda _: None)
+    np.testing.assert_array_equal(compiled, elementary.normal_quantile(shares))
