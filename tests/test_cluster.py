@@ -96,6 +96,7 @@ def test_what_all_have_in_common_may_be_large(address: str, monkeypatch: pytest.
             assert list(crew.each(np.take, common, range(7))) == list(range(7))
 
 
+@pytest.mark.long
 def test_groups_are_judged_alike_whoever_leaves_them_out(address: str) -> None:
     generator, group = np.random.default_rng(8), np.repeat(np.arange(4), 15)
     labels = np.where(group % 2, "a", "b")
@@ -117,6 +118,7 @@ def test_groups_are_judged_alike_whoever_leaves_them_out(address: str) -> None:
         assert learned(ALONE) == learned(far)
 
 
+@pytest.mark.long
 def test_families_are_compared_alike_whoever_does_the_folds(reference_scene: Scene) -> None:
     measured = measure(synthesise(reference_scene, 300, 3), FEATURES.split(","))
 
@@ -281,6 +283,7 @@ def test_a_worker_that_dies_is_made_up_for(address: str, tmp_path: Path) -> None
     assert len(list(tmp_path.iterdir())) == 1
 
 
+@pytest.mark.long
 def test_a_part_that_kills_its_workers_is_given_up(two_workers: Any, address: str, tmp_path: Path) -> None:
     two_workers.scheduler.allowed_failures = 0
     with (

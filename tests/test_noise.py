@@ -184,7 +184,7 @@ def terms(many, request):
 
 @pytest.mark.parametrize("lag", [1, 2, LANES - 1, LANES, LANES + 1, 2 * LANES, 3 * LANES, TILE, TILE + LANES, 2 * TILE])
 def test_samples_do_not_know_of_each_other(terms, lag):
-    # Numbers of one pair, one counter, one tile and neighbouring tiles. A product deviates by the variance of its factors.
+    # Numbers of one pair, one counter, one tile and neighbouring tiles. A product deviates by its factors' variance.
     powers, variance = terms
     products = np.einsum("ij,ij->i", powers[:, lag:], powers[:, :-lag]).sum(dtype=np.float64)
     assert abs(products) < 4.5 * variance * math.sqrt(powers[:, lag:].size)
