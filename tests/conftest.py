@@ -34,11 +34,11 @@ def pytest_cmdline_main(config: pytest.Config) -> None:
 
     What is named on the command line runs in one process, and what is long there runs, too.
     """
-    if "PYTEST_XDIST_WORKER" in os.environ:  # a worker comes here, too, and has none of its own
-        return
     options, whole = config.option, config.args_source is pytest.Config.ArgsSource.TESTPATHS
     if whole and not (options.markexpr or options.keyword):
         options.markexpr = "not long"
+    if "PYTEST_XDIST_WORKER" in os.environ:  # a worker comes here, too, and has none of its own
+        return
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     unasked = config.pluginmanager.hasplugin("xdist") and options.numprocesses is None and options.dist == "no"
     if whole and unasked and cores > 1 and not (options.usepdb or options.collectonly):

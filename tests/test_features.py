@@ -614,7 +614,6 @@ JUNK = st.one_of(
 )
 
 
-@given(JUNK, st.one_of(st.none(), st.integers(0, 5)), st.booleans())
 def measured_or_refused(samples, pre_trigger, remove_baseline):
     with warnings.catch_warnings():
         warnings.simplefilter("error")
@@ -625,4 +624,5 @@ def measured_or_refused(samples, pre_trigger, remove_baseline):
 
 @pytest.mark.parametrize("n", few([60, 300]))
 def test_junk_is_measured_or_refused(n):
-    settings(max_examples=n, deadline=None)(measured_or_refused)()
+    junk = given(JUNK, st.one_of(st.none(), st.integers(0, 5)), st.booleans())
+    settings(max_examples=n, deadline=None)(junk(measured_or_refused))()
