@@ -278,6 +278,7 @@ def test_a_process_that_dies_is_told(tmp_path: Path) -> None:
         assert list(crew.each(fatal, f"{tmp_path}|1", range(3))) == [0, 1, 2]  # others have taken its place
 
 
+@pytest.mark.long
 def test_a_worker_that_dies_is_made_up_for(address: str, tmp_path: Path) -> None:
     with workers(scheduler=address) as crew:
         assert sorted(crew.each(fatal, f"{tmp_path}|1", range(6), ordered=False)) == list(range(6))
