@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import os
+import signal
 from functools import cache
 from pathlib import Path
 
 # Before numpy and scikit-learn are loaded: threads that wait spin, and on a busy machine small fits then take minutes.
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+# Whoever starts the tests in the background may have them ignore Ctrl-C, and so would all that they start.
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 import pytest
 
@@ -26,10 +30,15 @@ MOST_WORKERS = 8
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_cmdline_main(config: pytest.Config) -> None:
-    """Share the whole suite among the cores (pytest-xdist); what is named on the command line runs in one process."""
+    """Share the whole suite among the cores (pytest-xdist) and leave out what is long, unless -m or -k chooses.
+
+    What is named on the command line runs in one process, and what is long there runs, too.
+    """
+    options, whole = config.option, config.args_source is pytest.Config.ArgsSource.TESTPATHS
+    if whole and not (options.markexpr or options.keyword):
+        options.markexpr = "not long"
     if "PYTEST_XDIST_WORKER" in os.environ:  # a worker comes here, too, and has none of its own
         return
-    options, whole = config.option, config.args_source is pytest.Config.ArgsSource.TESTPATHS
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     unasked = config.pluginmanager.hasplugin("xdist") and options.numprocesses is None and options.dist == "no"
     if whole and unasked and cores > 1 and not (options.usepdb or options.collectonly):

@@ -1,6 +1,6 @@
 """What scenes make, as digests: run as a script, under whatever settings of the environment.
 
-`python -m tests.portable shipped` (or `varied`) prints one JSON object; `tests/test_portable.py` holds it against the
+`python -m tests.portable shipped` (or `varied [NAME ...]`) prints one JSON object; `tests/test_portable.py` holds it against the
 literals in `portable.json`.
 """
 
@@ -9,6 +9,7 @@ from __future__ import annotations
 import hashlib
 import json
 import sys
+from collections.abc import Collection
 from pathlib import Path
 from typing import Any
 
@@ -59,8 +60,11 @@ def of_shipped() -> dict[str, dict[str, str]]:
     return found | {"caving": of_recording(load_scene(DATASETS / "caving.toml"))}
 
 
-def of_varied() -> dict[str, dict[str, str]]:
-    """Return the digests of small scenes, in float64, that between them have everything that a scene may have."""
+def of_varied(names: Collection[str] = ()) -> dict[str, dict[str, str]]:
+    """Return the digests of small scenes, in float64, that between them have everything that a scene may have.
+
+    Of some of them by their names, or of all and of the recording of `caving`.
+    """
     hum = [{"frequency": "50 Hz", "amplitude": "3 N"}, {"frequency": "297.3 Hz", "amplitude": "2 N"}]
     density = ["1 N/sqrt(Hz)", "5 N/sqrt(Hz)", "5 N/sqrt(Hz)", "0.5 N/sqrt(Hz)"]
     coloured = {"frequencies": ["2 Hz", "20 Hz", "200 Hz", "2 kHz"], "density": density}
@@ -96,13 +100,15 @@ def of_varied() -> dict[str, dict[str, str]]:
         "bandwidth": scene_of(sensor={"bandwidth": "40 kHz"}),
         "bandwidth, odd": scene_of(sensor={"bandwidth": "40 kHz"}, sampling=odd),
     }
-    found = {name: of_signals(scene, 40, dtype="float64") for name, scene in scenes.items()}
-    return found | {"caving": of_recording(load_scene(DATASETS / "caving.toml"), dtype="float64")}
+    chosen = names or scenes
+    found = {name: of_signals(scenes[name], 40, dtype="float64") for name in chosen}
+    return found if names else found | {"caving": of_recording(load_scene(DATASETS / "caving.toml"), dtype="float64")}
 
 
 def main() -> None:
     """Print the digests of the shipped or of varied scenes."""
-    print(json.dumps(of_varied() if sys.argv[1:] == ["varied"] else of_shipped()))
+    kind, *names = sys.argv[1:]
+    print(json.dumps(of_shipped() if kind == "shipped" else of_varied(names)))
 
 
 if __name__ == "__main__":

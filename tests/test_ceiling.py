@@ -9,7 +9,7 @@ import pytest
 from cgid.ceiling import Ceiling, ceiling
 from cgid.errors import InvalidValue
 from cgid.scene import parse_scene, synthesise
-from tests import naive
+from tests import few, naive
 from tests.test_scene import content
 
 #: Two rocks of 10 to 16 mm whose pulses overlap: contacts of 10 to 40 samples.
@@ -77,12 +77,14 @@ def by_brute_force(scene, n_signals, seed):
 
 @pytest.mark.parametrize(
     ("changes", "limit"),
-    [
-        ({}, 0.035),
-        # Here, at 16 dB and some 20 samples in contact, touch is told to a sample: far from a Gaussian in a window.
-        ({"sampling__jitter": 1.0}, 0.06),
-        ({"sensor": {"relative_noise": 0.15, "bandwidth": "15 kHz"}}, 0.04),
-    ],
+    few(
+        [
+            ({}, 0.035),
+            # Here, at 16 dB and some 20 samples in contact, touch is told to a sample: far from a Gaussian in a window.
+            ({"sampling__jitter": 1.0}, 0.06),
+            ({"sensor": {"relative_noise": 0.15, "bandwidth": "15 kHz"}}, 0.04),
+        ]
+    ),
     ids=["touch known", "touch within a sample", "low-pass"],
 )
 def test_ceiling_is_brute_force(changes, limit, monkeypatch):

@@ -98,6 +98,7 @@ def test_both_states_of_knowledge_are_those_of_one_at_a_time(peers: Scene) -> No
         assert np.array_equal(one.probabilities, alone.probabilities)
 
 
+@pytest.mark.long
 def test_a_better_rig_never_has_a_lower_ceiling(peers: Scene) -> None:
     found = survey(peers, 256, SEED, snrs=(20.0, 40.0), sampling_rates=(1e4, 5e4, 5e5), size_spreads=(1.1, 16.0))
     assert found.here.axis == "present"
@@ -137,10 +138,10 @@ def test_the_spread_of_sizes_keeps_its_middle(peers: Scene) -> None:
 
 
 def test_the_command_prints_what_python_finds(capsys: pytest.CaptureFixture[str]) -> None:
-    arguments = ["ceiling", "peers", "-n", "256", "--learner", "300", "--seed", "8"]
+    arguments = ["ceiling", "peers", "-n", "64", "--learner", "300", "--seed", "8"]
     assert run([*arguments, "--json"]) == 0
     content = json.loads(capsys.readouterr().out)
-    (limit,) = ceilings(load_scene(shipped.scene_path("peers")), 256, 8, (False,))
+    (limit,) = ceilings(load_scene(shipped.scene_path("peers")), 64, 8, (False,))
     assert content["accuracy"] == limit.accuracy
     assert content["right_answers"] == limit.hits.mean()
     assert content["roc_area"] == {label: limit.roc_area(label) for label in ("coal", "gangue")}
@@ -159,12 +160,12 @@ def test_the_survey_is_a_picture_and_a_table(
     monkeypatch.setattr("cgid.ceiling.bayes.PRIOR_DRAWS", 1 << 11)
     monkeypatch.setattr(sys.modules[survey.__module__], "_NODES", 5)
     picture = tmp_path / "rig.png"
-    arguments = ["ceiling", "peers", "-n", "64", "--drop-height", "--plot", str(picture)]
+    arguments = ["ceiling", "peers", "-n", "16", "--drop-height", "--plot", str(picture)]
     assert run(arguments) == 0
     out, err = capsys.readouterr()
     assert picture.read_bytes().startswith(b"\x89PNG")
     assert str(picture) in err
-    rows = out[out.index("survey, 64 signals a point") :].splitlines()[2:]
+    rows = out[out.index("survey, 16 signals a point") :].splitlines()[2:]
     assert len(rows) == N_POINTS == 1 + len(SNRS) + len(RATES) + len(SPREADS)
     assert sum("left out" in row for row in rows) == 2
     assert run(arguments) == 73

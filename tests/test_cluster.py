@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from distributed import LocalCluster
+from distributed import Client, LocalCluster
 
 from cgid import cluster
 from cgid.cli.main import run
@@ -96,6 +96,7 @@ def test_what_all_have_in_common_may_be_large(address: str, monkeypatch: pytest.
             assert list(crew.each(np.take, common, range(7))) == list(range(7))
 
 
+@pytest.mark.long
 def test_groups_are_judged_alike_whoever_leaves_them_out(address: str) -> None:
     generator, group = np.random.default_rng(8), np.repeat(np.arange(4), 15)
     labels = np.where(group % 2, "a", "b")
@@ -117,6 +118,7 @@ def test_groups_are_judged_alike_whoever_leaves_them_out(address: str) -> None:
         assert learned(ALONE) == learned(far)
 
 
+@pytest.mark.long
 def test_families_are_compared_alike_whoever_does_the_folds(reference_scene: Scene) -> None:
     measured = measure(synthesise(reference_scene, 300, 3), FEATURES.split(","))
 
@@ -222,8 +224,9 @@ def test_other_versions_are_refused_before_anything_is_written(
 
 
 def test_a_scheduler_without_workers(nobody: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(cluster, "PATIENCE", 0.5)
-    with pytest.raises(ClusterFailed, match=r"must have workers, none came within 0\.5 s"), workers(scheduler=nobody):
+    wait = Client.wait_for_workers
+    monkeypatch.setattr(Client, "wait_for_workers", lambda client, n, timeout: wait(client, n, timeout=0.1))
+    with pytest.raises(ClusterFailed, match=r"must have workers, none came within 10 s"), workers(scheduler=nobody):
         pass
 
 
@@ -275,12 +278,14 @@ def test_a_process_that_dies_is_told(tmp_path: Path) -> None:
         assert list(crew.each(fatal, f"{tmp_path}|1", range(3))) == [0, 1, 2]  # others have taken its place
 
 
+@pytest.mark.long
 def test_a_worker_that_dies_is_made_up_for(address: str, tmp_path: Path) -> None:
     with workers(scheduler=address) as crew:
         assert sorted(crew.each(fatal, f"{tmp_path}|1", range(6), ordered=False)) == list(range(6))
     assert len(list(tmp_path.iterdir())) == 1
 
 
+@pytest.mark.long
 def test_a_part_that_kills_its_workers_is_given_up(two_workers: Any, address: str, tmp_path: Path) -> None:
     two_workers.scheduler.allowed_failures = 0
     with (

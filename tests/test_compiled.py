@@ -15,6 +15,7 @@ import pytest
 from benchmarks import cold_start
 from cgid import compiled
 from cgid.store._fletcher import fletcher32
+from tests import few
 
 PACKAGE = Path(compiled.__file__).parent
 
@@ -239,11 +240,12 @@ def expected() -> str:
     return hashlib.sha256(np.asarray(checksum, np.uint64).tobytes()).hexdigest()
 
 
-def test_four_processes_start_at_once_with_an_empty_cache(tmp_path: Path, expected: str):
+@pytest.mark.parametrize("n", few([2, 4]))
+def test_processes_start_at_once_with_an_empty_cache(tmp_path: Path, expected: str, n: int):
     processes = cold_start.cached(tmp_path, "checksum")
-    outcomes = processes.run(4)
+    outcomes = processes.run(n)
     assert cold_start.failures(outcomes, expected) == []
-    assert sum(one.compiled for one in outcomes) >= 2  # the cache was empty
+    assert sum(one.compiled for one in outcomes) >= n // 2  # the cache was empty
     assert cold_start.left_whole(cold_start.read_only(tmp_path, "checksum") or processes, expected) == []
 
 

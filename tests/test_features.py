@@ -22,7 +22,7 @@ from cgid.impact import Elastic, HalfSpace, HuntCrossley, Impact, Sphere
 from cgid.materials import STEEL, YANG2018_SPHERES
 from cgid.pulses import PulseBatch
 from cgid.recordings import read_recording
-from tests import naive
+from tests import few, naive
 
 REAL_SHOCK = Path(__file__).parents[2] / "shared" / "realdata" / "shock"
 MEGAHERTZ = 1e6
@@ -598,7 +598,7 @@ def smooth_pulses(draw):
     return draw(st.sampled_from([1e-6, 1.0, 1e9])) * (samples + draw(st.sampled_from([0.0, -3.0, 2.0])))
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=60, deadline=None)
 @given(smooth_pulses(), st.sampled_from([np.float32, np.float64]))
 def test_smooth_pulses_have_finite_features(samples, kind):
     try:
@@ -616,9 +616,7 @@ JUNK = st.one_of(
 )
 
 
-@settings(max_examples=300, deadline=None)
-@given(JUNK, st.one_of(st.none(), st.integers(0, 5)), st.booleans())
-def test_junk_is_measured_or_refused(samples, pre_trigger, remove_baseline):
+def measured_or_refused(samples, pre_trigger, remove_baseline):
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         found = extract_array(samples, 1e5, pre_trigger=pre_trigger, remove_baseline=remove_baseline, invalid="nan")
@@ -640,3 +638,9 @@ def test_memory_is_bounded_by_samples_not_by_rows(monkeypatch):
     # Beyond what a block takes: whether each sample is finite, one byte each.
     assert peaks[1] < peaks[0] + 1.5 * samples.size
     assert np.array_equal(found[:4], extract_array(samples[:4], 2e5, pre_trigger=250))
+
+
+@pytest.mark.parametrize("n", few([60, 300]))
+def test_junk_is_measured_or_refused(n):
+    junk = given(JUNK, st.one_of(st.none(), st.integers(0, 5)), st.booleans())
+    settings(max_examples=n, deadline=None)(junk(measured_or_refused))()

@@ -10,6 +10,7 @@ from cgid.impact import Sphere, ThinPlate
 from cgid.impact.finite_element import ElasticPlate, PenaltyContact
 from cgid.impact.finite_element.bodies import bulk_modulus
 from cgid.materials import STEEL, YANG2018_SPHERES
+from tests import few
 from tests.finite_element_cases import RADIUS, VOLUME, impact, plate, velocity_for
 
 # ---------------------------------------------------------------------------------------------------- Hertz's limit
@@ -118,7 +119,7 @@ def test_soft_contact_moves_the_elements_away_from_hertz_towards_the_series_theo
 # ---------------------------------------------------------------------------------------------------- thin plates
 
 
-@pytest.mark.parametrize(("number", "velocity", "thickness"), [(1, 2.0, 0.008), (3, 0.5, 0.008), (3, 2.0, 0.012)])
+@pytest.mark.parametrize(("number", "velocity", "thickness"), few([(3, 2.0, 0.012), (3, 0.5, 0.008), (1, 2.0, 0.008)]))
 def test_wide_free_plate_takes_what_zener_says(number, velocity, thickness):
     wide = impact(number, velocity, 5, plate=plate(thickness=thickness, radius=0.3, lower_face="free"))
     wider = replace(wide, plate=replace(wide.plate, radius=0.5))

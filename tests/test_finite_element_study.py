@@ -15,6 +15,7 @@ from cgid.reproduction import n_steps, reproduce
 from cgid.reproduction.finite_element import cases, packed, read_study, running, shipped_study, waves
 from cgid.reproduction.finite_element.study import COURSES, NUMBERS
 from cgid.signals import Signal
+from tests import few
 from tests.impacts_by_hand import RADIUS, RESPONSES, SPHERES, by_hand, table
 
 #: An independent program's force [N], DCS [m] and contact time [s] of four of the impacts.
@@ -86,7 +87,7 @@ def test_courses_and_peaks_belong_together(study):
 # ---- how it is made -------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("group", [cases.UNDAMPED, cases.SOFT_2_MM, cases.DAMPED])
+@pytest.mark.parametrize("group", few([cases.UNDAMPED, cases.SOFT_2_MM, cases.DAMPED]))
 def test_a_case_computed_again_is_the_shipped_one(study, group):
     """The quickest of the cases of a group, with the real solver (damped: its implicit steps)."""
     place = [(found.case.group, found.case.sphere, found.case.velocity) for found in study.runs].index((group, 3, 10.0))
@@ -178,6 +179,7 @@ def test_command_makes_the_study_anew_and_writes_it(study, monkeypatch, tmp_path
     assert asked == [3, None] and not (tmp_path / "shipped" / "finite_element.npz").exists()
 
 
+@pytest.mark.long
 def test_the_shipped_copy_repeats_the_folder(study, monkeypatch, tmp_path):
     """What was just computed has more digits than its file; the figures must have those of the file."""
     fresh = dataclasses.replace(

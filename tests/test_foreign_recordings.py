@@ -19,6 +19,7 @@ from cgid.recordings import is_dataset, open_recording
 from cgid.recordings import tdms as tdms_reader
 from cgid.recordings.variables import Variable, contents_of
 from cgid.store import is_table
+from tests import few
 
 RANDOM = np.random.default_rng(20261121)
 N = 3001
@@ -981,7 +982,7 @@ def _write_long(kind, path, samples):
 
 
 @pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="only Linux says the peak memory of a program")
-@pytest.mark.parametrize("kind", ["hdf5", "mat", "mat packed", "tdms", "one chunk", "uff", "parquet"])
+@pytest.mark.parametrize("kind", few(["hdf5", "mat", "mat packed", "tdms", "one chunk", "uff", "parquet"], 5))
 def test_memory_does_not_grow_with_the_recording(tmp_path, kind):
     # Whole they would take 16 MB more, UFF half of that. A single chunk of TDMS is held for one channel, and pyarrow
     # has buffers that fill up within the first million of rows.

@@ -119,7 +119,7 @@ def test_interruption_ends_with_a_summary(force: np.ndarray) -> None:
     process.stdin.flush()
     json.loads(process.stdout.readline())
     process.send_signal(signal.SIGINT)
-    out, err = process.communicate(timeout=30)
+    out, err = process.communicate(timeout=300)
     assert process.returncode == 130
     assert json.loads(out.splitlines()[-1])["kind"] == "summary"
     assert b"interrupted" in err
@@ -182,10 +182,16 @@ def test_silence_is_followed(tmp_path: Path, capsys: pytest.CaptureFixture[str])
 
 def test_inbox_joins_what_waits_and_drops_nothing() -> None:
     blocks = [np.full((2, n), float(k)) for k, n in enumerate([1, 5, 900, 3, 1, 1, 4000, 2])]
-    inbox = Inbox(iter(blocks), 1000.0)
+    all_there = threading.Event()
+
+    def coming():
+        yield from blocks
+        all_there.set()
+
+    inbox = Inbox(coming(), 1000.0)
     taken = []
     for block in inbox:
-        time.sleep(0.02)  # more comes meanwhile
+        assert all_there.wait(60)  # more comes meanwhile
         taken.append(block)
     np.testing.assert_array_equal(np.concatenate(taken, axis=1), np.concatenate(blocks, axis=1))
     assert len(taken) < len(blocks)
@@ -213,7 +219,7 @@ def test_inbox_that_is_full_makes_the_stream_wait() -> None:
     inbox = Inbox(blocks(), 1e4, most_waiting=3 * block.nbytes)
     iterator = iter(inbox)
     total = next(iterator).shape[1]
-    deadline = time.monotonic() + 10
+    deadline = time.monotonic() + 60
     while not inbox.held_up and time.monotonic() < deadline:
         time.sleep(0.01)
     assert inbox.held_up
@@ -245,26 +251,31 @@ def test_delay_is_said_when_it_grows_and_when_it_is_over(capsys: pytest.CaptureF
     assert err.count("cgid: warning: s: ") == 4
 
 
-def test_a_live_stream_is_behind_by_what_waits_and_a_file_is_not() -> None:
-    gate = threading.Event()
+def test_a_live_stream_is_behind_by_what_waits_and_a_file_is_not(monkeypatch: pytest.MonkeyPatch) -> None:
+    clock = {"now": 0.5}
+    monkeypatch.setattr(Inbox, "_clock", property(lambda _: clock["now"]))
+    taken, waiting, leave = (threading.Event() for _ in range(3))
 
     def live():
         yield np.zeros((1, 50))
+        assert taken.wait(60)
         yield np.zeros((1, 50))
-        gate.set()
-        time.sleep(0.5)
+        waiting.set()
+        assert leave.wait(60)
 
     inbox = Inbox(live(), 100.0)
     iterator = iter(inbox)
-    first = next(iterator).shape[1]
-    gate.wait(5)
-    time.sleep(0.05)
-    if first == 50:  # half a second waits, but the clock is hardly ahead of the half second that was taken
-        assert inbox.behind < 0.1
-    time.sleep(0.3)
-    inbox.n_taken = 0  # as if nothing had been taken for as long as the clock runs
-    assert inbox.behind <= 0.5
-    assert sum(block.shape[1] for block in iterator) + first == 100
+    assert next(iterator).shape[1] == 50
+    taken.set()
+    assert waiting.wait(60)
+    # Half a second waits, but the clock is not ahead of the half second that was taken.
+    assert inbox.behind == 0
+    clock["now"] = 0.75
+    assert inbox.behind == 0.25
+    clock["now"] = 60.0
+    assert inbox.behind == 0.5
+    leave.set()
+    assert sum(block.shape[1] for block in iterator) == 50
 
 
 def test_unbuffered_input_returns_what_there_is() -> None:

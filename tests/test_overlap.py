@@ -27,7 +27,7 @@ def test_no_more_are_made_than_asked(most):
 
     coming = ahead(items(), most)
     assert [next(coming) for _ in range(3)] == [0, 1, 2]
-    assert enough.wait(10)  # though nobody asks for them
+    assert enough.wait(60)  # though nobody asks for them
     time.sleep(0.05)
     assert len(made) == 3 + most
     coming.close()
@@ -38,7 +38,7 @@ def test_they_are_made_while_the_others_are_used():
 
     def items():
         yield 0
-        assert first_used.wait(10)
+        assert first_used.wait(60)
         yield 1
 
     for item in ahead(items(), 1):

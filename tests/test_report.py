@@ -270,7 +270,7 @@ def browse(page: Path, folder: Path, *more: str) -> str:
     done = subprocess.run(
         [*command, "--virtual-time-budget=2000", "--dump-dom", page.as_uri()],
         capture_output=True,
-        timeout=90,
+        timeout=300,
         check=True,
     )
     return done.stdout.decode()

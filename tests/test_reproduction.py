@@ -14,7 +14,7 @@ import pytest
 
 from cgid.cli.main import run
 from cgid.errors import CannotCreate, MissingExtra
-from cgid.reproduction import n_steps, paper, reproduce
+from cgid.reproduction import n_steps, output, paper, reproduce
 from cgid.reproduction.claims import all_claims
 from cgid.reproduction.claims.claim import judged_exponential, judged_ordering, trend, written
 from cgid.reproduction.figures import FIGURES
@@ -53,13 +53,26 @@ K_FACTORS = {"hertz": 1.0, "rigid-sphere": 8 * 3**0.5 / 9, "series": 1.75**-1.5}
 
 @pytest.fixture(scope="module")
 def written_by_command(tmp_path_factory):
-    """What the command writes and prints."""
+    """What the command writes and prints; of the pictures, a figure and a table are drawn, the others are copies."""
     folder = tmp_path_factory.mktemp("paper") / "out"
     with pytest.MonkeyPatch.context() as patch:
         lines = []
         patch.setattr("cgid.cli.reproduce.click.echo", lambda text, **_: lines.append(text))
+        for name in ("draw", "draw_table"):
+            patch.setattr(output, name, drawn_once(getattr(output, name)))
         assert run(["reproduce", "-o", str(folder)]) == 0
     return folder, lines
+
+
+def drawn_once(draw):
+    pictures = []
+
+    def drawn(*arguments):
+        if not pictures:
+            pictures.append(draw(*arguments))
+        return pictures[0]
+
+    return drawn
 
 
 @pytest.fixture(scope="module")
@@ -88,9 +101,20 @@ def peaks(velocity, density=1380, modulus=2.26e9, nu=0.28, modulus_2=210e9, nu_2
 
 def test_every_figure_and_table_is_a_picture_and_data(written_by_command):
     folder, lines = written_by_command
+    assert sorted(lines) == sorted(str(path) for path in folder.iterdir())
+    assert_complete(folder)
+
+
+@pytest.mark.long
+def test_every_picture_is_drawn(tmp_path):
+    reproduce(tmp_path / "out")
+    assert_complete(tmp_path / "out")
+    assert len({path.read_bytes() for path in (tmp_path / "out").glob("*.png")}) == len(NAMES | SIMULATED)
+
+
+def assert_complete(folder):
     expected = {f"{name}.{ending}" for name in NAMES | SIMULATED for ending in ("png", "csv")} | {"report.md"}
     assert {path.name for path in folder.iterdir()} == expected
-    assert sorted(lines) == sorted(str(folder / name) for name in expected)
     for name in NAMES | SIMULATED:
         picture = (folder / f"{name}.png").read_bytes()
         assert picture.startswith(b"\x89PNG\r\n") and len(picture) > 5000

@@ -16,6 +16,7 @@ from cgid.store import Dataset
 from cgid.store import run as run_of_store
 from cgid.store.journal import JOURNAL
 from cgid.store.verification import verify
+from tests import few
 from tests.test_store import scene_of
 from tests.test_stream import content as stream_content
 
@@ -74,9 +75,10 @@ def path(tmp_path):
 # ---- killed ----------------------------------------------------------------------------------------------------------
 
 
-def test_killed_runs_go_on_to_the_same_bytes():
+@pytest.mark.parametrize("kills", few([4, 12]))
+def test_killed_runs_go_on_to_the_same_bytes(kills):
     """The short form of the benchmark, in a process of its own: it forks."""
-    command = [sys.executable, "benchmarks/kills.py", "--kills", "12", "--with-workers", "0"]
+    command = [sys.executable, "benchmarks/kills.py", "--kills", str(kills), "--with-workers", "0"]
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
     assert done.returncode == 0, done.stdout + done.stderr
     assert done.stdout.count("| nothing |") == 4

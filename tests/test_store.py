@@ -24,6 +24,7 @@ from cgid.recordings import is_dataset
 from cgid.scene import generate, parse_scene, synthesise
 from cgid.scene.population import PARAMETER_UNITS
 from cgid.store import Dataset
+from tests import few
 
 N = 1000
 
@@ -651,8 +652,9 @@ class Stop(Exception):
     pass
 
 
-@pytest.mark.parametrize("reason", [Stop, KeyboardInterrupt])
-@pytest.mark.parametrize("jobs", [1, 2])
+@pytest.mark.parametrize(
+    ("reason", "jobs"), few([(Stop, 1), (Stop, 2), (KeyboardInterrupt, 1), (KeyboardInterrupt, 2)], 3)
+)
 def test_an_interrupted_run_leaves_no_manifest(tmp_path, reason, jobs):
     done = 0
 

@@ -107,7 +107,10 @@ def _read_csv(path: str | Path) -> Table:
     with Path(path).open(encoding="utf-8") as stream:
         header = _header_of(path, stream.readline().removeprefix("# "))
         types = {"label": str, "specimen": np.uint64} | dict.fromkeys(header.units, np.float64)
-        frame = pandas.read_csv(stream, dtype=types, keep_default_na=False, na_values={n: [""] for n in header.units})
+        empty = {n: [""] for n in header.units}
+        # Before 3.1 pandas misreads the last digit of a number now and then unless asked; later it warns when asked.
+        exact = {"float_precision": "round_trip"} if np.lib.NumpyVersion(pandas.__version__) < "3.1.0" else {}
+        frame = pandas.read_csv(stream, dtype=types, keep_default_na=False, na_values=empty, **exact)
     columns = {str(name): frame[name].to_numpy() for name in frame.columns}
     return _checked(path, header, columns.pop("label").astype(str), columns.pop("specimen"), columns)
 
