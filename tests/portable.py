@@ -1,7 +1,7 @@
 """What scenes make, as digests: run as a script, under whatever settings of the environment.
 
-`python -m tests.portable shipped` (or `varied [NAME ...]`) prints one JSON object; `tests/test_portable.py` holds it against the
-literals in `portable.json`.
+`python -m tests.portable shipped` (or `varied [NAME ...]`) prints one JSON object; `tests/test_portable.py` holds it
+against the literals in `portable.json`.
 """
 
 from __future__ import annotations
