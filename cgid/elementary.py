@@ -436,7 +436,7 @@ def normal_quantile(probability: ArrayLike) -> Floats:
     Examples
     --------
     >>> float(normal_quantile(0.5)), round(float(normal_quantile(0.975)), 12)
-    (0.0, 1.959963984540)
+    (0.0, 1.95996398454)
     """
     (p,) = _arrays(probability)
     loop = _loop("normal_quantile_loop")
