@@ -45,7 +45,7 @@ def written(header: Mapping[str, Any], arrays: Mapping[str, Any], *, sign: bool 
 def packed(arrays: Mapping[str, Any]) -> bytes:
     """Return an archive of any arrays, pickles too."""
     stream = io.BytesIO()
-    np.savez(stream, allow_pickle=True, **arrays)
+    np.savez(stream, **arrays)
     return stream.getvalue()
 
 

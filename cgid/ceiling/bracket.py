@@ -186,20 +186,21 @@ def _several(batches: Iterator[Any]) -> Iterator[list[Any]]:
 def _learn(inputs: Floats, labels: NDArray[np.str_], test: Floats, limit: Ceiling) -> Learner:
     from threadpoolctl import threadpool_limits
 
-    names, counts = np.unique(labels, return_counts=True)
+    # By their numbers: scikit-learn before 1.8 cannot stop a network early that learns texts.
+    names, numbers, counts = np.unique(labels, return_inverse=True, return_counts=True)
     sound = np.isfinite(inputs).all(axis=1)
     measured = np.isfinite(test).all(axis=1)
     answers = np.full(len(test), names[counts.argmax()], dtype=names.dtype)
     kind = "guess"
-    if len(np.unique(labels[sound])) > 1 and measured.any():
+    if len(np.unique(numbers[sound])) > 1 and measured.any():
         with threadpool_limits(1), warnings.catch_warnings():
             warnings.simplefilter("ignore")  # a network that has not converged is judged by what it does
-            kind, model = _best(inputs[sound], labels[sound])
-            answers[measured] = model.predict(test[measured])
+            kind, model = _best(inputs[sound], numbers[sound])
+            answers[measured] = names[model.predict(test[measured])]
     return _judged(len(inputs), kind, answers, limit)
 
 
-def _best(inputs: Floats, labels: NDArray[np.str_]) -> tuple[str, Any]:
+def _best(inputs: Floats, labels: NDArray[np.intp]) -> tuple[str, Any]:
     """Return the learner that is right more often on signals held back, trained on all."""
     held = max(int(_HELD_BACK * len(inputs)), 1)
     scores = {}
