@@ -176,6 +176,7 @@ def test_two_names_of_one_rock_cannot_be_told_apart(known):
     assert same.accuracy == pytest.approx(0.5)
 
 
+@pytest.mark.long
 def test_rocks_without_anything_in_common_are_always_told_apart():
     low, high = ({"distribution": "uniform", "lowest": e, "highest": e + 0.1} for e in (0.3, 0.8))
     scene = content(populations__0__restitution=low, populations__1__restitution=high, sensor__relative_noise=0.01)

@@ -39,6 +39,7 @@ def limits(peers: Scene) -> tuple[Ceiling, ...]:
     return ceilings(peers, N, SEED, (False, True))
 
 
+@pytest.mark.long
 def test_a_learner_comes_near_the_ceiling_from_below(peers: Scene, limits: tuple[Ceiling, ...]) -> None:
     found = bracket(peers, (300, 3000), N, SEED, limit=limits[0])
     few, many = found.learners
@@ -153,6 +154,7 @@ def test_the_command_prints_what_python_finds(capsys: pytest.CaptureFixture[str]
     assert "drop height not known" in text
 
 
+@pytest.mark.long
 def test_the_survey_is_a_picture_and_a_table(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -133,6 +133,7 @@ def test_one_signal_of_a_dataset_answers_like_the_whole(made: Path, capsys: pyte
     assert one["probabilities"] == pytest.approx(whole[17]["probabilities"], abs=1e-12)
 
 
+@pytest.mark.long
 def test_training_from_a_scene_is_training_from_its_dataset(made: Path, capsys: pytest.CaptureFixture[str]) -> None:
     scene, data = str(ROOT / "datasets" / "reference.toml"), str(made / "data")
     assert run(["train", scene, "-n", "3000", "--seed", "4", "-o", str(made / "a.npz"), "--json"]) == 0
@@ -400,6 +401,7 @@ def test_predict_imports_nothing_heavy() -> None:
     assert done.stderr.strip() == "[]"
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("coupling", "warned"), [("impedance", True), ("modes", False)])
 def test_check_warns_of_rocks_too_heavy_for_the_thin_plate(coupling, warned, tmp_path, capsys):
     """Lambda is that of a plate without edges: what goes through the modes of the beam has none."""

@@ -130,6 +130,7 @@ def test_families_are_compared_alike_whoever_does_the_folds(reference_scene: Sce
         assert compared(ALONE) == compared(two)
 
 
+@pytest.mark.long
 def test_a_command_does_its_work_on_a_cluster(address: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     data, models = str(tmp_path / "data"), [tmp_path / name for name in ("far.npz", "two.npz", "one.npz")]
     assert (
@@ -271,6 +272,7 @@ def test_jobs_and_a_scheduler_exclude_each_other(capsys: pytest.CaptureFixture[s
 # ---- last, for the processes that take the place of dead ones must load everything anew ------------------------------
 
 
+@pytest.mark.long
 def test_a_process_that_dies_is_told(tmp_path: Path) -> None:
     with workers(2) as crew:
         with pytest.raises(ClusterFailed, match=r"^jobs: a worker process was ended from outside"):

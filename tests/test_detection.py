@@ -78,6 +78,7 @@ def test_impacts_of_a_caving_window_are_found(stream, decibels, kind, precision,
     assert np.quantile(found.errors, 0.95) <= late
 
 
+@pytest.mark.long
 def test_thin_plate_that_rings_long_at_another_rate():
     changes = {
         "sampling": {"sampling_rate": "51.2 kHz"},

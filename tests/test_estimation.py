@@ -662,6 +662,7 @@ def parameters(batches):
     return {name: np.concatenate([held[name] for held in batches]) for name in batches[0]}
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("noise", "n"), few([(0.06, 512), (0.02, 1536), (0.06, 1536)]))
 def test_intervals_hold_the_restitution_as_often_as_they_say(small_coal, coal_prior, noise, n):
     scene = small_coal.model_copy(update={"sensor": small_coal.sensor.model_copy(update={"relative_noise": noise})})

@@ -360,6 +360,7 @@ def test_streams_that_are_full_do_not_hide_the_exit_code(command, code):
     assert done.returncode == code
 
 
+@pytest.mark.long
 def test_no_file_becomes_a_standard_stream_that_is_closed(tmp_path):
     command = f"{sys.executable} -m cgid generate reference -n 20 --parameters-only -o {tmp_path}/t.csv <&- >&- 2>&-"
     bare = {name: value for name, value in os.environ.items() if name not in ("HOME", "XDG_CACHE_HOME")}

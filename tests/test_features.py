@@ -232,6 +232,7 @@ def mixed_batch(n_signals=300):
     return np.array(rows) + random.normal(0, 5, (n_signals, 400))
 
 
+@pytest.mark.long
 def test_a_row_does_not_depend_on_its_neighbours():
     batch = mixed_batch()
     together = extract_array(batch, 1e5)

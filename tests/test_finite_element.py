@@ -191,6 +191,7 @@ def twins():
     return Twins(small_impact())
 
 
+@pytest.mark.long
 def test_slow_twin_keeps_its_energy(twins):
     course = twins.course
     energy = course.sphere_energy + course.plate_energy + course.kinetic_energy

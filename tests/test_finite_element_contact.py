@@ -138,6 +138,7 @@ def test_narrow_free_plate_throws_back():
     assert abs(narrow.restitution - float(theory.restitution)) > 0.05
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("method", ["explicit", "implicit"])
 def test_a_sphere_that_a_light_plate_runs_away_from_strikes_it_again(method):
     # The plate is as heavy as one and a half spheres: the first blow does not turn the sphere round.

@@ -27,7 +27,7 @@ def course(number, velocity, elements=14):
     return impact(number, velocity, elements).run()
 
 
-@pytest.mark.parametrize(("number", "velocity"), few(TABLE, 3))
+@pytest.mark.parametrize(("number", "velocity"), few(TABLE))
 def test_measured_facts_of_such_solvers(number, velocity):
     history = course(number, velocity)
     found = (history.peak_force, history.peak_displacement, history.contact_duration)
@@ -37,7 +37,8 @@ def test_measured_facts_of_such_solvers(number, velocity):
     assert history.momentum_error < 1e-6
 
 
-@pytest.mark.parametrize(("number", "velocity"), few(TABLE, 3))
+@pytest.mark.long
+@pytest.mark.parametrize(("number", "velocity"), few(TABLE))
 def test_seven_elements_are_within_a_hundredth(number, velocity):
     coarse, fine = course(number, velocity, 7), course(number, velocity)
     assert coarse.peak_force == pytest.approx(fine.peak_force, rel=0.01)
@@ -49,7 +50,7 @@ def test_peak_force_moves_less_than_a_thousandth_from_14_to_28_elements():
     assert course(1, 10.0, 28).peak_force == pytest.approx(course(1, 10.0).peak_force, rel=1e-3)
 
 
-@pytest.mark.parametrize(("number", "velocity"), few(TABLE, 3))
+@pytest.mark.parametrize(("number", "velocity"), few(TABLE))
 def test_hertz_is_nearest_and_the_series_theory_far_off(number, velocity):
     history, errors = course(number, velocity), {}
     for theory in ("hertz", "rigid-sphere", "series"):
@@ -78,7 +79,7 @@ def low_pass_peak(history, edge):
     return low.max() / history.peak_force
 
 
-@pytest.mark.parametrize(("number", "velocity"), few([(4, 8.0), *TABLE], 4))
+@pytest.mark.parametrize(("number", "velocity"), few([(4, 8.0), *TABLE], 2))
 def test_low_pass_at_4_over_the_duration_brings_the_peak_back(number, velocity):
     history = course(number, velocity)
     assert history.centre_node_force.samples.max() > 3 * history.peak_force

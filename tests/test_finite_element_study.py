@@ -155,6 +155,7 @@ def test_runs_come_in_order_and_are_counted(study, monkeypatch):
         running.run_study(0)
 
 
+@pytest.mark.long
 def test_command_makes_the_study_anew_and_writes_it(study, monkeypatch, tmp_path, capsys):
     asked = []
 

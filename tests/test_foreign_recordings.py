@@ -748,6 +748,7 @@ def test_uff_whose_label_contradicts_its_seconds_is_refused(tmp_path):
     assert "must be in s" in refused(path)
 
 
+@pytest.mark.long
 def test_uff_that_is_no_recording_is_refused(tmp_path):
     path = tmp_path / "other.uff"
     frf = write_uff(path, [SAMPLES[0] + 1j], func_type=4, ord_data_type=6, abscissa_spec_data_type=18)
@@ -781,6 +782,7 @@ def test_uff_cut_anywhere_is_refused_or_whole(tmp_path, binary):
         assert len(found) == 2 or recording.warnings or place < len(content) / 2 + 50
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("n_samples", [-4, 0, 10**9, 2**31])
 @pytest.mark.parametrize("binary", [0, 1])
 def test_absurd_counts_of_uff_are_refused(tmp_path, binary, n_samples):

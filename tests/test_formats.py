@@ -62,6 +62,7 @@ def test_blocks_are_the_whole_whatever_their_length(specimen, tmp_path):
         assert np.array_equal(np.concatenate(blocks, axis=1), whole)
 
 
+@pytest.mark.long
 @by_name
 def test_a_file_cut_off_is_refused_or_warned_of(specimen, tmp_path):
     if specimen.name.split()[0] not in LENGTHS:

@@ -129,6 +129,7 @@ def test_model_file_is_the_same_every_time(trained: Trained) -> None:
     assert trained["boosting"].model.to_bytes() == trained["boosting"].model.to_bytes()
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("families", few([["logistic"], list(FAMILIES)]))
 def test_models_are_the_same_with_one_thread_and_with_two(families: list[str]) -> None:
     """To the last digit, metrics included; of so few impacts, two threads would change logistic and network."""

@@ -427,6 +427,7 @@ def test_a_grid_that_fits_the_contact_leaves_no_trace_of_rounding(name):
         assert frame[parts + 2 :] == pytest.approx(0, abs=left)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", MECHANISMS)
 def test_single_precision_rounds_the_double_one(name):
     impact = MECHANISMS[name]

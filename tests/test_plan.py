@@ -211,6 +211,7 @@ def test_the_plan_tells_how_a_beam_gives_way() -> None:
     assert "the 4 modes of the table" in tapped.decisions["tail beam"].why
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("chosen", CASES, ids=lambda chosen: chosen.name)
 def test_everything_costs_more(chosen: Case) -> None:
     asked, everything = chosen.ask(), chosen.ask_everything()
@@ -431,6 +432,7 @@ def test_true_pulses_are_frames_without_the_sensor() -> None:
 # -- gravity ----------------------------------------------------------------------------------------------
 
 
+@pytest.mark.long
 def test_the_error_without_gravity_is_below_its_bound() -> None:
     generator = np.random.default_rng(5)
     n = 300

@@ -136,6 +136,7 @@ def test_where_there_is_no_spectrum_it_says_why(samples: np.ndarray, says: str) 
     assert picture(figure, ".png", dpi=40).startswith(MAGIC[".png"])
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("suffix", FORMATS)
 def test_every_format_takes_text_of_anybody(suffix: str) -> None:
     evil = "$\\frac{ <b>&amp; 煤矿 \x00\n\ud800 ^_" + "x" * 300
@@ -150,6 +151,7 @@ def test_every_format_takes_text_of_anybody(suffix: str) -> None:
         assert all(link.startswith(("#", "data:image/png")) for link in links)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("suffix", FORMATS)
 def test_equal_figures_give_equal_bytes(suffix: str) -> None:
     samples = np.ones((1, 10))

@@ -96,7 +96,9 @@ def test_the_bytes_of_the_shipped_scenes() -> None:
 
 @pytest.mark.parametrize("names", few([SOME, []]))
 def test_another_processor_makes_the_same_bytes_of_every_kind_of_scene(names: list[str]) -> None:
-    assert made("varied", *names, **OLDEST) == digests(names)
+    # Compiling for it takes as long as all quick tests of the kernels.
+    settings = OLDEST if not names else OLDEST | {"NUMBA_CPU_NAME": ""}
+    assert made("varied", *names, **settings) == digests(names)
 
 
 @pytest.mark.parametrize("names", few([[*SOME, "clamped panel"], []]))
@@ -120,7 +122,7 @@ def neighbours(tmp_path_factory: pytest.TempPathFactory) -> str:
 
 @pytest.mark.parametrize("names", few([SOME, []]))
 def test_a_c_library_of_neighbouring_doubles_changes_nothing(neighbours: str, names: list[str]) -> None:
-    assert made("varied", *names, LD_PRELOAD=neighbours, **OLDEST) == digests(names)
+    assert made("varied", *names, LD_PRELOAD=neighbours, NPY_DISABLE_CPU_FEATURES=_ALL_NEWER) == digests(names)
 
 
 @pytest.mark.long

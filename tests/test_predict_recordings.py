@@ -126,6 +126,7 @@ def test_silent_channels_are_named_and_do_not_hide_the_others(default_model: Mod
         assert all("no impact" in message for message in silent)
 
 
+@pytest.mark.long
 def test_memory_does_not_grow_with_the_recording(default_model: Model) -> None:
     piece = stream(LABELS[6:10], 0.05)[np.newaxis]
 

@@ -495,6 +495,7 @@ def test_training_says_how_windows_recordings_and_votes_did(recorded: Recorded) 
     assert r"| \<i\>\|\*x | coal |" in write_card(model, "m.npz")
 
 
+@pytest.mark.long
 def test_shuffled_labels_of_recordings_score_at_chance(tmp_path: Path) -> None:
     rows = []
     for number in range(8):
@@ -558,6 +559,7 @@ def test_windows_that_cannot_be_are_refused(change: dict[str, Any], says: str, m
         replace(model, **change)
 
 
+@pytest.mark.long
 def test_two_channels_are_looked_at_together(tmp_path: Path) -> None:
     """Neither channel alone knows the label, both together do: it is whether they are equally loud."""
     generator, rows = np.random.default_rng(11), []

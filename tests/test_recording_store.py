@@ -93,6 +93,7 @@ def test_recordings_of_a_folder_are_those_of_their_numbers(made):
     assert (samples[0] != samples[1]).mean() > 0.99
 
 
+@pytest.mark.long
 def test_twice_the_same_bytes_in_another_process(made, tmp_path):
     (tmp_path / "scene.json").write_text(SCENE.text)
     program = (
@@ -229,6 +230,7 @@ def test_a_recording_must_have_all_its_samples_and_no_more(tmp_path, count):
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.long
 def test_a_full_disk_is_told(tmp_path):
     program = (
         "import resource, signal, sys, numpy as np\n"

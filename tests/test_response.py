@@ -134,6 +134,7 @@ def test_agrees_with_matrix_exponentials(quantity, chain):
         np.testing.assert_allclose(heard[i], expected, atol=2e-8 * np.abs(expected).max(), rtol=0)
 
 
+@pytest.mark.long
 def test_force_through_the_chain_agrees_with_matrix_exponentials():
     some, onset = impacts(2, seed=9), np.array([4.2, 5.5]) / RATE
     heard = frames_of(
@@ -145,6 +146,7 @@ def test_force_through_the_chain_agrees_with_matrix_exponentials():
         np.testing.assert_allclose(heard[i], expected, atol=2e-8 * np.abs(expected).max(), rtol=0)
 
 
+@pytest.mark.long
 def test_a_hundred_blows_of_a_scene_are_within_1e_4_of_the_truth():
     some, modes = impacts(100, seed=11), some_modes(6, seed=5)
     participation = np.random.default_rng(7).normal(size=(100, 6)) / 100

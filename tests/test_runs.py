@@ -75,7 +75,7 @@ def path(tmp_path):
 # ---- killed ----------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("kills", few([4, 12]))
+@pytest.mark.parametrize("kills", few([2, 12]))
 def test_killed_runs_go_on_to_the_same_bytes(kills):
     """The short form of the benchmark, in a process of its own: it forks."""
     command = [sys.executable, "benchmarks/kills.py", "--kills", str(kills), "--with-workers", "0"]
@@ -100,6 +100,7 @@ def test_a_stopped_run_goes_on_to_the_same_bytes(whole, path, make, older):
     assert [left.name for left in path.parent.iterdir()] == ["data"]
 
 
+@pytest.mark.long
 def test_ctrl_c_with_two_workers_and_on(whole, path):
     def interrupt(_):
         raise KeyboardInterrupt

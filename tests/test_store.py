@@ -424,6 +424,7 @@ def test_shard_of_another_frame(folder, tiny):
 # ---- damage ----------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.long
 def test_a_flipped_bit_is_found_or_harmless(tiny, tmp_path):
     expected, content = columns(tiny), tiny.read_bytes()
     rng, path, found = random.Random(2018), tmp_path / "flipped.h5", 0

@@ -422,6 +422,7 @@ def _toml(content):
     return "".join(f"{key} = {value(part)}\n" for key, part in content.items())
 
 
+@pytest.mark.long
 @pytest.mark.filterwarnings("ignore::cgid.impact.ThinPlateWarning")
 @pytest.mark.parametrize(("law", "restitution"), few(itertools.product(["exact", "lankarani-nikravesh"], [0.05, 1.0])))
 def test_the_hardest_impact_allowed_on_a_plate_can_be_followed(restitution, law):

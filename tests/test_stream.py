@@ -373,6 +373,7 @@ def beam(**changes):
     return on_beam(x, "1.2 m", thickness="40 mm", **changes)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("sensor", [ACCELERATION, {"quantity": "velocity"}, {"mounting": {"frequency": "3 kHz"}}])
 def test_the_ringing_of_every_impact_goes_on_through_the_recording(sensor):
     # Over several stretches, of which each ringing passes the end.

@@ -8,6 +8,7 @@ import pytest
 from benchmarks.streamed_training import made, trained_within
 
 
+@pytest.mark.long
 @pytest.mark.skipif(sys.platform != "linux", reason="only Linux limits and tells the memory of a process so")
 def test_training_takes_no_more_memory_for_more_signals(tmp_path: Path) -> None:
     n_signals, room = 16_384, 36 * 10**6

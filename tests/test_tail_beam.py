@@ -174,6 +174,7 @@ def test_square_clamped_plate_to_five_digits():
     np.testing.assert_allclose(parameters, [35.985, 73.394, 73.394, 108.22], rtol=4e-5)
 
 
+@pytest.mark.long
 def test_a_narrow_cantilever_is_a_beam():
     """Euler and Bernoulli, `omega = b^2 sqrt(E I / (rho A)) / l^2`: Poisson's ratio lets a narrow strip curl freely."""
     beam = beam_of("cantilever", length=1.0, width=0.01, thickness=0.001)
@@ -189,6 +190,7 @@ def test_no_poisson_ratio_makes_a_strip_of_any_width_a_beam():
     assert beam.modes(30.0).frequency[0] == pytest.approx(expected, rel=1e-9)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("edges", "ribs", "highest", "frequency_error", "shape_error"),
     [
