@@ -445,6 +445,18 @@ CASES = (
     Case("key of many parts", ("check", "dotted.toml"), 65, ("line 1", "at most 16 parts")),
     Case("many keys", ("check", "keys.toml"), 65, ("keys.toml", "at most 100000 keys and tables")),
     Case("key of several lines", ("check", "line.toml"), 65, ("line.toml: 'a\\nbccc", "...: unknown key")),
+    Case(
+        "model is a device",
+        ("predict", "whole.npy", "--rate", "2e5", "--unit", "N", "--model", "/dev/zero"),
+        65,
+        ("regular file",),
+    ),
+    Case(
+        "training for ever",
+        ("train", "reference", "-o", "new.npz", "-n", "99999999999999"),
+        65,
+        ("signals", "1000000000"),
+    ),
     Case("scene is a device", ("check", "/dev/null"), 65, ("/dev/null", "scene file must be a regular file")),
     Case("three errors at once", ("check", "three.toml"), 65, ("youngs_modulus", "jittter", "sensor.noise")),
     Case("missing scene", ("generate", "none.toml", "-o", "new.h5"), 66, ("none.toml",)),

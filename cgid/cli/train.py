@@ -8,6 +8,7 @@ from typing import Any
 
 import click
 
+from cgid import validation
 from cgid.cli.options import PATH, crew_options, print_json, progress_bar, require_one_crew, say_error
 from cgid.cli.saying import say
 from cgid.errors import CgidError, InvalidValue
@@ -292,7 +293,9 @@ def _batches(data: list[str], n_signals: int, seed: int) -> Iterator[Any]:
     for item in data:
         if Path(item).suffix == ".toml" or (item in shipped.SCENES and not Path(item).exists()):
             from cgid.scene import load_scene, synthesise
+            from cgid.scene.generation import MOST_SIGNALS
 
+            validation.whole("signals", n_signals, 1, MOST_SIGNALS)
             yield from synthesise(load_scene(shipped.scene_path(item)), n_signals, seed)
         else:
             yield from Dataset(item).batches(check_sums=True)

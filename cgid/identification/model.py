@@ -18,9 +18,10 @@ from numpy.typing import NDArray
 
 from cgid import validation
 from cgid.equalisation import Equalisation
-from cgid.errors import BadData, InvalidValue, NoInput
+from cgid.errors import BadData, InvalidValue
 from cgid.features import kind_of
 from cgid.features.feature import Kind
+from cgid.files import read_regular
 from cgid.identification.archive import arrays_of
 from cgid.identification.conformal import Conformal
 from cgid.identification.families import BY_NAME, Family
@@ -381,16 +382,8 @@ class Model:
         BadData
             It is no model, damaged, of another version, or would misbehave.
         """
+        content = read_regular(path, "the model", LARGEST_FILE, "give a file made by cgid train")
         try:
-            with Path(path).open("rb") as stream:
-                content = stream.read(LARGEST_FILE + 1)
-        except OSError as error:
-            raise NoInput(
-                f"{path}: the model cannot be read ({error.strerror}); give a file made by cgid train"
-            ) from None
-        try:
-            if len(content) > LARGEST_FILE:
-                raise BadData(f"it must be at most {LARGEST_FILE >> 20} MiB, it is larger")
             return cls.from_bytes(content)
         except NewerSchema as error:
             raise NewerSchema(f"{path}: {error}") from None
