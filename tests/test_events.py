@@ -240,6 +240,7 @@ def test_a_million_samples_with_two_thousand_blows():
     st.sampled_from([0.0, 2e-5, DEAD_TIME, 1e300]),
 )
 @example(np.array([3e38, -3e38, 0, 3e38], np.float32), DEAD_TIME)
+@example(np.array([0, -2e38, -2e38, -2e38], np.float32), 0.0)
 def test_any_finite_recording_is_cut_or_refused(samples, dead_time):
     try:
         events = find_impacts(recording(samples), dead_time=dead_time)

@@ -112,7 +112,7 @@ def _found(signal: Signal, kind: ImpactKind, dead_time: float | None) -> list[Ev
 
 def _high_ones(signal: Signal, found: list[Event]) -> list[Event]:
     """Leave out the pulses that are low beside the highest: what a struck body does after one may look like them."""
-    middle = float(np.median(signal.samples))
+    middle = float(np.median(signal.samples.astype(np.float64)))  # the sum of two float32 may be beyond all of them
     heights = [float(signal.samples[event.onset : event.end].max()) - middle for event in found]
     least = THRESHOLD_OVER_PEAK * max(heights)
     return [event for event, height in zip(found, heights, strict=True) if height > least]
