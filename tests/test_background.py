@@ -94,6 +94,7 @@ def require_spectrum(samples):
     assert density[frequency < 20].max() < 1e-3 and density[frequency > 4060].max() < 1e-6
 
 
+@pytest.mark.long
 def test_the_spectrum_of_a_recording_is_the_asked_one():
     samples = recorded({"coloured": COLOURED})
     require_spectrum(samples)

@@ -737,6 +737,7 @@ def test_the_strongest_run_is_taken_above_the_offset():
         assert moved == pytest.approx(found, rel=1e-9)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("e", "contact"), few([(0.5, 60), (0.8, 200), (0.5, 200), (0.8, 60)], 2))
 def test_in_much_noise_the_search_ends_where_it_does_from_the_truth(contact, e):
     """10 dB. Two pulses are one where their curves are closer than a standard deviation of the noise in all."""

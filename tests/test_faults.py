@@ -309,6 +309,7 @@ def _mounted(folder, options):
     return around
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("options", "code", "says"), [("size=256k", 74, "No space left"), ("ro", 73, "Read-only")])
 def test_a_real_disk_that_is_full_or_read_only(tmp_path, options, code, says):
     around = _mounted(tmp_path, options)

@@ -641,6 +641,7 @@ def test_memory_is_bounded_by_samples_not_by_rows(monkeypatch):
     assert np.array_equal(found[:4], extract_array(samples[:4], 2e5, pre_trigger=250))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("n", few([60, 300]))
 def test_junk_is_measured_or_refused(n):
     junk = given(JUNK, st.one_of(st.none(), st.integers(0, 5)), st.booleans())

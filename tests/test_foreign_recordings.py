@@ -766,6 +766,7 @@ def test_uff_that_is_no_recording_is_refused(tmp_path):
     assert read(path, sampling_rate=1.0)[1].tolist() == [[-1, 58, 3]]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("binary", [0, 1])
 def test_uff_cut_anywhere_is_refused_or_whole(tmp_path, binary):
     path = write_uff(tmp_path / "cut.uff", SAMPLES[:2, :500], binary=binary)
@@ -983,6 +984,7 @@ def _write_long(kind, path, samples):
         write_uff(path, samples[:1], binary=1)
 
 
+@pytest.mark.long
 @pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="only Linux says the peak memory of a program")
 @pytest.mark.parametrize("kind", few(["hdf5", "mat", "mat packed", "tdms", "one chunk", "uff", "parquet"], 5))
 def test_memory_does_not_grow_with_the_recording(tmp_path, kind):

@@ -85,6 +85,7 @@ def test_a_file_cut_off_is_refused_or_warned_of(specimen, tmp_path):
         assert np.array_equal(found, whole[: len(found), : found.shape[1]]), place
 
 
+@pytest.mark.long
 @pytest.mark.filterwarnings("ignore")
 @pytest.mark.parametrize("n", few([21, 63]))
 def test_damaged_files_are_never_more_than_refused(tmp_path, monkeypatch, n):

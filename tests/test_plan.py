@@ -703,6 +703,7 @@ def test_a_stream_makes_recordings_and_nothing_else() -> None:
         plan(scene_of(), ["recordings"])
 
 
+@pytest.mark.long
 def test_default_features_are_those_of_a_model_of_what_is_felt(tmp_path: Path) -> None:
     path = tmp_path / "t.csv"
     assert run(["generate", "plate", "--features-only", "-n", "20", "-o", str(path)]) == 0

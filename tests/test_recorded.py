@@ -324,6 +324,7 @@ def test_many_recordings_of_one_blow_each_are_groups(n_rare: int) -> None:
         assert set(labels[~fold]) == {"a", "b"}
 
 
+@pytest.mark.long
 def test_few_rows_of_each_label_are_folds_enough() -> None:
     labels, group = np.repeat(["a", "b"], 12), np.arange(24)
     rows = rows_of(labels, group, np.random.default_rng(3).normal(size=(24, 3)) + 5.0 * (labels == "a")[:, None])

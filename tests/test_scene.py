@@ -413,7 +413,7 @@ def few_signals(scene):
     return record(scene)[0].samples
 
 
-@pytest.mark.parametrize("n", few([100, 600]))
+@pytest.mark.parametrize("n", few([300, 600]))
 def test_damaged_scenes_give_errors_with_a_message_or_finite_signals(n):
     """Random deletions and replacements in the shipped scenes: no other exception, no warning, no nan."""
     rng = random.Random(20181)

@@ -265,6 +265,7 @@ def test_too_few_and_too_many_signals():
         builder.add(batch(0, 2))
 
 
+@pytest.mark.long
 def test_an_unfinished_shard_is_closed_before_the_interpreter_ends():
     """HDF5 writes when it closes, and crashes if the memory and what writes to it are gone by then."""
     script = (

@@ -183,6 +183,7 @@ def test_what_unpacks_is_not_installed(made, tmp_path):
     assert "need hdf5plugin, which is not installed: pip install 'cgid[compression]'" in done.stderr
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("compression", ["gzip", "zstd", "blosc2"])
 def test_long_frames_without_noise_are_read_however_little_is_left_of_them(tmp_path, compression):
     scene = parse_scene({**json.loads(scene_of(1 << 16).text), "sensor": {}})

@@ -359,6 +359,7 @@ def test_scenes_without_them_have_no_more_parameters_than_before():
 # ---- thin plates -----------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("dissipation", ["elastic", "hunt-crossley"])
 def test_a_target_with_a_thickness_is_a_thin_plate(dissipation):
     elastic = dissipation == "elastic"
