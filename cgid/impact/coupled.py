@@ -183,7 +183,8 @@ class ModalImpact(Impact):
         return solve(
             frequency,
             damping_ratio,
-            np.ascontiguousarray(compliance.reshape(size, frequency.size)),
+            # A copy, for of an array that is read only the kernel would be compiled once more.
+            np.array(compliance.reshape(size, frequency.size), order="C"),
             rigid.material_restitution,
             rigid.damping,
             rigid.weight,

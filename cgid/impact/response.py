@@ -282,7 +282,7 @@ class Response:
         order = np.lexsort((start, rows))
         begin = np.searchsorted(rows[order], np.arange(len(frames) + 1))
         hop = np.ascontiguousarray(self._rung[:, chosen, _TABLE])
-        table = self._rung[:, chosen, :_TABLE].astype(frames.dtype)
+        table = np.ascontiguousarray(self._rung[:, chosen, :_TABLE], frames.dtype)
 
         def run(part: NDArray[np.intp]) -> int:
             some = slice(part[0], part[-1] + 1)
@@ -303,8 +303,9 @@ class Response:
         polynomials = np.zeros((strides.size, strides[-1], self._n_polynomials))
         for level, stride in enumerate(strides.tolist()):
             polynomials[level, :stride] = levels[level].polynomials
-        shares = np.stack([level.shares[:, :, chosen] for level in levels])
-        return polynomials, shares, np.stack([level.edge[:, chosen] for level in levels])
+        # In one layout, for each of which the kernel would be compiled.
+        shares = np.ascontiguousarray(np.stack([level.shares[:, :, chosen] for level in levels]))
+        return polynomials, shares, np.ascontiguousarray(np.stack([level.edge[:, chosen] for level in levels]))
 
     @cached_property
     def _rung(self) -> Floats:
