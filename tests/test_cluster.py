@@ -72,6 +72,7 @@ def sums(folder: Path) -> dict[str, str]:
 # ---- the same results ------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.long
 def test_a_dataset_is_the_same_whoever_makes_it(
     reference_scene: Scene, address: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

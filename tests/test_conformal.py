@@ -197,6 +197,7 @@ def test_impossible_shares_are_refused(test_share: float, share: float) -> None:
 # -- what is reported -------------------------------------------------------------------------------------
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("family", ["logistic", "boosting", "network"])
 def test_held_out_impacts_are_covered_as_promised(family: str, trained: Trained) -> None:
     training = trained[family]

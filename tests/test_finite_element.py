@@ -199,6 +199,7 @@ def test_slow_twin_keeps_its_energy(twins):
     assert energy[0] == pytest.approx(0.5 * VOLUME * 1380 * 10.0**2, rel=1e-9)
 
 
+@pytest.mark.long
 def test_explicit_steps_go_where_the_slow_twin_goes(twins):
     history, course, mass = twins.histories[1], twins.course, VOLUME * 1380
     pairs = {

@@ -58,6 +58,7 @@ def test_estimator_passes_scikit_learns_own_checks(family: str) -> None:
     assert sum(r["status"] == "passed" for r in results) > 40
 
 
+@pytest.mark.long
 def test_probabilities_are_calibrated_where_the_family_is_overconfident() -> None:
     generator = np.random.default_rng(1)
     signal = generator.normal(size=4000)

@@ -309,6 +309,7 @@ SCENES = {
 }
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", SCENES)
 def test_features_without_frames_are_those_of_stored_frames(name: str) -> None:
     scene = SCENES[name]

@@ -242,6 +242,7 @@ def test_the_restitution_of_a_viscoelastic_sphere_is_read_off_too_high(solved):
     assert not found.of_family.any()
 
 
+@pytest.mark.long
 def test_elastic_impacts_are_of_the_family(solved):
     """So it is the law of the loss that the family does not know, and not the contact of two bodies."""
     history = run(solved, 0, elements=7, method="explicit")
