@@ -304,13 +304,14 @@ def _loop(name: str) -> Any:
     return getattr(_elementary, name)
 
 
-def _evaluate(name: str, formula: Any, x: Floats) -> Floats:
+def _evaluate(name: str, formula: Any, *given: Floats) -> Floats:
+    """Return the values of a function of arrays of one shape, by its compiled loop or by numpy."""
     loop = _loop(name)
     if loop is None:
         with np.errstate(all="ignore"):
-            return np.asarray(formula(x))
-    out = np.empty(x.shape)
-    loop(np.ascontiguousarray(x).ravel(), out.ravel())
+            return np.asarray(formula(*given))
+    out = np.empty(given[0].shape)
+    loop(*(np.ascontiguousarray(values).ravel() for values in given), out.ravel())
     return out
 
 
@@ -362,14 +363,7 @@ def power(x: ArrayLike, y: ArrayLike) -> Floats:
         # 0 and infinity have powers of their own kind, which no library rounds.
         ends = np.where((x == 0) == (y > 0), 0.0, np.inf)
         outside = np.where(x < 0, np.nan, np.where(y == 0, 1.0, np.where(np.isnan(x + y), np.nan, ends)))
-    loop, base = _loop("power_loop"), np.where(inside, x, 1.0)
-    if loop is None:
-        with np.errstate(all="ignore"):
-            value = np.asarray(power_of(base, y))
-    else:
-        value = np.empty(x.shape)
-        loop(np.ascontiguousarray(base).ravel(), np.ascontiguousarray(y).ravel(), value.ravel())
-    return np.where(inside, value, outside)
+    return np.where(inside, _evaluate("power_loop", power_of, np.where(inside, x, 1.0), y), outside)
 
 
 def sincos(x: ArrayLike) -> tuple[Floats, Floats]:
@@ -438,19 +432,16 @@ def normal_quantile(probability: ArrayLike) -> Floats:
     >>> float(normal_quantile(0.5)), round(float(normal_quantile(0.975)), 12)
     (0.0, 1.95996398454)
     """
-    (p,) = _arrays(probability)
-    loop = _loop("normal_quantile_loop")
-    if loop is not None:
-        out = np.empty(p.shape)
-        loop(np.ascontiguousarray(p).ravel(), out.ravel())
-        return out
+    return _evaluate("normal_quantile_loop", _normal_quantile, *_arrays(probability))
+
+
+def _normal_quantile(p: Floats) -> Floats:
     q = p - 0.5
     r = np.sqrt(-log(np.where(q < 0, p, 1 - p)))
-    middle, far = np.abs(q) <= 0.425, r > 5.0
-    with np.errstate(invalid="ignore"):
-        tail = np.where(far, normal_ratio(2, r - 5.0), normal_ratio(1, r - 1.6))
-        inside = q * normal_ratio(0, np.where(middle, 0.180625 - q * q, 0.0))
-        tail = np.where(r == np.inf, np.inf, tail)
+    tail = np.where(r > 5.0, normal_ratio(2, r - 5.0), normal_ratio(1, r - 1.6))
+    tail = np.where(r == np.inf, np.inf, tail)
+    middle = np.abs(q) <= 0.425
+    inside = q * normal_ratio(0, np.where(middle, 0.180625 - q * q, 0.0))
     return np.where(middle, inside, np.where(q < 0, -tail, tail))
 
 
