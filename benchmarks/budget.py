@@ -17,10 +17,10 @@ from pathlib import Path
 import numpy as np
 
 from cgid import shipped
-from cgid.features import FEATURES, choose, extract_array
-from cgid.filters import fft_filter
 from cgid.identification.model import Model
-from cgid.impact import HertzRangeWarning
+from cgid.measure.features import FEATURES, choose, extract_array
+from cgid.measure.filters import fft_filter
+from cgid.physics import HertzRangeWarning
 from cgid.scene import generate, load_scene
 from cgid.scene.noise import add_noise
 from cgid.scene.plan import plan

@@ -50,7 +50,8 @@ from finite_element_cost import against_elements, methods, peers, print_alone, w
 from finite_element_low_pass import low_pass
 from threadpoolctl import threadpool_limits
 
-from cgid.impact import (
+from cgid.finite_element import History
+from cgid.physics import (
     HertzRangeWarning,
     HuntCrossley,
     Impact,
@@ -58,7 +59,6 @@ from cgid.impact import (
     damping_number,
     delivered_restitution,
 )
-from cgid.impact.finite_element import History
 from cgid.validation import Floats
 
 Options = argparse.Namespace

@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from cgid.impact import Elastic, HalfSpace, Impact, Sphere
-from cgid.impact.finite_element import ElasticPlate, FiniteElementImpact, History, PenaltyContact
-from cgid.materials import STEEL, YANG2018_SPHERES
+from cgid.finite_element import ElasticPlate, FiniteElementImpact, History, PenaltyContact
+from cgid.physics import Elastic, HalfSpace, Impact, Sphere
+from cgid.physics.materials import STEEL, YANG2018_SPHERES
 from cgid.validation import Floats
 
 RADIUS, THICKNESS, PLATE_RADIUS = 0.025, 0.008, 0.229

@@ -19,13 +19,13 @@ import numpy as np
 from finite_element_cases import CORNERS, impact, peaks, percent, row, solved, table
 from finite_element_peers import by_scikit_fem, by_scipy
 
-from cgid.impact.finite_element import _stepping, elasticity
-from cgid.impact.finite_element import explicit as stepping
-from cgid.impact.finite_element.elasticity import body, highest_frequency
-from cgid.impact.finite_element.explicit import stable_time_step
-from cgid.impact.finite_element.pair import Pair
-from cgid.impact.finite_element.records import N_VALUES
-from cgid.materials import STEEL, YANG2018_SPHERES
+from cgid.finite_element import _stepping, elasticity
+from cgid.finite_element import explicit as stepping
+from cgid.finite_element.elasticity import body, highest_frequency
+from cgid.finite_element.explicit import stable_time_step
+from cgid.finite_element.pair import Pair
+from cgid.finite_element.records import N_VALUES
+from cgid.physics.materials import STEEL, YANG2018_SPHERES
 from cgid.validation import Floats
 
 #: Explicit runs of more steps than this are not made beside implicit ones.

@@ -9,9 +9,9 @@ from itertools import pairwise
 import numpy as np
 from finite_element_rocks import FAMILY, FINITE_ELEMENTS, VISCOELASTIC, extreme_rocks, solved_again
 
-from cgid.estimation.template import curve
 from cgid.identification.estimation import Estimates, estimate
-from cgid.impact.sampled import SampledPulses, smoothed
+from cgid.measure.estimation.template import curve
+from cgid.physics.sampled import SampledPulses, smoothed
 from cgid.scene.solved import SolvedImpacts
 
 #: Classes of restitution in the tables of shape.

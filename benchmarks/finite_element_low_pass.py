@@ -12,9 +12,9 @@ from scipy import sparse
 from scipy.sparse import linalg
 
 from cgid.files import write_whole
-from cgid.filters import fft_filter
-from cgid.impact.finite_element import History
-from cgid.impact.finite_element.elasticity import Body
+from cgid.finite_element import History
+from cgid.finite_element.elasticity import Body
+from cgid.measure.filters import fft_filter
 from cgid.plots import COLOURS, png, require_matplotlib
 from cgid.validation import Floats
 

@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 from scipy import sparse
 
-from cgid.impact.finite_element.elasticity import Body
-from cgid.impact.finite_element.mesh import Mesh
-from cgid.materials import Material
+from cgid.finite_element.elasticity import Body
+from cgid.finite_element.mesh import Mesh
+from cgid.physics.materials import Material
 from cgid.validation import Floats
 
 

@@ -8,10 +8,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from cgid.impact import Elastic, HalfSpace, HuntCrossley, Impact, Sphere, Viscoelastic, dissipative_constant
-from cgid.impact.finite_element import ElasticPlate, FiniteElementImpact, History
-from cgid.impact.sampled import SampledPulses, shares_of_contact, smoothed
-from cgid.materials import STEEL, Material
+from cgid.finite_element import ElasticPlate, FiniteElementImpact, History
+from cgid.physics import Elastic, HalfSpace, HuntCrossley, Impact, Sphere, Viscoelastic, dissipative_constant
+from cgid.physics.materials import STEEL, Material
+from cgid.physics.sampled import SampledPulses, shares_of_contact, smoothed
 from cgid.scene import Scene
 from cgid.scene.solved import SolvedImpacts
 

@@ -15,8 +15,8 @@ from pathlib import Path
 
 START = """
 import numpy as np
-from cgid.impact import *
-from cgid.materials import STEEL, YANG2018_SPHERES
+from cgid.physics import *
+from cgid.physics.materials import STEEL, YANG2018_SPHERES
 def impact(loss, n):
     ball = Sphere(material=YANG2018_SPHERES[1], radius=0.025)
     speed = np.linspace(1, 5, n)

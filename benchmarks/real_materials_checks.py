@@ -24,12 +24,12 @@ from numpy.typing import NDArray
 from real_materials import CHANNELS, REAL, SETS, answers, material, measured, recordings
 from scipy import ndimage, signal
 
-from cgid.equalisation import Equalisation
-from cgid.features import FEATURES, extract_array, supported
 from cgid.identification.classifier import ImpactClassifier
 from cgid.identification.recorded.feature_sets import union_of
 from cgid.identification.recorded.measuring import Recorded
 from cgid.identification.reference import MeanSpectrum
+from cgid.measure.equalisation import Equalisation
+from cgid.measure.features import FEATURES, extract_array, supported
 from cgid.recordings import read_recording
 from cgid.validation import Floats
 

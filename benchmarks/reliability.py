@@ -14,11 +14,11 @@ from pathlib import Path
 import numpy as np
 
 from cgid import shipped
-from cgid.features import extract_array
 from cgid.identification.answers import identify, identify_frames, suited
 from cgid.identification.card import table
 from cgid.identification.metrics import evaluate
 from cgid.identification.model import Model
+from cgid.measure.features import extract_array
 from cgid.recordings import read_recording
 from cgid.scene import load_scene, synthesise
 

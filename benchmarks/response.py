@@ -34,10 +34,10 @@ from threadpoolctl import threadpool_limits
 
 from cgid import shipped
 from cgid.counting import counted
-from cgid.impact import HertzRangeWarning, HuntCrossley, Impact, ModalImpact, Sphere, ThinPlateWarning
-from cgid.impact.driving import windows_of
-from cgid.impact.response import Response
-from cgid.materials import Material
+from cgid.physics import HertzRangeWarning, HuntCrossley, Impact, ModalImpact, Sphere, ThinPlateWarning
+from cgid.physics.driving import windows_of
+from cgid.physics.materials import Material
+from cgid.physics.response import Response
 from cgid.scene import Scene, load_scene, synthesise
 from cgid.scene.population import draw
 from cgid.scene.randomness import BLOCK

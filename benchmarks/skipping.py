@@ -21,10 +21,10 @@ from numpy.typing import NDArray
 
 from cgid import shipped
 from cgid.counting import counted
-from cgid.features import FEATURES, extract_array
-from cgid.filters import fft_filter
 from cgid.identification.measuring import DEFAULT_FEATURES
-from cgid.impact.driving import windows_of
+from cgid.measure.features import FEATURES, extract_array
+from cgid.measure.filters import fft_filter
+from cgid.physics.driving import windows_of
 from cgid.scene import generate, load_scene, synthesise
 from cgid.scene.background import BackgroundSection
 from cgid.scene.background_noise import Background

@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from cgid.impact import (
+from cgid.physics import (
     HalfSpace,
     HertzRangeWarning,
     HuntCrossley,
@@ -29,10 +29,10 @@ from cgid.impact import (
     damping_number,
     delivered_restitution,
 )
-from cgid.impact.bodies import impedance_of_unit_thickness
-from cgid.impact.closed_forms import peak_displacement, peak_force
-from cgid.impact.pulse import HERTZ_LIMIT
-from cgid.materials import Material
+from cgid.physics.bodies import impedance_of_unit_thickness
+from cgid.physics.closed_forms import peak_displacement, peak_force
+from cgid.physics.materials import Material
+from cgid.physics.pulse import HERTZ_LIMIT
 
 BATCH = 2000
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(20)

@@ -27,9 +27,9 @@ from peers import ONSET, SAMPLES, SAMPLING_RATE, Population, available_peers, fr
 
 from cgid import shipped
 from cgid.files import write_whole
-from cgid.impact import HalfSpace, HuntCrossley, Impact, Sphere, _taylor
-from cgid.impact.curves import Curves
-from cgid.materials import STEEL, Material
+from cgid.physics import HalfSpace, HuntCrossley, Impact, Sphere, _taylor
+from cgid.physics.curves import Curves
+from cgid.physics.materials import STEEL, Material
 from cgid.plots import png, require_matplotlib
 from cgid.scene import load_scene
 from cgid.scene.population import draw

@@ -1,14 +1,14 @@
 """The dimensionless damped-Hertz pulse, a one-parameter family: tables and their evaluation in numpy.
 
 `x'' = -x^(3/2) (1 + D x')`, `x(0) = 0`, `x'(0) = 1`: every damped impact is this curve, stretched. The
-parameter here is the restitution e (D and e are two names of one number, `cgid.impact.restitution`).
+parameter here is the restitution e (D and e are two names of one number, `cgid.physics.restitution`).
 
 How a pulse is stored. The contact is cut at `tau_s`, between its largest displacement and its middle.
 With `sigma = sqrt(tau / tau_s)` counted from touch, and `sigma = sqrt((tau_c - tau) / (tau_c - tau_s))`
 counted back from separation, force / sigma^3 and displacement / sigma^2 are smooth and positive: each
 is a polynomial on every one of the segments of sigma. Each coefficient of these, like the times, is in turn
 a polynomial of ln e on every one of the intervals of ln e, so that a pulse needs few of them.
-`cgid.impact.tabulation` makes the table by quadrature to machine precision.
+`cgid.physics.tabulation` makes the table by quadrature to machine precision.
 """
 
 from __future__ import annotations

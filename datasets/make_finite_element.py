@@ -25,17 +25,17 @@ import numpy as np
 from tqdm import tqdm
 
 from cgid import validation
-from cgid.cluster import workers
 from cgid.errors import BadData, CgidError
 from cgid.files import write_whole
-from cgid.impact import Elastic, HalfSpace, HertzRangeWarning, Impact, Sphere, dissipative_constant
-from cgid.impact.bodies import sphere_share
-from cgid.impact.finite_element import ElasticPlate, FiniteElementImpact, History
-from cgid.impact.sampled import SampledPulses, shares_of_contact, smoothed
-from cgid.materials import STEEL, Material
+from cgid.finite_element import ElasticPlate, FiniteElementImpact, History
+from cgid.physics import Elastic, HalfSpace, HertzRangeWarning, Impact, Sphere, dissipative_constant
+from cgid.physics.bodies import sphere_share
+from cgid.physics.materials import STEEL, Material
+from cgid.physics.sampled import SampledPulses, shares_of_contact, smoothed
 from cgid.scene import load_scene
 from cgid.scene.population import draw
 from cgid.scene.solved import MAKING, PARAMETERS, SolvedImpacts
+from cgid.workers import workers
 
 HERE = Path(__file__).parent
 RADIUS = 1.0

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from cgid.impact import Impact
+from cgid.physics import Impact
 from cgid.scene import load_scene
 from cgid.scene.population import draw
 

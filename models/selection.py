@@ -10,11 +10,11 @@ import argparse
 import sys
 
 from cgid import shipped
-from cgid.cluster import workers
 from cgid.identification.card import selection_table
 from cgid.identification.measuring import measure
 from cgid.identification.selection import MARGIN, SUPPORT_VECTOR_IMPACTS, select
 from cgid.scene import load_scene, synthesise
+from cgid.workers import workers
 
 
 def main() -> None:

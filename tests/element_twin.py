@@ -1,6 +1,6 @@
 """A slow twin of the finite elements: axisymmetric quadrilaterals by Lame's energy, entry by entry.
 
-Nothing of `cgid.impact.finite_element` is used. The strain is a 3 x 3 tensor, its energy `lambda/2 tr^2 + mu e:e`, and
+Nothing of `cgid.finite_element` is used. The strain is a 3 x 3 tensor, its energy `lambda/2 tr^2 + mu e:e`, and
 an entry of the stiffness is what two displacements store together more than apart. The shape functions are found by
 solving for them, not written down.
 """
@@ -11,7 +11,7 @@ import itertools
 
 import numpy as np
 
-from cgid.materials import Material
+from cgid.physics.materials import Material
 
 #: Corners of the reference square.
 _PLACE = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from cgid.impact import Sphere
-from cgid.impact.finite_element import ElasticPlate, FiniteElementImpact
-from cgid.materials import STEEL, YANG2018_RADIUS, YANG2018_SPHERES, Material
+from cgid.finite_element import ElasticPlate, FiniteElementImpact
+from cgid.physics import Sphere
+from cgid.physics.materials import STEEL, YANG2018_RADIUS, YANG2018_SPHERES, Material
 
 RADIUS = YANG2018_RADIUS
 VOLUME = 4 / 3 * np.pi * RADIUS**3

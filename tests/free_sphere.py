@@ -14,7 +14,7 @@ import numpy as np
 from scipy.optimize import brentq
 from scipy.special import spherical_jn
 
-from cgid.impact import Sphere
+from cgid.physics import Sphere
 
 #: Steps of y in which roots are sought: far less than their distance.
 _STEP = 0.01

@@ -1,6 +1,6 @@
 """A slow twin of the finite-element impact: the same bodies moved by another's integrator, another's contact.
 
-Matrices come from `ElementTwin`; of `cgid.impact.finite_element` only the places of the nodes are used. Nodes that may
+Matrices come from `ElementTwin`; of `cgid.finite_element` only the places of the nodes are used. Nodes that may
 touch have no mass along z: at every moment they are where they rest, by non-negative least squares (scipy). What is
 left is a differential equation, solved in the bodies' natural modes by an eighth order Runge-Kutta method (scipy).
 """

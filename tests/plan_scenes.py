@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from cgid.counting import counted
-from cgid.features import extract_array
+from cgid.measure.features import extract_array
 from cgid.scene import Scene, parse_scene, synthesise
 from cgid.scene.plan import Plan, plan
 from cgid.scene.population import draw

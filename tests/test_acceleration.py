@@ -13,7 +13,6 @@ import pytest
 from cgid import shipped
 from cgid.cli.main import run
 from cgid.errors import BadData, InvalidValue, NoInput
-from cgid.features import FEATURES
 from cgid.identification.answers import identify, identify_frames, suited
 from cgid.identification.card import force_table, write_card
 from cgid.identification.events import VIBRATION_DEAD_TIME, find_impacts
@@ -26,6 +25,7 @@ from cgid.identification.measuring import (
 )
 from cgid.identification.model import Model
 from cgid.identification.training import Training, linear_columns, train
+from cgid.measure.features import FEATURES
 from cgid.signals import STANDARD_GRAVITY, Batch, Signal
 from tests.ringing import N_SAMPLES, PRE_TRIGGER, RATE, damped_sinusoid, ringing_batch
 

@@ -5,8 +5,8 @@ import pytest
 from scipy import signal
 
 from cgid.errors import BadData, CgidError, InvalidValue
-from cgid.impact import HalfSpace, HuntCrossley, Impact, Sphere, free_fall_velocity
-from cgid.materials import STEEL, YANG2018_SPHERES
+from cgid.physics import HalfSpace, HuntCrossley, Impact, Sphere, free_fall_velocity
+from cgid.physics.materials import STEEL, YANG2018_SPHERES
 from cgid.scene import Blow, calibrated, parse_scene, synthesise, varied
 from cgid.signals import STANDARD_GRAVITY, Signal
 

@@ -264,7 +264,7 @@ def test_features_of_a_dataset_are_one_row_a_signal(made: Path, capsys: pytest.C
 
 
 def test_table_of_features_is_printed(capsys: pytest.CaptureFixture[str]) -> None:
-    from cgid.features import FEATURES
+    from cgid.measure.features import FEATURES
 
     assert run(["features", "--list"]) == 0
     assert [line.split("\t")[0] for line in capsys.readouterr().out.splitlines()] == list(FEATURES)

@@ -19,9 +19,8 @@ import numpy as np
 import pytest
 from distributed import Client, LocalCluster
 
-from cgid import cluster
+from cgid import workers as cluster
 from cgid.cli.main import run
-from cgid.cluster import ALONE, Workers, workers
 from cgid.errors import BadData, CannotCreate, ClusterFailed, InvalidValue, MissingExtra
 from cgid.identification.measuring import measure
 from cgid.identification.recorded.grouped import Candidate, Lesson, Rows, choose, final, judge
@@ -31,6 +30,7 @@ from cgid.scene import workers as shards
 from cgid.store import Dataset
 from cgid.store.journal import JOURNAL
 from cgid.validation import positive
+from cgid.workers import ALONE, Workers, workers
 from tests.mortal import fatal
 
 #: Quick to measure, and with a signal's share of the folds that calibrate.

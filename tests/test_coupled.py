@@ -5,7 +5,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from cgid.errors import InvalidValue
-from cgid.impact import (
+from cgid.physics import (
     Elastic,
     HalfSpace,
     HertzRangeWarning,
@@ -17,7 +17,7 @@ from cgid.impact import (
     Viscoelastic,
     modal_curves,
 )
-from cgid.materials import STEEL, YANG2018_SPHERES
+from cgid.physics.materials import STEEL, YANG2018_SPHERES
 from tests import few
 
 COAL = YANG2018_SPHERES[1]

@@ -6,9 +6,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from cgid.errors import BadData, InvalidValue
-from cgid.features import extract_array
 from cgid.identification.detection.detector import ImpactDetector
 from cgid.identification.detection.ringing import onset_in
+from cgid.measure.features import extract_array
 from cgid.recordings import read_recording
 from tests.impact_truth import Stream, caving, score
 from tests.test_features import REAL_SHOCK

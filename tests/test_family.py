@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 
 from cgid import family
-from cgid.impact.quadrature import reference_pulse, time_of_peak
-from cgid.impact.restitution import damping_number
+from cgid.physics.quadrature import reference_pulse, time_of_peak
+from cgid.physics.restitution import damping_number
 from tests import few
 
 

@@ -14,13 +14,13 @@ from scipy import integrate, optimize, signal, stats
 
 from cgid import family
 from cgid.errors import BadData, CgidError, InvalidValue
-from cgid.features import FEATURES as ALL_FEATURES
-from cgid.features import choose, extract, extract_array
-from cgid.frames import MINIMUM_FRAME
 from cgid.identification.events import find_impacts
-from cgid.impact import Elastic, HalfSpace, HuntCrossley, Impact, Sphere
-from cgid.materials import STEEL, YANG2018_SPHERES
-from cgid.pulses import PulseBatch
+from cgid.measure.features import FEATURES as ALL_FEATURES
+from cgid.measure.features import choose, extract, extract_array
+from cgid.measure.frames import MINIMUM_FRAME
+from cgid.measure.pulses import PulseBatch
+from cgid.physics import Elastic, HalfSpace, HuntCrossley, Impact, Sphere
+from cgid.physics.materials import STEEL, YANG2018_SPHERES
 from cgid.recordings import read_recording
 from tests import few, naive
 
@@ -626,7 +626,7 @@ def measured_or_refused(samples, pre_trigger, remove_baseline):
 
 
 def test_memory_is_bounded_by_samples_not_by_rows(monkeypatch):
-    monkeypatch.setattr("cgid.features._SAMPLES", 1 << 16)
+    monkeypatch.setattr("cgid.measure.features._SAMPLES", 1 << 16)
     n_samples, peaks = 1 << 14, []
     times = np.arange(n_samples) / 2e5
     pulse = 9e3 * np.sin(np.pi * np.clip((times - 1.5e-3) / 5e-4, 0, 1)) ** 1.5

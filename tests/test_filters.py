@@ -7,7 +7,7 @@ import pytest
 
 from cgid import family
 from cgid.errors import InvalidValue
-from cgid.filters import fft_filter, filter_gain, low_pass_response, mixing_matrix
+from cgid.measure.filters import fft_filter, filter_gain, low_pass_response, mixing_matrix
 from tests import naive
 
 RATE = 1e6
@@ -170,7 +170,7 @@ def test_sampling_rate_is_above_zero(rate):
         fft_filter(noise(64), rate)
 
 
-# -- what it does to a clean pulse: the numbers in the docstring of cgid.filters --------------------------------
+# -- what it does to a clean pulse: the numbers in the docstring of cgid.measure.filters -------------------------------
 
 
 @pytest.mark.parametrize(

@@ -8,10 +8,10 @@ import pytest
 from scipy import sparse
 from scipy.sparse import linalg
 
-from cgid.impact import Sphere
-from cgid.impact.finite_element import FiniteElementImpact, History
-from cgid.impact.finite_element.elasticity import element_matrices
-from cgid.materials import STEEL, YANG2018_SPHERES
+from cgid.finite_element import FiniteElementImpact, History
+from cgid.finite_element.elasticity import element_matrices
+from cgid.physics import Sphere
+from cgid.physics.materials import STEEL, YANG2018_SPHERES
 from tests.element_twin import ElementTwin, lame, solid_of_revolution
 from tests.finite_element_cases import RADIUS, VOLUME, impact, plate, sphere, velocity_for
 from tests.free_sphere import frequencies, wave_speeds

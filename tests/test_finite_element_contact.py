@@ -6,10 +6,10 @@ from functools import cache
 import numpy as np
 import pytest
 
-from cgid.impact import Sphere, ThinPlate
-from cgid.impact.finite_element import ElasticPlate, PenaltyContact
-from cgid.impact.finite_element.bodies import bulk_modulus
-from cgid.materials import STEEL, YANG2018_SPHERES
+from cgid.finite_element import ElasticPlate, PenaltyContact
+from cgid.finite_element.bodies import bulk_modulus
+from cgid.physics import Sphere, ThinPlate
+from cgid.physics.materials import STEEL, YANG2018_SPHERES
 from tests import few
 from tests.finite_element_cases import RADIUS, VOLUME, impact, plate, velocity_for
 

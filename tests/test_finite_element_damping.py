@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from cgid.errors import CgidError, InvalidValue
-from cgid.impact import HertzRangeWarning, HuntCrossley, Sphere, Viscoelastic, damping_number, delivered_restitution
-from cgid.impact.bodies import sphere_share
-from cgid.impact.finite_element import ElasticPlate, FiniteElementImpact, PenaltyContact
-from cgid.materials import STEEL, Material
+from cgid.finite_element import ElasticPlate, FiniteElementImpact, PenaltyContact
+from cgid.physics import HertzRangeWarning, HuntCrossley, Sphere, Viscoelastic, damping_number, delivered_restitution
+from cgid.physics.bodies import sphere_share
+from cgid.physics.materials import STEEL, Material
 from tests import few
 from tests.finite_element_cases import RADIUS, impact, plate, sphere, velocity_for
 
@@ -296,7 +296,7 @@ def test_runs_repeat_to_the_last_bit():
 @pytest.mark.parametrize("method", ["explicit", "implicit"])
 def test_a_sphere_that_never_leaves_is_told(monkeypatch, method):
     # Two tenths of a contact are not enough for any sphere.
-    monkeypatch.setattr("cgid.impact.finite_element.records.LONGEST", 0.2)
+    monkeypatch.setattr("cgid.finite_element.records.LONGEST", 0.2)
     with pytest.raises(InvalidValue, match=r"must part from the plate, it still touches or nears it after .* s"):
         impact(method=method).run()
 

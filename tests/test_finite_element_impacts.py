@@ -5,8 +5,8 @@ from functools import cache
 
 import pytest
 
-from cgid.filters import fft_filter
-from cgid.impact.bodies import sphere_share
+from cgid.measure.filters import fft_filter
+from cgid.physics.bodies import sphere_share
 from tests import few
 from tests.finite_element_cases import impact, sphere
 from tests.free_sphere import frequencies

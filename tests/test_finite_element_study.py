@@ -10,7 +10,7 @@ import pytest
 
 from cgid.cli.main import run
 from cgid.errors import InvalidValue
-from cgid.filters import fft_filter
+from cgid.measure.filters import fft_filter
 from cgid.reproduction import n_steps, reproduce
 from cgid.reproduction.finite_element import cases, packed, read_study, running, shipped_study, waves
 from cgid.reproduction.finite_element.study import COURSES, NUMBERS

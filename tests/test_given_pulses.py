@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from cgid.errors import InvalidValue
-from cgid.impact import Elastic, HalfSpace, HuntCrossley, Impact, Sphere, Viscoelastic, dissipative_constant
-from cgid.impact.sampled import SampledPulses, shares_of_contact
-from cgid.materials import STEEL, YANG2018_SPHERES
+from cgid.physics import Elastic, HalfSpace, HuntCrossley, Impact, Sphere, Viscoelastic, dissipative_constant
+from cgid.physics.materials import STEEL, YANG2018_SPHERES
+from cgid.physics.sampled import SampledPulses, shares_of_contact
 from cgid.scene import load_scene, synthesise, synthesise_given, varied
 from cgid.scene.population import draw
 

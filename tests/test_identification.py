@@ -21,7 +21,6 @@ from sklearn.neural_network import MLPClassifier
 from sklearn.utils.estimator_checks import check_estimator
 
 from cgid.errors import BadData, CgidError, InvalidValue, MissingOption, NoInput
-from cgid.features import extract_array
 from cgid.identification.answers import identify, identify_frames, suited
 from cgid.identification.card import write_card
 from cgid.identification.classifier import FAMILIES, ImpactClassifier
@@ -33,6 +32,7 @@ from cgid.identification.model import Model
 from cgid.identification.output import check_model_output, write_model
 from cgid.identification.training import Training, hold_out, measure, train
 from cgid.identification.transform import softmax
+from cgid.measure.features import extract_array
 from cgid.scene import Scene, parse_scene, synthesise, varied
 from cgid.signals import STANDARD_GRAVITY, Signal
 from tests import few
@@ -274,7 +274,7 @@ def test_guard_keeps_999_of_1000_of_the_training_and_survives_the_file(reference
 def test_guard_that_is_never_positive_is_refused(reference_scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
     from dataclasses import replace
 
-    from cgid import features
+    from cgid.measure import features
 
     fall = replace(features.FEATURES["tilt"], measure=lambda pulses: -pulses.peak)
     monkeypatch.setitem(features.FEATURES, "tilt", fall)

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from cgid import family
 from cgid.errors import InvalidValue
-from cgid.impact import (
+from cgid.physics import (
     RIGID,
     Elastic,
     HalfSpace,
@@ -29,11 +29,11 @@ from cgid.impact import (
     dispatch,
     free_fall_velocity,
 )
-from cgid.impact.closed_forms import peak_displacement, peak_force
-from cgid.impact.quadrature import reference_pulse
-from cgid.impact.restitution import damping_number
-from cgid.impact.threads import in_threads
-from cgid.materials import COAL, STEEL, YANG2018_RADIUS, YANG2018_SPHERES, Material
+from cgid.physics.closed_forms import peak_displacement, peak_force
+from cgid.physics.materials import COAL, STEEL, YANG2018_RADIUS, YANG2018_SPHERES, Material
+from cgid.physics.quadrature import reference_pulse
+from cgid.physics.restitution import damping_number
+from cgid.physics.threads import in_threads
 
 
 def paper_impact(number=1, velocity=2.0, stiffness="series", dissipation=None, radius=YANG2018_RADIUS):
@@ -773,7 +773,7 @@ def test_the_least_numbers_there_are_make_no_restitution(e, law):
 
 @given(exponents=st.tuples(*(st.floats(-limit, limit) for limit in (170, 110, 200, 300))))
 @settings(max_examples=100, deadline=None, derandomize=True)
-@pytest.mark.filterwarnings("ignore::cgid.impact.HertzRangeWarning")
+@pytest.mark.filterwarnings("ignore::cgid.physics.HertzRangeWarning")
 def test_any_magnitude_is_served_or_refused_without_a_warning(exponents):
     velocity, radius, density, youngs_modulus = (10.0**exponent for exponent in exponents)
     try:
@@ -793,7 +793,7 @@ def test_any_magnitude_is_served_or_refused_without_a_warning(exponents):
 
 @pytest.mark.parametrize("name", MECHANISMS)
 @pytest.mark.parametrize(("radius", "density", "modulus", "velocity"), [(3.0, 1.7, 0.3, 1.9), (0.2, 0.6, 5.0, 0.4)])
-@pytest.mark.filterwarnings("ignore::cgid.impact.HertzRangeWarning")
+@pytest.mark.filterwarnings("ignore::cgid.physics.HertzRangeWarning")
 def test_scaling_all_lengths_densities_moduli_and_speeds_leaves_the_curves(name, radius, density, modulus, velocity):
     """With D, zeta, lambda and gamma held the dimensionless curve is the same, for both bodies scaled alike."""
     before = MECHANISMS[name]

@@ -9,7 +9,7 @@ from scipy.integrate import solve_ivp
 from scipy.special import beta
 
 from cgid.errors import InvalidValue
-from cgid.impact import (
+from cgid.physics import (
     HUNT_CROSSLEY_LAWS,
     RIGID,
     Elastic,
@@ -25,7 +25,7 @@ from cgid.impact import (
     dissipative_constant,
     plate_thickness,
 )
-from cgid.materials import STEEL, YANG2018_SPHERES, Material
+from cgid.physics.materials import STEEL, YANG2018_SPHERES, Material
 from tests import naive
 from tests.test_impact import impulse_by_quadrature
 
@@ -418,7 +418,7 @@ def test_dissipative_constant_gives_the_wanted_restitution():
     assert loss == pytest.approx([1e-6, 1e-9], rel=1e-5)
 
 
-@pytest.mark.filterwarnings("ignore::cgid.impact.ThinPlateWarning")
+@pytest.mark.filterwarnings("ignore::cgid.physics.ThinPlateWarning")
 def test_plate_thickness_gives_the_wanted_restitution():
     on_plate = coal_on(PLATE)
     thickness = plate_thickness(WANTED, on_plate)

@@ -9,7 +9,7 @@ import pytest
 from scipy import signal as scipy_signal
 
 from cgid.errors import BadData, InvalidValue
-from cgid.overview import SPECTROGRAM_COLUMNS, WAVEFORM_COLUMNS, Overview, OverviewStream, segment_length
+from cgid.measure.overview import SPECTROGRAM_COLUMNS, WAVEFORM_COLUMNS, Overview, OverviewStream, segment_length
 
 RATE = 25600.0
 

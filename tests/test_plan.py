@@ -9,20 +9,21 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cgid import beginnings
 from cgid.cli.main import run
 from cgid.counting import count, counted, counting
 from cgid.errors import BadData, CannotCreate, InvalidValue, MissingExtra, NoInput, WriteFailed
-from cgid.features import FEATURES, extract_array
 from cgid.identification.measuring import DEFAULT_VIBRATION_FEATURES
-from cgid.impact import Elastic, HalfSpace, HuntCrossley, Impact, Sphere, _kernels, _taylor, coupled, curves
-from cgid.impact.curves import Curves
-from cgid.impact.modal_curves import ModalCurves
-from cgid.impact.response import Response
-from cgid.impact.tail_beam import TailBeam
-from cgid.materials import STEEL as STEEL_MATERIAL
-from cgid.materials import Material
-from cgid.pulses import PulseBatch
+from cgid.measure import beginnings
+from cgid.measure.features import FEATURES, extract_array
+from cgid.measure.pulses import PulseBatch
+from cgid.measure.vibration import VibrationBatch
+from cgid.physics import Elastic, HalfSpace, HuntCrossley, Impact, Sphere, _kernels, _taylor, coupled, curves
+from cgid.physics.curves import Curves
+from cgid.physics.materials import STEEL as STEEL_MATERIAL
+from cgid.physics.materials import Material
+from cgid.physics.modal_curves import ModalCurves
+from cgid.physics.response import Response
+from cgid.physics.tail_beam import TailBeam
 from cgid.scene import load_scene, response, synthesis, synthesise
 from cgid.scene.costs import Workload
 from cgid.scene.impacts import NEGLIGIBLE_ECHO
@@ -39,7 +40,6 @@ from cgid.scene.tabulation import tabulate
 from cgid.scene.weight import TOLERANCE, weighed
 from cgid.shipped import scene_path
 from cgid.store import Rows, TableHeader, is_table, read_table, table, table_writer
-from cgid.vibration import VibrationBatch
 from tests.plan_scenes import CASES, COUNTED, FIT, IN_TIME, PANEL, SECOND, TAP, Case, beam_of, named, scene_of, uniform
 
 N = COUNTED

@@ -15,7 +15,7 @@ from scipy import signal as scipy_signal
 
 from cgid import shipped
 from cgid.cli.main import run
-from cgid.overview import OverviewStream
+from cgid.measure.overview import OverviewStream
 from cgid.plots import COLOURS, FORMATS, Mark, overview_figure, picture, share_figure
 from cgid.plots.figure import NEUTRAL
 from cgid.recordings import Channel

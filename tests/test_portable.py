@@ -147,14 +147,13 @@ def test_each_setting_by_itself(environment: dict[str, str]) -> None:
     assert made("shipped", **environment) == DIGESTS["shipped"]
 
 
-#: Modules below `cgid/impact` and `cgid/scene` whose results are in no stored signal, and why.
+#: Modules below `cgid/physics` and `cgid/scene` whose results are in no stored signal, and why.
 _NOT_STORED = {
-    "impact/finite_element": "a simulation, whose results are a file of their own",
-    "impact/inverse.py": "seeks a loss for the user",
-    "impact/quadrature.py": "made the table of the family once",
-    "impact/tabulation.py": "made the table of the family once",
-    "impact/sensitivity.py": "derivatives for the user",
-    "impact/tail_beam/frequency_response.py": "a picture",
+    "physics/inverse.py": "seeks a loss for the user",
+    "physics/quadrature.py": "made the table of the family once",
+    "physics/tabulation.py": "made the table of the family once",
+    "physics/sensitivity.py": "derivatives for the user",
+    "physics/tail_beam/frequency_response.py": "a picture",
     "scene/calibration": "from a recording to a scene",
     "scene/costs.py": "an estimate of time",
     "scene/stream/expected.py": "an estimate of how much there is",
@@ -190,14 +189,14 @@ def _dependent(path: Path) -> list[str]:
 
 #: What is left in these modules, and why it does no harm.
 _HARMLESS = {
-    "impact/sampled.py: lstsq": "smooths a solver's course, which is stored as numbers",
-    "impact/sampled.py: @": "an impulse for the user",
-    "impact/sampled.py: leggauss": "an impulse for the user",
+    "physics/sampled.py: lstsq": "smooths a solver's course, which is stored as numbers",
+    "physics/sampled.py: @": "an impulse for the user",
+    "physics/sampled.py: leggauss": "an impulse for the user",
 }
 
 
 def test_no_function_of_a_library_is_on_the_way_to_a_stored_signal() -> None:
     package = ROOT / "cgid"
-    kept = [package / "family.py", *(package / "impact").rglob("*.py"), *(package / "scene").rglob("*.py")]
+    kept = [package / "family.py", *(package / "physics").rglob("*.py"), *(package / "scene").rglob("*.py")]
     looked_at = [path for path in kept if not any(str(path).startswith(str(package / name)) for name in _NOT_STORED)]
     assert {line for path in looked_at for line in _dependent(path)} == set(_HARMLESS)

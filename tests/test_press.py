@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.optimize import nnls
 
-from cgid.impact.finite_element._stepping import press
+from cgid.finite_element._stepping import press
 
 
 def pressed(compliance, gap, touching):

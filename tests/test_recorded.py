@@ -18,11 +18,9 @@ from scipy.io import wavfile
 from sklearn.discriminant_analysis import LinearDiscriminantAnalysis
 
 from cgid import shipped
-from cgid.bands import MEL_BANDS
 from cgid.cli.main import run
 from cgid.cli.train import _say
 from cgid.errors import BadData, InvalidValue, NoInput
-from cgid.features import FEATURES, extract_array, supported
 from cgid.identification.answers import identify
 from cgid.identification.card import write_card
 from cgid.identification.classifier import ImpactClassifier
@@ -48,6 +46,8 @@ from cgid.identification.recorded.training import train_recorded
 from cgid.identification.shrunken import ShrunkenDiscriminant
 from cgid.identification.training import train
 from cgid.identification.windows import Grid, RunningVote, measure_windows, windows_of
+from cgid.measure.bands import MEL_BANDS
+from cgid.measure.features import FEATURES, extract_array, supported
 from cgid.scene import Scene, synthesise
 from cgid.signals import Batch, Signal
 

@@ -14,7 +14,7 @@ import pytest
 
 from cgid.cli.main import run
 from cgid.errors import BadData, CannotCreate, InvalidValue, NoInput, WriteFailed
-from cgid.features import extract_array
+from cgid.measure.features import extract_array
 from cgid.recordings import is_dataset, read_recording
 from cgid.scene import parse_scene
 from cgid.scene.stream.generation import generate_recordings

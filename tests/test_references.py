@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cgid.impact import (
+from cgid.physics import (
     HUNT_CROSSLEY_LAWS,
     Elastic,
     HalfSpace,
@@ -22,7 +22,7 @@ from cgid.impact import (
     ThinPlateWarning,
     Viscoelastic,
 )
-from cgid.materials import STEEL, YANG2018_SPHERES
+from cgid.physics.materials import STEEL, YANG2018_SPHERES
 
 TABLE = Path(__file__).parent / "references" / "impacts.csv"
 RADIUS, VELOCITY = 0.025, 2.0

@@ -24,7 +24,7 @@ from cgid.identification.answering.share import Share, ShareWindow
 from cgid.identification.answering.shutting import Shutting
 from cgid.identification.answers import Answer
 from cgid.identification.model import Model
-from cgid.overview import OverviewStream
+from cgid.measure.overview import OverviewStream
 from cgid.plots import Mark
 from cgid.recordings import open_recording
 from cgid.report import Report, model_facts, page, recording_facts, report_page, write_report

@@ -10,11 +10,11 @@ from scipy.linalg import expm
 
 from cgid.counting import counted
 from cgid.errors import InvalidValue
-from cgid.impact import Elastic, HalfSpace, HuntCrossley, Impact, Sphere
-from cgid.impact.driving import steps_for
-from cgid.impact.poles import LowPass, Resonance, resonator_poles
-from cgid.impact.response import Response
-from cgid.materials import STEEL, Material
+from cgid.physics import Elastic, HalfSpace, HuntCrossley, Impact, Sphere
+from cgid.physics.driving import steps_for
+from cgid.physics.materials import STEEL, Material
+from cgid.physics.poles import LowPass, Resonance, resonator_poles
+from cgid.physics.response import Response
 from cgid.scene.response import TOLERANCE
 from cgid.scene.taps import SHAPES, TapPulses
 from tests import few

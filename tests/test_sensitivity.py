@@ -5,8 +5,9 @@ import numpy as np
 import pytest
 
 from cgid.errors import InvalidValue
-from cgid.impact import RIGID, Elastic, HalfSpace, HuntCrossley, Impact, Sphere, Viscoelastic
-from cgid.impact.sensitivity import (
+from cgid.physics import RIGID, Elastic, HalfSpace, HuntCrossley, Impact, Sphere, Viscoelastic
+from cgid.physics.materials import STEEL, YANG2018_SPHERES, Material
+from cgid.physics.sensitivity import (
     PARAMETERS,
     local_sensitivity,
     ordering,
@@ -14,7 +15,6 @@ from cgid.impact.sensitivity import (
     range_influence,
     response_grid,
 )
-from cgid.materials import STEEL, YANG2018_SPHERES, Material
 
 RESPONSES = ("peak_force", "peak_displacement")
 HELD = {

@@ -11,13 +11,13 @@ import pytest
 
 from cgid import shipped
 from cgid.errors import BadData, InvalidValue, NoInput
+from cgid.finite_element import ElasticPlate, FiniteElementImpact
 from cgid.identification.estimation import estimate
 from cgid.identification.measuring import measure
 from cgid.identification.model import Model
-from cgid.impact import Elastic, HalfSpace, Impact, Sphere, Viscoelastic, dissipative_constant
-from cgid.impact.finite_element import ElasticPlate, FiniteElementImpact
-from cgid.impact.sampled import SampledPulses, shares_of_contact, smoothed
-from cgid.materials import STEEL, Material
+from cgid.physics import Elastic, HalfSpace, Impact, Sphere, Viscoelastic, dissipative_constant
+from cgid.physics.materials import STEEL, Material
+from cgid.physics.sampled import SampledPulses, shares_of_contact, smoothed
 from cgid.scene.population import draw
 from cgid.scene.range_warnings import unwarned
 from cgid.scene.solved import MAKING, PARAMETERS, SolvedImpacts, radii

@@ -12,8 +12,8 @@ from scipy import stats
 
 from cgid.cli.main import run
 from cgid.errors import BadData, InvalidValue
-from cgid.impact import Elastic, HalfSpace, HuntCrossley, Impact, Sphere, ThinPlate, ThinPlateWarning
-from cgid.materials import Material
+from cgid.physics import Elastic, HalfSpace, HuntCrossley, Impact, Sphere, ThinPlate, ThinPlateWarning
+from cgid.physics.materials import Material
 from cgid.scene import generate, load_scene, parse_scene, synthesise, varied
 from cgid.scene.distributions import Constant, Uniform
 from cgid.scene.population import PARAMETER_UNITS, draw
@@ -180,7 +180,7 @@ def _triangle(times, p):
 
 
 def _impact_of(p, target=None):
-    from cgid.impact import RIGID
+    from cgid.physics import RIGID
 
     material = Material(density=p["density"], youngs_modulus=p["youngs_modulus"], poisson_ratio=p["poisson_ratio"])
     return Impact(
@@ -424,7 +424,7 @@ def _toml(content):
 
 
 @pytest.mark.long
-@pytest.mark.filterwarnings("ignore::cgid.impact.ThinPlateWarning")
+@pytest.mark.filterwarnings("ignore::cgid.physics.ThinPlateWarning")
 @pytest.mark.parametrize(("law", "restitution"), few(itertools.product(["exact", "lankarani-nikravesh"], [0.05, 1.0])))
 def test_the_hardest_impact_allowed_on_a_plate_can_be_followed(restitution, law):
     plate = {"stiffness": "hertz", "dissipation": "hunt-crossley", "law": law}
@@ -542,7 +542,7 @@ LABELS = {
 }
 
 
-@pytest.mark.filterwarnings("ignore::cgid.impact.HertzRangeWarning")  # rubber
+@pytest.mark.filterwarnings("ignore::cgid.physics.HertzRangeWarning")  # rubber
 @pytest.mark.parametrize("name", LABELS)
 def test_shipped_strangers_are_sound_and_fit_their_frames(name):
     scene = load_scene(scene_path(name))

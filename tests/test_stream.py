@@ -8,8 +8,8 @@ import pytest
 from scipy import integrate, stats
 
 from cgid.errors import BadData, InvalidValue
-from cgid.impact import HalfSpace, HuntCrossley, Impact, Sphere
-from cgid.materials import Material
+from cgid.physics import HalfSpace, HuntCrossley, Impact, Sphere
+from cgid.physics.materials import Material
 from cgid.scene import parse_scene, synthesise, varied
 from cgid.scene.impacts import impact_of, impacts_by_coupling
 from cgid.scene.randomness import BLOCK, generator

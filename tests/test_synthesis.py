@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 from scipy import stats
 
 from cgid.errors import BadData, InvalidValue
-from cgid.impact import HUNT_CROSSLEY_LAWS, RIGID, Elastic, HalfSpace, HuntCrossley, Impact, Sphere, _kernels
-from cgid.materials import Material
+from cgid.physics import HUNT_CROSSLEY_LAWS, RIGID, Elastic, HalfSpace, HuntCrossley, Impact, Sphere, _kernels
+from cgid.physics.materials import Material
 from cgid.scene import _fourier, load_scene, parse_scene, synthesise
 from cgid.scene import synthesis as synthesis_module
 from cgid.scene.randomness import BLOCK

@@ -12,11 +12,11 @@ from numpy.polynomial.legendre import leggauss
 from threadpoolctl import threadpool_limits
 
 from cgid.errors import BadData, InvalidValue, NoInput
-from cgid.impact import Elastic, Impact, Sphere, ThinPlate
-from cgid.impact.tail_beam import MeasuredModes, Ribs, TailBeam, frequency_response, read_measured_modes, ritz
-from cgid.impact.tail_beam.beam import _modes
-from cgid.impact.tail_beam.measured import COLUMNS
-from cgid.materials import STEEL, YANG2018_SPHERES, Material
+from cgid.physics import Elastic, Impact, Sphere, ThinPlate
+from cgid.physics.materials import STEEL, YANG2018_SPHERES, Material
+from cgid.physics.tail_beam import MeasuredModes, Ribs, TailBeam, frequency_response, read_measured_modes, ritz
+from cgid.physics.tail_beam.beam import _modes
+from cgid.physics.tail_beam.measured import COLUMNS
 from cgid.plots import frequency_response_picture
 
 PLATES = Path(__file__).parent / "references" / "plates.csv"

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from scipy.special import beta
 
-from cgid.impact import _taylor
-from cgid.impact.closed_forms import peak_displacement, peak_force
-from cgid.impact.quadrature import reference_pulse, time_of_peak
-from cgid.impact.restitution import damping_number
+from cgid.physics import _taylor
+from cgid.physics.closed_forms import peak_displacement, peak_force
+from cgid.physics.quadrature import reference_pulse, time_of_peak
+from cgid.physics.restitution import damping_number
 from tests import naive
 
 HALF = float(damping_number(0.5))

@@ -10,14 +10,14 @@ import pytest
 
 from cgid import Impact, Signal, Sphere, extract, fft_filter, validation
 from cgid.errors import InvalidValue
-from cgid.estimation.bound import cramer_rao_bound
-from cgid.estimation.prior import Prior
 from cgid.identification.detection.detector import ImpactDetector
 from cgid.identification.estimation import estimate, posterior
 from cgid.identification.reference import MeanSpectrum
-from cgid.impact import RIGID, Elastic, HuntCrossley, ThinPlate
-from cgid.materials import STEEL, Material
-from cgid.overview import OverviewStream
+from cgid.measure.estimation.bound import cramer_rao_bound
+from cgid.measure.estimation.prior import Prior
+from cgid.measure.overview import OverviewStream
+from cgid.physics import RIGID, Elastic, HuntCrossley, ThinPlate
+from cgid.physics.materials import STEEL, Material
 from cgid.recordings import open_recording
 
 RATE = 2e5

@@ -10,14 +10,14 @@ from sklearn.discriminant_analysis import LinearDiscriminantAnalysis
 from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import StandardScaler
 
-from cgid.bands import EVEN_BANDS, MEL_BANDS, TriangularBands, frequency_of, mel
-from cgid.energy_spectrum import EnergySpectrum
 from cgid.errors import BadData, InvalidValue
-from cgid.features import FEATURES, choose, extract_array, supported
-from cgid.features.vibration import band_edges
-from cgid.features.window import CORRELATION_LAGS, WINDOW_THIRD_OCTAVES
+from cgid.measure.bands import EVEN_BANDS, MEL_BANDS, TriangularBands, frequency_of, mel
+from cgid.measure.energy_spectrum import EnergySpectrum
+from cgid.measure.features import FEATURES, choose, extract_array, supported
+from cgid.measure.features.vibration import band_edges
+from cgid.measure.features.window import CORRELATION_LAGS, WINDOW_THIRD_OCTAVES
+from cgid.measure.windows import FRAME_TIME, WindowBatch
 from cgid.recordings import read_recording
-from cgid.windows import FRAME_TIME, WindowBatch
 
 RATE = 44_100.0
 N_SAMPLES = 4410

@@ -20,11 +20,11 @@ from numpy.typing import NDArray
 
 from cgid import validation
 from cgid.errors import InvalidValue
-from cgid.estimation.prior import Prior
-from cgid.estimation.profile import Profile, profile
-from cgid.filters import low_pass_response
-from cgid.impact import HertzRangeWarning
-from cgid.pulses import PulseBatch
+from cgid.measure.estimation.prior import Prior
+from cgid.measure.estimation.profile import Profile, profile
+from cgid.measure.filters import low_pass_response
+from cgid.measure.pulses import PulseBatch
+from cgid.physics import HertzRangeWarning
 from cgid.scene import Scene, parse_scene
 from cgid.scene.population import draw
 from cgid.scene.randomness import BLOCK

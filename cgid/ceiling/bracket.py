@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from cgid import validation
 from cgid.ceiling.bayes import MOST_SIGNALS, Ceiling, ceiling
 from cgid.errors import InvalidValue
-from cgid.features import extract_array
+from cgid.measure.features import extract_array
 from cgid.scene import Scene, synthesise
 from cgid.validation import Floats
 

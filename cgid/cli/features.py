@@ -43,7 +43,7 @@ def features(
     pressure, level), those of a pulse for all else.
     """
     from cgid.errors import BadData
-    from cgid.features import FEATURES, choose
+    from cgid.measure.features import FEATURES, choose
 
     if as_list:
         for feature in FEATURES.values():
@@ -83,8 +83,8 @@ def _print(
 ) -> None:
     """Print the impacts of one channel; those that cannot be measured have no numbers and say why."""
     from cgid.errors import BadData, InvalidValue
-    from cgid.features import extract_array, kind_for, kind_of
     from cgid.identification.events import find_impacts
+    from cgid.measure.features import extract_array, kind_for, kind_of
 
     kind = kind_for(signal.quantity) if names is None else kind_of(names)
     if kind == "window":
@@ -126,7 +126,7 @@ def _print(
 
 def _chosen(names: tuple[str, ...] | None, kind: Any, sampling_rate: float, n_samples: int) -> tuple[str, ...]:
     """Return the features asked for, else all of the kind that rate and frames allow."""
-    from cgid.features import choose, require_supported, supported
+    from cgid.measure.features import choose, require_supported, supported
 
     if names is not None:
         return names
@@ -141,7 +141,7 @@ def _print_dataset(
     path: str, names: tuple[str, ...] | None, remove_baseline: bool, as_json: bool, invert: bool
 ) -> None:
     """Print one row for each signal of a dataset, batch by batch."""
-    from cgid.features import extract_array, kind_for
+    from cgid.measure.features import extract_array, kind_for
     from cgid.store import Dataset
 
     dataset = Dataset(path)
@@ -171,7 +171,7 @@ class _Columns:
     """The columns of the table, in the unit of the signal."""
 
     def __init__(self, quantity: str | None, unit: str | None, chosen: tuple[str, ...], as_json: bool) -> None:
-        from cgid.features import FEATURES
+        from cgid.measure.features import FEATURES
 
         self.titles = [name.replace("peak_force", f"peak_{quantity or 'signal'}") for name in chosen]
         self.units = [FEATURES[name].unit_for(unit or "U") for name in chosen]

@@ -144,8 +144,8 @@ def _which(scene: Any, output: str, options: dict[str, Any]) -> dict[str, Any]:
 
 def _features_of_model(scene: Any) -> tuple[str, ...]:
     """Return what a model looks at by default on signals of this scene."""
-    from cgid.features import kind_for
     from cgid.identification.measuring import DEFAULT_FEATURES, DEFAULT_VIBRATION_FEATURES
+    from cgid.measure.features import kind_for
     from cgid.scene.plan import supported_by
 
     pulses = kind_for(scene.sensor.quantity) == "pulse"
@@ -171,8 +171,8 @@ def _write_dataset(asked: Any, options: dict[str, Any]) -> None:
 
 def _warn_of_plate(scene: Any, seed: int) -> None:
     """Say once what passing the range of the thin plate means, if rocks of the first block do; blocks are silent."""
-    from cgid.impact import ThinPlate
-    from cgid.impact.pulse import BEYOND_THIN_PLATE, INELASTICITY_LIMIT
+    from cgid.physics import ThinPlate
+    from cgid.physics.pulse import BEYOND_THIN_PLATE, INELASTICITY_LIMIT
     from cgid.scene.population import draw
     from cgid.scene.range_warnings import unwarned
 

@@ -152,8 +152,8 @@ def _held_channels(recording: Any) -> dict[str, Any]:
     import numpy as np
 
     from cgid.errors import BadData
-    from cgid.features import kind_for
     from cgid.identification.events import TURN_OVER, find_impacts
+    from cgid.measure.features import kind_for
 
     channels = {}
     for signal in recording.signals():
@@ -178,8 +178,8 @@ def _long_channels(recording: Any) -> dict[str, Any]:
     """Return what is in each channel of a long recording, which is read block by block; a median would hold it all."""
     from collections import Counter
 
-    from cgid.features import kind_for
     from cgid.identification.events import TURN_OVER, Extent, ImpactDetector
+    from cgid.measure.features import kind_for
 
     names = recording.channels
     extent, dtype = Extent(len(names)), ""

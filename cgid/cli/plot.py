@@ -14,7 +14,7 @@ from cgid.cli.saying import say
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from cgid.features.feature import ImpactKind
+    from cgid.measure.features.feature import ImpactKind
     from cgid.plots import Mark
     from cgid.recordings import Channel, RecordingFile
 
@@ -53,7 +53,7 @@ def plot(
     """
     from cgid.files import check_new, write_whole
     from cgid.identification.events import TURN_OVER
-    from cgid.overview import OverviewStream
+    from cgid.measure.overview import OverviewStream
     from cgid.plots import FORMATS, MOST_CHANNELS, overview_figure, picture, require_matplotlib
 
     path = check_new(Path(output), "a picture", FORMATS, overwrite=overwrite)
@@ -125,8 +125,8 @@ class _Finder:
         dead_time: float | None,
         begin: float,
     ) -> None:
-        from cgid.features import kind_for
         from cgid.identification.events import Extent, ImpactDetector
+        from cgid.measure.features import kind_for
 
         self._rate, self._channels, self._begin = sampling_rate, channels, begin
         rows: dict[ImpactKind, list[int]] = {}

@@ -75,7 +75,7 @@ class Drawing(Passing):
     """Draws the first channels of a recording while its blocks pass by."""
 
     def __init__(self, recording: Any, rows: list[int]) -> None:
-        from cgid.overview import OverviewStream
+        from cgid.measure.overview import OverviewStream
         from cgid.plots import MOST_CHANNELS
 
         super().__init__()

@@ -96,9 +96,9 @@ def train(
     group in turn judges what was chosen and trained on the others. Beside a manifest, scenes and datasets teach, too,
     their level and spectrum moved to those of the recordings.
     """
-    from cgid.features import choose
     from cgid.identification.output import check_model_output, write_model
     from cgid.identification.recorded.manifest import is_manifest
+    from cgid.measure.features import choose
 
     path = check_model_output(Path(output), plots=plots, overwrite=overwrite)
     names = asked.pop("names")
@@ -107,7 +107,7 @@ def train(
     manifests = [item for item in data if is_manifest(item)]
     _refuse_stray_options(context, _OF_DATASETS if manifests else _OF_RECORDINGS, bool(manifests))
     others = [item for item in data if item not in manifests]
-    from cgid.cluster import workers
+    from cgid.workers import workers
 
     require_one_crew(context)
     with workers(asked.pop("jobs"), asked.pop("scheduler")) as asked["crew"]:
@@ -203,9 +203,9 @@ def _measured(data: list[str], recorded: Any, asked: dict[str, Any]) -> tuple[An
     from itertools import chain
 
     from cgid.errors import BadData
-    from cgid.features import supported
     from cgid.identification.measuring import measure
     from cgid.identification.recorded.adaptation import in_unit
+    from cgid.measure.features import supported
 
     if recorded.kind == "window":
         raise InvalidValue(

@@ -9,13 +9,13 @@ from itertools import compress
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from cgid.equalisation import Equalisation
 from cgid.errors import BadData, InvalidValue, MissingOption
-from cgid.features import extract_array, problems_of
-from cgid.frames import DETECTION_LIMIT, MINIMUM_FRAME
 from cgid.identification.events import Event, find_impacts
 from cgid.identification.known import known_columns
 from cgid.identification.model import Model
+from cgid.measure.equalisation import Equalisation
+from cgid.measure.features import extract_array, problems_of
+from cgid.measure.frames import DETECTION_LIMIT, MINIMUM_FRAME
 from cgid.signals import UNITS, Signal
 from cgid.validation import UNKNOWN, Floats
 

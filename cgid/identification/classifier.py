@@ -21,11 +21,11 @@ from sklearn.utils.validation import check_is_fitted, validate_data
 from threadpoolctl import threadpool_limits
 
 from cgid import validation
-from cgid.cluster import ALONE, Workers
 from cgid.identification.families import Network
 from cgid.identification.shrunken import ShrunkenDiscriminant
 from cgid.identification.transform import Neighbourhood, Standardiser, softmax, squares
 from cgid.validation import Floats
+from cgid.workers import ALONE, Workers
 
 
 class _Perceptron(MLPClassifier):  # type: ignore[misc]

@@ -10,8 +10,6 @@ from numpy.typing import NDArray
 
 from cgid import validation
 from cgid.errors import BadData
-from cgid.features.feature import ImpactKind
-from cgid.frames import DETECTION_LIMIT, LARGEST
 from cgid.identification.detection.detector import (
     DEAD_TIME,
     VIBRATION_DEAD_TIME,
@@ -20,6 +18,8 @@ from cgid.identification.detection.detector import (
 from cgid.identification.detection.frames import FOUND_LIMIT, Event
 from cgid.identification.detection.pulses import THRESHOLD_OVER_NOISE, THRESHOLD_OVER_PEAK
 from cgid.identification.detection.ringing import RISE_OVER_NOISE
+from cgid.measure.features.feature import ImpactKind
+from cgid.measure.frames import DETECTION_LIMIT, LARGEST
 from cgid.signals import Signal
 from cgid.validation import Floats
 

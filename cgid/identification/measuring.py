@@ -12,13 +12,13 @@ from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from cgid import validation
-from cgid.cluster import ALONE, Workers
 from cgid.errors import BadData
-from cgid.features import choose, extract_array, kind_for, kind_of, supported
-from cgid.features.vibration import EARLY_BANDS, THIRD_OCTAVES
 from cgid.identification.known import KNOWN, drop_heights
+from cgid.measure.features import choose, extract_array, kind_for, kind_of, supported
+from cgid.measure.features.vibration import EARLY_BANDS, THIRD_OCTAVES
 from cgid.signals import Batch, quantity_of
 from cgid.validation import Floats
+from cgid.workers import ALONE, Workers
 
 #: How ill a pulse fits what a pulse should be: of use to know strangers by, and never to tell labels apart.
 #: These guard a model of pulses by default.

@@ -17,10 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cgid import validation
-from cgid.equalisation import Equalisation
 from cgid.errors import BadData, InvalidValue
-from cgid.features import kind_of
-from cgid.features.feature import Kind
 from cgid.files import read_regular
 from cgid.identification.archive import arrays_of
 from cgid.identification.conformal import Conformal
@@ -29,6 +26,9 @@ from cgid.identification.header import FORMAT, SCHEMA_VERSION, NewerSchema, fiel
 from cgid.identification.reference import equalisations_of
 from cgid.identification.soundness import SHARED, check_names, check_numbers, check_training
 from cgid.identification.transform import Neighbourhood, Standardiser, softmax
+from cgid.measure.equalisation import Equalisation
+from cgid.measure.features import kind_of
+from cgid.measure.features.feature import Kind
 from cgid.signals import quantity_of
 from cgid.validation import Floats
 
@@ -76,7 +76,7 @@ class Model:
     labels : tuple of str
         In the order of the probabilities.
     features : tuple of str
-        What tells the labels apart, out of `cgid.features.FEATURES`.
+        What tells the labels apart, out of `cgid.measure.features.FEATURES`.
     unit : str
         Of the signals it was trained on.
     sampling_rates : tuple of float

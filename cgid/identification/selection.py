@@ -16,7 +16,6 @@ from sklearn.svm import SVC
 from threadpoolctl import threadpool_limits
 
 from cgid import validation
-from cgid.cluster import ALONE, Workers
 from cgid.errors import InvalidValue
 from cgid.identification.classifier import ImpactClassifier
 from cgid.identification.measuring import Measured
@@ -24,6 +23,7 @@ from cgid.identification.metrics import evaluate
 from cgid.identification.model import Model
 from cgid.identification.training import linear_columns
 from cgid.validation import Floats
+from cgid.workers import ALONE, Workers
 
 #: Another family is only taken when its accuracy is higher by more than this.
 MARGIN = 0.003
@@ -115,7 +115,7 @@ def select(
     progress : callable, optional
         Called with the name of each candidate before it starts.
     crew : Workers
-        Who does the folds, see `cgid.cluster.workers`; beside each other they take longer to fit.
+        Who does the folds, see `cgid.workers.workers`; beside each other they take longer to fit.
 
     Returns
     -------

@@ -13,17 +13,17 @@ from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from cgid import __version__, validation
-from cgid.cluster import ALONE, Workers
 from cgid.errors import BadData, InvalidValue
-from cgid.features import FEATURES, choose
 from cgid.identification.classifier import ImpactClassifier
 from cgid.identification.conformal import Conformal
 from cgid.identification.measuring import Measured, chosen_for, default_guards, measure
 from cgid.identification.metrics import evaluate, evaluate_sets
 from cgid.identification.model import Model
 from cgid.identification.transform import Neighbourhood
+from cgid.measure.features import FEATURES, choose
 from cgid.signals import Batch, quantity_of
 from cgid.validation import Floats
+from cgid.workers import ALONE, Workers
 
 #: Share of the specimens that only judge.
 TEST_SHARE = 0.25
@@ -138,7 +138,7 @@ def train(
     batches : iterable of Batch
         A dataset's, or a scene's as it is synthesised.
     features : iterable of str, optional
-        Out of `cgid.features.FEATURES`; if not given, what `cgid.identification.measuring` has for the quantity.
+        Names of features; if not given, what `cgid.identification.measuring` has for the quantity.
     guards : iterable of str, optional
         Features that only say how strange an impact is: the larger, the stranger. They are left out of `features`.
         If not given, `DEFAULT_GUARDS` for features of pulses, none for those of vibrations.
@@ -163,7 +163,7 @@ def train(
     progress : callable, optional
         Called with the number of signals measured.
     crew : Workers
-        Who measures, and fits the folds that calibrate: see `cgid.cluster.workers`.
+        Who measures, and fits the folds that calibrate: see `cgid.workers.workers`.
 
     Raises
     ------

@@ -13,11 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cgid import validation
-from cgid.equalisation import Equalisation
 from cgid.errors import InvalidValue
-from cgid.features import extract_array
-from cgid.frames import MINIMUM_FRAME
 from cgid.identification.transform import softmax
+from cgid.measure.equalisation import Equalisation
+from cgid.measure.features import extract_array
+from cgid.measure.frames import MINIMUM_FRAME
 from cgid.validation import Floats
 
 #: How long a window lasts, where nobody says it [s].
@@ -157,7 +157,7 @@ def measure_windows(
     sampling_rate : float
         [Hz].
     names : tuple of str
-        Out of `cgid.features.FEATURES`.
+        Out of `cgid.measure.features.FEATURES`.
     equalisation : sequence of Equalisation, optional
         What makes up for the sensor's response, one for each channel.
 

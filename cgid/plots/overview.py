@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from cgid.overview import Overview
+from cgid.measure.overview import Overview
 from cgid.plots.figure import COLOURS, colours_of, plain, require_matplotlib
 from cgid.recordings import Channel
 from cgid.validation import Floats

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cgid.overview import OverviewStream
+from cgid.measure.overview import OverviewStream
 from cgid.plots.figure import colours_of, png, require_matplotlib
 from cgid.plots.overview import Clock, Mark, draw_marks, draw_spectrogram, draw_waveform
 from cgid.recordings import Channel

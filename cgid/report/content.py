@@ -10,7 +10,7 @@ from cgid.identification.answering.share import Share
 from cgid.identification.answering.shutting import Turn
 from cgid.identification.answers import Answer
 from cgid.identification.model import Model
-from cgid.overview import Overview
+from cgid.measure.overview import Overview
 from cgid.plots import hertz, written
 from cgid.recordings import Channel, RecordingFile
 from cgid.validation import UNKNOWN

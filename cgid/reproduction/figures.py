@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from cgid.impact import free_fall_velocity
-from cgid.materials import YANG2018_SPHERES
+from cgid.physics import free_fall_velocity
+from cgid.physics.materials import YANG2018_SPHERES
 from cgid.reproduction import impacts, paper
 from cgid.reproduction.drawing import Lines
 from cgid.reproduction.impacts import paper_impact

@@ -1,11 +1,11 @@
-"""The paper's impacts, as `cgid.impact` has them."""
+"""The paper's impacts, as `cgid.physics` has them."""
 
 from __future__ import annotations
 
 from numpy.typing import ArrayLike
 
-from cgid.impact import Elastic, HalfSpace, HuntCrossley, Impact, Sphere
-from cgid.materials import STEEL, YANG2018_RADIUS, YANG2018_SPHERES, Material
+from cgid.physics import Elastic, HalfSpace, HuntCrossley, Impact, Sphere
+from cgid.physics.materials import STEEL, YANG2018_RADIUS, YANG2018_SPHERES, Material
 
 #: The paper's own theory, behind every figure but 4 to 6.
 OWN_THEORY = "series"

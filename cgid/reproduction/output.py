@@ -11,7 +11,7 @@ from typing import Any
 
 from cgid.errors import CannotCreate, InvalidValue
 from cgid.files import looking_at
-from cgid.impact import HertzRangeWarning
+from cgid.physics import HertzRangeWarning
 from cgid.plots import require_matplotlib
 from cgid.reproduction.drawing import draw, draw_table
 from cgid.reproduction.figures import FIGURES

@@ -1,6 +1,6 @@
 """What is printed in Yang, Zeng & Wan (2018), Shock and Vibration, as data: tables, constants, orderings.
 
-Inputs of Tables 1 and 2 are in `cgid.materials`; here is what the paper gets from them, and what it says.
+Inputs of Tables 1 and 2 are in `cgid.physics.materials`; here is what the paper gets from them, and what it says.
 """
 
 from __future__ import annotations

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from cgid.impact import Impact
+from cgid.physics import Impact
 from cgid.reproduction.drawing import Panel
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from cgid.impact import ThinPlate
+from cgid.physics import ThinPlate
 from cgid.scene.costs import UNIT_COSTS, Workload
 from cgid.scene.impacts import NEGLIGIBLE_ECHO
 from cgid.scene.request import NO_IMPACTS, NO_SENSOR, ONLY_DRAWN, Decision, Request

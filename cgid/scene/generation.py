@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Literal
 
 from cgid import validation
-from cgid.cluster import workers
 from cgid.errors import InvalidValue
 from cgid.scene.provenance import attributes_of, shard_plan
 from cgid.scene.scene import Scene
@@ -17,6 +16,7 @@ from cgid.scene.synthesis import synthesise
 from cgid.scene.workers import write_shards
 from cgid.store import FORMAT, SCHEMA_VERSION, DatasetWriter, check_output
 from cgid.store.compression import COMPRESSIONS, require
+from cgid.workers import workers
 
 #: Signals of a shard: 32 MiB of 2048 float32 samples, built in memory.
 SHARD_SIGNALS = 4096

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from cgid import validation
 from cgid.errors import InvalidValue
-from cgid.impact.sampled import SampledPulses
+from cgid.physics.sampled import SampledPulses
 from cgid.scene.impacts import PARTICLE
 from cgid.scene.plan import Plan, plan
 from cgid.scene.population import (

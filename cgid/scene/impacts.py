@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cgid.impact import Elastic, HalfSpace, HuntCrossley, Impact, Sphere
-from cgid.impact.coupled import ModalImpact
-from cgid.materials import Material
+from cgid.physics import Elastic, HalfSpace, HuntCrossley, Impact, Sphere
+from cgid.physics.coupled import ModalImpact
+from cgid.physics.materials import Material
 from cgid.scene.response import TOLERANCE, beam_modes
 from cgid.scene.scene import Scene
 from cgid.scene.sections import TargetSection

@@ -11,7 +11,7 @@ import numpy as np
 
 from cgid import validation
 from cgid.errors import InvalidValue
-from cgid.features import choose, kind_for, require_supported, supported
+from cgid.measure.features import choose, kind_for, require_supported, supported
 from cgid.scene.costs import Workload
 from cgid.scene.quantities import STORED, choose_quantities
 from cgid.scene.request import OUTPUTS, Decision, Request
@@ -115,7 +115,7 @@ def plan(
         which are not kept unless frames are asked, too. "recordings": all that a stream has, and a stream has nothing
         else.
     features : iterable of str, optional
-        Names out of `cgid.features.FEATURES`, only with the output "features". By default all of the kind
+        Names out of `cgid.measure.features.FEATURES`, only with the output "features". By default all of the kind
         that the sensor's quantity has, as far as sampling rate and frames allow.
     quantities : iterable of str, optional
         Names out of `cgid.scene.quantities.QUANTITIES`, all by default; only with the output "closed-form".

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from cgid.elementary import power
-from cgid.impact import Sphere, ThinPlate, contact_stiffness, free_fall_velocity
-from cgid.impact.bodies import Target, reduced_modulus, reduced_radius
-from cgid.materials import Material
+from cgid.physics import Sphere, ThinPlate, contact_stiffness, free_fall_velocity
+from cgid.physics.bodies import Target, reduced_modulus, reduced_radius
+from cgid.physics.materials import Material
 from cgid.scene.sections import Population
 
 #: Zener's lambda up to which every restitution of a scene can be followed (from 49 on some cannot). His theory holds

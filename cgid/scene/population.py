@@ -9,8 +9,8 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from cgid.impact import Impact, free_fall_velocity
-from cgid.impact.coupled import ModalImpact
+from cgid.physics import Impact, free_fall_velocity
+from cgid.physics.coupled import ModalImpact
 from cgid.scene.impacts import PARTICLE, impact_of, impacts_by_coupling
 from cgid.scene.randomisation import settled
 from cgid.scene.randomness import BLOCK, CLIPPING, IMPACT_POINTS, SECOND_HITS, TAPS, uniforms

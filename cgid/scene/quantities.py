@@ -6,7 +6,7 @@ from collections.abc import Iterable
 
 from cgid import validation
 from cgid.errors import InvalidValue
-from cgid.features import FEATURES
+from cgid.measure.features import FEATURES
 from cgid.scene.population import parameter_units
 from cgid.scene.scene import Scene
 

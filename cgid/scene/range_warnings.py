@@ -6,7 +6,7 @@ import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-from cgid.impact import HertzRangeWarning, ThinPlateWarning
+from cgid.physics import HertzRangeWarning, ThinPlateWarning
 
 
 @contextmanager

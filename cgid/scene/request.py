@@ -24,7 +24,7 @@ class Request:
     outputs : frozenset of str
         Out of `OUTPUTS`.
     features : tuple of str
-        Of `cgid.features`; none unless features are asked.
+        Of `cgid.measure.features`; none unless features are asked.
     quantities : tuple of str
         Of `cgid.scene.quantities`: those asked, or needed by what is asked.
     sample_bytes : int

@@ -10,8 +10,8 @@ import numpy as np
 
 from cgid.elementary import power
 from cgid.errors import InvalidValue
-from cgid.impact.response import Response
-from cgid.impact.tail_beam import MeasuredModes, Modes, TailBeam
+from cgid.physics.response import Response
+from cgid.physics.tail_beam import MeasuredModes, Modes, TailBeam
 from cgid.scene.beam import TailBeamSection
 from cgid.scene.scene import Scene
 from cgid.validation import Floats

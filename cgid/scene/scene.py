@@ -17,8 +17,8 @@ from pydantic import Field, ValidationError, model_validator
 
 from cgid.errors import BadData, InvalidValue
 from cgid.files import parse_toml, read_regular
-from cgid.impact.bodies import Target
-from cgid.impact.tail_beam import TailBeam
+from cgid.physics.bodies import Target
+from cgid.physics.tail_beam import TailBeam
 from cgid.scene.background import BackgroundSection
 from cgid.scene.beam import TailBeamSection, with_table
 from cgid.scene.distributions import DISTRIBUTION_NAMES

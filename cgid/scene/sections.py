@@ -17,8 +17,8 @@ from pydantic import (
 
 from cgid import validation
 from cgid.family import HIGHEST_RESTITUTION, LOWEST_RESTITUTION
-from cgid.impact import HUNT_CROSSLEY_LAWS, RIGID, HalfSpace, RigidWall, ThinPlate
-from cgid.materials import Material
+from cgid.physics import HUNT_CROSSLEY_LAWS, RIGID, HalfSpace, RigidWall, ThinPlate
+from cgid.physics.materials import Material
 from cgid.scene.distributions import Distribution, measured, measured_within, within
 from cgid.scene.taps import SHAPES
 from cgid.scene.units import Acceleration, Density, Frequency, Length, Modulus, Number, Ratio, Whole

@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 from pydantic import Field, field_validator, model_validator
 
 from cgid.counting import count
-from cgid.filters import SENSOR_TAPER, fft_filter, filter_gain
-from cgid.impact.poles import LowPass, Resonance
+from cgid.measure.filters import SENSOR_TAPER, fft_filter, filter_gain
+from cgid.physics.poles import LowPass, Resonance
 from cgid.scene.sections import Section
 from cgid.scene.units import Frequency, Level, Number, Ratio, Whole, parse
 from cgid.validation import Floats

@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 from cgid import validation
 from cgid.errors import BadData
 from cgid.files import read_regular
-from cgid.impact.sampled import SampledPulses
+from cgid.physics.sampled import SampledPulses
 from cgid.scene.given_pulses import synthesise_given
 from cgid.scene.population import FALL, numbers_of
 from cgid.scene.randomness import BLOCK

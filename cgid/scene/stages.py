@@ -9,12 +9,12 @@ from collections.abc import Callable, Mapping
 
 import numpy as np
 
-from cgid.beginnings import look_at_the_beginning
 from cgid.family import LOWEST_RESTITUTION
-from cgid.features import FEATURES
-from cgid.features import kind_of as kinds_of_signal
-from cgid.impact import HuntCrossley
-from cgid.pulses import FAINT
+from cgid.measure.beginnings import look_at_the_beginning
+from cgid.measure.features import FEATURES
+from cgid.measure.features import kind_of as kinds_of_signal
+from cgid.measure.pulses import FAINT
+from cgid.physics import HuntCrossley
 from cgid.scene.beam_stages import gives_way, sensor_chain, tail_beam, thin_plate
 from cgid.scene.costs import UNIT_COSTS, Workload
 from cgid.scene.quantities import DAMPED

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cgid.impact import Impact
-from cgid.impact.coupled import ModalImpact
-from cgid.impact.sampled import SampledPulses
+from cgid.physics import Impact
+from cgid.physics.coupled import ModalImpact
+from cgid.physics.sampled import SampledPulses
 from cgid.scene.response import Hearing
 from cgid.scene.scene import Scene
 from cgid.scene.taps import TapPulses

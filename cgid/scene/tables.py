@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from cgid.beginnings import measure_beginnings, samples_needed
 from cgid.errors import InvalidValue
-from cgid.features import extract_array
+from cgid.measure.beginnings import measure_beginnings, samples_needed
+from cgid.measure.features import extract_array
 from cgid.scene.impacts import impacts_by_coupling
 from cgid.scene.plan import Plan, plan
 from cgid.scene.population import Draw, draw, given, parameter_units
@@ -69,9 +69,9 @@ def features_of(
 ) -> Iterator[Columns]:
     """Yield features of the signals of a scene, which are kept nowhere; as `columns_of`.
 
-    `features` are names out of `cgid.features.FEATURES`, by default all of the kind that the sensor's
+    `features` are names out of `cgid.measure.features.FEATURES`, by default all of the kind that the sensor's
     quantity has, as far as sampling rate and frames allow. The numbers are those that
-    `cgid.features.extract` gives for float32 signals of `synthesise`.
+    `cgid.measure.features.extract` gives for float32 signals of `synthesise`.
     """
     return columns_of(plan(scene, ["features"], features=features), n_signals, seed, first=first)
 

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from cgid.errors import InvalidValue
-from cgid.impact import (
+from cgid.physics import (
     Elastic,
     HuntCrossley,
     Impact,
@@ -23,8 +23,8 @@ from cgid.impact import (
     ThinPlate,
     free_fall_velocity,
 )
-from cgid.impact.bodies import Target
-from cgid.materials import Material
+from cgid.physics.bodies import Target
+from cgid.physics.materials import Material
 from cgid.scene.range_warnings import unwarned
 from cgid.scene.sections import ImpactSection, Population
 from cgid.validation import Floats

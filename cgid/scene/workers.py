@@ -10,7 +10,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
-from cgid.cluster import Workers
 from cgid.errors import CannotCreate
 from cgid.scene.overlap import write_in_turn
 from cgid.scene.scene import Scene
@@ -18,6 +17,7 @@ from cgid.store import DatasetWriter
 from cgid.store.journal import JOURNAL
 from cgid.store.manifest import ShardEntry
 from cgid.store.writing import is_single_file
+from cgid.workers import Workers
 
 #: What another machine has written may be seen here so much later [s]: network file systems remember what was missing.
 PATIENCE = 30.0

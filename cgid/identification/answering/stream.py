@@ -13,12 +13,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cgid.errors import BadData, InvalidValue
-from cgid.features import FEATURES
 from cgid.identification.answering.impacts import impacts_answered
 from cgid.identification.answering.question import Question, Step
 from cgid.identification.answering.windows import windows_answered
 from cgid.identification.answers import Answer, suited
 from cgid.identification.model import Model
+from cgid.measure.features import FEATURES
 from cgid.signals import Signal
 
 if TYPE_CHECKING:

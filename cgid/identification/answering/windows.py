@@ -9,13 +9,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cgid.equalisation import Equalisation
 from cgid.errors import BadData
 from cgid.identification.answering.drifts import Drifts
 from cgid.identification.answering.question import Question, Step
 from cgid.identification.answers import Answer, Decision, answers_from, unmeasured
 from cgid.identification.model import Model
 from cgid.identification.windows import VOTE_TIME, RunningVote, measure_windows, windows_of
+from cgid.measure.equalisation import Equalisation
 
 
 def answering_channels(model: Model, channels: Sequence[str]) -> tuple[str, ...]:

@@ -9,16 +9,16 @@ from numpy.typing import ArrayLike, NDArray
 
 from cgid import validation
 from cgid.errors import BadData, InvalidValue
-from cgid.features.feature import ImpactKind
-from cgid.frames import LARGEST
 from cgid.identification.detection.frames import Event, FrameCutter, Framing
 from cgid.identification.detection.onsets import Onset
 from cgid.identification.detection.pulses import START_CHUNKS as PULSE_START
 from cgid.identification.detection.pulses import PulseOnsets
 from cgid.identification.detection.ringing import START_CHUNKS as RINGING_START
 from cgid.identification.detection.ringing import RingingOnsets
+from cgid.measure.features.feature import ImpactKind
+from cgid.measure.frames import LARGEST
+from cgid.measure.vibration import SHORTEST_EVENT
 from cgid.validation import Floats, require_rate
-from cgid.vibration import SHORTEST_EVENT
 
 #: What follows within this time belongs to the same blow: a struck body rings [s].
 DEAD_TIME = 2e-3

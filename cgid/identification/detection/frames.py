@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from cgid.errors import InvalidValue
 from cgid.identification.detection.onsets import Onset
+from cgid.measure.vibration import SHORTEST_EVENT
 from cgid.signals import Signal
 from cgid.validation import Floats
-from cgid.vibration import SHORTEST_EVENT
 
 #: Frames of vibrations begin so long before the impact and go on for so long after it, enough for every third-octave
 #: band [s].
@@ -61,7 +61,7 @@ class Event:
     problem : str
         Why it cannot be measured, where the frame does not show it; else empty.
     detection_limit : float
-        What `cgid.features.extract_array` should ask of it.
+        What `cgid.measure.features.extract_array` should ask of it.
     unit : str or None
         Of the samples, where known.
     source : str

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cgid.errors import BadData, InvalidValue
-from cgid.features import FEATURES
+from cgid.measure.features import FEATURES
 from cgid.signals import UNITS, Batch, quantity_of
 from cgid.validation import Floats
 

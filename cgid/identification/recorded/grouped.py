@@ -16,16 +16,16 @@ from numpy.typing import NDArray
 from sklearn.model_selection import StratifiedGroupKFold
 from threadpoolctl import threadpool_limits
 
-from cgid.cluster import ALONE, Workers
 from cgid.errors import BadData
-from cgid.features import FEATURES
 from cgid.identification.classifier import ImpactClassifier, best_temperature
 from cgid.identification.recorded.adaptation import shift
 from cgid.identification.recorded.feature_sets import Sets
 from cgid.identification.selection import preferred
 from cgid.identification.transform import Neighbourhood, softmax
 from cgid.identification.windows import columns_of
+from cgid.measure.features import FEATURES
 from cgid.validation import Floats
+from cgid.workers import ALONE, Workers
 
 #: Up to so many groups are left out one by one; more are left out together, in so many folds.
 MOST_FOLDS = 20

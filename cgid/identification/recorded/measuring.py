@@ -12,8 +12,6 @@ from numpy.typing import NDArray
 
 from cgid import validation
 from cgid.errors import BadData, CgidError, InvalidValue
-from cgid.features import FEATURES, choose, extract_array, kind_for, kind_of, require_supported, supported
-from cgid.features.feature import Kind
 from cgid.identification.events import Event, ImpactDetector
 from cgid.identification.recorded.annotated import AnnotatedFile, Failures, Reading, annotated_blocks, open_all
 from cgid.identification.recorded.annotation import Annotation
@@ -22,6 +20,8 @@ from cgid.identification.recorded.manifest import Manifest
 from cgid.identification.recorded.referenced import reference_spectra
 from cgid.identification.reference import Equalisations, equalisations_of
 from cgid.identification.windows import WINDOW_TIME, Grid, columns_of, measure_windows, require_times, windows_of
+from cgid.measure.features import FEATURES, choose, extract_array, kind_for, kind_of, require_supported, supported
+from cgid.measure.features.feature import Kind
 from cgid.signals import quantity_of
 from cgid.validation import Floats
 
@@ -125,7 +125,7 @@ def record(
     ----------
     manifest : Manifest
     features : sequence of str, optional
-        Out of `cgid.features.FEATURES`; if not given, all that `cgid.identification.recorded.feature_sets` has for the
+        Names of features; if not given, all that `cgid.identification.recorded.feature_sets` has for the
         kind and that can be measured on all of them.
     slicing : Slicing, optional
     reading : Reading, optional

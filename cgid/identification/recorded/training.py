@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cgid import __version__
-from cgid.cluster import ALONE, Workers
 from cgid.errors import BadData
 from cgid.identification.measuring import Measured
 from cgid.identification.metrics import evaluate
@@ -36,6 +35,7 @@ from cgid.identification.training import Training, check_class_weights
 from cgid.identification.windows import LEAST_PROBABILITY, RunningVote
 from cgid.signals import quantity_of
 from cgid.validation import Floats
+from cgid.workers import ALONE, Workers
 
 #: Running votes are judged over these [s].
 VOTE_TIMES = (0.5, 1.0)
@@ -77,7 +77,7 @@ def train_recorded(
     progress : callable, optional
         Called with 1 for each group judged.
     crew : Workers
-        Who trains without a group and judges it: see `cgid.cluster.workers`.
+        Who trains without a group and judges it: see `cgid.workers.workers`.
 
     Raises
     ------

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from cgid.impact import RIGID, STIFFNESS_THEORIES, Impact, contact_stiffness
-from cgid.materials import STEEL, YANG2018_RADIUS, YANG2018_SPHERES, Material
+from cgid.physics import RIGID, STIFFNESS_THEORIES, Impact, contact_stiffness
+from cgid.physics.materials import STEEL, YANG2018_RADIUS, YANG2018_SPHERES, Material
 from cgid.reproduction import impacts, paper
 from cgid.reproduction.claims.claim import Claim, judged_exponential, judged_ordering, powers, written
 from cgid.reproduction.figures import FIGURES

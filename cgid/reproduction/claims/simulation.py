@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from cgid.materials import YANG2018_SPHERES
+from cgid.physics.materials import YANG2018_SPHERES
 from cgid.reproduction import impacts, paper
 from cgid.reproduction.claims.claim import Claim, judged_ordering, symbol, written
 from cgid.reproduction.finite_element import Study, cases

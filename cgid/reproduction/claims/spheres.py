@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from cgid.impact import Impact
-from cgid.materials import YANG2018_SPHERES
+from cgid.physics import Impact
+from cgid.physics.materials import YANG2018_SPHERES
 from cgid.reproduction import impacts, paper
 from cgid.reproduction.claims.claim import Claim, judged_ordering, symbol, written
 

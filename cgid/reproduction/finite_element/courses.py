@@ -7,7 +7,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from cgid.materials import YANG2018_RADIUS, YANG2018_SPHERES
+from cgid.physics.materials import YANG2018_RADIUS, YANG2018_SPHERES
 from cgid.reproduction import paper
 from cgid.reproduction.drawing import Lines
 from cgid.reproduction.finite_element.study import Run

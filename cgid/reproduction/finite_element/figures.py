@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from cgid.materials import YANG2018_SPHERES
+from cgid.physics.materials import YANG2018_SPHERES
 from cgid.reproduction import impacts, paper
 from cgid.reproduction.drawing import Lines
 from cgid.reproduction.finite_element import cases

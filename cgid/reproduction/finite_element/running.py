@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cgid.cluster import workers
-from cgid.materials import STEEL, YANG2018_RADIUS, YANG2018_SPHERES
+from cgid.physics.materials import STEEL, YANG2018_RADIUS, YANG2018_SPHERES
 from cgid.reproduction import paper
 from cgid.reproduction.finite_element.cases import (
     DAMPED,
@@ -23,9 +22,10 @@ from cgid.reproduction.finite_element.cases import (
 )
 from cgid.reproduction.finite_element.study import COURSES, Run, Study
 from cgid.reproduction.finite_element.waves import low_passed
+from cgid.workers import workers
 
 if TYPE_CHECKING:
-    from cgid.impact.finite_element import History
+    from cgid.finite_element import History
 
 #: Points of time that are kept of a course.
 N_POINTS = 200
@@ -74,8 +74,8 @@ def made() -> str:
 def computed(n_points: int, case: Case) -> Run:
     """Return the run of a case, with so many points a course."""
     # Loaded here: who only reads the shipped results needs neither the solver nor its compiler.
-    from cgid.impact import Sphere
-    from cgid.impact.finite_element import ElasticPlate, FiniteElementImpact, PenaltyContact
+    from cgid.finite_element import ElasticPlate, FiniteElementImpact, PenaltyContact
+    from cgid.physics import Sphere
 
     soft = PenaltyContact(factor=case.penalty_factor) if case.penalty_factor else None
     history = FiniteElementImpact(

@@ -6,8 +6,8 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from cgid.impact import STIFFNESS_THEORIES
-from cgid.materials import YANG2018_RADIUS, YANG2018_SPHERES
+from cgid.physics import STIFFNESS_THEORIES
+from cgid.physics.materials import YANG2018_RADIUS, YANG2018_SPHERES
 from cgid.reproduction.finite_element import cases
 from cgid.reproduction.finite_element.study import Study
 from cgid.reproduction.finite_element.theories import (

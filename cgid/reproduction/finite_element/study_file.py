@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from cgid.errors import BadData, NoInput
-from cgid.materials import YANG2018_SPHERES
+from cgid.physics.materials import YANG2018_SPHERES
 from cgid.reproduction.finite_element.cases import GROUPS, Case
 from cgid.reproduction.finite_element.study import COURSES, NUMBERS, Run, Study
 from cgid.validation import Floats

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from cgid.materials import YANG2018_SPHERES
+from cgid.physics.materials import YANG2018_SPHERES
 from cgid.reproduction import paper
 from cgid.reproduction.finite_element.study import Study
 from cgid.reproduction.finite_element.theories import READINGS, SHARED, agreement

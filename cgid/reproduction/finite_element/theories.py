@@ -17,8 +17,8 @@ from functools import cache
 
 import numpy as np
 
-from cgid.impact import STIFFNESS_THEORIES
-from cgid.impact.bodies import sphere_share
+from cgid.physics import STIFFNESS_THEORIES
+from cgid.physics.bodies import sphere_share
 from cgid.reproduction.finite_element.cases import UNDAMPED
 from cgid.reproduction.finite_element.study import Study
 from cgid.reproduction.impacts import THEORY_LABELS, paper_impact

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from cgid.filters import fft_filter
+from cgid.measure.filters import fft_filter
 from cgid.reproduction.finite_element.cases import UNDAMPED
 from cgid.reproduction.finite_element.study import Run, Study
 from cgid.validation import Floats

@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from cgid import validation
 from cgid.errors import BadData, InvalidValue
-from cgid.impact import Impact
-from cgid.impact.driving import Pulses
-from cgid.impact.poles import LowPass, Resonance
+from cgid.physics import Impact
+from cgid.physics.driving import Pulses
+from cgid.physics.poles import LowPass, Resonance
 from cgid.scene.scene import Scene
 from cgid.signals import STANDARD_GRAVITY, Signal
 from cgid.validation import Floats

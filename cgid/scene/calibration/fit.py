@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from cgid.impact.response import Quantity, Resonators, Response
+from cgid.physics.response import Quantity, Resonators, Response
 from cgid.scene.calibration.blow import Struck
 from cgid.scene.calibration.free_decay import Ringing
 from cgid.scene.sensor import Sensor

@@ -13,7 +13,7 @@ from threadpoolctl import threadpool_limits
 
 from cgid import validation
 from cgid.errors import BadData, InvalidValue
-from cgid.impact.response import Resonators
+from cgid.physics.response import Resonators
 from cgid.scene.beam import TailBeamSection
 from cgid.scene.calibration.blow import Blow, Struck, made_ready
 from cgid.scene.calibration.fit import Fit, aligned, columns, refined

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cgid.elementary import cos, sin
-from cgid.impact import free_fall_velocity
+from cgid.physics import free_fall_velocity
 from cgid.scene.impacts import PARTICLE
 from cgid.scene.population import FALL, specimen_of
 from cgid.scene.randomness import uniforms

@@ -7,8 +7,8 @@ from collections.abc import Mapping
 import numpy as np
 
 from cgid.elementary import log
-from cgid.impact import Impact
-from cgid.impact.coupled import ModalImpact
+from cgid.physics import Impact
+from cgid.physics.coupled import ModalImpact
 from cgid.scene._fourier import transformable
 from cgid.scene.background_noise import Background
 from cgid.scene.impacts import impact_of, impacts_by_coupling

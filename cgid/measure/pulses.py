@@ -1,0 +1,410 @@
+"""What can be measured on a batch of single pulses, each quantity once and only when asked for.
+
+Everything is relative to a baseline taken from the samples before touch, and everything after the peak
+search happens in a window just wide enough for the longest contact of the batch: samples outside contact
+are looked at once.
+"""
+
+from __future__ import annotations
+
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cgid.counting import count
+from cgid.measure.estimation import PulseFit, Start, fit_pulses
+from cgid.measure.estimation.start import strongest_run
+from cgid.measure.frames import Frames
+from cgid.validation import Floats
+
+#: Fewest samples between the 10 % crossings that can tell a width.
+MINIMUM_SAMPLES = 4
+#: The narrowest fitted pulse (impulse over peak, in samples) that can tell anything.
+MINIMUM_WIDTH = 1.5
+#: How many samples there should be on a contact, for the cure in the message.
+WANTED_SAMPLES = 20
+#: The lower of the two levels from which contact is carried on to zero: over the noise, and its bounds
+#: over the peak. Without noise a damped pulse of restitution .5 comes out .2 % short, .4 1.2 %, .3 9 %:
+#: the tail of a strongly damped pulse lies below any level.
+FOOT_OVER_NOISE, FOOT_LEVELS = 4.0, (0.01, 0.1)
+#: Below this many standard deviations of the noise the largest sample does not say where the pulse is.
+FAINT = 12.0
+#: Width (impulse over peak) of a usual pulse over its width at half the peak.
+_WIDTH_OVER_HALF_WIDTH = 1.08
+#: Samples at the top in a row, equal to the last bit, that mean a sensor at its limit.
+_FLAT_TOP = 3
+#: What a pulse must explain of the samples, over the variance of the noise: a chance run of samples explains less.
+EVIDENCE = 40.0
+#: Spectra are taken up to this number over the contact duration: a clean pulse has nothing above
+#: (a low-pass there moves the peak by less than 1 %), noise has.
+SPECTRUM_LIMIT = 4.0
+#: The spectrum's grid is at least this much finer than one over the window.
+_ZERO_PADDING = 8
+
+
+def without_impact(samples: NDArray[np.floating], fit: PulseFit) -> dict[int, str]:
+    """Return, for each row whose fitted pulse may be chance, the rule it breaks, its value and the cure."""
+    found: dict[int, str] = {}
+    for row in np.flatnonzero(~(fit.evidence > EVIDENCE) | ~(fit.peak > 0)):
+        explained = np.nan_to_num(fit.evidence[row])
+        found[int(row)] = (
+            f"no impact: a pulse must explain {EVIDENCE:g} times the variance of the noise, the best one explains "
+            f"{explained:.3g} times; if the pulse points downwards, invert the signal"
+        )
+        if fit.peak[row] < 0:
+            found[int(row)] = (
+                f"no impact: a pulse must point upwards, the best one reaches {fit.peak[row]:.3g}; invert the signal"
+            )
+        if np.ptp(samples[row]) == 0:
+            found[int(row)] = f"no impact: all samples are {samples[row, 0]:g}; check the sensor and its cable"
+    return found
+
+
+class PulseBatch(Frames):
+    """Single pulses in frames, measured lazily.
+
+    Parameters
+    ----------
+    samples : ndarray, (n_signals, n_samples)
+        One positive pulse a row.
+    sampling_rate : float
+        [Hz].
+    pre_trigger : int or None
+        Samples before touch. None: each row's own, up to where it last is below 1 % of the way from its first
+        samples to its largest.
+    remove_baseline : bool
+        Whether the mean before touch is subtracted.
+    detection_limit : float
+        A peak must pass this many standard deviations of what is before touch.
+    """
+
+    # -- before touch ---------------------------------------------------------------------------------
+
+    @cached_property
+    def _surely_quiet(self) -> NDArray[np.intp]:
+        """A sample surely before touch: a fifth of the rise before the last one below 1 % of the peak.
+
+        The peak is counted from the mean of the first quarter of what is before it: whatever offset a sensor has.
+        """
+        place, highest = self._highest
+        columns = np.arange(self.samples.shape[1])
+        count = np.maximum(place // 4, 1)
+        early = columns[: count.max()] < count[:, None]
+        start = np.sum(self.samples[:, : count.max()], axis=1, where=early, dtype=np.float64) / count
+        level = start + 0.01 * (highest - start)
+        low = (self.samples < level[:, None]) & (columns < place[:, None])
+        foot = np.where(low, columns, 0).max(axis=1)
+        return np.asarray(np.maximum(foot - (place - foot) // 5 - 1, 0))
+
+    @cached_property
+    def n_quiet(self) -> Floats:
+        """Number of samples before touch that baseline and noise are of."""
+        if self.pre_trigger is not None:
+            return np.full(len(self.samples), float(max(self.pre_trigger, 1)))
+        return np.asarray(np.maximum(self._surely_quiet, 1), np.float64)
+
+    # -- the peak -------------------------------------------------------------------------------------
+
+    @cached_property
+    def _highest(self) -> tuple[NDArray[np.intp], Floats]:
+        place = np.argmax(self.samples, axis=1)
+        return place, self.samples[np.arange(len(place)), place].astype(np.float64)
+
+    @cached_property
+    def offset(self) -> Floats:
+        """What is taken off the samples."""
+        return self.baseline if self.remove_baseline else np.zeros(len(self.samples))
+
+    @cached_property
+    def peak(self) -> Floats:
+        """The largest sample above the baseline."""
+        return self._highest[1] - self.offset
+
+    # -- the window around contact --------------------------------------------------------------------
+
+    @cached_property
+    def _edges(self) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+        """First and last sample of the run around the peak that is above 10 % of the peak."""
+        n_rows, n_samples = self.samples.shape
+        # Never above the largest sample: where nothing rises above the baseline it is a run by itself.
+        level = np.minimum(0.1 * self.peak + self.offset, self._highest[1]).astype(self.samples.dtype)
+        # Few samples are high: their flat places fall into runs, broken by gaps and by the ends of rows.
+        high = np.flatnonzero(self.samples >= level[:, None])
+        breaks = np.flatnonzero((np.diff(high) > 1) | (high[1:] % n_samples == 0)) + 1
+        starts, stops = high[np.append(0, breaks)], high[np.append(breaks - 1, high.size - 1)]
+        first_of_row = np.arange(n_rows) * n_samples
+        run = np.searchsorted(starts, first_of_row + self._highest[0], side="right") - 1
+        return starts[run] - first_of_row, stops[run] - first_of_row
+
+    @cached_property
+    def window_reach(self) -> NDArray[np.intp]:
+        """The last sample that the window around contact asks for, in the frame or beyond it."""
+        first, last = self._edges
+        return np.asarray(last + (last - first + 1) + 2)
+
+    @cached_property
+    def _window(self) -> tuple[Floats, NDArray[np.intp]]:
+        """Samples around contact (n_signals, width), baseline taken off, and the column of the first.
+
+        A quarter of the run before it and the whole run after it hold the feet (a damped pulse has a long
+        tail); beyond that there are zeros, so a row comes out the same whatever else is in the batch.
+        """
+        first, last = self._edges
+        start, stop = first - (last - first + 1) // 4 - 2, self.window_reach
+        offset = np.arange(int((stop - start).max()) + 1)
+        columns = start[:, None] + offset
+        inside = (offset <= (stop - start)[:, None]) & (columns >= 0) & (columns < self.samples.shape[1])
+        taken = np.take_along_axis(self.samples, np.clip(columns, 0, self.samples.shape[1] - 1), axis=1)
+        return np.where(inside, taken - self.offset[:, None], 0.0), start
+
+    @cached_property
+    def _peak_column(self) -> NDArray[np.intp]:
+        return self._highest[0] - self._window[1]
+
+    @cached_property
+    def _crossings(self) -> dict[float, tuple[Floats, Floats]]:
+        return {}
+
+    def crossings(self, level: float) -> tuple[Floats, Floats]:
+        """Return where the pulse passes a fraction of its peak, rising and falling [samples of the window].
+
+        Linear between samples; walking outwards from the peak, the first sample below the level counts.
+        """
+        if level not in self._crossings:
+            self._crossings[level] = self._crossings_at(np.full(len(self.samples), level))
+        return self._crossings[level]
+
+    def _crossings_at(self, level: Floats, power: float = 1.0) -> tuple[Floats, Floats]:
+        """Return both crossings of a level of each row; straight in a power of the pulse between samples."""
+        window, columns = self._window[0], np.arange(self._window[0].shape[1])
+        height, place = (level * self.peak)[:, None], self._peak_column[:, None]
+        low = window < height
+        before = np.where(low & (columns < place), columns, 0).max(axis=1)
+        after = np.where(low & (columns > place), columns, columns.size - 1).min(axis=1)
+        rising = self._between(before, before + 1, height[:, 0], power)
+        return rising, self._between(after, after - 1, height[:, 0], power)
+
+    def _between(self, outer: NDArray[np.intp], inner: NDArray[np.intp], height: Floats, power: float) -> Floats:
+        rows = np.arange(len(outer))
+        low, high = (np.maximum(self._window[0][rows, column], 0.0) ** power for column in (outer, inner))
+        rise = np.where(high > low, high - low, 1.0)
+        return np.asarray(outer + (inner - outer) * np.clip((height**power - low) / rise, 0.0, 1.0))
+
+    def width(self, level: float) -> Floats:
+        """Return the width at a fraction of the peak [s]."""
+        rising, falling = self.crossings(level)
+        return (falling - rising) / self.sampling_rate
+
+    @cached_property
+    def contact(self) -> tuple[Floats, Floats]:
+        """Touch and separation [samples of the window], carried on from two crossings near the foot.
+
+        An elastic pulse is close to sin^(3/2), so `arcsin(F^(2/3))` is nearly straight in time where
+        contact begins and ends: the line through two crossings meets zero there. The lower crossing is as
+        low as the noise allows, `FOOT_OVER_NOISE` standard deviations but within `FOOT_LEVELS`.
+        """
+        low = np.clip(FOOT_OVER_NOISE * self.noise / self.peak, *FOOT_LEVELS)
+        angle, angle_up = np.arcsin(low ** (2 / 3)), np.arcsin((3 * low) ** (2 / 3))
+        reach = angle / (angle_up - angle)
+        (rise, fall), (rise_up, fall_up) = self._crossings_at(low, 2 / 3), self._crossings_at(3 * low, 2 / 3)
+        return rise - reach * (rise_up - rise), fall + reach * (fall - fall_up)
+
+    @cached_property
+    def duration(self) -> Floats:
+        """Contact duration [s]."""
+        touch, separation = self.contact
+        return (separation - touch) / self.sampling_rate
+
+    @cached_property
+    def time_of_peak(self) -> Floats:
+        """Top of the parabola fitted to the samples around the peak above 80 % of it [samples of the window]."""
+        window, place = self._window[0], self._peak_column
+        rising, falling = self.crossings(0.8)
+        offset = np.arange(window.shape[1]) - place[:, None]
+        near = (offset >= np.minimum(rising - place, -1)[:, None]) & (offset <= np.maximum(falling - place, 1)[:, None])
+        scale = np.maximum(falling - rising, 2.0)[:, None]
+        u = np.where(near, offset / scale, 0.0)
+        moments = [near.sum(axis=1).astype(np.float64)] + [np.sum(u**k, axis=1) for k in (1, 2, 3, 4)]
+        weighted = np.where(near, window, 0.0)
+        right = np.stack([np.sum(weighted * u**k, axis=1) for k in (0, 1, 2)], axis=1)
+        matrix = np.stack([np.stack(moments[k : k + 3], axis=1) for k in (0, 1, 2)], axis=1)
+        fit = np.linalg.solve(matrix, right[..., None])[..., 0]
+        bent = fit[:, 2] < 0
+        top = np.where(bent, -fit[:, 1] / (2 * np.where(bent, fit[:, 2], -1.0)), 0.0)
+        return np.asarray(place + scale[:, 0] * np.clip(top, -0.5, 0.5))
+
+    @cached_property
+    def _during_contact(self) -> Floats:
+        """The window with everything outside contact set to zero."""
+        touch, separation = self.contact
+        columns = np.arange(self._window[0].shape[1])
+        inside = (columns > touch[:, None]) & (columns < separation[:, None])
+        return np.where(inside, self._window[0], 0.0)
+
+    @cached_property
+    def moments(self) -> tuple[Floats, Floats, Floats]:
+        """Sum [unit s], standard deviation over time [s] and skewness of the pulse during contact."""
+        force, columns = self._during_contact, np.arange(self._window[0].shape[1], dtype=np.float64)
+        total = force.sum(axis=1)
+        centred = columns - (force @ columns / total)[:, None]
+        variance = np.maximum(np.sum(force * centred**2, axis=1) / total, 1e-12)
+        third = np.sum(force * centred**3, axis=1) / total
+        return total / self.sampling_rate, np.sqrt(variance) / self.sampling_rate, third / variance**1.5
+
+    @cached_property
+    def energy(self) -> Floats:
+        """Integral of the square during contact [unit^2 s]."""
+        return np.asarray(np.sum(self._during_contact**2, axis=1) / self.sampling_rate)
+
+    # -- the fitted pulse -----------------------------------------------------------------------------
+
+    @cached_property
+    def fit(self) -> PulseFit:
+        """The most likely damped-Hertz pulse, times in samples of the frame; nan where nothing rises."""
+        alive = np.flatnonzero((self.peak > 0) & (np.ptp(self.samples, axis=1) > 0))
+        count("fits", alive.size)
+        found = fit_pulses(
+            self.samples[alive],
+            self.fit_start.rows(alive),
+            self.noise[alive],
+            offset=self.offset[alive],
+            clip_level=None if self.clip_level is None else self.clip_level[alive],
+        )
+        return found if alive.size == len(self.samples) else found.spread(alive, len(self.samples))
+
+    @cached_property
+    def fit_start(self) -> Start:
+        """Where the fit begins: at the largest sample, or at the strongest run of samples where noise is as large."""
+        faint = np.flatnonzero(self.peak < FAINT * self.noise)
+        peak, place = self.peak.copy(), self._highest[0].astype(np.float64)
+        width = np.empty(len(peak))
+        clear = np.flatnonzero(self.peak >= FAINT * self.noise)
+        if clear.size == len(peak):
+            width = _WIDTH_OVER_HALF_WIDTH * self.width(0.5) * self.sampling_rate
+        elif clear.size:
+            own = PulseBatch(self.samples[clear], self.sampling_rate, self.pre_trigger, self.remove_baseline)
+            width[clear] = _WIDTH_OVER_HALF_WIDTH * own.width(0.5) * self.sampling_rate
+        if faint.size:
+            peak[faint], width[faint], place[faint] = strongest_run(self.samples[faint], self.offset[faint])
+        tiny = 1e-12 + 1e-9 * np.abs(self._highest[1])
+        return Start(np.maximum(peak, tiny), np.maximum(width, 1.0), place)
+
+    @cached_property
+    def clip_level(self) -> Floats | None:
+        """Level above the baseline at which a sensor was at its limit, infinite where it was not."""
+        place, highest = self._highest
+        rows, flat = np.arange(len(place)), np.ones(len(place), bool)
+        for step in range(1, _FLAT_TOP):
+            flat &= self.samples[rows, np.minimum(place + step, self.samples.shape[1] - 1)] == highest
+        return np.where(flat, highest - self.offset, np.inf) if flat.any() else None
+
+    @cached_property
+    def overload(self) -> Floats:
+        """Fitted peak over the level at which the samples are cut off, minus 1; 0 where they are not."""
+        if self.clip_level is None:
+            return np.zeros(len(self.samples))
+        return np.maximum(self.fit.peak / self.clip_level - 1, 0.0)
+
+    def fit_problems(self) -> dict[int, str]:
+        """Return, for each row that cannot be fitted, the rule it breaks, its value and the cure."""
+        found = without_impact(self.samples, self.fit)
+        last = self.samples.shape[1] - 1
+        middle = self.fit.onset + 0.5 * self.fit.duration
+        for row in np.flatnonzero((self.fit.onset < -0.5) | (middle > last)):
+            end, column = ("start", 0) if self.fit.onset[row] < -0.5 else ("end", last)
+            found.setdefault(
+                int(row),
+                f"the pulse must lie inside the frame, it is cut off by its {end} (sample {column}): record a "
+                "longer frame",
+            )
+        for row in np.flatnonzero(self.fit.width < MINIMUM_WIDTH):
+            span = self.fit.width[row] / self.sampling_rate
+            found.setdefault(
+                int(row),
+                f"sampling_rate {self.sampling_rate:g} Hz gives this {span * 1e3:.3g} ms pulse "
+                f"{self.fit.width[row]:.3g} samples of width; {MINIMUM_WIDTH:g} are needed and "
+                f"{WANTED_SAMPLES / 2:g} wanted: use {WANTED_SAMPLES / 2 / span:.3g} Hz or more",
+            )
+        return found
+
+    # -- the spectrum ---------------------------------------------------------------------------------
+
+    @cached_property
+    def _transform_lengths(self) -> NDArray[np.intp]:
+        touch, separation = self.contact
+        wanted = np.maximum(_ZERO_PADDING * np.ceil(separation - touch + 1), 64)
+        return np.asarray(2 ** np.ceil(np.log2(wanted)).astype(np.intp))
+
+    @cached_property
+    def n_bins(self) -> NDArray[np.intp]:
+        """How many bins of each row's spectrum count; behind them is padding."""
+        top = np.minimum(SPECTRUM_LIMIT / self.duration, self.sampling_rate / 2)
+        return np.asarray(np.floor(top * self._transform_lengths / self.sampling_rate).astype(np.intp) + 1)
+
+    @cached_property
+    def spectrum(self) -> tuple[Floats, Floats]:
+        """Frequencies [Hz] and power, each (n_signals, n_bins), of the contact alone.
+
+        The grid is that of a zero-padded transform whose length is a power of two at least
+        `_ZERO_PADDING` times the row's own contact, up to `SPECTRUM_LIMIT / duration`; padded with
+        zero power, so a row does not depend on its neighbours.
+        """
+        touch, separation = self.contact
+        lengths, bins = self._transform_lengths, self.n_bins
+        count("spectra", len(lengths))
+        power = np.zeros((len(lengths), int(bins.max())))
+        first = np.maximum(np.ceil(touch).astype(np.intp), 0)
+        for length in np.unique(lengths):
+            rows = np.flatnonzero(lengths == length)
+            span = int(np.ceil((separation - touch)[rows].max())) + 1
+            columns = np.minimum(first[rows, None] + np.arange(span), self._window[0].shape[1] - 1)
+            last_once = first[rows, None] + np.arange(span) < self._window[0].shape[1]
+            force = np.where(last_once, self._during_contact[rows[:, None], columns], 0.0)
+            kept = int(bins[rows].max())
+            power[rows, :kept] = np.abs(np.fft.rfft(force, n=int(length)))[:, :kept] ** 2
+        power[np.arange(power.shape[1]) >= bins[:, None]] = 0.0
+        return np.arange(power.shape[1]) * (self.sampling_rate / lengths)[:, None], power
+
+    @cached_property
+    def cumulative_energy(self) -> Floats:
+        """Share of the spectrum's energy up to each frequency, (n_signals, n_bins), trapezoids."""
+        _, power = self.spectrum
+        steps = 0.5 * (power[:, 1:] + power[:, :-1])
+        # No step from a row's last bin to the padding behind it.
+        steps[np.arange(1, power.shape[1]) >= self.n_bins[:, None]] = 0.0
+        total = np.cumsum(steps, axis=1)
+        return np.concatenate([np.zeros((len(power), 1)), total / total[:, -1:]], axis=1)
+
+    # -- what is wrong with it ------------------------------------------------------------------------
+
+    def problems(self) -> dict[int, str]:
+        """Return, for each row that cannot be measured, the rule it breaks, its value and the cure."""
+        found: dict[int, str] = {}
+        first, last = self._edges
+        count = last - first + 1
+        for row in np.flatnonzero(~(self.peak > self.detection_limit * self.noise) | ~(self.peak > 0)):
+            found[int(row)] = (
+                f"no impact: the peak must pass {self.detection_limit:g} times the noise, it is {self.peak[row]:.3g} "
+                f"over a noise of {self.noise[row]:.3g}; if the pulse points downwards, invert the signal"
+            )
+        cut_off = (first == 0) | (last == self.samples.shape[1] - 1)
+        for row in np.flatnonzero(cut_off):
+            if np.ptp(self.samples[row]) == 0:
+                constant = f"no impact: all samples are {self.samples[row, 0]:g}; check the sensor and its cable"
+                found.setdefault(int(row), constant)
+            end = "start" if first[row] == 0 else "end"
+            found.setdefault(
+                int(row),
+                f"the pulse must lie inside the frame, it is cut off by its {end} "
+                f"(sample {0 if end == 'start' else self.samples.shape[1] - 1}): record a longer frame",
+            )
+        for row in np.flatnonzero(count < MINIMUM_SAMPLES):
+            span = max(int(count[row]), 1) / self.sampling_rate
+            found.setdefault(
+                int(row),
+                f"sampling_rate {self.sampling_rate:g} Hz gives this {span * 1e3:.3g} ms pulse {count[row]} samples "
+                f"above 10 % of its peak; {MINIMUM_SAMPLES} are needed and {WANTED_SAMPLES} wanted: "
+                f"use {WANTED_SAMPLES / span:.3g} Hz or more",
+            )
+        return found

@@ -1,0 +1,114 @@
+"""The two bodies of an impact: a sphere, and a half space, a thin plate, another sphere or a rigid wall."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from cgid import validation
+from cgid.physics.materials import Material
+from cgid.validation import Floats
+
+
+@dataclass(frozen=True, kw_only=True)
+class Sphere:
+    """A solid elastic sphere of `material` and `radius` [m]."""
+
+    material: Material
+    radius: ArrayLike
+
+    def __post_init__(self) -> None:
+        validation.instance("material", self.material, Material)
+        validation.positive("radius", self.radius, "m")
+        validation.hold(self, "radius")
+
+    @property
+    def mass(self) -> Floats:
+        """`4/3 pi R^3 rho` [kg]."""
+        radius = validation.real("radius", self.radius, "m")
+        return 4 / 3 * np.pi * (radius * radius * radius) * validation.real("density", self.material.density, "kg/m^3")
+
+
+@dataclass(frozen=True, kw_only=True)
+class HalfSpace:
+    """An elastic half space of `material`, at rest and of infinite mass: a thick plate."""
+
+    material: Material
+
+    def __post_init__(self) -> None:
+        validation.instance("material", self.material, Material)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ThinPlate:
+    """A plate of `material` and `thickness` [m], so wide that no wave comes back from its edges in time.
+
+    Where it is hit it gives way at the speed `P / Z`, and flexural waves carry the energy off: Zener (1941),
+    Phys. Rev. 59, 669.
+    """
+
+    material: Material
+    thickness: ArrayLike = np.nan
+
+    def __post_init__(self) -> None:
+        validation.instance("material", self.material, Material)
+        validation.positive("thickness", self.thickness, "m")
+        validation.hold(self, "thickness")
+
+    @property
+    def impedance(self) -> Floats:
+        """`Z = 8 sqrt(B rho h)`, `B = E h^3 / (12 (1 - nu^2))` [kg/s].
+
+        Examples
+        --------
+        >>> from cgid.physics.materials import STEEL
+        >>> round(float(ThinPlate(material=STEEL, thickness=0.008).impedance))
+        6291
+        """
+        return impedance_of_unit_thickness(self.material) * validation.real("thickness", self.thickness, "m") ** 2
+
+
+def impedance_of_unit_thickness(material: Material) -> Floats:
+    """Return Z / h^2 of a thin plate [kg/(s m^2)]."""
+    density = validation.real("density", material.density, "kg/m^3")
+    return 8 * np.sqrt(density / (12 * material.plane_strain_compliance))
+
+
+@dataclass(frozen=True)
+class RigidWall:
+    """A flat wall that does not deform; use the constant `RIGID`."""
+
+
+RIGID = RigidWall()
+
+Target = HalfSpace | ThinPlate | Sphere | RigidWall
+
+
+def reduced_radius(sphere: Sphere, target: Target) -> Floats:
+    """Return R of the contact [m]: `1/R = 1/R1 + 1/R2`, R1 itself against a flat target (Yang 2018, Eq. 8)."""
+    radius = validation.real("radius", sphere.radius, "m")
+    if not isinstance(target, Sphere):
+        return radius
+    return 1 / (1 / radius + 1 / validation.real("radius", target.radius, "m"))
+
+
+def reduced_modulus(sphere: Sphere, target: Target) -> Floats:
+    """Return E of the contact [Pa]: `1/E = (1 - nu1^2)/E1 + (1 - nu2^2)/E2`, no second term for a rigid wall."""
+    compliance = sphere.material.plane_strain_compliance
+    if not isinstance(target, RigidWall):
+        compliance = compliance + target.material.plane_strain_compliance
+    return 1 / compliance
+
+
+def sphere_share(sphere: Sphere, target: Target) -> Floats:
+    """Return the sphere's share in the compliance of both bodies, `(1 - nu1^2) E / E1`: 1 on a rigid wall."""
+    return sphere.material.plane_strain_compliance * reduced_modulus(sphere, target)
+
+
+def reduced_mass(sphere: Sphere, target: Target) -> Floats:
+    """Return m of the relative motion [kg]: `1/m = 1/m1 + 1/m2`, m1 itself against a target at rest."""
+    if not isinstance(target, Sphere):
+        return sphere.mass
+    return 1 / (1 / sphere.mass + 1 / target.mass)

@@ -1,0 +1,295 @@
+"""The dimensionless curves of a batch of impacts, each by the cheapest way that is exact.
+
+Four numbers say all of an impact: the material's restitution (or Hunt-Crossley damping, its other name), zeta,
+lambda and gamma of `cgid.physics._taylor`. Where the last three are zero the impact is *plain*: its peaks are
+closed forms, and its pulse is in the shipped table (`cgid.family`) unless it is damped beyond it. Everything
+else is integrated. This is where it is decided what runs.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import DTypeLike, NDArray
+
+from cgid import family
+from cgid.counting import count, counting
+from cgid.elementary import power
+from cgid.errors import InvalidValue
+from cgid.physics.closed_forms import peak_displacement, peak_force
+from cgid.physics.dispatch import FEW_SAMPLES, kernel
+from cgid.physics.restitution import damping_number
+from cgid.physics.threads import in_threads
+from cgid.validation import Floats
+
+Quantity = Literal["force", "displacement"]
+#: Below it the time scales of braking and of leaving lie too far apart for double precision.
+LOWEST_RESTITUTION, LOWEST_ON_A_PLATE = 1e-30, 1e-14
+#: Stepping in time: the smallest error over the peak that it is asked for, how many steps a contact takes for an error
+#: of 1, and up to which D the method is stable with them.
+FINEST_STEPPED, _STEPS_FOR_ONE, _MOST_STEPPED_DAMPING = 1e-7, 4.0, 100.0
+
+
+@dataclass(frozen=True)
+class Curves:
+    """The curves of n impacts, in units of L, T0 and `K L^(3/2)`.
+
+    Attributes
+    ----------
+    material_restitution : ndarray, (n,)
+        What the material's loss alone would leave: 1 where it is elastic or viscoelastic.
+    zeta : ndarray, (n,)
+        `A v / L` of a viscoelastic sphere.
+    inelasticity : ndarray, (n,)
+        Zener's lambda of a thin plate.
+    weight : ndarray, (n,)
+        `g L / v^2`.
+    """
+
+    material_restitution: Floats
+    zeta: Floats
+    inelasticity: Floats
+    weight: Floats
+
+    @cached_property
+    def plain(self) -> NDArray[np.bool_]:
+        """Where nothing but Hunt-Crossley damping acts."""
+        return np.asarray((self.zeta == 0) & (self.inelasticity == 0) & (self.weight == 0))
+
+    @cached_property
+    def tabulated(self) -> NDArray[np.bool_]:
+        """Where the shipped table holds the pulse."""
+        return self.plain & family.in_table(self.material_restitution)
+
+    @cached_property
+    def damping(self) -> Floats:
+        """D of the Hunt-Crossley loss; where there is none nothing is solved for."""
+        damped = self.material_restitution < 1
+        count("damping_solves", np.count_nonzero(damped))
+        damping = np.zeros(self.material_restitution.shape)
+        if damped.any():
+            damping[damped] = damping_number(self.material_restitution[damped])
+        return damping
+
+    @cached_property
+    def _parameters(self) -> Floats:
+        """The columns `_taylor.PARAMETERS`."""
+        return np.stack([self.damping, self.zeta, self.inelasticity, self.weight], axis=1)
+
+    @cached_property
+    def restitution(self) -> Floats:
+        """Rebound speed over impact speed."""
+        return self._closed_or_integrated(lambda rows: self.material_restitution[rows], "restitution")
+
+    @cached_property
+    def peak_force(self) -> Floats:
+        """Largest force."""
+        count("closed_form_peaks", np.count_nonzero(self.plain))
+        return self._closed_or_integrated(lambda rows: peak_force(self.damping[rows]), "peak_force")
+
+    @cached_property
+    def peak_displacement(self) -> Floats:
+        """Largest displacement."""
+        count("closed_form_peaks", np.count_nonzero(self.plain))
+        return self._closed_or_integrated(lambda rows: peak_displacement(self.damping[rows]), "peak_displacement")
+
+    @cached_property
+    def end_displacement(self) -> Floats:
+        """Displacement at separation: zero but for a viscoelastic sphere."""
+        return self._closed_or_integrated(lambda _: np.zeros(()), "end_displacement")
+
+    @cached_property
+    def plate_energy(self) -> Floats:
+        """Energy radiated into the plate over `m v^2`."""
+        return self._closed_or_integrated(lambda _: np.zeros(()), "plate_energy")
+
+    @property
+    def impulse(self) -> Floats:
+        """Integral of the force over the contact: `1 + e`, and with gravity what it pulls in that time."""
+        pull = self.weight * self.times[0] if self.weight.any() else 0.0
+        return np.asarray(1 + self.restitution + pull)
+
+    @property
+    def rebound(self) -> Floats:
+        """Restitution, and 0 where the sphere does not leave again."""
+        if self.plain.all():
+            return self.restitution
+        return np.where(self.plain, self.material_restitution, self._summary["restitution"])
+
+    @cached_property
+    def times(self) -> tuple[Floats, Floats, Floats]:
+        """Contact time, time of the peak force, time of the largest displacement."""
+        out = np.empty((3, self.plain.size))
+        count("tabulated_times", np.count_nonzero(self.tabulated))
+        if self.tabulated.any():
+            out[:, self.tabulated] = family.times(self.material_restitution[self.tabulated])
+        if not self.tabulated.all():
+            rest = ~self.tabulated
+            for row, name in enumerate(("contact_time", "time_of_peak", "compression_time")):
+                out[row, rest] = self._integrated[name][rest]
+        return out[0], out[1], out[2]
+
+    def _closed_or_integrated(self, closed: Callable[[NDArray[np.bool_]], Floats], name: str) -> Floats:
+        out = np.empty(self.plain.size)
+        if self.plain.any():
+            out[self.plain] = closed(self.plain)
+        if not self.plain.all():
+            out[~self.plain] = self._integrated[name][~self.plain]
+        return out
+
+    @cached_property
+    def _summary(self) -> dict[str, Floats]:
+        """The results of the reference path for the rows that the table does not hold, nan elsewhere."""
+        from cgid.physics import _taylor
+
+        found = np.full((self.plain.size, len(_taylor.RESULTS)), np.nan)
+        count("integrated_impacts", np.count_nonzero(~self.tabulated))
+        summaries = kernel(_taylor, "summaries", self.plain.size)
+        in_threads(summaries, (self._parameters, _taylor.ORDER, 0.0, found), np.flatnonzero(~self.tabulated), 1)
+        return dict(zip(_taylor.RESULTS, found.T, strict=True))
+
+    @cached_property
+    def _integrated(self) -> dict[str, Floats]:
+        """The same, where every sphere leaves again."""
+        rows = np.flatnonzero(~self.tabulated)
+        self._require_separation(rows, self._summary["status"][rows])
+        return self._summary
+
+    def taken(self, rows: NDArray[np.intp]) -> Curves:
+        """Return the curves of these rows, in this order."""
+        return Curves(self.material_restitution[rows], self.zeta[rows], self.inelasticity[rows], self.weight[rows])
+
+    def require_rebound(self) -> None:
+        """Raise `InvalidValue` where the sphere does not leave again, or not within the reach of double precision."""
+        lowest = np.where(self.inelasticity > 0, LOWEST_ON_A_PLATE, LOWEST_RESTITUTION)
+        beyond = self.material_restitution < lowest
+        if beyond.any():
+            raise InvalidValue(
+                f"the restitution of the material must be {lowest[beyond][0]:g} or more for double precision to "
+                f"follow the impact, got {self.material_restitution[beyond][0]:g}"
+            )
+        if not self.plain.all():
+            _ = self._integrated
+
+    def _require_separation(self, rows: NDArray[np.intp], status: Floats) -> None:
+        from cgid.physics import _taylor
+
+        if (status == _taylor.SEPARATED).all():
+            return
+        index = np.flatnonzero(status != _taylor.SEPARATED)[0]
+        row = rows[index]
+        numbers = (
+            f"restitution of the material {self.material_restitution[row]:g}, zeta {self.zeta[row]:g}, "
+            f"lambda {self.inelasticity[row]:g}, g L / v^2 {self.weight[row]:g}"
+        )
+        place = f" at index {row}" if self.plain.size > 1 else ""
+        if status[index] == _taylor.STAYS:
+            raise InvalidValue(
+                f"the sphere must rebound, but its weight holds it on the target ({numbers}){place}; "
+                "raise the velocity or the restitution, or leave gravity out"
+            )
+        cure = "lower the loss, or leave gravity out" if self.weight[row] > 0 else "lower the loss"
+        raise InvalidValue(
+            f"the loss must leave a rebound that double precision can follow, got {numbers}{place}; {cure}"
+        )
+
+    def evaluate(
+        self, times: Floats, time_scale: Floats, amplitude: Floats, quantity: Quantity, dtype: DTypeLike, threads: int
+    ) -> NDArray[Any]:
+        """Return force or displacement at times (n, k) [s], shape (n, k), zero outside contact."""
+        out = np.empty(times.shape, dtype)
+        rows, rest = np.flatnonzero(self.tabulated), np.flatnonzero(~self.tabulated)
+        count("table_pulses", rows.size)
+        count("integrated_pulses", rest.size)
+        if rows.size * times.shape[1] <= FEW_SAMPLES:
+            restitution = self.material_restitution[rows]
+            with np.errstate(over="ignore"):  # long past separation
+                tau = times[rows] / time_scale[rows, None]
+            out[rows] = amplitude[rows, None] * getattr(family, quantity)(tau, restitution)
+        else:
+            from cgid.physics import _kernels
+
+            columns, place = getattr(family.table(), quantity), family.coordinate(self.material_restitution)
+            cubic = quantity == "force"
+            in_threads(_kernels.at_times, (times, place, time_scale, amplitude, columns, cubic, out), rows, threads)
+        if rest.size:
+            from cgid.physics import _taylor
+
+            row = _taylor.FORCE if quantity == "force" else _taylor.DISPLACEMENT
+            numbers = (times, self._parameters, time_scale, amplitude, row, _taylor.ORDER, out)
+            in_threads(kernel(_taylor, "at_times", *times.shape), numbers, rest, threads)
+        return out
+
+    def add_to_frames(
+        self,
+        frames: NDArray[Any],
+        onset: Floats,
+        step: Floats,
+        amplitude: Floats,
+        threads: int,
+        tolerance: float = 0.0,
+    ) -> None:
+        """Add a force pulse to each of the frames, in place.
+
+        Parameters
+        ----------
+        frames : ndarray of float32 or float64, (n, n_samples)
+        onset : ndarray, (n,)
+            Place of touch on the sample grid [samples].
+        step : ndarray, (n,)
+            Sampling interval over T0.
+        amplitude : ndarray, (n,)
+            [N].
+        threads : int
+        tolerance : float
+            Error allowed over the peak for what no table holds, which is then stepped in time; 0 for none.
+        """
+        rows, rest = np.flatnonzero(self.tabulated), np.flatnonzero(~self.tabulated)
+        count("table_pulses", rows.size)
+        count("integrated_pulses", rest.size)
+        if counting():
+            count("pulse_samples", _samples_in_contact(onset, onset + self.times[0] / step, frames.shape[1]))
+        if tolerance >= FINEST_STEPPED:
+            steps = int(np.ceil(_STEPS_FOR_ONE * power(tolerance, -0.4)))
+            stepped = rest[self.damping[rest] < _MOST_STEPPED_DAMPING]
+            self._add_stepped(stepped, frames, onset, step, amplitude, threads, steps)
+            rest = np.setdiff1d(rest, stepped)
+        if rows.size:
+            from cgid.physics import _kernels
+
+            place, columns = family.coordinate(self.material_restitution), family.table().force
+            run = kernel(_kernels, "add_to_frames", *frames.shape)
+            in_threads(run, (frames, onset, step, place, amplitude, columns), rows, threads)
+        if rest.size:
+            from cgid.physics import _taylor
+
+            run = kernel(_taylor, "add_to_frames", *frames.shape)
+            in_threads(run, (frames, onset, step, self._parameters, amplitude, _taylor.ORDER), rest, threads)
+
+    def _add_stepped(
+        self,
+        rows: NDArray[np.intp],
+        frames: NDArray[Any],
+        onset: Floats,
+        step: Floats,
+        amplitude: Floats,
+        threads: int,
+        n_steps: int,
+    ) -> None:
+        if not rows.size:
+            return
+        from cgid.physics import _stepped
+
+        run = kernel(_stepped, "add_to_frames", *frames.shape)
+        numbers = (frames, onset, step, self._parameters, amplitude, self.times[0], n_steps)
+        in_threads(run, numbers, rows, threads)
+
+
+def _samples_in_contact(touch: Floats, separation: Floats, n_samples: int) -> int:
+    """Return how many samples of frames lie between touch and separation, both in samples."""
+    first = np.clip(np.floor(touch) + 1, 0, n_samples)
+    return int(np.sum(np.clip(np.ceil(separation), first, n_samples) - first))

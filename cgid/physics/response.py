@@ -1,0 +1,340 @@
+"""From a contact force to the samples of a recorder, through a tail beam and a chain of sensors.
+
+All of it is linear, so all of it is one sum over poles: those of the beam's modes, and those of what the sensor does
+to the signal (mounting resonance, anti-alias filter). Each pole is a resonator driven by the force. During contact
+the resonators are run on a grid fine enough for the force; once the rock has left, each rings as one exponential, and
+only the recorder's samples are computed. There is no internal rate to filter and decimate from.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, Literal, Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from cgid import validation
+from cgid.counting import count
+from cgid.elementary import complex_exp, complex_of, complex_product, matrix_product, modulus
+from cgid.errors import InvalidValue
+from cgid.physics.driving import DrivenSample, Pulses, driven_sample, polynomials_for, windows_of
+from cgid.physics.poles import Complex, LowPass, Resonance, resonator_poles
+from cgid.physics.threads import pool
+from cgid.validation import Floats
+
+#: What a sensor on a beam feels, and how often it is differentiated in time.
+DERIVATIVES = {"displacement": 0, "velocity": 1, "acceleration": 2}
+Quantity = Literal["force", "displacement", "velocity", "acceleration"]
+
+#: A filter's pole nearer to another one than this, over its size, is moved aside by as much: their residues would be
+#: large and cancel. So a mounting resonance may be taken up to .2 % beside its place, if a mode lies right there.
+_APART = 1e-3
+#: Samples of the table of exponentials: it then stays in the cache with a hundred poles.
+_TABLE = 256
+
+
+class Resonators(Protocol):
+    """What is asked of the modes of a beam."""
+
+    @property
+    def frequency(self) -> Floats:
+        """[Hz], (n_modes,)."""
+
+    @property
+    def damping_ratio(self) -> Floats:
+        """(n_modes,)."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Response:
+    """The linear way from a contact force to a recorder.
+
+    Parameters
+    ----------
+    sampling_rate : float
+        Of the recorder [Hz].
+    quantity : {"force", "displacement", "velocity", "acceleration"}
+        What the sensor feels: the contact force itself, or the motion of a beam.
+    modes : object with `frequency` and `damping_ratio`, optional
+        Of the beam, (n_modes,); a force has none.
+    filters : tuple of Resonance and LowPass
+        What the sensor and the recorder make of it.
+    tolerance : float
+        Error allowed, over the largest sample: how fine the contact is cut, and which poles are too quiet to be run.
+
+    Raises
+    ------
+    InvalidValue
+        A force with modes or a motion without, or a force without any filter: then nothing responds.
+    """
+
+    sampling_rate: float
+    quantity: Quantity = "acceleration"
+    modes: Resonators | None = None
+    filters: tuple[Resonance | LowPass, ...] = ()
+    tolerance: float = 1e-6
+
+    def __post_init__(self) -> None:
+        validation.positive("sampling_rate", self.sampling_rate, "Hz")
+        validation.choice("quantity", self.quantity, ("force", *DERIVATIVES))
+        if not 0 < self.tolerance <= 0.1:
+            raise InvalidValue(f"tolerance must lie above 0 and up to 0.1, got {self.tolerance:g}")
+        if (self.quantity == "force") != (self.modes is None):
+            raise InvalidValue(
+                f"modes must be left out for a force, and given for a motion of the beam, got {self.quantity} "
+                f"{'without' if self.modes is None else 'with'} modes"
+            )
+        if self.modes is None and not self.filters:
+            raise InvalidValue("filters must be at least 1 for a force: without any the recorder has the force itself")
+
+    @property
+    def n_modes(self) -> int:
+        """How many modes the beam has."""
+        return 0 if self.modes is None else self.modes.frequency.size
+
+    @cached_property
+    def poles(self) -> Complex:
+        """All poles of the upper half-plane and the real axis [rad/s], those of the modes first."""
+        found = [np.empty(0, complex)] if self.modes is None else [self._mode_poles]
+        for own in (part.poles for part in self.filters):
+            taken = np.concatenate(found)
+            for number, pole in enumerate(own):
+                while taken.size and modulus(taken - own[number]).min() < _APART * modulus(pole):
+                    own[number] *= 1 + 1.01 * _APART
+            found.append(own)
+        return np.concatenate(found)
+
+    @cached_property
+    def _mode_poles(self) -> Complex:
+        assert self.modes is not None
+        # Equal ones (of a square plate) are no trouble: each has a residue of its own.
+        return resonator_poles(self.modes.frequency, self.modes.damping_ratio)
+
+    @property
+    def _filter_poles(self) -> Complex:
+        return self.poles[self.n_modes :]
+
+    def _filtered(self, s: Complex, without: int | None = None) -> Complex:
+        """Return the gain of all filters at s; without one of their poles for the residue there."""
+        gain = np.ones(np.shape(s), complex)
+        for number, pole in enumerate(self._filter_poles):
+            both = pole.imag != 0
+            gain = gain * (pole.real * pole.real + pole.imag * pole.imag if both else -pole.real)
+            if number != without:
+                gain = gain / (s - pole)
+            if both:
+                gain = gain / (s - pole.conjugate())
+        return gain
+
+    @cached_property
+    def _residues(self) -> tuple[Complex, Complex]:
+        """Amplitude of each mode's pole, (n_modes,), and of the filters' poles, (n_modes or 1, n_filter_poles).
+
+        Both for a participation of 1, and twice the residue where a pole stands for its conjugate, too.
+        """
+        fold = np.where(self.poles.imag != 0, 2.0, 1.0)
+        after = np.array([self._filtered(pole, n) for n, pole in enumerate(self._filter_poles)], complex)
+        if self.modes is None:
+            return np.empty(0, complex), (fold * after)[None]
+        k = DERIVATIVES[self.quantity]
+        w, zeta = 2 * np.pi * self.modes.frequency, self.modes.damping_ratio
+        own = self._mode_poles
+        at_modes = complex_product(_power(own, k) / (2j * own.imag), self._filtered(own))
+        s = self._filter_poles[None, :]
+        beam = _power(s, 2) + 2 * (zeta * w)[:, None] * s + (w * w)[:, None]
+        at_filters = complex_product(after[None], _power(s, k)) / beam
+        return fold[: self.n_modes] * at_modes, fold[None, self.n_modes :] * at_filters
+
+    @cached_property
+    def _loudness(self) -> Floats:
+        """How loud each mode is in the band after a blow, for a participation of 1.
+
+        The filters' gain is that for a steady tone: at the poles themselves it may be as large as it likes, where one
+        of the filters' own is near.
+        """
+        assert self.modes is not None
+        size, k = modulus(self._mode_poles), DERIVATIVES[self.quantity]
+        gain = modulus(self._filtered(complex_of(np.zeros(()), size)))
+        return np.asarray(gain / size if k == 0 else gain if k == 1 else gain * size)
+
+    def amplitudes(self, participation: Floats | None = None) -> tuple[Complex, Floats]:
+        """Return how strongly a force drives each pole, and how much of it passes at once.
+
+        Parameters
+        ----------
+        participation : ndarray, (n, n_modes), optional
+            `shape(impact) shape(sensor) / modal mass` [1/kg]; none for a force.
+
+        Returns
+        -------
+        tuple of ndarray
+            (n, n_poles) and (n,).
+        """
+        own, filters = self._residues
+        if participation is None:
+            return filters, np.zeros(1)
+        mixed = complex_of(*(matrix_product(participation, part) for part in (filters.real, filters.imag)))
+        passes = self.quantity == "acceleration" and not self.filters
+        direct = participation.sum(axis=1) if passes else np.zeros(len(participation))
+        return np.concatenate([participation * own, mixed], axis=1), direct
+
+    def frequency_response(self, frequencies: ArrayLike, participation: ArrayLike | None = None) -> Complex:
+        """Return the response to a force of unit amplitude at frequencies [Hz], complex, (n_frequencies,).
+
+        Parameters
+        ----------
+        frequencies : array_like, (n_frequencies,)
+        participation : array_like, (n_modes,), optional
+            As in `amplitudes`.
+        """
+        rows = None if participation is None else np.atleast_2d(np.asarray(participation, np.float64))
+        amplitude, direct = self.amplitudes(rows)
+        s = 2j * np.pi * np.asarray(frequencies, np.float64)[:, None]
+        pole, half = self.poles[None], np.where(self.poles.imag != 0, 0.5, 1.0) * amplitude[0]
+        other = np.where(self.poles.imag != 0, half.conjugate() / (s - pole.conjugate()), 0.0)
+        return np.asarray(direct[0] + (half / (s - pole) + other).sum(axis=1))
+
+    def audible(self, participation: Floats | None) -> NDArray[np.intp]:
+        """Return the poles that must be run for these pulses, those that ring longest first.
+
+        Left out are the quietest ones of the modes, as long as all that is left out together stays below the
+        tolerance, over the loudest one, for every pulse.
+        """
+        share = np.full(self.poles.size, np.inf)  # the filters' poles carry what all modes leave in the band
+        if participation is not None:
+            loudness = np.abs(participation) * self._loudness
+            loudest = np.maximum(loudness.max(axis=1, keepdims=True), 1e-300)
+            share[: self.n_modes] = (loudness / loudest).max(axis=0)
+        quiet_first = np.argsort(share, kind="stable")
+        kept = quiet_first[np.searchsorted(np.cumsum(share[quiet_first]), self.tolerance, side="right") :]
+        return np.asarray(kept[np.argsort(-self.poles[kept].real, kind="stable")])
+
+    def add_to_frames(
+        self,
+        frames: NDArray[Any],
+        pulses: Pulses,
+        onset: Floats,
+        participation: Floats | None = None,
+        *,
+        rows: NDArray[np.intp] | None = None,
+        ratio: Floats | None = None,
+        threads: int = 1,
+    ) -> None:
+        """Add what the recorder hears of some pulses to its frames, in place.
+
+        Parameters
+        ----------
+        frames : ndarray of float32 or float64, (n_rows, n_samples)
+        pulses : Impact, TapPulses or ModalImpact
+            n of them.
+        onset : ndarray, (n,)
+            Time of touch in the frame [s]; it may lie before it.
+        participation : ndarray, (n, n_modes), optional
+        rows : ndarray of int, (n,), optional
+            The frame of each pulse; the pulses in order by default. A frame may have any number of them.
+        ratio : ndarray, (n,), optional
+            What each force is multiplied by.
+        threads : int
+            How many threads share the frames.
+        """
+        from cgid.physics import _response
+
+        n = len(onset)
+        rows = np.arange(n) if rows is None else rows
+        chosen = self.audible(participation)
+        amplitude, direct = self.amplitudes(participation)
+        amplitude = np.broadcast_to(amplitude[:, chosen], (n, chosen.size))
+        if ratio is not None:
+            amplitude, direct = amplitude * ratio[:, None], direct * ratio
+        parts = np.ascontiguousarray(np.stack([amplitude.real, amplitude.imag], axis=1))
+        windows = windows_of(pulses, onset, self.sampling_rate, self.tolerance)
+        ringing = np.empty_like(parts)
+        turn = np.ascontiguousarray(self._rung[:, chosen, 1])
+        driven = self._driven(chosen, windows.strides)
+        direct = np.ascontiguousarray(np.broadcast_to(direct, (n,)))
+        count("modes", int((chosen < self.n_modes).sum()))
+        # Two pulses of one frame must not be added by two threads.
+        shared = [np.arange(n)] if np.unique(rows).size < n else np.array_split(np.arange(n), threads)
+
+        def strike(part: NDArray[np.intp]) -> None:
+            _response.strike(
+                frames, rows, windows.first, windows.stride, windows.count, windows.level, turn, *driven,
+                windows.force, windows.drive, parts, direct, ringing, part,
+            )  # fmt: skip
+
+        _in_threads(strike, shared)
+        self._ring(frames, rows, windows.first + windows.count, ringing, chosen, threads)
+
+    def _ring(
+        self,
+        frames: NDArray[Any],
+        rows: NDArray[np.intp],
+        start: NDArray[np.int64],
+        ringing: Floats,
+        chosen: NDArray[np.intp],
+        threads: int,
+    ) -> None:
+        from cgid.physics import _response
+
+        order = np.lexsort((start, rows))
+        begin = np.searchsorted(rows[order], np.arange(len(frames) + 1))
+        hop = np.ascontiguousarray(self._rung[:, chosen, _TABLE])
+        table = np.ascontiguousarray(self._rung[:, chosen, :_TABLE], frames.dtype)
+
+        def run(part: NDArray[np.intp]) -> int:
+            some = slice(part[0], part[-1] + 1)
+            return int(
+                _response.ring(
+                    frames[some], begin[part[0] : part[-1] + 2], order, start, ringing, table, hop, self.tolerance
+                )
+            )
+
+        count("mode_samples", sum(_in_threads(run, np.array_split(np.arange(len(frames)), threads))))
+
+    def _driven(self, chosen: NDArray[np.intp], strides: NDArray[np.int64]) -> tuple[Floats, Floats, Floats]:
+        """Return what a sample of so many steps does to the poles: polynomials, their shares and g1 of `_response`.
+
+        Shapes (n_levels, largest stride, n_polynomials), (n_levels, 2, n_polynomials, n_poles), (n_levels, 2, n_poles).
+        """
+        levels = [self._samples_of(stride) for stride in strides.tolist()]
+        polynomials = np.zeros((strides.size, strides[-1], self._n_polynomials))
+        for level, stride in enumerate(strides.tolist()):
+            polynomials[level, :stride] = levels[level].polynomials
+        # In one layout, for each of which the kernel would be compiled.
+        shares = np.ascontiguousarray(np.stack([level.shares[:, :, chosen] for level in levels]))
+        return polynomials, shares, np.ascontiguousarray(np.stack([level.edge[:, chosen] for level in levels]))
+
+    @cached_property
+    def _rung(self) -> Floats:
+        """Ringing of every pole over the samples of a table and one more, (2, n_poles, `_TABLE` + 1)."""
+        grown = complex_exp((self.poles / self.sampling_rate)[:, None] * np.arange(_TABLE + 1))
+        return np.stack([grown.real, grown.imag])
+
+    @cached_property
+    def _n_polynomials(self) -> int:
+        return polynomials_for(float(modulus(self.poles).max()) / self.sampling_rate, self.tolerance)
+
+    @cached_property
+    def _kept(self) -> dict[int, DrivenSample]:
+        return {}
+
+    def _samples_of(self, stride: int) -> DrivenSample:
+        """Return what is the same in all blocks, made when first asked for."""
+        if stride not in self._kept:
+            self._kept[stride] = driven_sample(self.poles, self.sampling_rate, stride, self._n_polynomials)
+        return self._kept[stride]
+
+
+def _power(x: Complex, k: int) -> Complex:
+    """Return x^k for k of 0, 1 or 2."""
+    return np.ones_like(x) if k == 0 else x if k == 1 else complex_product(x, x)
+
+
+def _in_threads(work: Callable[[NDArray[np.intp]], Any], parts: list[NDArray[np.intp]]) -> list[Any]:
+    parts = [part for part in parts if part.size]
+    if len(parts) <= 1:
+        return [work(part) for part in parts]
+    return list(pool(len(parts)).map(work, parts))
