@@ -15,12 +15,11 @@ import pytest
 from cgid.cli.main import run
 from cgid.errors import CannotCreate, MissingExtra
 from cgid.reproduction import n_steps, output, paper, reproduce
-from cgid.reproduction.claims import all_claims
-from cgid.reproduction.claims.claim import judged_exponential, judged_ordering, trend, written
+from cgid.reproduction.claims import all_claims, judged_exponential, judged_ordering, trend, written
 from cgid.reproduction.figures import FIGURES
-from cgid.reproduction.finite_element import shipped_study
 from cgid.reproduction.paper import Ordering
 from cgid.reproduction.report import write_report
+from cgid.reproduction.study import shipped_study
 
 NAMES = {
     "figure_04",

@@ -7,6 +7,8 @@ the sphere (K1), all in the plate (K2), or in both like their displacements unde
 is 4/7 and 3/7 (series). These are the paper's words. The E in K1 holds both bodies, though, so that K1 may also be read
 as Hertz meant it: the same pressure works on either body, over a displacement that goes with its `(1 - nu^2) / E`, and
 so does its energy.
+
+The vibration waves of a simulated impact, and the low-pass that takes them off.
 """
 
 from __future__ import annotations
@@ -19,9 +21,8 @@ import numpy as np
 
 from cgid.physics import STIFFNESS_THEORIES
 from cgid.physics.bodies import sphere_share
-from cgid.reproduction.finite_element.cases import UNDAMPED
-from cgid.reproduction.finite_element.study import Study
-from cgid.reproduction.impacts import THEORY_LABELS, paper_impact
+from cgid.reproduction.paper import THEORY_LABELS, paper_impact
+from cgid.reproduction.study import UNDAMPED, Run, Study, low_passed
 from cgid.validation import Floats
 
 #: The quantities of Figure 9 and Table 3, and the contact duration, which the paper leaves out.
@@ -120,3 +121,29 @@ def size_of_errors(study: Study, theory: str, names: Iterable[str], group: str =
     """Return the mean size of a theory's errors in some quantities against the finite elements of a group."""
     errors = [of_theory(study, theory, name, group) / of_simulation(study, name, group) - 1 for name in names]
     return float(np.mean(np.abs(errors)))
+
+
+#: A course has waves if its ripple, its largest distance from its own low-pass at 10/T over its peak, is beyond this.
+WAVES = 0.05
+_RIPPLE_EDGE = 10
+#: A filtered peak is the force's within this part of it.
+FILTERED = 0.015
+
+
+def ripple(run: Run, name: str) -> float:
+    """Return how far a course is from its own low-pass at 10/T at most, over its largest value."""
+    course = run.courses[name]
+    rate = (course.size - 1) / run.duration
+    smooth = low_passed(course, rate, _RIPPLE_EDGE / run.numbers["contact_duration"])
+    touching = run.times <= run.numbers["contact_duration"]
+    return float(np.abs(course - smooth)[touching].max() / course.max())
+
+
+def ripples(study: Study, name: str) -> Floats:
+    """Return the ripple of a course of each undamped impact."""
+    return np.array([ripple(run, name) for run in study.of(UNDAMPED)])
+
+
+def filtered_errors(study: Study, edge: int) -> Floats:
+    """Return peak of the filtered centre node's force over that of the contact force - 1, edge in 1/T."""
+    return study.values(UNDAMPED, f"filtered_at_{edge}") / study.values(UNDAMPED, "peak_force") - 1
