@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from cgid.reproduction import theories
-from cgid.reproduction.claims import simulation_claims
+from cgid.reproduction.claims import all_claims
 from cgid.reproduction.finite_element_figures import SIMULATED_FIGURES
 from cgid.reproduction.report import finite_element_section
 from cgid.reproduction.study import ELEMENT_SIZES, SOFT, SOFT_1_MM, SOFT_2_MM, UNDAMPED, shipped_study
@@ -144,7 +144,7 @@ def test_verdicts_follow_the_numbers(study):
         "squared correlation as a yardstick",
     )
     found, turned = (
-        {claim.name: claim.holds for claim in simulation_claims(each)} for each in (study, as_series(study))
+        {claim.name: claim.holds for claim in all_claims(each)} for each in (study, as_series(study))
     )
     assert [found[name] for name in names] == [False] * 4
     assert [turned[name] for name in names] == [True, True, True, False]

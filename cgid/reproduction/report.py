@@ -14,9 +14,11 @@ import numpy as np
 from cgid.physics import STIFFNESS_THEORIES
 from cgid.physics.materials import YANG2018_RADIUS, YANG2018_SPHERES
 from cgid.physics.pulse import HERTZ_LIMIT
-from cgid.reproduction.claims import Claim, all_claims, measures, symbol
+from cgid.reproduction.claims import all_claims
 from cgid.reproduction.drawing import PaperFigure
+from cgid.reproduction.judging import Claim, symbol
 from cgid.reproduction.paper import RESTITUTIONS, THEORY_NAMES, paper_impact
+from cgid.reproduction.parameter_claims import measures
 from cgid.reproduction.study import (
     DAMPED,
     ELEMENT_SIZES,
