@@ -207,7 +207,7 @@ def test_the_shipped_copy_repeats_the_folder(study, monkeypatch, tmp_path):
     )
     monkeypatch.setattr("cgid.reproduction.output.run_study", lambda *_: fresh)
     # A picture is its data here.
-    monkeypatch.setattr("cgid.reproduction.output.draw", lambda data, *_: data.to_csv().encode())
+    monkeypatch.setattr("cgid.reproduction.output.draw", lambda figure: figure.data.to_csv().encode())
     monkeypatch.setattr("cgid.reproduction.output.draw_table", lambda _, cells: str(cells).encode())
     made = reproduce(tmp_path / "made", finite_element=True)
     copied = read_study(tmp_path / "made" / "finite_element.npz")

@@ -143,9 +143,7 @@ def test_verdicts_follow_the_numbers(study):
         "traditional force is too large",
         "squared correlation as a yardstick",
     )
-    found, turned = (
-        {claim.name: claim.holds for claim in all_claims(each)} for each in (study, as_series(study))
-    )
+    found, turned = ({claim.name: claim.holds for claim in all_claims(each)} for each in (study, as_series(study)))
     assert [found[name] for name in names] == [False] * 4
     assert [turned[name] for name in names] == [True, True, True, False]
 

@@ -16,7 +16,8 @@ from cgid.cli.main import run
 from cgid.errors import CannotCreate, MissingExtra
 from cgid.reproduction import n_steps, output, reproduce
 from cgid.reproduction.claims import all_claims
-from cgid.reproduction.figures import FIGURES
+from cgid.reproduction.drawing import drawing
+from cgid.reproduction.figures import FIGURES, REJECTED
 from cgid.reproduction.report import write_report
 from cgid.reproduction.study import shipped_study
 
@@ -281,6 +282,17 @@ def test_only_what_is_ours_is_overwritten(tmp_path, monkeypatch):
     assert (tmp_path / "notes.txt").read_text() == "mine"
     assert (tmp_path / "table_1.png").read_text() == "picture"
     assert len(list(tmp_path.iterdir())) == len(written_paths) + 1
+
+
+@pytest.mark.parametrize("name", sorted(FIGURES))
+def test_pictures_of_the_series_theory_say_that_it_is_rejected(name):
+    picture = drawing(FIGURES[name]())
+    labels = [text for text in picture.texts if text.get_text() == REJECTED]
+    # Figures 4 to 6 compare the three theories and name them in the legend.
+    assert len(labels) == (name not in ("figure_04", "figure_05", "figure_06"))
+    for label in labels:
+        assert "rejected by the finite-element reference" in label.get_text()
+        assert label.get_position()[1] > max(axes.get_position().y1 for axes in picture.axes)
 
 
 def test_without_matplotlib_nothing_is_written(tmp_path, monkeypatch, capsys):

@@ -1,9 +1,4 @@
-"""Columns of the reproduced data: the unit each has in CSV, and how a picture shows it.
-
-One figure of the paper: its data, and how it is drawn.
-
-Draws panels of lines and surfaces, and tables, from the data that also goes into the CSV files.
-"""
+"""The reproduced data: columns and their units, figures of panels and tables, and how they are drawn."""
 
 from __future__ import annotations
 
@@ -116,35 +111,6 @@ def csv_title(column: str) -> str:
     return f"{column} [{QUANTITIES[column].unit}]" if column in QUANTITIES else column
 
 
-@dataclass(frozen=True, kw_only=True)
-class PaperFigure:
-    """A figure of the paper, computed.
-
-    Parameters
-    ----------
-    name : str
-        Of its files, without the ending.
-    title : str
-    note : str
-        What was chosen here because the paper does not say it.
-    data : pandas.DataFrame
-        Columns named as in `quantities`, in SI units.
-    panels : tuple of Panel
-    columns : int
-        Panels beside each other.
-    highest_strain : float
-        Largest displacement over radius of its impacts; above 0.1 Hertz's theory is out of its range.
-    """
-
-    name: str
-    title: str
-    note: str = ""
-    data: Any
-    panels: tuple[Panel, ...]
-    columns: int = 1
-    highest_strain: float
-
-
 def frame(columns: Mapping[str, ArrayLike]) -> Any:
     """Return a data frame of columns broadcast against each other, a row for each element."""
     import pandas as pd
@@ -165,14 +131,13 @@ def highest_strain(*of: Impact) -> float:
     return max(float(np.max(impact.peak_displacement / impact.reduced_radius)) for impact in of)
 
 
-#: Inches of a panel alone, of one of two, and of one of more beside each other; of a surface.
+#: Inches of a single panel, of one of two and of one of more side by side; of a surface.
 _PANEL_SIZES, _SURFACE_SIZE = ((5.2, 4.0), (4.2, 3.2), (3.4, 2.7)), (4.6, 3.7)
-#: Inches left, right, below and above the axes in a panel of lines, for numbers and titles: one of many, or larger.
+#: Inches left, right, below and above the axes of a panel of lines: one of many, or larger.
 _MARGINS, _LARGER_MARGINS = (0.75, 0.15, 0.55, 0.3), (0.9, 0.15, 0.55, 0.3)
-#: Inches of a row of the legend, of a character, and of the piece of line before it.
-_LEGEND_ROW, _CHARACTER, _LEGEND_LINE = 0.22, 0.085, 0.6
-
-#: What a formula in a head holds that is not seen.
+#: Inches of a row of the legend, of a character, of the piece of line before it, and of the caption above all panels.
+_LEGEND_ROW, _CHARACTER, _LEGEND_LINE, _CAPTION = 0.22, 0.085, 0.6, 0.3
+#: Characters of a formula in a table's head that are not seen.
 _MARKUP = re.compile(r"[${}_^]|\\[a-z]+")
 
 
@@ -237,32 +202,70 @@ class Surface:
 Panel = Lines | Surface
 
 
-def draw(data: Any, panels: Sequence[Panel], columns: int) -> bytes:
-    """Return a PNG picture of panels, `columns` of them beside each other, of a data frame.
+@dataclass(frozen=True, kw_only=True)
+class PaperFigure:
+    """A figure of the paper, computed.
 
-    The panels of one picture are of one kind: all `Lines`, or all `Surface`.
+    Parameters
+    ----------
+    name : str
+        Of its files, without the ending.
+    title : str
+    note : str
+        What was chosen here because the paper does not say it.
+    caption : str
+        Stands in the picture, above all panels.
+    data : pandas.DataFrame
+        Columns named as in `QUANTITIES`, in SI units.
+    panels : tuple of Panel
+        All `Lines`, or all `Surface`.
+    columns : int
+        Panels side by side.
+    highest_strain : float
+        Largest displacement over radius of its impacts; above 0.1 Hertz's theory is out of its range.
+    """
+
+    name: str
+    title: str
+    note: str = ""
+    caption: str = ""
+    data: Any
+    panels: tuple[Panel, ...]
+    columns: int = 1
+    highest_strain: float
+
+
+def draw(drawn: PaperFigure) -> bytes:
+    """Return a figure as a PNG picture.
 
     Raises
     ------
     MissingExtra
         matplotlib is not installed.
     """
-    rows = -(-len(panels) // columns)
-    if isinstance(panels[0], Surface):
+    return png(drawing(drawn))
+
+
+def drawing(drawn: PaperFigure) -> Any:
+    """Return a figure as a figure of matplotlib, which must be installed (MissingExtra)."""
+    columns, rows = drawn.columns, -(-len(drawn.panels) // drawn.columns)
+    if isinstance(drawn.panels[0], Surface):
         width, height = _SURFACE_SIZE
         figure = require_matplotlib()(figsize=(width * columns, height * rows), layout="constrained")
-        for place, panel in enumerate(panels, start=1):
+        for place, panel in enumerate(drawn.panels, start=1):
             assert isinstance(panel, Surface)
-            _surface(figure.add_subplot(rows, columns, place, projection="3d"), _chosen(data, panel), panel)
-        return png(figure)
+            _surface(figure.add_subplot(rows, columns, place, projection="3d"), _chosen(drawn.data, panel), panel)
+        if drawn.caption:
+            figure.suptitle(drawn.caption, fontsize="small")
+        return figure
     width, height = _PANEL_SIZES[min(columns, 3) - 1]
     figure = require_matplotlib()(figsize=(width * columns, height * rows))
     named: dict[str, Any] = {}
-    for place, panel in enumerate(panels, start=1):
+    for place, panel in enumerate(drawn.panels, start=1):
         assert isinstance(panel, Lines)
-        named |= _panel(figure.add_subplot(rows, columns, place), data, panel)
-    _place(figure, rows, columns, _legend(figure, named))
-    return png(figure)
+        named |= _panel(figure.add_subplot(rows, columns, place), drawn.data, panel)
+    _place(figure, rows, columns, _legend(figure, named), drawn.caption)
+    return figure
 
 
 def _legend(figure: Any, named: Mapping[str, Any]) -> float:
@@ -278,20 +281,25 @@ def _legend(figure: Any, named: Mapping[str, Any]) -> float:
     return needed
 
 
-def _place(figure: Any, rows: int, columns: int, legend: float) -> None:
-    """Give every panel the same room above a legend [inches]: to measure what stands around it costs more than to draw.
+def _place(figure: Any, rows: int, columns: int, legend: float, caption: str) -> None:
+    """Give every panel the same room between the legend [inches] below them and the caption above.
 
-    (matplotlib's "constrained" layout makes up for half of the time.)
+    The layout is computed here because matplotlib's "constrained" layout takes half of the time of drawing.
     """
     left, right, below, above = _MARGINS if columns > 2 else _LARGER_MARGINS
     width, height = figure.get_size_inches()
+    heading = _CAPTION if caption else 0.0
+    height += heading
+    figure.set_figheight(height)
+    if caption:
+        figure.text(0.5, 1 - 0.5 * heading / height, caption, ha="center", va="center", fontsize="small")
     figure.subplots_adjust(
         left=left / width,
         right=1 - right / width,
         bottom=(legend + below) / height,
-        top=1 - above / height,
+        top=1 - (heading + above) / height,
         wspace=(left + right) / (width / columns - left - right),
-        hspace=(below + above) / ((height - legend) / rows - below - above),
+        hspace=(below + above) / ((height - heading - legend) / rows - below - above),
     )
 
 

@@ -27,6 +27,8 @@ from cgid.reproduction.paper import (
 )
 from cgid.validation import Floats
 
+#: Stands in every picture that is drawn with the paper's own contact stiffness alone.
+REJECTED = "Paper's series stiffness: rejected by the finite-element reference"
 _POINTS = 201
 _VELOCITIES = np.asarray(paper.VELOCITIES)
 #: Axes of Figures 4 to 7, chosen here: the text of the paper does not give them.
@@ -70,6 +72,7 @@ def figure_7() -> PaperFigure:
         name="figure_07",
         title="Maximum contact force and DCS over drop height",
         note="Sphere 1, series theory, g = 9.8 m/s^2. The range of heights, 0.05 to 5 m, is chosen here.",
+        caption=REJECTED,
         data=data,
         panels=tuple(Lines(x="drop_height", y=y) for y in ("peak_force", "peak_displacement")),
         columns=2,
@@ -115,6 +118,7 @@ def figure_10_pulses() -> PaperFigure:
         name="figure_10_pulses",
         title="Force-time and DCS-time",
         note="Elastic, series theory. The paper's simulated curves are not here: it prints no numbers of them.",
+        caption=REJECTED,
         data=data,
         panels=(*_each_sphere("time", "force"), *_each_sphere("time", "displacement")),
         columns=4,
@@ -137,6 +141,7 @@ def figure_10_peaks() -> PaperFigure:
         name="figure_10_peaks",
         title="Theoretical maxima of force and DCS",
         note="Series theory.",
+        caption=REJECTED,
         data=joined(frames),
         panels=tuple(panels),
         columns=2,
@@ -159,6 +164,7 @@ def figure_11_compression() -> PaperFigure:
         name="figure_11_compression",
         title="Force-displacement, theory of the compression stage",
         note="Elastic, series theory. The five speeds share one curve and differ in where it ends.",
+        caption=REJECTED,
         data=joined(frames),
         panels=tuple(_each_sphere("displacement", "force", marker="end")),
         columns=4,
@@ -179,6 +185,7 @@ def figure_11_loops() -> PaperFigure:
         title="Force-displacement, hysteresis loops",
         note="Hunt-Crossley with the exact damping for the restitution, series theory. Restitutions 0.8 and 0.5 are "
         "chosen here: the paper gives no number for its damping.",
+        caption=REJECTED,
         data=joined([data for data, _ in made]),
         panels=tuple(panels),
         columns=4,
@@ -197,6 +204,7 @@ def figure_16_17(number: int) -> PaperFigure:
         title=title,
         note=f"Hunt-Crossley, series theory, restitution {SECTION_5_RESTITUTION:g} chosen here; the paper "
         "shows its simulation.",
+        caption=REJECTED,
         data=data,
         panels=(Lines(x=x, y="force", by="sphere"),),
         highest_strain=strain,
@@ -218,6 +226,7 @@ def _curves(number: int, title: str, names: tuple[str, ...]) -> PaperFigure:
         name=f"figure_{number}",
         title=title,
         note="Ranges of Table 4, series theory, 2 m/s (not said by the paper; it follows from its constants).",
+        caption=REJECTED,
         data=joined([data for data, _ in made]),
         panels=tuple(Lines(x=name, y=y, where={"varied": name}, marker=".") for y in responses for name in names),
         columns=len(names),
@@ -252,6 +261,7 @@ def figure_14() -> PaperFigure:
         name="figure_14",
         title="Response surfaces of two bodies with the same properties",
         note="Ranges of Table 5, series theory, 2 m/s. Which parameters span each surface is our reading of the text.",
+        caption=REJECTED,
         data=joined([data for data, _ in made]),
         panels=tuple(
             Surface(x=first, y=second, z=z, where={"varied": f"{first} and {second}"})
@@ -272,6 +282,7 @@ def figure_15() -> PaperFigure:
         name="figure_15",
         title="Response surfaces of both moduli, rock-like sphere on the metal plate",
         note="Ranges of Table 4, series theory, 2 m/s.",
+        caption=REJECTED,
         data=data,
         panels=tuple(Surface(x=first, y=second, z=z) for z in ("peak_displacement", "peak_force")),
         columns=2,

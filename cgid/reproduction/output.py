@@ -138,7 +138,7 @@ def _contents(study: Study, progress: Callable[[int], object]) -> dict[str, byte
         figure = make_figure()
         figures.append(figure)
         contents[f"{figure.name}.csv"] = _csv(figure.data)
-        contents[f"{figure.name}.png"] = draw(figure.data, figure.panels, figure.columns)
+        contents[f"{figure.name}.png"] = draw(figure)
         progress(1)
     contents[REPORT] = write_report(figures, tables, study).encode()
     progress(1)
