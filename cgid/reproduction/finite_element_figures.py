@@ -1,13 +1,8 @@
-"""Simulated courses beside the theories: rows of data, and panels of them.
-
-Figures 9 to 11, 16 and 17 as the finite elements have them.
-
-The penalty experiment: what a contact that gives way does to the finite elements.
-"""
+"""Figures 9 to 11, 16 and 17 by finite elements, and what a soft contact does to them."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
 from typing import Any, Literal
 
@@ -33,27 +28,32 @@ from cgid.reproduction.study import (
 )
 from cgid.reproduction.theories import QUANTITIES_COMPARED, READINGS, SHARED, predicted
 
-#: What `kind` says of the rows that are no theory's.
+#: The value of `kind` in simulated rows; in the others it is the theory.
 SIMULATED = "simulation"
-#: How the lines of the theories are drawn, and which of them: K2 lies beyond K1, on the other side of the simulation.
+#: Label and style of the theories that are drawn. K2 is not: it lies beyond K1, on the other side of the simulation.
 THEORY_STYLES = {"hertz": (THEORY_NAMES["hertz"], "-"), "series": (THEORY_NAMES["series"], "--")}
+#: In the notes of damped figures.
+_DAMPING = (
+    "The damped sphere is a Kelvin-Voigt body; its retardation time is chosen for each impact so that "
+    f"Kuwabara-Kono's restitution is {RESTITUTION:g}. (The paper has damping during the contact, which is "
+    "another one, and gives no number.)"
+)
+#: What a hysteresis loop consists of.
+_LOOP = ("force", "displacement")
 #: Points of a theory's line.
 _POINTS = 101
 
 
 def courses(run: Run, *names: str, until: Literal["deepest", "parted", "end"] = "parted") -> Any:
-    """Return rows of one simulated impact over time, from touch to the largest DCS, the end of contact or of all."""
-    last = (
-        1
-        + {
-            "deepest": int(np.argmax(run.courses["displacement"])),
-            "parted": int(np.searchsorted(run.times, run.numbers["contact_duration"])),
-            "end": run.times.size,
-        }[until]
-    )
-    case = run.case
+    """Return rows of one simulated impact over time, from touch to the largest DCS, to separation or to the end."""
+    last = {
+        "deepest": int(np.argmax(run.courses["displacement"])),
+        "parted": int(np.searchsorted(run.times, run.numbers["contact_duration"])),
+        "end": run.times.size,
+    }[until]
+    case, rows = run.case, slice(last + 1)
     columns: dict[str, Any] = {"kind": SIMULATED, "group": case.group, "sphere": case.sphere, "velocity": case.velocity}
-    return frame({**columns, "time": run.times[:last], **{name: run.courses[name][:last] for name in names}})
+    return frame({**columns, "time": run.times[rows], **{name: run.courses[name][rows] for name in names}})
 
 
 def compression() -> list[Any]:
@@ -193,7 +193,7 @@ def figure_11_simulated(study: Study) -> PaperFigure:
     return PaperFigure(
         name="figure_11_simulated",
         title="Force-displacement, simulated hysteresis loops, and the theories of the compression stage",
-        note=f"Finite elements. {_damping()} Black: the elastic theories up to 10 m/s.",
+        note=f"Finite elements. {_DAMPING} Black: the elastic theories up to 10 m/s.",
         data=joined([*(courses(run, "displacement", "force") for run in runs), *compression()]),
         panels=tuple(each_sphere("displacement", "force")),
         columns=4,
@@ -212,21 +212,13 @@ def figure_16_17_simulated(study: Study, number: int) -> PaperFigure:
     return PaperFigure(
         name=f"figure_{number}_simulated",
         title=title,
-        note=f"Finite elements. {_damping()}",
+        note=f"Finite elements. {_DAMPING}",
         data=joined([courses(run, "displacement", "force") for run in runs]),
         panels=tuple(
             Lines(x=x, y="force", by="sphere", where={"group": group}, title=text) for group, text in titles.items()
         ),
         columns=2,
         highest_strain=strain_of(runs),
-    )
-
-
-def _damping() -> str:
-    return (
-        "The damped sphere is a Kelvin-Voigt body; its retardation time is chosen for each impact so that "
-        f"Kuwabara-Kono's restitution is {RESTITUTION:g}. (The paper has damping during the contact, which is "
-        "another one, and gives no number.)"
     )
 
 
@@ -255,27 +247,24 @@ def penalty_factor(study: Study) -> PaperFigure:
     """Return what the stiffness of a soft contact does to force and DCS."""
     hard = {(run.case.sphere, run.case.velocity): run.numbers for run in study.of(UNDAMPED)}
     frames, runs = [], study.of(SOFT_BY_FACTOR)
-    for run in runs:
-        beside = hard[run.case.sphere, run.case.velocity]
+
+    def add(kind: str, sphere: int, factor: Any, found: Mapping[str, Any]) -> None:
+        of_hard = hard[sphere, FACTOR_VELOCITY]
+        over = {f"{name}_over_hard": found[f"peak_{name}"] / of_hard[f"peak_{name}"] for name in _LOOP}
         frames.append(
-            frame({
-                "kind": SIMULATED, "sphere": run.case.sphere, "velocity": run.case.velocity,
-                "penalty_factor": run.case.penalty_factor,
-                "force_over_hard": run.numbers["peak_force"] / beside["peak_force"],
-                "displacement_over_hard": run.numbers["peak_displacement"] / beside["peak_displacement"],
-            })
-        )  # fmt: skip
+            frame({"kind": kind, "sphere": sphere, "velocity": FACTOR_VELOCITY, "penalty_factor": factor, **over})
+        )
+
+    for run in runs:
+        add(SIMULATED, run.case.sphere, run.case.penalty_factor, run.numbers)
     for theory in THEORY_STYLES:
         for sphere in FACTOR_SPHERES:
-            found, beside = predicted(theory, sphere, (FACTOR_VELOCITY,)), hard[sphere, FACTOR_VELOCITY]
-            frames.append(
-                frame({
-                    "kind": f"{theory} {sphere}", "sphere": sphere, "velocity": FACTOR_VELOCITY,
-                    "penalty_factor": [min(FACTORS), max(FACTORS)],
-                    "force_over_hard": found["peak_force"] / beside["peak_force"],
-                    "displacement_over_hard": found["peak_displacement"] / beside["peak_displacement"],
-                })
-            )  # fmt: skip
+            add(
+                f"{theory} {sphere}",
+                sphere,
+                [min(FACTORS), max(FACTORS)],
+                predicted(theory, sphere, (FACTOR_VELOCITY,)),
+            )
     panels = tuple(
         Lines(
             x="penalty_factor", y=y, by="sphere", where={"kind": SIMULATED}, marker="o", logarithmic=True,
@@ -285,7 +274,7 @@ def penalty_factor(study: Study) -> PaperFigure:
                 for theory, (label, style) in THEORY_STYLES.items()
             ),
         )
-        for y in ("force_over_hard", "displacement_over_hard")
+        for y in (f"{name}_over_hard" for name in _LOOP)
     )  # fmt: skip
     return PaperFigure(
         name="penalty_factor",
