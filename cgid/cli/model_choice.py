@@ -8,7 +8,7 @@ from typing import Any
 
 import click
 
-from cgid.cli.saying import say
+from cgid.cli.console import say
 
 
 class Models:

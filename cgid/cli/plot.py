@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from cgid.cli.console import say
 from cgid.cli.options import PATH, dead_time_in_seconds, open_file, print_json, read_signals, reading_options
-from cgid.cli.saying import say
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

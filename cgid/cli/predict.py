@@ -8,6 +8,7 @@ import click
 
 from cgid.cli.answer_lines import AnswerLines
 from cgid.cli.asked import Asked, answering_options, asked_of
+from cgid.cli.console import say
 from cgid.cli.dataset_answers import heights, identify_dataset
 from cgid.cli.model_choice import warn_of_rate
 from cgid.cli.options import (
@@ -21,7 +22,6 @@ from cgid.cli.options import (
 )
 from cgid.cli.recording_answers import answer_recording
 from cgid.cli.report_pages import Pages
-from cgid.cli.saying import say
 
 
 @click.command(short_help="Identify the material of the impacts in recordings.")

@@ -1,12 +1,11 @@
-"""What each theory says of the impacts of the study, and how far that is from the finite elements.
+"""What each theory predicts for the impacts of the study, and how far that is from the finite elements.
 
-Pressure and energy are not in the theories' formulas, but follow from them. The largest pressure is Hertz's,
+The paper's formulas give force and displacement; pressure and energy follow from them. The largest pressure is Hertz's,
 `3 P / (2 pi a^2)`, with the contact radius of each theory's own displacement, `a^2 = R delta`. At the largest
-displacement all energy is elastic, `m v^2 / 2`, and sits in the springs that a theory takes to be elastic: all of it in
-the sphere (K1), all in the plate (K2), or in both like their displacements under one force, `1 : (K1/K2)^(2/3)`, which
-is 4/7 and 3/7 (series). These are the paper's words. The E in K1 holds both bodies, though, so that K1 may also be read
-as Hertz meant it: the same pressure works on either body, over a displacement that goes with its `(1 - nu^2) / E`, and
-so does its energy.
+displacement all energy, `m v^2 / 2`, is elastic, and in the springs that a theory takes to be elastic: all of it in the
+sphere (K1), all in the plate (K2), or shared like their displacements under one force, `1 : (K1/K2)^(2/3)`, which is
+4/7 and 3/7 (series). This is the paper's reading. But the E in K1 holds the compliance of both bodies. Read as Hertz
+meant it, the same pressure works on both bodies, and displacement and energy of each go with its `(1 - nu^2) / E`.
 """
 
 from __future__ import annotations
@@ -19,12 +18,11 @@ import numpy as np
 
 from cgid.physics import STIFFNESS_THEORIES
 from cgid.physics.bodies import sphere_share
-from cgid.reproduction.finite_element.cases import UNDAMPED
-from cgid.reproduction.finite_element.study import Study
-from cgid.reproduction.impacts import THEORY_LABELS, paper_impact
+from cgid.reproduction.paper import THEORY_LABELS, paper_impact
+from cgid.reproduction.study import UNDAMPED, Run, Study, low_passed
 from cgid.validation import Floats
 
-#: The quantities of Figure 9 and Table 3, and the contact duration, which the paper leaves out.
+#: The quantities of Figure 9 and Table 3, and the contact duration, which the paper does not compare.
 QUANTITIES_COMPARED = (
     "peak_displacement",
     "peak_force",
@@ -35,9 +33,14 @@ QUANTITIES_COMPARED = (
 )
 #: The paper's threshold for a high squared correlation, section 3.2.
 HIGH_CORRELATION = 0.96
-#: K1 with its energy shared by compliance; all else is K1's.
+#: A course has waves if its ripple, its largest distance from its own low-pass at 10/T over its peak, exceeds this.
+WAVES = 0.05
+_RIPPLE_EDGE = 10
+#: A filtered peak agrees with that of the contact force within this part of it.
+FILTERED = 0.015
+#: K1 with the energy shared by compliance; all other quantities are those of K1.
 SHARED = "hertz-shared"
-#: What is compared: the paper's three theories, and the other reading of the first.
+#: What is compared: the paper's three theories, and Hertz's reading of the first.
 READINGS = {**THEORY_LABELS, SHARED: "K1, energy shared by compliance"}
 
 
@@ -50,9 +53,9 @@ class Agreement:
     error : float
         Mean of theory over finite elements - 1.
     squared_correlation : float
-        The paper's yardstick: blind to a constant factor. nan where the theory has one value for all impacts.
+        The paper's yardstick, which is blind to a constant factor; nan where the theory has one value for all impacts.
     determination : float
-        `1 - SSres / SStot`: it sees a wrong factor, and may be negative.
+        `1 - SSres / SStot`, which sees a wrong factor and may be negative.
     """
 
     error: float
@@ -62,7 +65,7 @@ class Agreement:
 
 @cache
 def predicted(reading: str, sphere: int, velocities: tuple[float, ...]) -> dict[str, Floats]:
-    """Return what a reading says of the elastic impacts of a sphere, each of `QUANTITIES_COMPARED` (n_velocities,)."""
+    """Return each of `QUANTITIES_COMPARED` for the elastic impacts of a sphere, (n_velocities,)."""
     theory = "hertz" if reading == SHARED else reading
     impact = paper_impact(sphere, np.asarray(velocities), theory)
     energy = 0.5 * impact.reduced_mass * np.square(impact.velocity)
@@ -90,7 +93,7 @@ def sphere_part(reading: str, sphere: int) -> float:
 
 
 def of_theory(study: Study, reading: str, name: str, group: str = UNDAMPED, sphere: int | None = None) -> Floats:
-    """Return what a reading says of the impacts of a group, all or one sphere's."""
+    """Return what a reading predicts for the impacts of a group, of all spheres or of one."""
     return np.array([
         predicted(reading, run.case.sphere, (run.case.velocity,))[name][0]
         for run in study.of(group)
@@ -99,12 +102,12 @@ def of_theory(study: Study, reading: str, name: str, group: str = UNDAMPED, sphe
 
 
 def of_simulation(study: Study, name: str, group: str = UNDAMPED, sphere: int | None = None) -> Floats:
-    """Return what the finite elements say of the impacts of a group, all or one sphere's."""
+    """Return what the finite elements give for the impacts of a group, of all spheres or of one."""
     return np.array([run.numbers[name] for run in study.of(group) if sphere in (None, run.case.sphere)])
 
 
 def agreement(study: Study, reading: str, name: str, group: str = UNDAMPED, sphere: int | None = None) -> Agreement:
-    """Return how well a reading agrees with the finite elements of a group in one quantity, all or one sphere's."""
+    """Return how well a reading agrees with the finite elements in one quantity."""
     found = of_theory(study, reading, name, group, sphere)
     wanted = of_simulation(study, name, group, sphere)
     residual, total = np.sum((found - wanted) ** 2), np.sum((wanted - wanted.mean()) ** 2)
@@ -120,3 +123,22 @@ def size_of_errors(study: Study, theory: str, names: Iterable[str], group: str =
     """Return the mean size of a theory's errors in some quantities against the finite elements of a group."""
     errors = [of_theory(study, theory, name, group) / of_simulation(study, name, group) - 1 for name in names]
     return float(np.mean(np.abs(errors)))
+
+
+def ripple(run: Run, name: str) -> float:
+    """Return the largest distance of a course from its own low-pass at 10/T during the contact, over its peak."""
+    course = run.courses[name]
+    rate = (course.size - 1) / run.duration
+    smooth = low_passed(course, rate, _RIPPLE_EDGE / run.numbers["contact_duration"])
+    touching = run.times <= run.numbers["contact_duration"]
+    return float(np.abs(course - smooth)[touching].max() / course.max())
+
+
+def ripples(study: Study, name: str) -> Floats:
+    """Return the ripple of a course for each undamped impact."""
+    return np.array([ripple(run, name) for run in study.of(UNDAMPED)])
+
+
+def filtered_errors(study: Study, edge: int) -> Floats:
+    """Return the peak of the centre node's force behind a low-pass at edge/T over that of the contact force - 1."""
+    return study.values(UNDAMPED, f"filtered_at_{edge}") / study.values(UNDAMPED, "peak_force") - 1
