@@ -11,11 +11,9 @@ from hypothesis.extra.numpy import arrays
 from scipy import integrate, signal
 
 from cgid.errors import BadData, InvalidValue
-from cgid.measure.bands import MEL_BANDS
-from cgid.measure.energy_spectrum import EnergySpectrum
 from cgid.measure.features import FEATURES, choose, extract, extract_array, kind_for, kind_of, supported
-from cgid.measure.features.vibration import THIRD_OCTAVES, band_edges
-from cgid.measure.vibration import EARLY_TIME, WINDOW_TIME, VibrationBatch
+from cgid.measure.spectra import MEL_BANDS, EnergySpectrum
+from cgid.measure.vibration import EARLY_TIME, THIRD_OCTAVES, WINDOW_TIME, VibrationBatch, band_edges
 from tests.ringing import N_SAMPLES, PRE_TRIGGER, RATE, damped_sinusoid, ringing_batch
 
 ALL = choose(None, "vibration")

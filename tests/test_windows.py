@@ -11,12 +11,10 @@ from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import StandardScaler
 
 from cgid.errors import BadData, InvalidValue
-from cgid.measure.bands import EVEN_BANDS, MEL_BANDS, TriangularBands, frequency_of, mel
-from cgid.measure.energy_spectrum import EnergySpectrum
 from cgid.measure.features import FEATURES, choose, extract_array, supported
-from cgid.measure.features.vibration import band_edges
-from cgid.measure.features.window import CORRELATION_LAGS, WINDOW_THIRD_OCTAVES
-from cgid.measure.windows import FRAME_TIME, WindowBatch
+from cgid.measure.spectra import EVEN_BANDS, MEL_BANDS, EnergySpectrum, TriangularBands, frequency_of, mel
+from cgid.measure.vibration import band_edges
+from cgid.measure.windows import CORRELATION_LAGS, FRAME_TIME, WINDOW_THIRD_OCTAVES, WindowBatch
 from cgid.recordings import read_recording
 
 RATE = 44_100.0

@@ -10,8 +10,7 @@ from collections.abc import Callable, Mapping
 import numpy as np
 
 from cgid.family import LOWEST_RESTITUTION
-from cgid.measure.beginnings import look_at_the_beginning
-from cgid.measure.features import FEATURES
+from cgid.measure.features import FEATURES, look_at_the_beginning
 from cgid.measure.features import kind_of as kinds_of_signal
 from cgid.measure.pulses import FAINT
 from cgid.physics import HuntCrossley

@@ -9,8 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cgid.errors import InvalidValue
-from cgid.measure.beginnings import measure_beginnings, samples_needed
-from cgid.measure.features import extract_array
+from cgid.measure.features import extract_array, measure_beginnings, samples_needed
 from cgid.scene.impacts import impacts_by_coupling
 from cgid.scene.plan import Plan, plan
 from cgid.scene.population import Draw, draw, given, parameter_units

@@ -4,6 +4,12 @@ Every feature is one entry of `FEATURES`: name, unit, definition, source, and th
 pulses, vibrations and windows are in the modules beside this one; the measurements are in `pulses`, `vibration` and
 `windows` of `cgid.measure`, each made at most once. Columns, units and documentation all come from this
 table.
+
+Features from the beginnings of frames: where the rest of a frame cannot change them, it need not exist.
+
+A pulse is looked for in its whole frame and then looked at through a window. So the features of a frame that breaks
+off early are those of the whole frame, to the last bit, if its largest sample is above all that may follow, and if
+no window reaches past its end. Both are checked for each signal; where either fails, the whole frame is needed.
 """
 
 from __future__ import annotations
@@ -18,15 +24,12 @@ from numpy.typing import ArrayLike, NDArray
 from cgid import validation
 from cgid.counting import count
 from cgid.errors import BadData, InvalidValue
-from cgid.measure.equalisation import Equalisation
-from cgid.measure.features.feature import Feature, ImpactKind, Kind
-from cgid.measure.features.pulse import PULSE_FEATURES
-from cgid.measure.features.vibration import VIBRATION_FEATURES
-from cgid.measure.features.window import WINDOW_FEATURES
+from cgid.measure.filters import Equalisation
 from cgid.measure.frames import DETECTION_LIMIT, frames_of
-from cgid.measure.pulses import PulseBatch
-from cgid.measure.vibration import VibrationBatch
-from cgid.measure.windows import WindowBatch
+from cgid.measure.pulses import FAINT, PULSE_FEATURES, PulseBatch
+from cgid.measure.table import Feature, ImpactKind, Kind
+from cgid.measure.vibration import VIBRATION_FEATURES, VibrationBatch
+from cgid.measure.windows import WINDOW_FEATURES, WindowBatch
 from cgid.validation import Floats, require_rate
 
 if TYPE_CHECKING:
@@ -294,3 +297,72 @@ def extract(
         samples, sampling_rate, names, pre_trigger=pre_trigger, remove_baseline=remove_baseline, invalid=invalid
     )
     return pandas.DataFrame(values, columns=list(names))
+
+
+#: How far windows reach behind touch, in contact durations and in samples: that of what is read off the samples
+#: (the whole run above 10 % once more), and that of the fit (its coarse window is at least 48 samples long).
+_READ, _FITTED = (2.0, 6), (2.25, 54)
+
+
+def look_at_the_beginning(names: Iterable[str]) -> bool:
+    """Return whether none of these features looks at samples far from the pulse."""
+    return not any(FEATURES[name].whole_frame for name in names)
+
+
+def samples_needed(names: Iterable[str], touch: Floats, duration: Floats) -> NDArray[np.intp]:
+    """Return the length of a beginning that will hold all windows of usual pulses, (n,).
+
+    Parameters
+    ----------
+    names : iterable of str
+        The features.
+    touch, duration : ndarray, (n,)
+        Of the contact [samples].
+    """
+    contacts, more = _FITTED if any(FEATURES[name].fitted for name in names) else _READ
+    return np.ceil(touch + contacts * duration + more).astype(np.intp)
+
+
+def measure_beginnings(
+    samples: NDArray[np.floating],
+    sampling_rate: float,
+    names: tuple[str, ...],
+    pre_trigger: int,
+    highest_behind: Floats,
+) -> tuple[Floats, NDArray[np.bool_]]:
+    """Return the features of frames of which only the beginnings are there, and where they are certain.
+
+    Parameters
+    ----------
+    samples : ndarray, (n_signals, n_beginning)
+    sampling_rate : float
+        [Hz].
+    names : tuple of str
+    pre_trigger : int
+        Samples before touch.
+    highest_behind : ndarray, (n_signals,)
+        What no sample of the rest of the frame passes.
+
+    Returns
+    -------
+    ndarray, (n_signals, n_features)
+        nan where nothing can be measured.
+    ndarray of bool, (n_signals,)
+        Where the whole frame would give the same numbers; False where nothing can be measured.
+    """
+    pulses = PulseBatch(samples, sampling_rate, pre_trigger)
+    table, certain = np.full((len(samples), len(names)), np.nan), np.zeros(len(samples), bool)
+    sound, pulses, found = measured_pulses(pulses, names)
+    if sound.size:
+        table[sound] = found
+        certain[sound] = _certain(pulses, names, highest_behind[sound])
+    return table, certain
+
+
+def _certain(pulses: PulseBatch, names: tuple[str, ...], highest_behind: Floats) -> NDArray[np.bool_]:
+    n_samples = pulses.samples.shape[1]
+    found = (pulses.peak + pulses.offset > highest_behind) & (pulses.window_reach < n_samples)
+    if any(FEATURES[name].fitted for name in names):
+        # A faint pulse is looked for in all the frame.
+        found &= (pulses.peak >= FAINT * pulses.noise) & (pulses.fit.reach < n_samples)
+    return np.asarray(found & look_at_the_beginning(names))
