@@ -1,21 +1,14 @@
-"""The table of features, and their extraction: only what is asked is computed.
+"""Features of impacts and windows: their names, whether a signal allows them, and their values.
 
-Every feature is one entry of `FEATURES`: name, unit, definition, source, and the measurement it needs. Those of
-pulses, vibrations and windows are in the modules beside this one; the measurements are in `pulses`, `vibration` and
-`windows` of `cgid.measure`, each made at most once. Columns, units and documentation all come from this
-table.
-
-Features from the beginnings of frames: where the rest of a frame cannot change them, it need not exist.
-
-A pulse is looked for in its whole frame and then looked at through a window. So the features of a frame that breaks
-off early are those of the whole frame, to the last bit, if its largest sample is above all that may follow, and if
-no window reaches past its end. Both are checked for each signal; where either fails, the whole frame is needed.
+`FEATURES` is the table of all features by name; `cgid.measure.table` says how to add one. Only the features asked for
+are built and computed, and each measurement that they share is made once.
 """
 
 from __future__ import annotations
 
 import difflib
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
+from functools import partial
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
@@ -27,7 +20,7 @@ from cgid.errors import BadData, InvalidValue
 from cgid.measure.filters import Equalisation
 from cgid.measure.frames import DETECTION_LIMIT, frames_of
 from cgid.measure.pulses import FAINT, PULSE_FEATURES, PulseBatch
-from cgid.measure.table import Feature, ImpactKind, Kind
+from cgid.measure.table import Feature, ImpactKind, Kind, Table
 from cgid.measure.vibration import VIBRATION_FEATURES, VibrationBatch
 from cgid.measure.windows import WINDOW_FEATURES, WindowBatch
 from cgid.validation import Floats, require_rate
@@ -35,29 +28,32 @@ from cgid.validation import Floats, require_rate
 if TYPE_CHECKING:
     import pandas
 
-#: Samples measured at once: enough to share the overhead of the fit, few enough for the memory to stay flat; and rows.
+#: Samples, and rows, measured at once: enough to share the overhead of the fit, few enough for flat memory.
 _SAMPLES, _ROWS = 1 << 21, 1024
-#: Windows are long, and their frames overlap: so many samples of them at once stay in the processor's cache.
+#: Samples of windows measured at once: their overlapping frames stay in the processor's cache.
 _WINDOWED_SAMPLES = 1 << 17
-#: What is measured, by its kind.
+#: How far windows reach after touch, in contact durations and in samples: that of the quantities read off the samples
+#: (the run above 10 % once more), and that of the fit (its coarse window is at least 48 samples long).
+_READ, _FITTED = (2.0, 6), (2.25, 54)
+#: Signals by kind.
 Batches = Mapping[Kind, PulseBatch | VibrationBatch | WindowBatch]
 
-
 #: Every feature by name, in the order of the columns.
-FEATURES: dict[str, Feature] = {
-    feature.name: feature for feature in PULSE_FEATURES + VIBRATION_FEATURES + WINDOW_FEATURES
-}
-#: What swings about zero when a structure is struck (a level is that of a sound file); all else is taken for a pulse.
+FEATURES = Table((*PULSE_FEATURES, *VIBRATION_FEATURES, *WINDOW_FEATURES))
+#: Quantities that swing about zero when a structure is struck (a level is that of a sound file); others are pulses.
 SWINGING = ("acceleration", "velocity", "displacement", "pressure", "level")
 
 
+# -- names --------------------------------------------------------------------------------------------
+
+
 def kind_for(quantity: str | None) -> ImpactKind:
-    """Return what an impact looks like in a signal of this quantity, where nobody says more of it."""
+    """Return what an impact looks like in a signal of this quantity, by default."""
     return "vibration" if quantity in SWINGING else "pulse"
 
 
 def kind_of(features: Iterable[str]) -> Kind:
-    """Return what a signal is like that these features are asked of."""
+    """Return what kind of signal these features are measured on."""
     kinds = {FEATURES[name].kind for name in features}
     kind: Kind
     for kind in ("window", "vibration"):
@@ -67,16 +63,24 @@ def kind_of(features: Iterable[str]) -> Kind:
 
 
 def choose(features: Iterable[str] | None, kind: Kind = "pulse") -> tuple[str, ...]:
-    """Return the names of the asked features in their order; for None all of the kind that need no extra.
+    """Return the names of features in their order; for None all of the kind that need no extra.
+
+    The name of a bank, such as `mel_*_hz`, stands for all of its columns.
 
     Raises
     ------
     InvalidValue
-        A name is unknown, given twice, or there is none.
+        A name is unknown or given twice, or there is none.
+
+    Examples
+    --------
+    >>> choose(["level_total", "early_level_*_hz"])[:3]
+    ('level_total', 'early_level_0_500_hz', 'early_level_500_1000_hz')
     """
     if features is None:
-        return tuple(name for name, feature in FEATURES.items() if feature.kind == kind and not feature.extra)
-    names = (features,) if isinstance(features, str) else tuple(features)
+        return FEATURES.names(kind)
+    given = (features,) if isinstance(features, str) else tuple(features)
+    names = tuple(name for entry in given for name in FEATURES.expand(entry))
     for name in names:
         require_known(name)
     if not names or len(set(names)) != len(names):
@@ -85,100 +89,17 @@ def choose(features: Iterable[str] | None, kind: Kind = "pulse") -> tuple[str, .
 
 
 def require_known(name: str) -> None:
-    """Raise `InvalidValue` unless there is such a feature; the message has the names that are most like it."""
+    """Raise `InvalidValue` unless there is such a feature; the message lists similar names."""
     if not isinstance(name, str) or name not in FEATURES:
-        like = difflib.get_close_matches(str(name)[:80], FEATURES, n=5, cutoff=0.3)
+        similar = difflib.get_close_matches(str(name)[:80], FEATURES, n=5, cutoff=0.3)
         raise InvalidValue(
             f"feature must be one of the {len(FEATURES)} that `cgid features --list` prints, got {name!r}; most "
-            f"like it are {', '.join(like) or 'none'}"
+            f"like it are {', '.join(similar) or 'none'}"
         )
 
 
-def extract_array(
-    samples: ArrayLike,
-    sampling_rate: float,
-    features: Iterable[str] | None = None,
-    *,
-    pre_trigger: int | None = None,
-    remove_baseline: bool = True,
-    invalid: Literal["raise", "nan"] = "raise",
-    detection_limit: float = DETECTION_LIMIT,
-    equalisation: Equalisation | None = None,
-) -> Floats:
-    """Return features as plain numbers, without pandas; as `extract`.
-
-    Parameters
-    ----------
-    samples, sampling_rate, features, pre_trigger, remove_baseline, invalid
-        As in `extract`.
-    detection_limit : float
-        A peak must pass this many standard deviations of the noise before touch; an impact that was found in a
-        recording by other means may ask for less.
-    equalisation : Equalisation, optional
-        What makes up for the sensor's response, applied before anything is measured.
-
-    Returns
-    -------
-    ndarray, (n_signals, n_features)
-        In the order of `features`.
-    """
-    names = choose(features)
-    frames, rate = frames_of(samples, pre_trigger), require_rate(sampling_rate)
-    validation.choice("invalid", invalid, ("raise", "nan"))
-    require_supported(names, rate, frames.shape[1])
-    if equalisation is not None and kind_of(names) == "pulse":
-        raise InvalidValue("equalisation must be of vibrations or windows, got features of pulses: leave it out")
-    out = np.full((len(frames), len(names)), np.nan)
-    most = _WINDOWED_SAMPLES if kind_of(names) == "window" else _SAMPLES
-    n_rows = max(min(most // frames.shape[1], _ROWS), 1)
-    for first in range(0, len(frames), n_rows):
-        part = frames[first : first + n_rows]
-        if equalisation is not None:
-            part = equalisation.apply(part, rate)
-        batches = _batches(part, rate, names, pre_trigger, remove_baseline, detection_limit)
-        found = _problems(batches, names)
-        if found and invalid == "raise":
-            _raise_first(found, first, len(part), len(frames))
-        sound = np.setdiff1d(np.arange(len(part)), list(found))
-        if found:
-            batches = _batches(part[sound], rate, names, pre_trigger, remove_baseline, detection_limit)
-        out[first + sound] = _measured(batches, names, sound.size)
-    return out
-
-
-def measured_pulses(pulses: PulseBatch, names: tuple[str, ...]) -> tuple[NDArray[np.intp], PulseBatch, Floats]:
-    """Return the rows that can be measured, their pulses and their features, (n_rows, n_features)."""
-    found = _problems({"pulse": pulses}, names)
-    sound = np.setdiff1d(np.arange(len(pulses.samples)), list(found))
-    if found:
-        how = (pulses.sampling_rate, pulses.pre_trigger, pulses.remove_baseline, pulses.detection_limit)
-        pulses = PulseBatch(pulses.samples[sound], *how)
-    return sound, pulses, _measured({"pulse": pulses}, names, sound.size)
-
-
-def _measured(batches: Batches, names: tuple[str, ...], n_signals: int) -> Floats:
-    """Return the features of signals that can be measured, (n_signals, n_features)."""
-    count("features", n_signals * len(names))
-    if not n_signals:
-        return np.empty((0, len(names)))
-    return np.stack([FEATURES[name].measure(batches[FEATURES[name].kind]) for name in names], axis=1)
-
-
-def problems_of(
-    frames: NDArray[np.floating],
-    sampling_rate: float,
-    names: Iterable[str],
-    *,
-    pre_trigger: int | None = None,
-    detection_limit: float = DETECTION_LIMIT,
-) -> dict[int, str]:
-    """Return why rows of frames (n_signals, n_samples) cannot be measured: the rule broken, the value and the cure."""
-    names = tuple(names)
-    return _problems(_batches(frames, sampling_rate, names, pre_trigger, True, detection_limit), names)
-
-
 def supported(features: Iterable[str], sampling_rate: float, n_samples: int) -> tuple[str, ...]:
-    """Return those of the features that can be measured at a sampling rate [Hz] on frames of so many samples."""
+    """Return the features that can be measured at a sampling rate [Hz] on frames of `n_samples` samples."""
     return tuple(name for name in features if not _lack(FEATURES[name], sampling_rate, n_samples))
 
 
@@ -191,9 +112,9 @@ def require_supported(names: Iterable[str], sampling_rate: float, n_samples: int
 
 
 def _lack(feature: Feature, sampling_rate: float, n_samples: int) -> str:
-    """Return what a feature needs and the signal has not; empty when it has all."""
+    """Return what a feature needs and the signal lacks; empty when it lacks nothing."""
     if sampling_rate < 2 * feature.highest_frequency:
-        # Rounded up: a cure must cure.
+        # Rounded up, so that the cure works.
         needed = np.ceil(2 * feature.highest_frequency)
         return f"needs a sampling_rate of {needed:.0f} Hz or more, got {sampling_rate:g} Hz: sample faster"
     if n_samples < feature.shortest_frame * sampling_rate:
@@ -205,43 +126,7 @@ def _lack(feature: Feature, sampling_rate: float, n_samples: int) -> str:
     return ""
 
 
-def _batches(
-    frames: NDArray[np.floating],
-    sampling_rate: float,
-    names: Iterable[str],
-    pre_trigger: int | None,
-    remove_baseline: bool,
-    detection_limit: float,
-) -> Batches:
-    kinds = {FEATURES[name].kind for name in names}
-    makers: dict[Kind, type[PulseBatch] | type[VibrationBatch]] = {"pulse": PulseBatch, "vibration": VibrationBatch}
-    # A window has no touch that baseline and noise could be before.
-    return {
-        kind: WindowBatch(frames, sampling_rate, remove_baseline)
-        if kind == "window"
-        else makers[kind](frames, sampling_rate, pre_trigger, remove_baseline, detection_limit)
-        for kind in kinds
-    }
-
-
-def _problems(batches: Batches, names: Iterable[str]) -> dict[int, str]:
-    """Return why rows cannot be measured: a fit needs less of a pulse than what is read off the samples."""
-    found: dict[int, str] = {}
-    fitted = {FEATURES[name].fitted for name in names if FEATURES[name].kind == "pulse"}
-    for batch in batches.values():
-        if isinstance(batch, PulseBatch) and True in fitted:
-            found |= batch.fit_problems()
-        if not isinstance(batch, PulseBatch) or False in fitted:
-            found |= batch.problems()
-    return found
-
-
-def _raise_first(found: dict[int, str], first_row: int, n_rows: int, n_signals: int) -> None:
-    """Raise `BadData` for the first row that cannot be measured; rows are counted from `first_row`."""
-    row, last_row = min(found), first_row + n_rows - 1
-    where = f"signal {first_row + row}: " if n_signals > 1 else ""
-    more = f" ({len(found)} of signals {first_row} to {last_row} cannot be measured)" if len(found) > 1 else ""
-    raise BadData(f"{where}{found[row]}{more}")
+# -- values -------------------------------------------------------------------------------------------
 
 
 def extract(
@@ -253,23 +138,23 @@ def extract(
     remove_baseline: bool = True,
     invalid: Literal["raise", "nan"] = "raise",
 ) -> pandas.DataFrame:
-    """Return the features of single impacts, one row a signal.
+    """Return the features of single impacts, one row per signal.
 
     Parameters
     ----------
     samples : array_like, (n_samples,) or (n_signals, n_samples)
-        One positive pulse a row, or one vibration for the features of vibrations.
+        One positive pulse per row, or one vibration for the features of vibrations.
     sampling_rate : float
         [Hz].
     features : iterable of str, optional
-        Names out of `FEATURES`; all of a pulse by default. Only these, and what they need, are computed.
+        Names of features or banks; all features of pulses by default. Only these are computed.
     pre_trigger : int, optional
         Samples before touch; baseline and noise are their mean and standard deviation. By default every
         sample up to the foot of the pulse (1 % of the way from the first samples to the largest).
     remove_baseline : bool
         Whether the baseline is subtracted before anything is measured.
     invalid : {"raise", "nan"}
-        What happens to a signal that cannot be measured; a sample that is not finite is always an error.
+        What to do with a signal that cannot be measured; a sample that is not finite is always an error.
 
     Returns
     -------
@@ -299,18 +184,142 @@ def extract(
     return pandas.DataFrame(values, columns=list(names))
 
 
-#: How far windows reach behind touch, in contact durations and in samples: that of what is read off the samples
-#: (the whole run above 10 % once more), and that of the fit (its coarse window is at least 48 samples long).
-_READ, _FITTED = (2.0, 6), (2.25, 54)
+def extract_array(
+    samples: ArrayLike,
+    sampling_rate: float,
+    features: Iterable[str] | None = None,
+    *,
+    pre_trigger: int | None = None,
+    remove_baseline: bool = True,
+    invalid: Literal["raise", "nan"] = "raise",
+    detection_limit: float = DETECTION_LIMIT,
+    equalisation: Equalisation | None = None,
+) -> Floats:
+    """Return features as plain numbers, without pandas; as `extract`.
+
+    Parameters
+    ----------
+    samples, sampling_rate, features, pre_trigger, remove_baseline, invalid
+        As in `extract`.
+    detection_limit : float
+        A peak must exceed this many standard deviations of the noise before touch; lower for an impact that was
+        found in a recording by other means.
+    equalisation : Equalisation, optional
+        Correction of the sensor's response, applied before anything is measured.
+
+    Returns
+    -------
+    ndarray, (n_signals, n_features)
+        In the order of `features`.
+    """
+    names = choose(features)
+    frames, rate = frames_of(samples, pre_trigger), require_rate(sampling_rate)
+    validation.choice("invalid", invalid, ("raise", "nan"))
+    require_supported(names, rate, frames.shape[1])
+    if equalisation is not None and kind_of(names) == "pulse":
+        raise InvalidValue("equalisation must be of vibrations or windows, got features of pulses: leave it out")
+    out = np.full((len(frames), len(names)), np.nan)
+    most = _WINDOWED_SAMPLES if kind_of(names) == "window" else _SAMPLES
+    n_rows = max(min(most // frames.shape[1], _ROWS), 1)
+    make = partial(
+        _batches,
+        sampling_rate=rate,
+        names=names,
+        pre_trigger=pre_trigger,
+        remove_baseline=remove_baseline,
+        detection_limit=detection_limit,
+    )
+    for first in range(0, len(frames), n_rows):
+        part = frames[first : first + n_rows]
+        if equalisation is not None:
+            part = equalisation.apply(part, rate)
+        found, sound, batches = _sound(part, names, make)
+        if found and invalid == "raise":
+            _raise_first(found, first, len(part), len(frames))
+        out[first + sound] = _measured(batches, names, sound.size)
+    return out
 
 
-def look_at_the_beginning(names: Iterable[str]) -> bool:
-    """Return whether none of these features looks at samples far from the pulse."""
+def problems_of(
+    frames: NDArray[np.floating],
+    sampling_rate: float,
+    names: Iterable[str],
+    *,
+    pre_trigger: int | None = None,
+    detection_limit: float = DETECTION_LIMIT,
+) -> dict[int, str]:
+    """Return why rows of frames (n_signals, n_samples) cannot be measured: the broken rule, the value and the cure."""
+    names = tuple(names)
+    return _problems(_batches(frames, sampling_rate, names, pre_trigger, True, detection_limit), names)
+
+
+def _sound(
+    frames: NDArray[np.floating], names: tuple[str, ...], make: Callable[[NDArray[np.floating]], Batches]
+) -> tuple[dict[int, str], NDArray[np.intp], Batches]:
+    """Return the problems of the rows that cannot be measured, the other rows, and the batches of these."""
+    batches = make(frames)
+    found = _problems(batches, names)
+    sound = np.setdiff1d(np.arange(len(frames)), list(found))
+    return found, sound, make(frames[sound]) if found else batches
+
+
+def _measured(batches: Batches, names: tuple[str, ...], n_signals: int) -> Floats:
+    """Return the features of signals that can be measured, (n_signals, n_features)."""
+    count("features", n_signals * len(names))
+    if not n_signals:
+        return np.empty((0, len(names)))
+    features = [FEATURES[name] for name in names]
+    return np.stack([feature.measure(batches[feature.kind]) for feature in features], axis=1)
+
+
+def _batches(
+    frames: NDArray[np.floating],
+    sampling_rate: float,
+    names: Iterable[str],
+    pre_trigger: int | None,
+    remove_baseline: bool,
+    detection_limit: float,
+) -> Batches:
+    how = (frames, sampling_rate, pre_trigger, remove_baseline, detection_limit)
+    batches: dict[Kind, PulseBatch | VibrationBatch | WindowBatch] = {}
+    for kind in {FEATURES[name].kind for name in names}:
+        if kind == "window":  # has no touch
+            batches[kind] = WindowBatch(frames, sampling_rate, remove_baseline)
+        else:
+            batches[kind] = PulseBatch(*how) if kind == "pulse" else VibrationBatch(*how)
+    return batches
+
+
+def _problems(batches: Batches, names: Iterable[str]) -> dict[int, str]:
+    """Return why rows cannot be measured: a fit demands less of a pulse than quantities read off the samples."""
+    found: dict[int, str] = {}
+    fitted = {FEATURES[name].fitted for name in names if FEATURES[name].kind == "pulse"}
+    for batch in batches.values():
+        if isinstance(batch, PulseBatch) and True in fitted:
+            found |= batch.fit_problems()
+        if not isinstance(batch, PulseBatch) or False in fitted:
+            found |= batch.problems()
+    return found
+
+
+def _raise_first(found: dict[int, str], first_row: int, n_rows: int, n_signals: int) -> None:
+    """Raise `BadData` for the first row that cannot be measured; their numbers begin at `first_row`."""
+    row, last_row = min(found), first_row + n_rows - 1
+    where = f"signal {first_row + row}: " if n_signals > 1 else ""
+    more = f" ({len(found)} of signals {first_row} to {last_row} cannot be measured)" if len(found) > 1 else ""
+    raise BadData(f"{where}{found[row]}{more}")
+
+
+# -- truncated frames ---------------------------------------------------------------------------------
+
+
+def allow_truncation(names: Iterable[str]) -> bool:
+    """Return whether none of these features depends on samples far from the pulse."""
     return not any(FEATURES[name].whole_frame for name in names)
 
 
 def samples_needed(names: Iterable[str], touch: Floats, duration: Floats) -> NDArray[np.intp]:
-    """Return the length of a beginning that will hold all windows of usual pulses, (n,).
+    """Return the length of a truncated frame that holds all windows of typical pulses, (n,).
 
     Parameters
     ----------
@@ -323,46 +332,53 @@ def samples_needed(names: Iterable[str], touch: Floats, duration: Floats) -> NDA
     return np.ceil(touch + contacts * duration + more).astype(np.intp)
 
 
-def measure_beginnings(
+def extract_truncated(
     samples: NDArray[np.floating],
     sampling_rate: float,
     names: tuple[str, ...],
     pre_trigger: int,
-    highest_behind: Floats,
+    highest_after: Floats,
 ) -> tuple[Floats, NDArray[np.bool_]]:
-    """Return the features of frames of which only the beginnings are there, and where they are certain.
+    """Return the features of pulses in truncated frames, and where they are certain.
+
+    The peak is the largest sample of the whole frame; all else comes from windows around the pulse. So the features of
+    a truncated frame are those of the whole frame, to the last bit, if no later sample can exceed its peak and no
+    window extends past its end. Both are checked for each signal; elsewhere the whole frame is needed.
 
     Parameters
     ----------
-    samples : ndarray, (n_signals, n_beginning)
+    samples : ndarray, (n_signals, n_truncated)
     sampling_rate : float
         [Hz].
     names : tuple of str
+        Features of pulses.
     pre_trigger : int
         Samples before touch.
-    highest_behind : ndarray, (n_signals,)
-        What no sample of the rest of the frame passes.
+    highest_after : ndarray, (n_signals,)
+        Upper bound of the missing samples.
 
     Returns
     -------
     ndarray, (n_signals, n_features)
         nan where nothing can be measured.
     ndarray of bool, (n_signals,)
-        Where the whole frame would give the same numbers; False where nothing can be measured.
+        Where the whole frame gives the same numbers; False where nothing can be measured.
     """
-    pulses = PulseBatch(samples, sampling_rate, pre_trigger)
     table, certain = np.full((len(samples), len(names)), np.nan), np.zeros(len(samples), bool)
-    sound, pulses, found = measured_pulses(pulses, names)
+    pulses = PulseBatch(samples, sampling_rate, pre_trigger)
+    sound = np.setdiff1d(np.arange(len(samples)), list(_problems({"pulse": pulses}, names)))
+    if sound.size < len(samples):
+        pulses = PulseBatch(samples[sound], sampling_rate, pre_trigger)
+    table[sound] = _measured({"pulse": pulses}, names, sound.size)
     if sound.size:
-        table[sound] = found
-        certain[sound] = _certain(pulses, names, highest_behind[sound])
+        certain[sound] = _certain(pulses, names, highest_after[sound])
     return table, certain
 
 
-def _certain(pulses: PulseBatch, names: tuple[str, ...], highest_behind: Floats) -> NDArray[np.bool_]:
+def _certain(pulses: PulseBatch, names: tuple[str, ...], highest_after: Floats) -> NDArray[np.bool_]:
     n_samples = pulses.samples.shape[1]
-    found = (pulses.peak + pulses.offset > highest_behind) & (pulses.window_reach < n_samples)
+    certain = (pulses.peak + pulses.offset > highest_after) & (pulses.window_reach < n_samples)
     if any(FEATURES[name].fitted for name in names):
-        # A faint pulse is looked for in all the frame.
-        found &= (pulses.peak >= FAINT * pulses.noise) & (pulses.fit.reach < n_samples)
-    return np.asarray(found & look_at_the_beginning(names))
+        # A faint pulse is searched for in the whole frame.
+        certain &= (pulses.peak >= FAINT * pulses.noise) & (pulses.fit.reach < n_samples)
+    return np.asarray(certain & allow_truncation(names))

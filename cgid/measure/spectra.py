@@ -1,28 +1,52 @@
-"""Overlapping triangular bands of a spectrum: on the mel scale, or evenly spaced.
-
-A band rises from the centre of the one below to its own and falls to the centre of the one above, so what leaves one
-enters the next: between the first and the last centre the bands add up to the whole.
-
-The energy of transients over frequency, and how much of it lies between two frequencies.
-
-Energies of wavelet packets, by PyWavelets, which is loaded only here and only when they are asked for.
-"""
+"""Energy spectra and their bands: third octaves, triangular bands (mel or evenly spaced) and wavelet packets."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 
 from cgid.errors import MissingExtra
 from cgid.validation import Floats
 
-#: Bands of the mel scale are so far apart [mel], and this many.
+#: Nominal mid-band frequencies of the third-octave bands [Hz] (IEC 61260-1:2014), as in their names. The exact ones
+#: are 1000 Hz times 10^(number / 10), counted from the second constant.
+THIRD_OCTAVES = (
+    *("31.5", "40", "50", "63", "80", "100", "125", "160", "200", "250", "315", "400", "500"),
+    *("630", "800", "1000", "1250", "1600", "2000", "2500", "3150", "4000", "5000", "6300", "8000", "10000"),
+)
+_FIRST_THIRD_OCTAVE = -15
+#: Spacing of the mel bands [mel], and their number.
 _MEL_STEP, _MEL_BANDS = 100.0, 39
-#: Even bands are so far apart [Hz], and this many.
+#: Spacing of the even bands [Hz], and their number.
 _EVEN_STEP, _EVEN_BANDS = 150.0, 150
+#: Daubechies' wavelet with eight vanishing moments: its bands overlap little, and it is short.
+WAVELET = "db8"
+#: Number of times the band is halved, and the number of packets this makes.
+LEVEL, N_PACKETS = 4, 16
+#: Logarithms of shares of an energy end here: anything smaller is rounding, not vibration.
+LOWEST_SHARE = 1e-12
+
+#: Where the bands come from, for the table of features.
+THIRD_OCTAVE_SOURCE = "IEC 61260-1:2014 (exact mid-band frequencies, base ten, ideal edges)"
+MEL_SOURCE = "Davis & Mermelstein 1980 (mel bands); O'Shaughnessy 1987 (mel)"
+PACKET_SOURCE = (
+    f"Coifman, Meyer & Wickerhauser 1992 (wavelet packets: {WAVELET}, level {LEVEL}, {N_PACKETS} equal bands up to "
+    "half the sampling rate); PyWavelets"
+)
+
+
+def third_octave(number: int) -> tuple[float, float]:
+    """Return the edges of a third-octave band [Hz], counted from the first of `THIRD_OCTAVES`.
+
+    Examples
+    --------
+    >>> [round(edge, 2) for edge in third_octave(15)]
+    [891.25, 1122.02]
+    """
+    middle = 1000.0 * 10 ** ((_FIRST_THIRD_OCTAVE + number) / 10)
+    return middle * 10**-0.05, middle * 10**0.05
 
 
 def mel(frequency: Floats) -> Floats:
@@ -43,7 +67,10 @@ def frequency_of(mels: Floats) -> Floats:
 
 @dataclass(frozen=True, eq=False)
 class TriangularBands:
-    """A bank of triangular bands.
+    """A bank of overlapping triangular bands.
+
+    A band rises from the centre of the one below to its own and falls to the centre of the one above. So energy that
+    leaves one band enters the next: between the first and the last centre the bands add up to the whole.
 
     Attributes
     ----------
@@ -58,11 +85,16 @@ class TriangularBands:
         """Of the bands [Hz], (n_bands,)."""
         return self.corners[1:-1]
 
+    @property
+    def labels(self) -> list[str]:
+        """The centres as they stand in the names of features."""
+        return [f"{centre:.0f}" for centre in self.centres]
+
     def __len__(self) -> int:
         return len(self.corners) - 2
 
     def within(self, highest: float) -> TriangularBands:
-        """Return those of the bands that end at or below a frequency [Hz]."""
+        """Return the bands that end at or below a frequency [Hz]."""
         return TriangularBands(self.corners[: max(int(np.searchsorted(self.corners, highest, side="right")), 2)])
 
     def sums(self, energy: Floats, spacing: float) -> Floats:
@@ -71,24 +103,24 @@ class TriangularBands:
         Parameters
         ----------
         energy : ndarray, (..., n_bins)
-            In each bin; the first is centred at 0 Hz. The last must reach the highest edge.
+            In each bin; the first is centred at 0 Hz, the last must reach the highest edge.
         spacing : float
             Between bins [Hz].
 
         Returns
         -------
         ndarray, (..., n_bands)
-            Every row is the same whatever else is in the array (a product of matrices would not promise that).
+            No row depends on the others (a matrix product would not guarantee that).
         """
         first, stop = (int(np.ceil(edge / spacing)) for edge in (self.corners[0], self.corners[-1]))
         stop = min(stop, energy.shape[-1])
         frequency = np.arange(first, stop) * spacing
-        # Bin by bin: how far it has come from the corner below to the one above.
+        # How far each bin is on the way from the corner below to the one above.
         gap = np.clip(np.searchsorted(self.corners, frequency, side="right") - 1, 0, len(self))
         rise = (frequency - self.corners[gap]) / np.diff(self.corners)[gap]
         begin = np.searchsorted(gap, np.arange(len(self) + 1))
         held = np.flatnonzero(np.diff(np.append(begin, gap.size)))
-        # Bins first: sums over them then run along all rows at once, and each row is added up by itself.
+        # Bins first: sums over them then run along all rows at once, yet each row is summed by itself.
         part = np.ascontiguousarray(energy.reshape(-1, energy.shape[-1])[:, first:stop].T)
         out = np.zeros((len(self) + 2, part.shape[1]))
         if held.size:
@@ -102,17 +134,13 @@ class TriangularBands:
 
 #: 39 bands, 100 mel apart, up to 23.7 kHz.
 MEL_BANDS = TriangularBands(frequency_of(_MEL_STEP * np.arange(_MEL_BANDS + 2, dtype=np.float64)))
-#: 150 bands, 150 Hz apart, up to 22.65 kHz: small bodies ring high, where bands of the mel scale are a kilohertz wide.
+#: 150 bands, 150 Hz apart, up to 22.65 kHz: small bodies ring high, where mel bands are a kilohertz wide.
 EVEN_BANDS = TriangularBands(_EVEN_STEP * np.arange(_EVEN_BANDS + 2, dtype=np.float64))
-
-
-#: Logarithms of shares of an energy end here: what is less is rounding, not vibration.
-LOWEST_SHARE = 1e-12
 
 
 @dataclass(frozen=True, eq=False)
 class EnergySpectrum:
-    """One-sided energy spectra of rows of samples, all on the same frequencies.
+    """One-sided energy spectra of rows of samples, all at the same frequencies.
 
     Attributes
     ----------
@@ -127,7 +155,7 @@ class EnergySpectrum:
 
     @classmethod
     def of(cls, samples: Floats, sampling_rate: float, finer: int = 1) -> EnergySpectrum:
-        """Return the spectra of rows of samples, padded with zeros to a length of small factors.
+        """Return the spectra of rows of samples, zero-padded to a length with small factors.
 
         Parameters
         ----------
@@ -164,7 +192,7 @@ class EnergySpectrum:
         return np.asarray(self._running[:, -1])
 
     def between(self, low: float, high: float) -> Floats:
-        """Return the energy between two frequencies [Hz]; that of a bin is spread evenly over its width."""
+        """Return the energy between two frequencies [Hz]; the energy of a bin is spread evenly over its width."""
         return np.asarray(self._below(high) - self._below(low))
 
     def _below(self, frequency: float) -> Floats:
@@ -175,7 +203,7 @@ class EnergySpectrum:
         before, after = self._running[:, whole], self._running[:, whole + 1]
         return np.asarray(before + min(share, 1.0) * (after - before))
 
-    # -- what shape it has ----------------------------------------------------------------------------
+    # -- shape ----------------------------------------------------------------------------------------
 
     @cached_property
     def moments(self) -> tuple[Floats, Floats]:
@@ -194,14 +222,14 @@ class EnergySpectrum:
         rate, the fourth in proportion to it.
         """
         mean, deviation = self.moments
-        # A line in one bin has no width to count in: its own bin's.
+        # A line within one bin has the width of that bin.
         place = (self.frequency - mean[:, None]) / np.maximum(deviation, 0.1 * self.spacing)[:, None]
         share = self.energy / self.energy.sum(axis=1)[:, None]
         return np.asarray(np.sum(share * place**3, axis=1)), np.asarray(np.sum(share * place**4, axis=1))
 
     def rolloff(self, share: float) -> Floats:
         """Return the frequency below which a share of the energy lies [Hz]."""
-        # A bin reaches half its width to either side.
+        # A bin extends half its width to either side.
         bins = passage(np.cumsum(self.energy, axis=1), share) - 0.5
         return np.maximum(bins, 0.5) * self.spacing
 
@@ -209,7 +237,7 @@ class EnergySpectrum:
     def flatness(self) -> Floats:
         """Logarithm (base 10) of the geometric over the arithmetic mean above 0 Hz: 0 is flat.
 
-        It depends on the sampling rate: the more of the spectrum lies where there is little energy, the lower it is.
+        It depends on the sampling rate: the more of the spectrum holds little energy, the lower it is.
         """
         above = self.energy[:, 1:]
         mean = above.mean(axis=1)
@@ -223,7 +251,7 @@ class EnergySpectrum:
         ----------
         count : int
         apart : float
-            No nearer to each other than this [Hz]. Where there are fewer, the last one stands for those that lack.
+            Smallest distance between them [Hz]. Where there are fewer maxima, the last one is repeated.
         """
         energy, rows = self.energy, np.arange(len(self.energy))
         padded = np.pad(energy, ((0, 0), (1, 1)), constant_values=-1.0)
@@ -234,7 +262,7 @@ class EnergySpectrum:
             found = maxima[rows, top] > 0
             before, peak, after = (padded[rows, top + step] for step in range(3))
             bend = before - 2 * peak + after
-            # A parabola through three bins; at the ends of the spectrum there are but two.
+            # A parabola through three bins; at the ends of the spectrum there are only two.
             inside = (bend < 0) & (before >= 0) & (after >= 0)
             shift = np.where(inside, 0.5 * (before - after) / np.where(inside, bend, -1.0), 0.0)
             last = out[:, place - 1] if place else np.zeros(len(energy))
@@ -244,7 +272,7 @@ class EnergySpectrum:
 
 
 def padded_length(wanted: int) -> int:
-    """Return a length of at least so many samples that is quickly transformed: four to eight times a power of two.
+    """Return a length of at least `wanted` samples with a fast transform: four to eight times a power of two.
 
     Examples
     --------
@@ -256,7 +284,7 @@ def padded_length(wanted: int) -> int:
 
 
 def passage(running: Floats, share: float) -> Floats:
-    """Return after how many columns each running sum first reaches a share of its end, straight within a column."""
+    """Return after how many columns each running sum first reaches a share of its end, linear within a column."""
     level, rows = share * running[:, -1], np.arange(len(running))
     after = np.argmax(running >= level[:, None], axis=1)
     high = running[rows, after]
@@ -265,19 +293,13 @@ def passage(running: Floats, share: float) -> Floats:
     return np.asarray(after + np.clip((level - low) / step, 0.0, 1.0))
 
 
-#: Daubechies' wavelet with eight vanishing moments: its bands overlap little, and it is short.
-WAVELET = "db8"
-#: How often the band is halved, and how many bands that makes.
-LEVEL, N_PACKETS = 4, 16
-
-
 def packet_energies(samples: Floats) -> Floats:
     """Return the sum of squares of each wavelet packet, the lowest band first.
 
     Parameters
     ----------
     samples : ndarray, (n_rows, n_samples)
-        Taken as periodic, after zeros that make a multiple of 16 samples: so the energies of a row add up to its own.
+        Zero-padded to a multiple of 16 samples and taken as periodic, so the energies of a row add up to its own.
 
     Returns
     -------
@@ -289,23 +311,18 @@ def packet_energies(samples: Floats) -> Floats:
     MissingExtra
         PyWavelets is not installed.
     """
-    pywt = _pywt()
-    packets = [np.pad(samples, ((0, 0), (0, -samples.shape[1] % N_PACKETS)))]
-    for _ in range(LEVEL):
-        halves: list[Floats] = []
-        for number, packet in enumerate(packets):
-            low, high = pywt.dwt(packet, WAVELET, "periodization", axis=1)
-            # Every second band was turned upside down when it was thinned out.
-            halves += [high, low] if number % 2 else [low, high]
-        packets = halves
-    return np.stack([np.square(packet).sum(axis=1) for packet in packets], axis=1)
-
-
-def _pywt() -> Any:
     try:
         import pywt
     except ImportError:
         raise MissingExtra(
             "wavelet packets need PyWavelets, which is not installed: pip install 'cgid[wavelets]'"
         ) from None
-    return pywt
+    packets = [np.pad(samples, ((0, 0), (0, -samples.shape[1] % N_PACKETS)))]
+    for _ in range(LEVEL):
+        halves: list[Floats] = []
+        for number, packet in enumerate(packets):
+            low, high = pywt.dwt(packet, WAVELET, "periodization", axis=1)
+            # Decimation reversed the frequencies of every second band.
+            halves += [high, low] if number % 2 else [low, high]
+        packets = halves
+    return np.stack([np.square(packet).sum(axis=1) for packet in packets], axis=1)
