@@ -28,8 +28,8 @@ from cgid.identification.classifier import ImpactClassifier
 from cgid.identification.recorded.feature_sets import union_of
 from cgid.identification.recorded.measuring import Recorded
 from cgid.identification.reference import MeanSpectrum
-from cgid.measure.equalisation import Equalisation
 from cgid.measure.features import FEATURES, extract_array, supported
+from cgid.measure.filters import Equalisation
 from cgid.recordings import read_recording
 from cgid.validation import Floats
 

@@ -275,9 +275,11 @@ def test_guard_that_is_never_positive_is_refused(reference_scene: Scene, monkeyp
     from dataclasses import replace
 
     from cgid.measure import features
+    from cgid.measure.table import Table
 
     fall = replace(features.FEATURES["tilt"], measure=lambda pulses: -pulses.peak)
-    monkeypatch.setitem(features.FEATURES, "tilt", fall)
+    entries = [fall if entry.name == "tilt" else entry for entry in features.FEATURES.entries]
+    monkeypatch.setattr(features, "FEATURES", Table(entries))
     with pytest.raises(InvalidValue, match="guard tilt must be above 0"):
         train(synthesise(reference_scene, 300), features=["peak_force"], guards=("tilt",))
 

@@ -13,8 +13,7 @@ from cgid.cli.main import run
 from cgid.counting import count, counted, counting
 from cgid.errors import BadData, CannotCreate, InvalidValue, MissingExtra, NoInput, WriteFailed
 from cgid.identification.measuring import DEFAULT_VIBRATION_FEATURES
-from cgid.measure import beginnings
-from cgid.measure.features import FEATURES, extract_array
+from cgid.measure.features import FEATURES, extract_array, extract_truncated
 from cgid.measure.pulses import PulseBatch
 from cgid.measure.vibration import VibrationBatch
 from cgid.physics import Elastic, HalfSpace, HuntCrossley, Impact, Sphere, _kernels, _taylor, coupled, curves
@@ -358,10 +357,10 @@ def test_a_beginning_is_certain_only_where_nothing_behind_it_matters(names: tupl
     for length in range(140, 360, 20):
         behind = batch.signals[:, length:].max(axis=1)  # the least that is true of it
         cut = np.ascontiguousarray(batch.signals[:, :length])
-        found, certain = beginnings.measure_beginnings(cut, 200e3, names, 128, behind)
+        found, certain = extract_truncated(cut, 200e3, names, 128, behind)
         np.testing.assert_array_equal(found[certain], whole[certain])
         shares.append(certain.mean())
-        assert not beginnings.measure_beginnings(cut, 200e3, names, 128, behind + 1e9)[1].any()
+        assert not extract_truncated(cut, 200e3, names, 128, behind + 1e9)[1].any()
     assert shares[0] == 0
     assert shares[-1] == 1
     assert any(0 < share < 1 for share in shares)

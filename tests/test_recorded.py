@@ -46,8 +46,8 @@ from cgid.identification.recorded.training import train_recorded
 from cgid.identification.shrunken import ShrunkenDiscriminant
 from cgid.identification.training import train
 from cgid.identification.windows import Grid, RunningVote, measure_windows, windows_of
-from cgid.measure.bands import MEL_BANDS
 from cgid.measure.features import FEATURES, extract_array, supported
+from cgid.measure.spectra import MEL_BANDS
 from cgid.scene import Scene, synthesise
 from cgid.signals import Batch, Signal
 

@@ -20,9 +20,8 @@ from numpy.typing import NDArray
 
 from cgid import validation
 from cgid.errors import InvalidValue
-from cgid.measure.estimation.prior import Prior
-from cgid.measure.estimation.profile import Profile, profile
 from cgid.measure.filters import low_pass_response
+from cgid.measure.likelihood import Prior, Profile, profile
 from cgid.measure.pulses import PulseBatch
 from cgid.physics import HertzRangeWarning
 from cgid.scene import Scene, parse_scene

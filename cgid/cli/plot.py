@@ -14,7 +14,7 @@ from cgid.cli.options import PATH, dead_time_in_seconds, open_file, print_json, 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from cgid.measure.features.feature import ImpactKind
+    from cgid.measure.table import ImpactKind
     from cgid.plots import Mark
     from cgid.recordings import Channel, RecordingFile
 

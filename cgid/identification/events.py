@@ -18,8 +18,8 @@ from cgid.identification.detection.detector import (
 from cgid.identification.detection.frames import FOUND_LIMIT, Event
 from cgid.identification.detection.pulses import THRESHOLD_OVER_NOISE, THRESHOLD_OVER_PEAK
 from cgid.identification.detection.ringing import RISE_OVER_NOISE
-from cgid.measure.features.feature import ImpactKind
 from cgid.measure.frames import DETECTION_LIMIT, LARGEST
+from cgid.measure.table import ImpactKind
 from cgid.signals import Signal
 from cgid.validation import Floats
 

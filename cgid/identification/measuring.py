@@ -15,7 +15,8 @@ from cgid import validation
 from cgid.errors import BadData
 from cgid.identification.known import KNOWN, drop_heights
 from cgid.measure.features import choose, extract_array, kind_for, kind_of, supported
-from cgid.measure.features.vibration import EARLY_BANDS, THIRD_OCTAVES
+from cgid.measure.spectra import THIRD_OCTAVES
+from cgid.measure.vibration import EARLY_BANDS
 from cgid.signals import Batch, quantity_of
 from cgid.validation import Floats
 from cgid.workers import ALONE, Workers

@@ -26,9 +26,9 @@ from cgid.identification.header import FORMAT, SCHEMA_VERSION, NewerSchema, fiel
 from cgid.identification.reference import equalisations_of
 from cgid.identification.soundness import SHARED, check_names, check_numbers, check_training
 from cgid.identification.transform import Neighbourhood, Standardiser, softmax
-from cgid.measure.equalisation import Equalisation
 from cgid.measure.features import kind_of
-from cgid.measure.features.feature import Kind
+from cgid.measure.filters import Equalisation
+from cgid.measure.table import Kind
 from cgid.signals import quantity_of
 from cgid.validation import Floats
 

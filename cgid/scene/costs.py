@@ -7,7 +7,7 @@ from functools import cached_property
 
 import numpy as np
 
-from cgid.measure.beginnings import samples_needed
+from cgid.measure.features import samples_needed
 from cgid.scene.impacts import share_through_modes
 from cgid.scene.population import given, given_at
 from cgid.scene.range_warnings import unwarned

@@ -10,8 +10,7 @@ from collections.abc import Callable, Mapping
 import numpy as np
 
 from cgid.family import LOWEST_RESTITUTION
-from cgid.measure.beginnings import look_at_the_beginning
-from cgid.measure.features import FEATURES
+from cgid.measure.features import FEATURES, allow_truncation
 from cgid.measure.features import kind_of as kinds_of_signal
 from cgid.measure.pulses import FAINT
 from cgid.physics import HuntCrossley
@@ -139,7 +138,7 @@ def _rest_of_frames(request: Request) -> Decision:
         return whole("whole signals are asked for")
     if kinds_of_signal(request.features) != "pulse":
         return whole("a vibration is measured all through the frame")
-    if not look_at_the_beginning(request.features):
+    if not allow_truncation(request.features):
         everywhere = [name for name in request.features if FEATURES[name].whole_frame]
         return whole(f"{', '.join(everywhere)} looks at samples far from the pulse")
     if request.scene.sensor.quantity != "force" or request.scene.sensor.filters:

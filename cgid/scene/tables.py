@@ -9,8 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cgid.errors import InvalidValue
-from cgid.measure.beginnings import measure_beginnings, samples_needed
-from cgid.measure.features import extract_array
+from cgid.measure.features import extract_array, extract_truncated, samples_needed
 from cgid.scene.impacts import impacts_by_coupling
 from cgid.scene.plan import Plan, plan
 from cgid.scene.population import Draw, draw, given, parameter_units
@@ -176,7 +175,7 @@ def _features(asked: Plan, seed: int, drawn: list[_Drawn]) -> Columns:
     if length == sampling.samples:
         table = extract_array(frames, sampling.sampling_rate, names, pre_trigger=sampling.pre_trigger, invalid="nan")
     else:
-        table, certain = measure_beginnings(frames, sampling.sampling_rate, names, sampling.pre_trigger, behind)
+        table, certain = extract_truncated(frames, sampling.sampling_rate, names, sampling.pre_trigger, behind)
         if not certain.all():
             table[~certain] = _from_whole_frames(names, seed, drawn, ~certain)
     labels = np.concatenate([one.labels for one in drawn])

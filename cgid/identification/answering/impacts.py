@@ -16,7 +16,7 @@ from cgid.identification.answers import Answer, identify_events
 from cgid.identification.detection.detector import ImpactDetector
 from cgid.identification.events import Event, Extent, find_impacts
 from cgid.identification.model import Model
-from cgid.measure.features.feature import ImpactKind
+from cgid.measure.table import ImpactKind
 from cgid.signals import Signal
 
 #: No recorder of impacts is slower [Hz]: a short file would last for years, and shares of it come every few seconds.

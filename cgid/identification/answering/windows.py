@@ -15,7 +15,7 @@ from cgid.identification.answering.question import Question, Step
 from cgid.identification.answers import Answer, Decision, answers_from, unmeasured
 from cgid.identification.model import Model
 from cgid.identification.windows import VOTE_TIME, RunningVote, measure_windows, windows_of
-from cgid.measure.equalisation import Equalisation
+from cgid.measure.filters import Equalisation
 
 
 def answering_channels(model: Model, channels: Sequence[str]) -> tuple[str, ...]:

@@ -15,8 +15,8 @@ from cgid.identification.detection.pulses import START_CHUNKS as PULSE_START
 from cgid.identification.detection.pulses import PulseOnsets
 from cgid.identification.detection.ringing import START_CHUNKS as RINGING_START
 from cgid.identification.detection.ringing import RingingOnsets
-from cgid.measure.features.feature import ImpactKind
 from cgid.measure.frames import LARGEST
+from cgid.measure.table import ImpactKind
 from cgid.measure.vibration import SHORTEST_EVENT
 from cgid.validation import Floats, require_rate
 

@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 
 from cgid.identification.measuring import DEFAULT_FEATURES, DEFAULT_VIBRATION_FEATURES
 from cgid.measure.features import FEATURES
-from cgid.measure.features.feature import Kind
+from cgid.measure.table import Kind
 
 Sets = Mapping[str, tuple[str, ...]]
 #: Features of windows that change with the gain of the sensor, beside the bands.
