@@ -22,12 +22,12 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from cgid.identification.recorded.clustered import clustered_interval
-from cgid.identification.recorded.feature_sets import FEATURE_SETS
-from cgid.identification.recorded.grouped import Lesson, Rows, candidates_for, judge
-from cgid.identification.recorded.manifest import read_manifest
-from cgid.identification.recorded.measuring import Recorded, Slicing, record
-from cgid.identification.recorded.training import train_recorded
+from cgid.identification.grouped import Lesson, Rows, candidates_for, judge
+from cgid.identification.labelled_recordings import Recorded, Slicing, record
+from cgid.identification.manifest import read_manifest
+from cgid.identification.metrics import clustered_interval
+from cgid.identification.rows import FEATURE_SETS
+from cgid.identification.training import train_recorded
 
 HERE = Path(__file__).parent
 REAL = HERE.parents[1] / "shared" / "realdata" / "bulk_ramp"

@@ -25,9 +25,9 @@ from real_materials import CHANNELS, REAL, SETS, answers, material, measured, re
 from scipy import ndimage, signal
 
 from cgid.identification.classifier import ImpactClassifier
-from cgid.identification.recorded.feature_sets import union_of
-from cgid.identification.recorded.measuring import Recorded
+from cgid.identification.labelled_recordings import Recorded
 from cgid.identification.reference import MeanSpectrum
+from cgid.identification.rows import union_of
 from cgid.measure.equalisation import Equalisation
 from cgid.measure.features import FEATURES, extract_array, supported
 from cgid.recordings import read_recording

@@ -18,8 +18,8 @@ from typing import Any
 
 import numpy as np
 
-from cgid.identification.header import signed
 from cgid.identification.model import LARGEST_FILE, Model
+from cgid.identification.model_file import signed
 
 GOLDEN = Path(__file__).parent / "golden"
 #: What a pickle would do, if anybody loaded it: the folder it makes is looked for.

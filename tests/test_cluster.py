@@ -22,8 +22,8 @@ from distributed import Client, LocalCluster
 from cgid import workers as cluster
 from cgid.cli.main import run
 from cgid.errors import BadData, CannotCreate, ClusterFailed, InvalidValue, MissingExtra
-from cgid.identification.measuring import measure
-from cgid.identification.recorded.grouped import Candidate, Lesson, Rows, choose, final, judge
+from cgid.identification.grouped import Candidate, Lesson, Rows, choose_candidate, final, judge
+from cgid.identification.rows import measure
 from cgid.identification.selection import CANDIDATES, select
 from cgid.scene import Scene, generate, synthesise
 from cgid.scene import workers as shards
@@ -111,7 +111,7 @@ def test_groups_are_judged_alike_whoever_leaves_them_out(address: str) -> None:
     lesson = Lesson(rows=rows, candidates=candidates, weights=None, seed=0)
 
     def learned(crew: Workers) -> list[Any]:
-        judged, choice = judge(lesson, crew=crew), choose(lesson, crew)
+        judged, choice = judge(lesson, crew=crew), choose_candidate(lesson, crew)
         limit = final(lesson, choice, crew).neighbourhood_.limit
         return [judged.probabilities.tolist(), judged.chosen, choice, limit]
 

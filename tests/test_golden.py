@@ -100,7 +100,7 @@ def test_tables_hold_what_others_found_in_them(name, tmp_path):
 
 @pytest.mark.parametrize("schema", [5, 9, 10**30])
 def test_a_newer_model_is_refused_by_its_version(schema, tmp_path, capsys):
-    from cgid.identification.header import signed
+    from cgid.identification.model_file import signed
 
     model = Model.load(GOLDEN / "models-4-linear.npz")
     header = np.frombuffer(signed({**model.header, "schema_version": schema, "colour": "red"}, model.arrays), np.uint8)

@@ -16,8 +16,8 @@ from benchmarks.hostile_models import Watched, by_hand, failed_by_hand, failed_m
 from cgid.cli.main import run
 from cgid.cli.options import print_json
 from cgid.errors import BadData
-from cgid.identification.header import signed
 from cgid.identification.model import Model
+from cgid.identification.model_file import signed
 from tests.hostile_models import EXTREME, HOSTILE, archive, changed, entries_of, golden
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="processes are forked and watched as on Linux")

@@ -12,7 +12,7 @@ import pytest
 from cgid.cli.main import run
 from cgid.counting import count, counted, counting
 from cgid.errors import BadData, CannotCreate, InvalidValue, MissingExtra, NoInput, WriteFailed
-from cgid.identification.measuring import DEFAULT_VIBRATION_FEATURES
+from cgid.identification.rows import DEFAULT_VIBRATION_FEATURES
 from cgid.measure import beginnings
 from cgid.measure.features import FEATURES, extract_array
 from cgid.measure.pulses import PulseBatch

@@ -23,28 +23,23 @@ from cgid.cli.train import _say
 from cgid.errors import BadData, InvalidValue, NoInput
 from cgid.identification.answers import identify
 from cgid.identification.card import write_card
-from cgid.identification.classifier import ImpactClassifier
-from cgid.identification.interval import wilson_interval
-from cgid.identification.measuring import measure
-from cgid.identification.model import Model
-from cgid.identification.recorded.adaptation import in_unit, shift, thinned
-from cgid.identification.recorded.annotated import Reading
-from cgid.identification.recorded.clustered import clustered_interval
-from cgid.identification.recorded.feature_sets import FEATURE_SETS, sets_for
-from cgid.identification.recorded.grouped import (
+from cgid.identification.classifier import ImpactClassifier, ShrunkenDiscriminant
+from cgid.identification.grouped import (
     Candidate,
     Lesson,
     Rows,
-    choose,
+    choose_candidate,
     judge,
     leave_groups_out,
     require_groups,
 )
-from cgid.identification.recorded.manifest import read_manifest
-from cgid.identification.recorded.measuring import Recorded, Slicing, record
-from cgid.identification.recorded.training import train_recorded
-from cgid.identification.shrunken import ShrunkenDiscriminant
-from cgid.identification.training import train
+from cgid.identification.interval import wilson_interval
+from cgid.identification.labelled_recordings import Reading, Recorded, Slicing, record
+from cgid.identification.manifest import read_manifest
+from cgid.identification.metrics import clustered_interval
+from cgid.identification.model import Model
+from cgid.identification.rows import FEATURE_SETS, in_unit, measure, sets_for, shift, thinned
+from cgid.identification.training import train, train_recorded
 from cgid.identification.windows import Grid, RunningVote, measure_windows, windows_of
 from cgid.measure.bands import MEL_BANDS
 from cgid.measure.features import FEATURES, extract_array, supported
@@ -384,11 +379,11 @@ def test_the_better_features_are_chosen_and_the_first_if_none_is() -> None:
     features[:, 1] += 3.0 * (group % 2)
     rows = rows_of(labels, group, features)
     candidates = [Candidate(name=name, features=(name,), family="linear") for name in rows.names]
-    choice = choose(lesson_of(rows, candidates))
+    choice = choose_candidate(lesson_of(rows, candidates))
     assert choice.best == 1
     assert choice.accuracies[1] > 0.85 > 0.65 > max(choice.accuracies[0], choice.accuracies[2])
     noise = replace(rows, features=generator.normal(size=(200, 3)))
-    assert choose(lesson_of(noise, [candidates[0], candidates[0]])).best == 0
+    assert choose_candidate(lesson_of(noise, [candidates[0], candidates[0]])).best == 0
 
 
 @pytest.mark.parametrize(

@@ -12,7 +12,7 @@ import pytest
 from cgid.errors import InvalidValue
 from cgid.identification.card import domain_shift_table, selection_table, write_card
 from cgid.identification.classifier import FAMILIES, ImpactClassifier
-from cgid.identification.measuring import Measured, measure
+from cgid.identification.rows import Measured, measure
 from cgid.identification.selection import CANDIDATES, MARGIN, Candidate, paired_difference, preferred, select
 from cgid.identification.training import train
 from cgid.scene import Scene, synthesise

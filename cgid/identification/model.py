@@ -19,13 +19,22 @@ from numpy.typing import NDArray
 from cgid import validation
 from cgid.errors import BadData, InvalidValue
 from cgid.files import read_regular
-from cgid.identification.archive import arrays_of
 from cgid.identification.conformal import Conformal
-from cgid.identification.families import BY_NAME, Family
-from cgid.identification.header import FORMAT, SCHEMA_VERSION, NewerSchema, fields_of, read_header, signed
+from cgid.identification.families import BY_NAME, Family, Neighbourhood, Standardiser, softmax
+from cgid.identification.model_file import (
+    FORMAT,
+    SCHEMA_VERSION,
+    SHARED,
+    NewerSchema,
+    arrays_of,
+    check_names,
+    check_numbers,
+    check_training,
+    fields_of,
+    read_header,
+    signed,
+)
 from cgid.identification.reference import equalisations_of
-from cgid.identification.soundness import SHARED, check_names, check_numbers, check_training
-from cgid.identification.transform import Neighbourhood, Standardiser, softmax
 from cgid.measure.equalisation import Equalisation
 from cgid.measure.features import kind_of
 from cgid.measure.features.feature import Kind

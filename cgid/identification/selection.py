@@ -18,10 +18,9 @@ from threadpoolctl import threadpool_limits
 from cgid import validation
 from cgid.errors import InvalidValue
 from cgid.identification.classifier import ImpactClassifier
-from cgid.identification.measuring import Measured
 from cgid.identification.metrics import evaluate
 from cgid.identification.model import Model
-from cgid.identification.training import linear_columns
+from cgid.identification.rows import Measured, linear_columns
 from cgid.validation import Floats
 from cgid.workers import ALONE, Workers
 

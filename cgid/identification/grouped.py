@@ -18,10 +18,9 @@ from threadpoolctl import threadpool_limits
 
 from cgid.errors import BadData
 from cgid.identification.classifier import ImpactClassifier, best_temperature
-from cgid.identification.recorded.adaptation import shift
-from cgid.identification.recorded.feature_sets import Sets
+from cgid.identification.families import Neighbourhood, softmax
+from cgid.identification.rows import Sets, shift
 from cgid.identification.selection import preferred
-from cgid.identification.transform import Neighbourhood, softmax
 from cgid.identification.windows import columns_of
 from cgid.measure.features import FEATURES
 from cgid.validation import Floats
@@ -192,7 +191,7 @@ class Lesson:
     seed: int
 
 
-def choose(lesson: Lesson, crew: Workers = ALONE) -> Choice:
+def choose_candidate(lesson: Lesson, crew: Workers = ALONE) -> Choice:
     """Return which candidate answers best for groups left out, and its temperature."""
     rows, weights = lesson.rows, lesson.weights
     labels, accuracies = np.unique(rows.labels), []
@@ -259,7 +258,7 @@ def _scores_of_all(lesson: Lesson, fold: NDArray[np.bool_]) -> Floats:
 def _judged(lesson: Lesson, fold: NDArray[np.bool_]) -> tuple[int, Floats]:
     """Return which candidate is chosen outside of a fold, and its probabilities inside it."""
     with threadpool_limits(1):
-        choice = choose(replace(lesson, rows=lesson.rows[~fold]))
+        choice = choose_candidate(replace(lesson, rows=lesson.rows[~fold]))
         scores = _scores(lesson.candidates[choice.best], lesson, fold)
         return choice.best, softmax(scores / choice.temperature)
 
