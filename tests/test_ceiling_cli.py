@@ -11,8 +11,7 @@ import numpy as np
 import pytest
 
 from cgid import shipped
-from cgid.ceiling import Ceiling, ceilings, survey
-from cgid.ceiling import bayes as bracket
+from cgid.ceiling import Ceiling, bracket, ceilings, survey
 from cgid.ceiling.bayes import sizes_up_to
 from cgid.ceiling.survey import N_POINTS, RATES, SNRS, SPREADS, changed, untrusted
 from cgid.cli.main import run
