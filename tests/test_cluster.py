@@ -138,7 +138,7 @@ def test_a_command_does_its_work_on_a_cluster(address: str, tmp_path: Path, caps
         run(["generate", "reference", "-n", "400", "-o", data, "--shard-signals", "256", "--scheduler", address]) == 0
     )
     for model, way in zip(models, (["--scheduler", address], ["--jobs", "2"], []), strict=True):
-        assert run(["train", data, "-o", str(model), "--family", "discriminant", "--features", FEATURES, *way]) == 0
+        assert run(["train", data, "-o", str(model), "--family", "linear", "--features", FEATURES, *way]) == 0
     assert len({model.read_bytes() for model in models}) == 1
     assert "Traceback" not in capsys.readouterr().err
 

@@ -39,7 +39,7 @@ _OF_DATASETS = {
 )
 @click.option(
     "--family",
-    type=click.Choice(["logistic", "boosting", "discriminant", "network", "linear"]),
+    type=click.Choice(["logistic", "boosting", "network", "linear"]),
     help="Kind of classifier: logistic by default, linear for recordings.",
 )
 @click.option("--features", "names", help="Only these features, with commas between them.")

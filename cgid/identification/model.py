@@ -24,7 +24,7 @@ from cgid.identification.families import BY_NAME, Family, Neighbourhood, Standar
 from cgid.identification.model_file import (
     FORMAT,
     SCHEMA_VERSION,
-    SHARED,
+    STANDARDISER,
     NewerSchema,
     arrays_of,
     check_names,
@@ -81,7 +81,7 @@ class Model:
 
     Attributes
     ----------
-    family : {"boosting", "discriminant", "linear", "logistic", "network"}
+    family : {"boosting", "linear", "logistic", "network"}
     labels : tuple of str
         In the order of the probabilities.
     features : tuple of str
@@ -171,7 +171,7 @@ class Model:
 
     @cached_property
     def _standardiser(self) -> Standardiser:
-        return Standardiser(**{key: self.arrays[name] for name, (key, _) in SHARED.items()})
+        return Standardiser(**{name: self.arrays[f"standardiser.{name}"] for name in STANDARDISER})
 
     @cached_property
     def _neighbourhood(self) -> Neighbourhood:
@@ -321,7 +321,7 @@ class Model:
         guards = guards or {}
         standardiser, neighbourhood = classifier.standardiser_, classifier.neighbourhood_
         own = BY_NAME[classifier.family].export(classifier.estimator_)
-        arrays: dict[str, NDArray[Any]] = {name: getattr(standardiser, key) for name, (key, _) in SHARED.items()}
+        arrays: dict[str, NDArray[Any]] = {f"standardiser.{name}": getattr(standardiser, name) for name in STANDARDISER}
         arrays |= {"neighbourhood.centres": neighbourhood.centres, "neighbourhood.whitening": neighbourhood.whitening}
         arrays |= {f"family.{name}": array for name, array in own.items()}
         if conformal is not None:
@@ -399,7 +399,7 @@ class Model:
         except (BadData, InvalidValue) as error:
             # A stranger's text in it may be long.
             told = textwrap.shorten(str(error), _LONGEST_MESSAGE, placeholder=" ...")
-            raise BadData(f"{path}: no sound model: {told}; train it again") from None
+            raise BadData(f"{path}: no sound model: {told}; train it again with cgid train") from None
 
     @classmethod
     def from_bytes(cls, content: bytes) -> Model:

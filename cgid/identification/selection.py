@@ -80,7 +80,6 @@ def _candidate(kind: type[ImpactClassifier], family: str, name: str, most: int |
 #: The default first, then what can be exported, then the others.
 CANDIDATES = (
     _candidate(ImpactClassifier, "logistic", "logistic"),
-    _candidate(ImpactClassifier, "discriminant", "quadratic discriminant"),
     _candidate(ImpactClassifier, "boosting", "gradient boosting"),
     _candidate(ImpactClassifier, "network", "network"),
     _candidate(ImpactClassifier, "linear", "linear discriminant"),
