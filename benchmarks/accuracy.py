@@ -18,7 +18,7 @@ from cgid import shipped
 from cgid.ceiling import ceiling
 from cgid.identification.classifier import FAMILIES, ImpactClassifier
 from cgid.identification.metrics import evaluate
-from cgid.identification.rows import Measured, linear_columns, measure
+from cgid.identification.rows import Rows, linear_columns, measure
 from cgid.scene import Scene, load_scene, synthesise
 
 TEST_SEED = 1_000_003
@@ -33,7 +33,7 @@ def exact(scene: Scene, n: int, seed: int, drop_height: bool) -> np.ndarray:
     )
 
 
-def inputs(measured: Measured) -> np.ndarray:
+def inputs(measured: Rows) -> np.ndarray:
     """Return features and what is known."""
     return np.hstack([measured.features, measured.known])
 

@@ -22,8 +22,8 @@ from distributed import Client, LocalCluster
 from cgid import workers as cluster
 from cgid.cli.main import run
 from cgid.errors import BadData, CannotCreate, ClusterFailed, InvalidValue, MissingExtra
-from cgid.identification.grouped import Candidate, Lesson, Rows, choose_candidate, final, judge
-from cgid.identification.rows import measure
+from cgid.identification.grouped import Candidate, Lesson, choose_candidate, final, judge
+from cgid.identification.rows import Rows, measure
 from cgid.identification.selection import CANDIDATES, select
 from cgid.scene import Scene, generate, synthesise
 from cgid.scene import workers as shards

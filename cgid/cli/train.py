@@ -127,7 +127,7 @@ def _synthesised(_: list[str], data: list[str], asked: dict[str, Any]) -> tuple[
         training = train_model(
             _batches(data, asked["n_signals"], asked["seed"]),
             features=asked["features"],
-            family=asked["family"] or "logistic",
+            family=asked["family"],
             test_share=asked["test_share"],
             calibration_share=asked["calibration_share"],
             known=("drop_height",) if asked["drop_height"] else (),
@@ -145,7 +145,7 @@ def _recorded(manifests: list[str], others: list[str], asked: dict[str, Any]) ->
     from cgid.cli.options import dead_time_in_seconds
     from cgid.identification.labelled_recordings import Reading, Slicing, record
     from cgid.identification.manifest import read_manifest
-    from cgid.identification.training import train_recorded
+    from cgid.identification.training import train as train_model
 
     if len(manifests) > 1:
         raise InvalidValue(f"{manifests[1]}: there must be one manifest, got {len(manifests)}; put all into one")
@@ -178,10 +178,10 @@ def _recorded(manifests: list[str], others: list[str], asked: dict[str, Any]) ->
         say(f"cgid: warning: {warning}", err=True)
     try:
         with progress_bar(None, "groups") as progress:
-            training = train_recorded(
+            training = train_model(
                 recorded,
                 features=asked["features"],
-                families=(asked["family"] or "linear",),
+                family=asked["family"],
                 level_free=asked["level_free"],
                 class_weights=asked["class_weights"],
                 seed=asked["seed"],

@@ -1,30 +1,27 @@
-"""The files behind a manifest, opened: what can be read, what cannot, and what must not stand on both sides.
+"""Rows of labelled recordings: open the files of a manifest, cut them into windows or impacts, and measure these.
 
-The reference runs of a manifest: the spectra of its sensors.
-
-From annotated recordings to a table of features of windows or impacts; memory holds one block of a recording.
+Memory holds one block of a recording at a time.
 """
 
 from __future__ import annotations
 
 import hashlib
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
 from itertools import groupby
-from typing import Any, Literal, NoReturn
+from typing import Any, NoReturn
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cgid import validation
 from cgid.errors import BadData, CgidError, InvalidValue, MissingOption, NoInput
 from cgid.files import require_regular
 from cgid.identification.events import Event, ImpactDetector
 from cgid.identification.manifest import Annotation, Manifest
 from cgid.identification.reference import Equalisations, MeanSpectrum, equalisations_of
-from cgid.identification.rows import sets_for, union_of
-from cgid.identification.windows import WINDOW_TIME, Grid, columns_of, measure_windows, require_times, windows_of
+from cgid.identification.rows import Rows, Slicing, sets_for, union_of
+from cgid.identification.windows import Grid, measure_windows, windows_of
 from cgid.measure.features import FEATURES, choose, extract_array, kind_for, kind_of, require_supported, supported
 from cgid.measure.features.feature import Kind
 from cgid.recordings import LARGEST_STREAM, RecordingFile, open_recording
@@ -35,14 +32,14 @@ from cgid.validation import Floats
 
 @dataclass(frozen=True, kw_only=True)
 class Reading:
-    """What neither files nor manifest say of recordings, and what to do about a bad one.
+    """How to read recordings: what neither files nor manifest say, and what to do about unreadable files.
 
     Attributes
     ----------
     sampling_rate, unit, channels
         See `cgid.recordings.open_recording`.
     strict : bool
-        Whether the first recording that cannot be read is an error; else it is said, and the others are read.
+        Whether the first recording that cannot be read is an error; else it is reported, and the others are read.
     """
 
     sampling_rate: float | None = None
@@ -52,7 +49,7 @@ class Reading:
 
 
 class Failures(list[CgidError]):
-    """The recordings that could not be read, each as an error of one line."""
+    """The errors of recordings that could not be read."""
 
     def __init__(self, strict: bool) -> None:
         super().__init__()
@@ -65,9 +62,12 @@ class Failures(list[CgidError]):
         self.append(error)
 
 
+# -- files ------------------------------------------------------------------------------------------------
+
+
 @dataclass(frozen=True, kw_only=True)
 class AnnotatedFile:
-    """A recording that could be opened, with what is said of one choice of its channels.
+    """An open recording with the annotations of one choice of its channels.
 
     Attributes
     ----------
@@ -86,7 +86,7 @@ class AnnotatedFile:
     digest: str
 
     def scale(self, annotation: Annotation, unit: str) -> float:
-        """Return the factor from the numbers of the file to a unit before the recorder's gain."""
+        """Return the factor from the numbers of the file to a unit, before the recorder's gain."""
         units = UNITS[quantity_of(unit)]
         return units[self.unit] / units[unit] / annotation.gain
 
@@ -101,14 +101,14 @@ def open_all(
     manifest : Manifest
     reading : Reading
     failures : Failures
-        Where those go that cannot.
+        Receives the errors of the others.
     references : bool
-        Whether the reference runs are meant instead of the labelled recordings.
+        Whether to open the reference runs instead of the labelled recordings.
 
     Raises
     ------
     BadData
-        None can be opened, or two files of different groups hold the same.
+        None can be opened, or two files of different groups have the same content.
     """
     files: list[AnnotatedFile] = []
     for own in _by_channels([one for one in manifest.annotations if one.reference == references]):
@@ -128,9 +128,9 @@ def open_all(
 
 
 def annotated_blocks(file: AnnotatedFile, unit: str) -> Iterator[tuple[Annotation, Iterator[NDArray[np.floating]]]]:
-    """Yield each annotation with the blocks of what it speaks of, in a unit and before the recorder's gain.
+    """Yield each annotation with the blocks of its interval, in a unit and before the recorder's gain.
 
-    The blocks of one must be taken before the next is asked for: the file is read once, block by block.
+    The file is read once: take the blocks of one annotation before the next one.
     """
     rate = file.recording.sampling_rate
     bounds = [(round(one.start * rate), one.end * rate) for one in file.annotations]
@@ -140,7 +140,7 @@ def annotated_blocks(file: AnnotatedFile, unit: str) -> Iterator[tuple[Annotatio
 
 
 def _cut(blocks: Iterator[NDArray[Any]], bounds: Sequence[tuple[int, float]]) -> Iterator[tuple[int, NDArray[Any]]]:
-    """Yield what of each block lies in which interval of samples; the intervals rise and do not overlap."""
+    """Yield interval number and samples of the parts of blocks in intervals that rise and do not overlap."""
     start = k = 0
     for block in blocks:
         end = start + block.shape[1]
@@ -218,21 +218,21 @@ def _refuse_copies(files: list[AnnotatedFile]) -> None:
 
 
 def reference_spectra(files: Sequence[AnnotatedFile], labelled: AnnotatedFile, window_time: float) -> dict[str, Floats]:
-    """Return the reference spectrum of each sensor, (n_channels, n_bands), from the runs of all of its files.
+    """Return the reference spectrum of each sensor, (n_channels, n_bands), from all of its runs.
 
     Parameters
     ----------
     files : sequence of AnnotatedFile
         The reference runs.
     labelled : AnnotatedFile
-        One of the recordings that they are for: what quantity, and how many channels.
+        One of the labelled recordings; the runs must have its quantity and number of channels.
     window_time : float
         Of the windows that are averaged [s].
 
     Raises
     ------
     BadData
-        A run is of another quantity or number of channels, or holds nothing.
+        A run has another quantity, number of channels or sampling rate, or holds no signal.
     """
     spectra: dict[str, list[MeanSpectrum]] = {}
     for file in files:
@@ -253,88 +253,7 @@ def reference_spectra(files: Sequence[AnnotatedFile], labelled: AnnotatedFile, w
     return {sensor: np.stack([spectrum.levels for spectrum in own]) for sensor, own in spectra.items()}
 
 
-@dataclass(frozen=True, kw_only=True)
-class Slicing:
-    """How recordings become rows.
-
-    Attributes
-    ----------
-    by : {"window", "impact"}
-        What is decided on.
-    window_time, hop_time : float
-        Length of a window, and from the start of one to that of the next [s].
-    dead_time : float or None
-        Of impacts [s]: see `cgid.identification.events.ImpactDetector`.
-    """
-
-    by: Literal["window", "impact"] = "window"
-    window_time: float = WINDOW_TIME
-    hop_time: float = WINDOW_TIME / 2
-    dead_time: float | None = None
-
-    def __post_init__(self) -> None:
-        validation.choice("by", self.by, ("window", "impact"))
-        require_times(self.window_time, self.hop_time)
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Recorded:
-    """The features of all labelled windows or impacts of recordings.
-
-    Attributes
-    ----------
-    slicing : Slicing
-    names : tuple of str
-        Features, measured on each of `n_channels` channels.
-    features : ndarray, (n_rows, n_channels * n_names)
-        Channel after channel.
-    labels : ndarray of str, (n_rows,)
-    time : ndarray, (n_rows,)
-        When a window starts or an impact comes, in its recording [s].
-    piece, group : ndarray of int, (n_rows,)
-        Which of `pieces` (annotated intervals) and which of `groups` each belongs to.
-    unit : str
-    sampling_rates : tuple of float
-        Lowest and highest [Hz].
-    sources : tuple of str
-        SHA-256 of the files.
-    references : dict of ndarray, each (n_channels, n_bands)
-        Reference spectra of the sensors.
-    left_out : int
-        Rows that could not be measured.
-    failures : tuple of CgidError
-        The recordings that could not be read.
-    warnings : tuple of str
-        What is damaged in others and was left out, and intervals in which there is nothing; one line each.
-    """
-
-    slicing: Slicing
-    names: tuple[str, ...]
-    n_channels: int
-    features: Floats
-    labels: NDArray[np.str_]
-    time: Floats
-    piece: NDArray[np.intp]
-    group: NDArray[np.intp]
-    pieces: tuple[str, ...]
-    groups: tuple[str, ...]
-    unit: str
-    sampling_rates: tuple[float, float]
-    sources: tuple[str, ...]
-    references: Mapping[str, Floats] = field(default_factory=dict)
-    left_out: int = 0
-    failures: tuple[CgidError, ...] = ()
-    warnings: tuple[str, ...] = ()
-
-    @property
-    def kind(self) -> Kind:
-        """What the features are measured on."""
-        return kind_of(self.names)
-
-    def only(self, names: tuple[str, ...]) -> Recorded:
-        """Return the same rows with some of the features."""
-        columns = columns_of(self.names, names, self.features.shape[1])
-        return replace(self, names=names, features=self.features[:, columns])
+# -- rows -------------------------------------------------------------------------------------------------
 
 
 def record(
@@ -345,28 +264,27 @@ def record(
     reading: Reading | None = None,
     level_free: bool = False,
     progress: Callable[[int], object] | None = None,
-) -> Recorded:
-    """Return the features of the windows or impacts of annotated recordings.
+) -> Rows:
+    """Return the rows of annotated recordings: the features of their windows or impacts.
 
     Parameters
     ----------
     manifest : Manifest
     features : sequence of str, optional
-        Names of features; if not given, all that `cgid.identification.rows` has for the
-        kind and that can be measured on all of them.
+        By default all of `cgid.identification.rows.sets_for` that can be measured on all recordings.
     slicing : Slicing, optional
     reading : Reading, optional
     level_free : bool
-        Whether only features are measured in which the gain of the sensor cancels, if none are named.
+        Whether the default features are those in which the gain of the sensor cancels.
     progress : callable, optional
         Called with the number of rows measured.
 
     Raises
     ------
     CgidError
-        That of the first recording that cannot be read, when strict.
+        When strict, the error of the first recording that cannot be read.
     BadData
-        No recording can be read, none has a window or an impact, or two files in different groups hold the same.
+        No recording can be read, none has a window or an impact, or two files in different groups are the same.
     InvalidValue
         A choice breaks its rule.
     """
@@ -374,40 +292,39 @@ def record(
     failures = Failures(reading.strict)
     files = open_all(manifest, reading, failures)
     names = _names(features, files, slicing, level_free)
-    references = reference_spectra(
-        open_all(manifest, reading, Failures(strict=True), references=True), files[0], slicing.window_time
-    )
-    equalisations = equalisations_of(references)
-    measured: list[_Rows] = []
+    runs = open_all(manifest, reading, Failures(strict=True), references=True)
+    references = reference_spectra(runs, files[0], slicing.window_time)
+    cutting = _Cutting(names, slicing, files[0].unit, equalisations_of(references))
+    measured: list[_FileRows] = []
     for file in files:
         try:
-            measured.append(_measured(file, names, slicing, files[0].unit, equalisations, progress))
+            measured.append(_measured(file, cutting, progress))
         except CgidError as error:
             failures.note(error)
     annotations = [one for rows in measured for one in rows.annotations]
     if not annotations:
-        told = "".join(f"; {error}" for error in failures[:1])
+        said = "".join(f"; {error}" for error in failures[:1])
         raise BadData(
-            f"{manifest.source}: recordings must hold a {slicing.by} with a label, there is none{told}; "
+            f"{manifest.source}: recordings must hold a {slicing.by} with a label, there is none{said}; "
             "correct start and end, or what is decided on"
         )
-    pieces, piece = _numbered([one.name for one in annotations])
+    sources, source = _numbered([one.name for one in annotations])
     groups, group = _numbered([one.group for one in annotations])
     rates = [rows.file.recording.sampling_rate for rows in measured]
-    return Recorded(
-        slicing=slicing,
+    return Rows(
         names=names,
-        n_channels=len(files[0].recording.channels),
         features=np.concatenate([part for rows in measured for part in rows.features]),
         labels=np.array([one.label for one in annotations]),
-        time=np.concatenate([part for rows in measured for part in rows.times]),
-        piece=piece,
         group=group,
-        pieces=pieces,
+        source=source,
+        sources=sources,
         groups=groups,
+        digests=tuple(rows.file.digest for rows in measured),
         unit=files[0].unit,
         sampling_rates=(min(rates), max(rates)),
-        sources=tuple(rows.file.digest for rows in measured),
+        n_channels=len(files[0].recording.channels),
+        slicing=slicing,
+        time=np.concatenate([part for rows in measured for part in rows.times]),
         references=references,
         left_out=sum(rows.left_out for rows in measured),
         failures=tuple(failures),
@@ -416,16 +333,15 @@ def record(
 
 
 def _numbered(words: list[str]) -> tuple[tuple[str, ...], NDArray[np.intp]]:
-    """Return the different words in their order, and the number of each."""
-    different = tuple(dict.fromkeys(words))
-    numbers = {word: number for number, word in enumerate(different)}
-    return different, np.array([numbers[word] for word in words], np.intp)
+    """Return the different words in their order, and the number of each word."""
+    numbers = {word: number for number, word in enumerate(dict.fromkeys(words))}
+    return tuple(numbers), np.array([numbers[word] for word in words], np.intp)
 
 
 def _names(
     features: Sequence[str] | None, files: list[AnnotatedFile], slicing: Slicing, level_free: bool
 ) -> tuple[str, ...]:
-    """Return what to measure: what is asked, or all of the sets that can be measured everywhere."""
+    """Return the features to measure: the given ones, or all of the sets that can be measured everywhere."""
     rate = min(file.recording.sampling_rate for file in files)
     n_channels = len(files[0].recording.channels)
     if slicing.by == "impact" and n_channels > 1:
@@ -452,7 +368,7 @@ def _names(
 
 
 def _refuse(wanted: Sequence[str], rate: float, slicing: Slicing) -> NoReturn:
-    """Say whether the rate [Hz] or the window is too small for all features."""
+    """Raise an error that says whether the rate [Hz] or the window is too small for all features."""
     slowest = min(2 * FEATURES[name].highest_frequency for name in wanted)
     if rate < slowest:
         raise BadData(
@@ -467,18 +383,25 @@ def _refuse(wanted: Sequence[str], rate: float, slicing: Slicing) -> NoReturn:
 
 
 def _length(kind: Kind, rate: float, slicing: Slicing) -> int:
-    """Return how many samples are measured together."""
+    """Return the number of samples of a row."""
     if kind == "window":
         return Grid.at(rate, slicing.window_time, slicing.hop_time).length
     return ImpactDetector(rate, kind="pulse" if kind == "pulse" else "vibration").n_samples
 
 
-# -- one file ---------------------------------------------------------------------------------------------
+@dataclass(frozen=True)
+class _Cutting:
+    """How rows are cut from a file and measured."""
+
+    names: tuple[str, ...]
+    slicing: Slicing
+    unit: str
+    equalisations: Equalisations
 
 
 @dataclass
-class _Rows:
-    """What was measured on one file."""
+class _FileRows:
+    """The rows of one file."""
 
     file: AnnotatedFile
     features: list[Floats] = field(default_factory=list)
@@ -487,67 +410,54 @@ class _Rows:
     left_out: int = 0
 
     def warnings(self, by: str) -> tuple[str, ...]:
-        """Return what is damaged in the file, and which of its annotations speak of nothing."""
+        """Return the damage of the file, and its annotations without a row."""
         held = {one.name for one in self.annotations}
         empty = [one.name for one in self.file.annotations if one.name not in held]
         said = (f"{name}: there must be {by}s to be measured, there is none; check start and end" for name in empty)
         return (*self.file.recording.warnings, *said)
 
 
-def _measured(
-    file: AnnotatedFile,
-    names: tuple[str, ...],
-    slicing: Slicing,
-    unit: str,
-    equalisations: Equalisations,
-    progress: Callable[[int], object] | None,
-) -> _Rows:
-    rows = _Rows(file)
-    measure = _windows if slicing.by == "window" else _impacts
-    for annotation, times, features in measure(file, names, slicing, unit, equalisations):
-        sound = np.isfinite(features).all(axis=1)
-        rows.left_out += int((~sound).sum())
-        rows.features.append(features[sound])
-        rows.times.append(times[sound])
-        rows.annotations += [annotation] * int(sound.sum())
+Measured = Iterator[tuple[Annotation, Floats, Floats]]
+
+
+def _measured(file: AnnotatedFile, cutting: _Cutting, progress: Callable[[int], object] | None) -> _FileRows:
+    rows = _FileRows(file)
+    measure = _windows if cutting.slicing.by == "window" else _impacts
+    for annotation, times, features in measure(file, cutting):
+        complete = np.isfinite(features).all(axis=1)
+        rows.left_out += int((~complete).sum())
+        rows.features.append(features[complete])
+        rows.times.append(times[complete])
+        rows.annotations += [annotation] * int(complete.sum())
         if progress is not None:
             progress(len(times))
     return rows
 
 
-Measured = Iterator[tuple[Annotation, Floats, Floats]]
-
-
-def _windows(
-    file: AnnotatedFile, names: tuple[str, ...], slicing: Slicing, unit: str, equalisations: Equalisations
-) -> Measured:
-    """Yield annotation, times and features of the windows that lie in annotated intervals as a whole."""
-    rate = file.recording.sampling_rate
-    for annotation, blocks in annotated_blocks(file, unit):
-        equalisation = equalisations.get(annotation.sensor)
+def _windows(file: AnnotatedFile, cutting: _Cutting) -> Measured:
+    """Yield annotation, times and features of the windows that lie completely in annotated intervals."""
+    rate, slicing = file.recording.sampling_rate, cutting.slicing
+    for annotation, blocks in annotated_blocks(file, cutting.unit):
+        equalisation = cutting.equalisations.get(annotation.sensor)
         for first, windows in windows_of(blocks, rate, slicing.window_time, slicing.hop_time):
             times = annotation.start + first / rate
-            yield annotation, times, measure_windows(windows, rate, names, equalisation)
+            yield annotation, times, measure_windows(windows, rate, cutting.names, equalisation)
 
 
-def _impacts(
-    file: AnnotatedFile, names: tuple[str, ...], slicing: Slicing, unit: str, equalisations: Equalisations
-) -> Measured:
-    """Yield annotation, times and features of the impacts in annotated intervals; all of the recording is heard."""
+def _impacts(file: AnnotatedFile, cutting: _Cutting) -> Measured:
+    """Yield annotation, times and features of the impacts in annotated intervals; the detector gets all samples."""
     recording = file.recording
     detector = ImpactDetector(
         recording.sampling_rate,
-        kind="vibration" if kind_of(names) == "vibration" else "pulse",
-        dead_time=slicing.dead_time,
+        kind="vibration" if kind_of(cutting.names) == "vibration" else "pulse",
+        dead_time=cutting.slicing.dead_time,
     )
     for block in recording.blocks():
-        yield from _measured_events(detector.feed(block), file, names, unit, equalisations)
-    yield from _measured_events(detector.finish(), file, names, unit, equalisations)
+        yield from _measured_events(detector.feed(block), file, cutting)
+    yield from _measured_events(detector.finish(), file, cutting)
 
 
-def _measured_events(
-    events: list[Event], file: AnnotatedFile, names: tuple[str, ...], unit: str, equalisations: Equalisations
-) -> Measured:
+def _measured_events(events: list[Event], file: AnnotatedFile, cutting: _Cutting) -> Measured:
     for annotation in file.annotations:
         own = [event for event in events if annotation.start <= event.time < annotation.end]
         alike: dict[tuple[int | None, float], list[Event]] = {}
@@ -555,13 +465,13 @@ def _measured_events(
             alike.setdefault((event.pre_trigger, event.detection_limit), []).append(event)
         for (pre_trigger, detection_limit), some in alike.items():
             features = extract_array(
-                np.stack([event.samples for event in some]) * file.scale(annotation, unit),
+                np.stack([event.samples for event in some]) * file.scale(annotation, cutting.unit),
                 file.recording.sampling_rate,
-                names,
+                cutting.names,
                 pre_trigger=pre_trigger,
                 invalid="nan",
                 detection_limit=detection_limit,
-                equalisation=equalisations[annotation.sensor][0] if annotation.sensor else None,
+                equalisation=cutting.equalisations[annotation.sensor][0] if annotation.sensor else None,
             )
             features[[bool(event.problem) for event in some]] = np.nan
             yield annotation, np.array([event.time for event in some]), features

@@ -1,7 +1,4 @@
-"""How good a model is on impacts it has not seen.
-
-How sure a share of right answers is when many of them come from few recordings.
-"""
+"""How good answers are: accuracy and its interval, calibration, prediction sets."""
 
 from __future__ import annotations
 
@@ -131,16 +128,16 @@ def _place(confidence: Floats) -> NDArray[np.int_]:
     return np.asarray(np.minimum((confidence * _BINS).astype(int), _BINS - 1))
 
 
-#: Misses (or hits) in fewer groups than this do not show how much groups differ.
+#: Fewest groups with misses (or hits) that show how much groups differ.
 FEWEST_GROUPS = 3
 
 
-def clustered_interval(hits: NDArray[np.bool_], group: NDArray[np.intp]) -> tuple[float, float]:
-    """Return the 95 % interval of a share of hits, of which those of a group are no independent trials.
+def clustered_interval(hits: NDArray[np.bool_], group: NDArray[np.integer]) -> tuple[float, float]:
+    """Return the 95 % interval of a share of hits, where the hits of one group are not independent trials.
 
-    It is the score interval (Wilson 1927) of as many independent trials as would spread as much as the groups do (Korn
-    & Graubard 1998): never fewer than there are groups, never more than there are hits and misses. Where fewer than
-    `FEWEST_GROUPS` have all the misses (or all the hits), a trial is a group.
+    It is the score interval (Wilson 1927) for the number of independent trials that would vary as much as the groups do
+    (Korn & Graubard 1998): at least the number of groups, at most that of hits and misses. Where fewer than
+    `FEWEST_GROUPS` have all the misses (or all the hits), each group is one trial.
 
     Parameters
     ----------
@@ -157,12 +154,29 @@ def clustered_interval(hits: NDArray[np.bool_], group: NDArray[np.intp]) -> tupl
     n_groups = int(own.max()) + 1
     if n_groups < 2:
         return 0.0, 1.0
-    # A ratio of sums over groups, linearised (Cochran 1977, 6.3).
-    deviations = np.bincount(own, hits - share)
-    variance = np.sum(deviations**2) * n_groups / (n_groups - 1) / len(hits) ** 2
+    variance = _clustered_variance(hits - share, own)
     trials = share * (1 - share) / variance if variance > 0 else 0.0
     trials *= (stats.norm.ppf(0.975) / stats.t.ppf(0.975, n_groups - 1)) ** 2
     if min(np.unique(own[hits]).size, np.unique(own[~hits]).size) < FEWEST_GROUPS:
         trials = 0.0
     low, high = wilson_interval(share, min(max(trials, n_groups), len(hits)))
     return max(float(low), 0.0), min(float(high), 1.0)
+
+
+def paired_difference(
+    hits: NDArray[np.bool_], others: NDArray[np.bool_], specimen: NDArray[np.integer]
+) -> tuple[float, float]:
+    """Return by how much more often `hits` holds than `others` for the same impacts, and the standard error.
+
+    The impacts of one specimen are one trial.
+    """
+    difference = hits.astype(float) - others
+    mean = float(difference.mean())
+    _, own = np.unique(specimen, return_inverse=True)
+    return mean, float(np.sqrt(_clustered_variance(difference - mean, own)))
+
+
+def _clustered_variance(deviations: Floats, cluster: NDArray[np.intp]) -> float:
+    """Return the variance of a mean: that of a ratio of sums over clusters, linearised (Cochran 1977, 6.3)."""
+    sums = np.bincount(cluster, deviations)
+    return float(np.sum(sums**2)) * len(sums) / max(len(sums) - 1, 1) / len(deviations) ** 2
