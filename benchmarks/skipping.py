@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from cgid import shipped
 from cgid.counting import counted
-from cgid.identification.measuring import DEFAULT_FEATURES
+from cgid.identification.rows import DEFAULT_FEATURES
 from cgid.measure.features import FEATURES, extract_array
 from cgid.measure.filters import fft_filter
 from cgid.physics.driving import windows_of

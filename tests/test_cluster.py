@@ -22,8 +22,8 @@ from distributed import Client, LocalCluster
 from cgid import workers as cluster
 from cgid.cli.main import run
 from cgid.errors import BadData, CannotCreate, ClusterFailed, InvalidValue, MissingExtra
-from cgid.identification.measuring import measure
-from cgid.identification.recorded.grouped import Candidate, Lesson, Rows, choose, final, judge
+from cgid.identification.grouped import Candidate, Lesson, choose_candidate, final, judge
+from cgid.identification.rows import Rows, measure
 from cgid.identification.selection import CANDIDATES, select
 from cgid.scene import Scene, generate, synthesise
 from cgid.scene import workers as shards
@@ -111,7 +111,7 @@ def test_groups_are_judged_alike_whoever_leaves_them_out(address: str) -> None:
     lesson = Lesson(rows=rows, candidates=candidates, weights=None, seed=0)
 
     def learned(crew: Workers) -> list[Any]:
-        judged, choice = judge(lesson, crew=crew), choose(lesson, crew)
+        judged, choice = judge(lesson, crew=crew), choose_candidate(lesson, crew)
         limit = final(lesson, choice, crew).neighbourhood_.limit
         return [judged.probabilities.tolist(), judged.chosen, choice, limit]
 
@@ -138,7 +138,7 @@ def test_a_command_does_its_work_on_a_cluster(address: str, tmp_path: Path, caps
         run(["generate", "reference", "-n", "400", "-o", data, "--shard-signals", "256", "--scheduler", address]) == 0
     )
     for model, way in zip(models, (["--scheduler", address], ["--jobs", "2"], []), strict=True):
-        assert run(["train", data, "-o", str(model), "--family", "discriminant", "--features", FEATURES, *way]) == 0
+        assert run(["train", data, "-o", str(model), "--family", "linear", "--features", FEATURES, *way]) == 0
     assert len({model.read_bytes() for model in models}) == 1
     assert "Traceback" not in capsys.readouterr().err
 

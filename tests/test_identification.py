@@ -22,16 +22,14 @@ from sklearn.utils.estimator_checks import check_estimator
 
 from cgid.errors import BadData, CgidError, InvalidValue, MissingOption, NoInput
 from cgid.identification.answers import identify, identify_frames, suited
-from cgid.identification.card import write_card
+from cgid.identification.card import check_model_output, write_card, write_model
 from cgid.identification.classifier import FAMILIES, ImpactClassifier
-from cgid.identification.families import BY_NAME
-from cgid.identification.header import signed
+from cgid.identification.families import BY_NAME, softmax
 from cgid.identification.known import drop_heights
 from cgid.identification.metrics import evaluate
 from cgid.identification.model import Model
-from cgid.identification.output import check_model_output, write_model
+from cgid.identification.model_file import signed
 from cgid.identification.training import Training, hold_out, measure, train
-from cgid.identification.transform import softmax
 from cgid.measure.features import extract_array
 from cgid.scene import Scene, parse_scene, synthesise, varied
 from cgid.signals import STANDARD_GRAVITY, Signal

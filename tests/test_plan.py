@@ -1,6 +1,7 @@
 """The plan: what runs for what is asked, shown by counters; features and tables without signals."""
 
 from __future__ import annotations
+from cgid.measure import beginnings
 
 import json
 import tracemalloc

@@ -13,8 +13,8 @@ from cgid import shipped
 from cgid.errors import BadData, InvalidValue, NoInput
 from cgid.finite_element import ElasticPlate, FiniteElementImpact
 from cgid.identification.estimation import estimate
-from cgid.identification.measuring import measure
 from cgid.identification.model import Model
+from cgid.identification.rows import measure
 from cgid.physics import Elastic, HalfSpace, Impact, Sphere, Viscoelastic, dissipative_constant
 from cgid.physics.materials import STEEL, Material
 from cgid.physics.sampled import SampledPulses, shares_of_contact, smoothed

@@ -144,7 +144,7 @@ def _which(scene: Any, output: str, options: dict[str, Any]) -> dict[str, Any]:
 
 def _features_of_model(scene: Any) -> tuple[str, ...]:
     """Return what a model looks at by default on signals of this scene."""
-    from cgid.identification.measuring import DEFAULT_FEATURES, DEFAULT_VIBRATION_FEATURES
+    from cgid.identification.rows import DEFAULT_FEATURES, DEFAULT_VIBRATION_FEATURES
     from cgid.measure.features import kind_for
     from cgid.scene.plan import supported_by
 

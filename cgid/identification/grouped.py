@@ -1,13 +1,14 @@
-"""Choosing and judging where few recordings hold many windows: groups are left out as a whole, twice over.
+"""Nested cross-validation by group, for few recordings of many windows each.
 
-Outside, each group in turn only judges. Inside, on what is left, each group in turn says which of the candidates to
-take and how much to trust its probabilities. So nothing that was chosen has seen what judges it.
+In the outer loop each group in turn is left out and only judges. In the inner loop, over the other groups, each group
+in turn is left out to choose a candidate and to calibrate its probabilities. So what judges never took part in a
+choice.
 """
 
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass, replace
 
@@ -18,20 +19,17 @@ from threadpoolctl import threadpool_limits
 
 from cgid.errors import BadData
 from cgid.identification.classifier import ImpactClassifier, best_temperature
-from cgid.identification.recorded.adaptation import shift
-from cgid.identification.recorded.feature_sets import Sets
+from cgid.identification.families import Neighbourhood, softmax
+from cgid.identification.rows import Rows, Sets, adapted, linear_columns
 from cgid.identification.selection import preferred
-from cgid.identification.transform import Neighbourhood, softmax
-from cgid.identification.windows import columns_of
-from cgid.measure.features import FEATURES
 from cgid.validation import Floats
 from cgid.workers import ALONE, Workers
 
-#: Up to so many groups are left out one by one; more are left out together, in so many folds.
+#: Most folds: up to this number groups are left out one by one, more groups are left out in this many folds.
 MOST_FOLDS = 20
-#: A candidate further down the list must be better by this: of a few recordings, more tells little.
+#: A candidate further down the list must be better by this; smaller differences of few recordings mean little.
 MARGIN = 0.01
-Weights = dict[str, float] | str | None
+Weights = Mapping[str, float] | str | None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -52,63 +50,15 @@ class Candidate:
     family: str
 
 
-def candidates_for(sets: Sets, measured: Sequence[str], families: Sequence[str]) -> tuple[Candidate, ...]:
-    """Return every set of features with every family; of a set, what could be measured."""
-    found = []
-    for family in families:
-        for name, wanted in sets.items():
-            features = tuple(feature for feature in wanted if feature in measured)
-            if features:
-                found.append(Candidate(name=name, features=features, family=family))
-    return tuple(found)
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Rows:
-    """What is learned from: a row a window or an impact.
-
-    Attributes
-    ----------
-    names : tuple of str
-        Of the features of one channel.
-    features : ndarray, (n_rows, n_channels * n_names)
-    labels : ndarray of str, (n_rows,)
-    group : ndarray of int, (n_rows,)
-        Below 0: synthetic, which teaches and never judges.
-    """
-
-    names: tuple[str, ...]
-    features: Floats
-    labels: NDArray[np.str_]
-    group: NDArray[np.intp]
-
-    def __getitem__(self, chosen: NDArray[np.bool_]) -> Rows:
-        """Return some of the rows."""
-        return replace(self, features=self.features[chosen], labels=self.labels[chosen], group=self.group[chosen])
-
-    @property
-    def n_channels(self) -> int:
-        """Whose features stand beside each other."""
-        return int(self.features.shape[1] // len(self.names))
-
-    @property
-    def adapted(self) -> Rows:
-        """The rows with the synthetic ones moved to the level and spectrum of the others."""
-        synthetic = self.group < 0
-        if not synthetic.any():
-            return self
-        features = self.features.copy()
-        features[synthetic] += shift(self.names, features, self.labels, synthetic)
-        return replace(self, features=features)
-
-    def inputs(self, features: Sequence[str]) -> Floats:
-        """Return the columns of some features, channel after channel."""
-        return self.features[:, columns_of(self.names, features, self.features.shape[1])]
+def candidates_for(sets: Sets, measured: Sequence[str], family: str) -> tuple[Candidate, ...]:
+    """Return a candidate for each set of features that were measured, at least some of them."""
+    found = {name: tuple(feature for feature in wanted if feature in measured) for name, wanted in sets.items()}
+    return tuple(Candidate(name=name, features=own, family=family) for name, own in found.items() if own)
 
 
 @dataclass(frozen=True)
 class Choice:
-    """What the groups left out inside say of the candidates.
+    """The result of the inner loop.
 
     Attributes
     ----------
@@ -126,21 +76,21 @@ class Choice:
 
 @dataclass(frozen=True, eq=False)
 class Judged:
-    """What candidates chosen inside answer for the groups left out.
+    """The result of the outer loop.
 
     Attributes
     ----------
     probabilities : ndarray, (n_rows, n_labels)
         Of the recorded rows.
     chosen : tuple of int
-        Which candidate each fold took.
+        The candidate of each fold.
     """
 
     probabilities: Floats
     chosen: tuple[int, ...]
 
 
-def require_groups(labels: NDArray[np.str_], group: NDArray[np.intp]) -> None:
+def require_groups(labels: NDArray[np.str_], group: NDArray[np.integer]) -> None:
     """Raise `BadData` unless every label can be trained on and judged by different groups."""
     different = np.unique(labels)
     if len(different) < 2:
@@ -161,19 +111,19 @@ def require_groups(labels: NDArray[np.str_], group: NDArray[np.intp]) -> None:
             )
 
 
-def leave_groups_out(labels: NDArray[np.str_], group: NDArray[np.intp], seed: int) -> Iterator[NDArray[np.bool_]]:
-    """Yield which rows are left out: each group in turn, or folds of groups where there are many."""
+def leave_groups_out(labels: NDArray[np.str_], group: NDArray[np.integer], seed: int) -> Iterator[NDArray[np.bool_]]:
+    """Yield the rows of each fold: a group, or several groups where there are many."""
     recorded = np.flatnonzero(group >= 0)
     groups = np.unique(group[recorded])
     if len(groups) <= MOST_FOLDS:
         for one in groups:
             yield group == one
         return
-    # No more folds than the rows of a label, which are spread over them: it may be one row a group.
+    # No more folds than the rows of a label, which StratifiedGroupKFold spreads over them.
     n_folds = min(MOST_FOLDS, int(np.unique(labels[recorded], return_counts=True)[1].max()))
     splitter = StratifiedGroupKFold(n_folds, shuffle=True, random_state=seed)
     with warnings.catch_warnings():
-        # A rare label is in some of the folds only.
+        # A rare label may be in some of the folds only.
         warnings.simplefilter("ignore", UserWarning)
         folds = list(splitter.split(recorded, labels[recorded], group[recorded]))
     for _, test in folds:
@@ -184,7 +134,7 @@ def leave_groups_out(labels: NDArray[np.str_], group: NDArray[np.intp], seed: in
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Lesson:
-    """What there is to learn from, and how."""
+    """The rows to learn from, and the settings."""
 
     rows: Rows
     candidates: Sequence[Candidate]
@@ -192,8 +142,8 @@ class Lesson:
     seed: int
 
 
-def choose(lesson: Lesson, crew: Workers = ALONE) -> Choice:
-    """Return which candidate answers best for groups left out, and its temperature."""
+def choose_candidate(lesson: Lesson, crew: Workers = ALONE) -> Choice:
+    """Return the candidate that is best for groups left out, and its temperature (the inner loop)."""
     rows, weights = lesson.rows, lesson.weights
     labels, accuracies = np.unique(rows.labels), []
     truth = np.searchsorted(labels, rows.labels)
@@ -215,7 +165,7 @@ def choose(lesson: Lesson, crew: Workers = ALONE) -> Choice:
 
 
 def judge(lesson: Lesson, progress: Callable[[int], object] | None = None, crew: Workers = ALONE) -> Judged:
-    """Return what is answered for each group by what was chosen and trained on the others."""
+    """Return the probabilities for each group of what was chosen and trained on the others (the outer loop)."""
     rows = lesson.rows
     probabilities, chosen = np.empty((len(rows.labels), len(np.unique(rows.labels)))), []
     folds = list(leave_groups_out(rows.labels, rows.group, lesson.seed))
@@ -234,7 +184,7 @@ def judge(lesson: Lesson, progress: Callable[[int], object] | None = None, crew:
 
 
 def final(lesson: Lesson, choice: Choice, crew: Workers = ALONE) -> ImpactClassifier:
-    """Return the candidate chosen trained on all rows, its edge of the known where groups left out still lie inside."""
+    """Return the chosen candidate trained on all rows, with a novelty limit that groups left out keep."""
     rows = lesson.rows
     only = replace(lesson, candidates=(lesson.candidates[choice.best],))
     folds = list(leave_groups_out(rows.labels, rows.group, lesson.seed))
@@ -247,25 +197,25 @@ def final(lesson: Lesson, choice: Choice, crew: Workers = ALONE) -> ImpactClassi
     return classifier
 
 
-# -- one fold, wherever it is done -------------------------------------------------------------------------
+# -- one fold, in any process -----------------------------------------------------------------------------
 
 
 def _scores_of_all(lesson: Lesson, fold: NDArray[np.bool_]) -> Floats:
-    """Return what each candidate trained outside of a fold answers inside it, (n_candidates, n_rows, n_labels)."""
+    """Return the scores of a fold by each candidate trained on the other rows, (n_candidates, n_rows, n_labels)."""
     with threadpool_limits(1):
         return np.stack([_scores(candidate, lesson, fold) for candidate in lesson.candidates])
 
 
 def _judged(lesson: Lesson, fold: NDArray[np.bool_]) -> tuple[int, Floats]:
-    """Return which candidate is chosen outside of a fold, and its probabilities inside it."""
+    """Return the candidate chosen on the other rows, and its probabilities for the fold."""
     with threadpool_limits(1):
-        choice = choose(replace(lesson, rows=lesson.rows[~fold]))
+        choice = choose_candidate(replace(lesson, rows=lesson.rows[~fold]))
         scores = _scores(lesson.candidates[choice.best], lesson, fold)
         return choice.best, softmax(scores / choice.temperature)
 
 
 def _distances(lesson: Lesson, fold: NDArray[np.bool_]) -> Floats:
-    """Return how far the rows of a fold lie from those that the only candidate learns from outside of it."""
+    """Return the distances of the rows of a fold from the other rows, for the only candidate."""
     (candidate,) = lesson.candidates
     with threadpool_limits(1):
         without = _fitted(candidate, lesson.rows[~fold], lesson.weights, lesson.seed, rejects=True)
@@ -280,31 +230,30 @@ def _teaches_all(labels: NDArray[np.str_], fold: NDArray[np.bool_]) -> bool:
 def _fitted(
     candidate: Candidate, rows: Rows, weights: Weights, seed: int, *, rejects: bool = False
 ) -> ImpactClassifier:
-    linear = [FEATURES[name].linear for name in candidate.features] * rows.n_channels
     classifier = ImpactClassifier(
         candidate.family,
-        linear=tuple(np.flatnonzero(linear).tolist()),
-        calibration_folds=0,  # by groups left out instead
+        linear=linear_columns(candidate.features * rows.n_channels),
+        calibration_folds=0,  # calibrated by groups left out
         class_weight=weights,
         rejects=rejects,
         random_state=seed,
     )
-    return classifier.fit(rows.adapted.inputs(candidate.features), rows.labels)
+    return classifier.fit(adapted(rows).inputs(candidate.features), rows.labels)
 
 
 def _scores(candidate: Candidate, lesson: Lesson, fold: NDArray[np.bool_]) -> Floats:
-    """Return what a candidate trained outside of a fold answers inside it, (n_rows, n_labels)."""
+    """Return the scores of a fold by a candidate trained on the other rows, (n_rows, n_labels)."""
     fitted = _fitted(candidate, lesson.rows[~fold], lesson.weights, lesson.seed)
     scores = fitted.decision_function(lesson.rows[fold].inputs(candidate.features))
     return np.stack([np.zeros(len(scores)), scores], axis=1) if scores.ndim == 1 else scores
 
 
 def _row_weights(labels: NDArray[np.str_], weights: Weights) -> Floats | None:
-    """Return what each row counts; None where all count 1."""
+    """Return the weight of each row; None where all are 1."""
     if weights is None:
         return None
     different, own, counts = np.unique(labels, return_inverse=True, return_counts=True)
     if weights == "balanced":
         return np.asarray(1 / counts[own])
-    assert isinstance(weights, dict)
+    assert isinstance(weights, Mapping)
     return np.array([weights.get(label, 1.0) for label in different.tolist()])[own]
