@@ -13,8 +13,6 @@ Prints Markdown; every model is trained on the other recordings, by one set of f
 * what a gain or another response of the sensor costs, and what a reference run cures.
 """
 
-from cgid.identification.rows import Rows
-from cgid.identification.rows import union_of
 import argparse
 from collections.abc import Iterator
 from dataclasses import replace
@@ -28,6 +26,7 @@ from scipy import ndimage, signal
 
 from cgid.identification.classifier import ImpactClassifier
 from cgid.identification.reference import MeanSpectrum
+from cgid.identification.rows import Rows, union_of
 from cgid.measure.features import FEATURES, extract_array, supported
 from cgid.measure.filters import Equalisation
 from cgid.recordings import read_recording

@@ -1,7 +1,6 @@
 """The plan: what runs for what is asked, shown by counters; features and tables without signals."""
 
 from __future__ import annotations
-from cgid.measure import beginnings
 
 import json
 import tracemalloc
@@ -13,7 +12,7 @@ import pytest
 from cgid.cli.main import run
 from cgid.counting import count, counted, counting
 from cgid.errors import BadData, CannotCreate, InvalidValue, MissingExtra, NoInput, WriteFailed
-from cgid.identification.measuring import DEFAULT_VIBRATION_FEATURES
+from cgid.identification.rows import DEFAULT_VIBRATION_FEATURES
 from cgid.measure.features import FEATURES, extract_array, extract_truncated
 from cgid.measure.pulses import PulseBatch
 from cgid.measure.vibration import VibrationBatch

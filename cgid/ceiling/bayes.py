@@ -11,7 +11,6 @@ Judged on the very signals of the ceiling, so that most of the chance in both ca
 """
 
 from __future__ import annotations
-from cgid.measure.features import extract_array
 
 import json
 import warnings
@@ -25,6 +24,7 @@ from numpy.typing import NDArray
 
 from cgid import validation
 from cgid.errors import InvalidValue
+from cgid.measure.features import extract_array
 from cgid.measure.filters import low_pass_response
 from cgid.measure.likelihood import Prior, Profile, profile
 from cgid.measure.pulses import PulseBatch

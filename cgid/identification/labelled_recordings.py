@@ -23,7 +23,7 @@ from cgid.identification.reference import Equalisations, MeanSpectrum, equalisat
 from cgid.identification.rows import Rows, Slicing, sets_for, union_of
 from cgid.identification.windows import Grid, measure_windows, windows_of
 from cgid.measure.features import FEATURES, choose, extract_array, kind_for, kind_of, require_supported, supported
-from cgid.measure.features.feature import Kind
+from cgid.measure.table import Kind
 from cgid.recordings import LARGEST_STREAM, RecordingFile, open_recording
 from cgid.recordings.recording_file import told
 from cgid.signals import UNITS, quantity_of

@@ -35,8 +35,6 @@ from cgid.identification.model_file import (
     signed,
 )
 from cgid.identification.reference import equalisations_of
-from cgid.identification.soundness import SHARED, check_names, check_numbers, check_training
-from cgid.identification.transform import Neighbourhood, Standardiser, softmax
 from cgid.measure.features import kind_of
 from cgid.measure.filters import Equalisation
 from cgid.measure.table import Kind

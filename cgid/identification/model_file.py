@@ -27,8 +27,8 @@ from cgid.identification.families import BY_NAME
 from cgid.identification.known import KNOWN
 from cgid.identification.reference import equalisations_of
 from cgid.identification.windows import require_times
-from cgid.measure.bands import MEL_BANDS
 from cgid.measure.features import require_known
+from cgid.measure.spectra import MEL_BANDS
 from cgid.signals import quantity_of
 
 if TYPE_CHECKING:

@@ -22,8 +22,9 @@ from cgid.errors import BadData, CgidError, InvalidValue
 from cgid.identification.known import KNOWN, drop_heights
 from cgid.identification.windows import WINDOW_TIME, columns_of, require_times
 from cgid.measure.features import FEATURES, choose, extract_array, kind_for, kind_of, supported
-from cgid.measure.features.feature import Kind
-from cgid.measure.features.vibration import EARLY_BANDS, THIRD_OCTAVES
+from cgid.measure.spectra import THIRD_OCTAVES
+from cgid.measure.table import Kind
+from cgid.measure.vibration import EARLY_BANDS
 from cgid.signals import UNITS, Batch, quantity_of
 from cgid.validation import Floats
 from cgid.workers import ALONE, Workers
