@@ -24,9 +24,9 @@ from cgid.errors import BadData, CgidError, InvalidValue, MissingOption, NoInput
 from cgid.identification.answers import identify, identify_frames, suited
 from cgid.identification.card import write_card
 from cgid.identification.classifier import FAMILIES, ImpactClassifier
+from cgid.identification.drop_height import drop_heights
 from cgid.identification.families import BY_NAME
 from cgid.identification.header import signed
-from cgid.identification.known import drop_heights
 from cgid.identification.metrics import evaluate
 from cgid.identification.model import Model
 from cgid.identification.output import check_model_output, write_model

@@ -24,7 +24,6 @@ from cgid.errors import BadData, InvalidValue, NoInput
 from cgid.identification.answers import identify
 from cgid.identification.card import write_card
 from cgid.identification.classifier import ImpactClassifier
-from cgid.identification.interval import wilson_interval
 from cgid.identification.measuring import measure
 from cgid.identification.model import Model
 from cgid.identification.recorded.adaptation import in_unit, shift, thinned
@@ -43,6 +42,7 @@ from cgid.identification.recorded.grouped import (
 from cgid.identification.recorded.manifest import read_manifest
 from cgid.identification.recorded.measuring import Recorded, Slicing, record
 from cgid.identification.recorded.training import train_recorded
+from cgid.identification.share import wilson_interval
 from cgid.identification.shrunken import ShrunkenDiscriminant
 from cgid.identification.training import train
 from cgid.identification.windows import Grid, RunningVote, measure_windows, windows_of

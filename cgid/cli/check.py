@@ -7,7 +7,7 @@ from typing import Any
 import click
 
 from cgid.cli.options import PATH, print_json
-from cgid.cli.saying import say
+from cgid.cli.output import say
 
 #: Blocks of 256 impacts that are drawn for the preview.
 _BLOCKS = 16

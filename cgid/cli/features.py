@@ -15,7 +15,7 @@ from cgid.cli.options import (
     read_signals,
     recording_options,
 )
-from cgid.cli.saying import say
+from cgid.cli.output import say
 
 #: So many impacts, or channels, that cannot be measured are told one by one.
 _MOST_TOLD = 3
@@ -83,7 +83,7 @@ def _print(
 ) -> None:
     """Print the impacts of one channel; those that cannot be measured have no numbers and say why."""
     from cgid.errors import BadData, InvalidValue
-    from cgid.identification.events import find_impacts
+    from cgid.identification.detection import find_impacts
     from cgid.measure.features import extract_array, kind_for, kind_of
 
     kind = kind_for(signal.quantity) if names is None else kind_of(names)

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import click
 
 from cgid.cli.interruption import stop_if_asked
-from cgid.cli.saying import say
+from cgid.cli.output import say
 from cgid.errors import CgidError, InvalidValue
 from cgid.signals import Signal
 

@@ -7,8 +7,8 @@ from typing import Any
 from urllib.parse import quote
 
 from cgid.identification.card_tables import plain, table
-from cgid.identification.events import VIBRATION_DEAD_TIME
-from cgid.identification.known import KNOWN
+from cgid.identification.detection import VIBRATION_DEAD_TIME
+from cgid.identification.drop_height import KNOWN
 from cgid.identification.model import Model
 from cgid.identification.recorded.card import (
     adaptation_lines,

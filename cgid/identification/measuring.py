@@ -13,7 +13,7 @@ from threadpoolctl import threadpool_limits
 
 from cgid import validation
 from cgid.errors import BadData
-from cgid.identification.known import KNOWN, drop_heights
+from cgid.identification.drop_height import KNOWN, drop_heights
 from cgid.measure.features import choose, extract_array, kind_for, kind_of, supported
 from cgid.measure.features.vibration import EARLY_BANDS, THIRD_OCTAVES
 from cgid.signals import Batch, quantity_of

@@ -143,7 +143,7 @@ def train(
         Features that only say how strange an impact is: the larger, the stranger. They are left out of `features`.
         If not given, `DEFAULT_GUARDS` for features of pulses, none for those of vibrations.
     known : iterable of str
-        What the model is told beside the signal, out of `cgid.identification.known.KNOWN`.
+        What the model is told beside the signal, out of `cgid.identification.drop_height.KNOWN`.
     family : {"boosting", "discriminant", "logistic", "network"}
     test_share : float
         Share of the specimens held out, in (0, 1).

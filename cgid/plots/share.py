@@ -11,8 +11,7 @@ from cgid.plots.figure import COLOURS, plain, require_matplotlib
 from cgid.plots.overview import MOST_CHANNELS, Clock
 
 if TYPE_CHECKING:
-    from cgid.identification.answering.share import Share
-    from cgid.identification.answering.shutting import Turn
+    from cgid.identification.share import Share, Turn
 
 #: Inches; the panels are as wide as those of the recording.
 _WIDTH, _PANEL, _TITLE = 11.0, 1.9, 0.5

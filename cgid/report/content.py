@@ -6,10 +6,9 @@ from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 
-from cgid.identification.answering.share import Share
-from cgid.identification.answering.shutting import Turn
 from cgid.identification.answers import Answer
 from cgid.identification.model import Model
+from cgid.identification.share import Share, Turn
 from cgid.measure.overview import Overview
 from cgid.plots import hertz, written
 from cgid.recordings import Channel, RecordingFile

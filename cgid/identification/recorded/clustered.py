@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
-from cgid.identification.interval import wilson_interval
+from cgid.identification.share import wilson_interval
 
 #: Misses (or hits) in fewer groups than this do not show how much groups differ.
 FEWEST_GROUPS = 3

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from cgid import validation
 from cgid.errors import BadData, CgidError, InvalidValue
-from cgid.identification.events import Event, ImpactDetector
+from cgid.identification.detection import Event, ImpactDetector
 from cgid.identification.recorded.annotated import AnnotatedFile, Failures, Reading, annotated_blocks, open_all
 from cgid.identification.recorded.annotation import Annotation
 from cgid.identification.recorded.feature_sets import sets_for, union_of
@@ -37,7 +37,7 @@ class Slicing:
     window_time, hop_time : float
         Length of a window, and from the start of one to that of the next [s].
     dead_time : float or None
-        Of impacts [s]: see `cgid.identification.events.ImpactDetector`.
+        Of impacts [s]: see `cgid.identification.detection.ImpactDetector`.
     """
 
     by: Literal["window", "impact"] = "window"

@@ -1,4 +1,7 @@
-"""The standard streams, where whoever called has closed them or they cannot be written."""
+"""The standard streams, where whoever called has closed them or they cannot be written.
+
+Everything that a command says goes through here, so that no file's text can command the terminal.
+"""
 
 from __future__ import annotations
 
@@ -6,6 +9,10 @@ import contextlib
 import os
 import sys
 from typing import TextIO
+
+import click
+
+from cgid.terminal import printable
 
 
 def open_missing() -> None:
@@ -29,3 +36,18 @@ def drop(stream: TextIO | None) -> None:
             nowhere = os.open(os.devnull, os.O_WRONLY)
             os.dup2(nowhere, stream.fileno())
             os.close(nowhere)
+
+
+def say(text: str, *, err: bool = False) -> None:
+    """Print one line on stdout, or on stderr; what a terminal would obey stands as its escape.
+
+    What cannot be said on stderr, where the disk that it goes to is full, is no reason to fail otherwise.
+    """
+    try:
+        click.echo(printable(text), err=err)
+    except BrokenPipeError:
+        raise
+    except OSError:
+        if not err:
+            raise
+        drop(sys.stderr)
