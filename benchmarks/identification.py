@@ -43,8 +43,8 @@ from identification_peers import FRAMES, PEERS, peak_memory, rows, timed
 from cgid import __version__
 from cgid.files import write_whole
 from cgid.identification.classifier import ImpactClassifier
-from cgid.identification.interval import wilson_interval
 from cgid.identification.rows import DEFAULT_FEATURES, measure
+from cgid.identification.share import wilson_interval
 from cgid.measure.features import FEATURES
 from cgid.plots import png, require_matplotlib
 from cgid.signals import Batch

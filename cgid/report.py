@@ -19,10 +19,9 @@ from typing import Any
 
 from cgid import __version__
 from cgid.files import check_new, write_whole
-from cgid.identification.answering.share import Share
-from cgid.identification.answering.shutting import Turn
 from cgid.identification.answers import Answer
 from cgid.identification.model import Model
+from cgid.identification.share import Share, Turn
 from cgid.measure.overview import Overview
 from cgid.plots import COLOURS, Mark, colours_of, hertz, overview_figure, picture, share_figure, written
 from cgid.plots.figure import NEUTRAL

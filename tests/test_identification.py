@@ -24,8 +24,8 @@ from cgid.errors import BadData, CgidError, InvalidValue, MissingOption, NoInput
 from cgid.identification.answers import identify, identify_frames, suited
 from cgid.identification.card import check_model_output, write_card, write_model
 from cgid.identification.classifier import FAMILIES, ImpactClassifier
+from cgid.identification.drop_height import drop_heights
 from cgid.identification.families import BY_NAME, softmax
-from cgid.identification.known import drop_heights
 from cgid.identification.metrics import evaluate
 from cgid.identification.model import Model
 from cgid.identification.model_file import signed

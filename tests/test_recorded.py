@@ -32,12 +32,12 @@ from cgid.identification.grouped import (
     leave_groups_out,
     require_groups,
 )
-from cgid.identification.interval import wilson_interval
 from cgid.identification.labelled_recordings import Reading, record
 from cgid.identification.manifest import read_manifest
 from cgid.identification.metrics import clustered_interval
 from cgid.identification.model import Model
 from cgid.identification.rows import Rows, Slicing, in_unit, measure, sets_for, shift, thinned
+from cgid.identification.share import wilson_interval
 from cgid.identification.training import train
 from cgid.identification.windows import Grid, RunningVote, measure_windows, windows_of
 from cgid.measure.features import FEATURES, extract_array, supported

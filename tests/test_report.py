@@ -21,10 +21,9 @@ import pytest
 from cgid import report as page
 from cgid import shipped
 from cgid.errors import CannotCreate
-from cgid.identification.answering.share import Share, ShareWindow
-from cgid.identification.answering.shutting import Shutting
 from cgid.identification.answers import Answer
 from cgid.identification.model import Model
+from cgid.identification.share import Share, ShareWindow, Shutting
 from cgid.measure.overview import OverviewStream
 from cgid.plots import Mark
 from cgid.recordings import open_recording

@@ -10,7 +10,7 @@ import pytest
 
 from cgid import Impact, Signal, Sphere, extract, fft_filter, validation
 from cgid.errors import InvalidValue
-from cgid.identification.detection.detector import ImpactDetector
+from cgid.identification.detection import ImpactDetector
 from cgid.identification.estimation import estimate, posterior
 from cgid.identification.reference import MeanSpectrum
 from cgid.measure.likelihood import Prior, cramer_rao_bound

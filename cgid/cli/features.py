@@ -96,7 +96,7 @@ def _print(
 ) -> None:
     """Print the impacts of one channel; those that cannot be measured have no numbers, but a reason."""
     from cgid.errors import BadData, InvalidValue
-    from cgid.identification.events import find_impacts
+    from cgid.identification.detection import find_impacts
     from cgid.measure.features import extract_array, kind_for, kind_of
 
     kind = kind_for(signal.quantity) if names is None else kind_of(names)

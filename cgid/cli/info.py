@@ -152,7 +152,7 @@ def _held_channels(recording: Any) -> dict[str, Any]:
     import numpy as np
 
     from cgid.errors import BadData
-    from cgid.identification.events import TURN_OVER, find_impacts
+    from cgid.identification.detection import TURN_OVER, find_impacts
     from cgid.measure.features import kind_for
 
     channels = {}
@@ -178,7 +178,7 @@ def _long_channels(recording: Any) -> dict[str, Any]:
     """Return what is in each channel of a long recording, which is read block by block; a median would hold it all."""
     from collections import Counter
 
-    from cgid.identification.events import TURN_OVER, Extent, ImpactDetector
+    from cgid.identification.detection import TURN_OVER, Extent, ImpactDetector
     from cgid.measure.features import kind_for
 
     names = recording.channels

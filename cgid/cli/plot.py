@@ -52,7 +52,7 @@ def plot(
     itself, as cgid predict does it.
     """
     from cgid.files import check_new, write_whole
-    from cgid.identification.events import TURN_OVER
+    from cgid.identification.detection import TURN_OVER
     from cgid.measure.overview import OverviewStream
     from cgid.plots import FORMATS, MOST_CHANNELS, overview_figure, picture, require_matplotlib
 
@@ -125,7 +125,7 @@ class _Finder:
         dead_time: float | None,
         begin: float,
     ) -> None:
-        from cgid.identification.events import Extent, ImpactDetector
+        from cgid.identification.detection import Extent, ImpactDetector
         from cgid.measure.features import kind_for
 
         self._rate, self._channels, self._begin = sampling_rate, channels, begin
@@ -152,7 +152,7 @@ class _Finder:
 
     def upside_down(self) -> list[str]:
         """Return the channels without pulses that fall where they should rise."""
-        from cgid.identification.events import TURN_OVER
+        from cgid.identification.detection import TURN_OVER
 
         heard = {mark.channel for mark in self._marks}
         names = {self._channels[row].name: row for row in self._pulses}

@@ -11,7 +11,7 @@ from sklearn import metrics
 
 from cgid.errors import InvalidValue
 from cgid.identification.conformal import COVERAGES, Conformal
-from cgid.identification.interval import wilson_interval
+from cgid.identification.share import wilson_interval
 from cgid.validation import Floats
 
 #: Bins of the reliability diagram.

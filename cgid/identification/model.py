@@ -95,7 +95,7 @@ class Model:
     training : dict
         How it was made and how good it is: the content of the model card.
     known : tuple of str
-        What must be known beside the signal, out of `cgid.identification.known.KNOWN`.
+        What must be known beside the signal, out of `cgid.identification.drop_height.KNOWN`.
     guards : tuple of str
         Features that say only whether an impact is like those of the training: the larger, the stranger. The
         labels are not told apart by them.

@@ -23,8 +23,8 @@ from numpy.typing import NDArray
 
 from cgid import validation
 from cgid.errors import BadData
+from cgid.identification.drop_height import KNOWN
 from cgid.identification.families import BY_NAME
-from cgid.identification.known import KNOWN
 from cgid.identification.reference import equalisations_of
 from cgid.identification.windows import require_times
 from cgid.measure.features import require_known

@@ -19,7 +19,7 @@ from threadpoolctl import threadpool_limits
 
 from cgid import validation
 from cgid.errors import BadData, CgidError, InvalidValue
-from cgid.identification.known import KNOWN, drop_heights
+from cgid.identification.drop_height import KNOWN, drop_heights
 from cgid.identification.windows import WINDOW_TIME, columns_of, require_times
 from cgid.measure.features import FEATURES, choose, extract_array, kind_for, kind_of, supported
 from cgid.measure.spectra import THIRD_OCTAVES

@@ -21,8 +21,7 @@ from cgid.signals import Signal
 from cgid.validation import Floats
 
 if TYPE_CHECKING:
-    from cgid.identification.answering.share import Share
-    from cgid.identification.answering.shutting import Turn
+    from cgid.identification.share import Share, Turn
 
 #: More channels than these in one picture cannot be read.
 MOST_CHANNELS = 8

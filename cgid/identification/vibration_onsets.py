@@ -12,7 +12,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from cgid.identification.detection.onsets import Onset, Read
+from cgid.identification.events import Onset, Read
 from cgid.validation import Floats
 
 #: Sums of some energies need no more digits, and half the memory is nearly half the time.

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from cgid.identification.detection.onsets import Onset, Read
+from cgid.identification.events import Onset, Read
 from cgid.validation import Floats
 
 #: An impact rises above this many standard deviations of the noise,
