@@ -15,8 +15,7 @@ from cgid.cli.main import run
 from cgid.errors import BadData, InvalidValue, NoInput
 from cgid.identification.answers import identify, identify_frames, suited
 from cgid.identification.card import force_table, write_card
-from cgid.identification.detection import find_impacts
-from cgid.identification.events import VIBRATION_DEAD_TIME
+from cgid.identification.detection import VIBRATION_DEAD_TIME, find_impacts
 from cgid.identification.model import Model
 from cgid.identification.rows import (
     DEFAULT_FEATURES,

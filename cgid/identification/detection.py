@@ -13,11 +13,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from cgid import validation
 from cgid.errors import BadData, InvalidValue
-from cgid.identification.detection.pulses import START_CHUNKS as PULSE_START
-from cgid.identification.detection.ringing import START_CHUNKS as RINGING_START
 from cgid.identification.events import FOUND_LIMIT, Event, FrameCutter, Framing, Onset
+from cgid.identification.pulse_onsets import START_CHUNKS as PULSE_START
 from cgid.identification.pulse_onsets import THRESHOLD_OVER_NOISE, THRESHOLD_OVER_PEAK, PulseOnsets
 from cgid.identification.vibration_onsets import RISE_OVER_NOISE, RingingOnsets
+from cgid.identification.vibration_onsets import START_CHUNKS as RINGING_START
 from cgid.measure.frames import DETECTION_LIMIT, LARGEST
 from cgid.measure.table import ImpactKind
 from cgid.measure.vibration import SHORTEST_EVENT

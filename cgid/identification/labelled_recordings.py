@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 
 from cgid.errors import BadData, CgidError, InvalidValue, MissingOption, NoInput
 from cgid.files import require_regular
-from cgid.identification.events import Event, ImpactDetector
+from cgid.identification.detection import ImpactDetector
+from cgid.identification.events import Event
 from cgid.identification.manifest import Annotation, Manifest
 from cgid.identification.reference import Equalisations, MeanSpectrum, equalisations_of
 from cgid.identification.rows import Rows, Slicing, sets_for, union_of
