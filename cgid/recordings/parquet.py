@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cgid.errors import BadData, CgidError, MissingExtra
-from cgid.recordings.contents import Contents, rates_agree
+from cgid.recordings.recording import Contents, rates_agree
 from cgid.recordings.statements import (
     Value,
     known_unit,
@@ -22,9 +22,8 @@ from cgid.recordings.statements import (
     stated_start,
     stated_units,
 )
-from cgid.recordings.text.header import TIME_UNITS, Column, column_of
-from cgid.recordings.time_vector import rate_of_vector
-from cgid.recordings.variables import Variable
+from cgid.recordings.text_header import TIME_UNITS, Column, column_of
+from cgid.recordings.variables import Variable, rate_of_vector
 
 #: Texts in the footer [bytes], its lists [entries].
 _LONGEST_TEXT, _LONGEST_LIST = 16 << 20, 1 << 20

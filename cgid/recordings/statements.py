@@ -9,8 +9,8 @@ from datetime import datetime
 import numpy as np
 
 from cgid.errors import BadData
-from cgid.recordings.contents import rates_agree
-from cgid.recordings.text.header import TIME_UNITS, column_of
+from cgid.recordings.recording import rates_agree
+from cgid.recordings.text_header import TIME_UNITS, column_of
 from cgid.signals import KNOWN_UNITS
 
 #: Values that files attach to names; lists are one value a channel.

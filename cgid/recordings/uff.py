@@ -19,9 +19,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cgid.errors import BadData
-from cgid.recordings.contents import Contents, rates_agree
+from cgid.recordings.recording import Contents, rates_agree
 from cgid.recordings.statements import known_unit
-from cgid.recordings.text.header import TIME_UNITS
+from cgid.recordings.text_header import TIME_UNITS
 
 _DELIMITER = re.compile(rb"[ ]{4}-1[ \t]*\r?\n?")
 #: Longer lines are none of text.

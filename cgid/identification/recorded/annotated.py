@@ -16,7 +16,7 @@ from cgid.files import require_regular
 from cgid.identification.recorded.annotation import Annotation
 from cgid.identification.recorded.manifest import Manifest
 from cgid.recordings import LARGEST_STREAM, RecordingFile, open_recording
-from cgid.recordings.recording_file import told
+from cgid.recordings.recording import told
 from cgid.signals import UNITS, quantity_of
 
 
