@@ -23,7 +23,7 @@ from cgid.scene.stream.axis import samples_of
 from cgid.scene.stream.capacity import require_capacity
 from cgid.scene.stream.synthesis import record
 from cgid.scene.taps import SHAPES
-from cgid.scene.units import parse
+from cgid.units import parse
 from tests import few
 
 DATASETS = Path(__file__).parents[1] / "datasets"

@@ -16,7 +16,8 @@ from cgid.errors import BadData
 from cgid.identification.known import KNOWN, drop_heights
 from cgid.measure.features import choose, extract_array, kind_for, kind_of, supported
 from cgid.measure.features.vibration import EARLY_BANDS, THIRD_OCTAVES
-from cgid.signals import Batch, quantity_of
+from cgid.signals import Batch
+from cgid.units import quantity_of
 from cgid.validation import Floats
 from cgid.workers import ALONE, Workers
 

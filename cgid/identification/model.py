@@ -29,7 +29,7 @@ from cgid.identification.transform import Neighbourhood, Standardiser, softmax
 from cgid.measure.equalisation import Equalisation
 from cgid.measure.features import kind_of
 from cgid.measure.features.feature import Kind
-from cgid.signals import quantity_of
+from cgid.units import quantity_of
 from cgid.validation import Floats
 
 if TYPE_CHECKING:

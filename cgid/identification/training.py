@@ -21,7 +21,8 @@ from cgid.identification.metrics import evaluate, evaluate_sets
 from cgid.identification.model import Model
 from cgid.identification.transform import Neighbourhood
 from cgid.measure.features import FEATURES, choose
-from cgid.signals import Batch, quantity_of
+from cgid.signals import Batch
+from cgid.units import quantity_of
 from cgid.validation import Floats
 from cgid.workers import ALONE, Workers
 

@@ -17,7 +17,8 @@ from typing import IO, Any
 from cgid.errors import BadData, NoInput, WriteFailed
 from cgid.recordings.formats import HDF5_MAGIC, HEAD_SIZE, format_of, is_hdf5
 from cgid.recordings.recording import BLOCK_LENGTH, DATASET_CURE, Channel, RecordingFile, told
-from cgid.signals import Signal, quantity_of
+from cgid.signals import Signal
+from cgid.units import quantity_of
 from cgid.validation import require_rate
 
 __all__ = ["BLOCK_LENGTH", "Channel", "RecordingFile", "is_dataset", "open_recording", "read_recording"]

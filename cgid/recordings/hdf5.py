@@ -20,6 +20,7 @@ from cgid.recordings.variables import Variable, contents_of, orientation
 if TYPE_CHECKING:
     from cgid.store.foreign import ForeignArray
 
+
 def read_own(path: Path) -> Contents:
     """Return the one channel of a recording made by `cgid generate`."""
     from cgid.store.recording import Recording

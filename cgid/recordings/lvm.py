@@ -24,19 +24,14 @@ from numpy.typing import NDArray
 
 from cgid.errors import BadData
 from cgid.recordings.recording import MAX_CHANNELS, RATE_TOLERANCE, Contents, rates_agree
-from cgid.recordings.text import PIECE, Floats, whole_lines
-from cgid.recordings.text_header import EvenTimes, is_resolved, rate_of
+from cgid.recordings.text import PIECE, whole_lines
 from cgid.recordings.text_layout import NUMBER, SNIFFED, encoding_of
-from cgid.signals import KNOWN_UNITS
+from cgid.recordings.times import EvenTimes, Floats, is_resolved, rate_of
+from cgid.units import known_unit
 
 END_OF_HEAD = "***End_of_Header***"
 
 _SEPARATORS = {"tab": "\t", "comma": ",", "semicolon": ";", "space": " "}
-_SPELT_OUT = {
-    "volts": "V", "volt": "V", "newtons": "N", "newton": "N", "pascals": "Pa", "pascal": "Pa", "meters": "m",
-    "metres": "m", "millivolts": "mV", "strain": "m/m", "gs": "g",
-}  # fmt: skip
-
 #: Larger values of x are seconds since 1904, not since the time stamp.
 _SINCE_1904 = 1e8
 
@@ -114,10 +109,8 @@ class Segment:
         return self.labels[column].strip() if column < len(self.labels) else ""
 
     def unit(self, channel: int) -> str | None:
-        """Return the unit if it is one of `cgid.signals.UNITS`."""
-        label = self.field("Y_Unit_Label", channel).replace("\u03bc", "µ")
-        unit = label if label in KNOWN_UNITS else _SPELT_OUT.get(label.lower(), label)
-        return unit if unit in KNOWN_UNITS else None
+        """Return the unit if it is one of `cgid.units.UNITS`."""
+        return known_unit(self.field("Y_Unit_Label", channel))
 
     def n_samples(self, channel: int) -> int | None:
         """Return the samples that are declared, None where they are not."""

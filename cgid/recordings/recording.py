@@ -15,7 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cgid.errors import BadData, CgidError, InvalidValue, MissingOption, NoInput
-from cgid.signals import UNITS, Signal, quantity_of
+from cgid.signals import Signal
+from cgid.units import UNITS, quantity_of
 from cgid.validation import require_rate
 
 #: What to do with a dataset where a recording is wanted.
@@ -180,6 +181,15 @@ def rates_agree(first: float, second: float) -> bool:
     (True, False)
     """
     return abs(first - second) <= RATE_TOLERANCE * min(first, second)
+
+
+def require_one_rate(first: tuple[float, str], second: tuple[float, str], source: str) -> None:
+    """Raise `BadData` unless two sampling rates [Hz] of one recording agree; each comes with what states it."""
+    if not rates_agree(first[0], second[0]):
+        raise BadData(
+            f"{source}: the sampling rate must be one to 0.1 %, {first[1]} says {first[0]:.10g} Hz and {second[1]} "
+            f"says {second[0]:.10g} Hz; correct one"
+        )
 
 
 def _meaning(unit: str) -> tuple[str, float]:

@@ -1,6 +1,6 @@
-"""The rows of a text file by pieces, read by numpy's parser and gone through by line only where that one fails.
+"""Text files (CSV, TXT, ...): the first piece shows header and layout, numpy's parser reads the rows piece by piece.
 
-Text files: encoding, the first row and the layout are found out, then header, rows and time are put together.
+Only where numpy's parser fails are the rows read line by line, to name the damaged one.
 """
 
 from __future__ import annotations
@@ -19,17 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cgid.errors import BadData
-from cgid.recordings.recording import MAX_CHANNELS, Contents, rates_agree
-from cgid.recordings.text_header import (
-    Column,
-    EvenTimes,
-    Header,
-    rate_of,
-    read_header,
-    refined_rate,
-    seconds,
-    time_columns,
-)
+from cgid.recordings.recording import MAX_CHANNELS, Contents, rates_agree, require_one_rate
+from cgid.recordings.text_header import Column, Header, read_header
 from cgid.recordings.text_layout import (
     MIXED,
     SNIFFED,
@@ -41,20 +32,65 @@ from cgid.recordings.text_layout import (
     stamped_moment,
     with_seconds,
 )
+from cgid.recordings.times import EvenTimes, Floats, rate_of, refined_rate, runs_evenly, seconds
 
-Floats = NDArray[np.float64]
-
-#: Characters that are read at once; the header must lie within so many.
+#: Characters that are read at once; the header must end within the first piece.
 PIECE = 1 << 20
 
-#: Characters of a row of more channels than there may be; a longer line is no row.
+#: A longer line [characters] is no row: it would have more channels than a recording may have.
 _LONGEST_LINE = 1 << 18
 
-#: The end mark of DOS and the line end before it.
+#: DOS ends a text with this character.
 _END_MARK = "\x1a"
 
-#: A comma in a row: before any mark of a comment.
+#: A comma in a row, before any comment.
 _COMMA = re.compile(r"^[^#%/\n]*,", re.MULTILINE)
+
+#: Names of a column that only numbers the rows.
+_NAMES_OF_COUNTERS = ("", "index", "no", "nr", "n", "i", "sample", "samples", "sample no", "point", "row", "序号")
+
+
+def read_text(path: Path, source: str, variable: str | None) -> Contents:
+    r"""Return the channels of a text file, with what its header and its time column say.
+
+    Layout and sampling rate are those of the first `PIECE` characters; every further piece is checked as it comes.
+
+    Parameters
+    ----------
+    path : Path
+    source : str
+        Name of the file in messages.
+    variable : str or None
+        Not used: a text holds one recording.
+
+    Raises
+    ------
+    BadData
+        The file is no text or holds no numbers; a row is uneven, cut off, or has a field that is no finite number
+        (the message names sample and line); the time column is not even or contradicts the stated sampling rate.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     file = Path(folder) / "hit.csv"
+    ...     _ = file.write_text("t [ms];force (N)\n0,0;1,5\n0,5;2,5\n")
+    ...     contents = read_text(file, "hit.csv", None)
+    >>> contents.n_samples, contents.units, contents.sampling_rate
+    (2, ['N'], 2000.0)
+    """
+    with path.open("rb") as file:
+        encoding = encoding_of(file.read(SNIFFED), source)
+    header, body = _header_and_body(path, encoding, source)
+    if body.layout.n_columns > MAX_CHANNELS:
+        raise BadData(
+            f"{source}: at most {MAX_CHANNELS} columns, line {body.first_line} has {body.layout.n_columns}; "
+            "transpose it: one sample a row, one channel a column"
+        )
+    return _assembled(header, body)
+
+
+# ---- rows ------------------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -87,32 +123,32 @@ class Body:
         Parameters
         ----------
         needed : sequence of int
-            Columns whose fields must be finite numbers; what is none elsewhere becomes nan.
+            Columns whose fields must be finite numbers; in other columns a field that is no number becomes nan.
 
         Raises
         ------
         BadData
-            A row has more or fewer fields than the first, a field that is needed is no finite number, or a remark or
-            an empty line stands among the rows, where a sample may be missing; sample and line are named.
+            A row has more or fewer fields than the first, a needed field is no finite number, or a comment or an
+            empty line stands among the rows, where a sample may be missing; the message names sample and line.
         """
         wanted = list(needed)
         layout, sample, line = self.layout, 0, self.first_line
-        points, remark = False, None
+        points, comment = False, None
         for written, is_last in whole_lines(self.path, self.encoding, self.source, self.start):
-            # Remarks behind the last row are remarks; among the rows they may stand for samples.
+            # Comments are fine after the last row; among the rows they may stand for samples.
             held = _without_end(written)
-            if held and remark is not None:
-                raise _among_rows(*remark, sample, self.source)
-            if remark is None and len(held) < len(written):
-                remark = line + held.count("\n"), written[len(held) :].partition("\n")[0]
+            if held and comment is not None:
+                raise _among_rows(*comment, sample, self.source)
+            if comment is None and len(held) < len(written):
+                comment = line + held.count("\n"), written[len(held) :].partition("\n")[0]
             text = with_seconds(held, layout)
             if not points:
-                # As long as all numbers were whole ones, nobody could know the decimal mark.
+                # As long as all numbers are whole, the decimal mark is unknown.
                 layout = with_decimal_mark(layout, text)
             points = points or "." in text
             rows = _parsed_at_once(text, layout) if text else np.empty((0, layout.n_columns))
             if rows is None or len(rows) < _n_lines(text) or not np.isfinite(rows[:, wanted]).all():
-                # Going through the lines either finds the fault or leaves out what numpy's parser stumbled over.
+                # Reading line by line either finds the fault or leaves out what made numpy's parser fail.
                 checked = list(_checked_rows(text, layout, wanted, sample, line, self.source))
                 rows = np.loadtxt(checked, comments=None, ndmin=2) if checked else np.empty((0, layout.n_columns))
             yield rows, is_last
@@ -120,17 +156,17 @@ class Body:
             line += written.count("\n")
 
     def last_row(self) -> Floats | None:
-        """Return the last row, (n_columns,), None where it cannot be told from the end of the file alone."""
+        """Return the last row, (n_columns,), None if the end of the file does not show it."""
         with self.path.open("rb") as file:
+            mark = file.read(2)
             size = file.seek(0, io.SEEK_END)
             # An even distance keeps the two bytes of a character of UTF-16 together.
             file.seek(max(0, size - 2 * _LONGEST_LINE) // 2 * 2)
             raw = file.read()
-        if self.encoding == "utf-16":
-            with self.path.open("rb") as file:
-                text = raw.decode("utf-16-le" if file.read(2) == b"\xff\xfe" else "utf-16-be", "replace")
-        else:
-            text = raw.decode(self.encoding, "replace")
+        encoding = self.encoding
+        if encoding == "utf-16":
+            encoding = "utf-16-le" if mark == b"\xff\xfe" else "utf-16-be"
+        text = raw.decode(encoding, "replace")
         for line in reversed(text.replace("\r", "\n").rstrip(_END_MARK).split("\n")):
             if not is_comment(line):
                 fields = self.layout.fields(with_seconds(line.partition("#")[0], self.layout))
@@ -141,9 +177,9 @@ class Body:
 
 
 def whole_lines(path: Path, encoding: str, source: str, start: int = 0) -> Iterator[tuple[str, bool]]:
-    """Yield a text file from the character `start` on by whole lines, and whether they are the last ones.
+    """Yield whole lines of a text file, about `PIECE` characters at a time, and whether they are the last ones.
 
-    Line ends are line feeds; only the very last line may lack its own.
+    Reading begins with the character `start`. Lines end with a line feed; only the very last line may lack it.
 
     Raises
     ------
@@ -177,9 +213,9 @@ def with_decimal_mark(layout: Layout, text: str) -> Layout:
 def _parsed_at_once(text: str, layout: Layout) -> Floats | None:
     if layout.decimal_comma and "." in text:
         return None
-    delimiter, exchange = layout.parser()
+    delimiter, replacements = layout.parser()
     parsed = text
-    for old, new in exchange.items():
+    for old, new in replacements.items():
         parsed = parsed.replace(old, new)
     try:
         rows = np.loadtxt(io.StringIO(parsed), delimiter=delimiter, comments="#" if "#" in text else None, ndmin=2)
@@ -187,7 +223,7 @@ def _parsed_at_once(text: str, layout: Layout) -> Floats | None:
         return None
     if rows.shape[1] != layout.n_columns:
         return None
-    # Exchanged for blanks, an empty field leaves no trace but its delimiter.
+    # Where blanks replace the delimiter, an empty field leaves no other trace than its delimiter.
     lost = delimiter is None and layout.trailing
     if lost and text.count(layout.delimiter or "") != rows.size:
         return None
@@ -197,7 +233,7 @@ def _parsed_at_once(text: str, layout: Layout) -> Floats | None:
 def _checked_rows(
     text: str, layout: Layout, needed: Sequence[int], sample: int, first_line: int, source: str
 ) -> Iterator[str]:
-    # The very last line is the only one that may lack its end.
+    # Only the very last line may lack its line feed.
     unended = first_line + text.count("\n")
     for number, line in enumerate(text.removesuffix("\n").split("\n"), first_line):
         if is_comment(line):
@@ -214,17 +250,30 @@ def _checked_rows(
         for column in needed:
             value = values[column]
             if value is None or not math.isfinite(float(value)):
-                raise BadData(
-                    f"{source}: every field must be a finite number, sample {sample} (line {number}) column "
-                    f"{column + 1} is {_shown(fields[column])}{cut if value is None else ''}; repair or cut the "
-                    "recording there"
-                )
+                raise no_number(sample, number, column, fields[column], source, cut if value is None else "")
         yield " ".join(value or "nan" for value in values)
         sample += 1
 
 
+def no_number(sample: int, line: int, column: int, field: str, source: str, cut: str = "") -> BadData:
+    """Return the error of a field that is no finite number."""
+    shown = repr(field[:40]) if field else "empty"
+    return BadData(
+        f"{source}: every field must be a finite number, sample {sample} (line {line}) column {column + 1} is "
+        f"{shown}{cut}; repair or cut the recording there"
+    )
+
+
+def _among_rows(number: int, line: str, sample: int, source: str) -> BadData:
+    shown = repr(line.strip()[:40]) if line.strip() else "empty"
+    return BadData(
+        f"{source}: every line among the numbers must be a row, or a sample may be missing, line {number} before "
+        f"sample {sample} is {shown}; repair or cut the recording there, or take the line out"
+    )
+
+
 def _without_end(text: str) -> str:
-    """Return lines without the remarks and empty lines behind the last row."""
+    """Return lines without the comments and empty lines after the last row."""
     end = len(text)
     while end and is_comment(text[(start := text.rfind("\n", 0, end - 1) + 1) : end]):
         end = start
@@ -235,65 +284,10 @@ def _n_lines(text: str) -> int:
     return text.removesuffix("\n").count("\n") + 1 if text else 0
 
 
-def _among_rows(number: int, line: str, sample: int, source: str) -> BadData:
-    return BadData(
-        f"{source}: every line among the numbers must be a row, or a sample may be missing, line {number} before "
-        f"sample {sample} is {_shown(line.strip())}; repair or cut the recording there, or take the line out"
-    )
+# ---- the first piece -------------------------------------------------------------------------------------------------
 
 
-def _shown(field: str) -> str:
-    return repr(field[:40]) if field else "empty"
-
-
-#: What programs call the number of a row, if they call it anything.
-_NAMES_OF_COUNTERS = ("", "index", "no", "nr", "n", "i", "sample", "samples", "sample no", "point", "row", "序号")
-
-
-def read_text(path: Path, source: str, variable: str | None) -> Contents:
-    r"""Return the channels of a text file, with what its header and its time column say.
-
-    A file longer than `cgid.recordings.text.PIECE` is read by pieces: its layout and the way its time runs are
-    those of the first piece, and each further one is checked as it comes.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-    source : str
-        Its name in messages.
-    variable : str or None
-        Not used: such a file holds one recording.
-
-    Raises
-    ------
-    BadData
-        It is no text or holds no numbers; a row is uneven, cut off, or has a field that is no finite number
-        (sample and line are named); the time column is not even or contradicts the stated sampling rate.
-
-    Examples
-    --------
-    >>> import tempfile
-    >>> with tempfile.TemporaryDirectory() as folder:
-    ...     file = Path(folder) / "hit.csv"
-    ...     _ = file.write_text("t [ms];force (N)\n0,0;1,5\n0,5;2,5\n")
-    ...     contents = read_text(file, "hit.csv", None)
-    >>> contents.n_samples, contents.units, contents.sampling_rate
-    (2, ['N'], 2000.0)
-    """
-    with path.open("rb") as file:
-        encoding = encoding_of(file.read(SNIFFED), source)
-    header, body = _found(path, encoding, source)
-    if body.layout.n_columns > MAX_CHANNELS:
-        raise BadData(
-            f"{source}: at most {MAX_CHANNELS} columns, line {body.first_line} has {body.layout.n_columns}; "
-            "transpose it: one sample a row, one channel a column"
-        )
-    return _assembled(header, body)
-
-
-def _found(path: Path, encoding: str, source: str) -> tuple[Header, Body]:
-    """Return the header and where the rows begin, both from the first piece."""
+def _header_and_body(path: Path, encoding: str, source: str) -> tuple[Header, Body]:
     with path.open(encoding=encoding, errors="replace") as file:
         piece = file.read(PIECE)
         if file.read(1):
@@ -314,7 +308,7 @@ def _found(path: Path, encoding: str, source: str) -> tuple[Header, Body]:
     if layout is None:
         raise BadData(f"{source}: a recording must hold numbers, no line of the text does; export it again")
     moment = None if layout.stamp is None else stamped_moment(line)
-    layout = _settled(layout, following or line, above)
+    layout = _corrected(layout, following or line, above)
     layout = with_decimal_mark(layout, with_seconds(piece[start:], layout))
     while above and _is_damaged_row(above[-1], layout):
         start -= len(above.pop())
@@ -327,7 +321,7 @@ def _found(path: Path, encoding: str, source: str) -> tuple[Header, Body]:
 
 
 def _lines(piece: str) -> Iterator[str]:
-    # Other than `str.splitlines` at line feeds only, so that lines are counted as the rows are.
+    # `str.splitlines` also divides at other characters, and the lines would be counted differently from the rows.
     start = 0
     while start < len(piece):
         end = piece.find("\n", start) + 1 or len(piece)
@@ -335,7 +329,7 @@ def _lines(piece: str) -> Iterator[str]:
         start = end
 
 
-def _settled(layout: Layout, second: str, above: deque[str]) -> Layout:
+def _corrected(layout: Layout, second: str, above: deque[str]) -> Layout:
     """Return the layout of the first row, corrected by what the other lines show."""
     if layout.trailing:
         wider = replace(layout, n_columns=layout.n_columns + 1, trailing=False)
@@ -349,7 +343,7 @@ def _settled(layout: Layout, second: str, above: deque[str]) -> Layout:
 def _is_damaged_row(line: str, layout: Layout) -> bool:
     """Return whether a line above the first row begins with a number as a row does, and breaks off into text."""
     fields = layout.fields(line)
-    # "2000 samples" above two columns of blanks is a remark.
+    # "2000 samples" above two columns of blanks is a comment.
     least = 3 if layout.delimiter is None else 2
     is_row = len(fields) == layout.n_columns >= least and not is_comment(line)
     return is_row and layout.number(fields[0]) is not None
@@ -368,15 +362,17 @@ def _refuse_doubtful_comma(body: Body, header: Header, first: str, above: deque[
         )
 
 
+# ---- header, rows and time together ----------------------------------------------------------------------------------
+
+
 def _assembled(header: Header, body: Body) -> Contents:
-    """Return the contents of a text from its header and the rows of its first piece."""
     columns, source = header.columns, body.source
     rows, is_whole = next(body.pieces(()))
     times = time_columns(columns, rows) if body.layout.stamp is None else [body.layout.stamp]
     kept = [index for index in range(rows.shape[1]) if index not in times and not _counts(columns, rows, index)]
     if not kept:
         raise BadData(f"{source}: a recording must hold a channel beside time, there is none; export it again")
-    # Whether a channel has gaps matters only to those who ask for it, but times must be whole.
+    # Gaps in a channel matter only to those who ask for it, but times must be whole.
     finite: NDArray[np.bool_] = np.all(np.isfinite(rows), axis=0)
     if not finite[times].all():
         next(body.pieces(times))
@@ -412,16 +408,44 @@ def _assembled(header: Header, body: Body) -> Contents:
     return Contents(n_channels=len(kept), blocks=blocks, **about)
 
 
+def time_columns(columns: tuple[Column, ...], rows: Floats) -> list[int]:
+    """Return the indices of the columns of time, of which the first one counts.
+
+    Parameters
+    ----------
+    columns : tuple of Column
+        From the header; empty without one.
+    rows : ndarray, (n_samples, n_columns)
+
+    Returns
+    -------
+    list of int
+        The first column with a name for time, else the first in a unit of time. Without a header, the first of
+        several columns if it increases in even steps. Then all other columns named time that increase in even steps:
+        some programs give each channel a time column of its own.
+    """
+    if len(columns) == 1 and " " in columns[0].name:
+        # Above a single column any comment looks like its name, even "time of day unknown".
+        return []
+    named = [index for index, column in enumerate(columns) if column.is_named_time and column.known_unit in (None, "m")]
+    if named:
+        return named[:1] + [index for index in named[1:] if runs_evenly(rows[:, index])]
+    for index, column in enumerate(columns):
+        if column.has_time_unit:
+            return [index]
+    return [0] if not columns and rows.shape[1] > 1 and runs_evenly(rows[:, 0]) else []
+
+
 def _counts(columns: tuple[Column, ...], rows: Floats, index: int) -> bool:
-    """Return whether a column only numbers the rows: named as such, and growing by one."""
+    """Return whether a column only numbers the rows: its name says so, and it grows by one."""
     is_named = bool(columns) and columns[index].name.lower().strip(" .:#") in _NAMES_OF_COUNTERS
     with np.errstate(all="ignore"):
         return is_named and len(rows) > 1 and bool((np.diff(rows[:, index]) == 1).all())
 
 
 def _factor(columns: tuple[Column, ...], at: int, body: Body) -> float:
-    """Return the factor from a time column to seconds, which stamps have become already."""
-    return 1.0 if at == body.layout.stamp else seconds(columns[at] if columns else Column(), body.source)
+    """Return the factor from a time column to seconds; stamps are in seconds already."""
+    return 1.0 if at == body.layout.stamp or not columns else seconds(columns[at].unit, body.source)
 
 
 def _measured_rate(
@@ -443,21 +467,15 @@ def _measured_rate(
 
 
 def _agreed_rate(stated: Sequence[float], measured: float | None, source: str) -> float | None:
-    """Return the rate [Hz] of the time column, else that of the header; what both say must agree."""
+    """Return the rate [Hz] of the time column, else that of the header; the two must agree."""
     if not stated:
         return measured
     if measured is None:
         for rate in stated[1:]:
-            if min(rate, stated[0]) > 0 and not rates_agree(rate, stated[0]):
-                raise BadData(
-                    f"{source}: the sampling rate must be one to 0.1 %, the header says {stated[0]:.10g} Hz and "
-                    f"{rate:.10g} Hz; correct one"
-                )
+            if min(rate, stated[0]) > 0:
+                require_one_rate((stated[0], "the header"), (rate, "the header"), source)
         return stated[0]
-    # Of several statements, such as those before and after decimation, the one that the times bear out is meant.
+    # Of several statements, such as those before and after decimation, the one that agrees with the times counts.
     if min(stated) > 0 and not any(rates_agree(measured, rate) for rate in stated):
-        raise BadData(
-            f"{source}: the sampling rate must be one to 0.1 %, the header says {stated[0]:.10g} Hz and the time "
-            f"column {measured:.10g} Hz; correct one"
-        )
+        require_one_rate((stated[0], "the header"), (measured, "the time column"), source)
     return measured

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cgid.errors import BadData
-from cgid.recordings.recording import Blocks, Contents, rates_agree
+from cgid.recordings.recording import Blocks, Contents, rates_agree, require_one_rate
 from cgid.recordings.statements import (
     Values,
     stated_names,
@@ -25,7 +25,7 @@ from cgid.recordings.statements import (
     stated_time_unit,
     stated_units,
 )
-from cgid.recordings.text_header import EVENNESS, Column, rate_of, seconds
+from cgid.recordings.times import rate_of_vector
 
 #: Of an array of times; a large T is as often a temperature or a torque.
 _TIME_NAME = re.compile(r"(?i:(?:.*[\s_.-])?(?:time|zeit)(?:[\s_.(\[-].*)?)|t(?:\s*[(\[].*|_(?:m|u|µ)?s)?")
@@ -258,18 +258,15 @@ class _Rates:
             rate = self._measured.get(times.path)
             if rate is not None:
                 found.append((rate, f"array {times.path}"))
-        for rate, name in found[1:]:
-            if not rates_agree(rate, found[0][0]):
-                raise BadData(
-                    f"{self._source}: the sampling rate must be one to 0.1 %, {found[0][1]} says {found[0][0]:.10g} Hz "
-                    f"and {name} {rate:.10g} Hz; correct one"
-                )
+        for other in found[1:]:
+            require_one_rate(found[0], other, self._source)
         return found[0] if found else (None, "header")
 
     def _measure(self, times: Variable, otherwise: str | None) -> float | None:
         try:
             _require_sound(times, self._source)
-            return rate_of_vector(times, f"{self._source}: {times.path}")
+            unit = stated_time_unit(times.name, times.about)
+            return rate_of_vector(times, unit, f"{self._source}: {times.path}")
         except BadData:
             if otherwise is None:
                 raise
@@ -309,51 +306,3 @@ def _together(chosen: Sequence[Variable], n_samples: int, source: str) -> Blocks
             ]
 
     return blocks
-
-
-_LENGTH = 1 << 18
-
-
-def rate_of_vector(times: Variable, source: str) -> float:
-    """Return the sampling rate [Hz] of even times [s], (n - 1) / (last - first).
-
-    Parameters
-    ----------
-    times : Variable
-        One channel of two samples or more. An array written as float32 may be as uneven as its rounding makes it.
-    source : str
-        What the times are called in messages.
-
-    Raises
-    ------
-    BadData
-        The times do not increase in even steps of 1 %, or are rounded so coarsely that this cannot be told.
-    """
-    factor = seconds(Column(name=times.name, unit=stated_time_unit(times.name, times.about)), source)
-    first = last = step = 0.0
-    count = 0
-    for (block,) in times.blocks(_LENGTH, (0,)):
-        part = factor * block.astype(np.float64)
-        if count:
-            part = np.concatenate([[last], part])
-        else:
-            first = float(part[0])
-        if not np.isfinite(part).all():
-            raise BadData(f"{source}: times must be finite, one of the first {count + len(block)} is not; correct it")
-        if len(part) > 1:
-            step = step or float(part[1:65537][-1] - part[0]) / (len(part[1:65537]))
-            if not _is_even(part, step, float(np.finfo(block.dtype).eps)):
-                # What was rounded to printed digits may still be even; else this says where it is not.
-                rate_of(part, source)
-        last = float(part[-1])
-        count += len(block)
-    if not last > first:
-        raise BadData(f"{source}: times must increase, they go from {first:g} to {last:g} s; correct them")
-    return (count - 1) / (last - first)
-
-
-def _is_even(times: NDArray[np.float64], step: float, precision: float) -> bool:
-    """Return whether all steps are equal but for the rounding of the times."""
-    rounding = 2 * precision * float(np.abs(times).max())
-    # Where rounding is as large as a step, a missing sample could not be seen.
-    return step > 2 * rounding and bool(np.abs(np.diff(times) - step).max() <= EVENNESS * step + rounding)

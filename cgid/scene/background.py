@@ -20,7 +20,8 @@ from cgid.files import require_regular
 from cgid.recordings.recording import told
 from cgid.scene.sections import Section
 from cgid.scene.sensor import QUANTITIES, Sensor
-from cgid.scene.units import Decibel, Frequency, parse
+from cgid.scene.units import Decibel, Frequency
+from cgid.units import parse
 from cgid.validation import Floats
 
 #: A recorded background is held in memory [bytes].

@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 
 from cgid.errors import BadData, InvalidValue
 from cgid.measure.features import FEATURES
-from cgid.signals import UNITS, Batch, quantity_of
+from cgid.signals import Batch
+from cgid.units import UNITS, quantity_of
 from cgid.validation import Floats
 
 #: More synthetic impacts of a label, over those recorded, would drown what was measured.

@@ -17,7 +17,7 @@ from cgid.identification.recorded.annotation import Annotation
 from cgid.identification.recorded.manifest import Manifest
 from cgid.recordings import LARGEST_STREAM, RecordingFile, open_recording
 from cgid.recordings.recording import told
-from cgid.signals import UNITS, quantity_of
+from cgid.units import UNITS, quantity_of
 
 
 @dataclass(frozen=True, kw_only=True)

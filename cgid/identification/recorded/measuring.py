@@ -22,7 +22,7 @@ from cgid.identification.reference import Equalisations, equalisations_of
 from cgid.identification.windows import WINDOW_TIME, Grid, columns_of, measure_windows, require_times, windows_of
 from cgid.measure.features import FEATURES, choose, extract_array, kind_for, kind_of, require_supported, supported
 from cgid.measure.features.feature import Kind
-from cgid.signals import quantity_of
+from cgid.units import quantity_of
 from cgid.validation import Floats
 
 

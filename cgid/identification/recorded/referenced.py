@@ -10,7 +10,7 @@ from cgid.errors import BadData
 from cgid.identification.recorded.annotated import AnnotatedFile, annotated_blocks
 from cgid.identification.reference import MeanSpectrum
 from cgid.identification.windows import windows_of
-from cgid.signals import quantity_of
+from cgid.units import quantity_of
 from cgid.validation import Floats
 
 

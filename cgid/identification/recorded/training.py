@@ -33,7 +33,7 @@ from cgid.identification.recorded.grouped import (
 from cgid.identification.recorded.measuring import Recorded
 from cgid.identification.training import Training, check_class_weights
 from cgid.identification.windows import LEAST_PROBABILITY, RunningVote
-from cgid.signals import quantity_of
+from cgid.units import quantity_of
 from cgid.validation import Floats
 from cgid.workers import ALONE, Workers
 
