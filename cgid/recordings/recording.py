@@ -186,9 +186,10 @@ def rates_agree(first: float, second: float) -> bool:
 def require_one_rate(first: tuple[float, str], second: tuple[float, str], source: str) -> None:
     """Raise `BadData` unless two sampling rates [Hz] of one recording agree; each comes with what states it."""
     if not rates_agree(first[0], second[0]):
+        other = "" if first[1] == second[1] else f"{second[1]} says "
         raise BadData(
-            f"{source}: the sampling rate must be one to 0.1 %, {first[1]} says {first[0]:.10g} Hz and {second[1]} "
-            f"says {second[0]:.10g} Hz; correct one"
+            f"{source}: the sampling rate must be one to 0.1 %, {first[1]} says {first[0]:.10g} Hz and "
+            f"{other}{second[0]:.10g} Hz; correct one"
         )
 
 
