@@ -27,7 +27,8 @@ from cgid.identification.rows import (
 )
 from cgid.identification.training import Training, train
 from cgid.measure.features import FEATURES
-from cgid.signals import STANDARD_GRAVITY, Batch, Signal
+from cgid.signals import Batch, Signal
+from cgid.units import STANDARD_GRAVITY
 from tests.ringing import N_SAMPLES, PRE_TRIGGER, RATE, damped_sinusoid, ringing_batch
 
 

@@ -32,7 +32,8 @@ from cgid.identification.model_file import signed
 from cgid.identification.training import Training, hold_out, measure, train
 from cgid.measure.features import extract_array
 from cgid.scene import Scene, parse_scene, synthesise, varied
-from cgid.signals import STANDARD_GRAVITY, Signal
+from cgid.signals import Signal
+from cgid.units import STANDARD_GRAVITY
 from tests import few
 
 Trained = dict[str, Training]

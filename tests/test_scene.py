@@ -23,7 +23,7 @@ from cgid.scene.stream.axis import samples_of
 from cgid.scene.stream.capacity import require_capacity
 from cgid.scene.stream.synthesis import record
 from cgid.scene.taps import SHAPES
-from cgid.scene.units import parse
+from cgid.units import parse
 from tests import few
 
 DATASETS = Path(__file__).parents[1] / "datasets"
@@ -273,7 +273,7 @@ NORMAL = {"distribution": "normal", "mean": "1400 kg/m^3", "deviation": "200 kg/
         (
             {"taps": [{**TAP, "contact_duration": "3 mm"}]},
             "taps.0.contact_duration",
-            "a time in s, ms, us, min, h, got '3 mm'",
+            "a time in s, ms, us, µs, ns, min, h, got '3 mm'",
         ),
         ({"taps": [{**TAP, "contact_duration": 0}]}, "taps.0.contact_duration", "got 0 s"),
         ({"taps": [{**TAP, "radius": 1}]}, "taps.0.radius", "unknown key"),

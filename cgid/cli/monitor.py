@@ -177,7 +177,7 @@ def monitor(
     OPEN, that it pays again. Nothing is dropped: whoever is slower than the stream says how far behind.
     """
     from cgid import validation
-    from cgid.recordings.sound.live import live_stream
+    from cgid.recordings.live import live_stream
 
     asked, _ = asked_of(options, dead_time_in_seconds(dead_time), steps=_STEPS)
     scale = 1.0 if full_scale is None else float(validation.positive("--full-scale", full_scale, unit or ""))

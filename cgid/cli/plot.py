@@ -181,7 +181,7 @@ def _opened(file: str, *, index: int | None, **reading: Any) -> RecordingFile:
     if index is None or not is_dataset(file):
         return open_file(file, index=index, **reading)
     from cgid.recordings import RecordingFile
-    from cgid.recordings.contents import Contents
+    from cgid.recordings.recording import Contents
 
     (signal,) = read_signals(file, index=index, invert=False, **reading)
     contents = Contents.of_array(signal.samples[None], units=[signal.unit], sampling_rate=signal.sampling_rate)

@@ -16,7 +16,8 @@ from cgid.identification.model import Model
 from cgid.measure.features import extract_array, problems_of
 from cgid.measure.filters import Equalisation
 from cgid.measure.frames import DETECTION_LIMIT, MINIMUM_FRAME
-from cgid.signals import UNITS, Signal
+from cgid.signals import Signal
+from cgid.units import UNITS
 from cgid.validation import UNKNOWN, Floats
 
 

@@ -9,7 +9,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from cgid import validation
 from cgid.errors import BadData, InvalidValue, MissingOption
-from cgid.signals import STANDARD_GRAVITY, Batch
+from cgid.signals import Batch
+from cgid.units import STANDARD_GRAVITY
 from cgid.validation import Floats
 
 #: Everything a model may ask to know, and its unit.

@@ -6,6 +6,7 @@ each group in turn is left out, in a nested cross-validation (`cgid.identificati
 """
 
 from __future__ import annotations
+from cgid.measure.features import FEATURES
 
 import platform
 from collections.abc import Callable, Iterable, Mapping, Sequence

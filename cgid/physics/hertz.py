@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from cgid import validation
-from cgid.signals import STANDARD_GRAVITY
+from cgid.units import STANDARD_GRAVITY
 from cgid.validation import Floats
 
 #: K over Hertz's `K1 = 4/3 sqrt(R) E`; Yang, Zeng & Wan (2018), Eq. 5-6, 7-8 and 9-13.

@@ -17,10 +17,11 @@ from pydantic import AfterValidator, Field, model_validator
 
 from cgid.elementary import exp, expm1, log
 from cgid.files import require_regular
-from cgid.recordings.recording_file import told
+from cgid.recordings.recording import told
 from cgid.scene.sections import Section
 from cgid.scene.sensor import QUANTITIES, Sensor
-from cgid.scene.units import Decibel, Frequency, parse
+from cgid.scene.units import Decibel, Frequency
+from cgid.units import parse
 from cgid.validation import Floats
 
 #: A recorded background is held in memory [bytes].

@@ -12,7 +12,8 @@ from cgid.counting import count
 from cgid.measure.filters import SENSOR_TAPER, fft_filter, filter_gain
 from cgid.physics.poles import LowPass, Resonance
 from cgid.scene.sections import Section
-from cgid.scene.units import Frequency, Level, Number, Ratio, Whole, parse
+from cgid.scene.units import Frequency, Level, Number, Ratio, Whole
+from cgid.units import parse
 from cgid.validation import Floats
 
 #: What a sensor may feel -> the dimension of its levels, and its SI unit.

@@ -11,11 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cgid.errors import BadData, InvalidValue, NoInput
-from cgid.signals import Batch, Signal, quantity_of
+from cgid.signals import Batch, Signal
 from cgid.store import apart
 from cgid.store.header import ShardHeader, text_of
 from cgid.store.identity import Identity
 from cgid.store.manifest import LINKED, MANIFEST, Manifest, ShardEntry, read_manifest
+from cgid.units import quantity_of
 
 #: Signals read at once, and what they may take [bytes].
 _ROWS, _LARGEST_BATCH = 1024, 32 << 20

@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cgid.errors import BadData
-from cgid.signals import UNITS
 from cgid.store import limits
 from cgid.store.chunks import DAMAGE, chunk_bytes
 from cgid.store.header import (
@@ -27,6 +26,7 @@ from cgid.store.header import (
     require_schema,
 )
 from cgid.store.opening import attributes_of, bytes_of, members, opened, plain_dataset
+from cgid.units import UNITS
 from cgid.validation import RATES
 
 #: Labels and names are shorter [bytes].

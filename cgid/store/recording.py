@@ -22,11 +22,12 @@ from numpy.typing import NDArray
 
 from cgid.errors import BadData, InvalidValue, NoInput
 from cgid.files import half_written, require_room, whole_file
-from cgid.signals import Signal, quantity_of
+from cgid.signals import Signal
 from cgid.store import apart
 from cgid.store.disk import Hdf5OnDisk, hdf5_on_disk
 from cgid.store.header import LARGEST_SHARD, RECORDING_FORMAT, RECORDING_SCHEMA_VERSION, text_of
 from cgid.store.identity import Identity
+from cgid.units import quantity_of
 
 #: No longer recording is made.
 LARGEST_RECORDING = LARGEST_SHARD

@@ -17,10 +17,11 @@ from numpy.typing import NDArray
 
 from cgid.counting import count
 from cgid.errors import BadData
-from cgid.signals import Batch, quantity_of
+from cgid.signals import Batch
 from cgid.store.compression import BY_PLUGIN, keywords
 from cgid.store.deflate import deflated
 from cgid.store.memory import MemoryFile
+from cgid.units import quantity_of
 
 #: Bytes of a chunk of signals, about.
 _CHUNK_BYTES = 1 << 19

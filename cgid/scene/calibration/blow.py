@@ -14,7 +14,8 @@ from cgid.physics import Impact
 from cgid.physics.driving import Pulses
 from cgid.physics.poles import LowPass, Resonance
 from cgid.scene.scene import Scene
-from cgid.signals import STANDARD_GRAVITY, Signal
+from cgid.signals import Signal
+from cgid.units import STANDARD_GRAVITY
 from cgid.validation import Floats
 
 #: A blow is cut out of its recording with so many samples before it and, at most, behind it.

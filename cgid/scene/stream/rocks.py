@@ -21,7 +21,7 @@ from cgid.scene.randomness import uniforms
 from cgid.scene.scene import Scene
 from cgid.scene.stream.arrivals import Stretch, populations_of
 from cgid.scene.stream.places import impact_points, on_beam
-from cgid.signals import STANDARD_GRAVITY
+from cgid.units import STANDARD_GRAVITY
 from cgid.validation import Floats
 
 #: What is known of a rock before an impact, beside what it is made of.

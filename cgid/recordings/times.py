@@ -1,74 +1,36 @@
-"""The time column of a text file: which one it is, and the sampling rate it gives."""
+"""The sampling rate from the times of samples: in a column of a table, or in an array next to the samples."""
 
 from __future__ import annotations
 
 import math
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cgid.errors import BadData
-from cgid.recordings.text.header import TIME_UNITS, Column
+from cgid.units import seconds_of
+
+if TYPE_CHECKING:
+    from cgid.recordings.variables import Variable
 
 Floats = NDArray[np.float64]
 
-#: Steps may differ from each other by this part of a step.
+#: Two steps may differ by this part of a step.
 EVENNESS = 0.01
 
-#: A step must be this many printed digits long before uneven steps are taken for their rounding.
+#: Uneven steps count as even times that were rounded only if a step is at least this many printed digits long.
 _COARSEST_STEP = 1.5
 
-
-def time_columns(columns: tuple[Column, ...], rows: Floats) -> list[int]:
-    """Return the indices of the columns of time, of which the first one counts.
-
-    Parameters
-    ----------
-    columns : tuple of Column
-        From the header; empty without one.
-    rows : ndarray, (n_samples, n_columns)
-
-    Returns
-    -------
-    list of int
-        The first column whose name is one for time, else the first in a unit of time. Without a header, the
-        first of several columns if it increases in even steps. Then those further ones that are named time and
-        increase in even steps, as programs write that give each channel a time of its own.
-    """
-    if len(columns) == 1 and " " in columns[0].name:
-        # Above a single column any remark passes for its name, even "time of day unknown".
-        return []
-    named = [index for index, column in enumerate(columns) if column.is_named_time and column.known_unit in (None, "m")]
-    if named:
-        return named[:1] + [index for index in named[1:] if _runs_evenly(rows[:, index])]
-    for index, column in enumerate(columns):
-        if column.unit in TIME_UNITS:
-            return [index]
-    return [0] if not columns and rows.shape[1] > 1 and _runs_evenly(rows[:, 0]) else []
+_BLOCK_LENGTH = 1 << 18
 
 
-def _runs_evenly(times: Floats) -> bool:
-    # Two rows have one step, which is even whatever it is.
-    if len(times) < 3:
-        return False
-    with np.errstate(all="ignore"):
-        steps = np.diff(times)
-    return bool(np.isfinite(steps).all() and (steps > 0).all() and _typical_if_uneven(times, steps) is None)
-
-
-def seconds(column: Column, source: str) -> float:
-    """Return the factor from the unit of a time column to seconds; without a unit it is 1.
-
-    Raises
-    ------
-    BadData
-        The unit is none of s, ms, us.
-    """
-    if not column.unit:
-        return 1.0
-    if column.unit not in TIME_UNITS:
-        raise BadData(f"{source}: the time column must be in s, ms or us, its header says {column.unit!r}; convert it")
-    return TIME_UNITS[column.unit]
+def seconds(unit: str, source: str) -> float:
+    """Return the factor from the unit of a time column to seconds, 1 without a unit; raises `BadData` otherwise."""
+    factor = seconds_of(unit)
+    if factor is None:
+        raise BadData(f"{source}: the time column must be in s, ms or us, its header says {unit!r}; convert it")
+    return factor
 
 
 def rate_of(times: Floats, source: str) -> float:
@@ -85,7 +47,7 @@ def rate_of(times: Floats, source: str) -> float:
     ------
     BadData
         The times do not increase, or their steps differ by more than 1 % beyond the rounding of the printed
-        digits; the sample is named.
+        digits; the message names the sample.
 
     Examples
     --------
@@ -101,7 +63,7 @@ def rate_of(times: Floats, source: str) -> float:
 
 
 def require_even(times: Floats, source: str, *, first: int = 0, step: float | None = None) -> None:
-    """Raise `BadData` as `rate_of` does; of a piece of a recording, its `first` sample and the usual step [s] are told.
+    """Raise `BadData` as `rate_of` does; for a piece of a recording, give its `first` sample and the usual step [s].
 
     Examples
     --------
@@ -130,13 +92,23 @@ def require_even(times: Floats, source: str, *, first: int = 0, step: float | No
         )
 
 
+def runs_evenly(times: Floats) -> bool:
+    """Return whether a column of numbers could be times: three or more in even steps."""
+    # Two rows have one step, which is always even.
+    if len(times) < 3:
+        return False
+    with np.errstate(all="ignore"):
+        steps = np.diff(times)
+    return bool(np.isfinite(steps).all() and (steps > 0).all() and _typical_if_uneven(times, steps) is None)
+
+
 def is_resolved(times: Floats, step: float) -> bool:
-    """Return whether times are printed so finely that their steps can be told to be even."""
+    """Return whether times have enough printed digits to show whether their steps [s] are even."""
     return bool(np.isfinite(times).all() and np.any(times)) and _COARSEST_STEP * _printed_digit(times) <= step
 
 
 class EvenTimes:
-    """The times of a recording, checked as they come piece by piece.
+    """A check of the times of a recording, piece by piece.
 
     Parameters
     ----------
@@ -163,7 +135,7 @@ def refined_rate(rate: float, first: float, last: float) -> float:
     """Return the sampling rate [Hz] from the first and last time [s] of a recording, near the `rate` of its beginning.
 
     The times of a recording lie a whole number of steps apart. The printed digits of n samples give the rate to
-    1 / n at worst, and what is refined cannot be worse than that.
+    1 / n at worst, and the refined rate is never worse than that.
 
     Examples
     --------
@@ -176,16 +148,62 @@ def refined_rate(rate: float, first: float, last: float) -> float:
     return round(span * rate) / span
 
 
+def rate_of_vector(times: Variable, unit: str, source: str) -> float:
+    """Return the sampling rate [Hz] of an array of even times, read once by blocks.
+
+    Parameters
+    ----------
+    times : Variable
+        One channel of two samples or more. An array stored as float32 may be as uneven as its rounding makes it.
+    unit : str
+        Of the times, "" for seconds.
+    source : str
+        Name of the times in messages.
+
+    Raises
+    ------
+    BadData
+        The times do not increase in even steps of 1 %, or are rounded too coarsely to show it.
+    """
+    factor = seconds(unit, source)
+    first = last = step = 0.0
+    count = 0
+    for (block,) in times.blocks(_BLOCK_LENGTH, (0,)):
+        part = factor * block.astype(np.float64)
+        if count:
+            part = np.concatenate([[last], part])
+        else:
+            first = float(part[0])
+        if not np.isfinite(part).all():
+            raise BadData(f"{source}: times must be finite, one of the first {count + len(block)} is not; correct it")
+        if len(part) > 1:
+            step = step or float(part[1:65537][-1] - part[0]) / (len(part[1:65537]))
+            if not _is_even(part, step, float(np.finfo(block.dtype).eps)):
+                # Times rounded to printed digits may still be even; otherwise this names the sample.
+                rate_of(part, source)
+        last = float(part[-1])
+        count += len(block)
+    if not last > first:
+        raise BadData(f"{source}: times must increase, they go from {first:g} to {last:g} s; correct them")
+    return (count - 1) / (last - first)
+
+
+def _is_even(times: Floats, step: float, precision: float) -> bool:
+    """Return whether all steps are equal within the rounding of the times."""
+    rounding = 2 * precision * float(np.abs(times).max())
+    # Where the rounding is as large as a step, a missing sample would not show.
+    return step > 2 * rounding and bool(np.abs(np.diff(times) - step).max() <= EVENNESS * step + rounding)
+
+
 @np.errstate(all="ignore")
 def _typical_if_uneven(times: Floats, steps: Floats, typical: float | None = None) -> float | None:
     """Return None if the steps are even, else the typical step."""
     shortest, longest = float(steps.min()), float(steps.max())
     typical = typical or float(np.median(steps))
-    # One percent either side of the typical step.
     if longest - typical <= EVENNESS * typical and typical - shortest <= EVENNESS * typical:
         return None
-    # Even times rounded to a digit q have steps of two neighbouring multiples of q and no third one. A gap where
-    # the step is one q long looks the same; then the rounding is not believed.
+    # Even times rounded to a digit q have steps of two neighbouring multiples of q and no third one. If a step is
+    # only one q long, a gap looks the same, so such times count as uneven.
     digit = _printed_digit(times)
     if shortest >= _COARSEST_STEP * digit and longest - shortest <= digit + EVENNESS * typical:
         return None
@@ -196,7 +214,7 @@ def _printed_digit(times: Floats) -> float:
     """Return the last decimal place to which the latest times are printed, such as 1e-5."""
     sizes = np.abs(times)
     largest = float(sizes.max())
-    # Times printed to a fixed number of significant digits lose one at each power of ten. The few behind the last
+    # Times printed to a fixed number of significant digits lose one at each power of ten. The few after the last
     # power may all end in zeros by chance, so they count for one place only.
     last_power = 10.0 ** math.floor(math.log10(largest))
     return min(_last_digit(sizes[sizes >= last_power]), 10 * _last_digit(sizes[sizes >= largest / 2]))

@@ -1,4 +1,4 @@
-"""What the lines above the numbers say: names, units, sampling rate."""
+"""What the lines above the numbers of a text file say: names, units, sampling rate, start."""
 
 from __future__ import annotations
 
@@ -6,25 +6,19 @@ import csv
 import math
 import re
 from collections.abc import Iterable, Iterator
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from datetime import datetime
 
-from cgid.recordings.text.layout import Layout
-from cgid.signals import KNOWN_UNITS
-
-#: Time units of a column -> factor to seconds.
-TIME_UNITS = {
-    **dict.fromkeys(("s", "sec", "second", "seconds", "Sekunden"), 1.0),
-    **dict.fromkeys(("ms", "msec", "milliseconds"), 1e-3),
-    **dict.fromkeys(("us", "µs", "usec", "µsec", "microseconds"), 1e-6),
-}
+from cgid.recordings.text_layout import Layout
+from cgid.units import KNOWN_UNITS, hertz_of, known_unit, seconds_of
 
 _TIME_NAME = re.compile(r"(?i:time|zeit|temps|tiempo|tempo|时间|時間)|t(?![^\W\d_])")
 _IN_BRACKETS = re.compile(r"(.*)[(\[{<]([^()\[\]{}<>]*)[)\]}>]")
 _STATED_RATE = re.compile(
     r"[\s#%;/\"]*(?i:(?:sampling|sample)[ _-]?(?:rate|frequency|freq)|fs|abtastrate|abtastfrequenz|采样率|采样频率)"
-    r"[\s\"]*(?:[(\[]\s*([kKMG]?)(?i:hz)\s*[)\]])?"
-    r"[\s\":=,;]+([+-]?\d[\d.]*(?:[eE][+-]?\d+)?)[\s\",;]*(?:([kKMG]?)(?i:hz)|(?i:s/s|sps))?[\s\",;.]*"
+    r"[\s\"]*(?:[(\[]\s*([kKMG]?(?i:hz))\s*[)\]])?"
+    r"[\s\":=,;]+([+-]?\d[\d.]*(?:[eE][+-]?\d+)?)[\s\",;]*([kKMG]?(?i:hz)|(?i:s/s|sps))?[\s\",;.]*"
 )
 _STATED_INTERVAL = re.compile(
     r"[\s#%;/\"]*(?i:(?:sampling|sample|time)[ _-]?(?:interval|period|step)|delta[ _]?[tx]|dt|采样间隔|采样周期)[\s\"]*"
@@ -37,13 +31,11 @@ _STATED_START = re.compile(
 _STATED_UNIT = re.compile(r"[\s#%;/\"]*(?i:units?|单位)[\s\"]*[:=][\s\"]*([^\s\",;]+)[\s\",;]*")
 _COLUMNS_FOLLOW = re.compile(r"(?i:columns?|fields?|channels?|header)\s*[:=]\s*")
 _WORDS_WITH_BRACKETS = re.compile(r'"[^"]*"|[^\s()\[\]]+(?:\s*[(\[][^()\[\]]*[)\]])?|[(\[][^()\[\]]*[)\]]')
-_PREFIXES = {"": 1.0, "k": 1e3, "K": 1e3, "M": 1e6, "G": 1e9}
-_SECONDS = {"": 1.0, "s": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6, "ns": 1e-9}
 
 #: Greek mu to the micro sign, full-width marks of Chinese headers to those of ASCII.
 _SAME = str.maketrans("\u03bc（）［］：；，＝　", "µ()[]:;,= ")
 
-#: Longer texts are no names of columns.
+#: A longer text is not the name of a column.
 _LONGEST_NAME = 200
 
 
@@ -60,14 +52,19 @@ class Column:
         return bool(_TIME_NAME.match(self.name))
 
     @property
+    def has_time_unit(self) -> bool:
+        """Whether the unit is one of time."""
+        return _is_time_unit(self.unit)
+
+    @property
     def known_unit(self) -> str | None:
-        """The unit if it is one of `cgid.signals.UNITS`."""
-        return self.unit if self.unit in KNOWN_UNITS else None
+        """The unit if it is one of `cgid.units.UNITS`."""
+        return known_unit(self.unit)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Header:
-    """What the lines above the numbers say; no columns if none of them has as many fields as the rows.
+    """What the lines above the numbers say; no columns if no line has as many fields as the rows.
 
     Several lines may state a sampling rate [Hz].
     """
@@ -89,25 +86,25 @@ def column_of(text: str) -> Column:
     text = " ".join(text.translate(_SAME).strip("\"' \t\r\n").split())
     if len(text) > _LONGEST_NAME:
         return Column(name=text[:_LONGEST_NAME])
-    if text in KNOWN_UNITS or text in TIME_UNITS:
+    if text in KNOWN_UNITS or _is_time_unit(text):
         return Column(unit=text)
     if found := _IN_BRACKETS.fullmatch(text):
         return Column(name=found[1].rstrip(" /_"), unit=found[2].strip())
     for mark in "/_ ":
-        # A unit may hold a slash itself, a name rarely; so the first slash divides, but the last _ or blank.
+        # Units hold slashes, names rarely: so the first slash divides, but the last underscore or blank.
         name, _, unit = text.partition(mark) if mark == "/" else text.rpartition(mark)
         name, unit = name.strip(), unit.strip()
-        is_time = unit in TIME_UNITS and _TIME_NAME.match(name)
+        is_time = _is_time_unit(unit) and _TIME_NAME.match(name)
         if any(character.isalpha() for character in name) and (unit in KNOWN_UNITS or is_time):
             return Column(name=name, unit=unit)
     return Column(name=text)
 
 
 def read_header(lines: Iterable[str], layout: Layout) -> Header:
-    """Return what `lines`, those above the first row, say about rows of that layout.
+    """Return what `lines`, those above the first row, say about rows of this layout.
 
-    The last line that has as many fields as the rows names the columns; one with a known unit or a name for
-    time is preferred. A line of units alone may follow the line of the names.
+    The last line that has as many fields as the rows names the columns; a line with a known unit or a name for time
+    is preferred. A line of units alone may follow the line of names.
     """
     header = Header()
     best: tuple[Column, ...] = ()
@@ -118,10 +115,10 @@ def read_header(lines: Iterable[str], layout: Layout) -> Header:
         if (rate := _stated_rate(remark)) is not None:
             header = replace(header, sampling_rates=(*header.sampling_rates, rate))
         elif found := _STATED_START.fullmatch(remark):
-            header = replace(header, start_time=_date(found[1]) or header.start_time)
+            with suppress(ValueError):
+                header = replace(header, start_time=datetime.fromisoformat(found[1]))
         elif found := _STATED_UNIT.fullmatch(remark):
-            unit = found[1].strip("()[]")
-            header = replace(header, unit=unit if unit in KNOWN_UNITS else None)
+            header = replace(header, unit=known_unit(found[1]))
         elif columns := _columns(line, layout):
             columns = _under(before, columns)
             if _is_telling(columns) or not _is_telling(best):
@@ -131,25 +128,19 @@ def read_header(lines: Iterable[str], layout: Layout) -> Header:
     return replace(header, columns=named)
 
 
+def _is_time_unit(text: str) -> bool:
+    return bool(text) and seconds_of(text) is not None
+
+
 def _stated_rate(remark: str) -> float | None:
-    """Return the sampling rate [Hz] that a line states, by itself or by its interval."""
-    try:
+    """Return the sampling rate [Hz] that a line states, as such or by its interval."""
+    with suppress(ValueError):  # two points in one number
         if found := _STATED_RATE.fullmatch(remark):
-            return float(found[2]) * _PREFIXES[found[3] or found[1] or ""]
+            return float(found[2]) * (hertz_of(found[3] or found[1] or "") or 1.0)
         if found := _STATED_INTERVAL.fullmatch(remark):
-            interval = float(found[2]) * _SECONDS[(found[3] or found[1] or "").removesuffix("ec")]
+            interval = float(found[2]) * (seconds_of(found[3] or found[1] or "") or 1.0)
             return 1 / interval if interval else math.inf
-    except ValueError:
-        # Two points in one number.
-        pass
     return None
-
-
-def _date(text: str) -> datetime | None:
-    try:
-        return datetime.fromisoformat(text)
-    except ValueError:
-        return None
 
 
 def _columns(line: str, layout: Layout) -> tuple[Column, ...]:
@@ -189,4 +180,4 @@ def _under(names: tuple[Column, ...], units: tuple[Column, ...]) -> tuple[Column
 
 
 def _is_telling(columns: tuple[Column, ...]) -> bool:
-    return any(column.is_named_time or column.known_unit or column.unit in TIME_UNITS for column in columns)
+    return any(column.is_named_time or column.known_unit or column.has_time_unit for column in columns)

@@ -11,10 +11,9 @@ from numpy.typing import NDArray
 
 from cgid import validation
 from cgid.errors import BadData, InvalidValue, MissingOption
-from cgid.recordings.contents import MAX_CHANNELS, rates_agree
-from cgid.recordings.sound.pcm import Coding
-from cgid.recordings.sound.riff import ENDLESS, WAV_MAGICS, read_wave_head
-from cgid.signals import quantity_of
+from cgid.recordings.recording import MAX_CHANNELS, rates_agree
+from cgid.recordings.wav import ENDLESS, WAV_MAGICS, Coding, read_wave_head
+from cgid.units import quantity_of
 from cgid.validation import require_rate
 
 #: Numbers that are taken from the stream at once at most.
