@@ -197,7 +197,7 @@ def monitor(
 def _follow(live: Any, scale: float, asked: Asked, lines: AnswerLines) -> None:
     """Print what a stream holds until it ends or is interrupted."""
     from cgid.identification.stream import factor_of, identify_blocks, scaled
-    from cgid.signals import quantity_of
+    from cgid.units import quantity_of
 
     model = asked.models.of(None if live.unit is None else quantity_of(live.unit))
     factor = factor_of(model, live.unit, live.source, mass=asked.mass) * (-scale if asked.invert else scale)

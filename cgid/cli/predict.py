@@ -186,8 +186,8 @@ def identify_dataset(
     """Answer for every signal of a dataset; `how` is what `identify_frames` takes besides."""
     from cgid.errors import BadData
     from cgid.identification.answers import identify_frames
-    from cgid.signals import UNITS
     from cgid.store import Dataset
+    from cgid.units import UNITS
 
     dataset = Dataset(path)
     model = models.of(dataset.quantity)

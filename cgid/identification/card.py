@@ -17,7 +17,6 @@ from urllib.parse import quote
 
 from cgid.errors import CannotCreate
 from cgid.files import check_new
-from cgid.identification.card_tables import plain, table
 from cgid.identification.detection import VIBRATION_DEAD_TIME
 from cgid.identification.drop_height import KNOWN
 from cgid.identification.model import Model

@@ -26,8 +26,8 @@ from cgid.identification.windows import Grid, measure_windows, windows_of
 from cgid.measure.features import FEATURES, choose, extract_array, kind_for, kind_of, require_supported, supported
 from cgid.measure.table import Kind
 from cgid.recordings import LARGEST_STREAM, RecordingFile, open_recording
-from cgid.recordings.recording_file import told
-from cgid.signals import UNITS, quantity_of
+from cgid.recordings.recording import told
+from cgid.units import UNITS, quantity_of
 from cgid.validation import Floats
 
 

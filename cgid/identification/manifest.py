@@ -20,7 +20,7 @@ from typing import Any
 from cgid import validation
 from cgid.errors import BadData, CgidError, InvalidValue
 from cgid.files import parse_toml, read_regular
-from cgid.signals import quantity_of
+from cgid.units import quantity_of
 
 #: What may be said of a recording or an interval of it.
 COLUMNS = (

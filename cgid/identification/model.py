@@ -38,7 +38,7 @@ from cgid.identification.reference import equalisations_of
 from cgid.measure.features import kind_of
 from cgid.measure.filters import Equalisation
 from cgid.measure.table import Kind
-from cgid.signals import quantity_of
+from cgid.units import quantity_of
 from cgid.validation import Floats
 
 if TYPE_CHECKING:

@@ -29,7 +29,7 @@ from cgid.identification.reference import equalisations_of
 from cgid.identification.windows import require_times
 from cgid.measure.features import require_known
 from cgid.measure.spectra import MEL_BANDS
-from cgid.signals import quantity_of
+from cgid.units import quantity_of
 
 if TYPE_CHECKING:
     from cgid.identification.model import Model

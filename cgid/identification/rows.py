@@ -25,7 +25,8 @@ from cgid.measure.features import FEATURES, choose, extract_array, kind_for, kin
 from cgid.measure.spectra import THIRD_OCTAVES
 from cgid.measure.table import Kind
 from cgid.measure.vibration import EARLY_BANDS
-from cgid.signals import UNITS, Batch, quantity_of
+from cgid.signals import Batch
+from cgid.units import UNITS, quantity_of
 from cgid.validation import Floats
 from cgid.workers import ALONE, Workers
 

@@ -6,7 +6,6 @@ each group in turn is left out, in a nested cross-validation (`cgid.identificati
 """
 
 from __future__ import annotations
-from cgid.measure.features import FEATURES
 
 import platform
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -48,7 +47,8 @@ from cgid.identification.rows import (
 )
 from cgid.identification.windows import LEAST_PROBABILITY, RunningVote
 from cgid.measure.features import choose
-from cgid.signals import Batch, quantity_of
+from cgid.signals import Batch
+from cgid.units import quantity_of
 from cgid.validation import Floats
 from cgid.workers import ALONE, Workers
 
