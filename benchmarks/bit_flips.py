@@ -35,8 +35,8 @@ import numpy as np
 from cgid.errors import BadData, NoInput
 from cgid.scene import generate, parse_scene
 from cgid.store import Dataset
-from cgid.store.journal import JOURNAL, Journal, read_journal
-from cgid.store.manifest import read_manifest
+from cgid.store.description import read_manifest
+from cgid.store.run import JOURNAL, Journal, read_journal
 from cgid.store.verification import verify
 
 #: An answer that takes longer is none [s].

@@ -30,7 +30,7 @@ from pathlib import Path
 from typing import Any
 
 from cgid.scene import generate, generate_recordings, parse_scene
-from cgid.store.journal import JOURNAL, read_journal
+from cgid.store.run import JOURNAL, read_journal
 
 #: Events of the interpreter that change names; the call of renameat2 is seen when it is looked up.
 RENAMES = ("os.rename", "os.link", "os.remove", "os.mkdir", "os.rmdir", "ctypes.dlsym")

@@ -1,4 +1,9 @@
-"""Whole files or none: written beside their name, flushed to disk, then renamed."""
+"""Locks of files and folders, which go with the process that holds them.
+
+Whole files or none: written beside their name, flushed to disk, then renamed.
+
+Several files that get their names together or not at all.
+"""
 
 from __future__ import annotations
 
@@ -9,12 +14,71 @@ import re
 import secrets
 import shutil
 import stat
-from collections.abc import Collection, Iterator
+import time
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 from cgid.errors import BadData, CannotCreate, CgidError, NoInput, WriteFailed
-from cgid.lock import locked
+
+#: What file systems that know no such locks say.
+_NO_LOCKS = {errno.ENOLCK, errno.EOPNOTSUPP, errno.ENOTSUP, errno.EBADF, errno.EINVAL, errno.ENOSYS}
+_PAUSE = 0.02
+
+
+@contextmanager
+def locked(path: Path, *, shared: bool = False, patience: float = 0.0) -> Iterator[bool]:
+    """Hold a file or a folder within this context, alone or with others who hold it shared.
+
+    The kernel lets go of it when the process ends, however it ends. Where there are no such locks, nothing is held.
+
+    Parameters
+    ----------
+    path : Path
+    shared : bool
+    patience : float
+        How long others are waited for [s].
+
+    Yields
+    ------
+    bool
+        Whether it is held.
+
+    Raises
+    ------
+    BlockingIOError
+        Somebody else holds it.
+    OSError
+        It cannot be opened.
+    """
+    try:
+        import fcntl
+    except ImportError:  # Windows
+        yield False
+        return
+    descriptor, held = os.open(path, os.O_RDONLY), True
+    try:
+        end = time.monotonic() + patience
+        while True:
+            try:
+                fcntl.flock(descriptor, (fcntl.LOCK_SH if shared else fcntl.LOCK_EX) | fcntl.LOCK_NB)
+                break
+            except BlockingIOError:
+                if time.monotonic() >= end:
+                    raise
+                time.sleep(_PAUSE)
+            except OSError as error:
+                if error.errno not in _NO_LOCKS:
+                    raise
+                held = False
+                break
+        if not os.path.samestat(os.fstat(descriptor), path.stat()):
+            raise BlockingIOError(errno.EWOULDBLOCK, "another file has its name by now")
+        yield held
+    finally:
+        os.close(descriptor)
+
 
 #: What a disk says that has no room.
 FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
@@ -287,3 +351,91 @@ def looking_at(path: Path) -> Iterator[None]:
 def _remove(path: Path) -> None:
     with contextlib.suppress(OSError):
         path.unlink()
+
+
+#: Others that write into the same folder at this moment are waited for so long [s].
+_PATIENCE = 5.0
+
+
+def write_together(contents: Mapping[Path, bytes], *, overwrite: bool = True) -> None:
+    """Write files of one folder so that all of them hold what they held before, or all hold the new.
+
+    All are written and flushed before the first gets its name. If one cannot get it, the others are put back. Who kills
+    the process between two renames, which take microseconds, may find some files new and some old, each of them whole.
+
+    Parameters
+    ----------
+    contents : dict of bytes
+        In the order in which they get their names.
+    overwrite : bool
+        Whether old files may be replaced.
+
+    Raises
+    ------
+    CannotCreate
+        The folder is missing or not writable, or a name was taken meanwhile and is not to be overwritten.
+    WriteFailed
+        The disk is full or broken; what was there before is there.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     write_together({Path(folder) / "card.md": b"# card", Path(folder) / "model": b"..."})
+    ...     sorted(path.name for path in Path(folder).iterdir())
+    ['card.md', 'model']
+    """
+    made: dict[Path, int] = {}
+    with contextlib.ExitStack() as stack:
+        # Where systems cannot tell of others, or these take too long, it goes on without.
+        with contextlib.suppress(OSError):
+            stack.enter_context(locked(next(iter(contents)).parent, patience=_PATIENCE))
+        for path in contents:
+            stack.enter_context(_put_back(path, made))
+        _write(list(contents.items()), made, overwrite)
+
+
+def _write(contents: Sequence[tuple[Path, bytes]], made: dict[Path, int], overwrite: bool) -> None:
+    """Write all files, the last first, then give them their names, the first first; note their inodes before."""
+    if not contents:
+        return
+    path, content = contents[-1]
+    with whole_file(path, overwrite=overwrite) as temporary:
+        temporary.write_bytes(content)
+        made[path] = temporary.stat().st_ino
+        _write(contents[:-1], made, overwrite)
+
+
+@contextlib.contextmanager
+def _put_back(path: Path, made: Mapping[Path, int]) -> Iterator[None]:
+    """Keep what bears a name, and give it back if something fails when what was `made` has the name already."""
+    old = path.with_name(f".{path.name}.{secrets.token_hex(6)}.part")
+    had, kept = path.is_file(), False
+    try:
+        if had:
+            _second_name(path, old)
+        yield
+    except BaseException:
+        try:
+            # Not by a list of what was renamed: Ctrl-C may come between the renaming and the listing.
+            if path.stat().st_ino == made.get(path):
+                old.replace(path) if had else path.unlink()
+        except OSError:
+            kept = had  # what cannot be given back is not thrown away
+        raise
+    finally:
+        if not kept:
+            with contextlib.suppress(OSError):
+                old.unlink()
+
+
+def _second_name(path: Path, other: Path) -> None:
+    try:
+        os.link(path, other)
+    except OSError:  # not every system has second names
+        try:
+            shutil.copy2(path, other)
+        except OSError as error:
+            raise WriteFailed(
+                f"{path}: cannot be kept while it is replaced ({error.strerror}); it is as it was, free some space"
+            ) from None

@@ -26,9 +26,9 @@ from cgid.identification.measuring import measure
 from cgid.identification.recorded.grouped import Candidate, Lesson, Rows, choose, final, judge
 from cgid.identification.selection import CANDIDATES, select
 from cgid.scene import Scene, generate, synthesise
-from cgid.scene import workers as shards
+from cgid.scene import generation as shards
 from cgid.store import Dataset
-from cgid.store.journal import JOURNAL
+from cgid.store.run import JOURNAL
 from cgid.validation import positive
 from cgid.workers import ALONE, Workers, workers
 from tests.mortal import fatal

@@ -16,10 +16,9 @@ from pathlib import Path
 import pytest
 
 from cgid.errors import BadData, CannotCreate, WriteFailed
-from cgid.files import exchange, whole_file, write_whole
-from cgid.lock import locked
-from cgid.store.journal import JOURNAL, Journal, read_journal, taking_part
-from cgid.store.manifest import MANIFEST, Manifest, ShardEntry, parse_manifest, read_manifest
+from cgid.files import exchange, locked, whole_file, write_whole
+from cgid.store.description import MANIFEST, Manifest, ShardEntry, parse_manifest, read_manifest
+from cgid.store.run import JOURNAL, Journal, read_journal, taking_part
 
 MANIFEST_OF_TWO = Manifest(
     n_signals=7,
@@ -171,7 +170,7 @@ def test_a_worker_of_an_earlier_run_is_refused(tmp_path):
 
 def test_a_lock_keeps_other_processes_out_and_goes_with_its_own(tmp_path):
     code = (
-        "import sys; from pathlib import Path; from cgid.lock import locked\n"
+        "import sys; from pathlib import Path; from cgid.files import locked\n"
         "with locked(Path(sys.argv[1])): print('held', flush=True); sys.stdin.read()"
     )
     root = Path(__file__).parents[1]

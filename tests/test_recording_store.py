@@ -21,7 +21,8 @@ from cgid.scene.stream.generation import generate_recordings
 from cgid.scene.stream.synthesis import record
 from cgid.scene.stream.truth import impact_units
 from cgid.store import Dataset
-from cgid.store.recording import Recording, RecordingPlan, is_recording, writing
+from cgid.store.hdf5 import RecordingPlan, writing
+from cgid.store.reading import Recording, is_recording
 from tests.test_stream import RATE, content
 
 SCENE = parse_scene(content(duration="5 s", rebounds={"most": 2}, sensor={"absolute_noise": "10 N"}))

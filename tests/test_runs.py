@@ -14,7 +14,7 @@ from cgid.errors import BadData, CannotCreate
 from cgid.scene import generate, generate_recordings, parse_scene
 from cgid.store import Dataset
 from cgid.store import run as run_of_store
-from cgid.store.journal import JOURNAL
+from cgid.store.run import JOURNAL
 from cgid.store.verification import verify
 from tests import few
 from tests.test_store import scene_of

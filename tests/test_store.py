@@ -846,7 +846,7 @@ def test_options_that_cannot_be_write_nothing(tmp_path, options):
 
 def test_memory_does_not_grow_with_the_number_of_signals(tmp_path, monkeypatch):
     # How many blocks there are at once is a matter of chance up to the most, which tests/test_overlap.py holds.
-    monkeypatch.setattr("cgid.scene.overlap._AHEAD_BLOCKS", 1)
+    monkeypatch.setattr("cgid.scene.generation._AHEAD_BLOCKS", 1)
 
     def peak(n_signals):
         tracemalloc.reset_peak()

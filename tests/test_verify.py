@@ -20,16 +20,16 @@ from benchmarks.bit_flips import Flip, everything_in, is_same, small_scene, some
 from cgid.cli.main import run
 from cgid.errors import BadData, CannotCreate, NoInput
 from cgid.scene import generate, parse_scene
+from cgid.scene.generation import tabulate
 from cgid.scene.plan import plan
 from cgid.scene.repair import repair
 from cgid.scene.stream.generation import generate_recordings
-from cgid.scene.tabulation import tabulate
-from cgid.store import Dataset, opening, read_table
-from cgid.store.examination import damaged_rows, examine_file
-from cgid.store.export import export
-from cgid.store.manifest import read_manifest
+from cgid.store import Dataset, read_table
+from cgid.store import _checks as opening
+from cgid.store.dataset import export
+from cgid.store.description import read_manifest
 from cgid.store.run import file_facts
-from cgid.store.verification import verify
+from cgid.store.verification import damaged_rows, examine_file, verify
 from tests.test_stream import content
 
 SCENE = small_scene(2048)

@@ -5,10 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 
 from cgid.errors import CannotCreate
-from cgid.files import check_new
+from cgid.files import check_new, write_together
 from cgid.identification.card import write_card
 from cgid.identification.training import Training
-from cgid.together import write_together
 
 #: The pictures that go beside a model.
 PICTURES = ("confusion", "reliability", "roc")

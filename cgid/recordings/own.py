@@ -17,7 +17,7 @@ DATASET_CURE = "read it with cgid.store, or pick one of its signals with --index
 
 def read_own(path: Path) -> Contents:
     """Return the one channel of a recording made by `cgid generate`."""
-    from cgid.store.recording import Recording
+    from cgid.store.reading import Recording
 
     recording = Recording(path)
 

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from cgid.errors import CannotCreate, InvalidValue
-from cgid.files import looking_at
+from cgid.files import looking_at, write_together
 from cgid.physics import HertzRangeWarning
 from cgid.plots import require_matplotlib
 from cgid.reproduction.drawing import draw, draw_table
@@ -24,7 +24,6 @@ from cgid.reproduction.paper_figure import PaperFigure
 from cgid.reproduction.quantities import csv_title
 from cgid.reproduction.report import write_report
 from cgid.reproduction.tables import TABLES, PaperTable
-from cgid.together import write_together
 
 REPORT = "report.md"
 _N_WRITTEN = len(TABLES) + 1 + len(FIGURES) + len(SIMULATED_FIGURES) + 1

@@ -1,35 +1,189 @@
-"""What is damaged is made again: everything follows from the scene and the seed that every file says."""
+"""How much a repair may make: who sends a small folder does not fill the disk by what it says of itself.
+
+A new manifest from the shards that are there, where the old one is lost.
+
+What is damaged is made again: everything follows from the scene and the seed that every file says.
+"""
 
 from __future__ import annotations
 
 import hashlib
 import re
+import stat
 import tempfile
 import time
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
+from itertools import accumulate
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from cgid.errors import BadData, CannotCreate, CgidError
-from cgid.files import whole_file, write_whole
-from cgid.lock import locked
+from cgid.files import locked, whole_file, write_whole
 from cgid.scene._fourier import LARGEST_FACTOR, transformable
-from cgid.scene.provenance import attributes_of, in_order, plan_of, scene_of, shard_plan, whole_number
-from cgid.scene.relisting import relist
-from cgid.scene.repair_size import Room, require_length, size_made, size_of
+from cgid.scene.generation import attributes_of, in_order, plan_of, scene_of, shard_plan, whole_number
 from cgid.scene.scene import Scene
 from cgid.scene.stream.axis import samples_of
 from cgid.scene.stream.generation import write_recording
 from cgid.scene.synthesis import synthesise
-from cgid.store.examination import compression_of, examine_file
-from cgid.store.export import write_dataset
-from cgid.store.header import FORMAT, LARGEST_SHARD, RECORDING_FORMAT
-from cgid.store.manifest import MANIFEST, Manifest, ShardEntry, read_manifest
-from cgid.store.recording import RECORDING_NAME, RecordingPlan
-from cgid.store.shard import ShardBuilder, ShardPlan
-from cgid.store.verification import Finding, Verified
+from cgid.store import Dataset
+from cgid.store.dataset import write_dataset
+from cgid.store.description import (
+    FORMAT,
+    LARGEST_SHARD,
+    LINKED,
+    MANIFEST,
+    RECORDING_FORMAT,
+    RECORDING_NAME,
+    SHARD_NAME,
+    Manifest,
+    ShardEntry,
+    read_manifest,
+    read_text,
+)
+from cgid.store.hdf5 import RecordingPlan, ShardBuilder, ShardPlan
+from cgid.store.run import file_facts
+from cgid.store.verification import Finding, Verified, compression_of, damaged_rows, examine_file
+
+#: So many bytes, and for each byte that lies there so many more.
+_ROOM, _ROOM_FOR_EACH = 16 << 20, 100
+#: What is stored of a signal beside its samples [bytes], about.
+_ROW = 100
+
+
+class Room:
+    """How much more may be made again, by what lies there.
+
+    Parameters
+    ----------
+    path : Path
+        A file or a folder.
+    """
+
+    def __init__(self, path: Path) -> None:
+        files = path.iterdir() if path.is_dir() else (path,)
+        # A file full of holes claims any size, and what a link of a folder leads to is not there.
+        abouts = map(Path.lstat, files) if path.is_dir() else map(Path.stat, files)
+        plain = [about for about in abouts if stat.S_ISREG(about.st_mode)]
+        stored = sum(min(about.st_size, 512 * getattr(about, "st_blocks", about.st_size)) for about in plain)
+        self._left = _ROOM + _ROOM_FOR_EACH * stored
+
+    def take(self, path: Path, size: int) -> None:
+        """Take room for so many bytes of a file; raises `BadData` if there is none."""
+        if size > self._left:
+            raise BadData(
+                f"{path}: so little of it is left that it is no repair ({size / 1e6:.3g} MB would be made, "
+                f"{self._left / 1e6:.3g} MB may); if you trust it, make it anew by cgid generate"
+            )
+        self._left -= size
+
+
+def size_made(path: Path, examined: Mapping[str, Any], scene: Scene) -> int:
+    """Return what signals or samples take that are made again like those of a file [bytes].
+
+    Raises
+    ------
+    BadData
+        The scene makes others.
+    """
+    require_length(path, examined["n_samples"], scene)
+    n_signals = examined["chunks"]["signals"][-1][1] if "signals" in examined["chunks"] else 1
+    return size_of(n_signals, examined["n_samples"], examined["dtype"])
+
+
+def size_of(n_signals: int, n_samples: int, dtype: str) -> int:
+    """Return what signals take [bytes]."""
+    return n_signals * (n_samples * np.dtype(dtype).itemsize + _ROW)
+
+
+def require_length(path: Path, n_samples: int, scene: Scene) -> None:
+    """Raise `BadData` unless a scene makes as many samples as are said to lie in a file."""
+    if n_samples != samples_of(scene):
+        raise BadData(
+            f"{path}: must hold as many samples as its scene makes, {samples_of(scene)}, it holds {n_samples}; make it "
+            "again by cgid generate"
+        )
+
+
+def relist(file: Path) -> str:
+    """Make a manifest from the shards that lie beside it, which must be whole and follow each other, and say so.
+
+    Parameters
+    ----------
+    file : Path
+        The manifest: damaged or not there.
+
+    Raises
+    ------
+    BadData
+        A shard is damaged or of another dataset, or some are missing.
+    """
+    folder = file.parent
+    shards = sorted(path for path in folder.iterdir() if re.fullmatch(SHARD_NAME, path.name))
+    _require_all(file, len(shards))
+    entries: list[ShardEntry] = []
+    attributes: dict[str, Any] = {}
+    examined: dict[str, Any] = {}
+    for shard in shards:
+        if shard.is_symlink():
+            raise BadData(f"{shard}: {LINKED}")
+        examined = _examined(shard)
+        said = dict(examined["attributes"])
+        entries.append(_entry(shard, said.pop("first_signal", 0)))
+        attributes = attributes or said
+        if said != attributes:
+            raise BadData(f"{shard}: is not of the dataset that {shards[0].name} is of; take it away, or generate anew")
+    n_signals = sum(entry.n_signals for entry in entries)
+    starts = list(accumulate((entry.n_signals for entry in entries), initial=0))[:-1]
+    if not entries or [entry.first_signal for entry in entries] != starts:
+        raise BadData(f"{folder}: its shards must follow each other from signal 0 on; generate the dataset again")
+    header = Dataset(shards[0]).header
+    made = Manifest(
+        n_signals=n_signals,
+        attributes=in_order(attributes),
+        shards=tuple(entries),
+        shard_signals=entries[0].n_signals,
+        n_samples=header.n_samples,
+        dtype=header.dtype,
+        compression=compression_of(examined),
+    )
+    write_whole(file, made.to_bytes())
+    return f"made again from the {len(entries)} shards that are there, of {n_signals} signals"
+
+
+def _require_all(file: Path, n_there: int) -> None:
+    """Raise `BadData` if a damaged manifest still names more shards: a new one would lose sight of them."""
+    named = set(re.findall(SHARD_NAME.encode(), read_text(file) or b""))
+    if len(named) > n_there:
+        raise BadData(
+            f"{file}: names {len(named)} shards, {n_there} are there, and without a manifest those that are missing "
+            "cannot be made again; generate the dataset again"
+        )
+
+
+def _examined(shard: Path) -> dict[str, Any]:
+    """Return what `examine_file` says of a shard that is whole."""
+    examined = examine_file(shard)
+    if examined["fault"] or any(damaged_rows(chunks) for chunks in examined["chunks"].values()):
+        raise BadData(
+            f"{shard}: must be whole to make a new {MANIFEST} from, it is not, and without a manifest it cannot be "
+            "made again; generate the dataset again"
+        )
+    return examined
+
+
+def _entry(shard: Path, first: int) -> ShardEntry:
+    labels: Counter[str] = Counter()
+    for batch in Dataset(shard).batches():
+        labels.update(batch.labels.tolist())
+    return ShardEntry(
+        first_signal=first, n_signals=labels.total(), labels=dict(sorted(labels.items())), **file_facts(shard)
+    )
+
 
 #: Versions of cgid whose numbers differed from processor to processor.
 _DEPENDENT = "cgid 0.1."

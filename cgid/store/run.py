@@ -1,4 +1,14 @@
-"""A run that fills a folder with files, one by one, and can go on after a crash at any moment.
+"""The journal of a run that fills a folder: its plan, and a line for each file that is finished.
+
+It lies in the folder until the run is whole, one JSON object a line, each with its own SHA-256:
+
+    {"run": ..., "process": ..., "digest": ...}     which run, by which process
+    {"plan": ..., "n_files": ..., "noun": ..., ...} what is settled before the first file is made
+    {"entry": ..., "digest": ...}                   a finished file, its size and SHA-256; one line for each
+
+A line is on the disk before the next file is counted as finished. A last line that was torn by a crash does not count.
+
+A run that fills a folder with files, one by one, and can go on after a crash at any moment.
 
 The folder is locked while the run lasts. Files are made in it if it is new; if there is an older one, they are made in
 a hidden folder beside it (.NAME.unfinished), which changes places with the older one when it is whole:
@@ -14,19 +24,115 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
+import os
 import re
+import secrets
+import socket
 import stat
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from types import TracebackType
+from typing import Any, Self
 
 from cgid.errors import BadData, CannotCreate, CgidError, WriteFailed
-from cgid.files import exchange, half_written, sync_folder
-from cgid.lock import locked
-from cgid.store.journal import JOURNAL, Journal, Unfinished, read_journal
-from cgid.store.sameness import first_difference, require_same
+from cgid.files import exchange, half_written, locked, sync_folder, write_whole
+from cgid.store.description import (
+    FIRST_LINE,
+    JOURNAL,
+    Unfinished,
+    content_of,
+    first_difference,
+    line_of,
+    read_journal,
+    require_same,
+)
+
+
+class Journal:
+    """A journal that is being written; a context.
+
+    Parameters
+    ----------
+    folder : Path
+        In which the files are made.
+    plan : dict
+    n_files : int
+    noun : str
+        What the files are called, in the plural.
+    entries : iterable of dict
+        Files that are there already, in a run that goes on.
+
+    Raises
+    ------
+    CannotCreate, WriteFailed
+        The folder cannot be written to.
+    """
+
+    def __init__(
+        self, folder: Path, plan: Mapping[str, Any], n_files: int, noun: str, entries: Iterable[Mapping[str, Any]] = ()
+    ) -> None:
+        self.path, self.run = folder / JOURNAL, secrets.token_hex(16)
+        first = {"run": self.run, "process": f"process {os.getpid()} on {socket.gethostname()}"}
+        second = {"plan": plan, "n_files": n_files, "noun": noun}
+        lines = [line_of(first), line_of(second), *(line_of({"entry": entry}) for entry in entries)]
+        # Whole or not at all, and without what a crash may have torn in the one before.
+        write_whole(self.path, b"".join(lines))
+        try:
+            self._stream = self.path.open("ab", buffering=0)
+        except OSError as error:
+            raise CannotCreate(f"{self.path}: cannot be written ({error.strerror}); choose another place") from None
+
+    def add(self, entry: Mapping[str, Any]) -> None:
+        """Note that a file is finished; returns when the disk has it. Raises `WriteFailed`."""
+        line = line_of({"entry": entry})
+        try:
+            if self._stream.write(line) != len(line):
+                raise OSError(None, "the disk is full")
+            os.fsync(self._stream.fileno())
+        except OSError as error:
+            raise WriteFailed(
+                f"{self.path}: writing failed ({error.strerror}); free some space, then go on with --resume"
+            ) from None
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._stream.close()
+
+
+@contextmanager
+def taking_part(folder: Path, run: str) -> Iterator[None]:
+    """Keep other runs from taking a folder over while a file of this run is written into it.
+
+    A worker may outlive the process that started it. A later run waits for the file that it is just writing; the
+    next one it would write is refused here.
+
+    Raises
+    ------
+    CannotCreate
+        The folder belongs to another run by now.
+    """
+    file, found = folder / JOURNAL, None
+    try:
+        with locked(file, shared=True):
+            # Read by its name, not through the lock: another run puts a journal of its own in its place.
+            with file.open("rb") as stream:
+                found = content_of(stream.readline(FIRST_LINE)).get("run")
+            if found == run:
+                yield
+    except BlockingIOError:
+        found = None
+    except FileNotFoundError:
+        if found is not None:
+            raise
+    if found != run:
+        raise CannotCreate(f"{folder}: another run has taken this folder over; wait for it, or choose another name")
+
 
 #: The journal, and what a killed run leaves of it.
 JOURNAL_FILES = re.compile(f"{re.escape(JOURNAL)}|{half_written(re.escape(JOURNAL))}")
@@ -79,7 +185,7 @@ class Run:
     folder : Path
         Where the files are to be written.
     token : str
-        Which run this is, for `cgid.store.journal.taking_part`.
+        Which run this is, for `cgid.store.run.taking_part`.
     finished : tuple of dict
         What is said of the files that are there already, each verified by its SHA-256.
     """

@@ -11,7 +11,7 @@ from cgid import validation
 from cgid.errors import BadData, InvalidValue
 from cgid.files import clear_half_written
 from cgid.scene.background_noise import background_of
-from cgid.scene.provenance import attributes_of
+from cgid.scene.generation import attributes_of
 from cgid.scene.randomness import require_seed
 from cgid.scene.scene import Scene
 from cgid.scene.stream.axis import samples_of
@@ -19,13 +19,12 @@ from cgid.scene.stream.capacity import MOST_RECORDINGS, require_capacity
 from cgid.scene.stream.synthesis import parts_of_recording
 from cgid.scene.stream.truth import impact_units, joined
 from cgid.store import check_output
-from cgid.store.examination import examine_whole
-from cgid.store.header import RECORDING_FORMAT
-from cgid.store.journal import JOURNAL
-from cgid.store.recording import OURS, Recording, RecordingPlan, is_recording, writing
-from cgid.store.run import Goal, Run, begun, file_facts
-from cgid.store.sameness import first_difference, require_same
-from cgid.store.writing import is_single_file
+from cgid.store.dataset import is_single_file
+from cgid.store.description import OURS, RECORDING_FORMAT, first_difference, require_same
+from cgid.store.hdf5 import RecordingPlan, writing
+from cgid.store.reading import Recording, is_recording
+from cgid.store.run import JOURNAL, Goal, Run, begun, file_facts
+from cgid.store.verification import examine_whole
 
 
 def generate_recordings(
