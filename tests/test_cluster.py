@@ -85,7 +85,7 @@ def test_a_dataset_is_the_same_whoever_makes_it(
     generate(reference_scene, "dask.h5", 32, 4, scheduler=address)
     assert sums(Path("one")) == sums(Path("two")) == sums(Path("dask"))
     assert Path("dask.h5").read_bytes() == Path("one/shard-00000.h5").read_bytes()
-    assert len(sums(Path("dask"))) == 6  # five shards and the manifest
+    assert len(sums(Path("dask"))) == 7  # five shards, the manifest and the sums
     assert sorted(told) == [22, *[32] * 4]
 
 

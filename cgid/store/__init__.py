@@ -6,9 +6,10 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from cgid.store.dataset import DatasetWriter, check_output
+    from cgid.store.dataset import DatasetWriter
     from cgid.store.description import FORMAT, SCHEMA_VERSION
     from cgid.store.reading import Dataset
+    from cgid.store.run import check_output
     from cgid.store.table import Rows, Table, TableHeader, check_table_output, is_table, read_table, table_writer
 
 __all__ = [
@@ -35,7 +36,7 @@ _HOMES = {
     "Rows": "table",
     "Table": "table",
     "TableHeader": "table",
-    "check_output": "dataset",
+    "check_output": "run",
     "check_table_output": "table",
     "is_table": "table",
     "read_table": "table",

@@ -1,58 +1,44 @@
-"""Writing a dataset: one file, or a folder of shards with a manifest that is written last.
-
-A dataset of any size as one plain file: what other tools open, and what cgid reads as a dataset, too.
-
-It is laid out as a shard is (`cgid.store.hdf5`), without compression, but goes to the disk as it comes: memory does
-not grow with it.
-"""
+"""Writing a dataset: one file, a folder of shards, or an existing dataset as one plain file for other tools."""
 
 from __future__ import annotations
 
 import copy
 import hashlib
-import re
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import h5py
 import numpy as np
 
 from cgid.errors import BadData, CannotCreate, InvalidValue
-from cgid.files import check_new, clear_half_written, half_written, looking_at, require_room, whole_file, write_whole
+from cgid.files import check_new, clear_half_written, require_room, whole_file, write_whole
 from cgid.signals import Batch
 from cgid.store.description import (
+    DATASET_FILES,
     FORMAT,
     LARGEST_SHARD,
     MANIFEST,
-    SHARD_NAME,
     Manifest,
     ShardEntry,
-    first_difference,
     is_entry,
     read_manifest,
-    require_same,
 )
 from cgid.store.hdf5 import ShardBuilder, ShardPlan, hdf5_on_disk, lay_out, say_kind
 from cgid.store.reading import Dataset
-from cgid.store.run import JOURNAL_FILES, Goal, Run, begun, exists_already, real_folder, taking_part
+from cgid.store.run import SUFFIXES, Goal, Run, begun, is_single_file, taking_part
 from cgid.store.verification import compression_of, examine_whole
 
-#: What a dataset folder may hold beside a journal, with what a killed run leaves behind.
-_WHOLE = rf"{re.escape(MANIFEST)}|{SHARD_NAME}"
-_OURS = re.compile(f"{_WHOLE}|{half_written(_WHOLE)}")
-#: Bytes of a manifest in which it says its format.
-_HEAD = 4096
-SUFFIXES = (".h5", ".hdf5")
-#: Their manifest has some 100 MB, which readers hold in memory.
+#: A manifest of this many shards takes some 100 MB, which readers hold in memory.
 MOST_SHARDS = 300_000
 
 
 @dataclass(frozen=True)
 class BuiltShard:
-    """A shard in memory: the content of its file, and what the manifest says of it."""
+    """A shard in memory: the content of its file, and its number of signals by label."""
 
     number: int
     first: int
@@ -61,52 +47,8 @@ class BuiltShard:
     labels: dict[str, int]
 
 
-def is_single_file(output: str | Path) -> bool:
-    """Return whether this name asks for one file and not for a folder."""
-    return Path(output).suffix.lower() in SUFFIXES
-
-
-def check_output(output: str | Path, overwrite: bool = False, ours: re.Pattern[str] = _OURS) -> Path:
-    """Return the output as a path if it may be written, before any work is done; a folder by its own name.
-
-    In a folder nothing may lie but files whose names are `ours`.
-
-    Raises
-    ------
-    CannotCreate
-        Something is there already, or the folder above is missing.
-    """
-    path = Path(output)
-    with looking_at(path):
-        path = path if is_single_file(path) else real_folder(path)
-        _require_room(path, overwrite, ours)
-    return path
-
-
-def _require_room(path: Path, overwrite: bool, ours: re.Pattern[str]) -> None:
-    if not path.parent.is_dir():
-        raise CannotCreate(f"{path}: the folder {path.parent} must exist; make it first")
-    if path.is_dir() and is_single_file(path):
-        raise CannotCreate(f"{path}: is a folder; choose another name for the file")
-    if path.exists() and not path.is_dir() and not is_single_file(path):
-        raise CannotCreate(f"{path}: is a file; choose another name for the folder, or one ending in .h5")
-    content = sorted(entry.name for entry in path.iterdir()) if path.is_dir() else None
-    foreign = [name for name in content or () if not ours.fullmatch(name) and not JOURNAL_FILES.fullmatch(name)]
-    if (path / MANIFEST).is_file():
-        with (path / MANIFEST).open("rb") as stream:
-            if f'"{FORMAT}"'.encode() not in stream.read(_HEAD):
-                foreign.append(MANIFEST)
-    if foreign:
-        raise CannotCreate(
-            f"{path}: is a folder with other things in it, such as {foreign[0]}, and is not overwritten; "
-            "choose another name"
-        )
-    if path.exists() and content != [] and not overwrite:
-        raise exists_already(path)
-
-
 class DatasetWriter:
-    """Cuts a run of signals into shards and writes them; shards may be written in any order, by any process.
+    """Divides signals into shards and writes these, in any order and by any process.
 
     Parameters
     ----------
@@ -157,82 +99,43 @@ class DatasetWriter:
         return self.output.parent if self._folder is None else self._folder
 
     def from_anywhere(self) -> DatasetWriter:
-        """Return the same for processes that stand in another folder."""
+        """Return the same writer for processes with another working directory."""
         found = copy.copy(self)
         found.output = self.output.absolute()
         found._folder = None if self._folder is None else self._folder.absolute()
         return found
 
-    def require_room(self, n_signals: int) -> None:
-        """Raise `CannotCreate` if the disk has less room than so many signals alone will take."""
-        if self.plan.compression != "none":
-            return
-        needed = self.plan.size(n_signals)
-        require_room(self.output, self.output.parent, needed, "signals", "make room, or fewer signals")
-
     @contextmanager
-    def begun(self, *, overwrite: bool = False, resume: bool = False) -> Iterator[DatasetRun]:
-        """Yield the run that makes the shards; when this context is left without an error the dataset is whole.
-
-        Parameters
-        ----------
-        overwrite : bool
-            Whether an older dataset may be replaced; it stays whole until the new one is.
-        resume : bool
-            Whether an unfinished run may go on; a dataset that is whole and the same is left as it is.
-
-        Raises
-        ------
-        CannotCreate
-            Something is there already, another run is writing there, or the one to be resumed had other options.
-        BadData
-            What is to be resumed is damaged.
-        WriteFailed
-            The disk is full or broken; finished shards stay, and the run can be resumed.
-        """
+    def begun(self, *, overwrite: bool = False, resume: bool = False) -> Iterator[Run]:
+        """Yield the run that makes the shards; parameters and errors as `cgid.store.run.begun`."""
         self._overwrites = overwrite
-        if is_single_file(self.output):
-            clear_half_written(self.output)
-            yield DatasetRun(self.shards if self._must_be_made(overwrite, resume) else [])
-            return
+        shards = self.shards
+        names = tuple(f"shard-{number:05d}.h5" for number, _, _ in shards)
         goal = Goal(
             output=self.output,
-            plan=self._manifest(()).plan,
-            n_files=len(self.shards),
+            description=self._manifest(()).description,
+            names=(self.output.name,) if is_single_file(self.output) else names,
             noun="shards",
-            ours=_OURS,
-            plan_of=lambda folder: read_manifest(folder).plan if (folder / MANIFEST).exists() else None,
+            ours=DATASET_FILES,
+            description_of=_description_of,
+            closing=lambda entries: {MANIFEST: self._manifest(ShardEntry(**entry) for entry in entries).to_bytes()},
+            fits=lambda number, entry: (
+                is_entry(entry) and (entry["first_signal"], entry["n_signals"]) == shards[number][1:]
+            ),
         )
         with begun(goal, overwrite=overwrite, resume=resume) as run:
-            if run is None:
-                yield DatasetRun([])
-                return
-            self._folder, self._run = run.folder, run.token
-            made = DatasetRun(self.shards, run)
-            self.require_room(sum(n_signals for _, _, n_signals in made.missing))
-            yield made
-            listed = tuple(sorted(made.entries, key=lambda entry: entry.first_signal))
-            write_whole(run.folder / MANIFEST, self._manifest(listed).to_bytes())
+            if run.token is not None:
+                self._folder, self._run = run.folder, run.token
+                self._require_room(sum(shards[number][2] for number in run.missing))
+            yield run
 
-    def _must_be_made(self, overwrite: bool, resume: bool) -> bool:
-        """Return whether a single file is not there already."""
-        if not resume or not self.output.exists():
-            return True
-        try:
-            compression = compression_of(examine_whole(self.output, FORMAT))
-        except BadData:
-            if overwrite:
-                return True
-            raise
-        there = Dataset(self.output)
-        found = {**vars(there.header), "n_signals": len(there), "compression": compression}
-        asked = self._manifest(()).plan
-        plan = {name: value for name, value in found.items() if name in asked}
-        if not overwrite:
-            require_same(self.output, plan, asked)
-        return first_difference(plan, asked) is not None
+    def _require_room(self, n_signals: int) -> None:
+        """Raise `CannotCreate` if the disk has less room than this many signals take, unless they are packed."""
+        if self.plan.compression == "none":
+            needed = self.plan.size(n_signals)
+            require_room(self.output, self.output.parent, needed, "signals", "make room, or fewer signals")
 
-    def _manifest(self, shards: tuple[ShardEntry, ...]) -> Manifest:
+    def _manifest(self, shards: Iterable[ShardEntry]) -> Manifest:
         return Manifest(
             n_signals=self.n_signals,
             shard_signals=self.shard_signals,
@@ -240,7 +143,7 @@ class DatasetWriter:
             dtype=self.plan.dtype,
             compression=self.plan.compression,
             attributes=self.plan.attributes,
-            shards=shards,
+            shards=tuple(shards),
         )
 
     def build_shard(self, number: int, first: int, n_signals: int, batches: Iterable[Batch]) -> BuiltShard:
@@ -253,7 +156,7 @@ class DatasetWriter:
         return BuiltShard(number, first, n_signals, builder.image(), dict(sorted(labels.items())))
 
     def put(self, shard: BuiltShard) -> ShardEntry:
-        """Put a built shard on the disk whole, and return its line of the manifest."""
+        """Write a built shard to the disk, whole, and return its entry in the manifest."""
         if self._folder is None or self._run is None:
             path = self.output
             write_whole(path, shard.content, overwrite=self._overwrites)
@@ -265,28 +168,16 @@ class DatasetWriter:
         return ShardEntry(path.name, shard.first, shard.n_signals, len(shard.content), digest, shard.labels)
 
 
-class DatasetRun:
-    """A run that makes a dataset.
+def _description_of(path: Path) -> Mapping[str, Any] | None:
+    """Return the description of an existing dataset; None for a folder without a manifest."""
+    if path.is_dir():
+        return read_manifest(path).description if (path / MANIFEST).exists() else None
+    compression = compression_of(examine_whole(path, FORMAT))
+    there = Dataset(path)
+    return {**vars(there.header), "n_signals": len(there), "compression": compression}
 
-    Attributes
-    ----------
-    missing : list of tuple
-        Number, first signal and number of signals of each shard that is not there yet.
-    entries : list of ShardEntry
-        Of the shards that are there.
-    """
 
-    def __init__(self, shards: list[tuple[int, int, int]], run: Run | None = None) -> None:
-        self._run = run
-        self.entries = [] if run is None else [ShardEntry(**entry) for entry in run.finished if is_entry(entry)]
-        there = {(entry.first_signal, entry.n_signals) for entry in self.entries}
-        self.missing = [shard for shard in shards if shard[1:] not in there]
-
-    def add(self, entry: ShardEntry) -> None:
-        """Note that a shard is finished."""
-        self.entries.append(entry)
-        if self._run is not None:
-            self._run.add(vars(entry))
+# ---- export ----------------------------------------------------------------------------------------------------------
 
 
 def export(

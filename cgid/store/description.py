@@ -1,15 +1,14 @@
-"""JSON that says its own SHA-256, so that a flipped bit in it is found.
+"""What dataset folders say about themselves: the description of a dataset, the sums of its files, the journal of a run.
 
-What a shard says about itself; nothing in it is believed before it is checked.
+A file follows from the description of its dataset and from its number. `manifest.json` holds the description and, for
+each shard, its size and SHA-256; `SHA256SUMS` repeats the sums for `sha256sum -c SHA256SUMS`. While a run is not
+finished, `unfinished.jsonl` holds the description and the files finished so far, one JSON object per line:
 
-Whether two runs make the same: by their plans, which say all that the bytes depend on.
+    {"run": ..., "process": ..., "digest": ...}     the run and the process that writes it
+    {"plan": ..., "n_files": ..., "noun": ..., ...} the description of what it makes
+    {"entry": ..., "digest": ...}                   a finished file, its size and SHA-256; one line per file
 
-The texts that lie in a folder of files, a manifest or a journal: read if they are what the folder bears out.
-
-A folder may come from a stranger, too. A pipe in it would hold its reader up for ever, a link would have another file
-read, and a hundred megabytes of JSON are gigabytes of lists.
-
-The manifest of a dataset folder: what the dataset is, and the size and SHA-256 of each of its shards.
+All of it may come from a stranger: nothing is used before it is checked.
 """
 
 from __future__ import annotations
@@ -18,7 +17,7 @@ import hashlib
 import json
 import re
 import stat
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, fields
 from itertools import accumulate
 from pathlib import Path
@@ -31,51 +30,45 @@ from cgid.errors import BadData, CannotCreate, NoInput
 from cgid.files import half_written
 from cgid.store.compression import COMPRESSIONS
 
-_DIGEST = "digest"
-
-
-def sealed(content: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the content with its SHA-256 as one more field, `digest`."""
-    return {**content, _DIGEST: _sha256(content)}
-
-
-def is_sound(content: Mapping[str, Any]) -> bool:
-    """Return whether content that was read back is what was sealed.
-
-    Examples
-    --------
-    >>> content = sealed({"seed": 7})
-    >>> is_sound(content), is_sound({**content, "seed": 6}), is_sound({"seed": 7})
-    (True, False, False)
-    """
-    try:
-        return content.get(_DIGEST) == _sha256({name: value for name, value in content.items() if name != _DIGEST})
-    except RecursionError:  # what can just be read may be too deep to be written
-        return False
-
-
-def _sha256(content: Mapping[str, Any]) -> str:
-    # Sorted and without spaces: the same text however the file is laid out.
-    text = json.dumps(content, sort_keys=True, separators=(",", ":"))
-    return hashlib.sha256(text.encode()).hexdigest()
-
-
-FORMAT = "cgid-dataset"
-SCHEMA_VERSION = 1
+FORMAT, SCHEMA_VERSION = "cgid-dataset", 1
 RECORDING_FORMAT, RECORDING_SCHEMA_VERSION = "cgid-recording", 1
 TABLE_FORMAT, TABLE_VERSION = "cgid-table", 1
-#: No larger shard is written: it is held in memory.
+#: Larger shards are not written: a shard is built in memory [bytes].
 LARGEST_SHARD = 2 << 30
-#: No longer recording is made.
 LARGEST_RECORDING = LARGEST_SHARD
-#: What a folder of recordings holds, with what a killed run leaves behind.
-RECORDING_NAME = r"recording-[0-9]{5,}\.h5"
-OURS = re.compile(f"{RECORDING_NAME}|{half_written(RECORDING_NAME)}")
+MANIFEST, SUMS, JOURNAL = "manifest.json", "SHA256SUMS", "unfinished.jsonl"
+#: Version 1 had neither digest nor the fields in `_ADDED`.
+MANIFEST_VERSION = 2
+SHARD_NAME, RECORDING_NAME = r"shard-[0-9]{5,}\.h5", r"recording-[0-9]{5,}\.h5"
+#: Names of files in a folder of shards or of recordings, including the half-written ones of a killed run.
+DATASET_FILES, RECORDING_FILES = (
+    re.compile(f"{names}|{half_written(names)}")
+    for names in (f"{re.escape(MANIFEST)}|{SUMS}|{SHARD_NAME}", f"{SUMS}|{RECORDING_NAME}")
+)
+#: Links are not followed in folders, which may come from a stranger.
+LINKED = "must lie in the folder itself, it is a link; copy the file there"
+#: Maximal size of the first line of a journal [bytes].
+FIRST_LINE = 4096
+
+_ADDED = ("shard_signals", "n_samples", "dtype", "compression")
+_WORDS = {"dtype": ("float32", "float64"), "compression": tuple(COMPRESSIONS)}
+#: Counts of HDF5 are smaller.
+_LARGEST_COUNT = 1 << 63
+_DIGEST = "digest"
+#: A text file may have this many bytes, mostly for the scene, and this many more per file in its folder.
+_ROOM, _ROOM_OF_FILE = 16 << 20, 4096
+#: The same for JSON values.
+_VALUES, _VALUES_OF_FILE = 100_000, 100
+#: Maximal length of a word that a journal gives for messages.
+_LONGEST_WORD = 400
+
+
+# ---- headers of files ------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
 class ShardHeader:
-    """What a shard says about itself, checked."""
+    """The checked header of a shard."""
 
     n_signals: int
     n_samples: int
@@ -90,7 +83,7 @@ class ShardHeader:
 
 
 def require_schema(source: str, version: Any, known: int) -> None:
-    """Raise `BadData` unless a file is of the version that is read."""
+    """Raise `BadData` unless a file has the version that this cgid reads."""
     if type(version) is int and version > known:
         raise BadData(f"{source}: schema_version {version} is newer than this cgid, which reads {known}: upgrade cgid")
     if version != known:
@@ -98,7 +91,7 @@ def require_schema(source: str, version: Any, known: int) -> None:
 
 
 def require_scene(source: str, attributes: Mapping[str, Any]) -> None:
-    """Raise `BadData` if the text of the scene is not the one that was hashed: HDF5 does not check long attributes."""
+    """Raise `BadData` if the text of the scene does not have its SHA-256: HDF5 does not check long attributes."""
     scene, digest = attributes.get("scene"), attributes.get("scene_sha256")
     if scene is not None and hashlib.sha256(str(scene).encode()).hexdigest() != digest:
         raise BadData(f"{source}: the text of the scene must fit scene_sha256, it does not; generate the file again")
@@ -109,8 +102,76 @@ def text_of(labels: NDArray[np.bytes_]) -> NDArray[np.str_]:
     return np.char.decode(labels, "utf-8", errors="replace")
 
 
+# ---- JSON with a digest, in files of a plausible size ----------------------------------------------------------------
+
+
+def sealed(content: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the content with its SHA-256 in the additional field `digest`."""
+    return {**content, _DIGEST: _sha256(content)}
+
+
+def is_sound(content: Mapping[str, Any]) -> bool:
+    """Return whether content fits its digest.
+
+    Examples
+    --------
+    >>> content = sealed({"seed": 7})
+    >>> is_sound(content), is_sound({**content, "seed": 6}), is_sound({"seed": 7})
+    (True, False, False)
+    """
+    try:
+        return content.get(_DIGEST) == _sha256({name: value for name, value in content.items() if name != _DIGEST})
+    except RecursionError:  # JSON that can just be read may be too deep to be written
+        return False
+
+
+def _sha256(content: Mapping[str, Any]) -> str:
+    # Sorted and without spaces, so that the layout of the file does not matter.
+    text = json.dumps(content, sort_keys=True, separators=(",", ":"))
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def read_text(file: Path) -> bytes | None:
+    """Return the content of a text file in a dataset folder, None if there is no such file.
+
+    Pipes and links are refused, and so is more text than the files next to it explain: a hundred megabytes of JSON
+    take gigabytes of memory.
+
+    Raises
+    ------
+    BadData
+        It is a link or not a regular file, or it is too large.
+    NoInput
+        It cannot be read; its content may be sound.
+    """
+    try:
+        about = file.lstat()
+        if not stat.S_ISREG(about.st_mode):
+            raise BadData(
+                f"{file}: must be a regular file of its folder, it is a link, a pipe or the like; generate it again"
+            )
+        n_files = sum(1 for _ in file.parent.iterdir())
+        most = _ROOM + n_files * _ROOM_OF_FILE
+        content = b""
+        if about.st_size <= most:
+            with file.open("rb") as stream:
+                content = stream.read(about.st_size + 1)  # `read` reserves what it is asked for
+    except (FileNotFoundError, NotADirectoryError):
+        return None
+    except OSError as error:
+        raise NoInput(f"{file}: cannot be read ({error.strerror}); see to its permissions, or to the disk") from None
+    if max(about.st_size, len(content)) > most:
+        raise BadData(f"{file}: must be at most {most >> 20} MiB beside {n_files} files; it is not what cgid wrote")
+    if sum(content.count(sign) for sign in (b",", b"[", b"{", b"\n")) > _VALUES + n_files * _VALUES_OF_FILE:
+        raise BadData(f"{file}: says more than {n_files} files beside it bear out; it is not what cgid wrote")
+    return content
+
+
+# ---- comparing descriptions ------------------------------------------------------------------------------------------
+
+
 def require_same(output: Path, there: Mapping[str, Any], asked: Mapping[str, Any]) -> None:
-    """Raise `CannotCreate`, naming the first option that differs, unless a run makes what is there, too."""
+    """Raise `CannotCreate`, naming the first option that differs, unless two descriptions agree."""
     name = first_difference(there, asked)
     if name is not None:
         values = [flat.get(name, "nothing") for flat in (_flat(there), _flat(asked))]
@@ -121,7 +182,7 @@ def require_same(output: Path, there: Mapping[str, Any], asked: Mapping[str, Any
 
 
 def first_difference(there: Mapping[str, Any], asked: Mapping[str, Any]) -> str | None:
-    """Return the name of the first option in which two plans differ; what one of them leaves open does not count.
+    """Return the name of the first option in which two descriptions differ; an option that one lacks is not compared.
 
     Examples
     --------
@@ -130,76 +191,24 @@ def first_difference(there: Mapping[str, Any], asked: Mapping[str, Any]) -> str 
     >>> first_difference({"n_signals": 9, "dtype": None}, {"n_signals": 9, "dtype": "float32"})
     """
     here, other = _flat(asked), _flat(there)
-    # The text of a scene comes last: its name and its SHA-256 say it shorter.
+    # The text of a scene comes last: its name and its SHA-256 are shorter.
     names = sorted({*here, *other}, key=lambda name: (name == "scene", list(here).index(name) if name in here else 0))
     pairs = ((name, here.get(name), other.get(name)) for name in names)
     return next((name for name, one, two in pairs if None not in (one, two) and one != two), None)
 
 
-def _flat(plan: Mapping[str, Any]) -> dict[str, Any]:
-    attributes = plan.get("attributes")
-    found = {**plan, **(attributes if isinstance(attributes, dict) else {})}
+def _flat(description: Mapping[str, Any]) -> dict[str, Any]:
+    attributes = description.get("attributes")
+    found = {**description, **(attributes if isinstance(attributes, dict) else {})}
     return {name: value for name, value in found.items() if name != "attributes"}
 
 
-#: What may be said beside the files [bytes], of which the scene is most, and of each file.
-_ROOM, _ROOM_OF_FILE = 16 << 20, 4096
-#: Likewise, in values of JSON.
-_VALUES, _VALUES_OF_FILE = 100_000, 100
-
-
-def read_text(file: Path) -> bytes | None:
-    """Return the content of a plain file that is as large as the files beside it make it, at most; None without one.
-
-    Raises
-    ------
-    BadData
-        It is a link, no plain file, or larger.
-    NoInput
-        It cannot be read: what it says may be sound.
-    """
-    try:
-        return _content(file)
-    except (FileNotFoundError, NotADirectoryError):
-        return None
-    except OSError as error:
-        raise NoInput(f"{file}: cannot be read ({error.strerror}); see to its permissions, or to the disk") from None
-
-
-def _content(file: Path) -> bytes:
-    about = file.lstat()  # of a link, where it leads is not looked at
-    if not stat.S_ISREG(about.st_mode):
-        raise BadData(
-            f"{file}: must be a regular file of its folder, it is a link, a pipe or the like; generate it again"
-        )
-    n_files = sum(1 for _ in file.parent.iterdir())
-    most = _ROOM + n_files * _ROOM_OF_FILE
-    content = b""
-    if about.st_size <= most:
-        with file.open("rb") as stream:
-            content = stream.read(about.st_size + 1)  # room is made for all that is asked for
-    if max(about.st_size, len(content)) > most:
-        raise BadData(f"{file}: must be at most {most >> 20} MiB beside {n_files} files; it is not what cgid wrote")
-    if sum(content.count(sign) for sign in (b",", b"[", b"{", b"\n")) > _VALUES + n_files * _VALUES_OF_FILE:
-        raise BadData(f"{file}: says more than {n_files} files beside it bear out; it is not what cgid wrote")
-    return content
-
-
-MANIFEST = "manifest.json"
-#: Version 1 had neither digest nor the fields that `_ADDED` names.
-MANIFEST_VERSION = 2
-SHARD_NAME = r"shard-[0-9]{5,}\.h5"
-_ADDED = ("shard_signals", "n_samples", "dtype", "compression")
-_WORDS = {"dtype": ("float32", "float64"), "compression": tuple(COMPRESSIONS)}
-#: What a folder holds may come from a stranger: where a link leads nobody looks.
-LINKED = "must lie in the folder itself, it is a link; copy the file there"
-#: Of what HDF5 counts.
-_LARGEST_COUNT = 1 << 63
+# ---- the manifest of a dataset ---------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
 class ShardEntry:
-    """A shard in the manifest: its file, which signals are in it, its size and SHA-256, its signals by label."""
+    """A shard in the manifest: its file, its signals, its size and SHA-256, its number of signals by label."""
 
     file: str
     first_signal: int
@@ -208,26 +217,10 @@ class ShardEntry:
     sha256: str
     labels: dict[str, int]
 
-    def fits(self, path: Path) -> bool:
-        """Return whether a file has the SHA-256 of this shard; the file is read once, block by block.
-
-        Raises
-        ------
-        NoInput
-            One may not read it: it may be sound.
-        """
-        try:
-            with path.open("rb") as stream:
-                return hashlib.file_digest(stream, "sha256").hexdigest() == self.sha256
-        except PermissionError as error:
-            raise NoInput(f"{path}: cannot be read ({error.strerror}); see to its permissions") from None
-        except OSError:
-            return False
-
 
 @dataclass(frozen=True, kw_only=True)
 class Manifest:
-    """What a dataset folder holds.
+    """The description of a dataset folder, and its shards.
 
     Attributes
     ----------
@@ -236,15 +229,15 @@ class Manifest:
     attributes : dict
         Root attributes of every shard: format, schema_version, seed, scene, its SHA-256, versions of libraries.
     shards : tuple of ShardEntry
-        In the order of their signals, which they hold without a gap.
+        In the order of their signals, without a gap.
     shard_signals : int, optional
-        Signals of each shard but the last.
+        Signals of each shard except the last.
     n_samples : int, optional
         Of a signal.
     dtype : str, optional
         Of the signals.
     compression : str, optional
-        The last four are missing in manifests of version 1.
+        Manifests of version 1 lack the last four.
     """
 
     n_signals: int
@@ -256,13 +249,13 @@ class Manifest:
     compression: str | None = None
 
     @property
-    def plan(self) -> dict[str, Any]:
-        """All but the shards: what is settled before the first of them is made."""
+    def description(self) -> dict[str, Any]:
+        """All fields except the shards: what is known before the first shard is made."""
         named = {name: getattr(self, name) for name in ("n_signals", *_ADDED)}
         return {"format": FORMAT, "schema_version": MANIFEST_VERSION, **named, "attributes": dict(self.attributes)}
 
     def require_own(self, shard: Path, attributes: Mapping[str, Any]) -> None:
-        """Raise `BadData` if a shard names another seed, scene or the like: shard or manifest is another dataset's."""
+        """Raise `BadData` if a shard names another seed or scene: shard or manifest belong to another dataset."""
         name = first_difference({"attributes": attributes}, {"attributes": self.attributes})
         if name is not None:
             wanted, got = (f"{said[name]!s:.80}" for said in (self.attributes, attributes))
@@ -272,8 +265,8 @@ class Manifest:
             )
 
     def to_bytes(self) -> bytes:
-        """Return the content of the file, with the SHA-256 of all that it says."""
-        content = sealed({**self.plan, "shards": [vars(entry) for entry in self.shards]})
+        """Return the content of the file, with its digest."""
+        content = sealed({**self.description, "shards": [vars(entry) for entry in self.shards]})
         return (json.dumps(content, indent=1) + "\n").encode()
 
 
@@ -283,7 +276,7 @@ def read_manifest(folder: Path) -> Manifest:
     Raises
     ------
     BadData
-        There is none (an unfinished run is told as such), it is damaged, of a newer version, or another program's.
+        There is none, perhaps because a run is unfinished; it is damaged, newer, or of another program.
     NoInput
         It cannot be read.
     """
@@ -301,9 +294,12 @@ def read_manifest(folder: Path) -> Manifest:
 
 
 def parse_manifest(content: bytes, file: Path) -> Manifest:
-    """Return what the content of a manifest says; `file` is for messages. Raises as `read_manifest`."""
-    found = _read_json(content, file)
-    if found.get("format") != FORMAT:
+    """Return the manifest with this content; `file` is for messages. Raises as `read_manifest`."""
+    try:
+        found = json.loads(content)
+    except (ValueError, RecursionError):
+        raise BadData(f"{file}: must be JSON, it is not; copy it again, or generate the dataset again") from None
+    if not isinstance(found, dict) or found.get("format") != FORMAT:
         raise BadData(f"{file}: must have format {FORMAT!r}; this is another manifest")
     version = found.get("schema_version")
     if type(version) is not int or version < 1:
@@ -317,24 +313,19 @@ def parse_manifest(content: bytes, file: Path) -> Manifest:
         raise BadData(f"{file}: shards must be a list of file, n_signals, sha256; generate the dataset again")
     entries = tuple(ShardEntry(**entry) for entry in shards)
     _require_all(entries, found.get("n_signals"), file)
-    named = _added(found, file) if version > 1 else {}
+    named = {name: found.get(name) for name in _ADDED if version > 1}
+    for name, value in named.items():
+        sound = value in _WORDS[name] if name in _WORDS else type(value) is int and 0 < value < _LARGEST_COUNT
+        if not sound:
+            raise BadData(f"{file}: {name} must be that of the shards, got {value!r:.40}; generate the dataset again")
     attributes = found.get("attributes")
     if not isinstance(attributes, dict) or not all(map(_is_attribute, attributes, attributes.values())):
         raise BadData(f"{file}: attributes must say how the dataset was made; generate it again")
     return Manifest(n_signals=found["n_signals"], attributes=attributes, shards=entries, **named)
 
 
-def _read_json(content: bytes, file: Path) -> dict[str, Any]:
-    try:
-        found = json.loads(content)
-    except (ValueError, RecursionError):
-        raise BadData(f"{file}: must be JSON, it is not; copy it again, or generate the dataset again") from None
-    if not isinstance(found, dict):
-        raise BadData(f"{file}: must have format {FORMAT!r}; this is another manifest")
-    return found
-
-
 def _require_all(entries: tuple[ShardEntry, ...], n_signals: Any, file: Path) -> None:
+    """Raise `BadData` unless the shards hold this many signals, in order and without a gap."""
     starts = [0, *accumulate(entry.n_signals for entry in entries)]
     whole = (
         type(n_signals) is int and starts[-1] == n_signals and starts[:-1] == [entry.first_signal for entry in entries]
@@ -345,17 +336,8 @@ def _require_all(entries: tuple[ShardEntry, ...], n_signals: Any, file: Path) ->
         )
 
 
-def _added(found: Mapping[str, Any], file: Path) -> dict[str, Any]:
-    named = {name: found.get(name) for name in _ADDED}
-    for name, value in named.items():
-        sound = value in _WORDS[name] if name in _WORDS else type(value) is int and 0 < value < _LARGEST_COUNT
-        if not sound:
-            raise BadData(f"{file}: {name} must be that of the shards, got {value!r:.40}; generate the dataset again")
-    return named
-
-
 def _is_attribute(name: str, value: Any) -> bool:
-    """Return whether HDF5 can hold this as an attribute: a number, or a text that is Unicode."""
+    """Return whether HDF5 can hold an attribute: a number, or Unicode text."""
     try:
         name.encode()
         return (
@@ -366,7 +348,7 @@ def _is_attribute(name: str, value: Any) -> bool:
 
 
 def is_entry(entry: Any) -> bool:
-    """Return whether this is what `ShardEntry` holds; its file lies in no other folder."""
+    """Return whether JSON is a `ShardEntry` of a file in the folder itself."""
     if not isinstance(entry, dict) or set(entry) != {field.name for field in fields(ShardEntry)}:
         return False
     counts, labels = [entry[name] for name in ("first_signal", "n_signals", "bytes")], entry["labels"]
@@ -380,57 +362,105 @@ def is_entry(entry: Any) -> bool:
     )
 
 
-JOURNAL = "unfinished.jsonl"
+# ---- sums of files ---------------------------------------------------------------------------------------------------
 
 
-#: Bytes of the first line at most.
-FIRST_LINE = 4096
+def file_facts(path: Path) -> dict[str, Any]:
+    """Return `file`, `bytes` and `sha256` of a file, which is read block by block."""
+    with path.open("rb") as stream:
+        digest = hashlib.file_digest(stream, "sha256").hexdigest()
+        return {"file": path.name, "bytes": stream.tell(), "sha256": digest}
 
 
-#: Letters of what is told of a run.
-_LONGEST_WORD = 400
+def has_sum(path: Path, sha256: str) -> bool:
+    """Return whether a file has this SHA-256; raises `NoInput` if it must not be read, since it may be sound."""
+    try:
+        return bool(file_facts(path)["sha256"] == sha256)
+    except PermissionError as error:
+        raise NoInput(f"{path}: cannot be read ({error.strerror}); see to its permissions") from None
+    except OSError:
+        return False
+
+
+def sums_text(sums: Mapping[str, str]) -> bytes:
+    r"""Return the content of `SHA256SUMS` for names and their SHA-256.
+
+    Examples
+    --------
+    >>> sums_text({"shard-00000.h5": "5e1f"})
+    b'5e1f  shard-00000.h5\n'
+    """
+    return "".join(f"{digest}  {name}\n" for name, digest in sums.items()).encode()
+
+
+def sums_of(shards: Iterable[ShardEntry], manifest: bytes) -> dict[str, str]:
+    """Return the SHA-256 of each file of a dataset folder; `manifest` is the content of its file."""
+    return {entry.file: entry.sha256 for entry in shards} | {MANIFEST: hashlib.sha256(manifest).hexdigest()}
+
+
+def read_sums(folder: Path) -> dict[str, str] | None:
+    """Return the SHA-256 of each file that `SHA256SUMS` lists; None in folders of older versions, which lack it.
+
+    Raises
+    ------
+    BadData
+        The file is damaged.
+    NoInput
+        It cannot be read.
+    """
+    content = read_text(folder / SUMS)
+    if content is None:
+        return None
+    lines = [re.fullmatch(r"([0-9a-f]{64})  ([\w.-]+)", line) for line in content.decode("latin-1").split("\n")[:-1]]
+    sums = {line[2]: line[1] for line in lines if line}
+    if not content.endswith(b"\n") or len(sums) < len(lines):
+        raise BadData(f"{folder / SUMS}: must list a SHA-256 and a name on each line, it does not: it is damaged")
+    return sums
+
+
+# ---- the journal of an unfinished run --------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, kw_only=True)
 class Unfinished:
-    """What a journal says.
+    """The content of a journal.
 
     Attributes
     ----------
     run : str
-        Tells this run from every other.
+        Identifies the run.
     process : str
-        Who wrote it last.
-    plan : dict
+        The process that wrote it last.
+    description : dict
         What the run makes.
     n_files : int
-        How many files it makes, and what they are called:
     noun : str
+        What the files are called, in the plural.
     entries : tuple of dict
         The finished files, in the order in which they were finished.
     """
 
     run: str
     process: str
-    plan: dict[str, Any]
+    description: dict[str, Any]
     n_files: int
     noun: str
     entries: tuple[dict[str, Any], ...]
 
     @property
     def progress(self) -> str:
-        """How far it has come, and how it goes on."""
+        """How far the run has come, and how to continue it."""
         done = len({entry["file"] for entry in self.entries})
         return f"{done} of {self.n_files} {self.noun} are there; go on with cgid generate ... --resume"
 
 
 def read_journal(folder: Path) -> Unfinished | None:
-    """Return what the journal of a folder says, or None where there is none.
+    """Return the content of the journal in a folder, None if there is none.
 
     Raises
     ------
     BadData
-        Its first lines are damaged, so that nobody knows what the run was to make; or it is no file of such a size.
+        Its first lines are damaged, so that the description is lost; or it is not a file of a plausible size.
     NoInput
         It cannot be read.
     """
@@ -442,30 +472,27 @@ def read_journal(folder: Path) -> Unfinished | None:
     first, second = (content_of(line) for line in [*lines, b""][:2])
     found = {**first, **second}
     for name, kind in (("run", str), ("process", str), ("plan", dict), ("n_files", int), ("noun", str)):
-        if not isinstance(found.get(name), kind) or not _is_short(found[name]):
+        value = found.get(name)
+        is_short = not isinstance(value, str) or (len(value) <= _LONGEST_WORD and value.isprintable())
+        if not isinstance(value, kind) or not is_short:
             raise BadData(
                 f"{file}: is damaged or not of cgid, so that no run can go on; choose another name, or start again "
                 "with --overwrite"
             )
-    # A line that is torn or damaged is passed over: its file is made again.
+    # Torn and damaged lines are skipped: their files are made again.
     entries = [content_of(line).get("entry") for line in lines[2:]]
     sound = tuple(entry for entry in entries if isinstance(entry, dict) and isinstance(entry.get("file"), str))
-    named = {name: found[name] for name in ("run", "process", "plan", "n_files", "noun")}
-    return Unfinished(entries=sound, **named)
+    named = {name: found[name] for name in ("run", "process", "n_files", "noun")}
+    return Unfinished(entries=sound, description=found["plan"], **named)
 
 
 def line_of(content: Mapping[str, Any]) -> bytes:
-    """Return content as a line of JSON with its own SHA-256."""
+    """Return a line of a journal."""
     return (json.dumps(sealed(content)) + "\n").encode()
 
 
-def _is_short(value: Any) -> bool:
-    """Return whether a value can be said in a line, if it is a text."""
-    return not isinstance(value, str) or (len(value) <= _LONGEST_WORD and value.isprintable())
-
-
 def content_of(line: bytes) -> dict[str, Any]:
-    """Return what a line says; nothing where it is torn or damaged."""
+    """Return the content of a line of a journal, empty if it is torn or damaged."""
     try:
         found = json.loads(line)
     except (ValueError, RecursionError):

@@ -32,6 +32,7 @@ from cgid.store.description import (
     Manifest,
     ShardEntry,
     ShardHeader,
+    has_sum,
     read_manifest,
     text_of,
 )
@@ -175,7 +176,7 @@ class Dataset:
         """
         for shard, entry, count in zip(self._shards, self._entries, self._counts, strict=True):
             yield from self._read(shard, 0, count, n_rows)
-            if check_sums and entry is not None and not entry.fits(shard):
+            if check_sums and entry is not None and not has_sum(shard, entry.sha256):
                 self._identity.require()
                 raise BadData(
                     f"{shard}: must have the SHA-256 that {MANIFEST} says, it has not: it is damaged or another file; "
