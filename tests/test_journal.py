@@ -201,6 +201,23 @@ def test_a_file_system_without_locks(tmp_path, monkeypatch):
         pass
 
 
+def test_where_there_is_no_fcntl_folders_are_locked_by_a_file(tmp_path, monkeypatch):
+    """As on Windows."""
+    pytest.importorskip("filelock")  # loaded with what it needs here itself
+    monkeypatch.setitem(sys.modules, "fcntl", None)
+    folder = tmp_path / "data"
+    folder.mkdir()
+    with locked(folder) as held:
+        assert held
+        with pytest.raises(BlockingIOError), locked(folder):
+            pytest.fail("it is held")
+        with locked(folder, shared=True) as shared, locked(folder / "file") as file:
+            assert not shared and not file
+    with locked(folder, patience=5.0) as held:
+        assert held
+    assert list(tmp_path.iterdir()) == [folder]
+
+
 # ---- whole files -----------------------------------------------------------------------------------------------------
 
 

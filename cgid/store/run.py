@@ -149,6 +149,8 @@ class Run:
 
     def abandon(self) -> None:
         """Remove half-written files. Finished files and the journal stay, for the run to be resumed."""
+        if self._journal is not None:
+            self._journal.close()
         _clear(self.folder, self._goal.ours, only_parts=bool(self._entries))
         with contextlib.suppress(OSError):
             self.folder.rmdir()  # only if it is empty
