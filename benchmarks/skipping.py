@@ -28,6 +28,7 @@ from cgid.physics.driving import windows_of
 from cgid.scene import generate, load_scene, synthesise
 from cgid.scene.background import BackgroundSection
 from cgid.scene.background_noise import Background
+from cgid.scene.generation import tabulate
 from cgid.scene.noise import add_noise
 from cgid.scene.plan import plan
 from cgid.scene.population import draw, given
@@ -38,7 +39,6 @@ from cgid.scene.stream.arrivals import arrivals_of
 from cgid.scene.stream.rocks import arriving, thrown_back
 from cgid.scene.synthesis import add_pulses
 from cgid.scene.tables import columns_of
-from cgid.scene.tabulation import tabulate
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 from tests.plan_scenes import CASES, COUNTED, PANEL, TAP, beam_of, named, scene_of

@@ -26,9 +26,9 @@ from cgid.identification.grouped import Candidate, Lesson, choose_candidate, fin
 from cgid.identification.rows import Rows, measure
 from cgid.identification.selection import CANDIDATES, select
 from cgid.scene import Scene, generate, synthesise
-from cgid.scene import workers as shards
+from cgid.scene import generation as shards
 from cgid.store import Dataset
-from cgid.store.journal import JOURNAL
+from cgid.store.run import JOURNAL
 from cgid.validation import positive
 from cgid.workers import ALONE, Workers, workers
 from tests.mortal import fatal
@@ -85,7 +85,7 @@ def test_a_dataset_is_the_same_whoever_makes_it(
     generate(reference_scene, "dask.h5", 32, 4, scheduler=address)
     assert sums(Path("one")) == sums(Path("two")) == sums(Path("dask"))
     assert Path("dask.h5").read_bytes() == Path("one/shard-00000.h5").read_bytes()
-    assert len(sums(Path("dask"))) == 6  # five shards and the manifest
+    assert len(sums(Path("dask"))) == 7  # five shards, the manifest and the sums
     assert sorted(told) == [22, *[32] * 4]
 
 

@@ -15,7 +15,7 @@ from cgid.cli.main import run
 from cgid.errors import BadData
 from cgid.identification.model import Model
 from cgid.store import Dataset, read_table
-from cgid.store.recording import Recording
+from cgid.store.reading import Recording
 
 GOLDEN = Path(__file__).parent / "golden"
 DATA = json.loads((GOLDEN / "data.json").read_text())

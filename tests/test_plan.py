@@ -25,6 +25,7 @@ from cgid.physics.response import Response
 from cgid.physics.tail_beam import TailBeam
 from cgid.scene import load_scene, response, synthesis, synthesise
 from cgid.scene.costs import Workload
+from cgid.scene.generation import tabulate
 from cgid.scene.impacts import NEGLIGIBLE_ECHO
 from cgid.scene.plan import Stage, plan
 from cgid.scene.population import draw
@@ -35,7 +36,6 @@ from cgid.scene.sensor import Sensor
 from cgid.scene.stages import STAGES
 from cgid.scene.stream.synthesis import record
 from cgid.scene.tables import closed_forms_of, columns_of, features_of, parameters_of
-from cgid.scene.tabulation import tabulate
 from cgid.scene.weight import TOLERANCE, weighed
 from cgid.shipped import scene_path
 from cgid.store import Rows, TableHeader, is_table, read_table, table, table_writer

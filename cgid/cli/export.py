@@ -19,7 +19,7 @@ def export(data: str, output: str, overwrite: bool) -> None:
     of cgid itself.
     """
     from cgid.store import Dataset
-    from cgid.store.export import export as export_dataset
+    from cgid.store.dataset import export as export_dataset
 
     dataset = Dataset(data)
     with progress_bar(len(dataset), "signals") as progress:

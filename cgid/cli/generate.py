@@ -189,7 +189,7 @@ def _warn_of_plate(scene: Any, seed: int) -> None:
 
 
 def _write_table(asked: Any, options: dict[str, Any]) -> None:
-    from cgid.scene.tabulation import tabulate
+    from cgid.scene.generation import tabulate
 
     n_signals, start = options["n_signals"], time.perf_counter()
     taken = ("output", "n_signals", "seed", "overwrite")

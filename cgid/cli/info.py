@@ -221,7 +221,7 @@ def _made(file: str) -> dict[str, Any]:
     """Return what a recording that cgid has made says about itself; nothing for any other."""
     from collections import Counter
 
-    from cgid.store.recording import Recording, is_recording
+    from cgid.store.reading import Recording, is_recording
 
     if not is_recording(file):
         return {}

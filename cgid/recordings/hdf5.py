@@ -72,9 +72,9 @@ def read_hdf5(path: Path, source: str, variable: str | None) -> Contents:
         The file is damaged, a dataset of cgid, holds no array of numbers or several, or the array lies elsewhere,
         declares more than is stored, or is packed in a way that HDF5 does not know here.
     """
-    from cgid.store.apart import format_said
+    from cgid.store.description import RECORDING_FORMAT
     from cgid.store.foreign import array_blocks, survey
-    from cgid.store.header import RECORDING_FORMAT
+    from cgid.store.sandbox import format_said
 
     said = format_said(path)
     if said == RECORDING_FORMAT:

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from cgid.errors import CannotCreate, InvalidValue
-from cgid.files import looking_at
+from cgid.files import looking_at, write_together
 from cgid.physics import HertzRangeWarning
 from cgid.plots import require_matplotlib
 from cgid.reproduction.drawing import PaperFigure, csv_title, draw, draw_table

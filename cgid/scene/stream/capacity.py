@@ -9,7 +9,7 @@ from cgid.scene.scene import Scene
 from cgid.scene.stream.arrivals import arrivals_of
 from cgid.scene.stream.axis import samples_of
 from cgid.scene.units import SHORTEST_RECORDING
-from cgid.store.recording import LARGEST_RECORDING
+from cgid.store.description import LARGEST_RECORDING
 
 #: The truth of an impact with what is needed to sort and write it [bytes],
 _IMPACT_BYTES = 500

@@ -17,8 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cgid.errors import BadData, CgidError
-from cgid.store import limits
-from cgid.store.chunks import DAMAGE, cache_size, chunk_bytes, missing_chunks, storage_fault
+from cgid.store import sandbox
+from cgid.store._checks import DAMAGE, cache_size, chunk_bytes, missing_chunks, storage_fault
 
 #: No recording has more parts.
 _MOST_OBJECTS, _DEEPEST, _MOST_ATTRIBUTES = 10_000, 32, 256
@@ -136,7 +136,7 @@ def foreign_blocks(
                 n_read = max(channels) + 1 - min(channels)
             # As stored, turned and as numbers of eight bytes, and the next that is read before the last has gone.
             size = 8 * min(length, shape[along]) * max(n_read, len(channels))
-            limits.allow(4 * size + 3 * chunk_bytes(dataset) + 2 * cache)
+            sandbox.allow(4 * size + 3 * chunk_bytes(dataset) + 2 * cache)
             yield {"": _block(dataset, tuple(index), across, along, channels, source)}
 
 
@@ -193,7 +193,7 @@ def _walk(file: h5py.File, source: str) -> Iterator[tuple[str, Any]]:
         _require_few(len(seen), depth, source)
         # Whoever gets on has not been caught in a loop.
         if len(seen) % _OBJECTS_IN_TIME == 0:
-            limits.begin(file.filename)
+            sandbox.begin(file.filename)
         yield name, item
         if not isinstance(item, h5py.Group):
             continue

@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 
 from cgid.errors import BadData, MissingExtra
-from cgid.store import Dataset, apart, wire
+from cgid.store import Dataset, sandbox
 from tests import few
 from tests.hostile_hdf5 import KINDS
 
@@ -36,18 +36,18 @@ def path(tmp_path):
 
 
 def parts(path, length=300, stop=2000):
-    return apart.stream("rows", path, ["x"], 0, stop, length)
+    return sandbox.stream("rows", path, ["x"], 0, stop, length)
 
 
 def readers():
-    return [child._process for child in apart._alive]
+    return [child._process for child in sandbox._alive]
 
 
 def test_rows_are_those_of_h5py(path):
     found = [part["x"] for part in parts(path)]
     assert [len(part) for part in found] == [300] * 6 + [200]
     np.testing.assert_array_equal(np.concatenate(found), NUMBERS)
-    (empty,) = apart.stream("rows", path, ["nothing"], 0, 0, 10)
+    (empty,) = sandbox.stream("rows", path, ["nothing"], 0, 0, 10)
     assert empty["nothing"].shape == (0,) and empty["nothing"].dtype == "S3"
 
 
@@ -56,7 +56,7 @@ def test_who_reads_does_without_h5py(tmp_path, kind):
     KINDS[kind].write(tmp_path / "sound.h5")
     code = {
         "dataset": "from cgid.store import Dataset; print(sum(map(len, Dataset(sys.argv[1]))))",
-        "recording": "from cgid.store.recording import Recording; print(Recording(sys.argv[1]).samples().size)",
+        "recording": "from cgid.store.reading import Recording; print(Recording(sys.argv[1]).samples().size)",
         "table": "from cgid.store import read_table; print(len(read_table(sys.argv[1])))",
         "foreign": "from cgid.recordings import open_recording as read; "
         "print(read(sys.argv[1], variable='run/samples').n_samples)",
@@ -68,14 +68,14 @@ def test_who_reads_does_without_h5py(tmp_path, kind):
 
 
 def test_files_are_read_side_by_side_and_a_reader_is_kept(path):
-    apart._end_all()
+    sandbox._end_all()
     pairs = list(zip(parts(path), parts(path, 299), strict=False))
     assert len(pairs) == 7 and len(readers()) == 2
     before = {process.pid for process in readers()}
     half = parts(path)
     next(half)
     half.close()  # leaves a reader that is ready for something else
-    assert apart.format_said(path) == "numbers"
+    assert sandbox.format_said(path) == "numbers"
     assert {process.pid for process in readers()} == before
 
 
@@ -109,11 +109,11 @@ def test_threads_do_not_hear_each_other(path):
 
 
 def test_a_reader_that_was_ended_is_replaced(path):
-    assert apart.format_said(path) == "numbers"
+    assert sandbox.format_said(path) == "numbers"
     for process in readers():
         os.kill(process.pid, signal.SIGKILL)
         process.wait()
-    assert apart.format_said(path) == "numbers"
+    assert sandbox.format_said(path) == "numbers"
 
 
 def test_a_reader_that_ends_over_a_file_is_an_error_of_that_file_alone(path):
@@ -132,13 +132,13 @@ def test_a_reader_that_ends_over_a_file_is_an_error_of_that_file_alone(path):
 def test_a_reader_that_ends_over_what_nobody_wants_any_more_is_no_error_of_the_next_file(path):
     half = parts(path)
     next(half)
-    reader = next(child._process for child in apart._alive if child not in apart._idle)
+    reader = next(child._process for child in sandbox._alive if child not in sandbox._idle)
     os.kill(reader.pid, signal.SIGSTOP)  # as if the part that is read ahead took long
     half.close()
-    apart._idle.sort(key=lambda child: child._process is reader)  # the next to be asked
+    sandbox._idle.sort(key=lambda child: child._process is reader)  # the next to be asked
     death = threading.Timer(0.2, reader.kill)
     death.start()
-    assert apart.format_said(path) == "numbers"
+    assert sandbox.format_said(path) == "numbers"
     death.join()
 
 
@@ -147,7 +147,7 @@ def test_a_forked_process_has_readers_of_its_own(path):
     next(stream)
     child = os.fork()
     if not child:
-        os._exit(7 if apart.format_said(path) == "numbers" else 1)
+        os._exit(7 if sandbox.format_said(path) == "numbers" else 1)
     assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 7
     assert len(list(stream)) == 6
 
@@ -169,9 +169,9 @@ def test_a_forked_process_is_told_that_it_cannot_read_on(path):
 
 def test_a_reader_ends_with_whom_it_reads_for_and_hears_no_interruption(path):
     code = (
-        "import os, signal, sys; from pathlib import Path; from cgid.store import apart; path = Path(sys.argv[1]);"
-        "apart.format_said(path); (child,) = apart._alive; os.kill(child._process.pid, signal.SIGINT);"
-        "print(child._process.pid, apart.format_said(path), flush=True); os.kill(os.getpid(), signal.SIGKILL)"
+        "import os, signal, sys; from pathlib import Path; from cgid.store import sandbox; path = Path(sys.argv[1]);"
+        "sandbox.format_said(path); (child,) = sandbox._alive; os.kill(child._process.pid, signal.SIGINT);"
+        "print(child._process.pid, sandbox.format_said(path), flush=True); os.kill(os.getpid(), signal.SIGKILL)"
     )
     done = subprocess.run([sys.executable, "-c", code, path], cwd=ROOT, capture_output=True, text=True)
     pid, said = done.stdout.split()
@@ -187,9 +187,9 @@ def test_a_reader_ends_with_whom_it_reads_for_and_hears_no_interruption(path):
 
 
 def test_paths_are_those_of_the_one_who_asks(path, monkeypatch):
-    apart.format_said(path)
+    sandbox.format_said(path)
     monkeypatch.chdir(path.parent)
-    assert apart.format_said(Path("numbers.h5")) == "numbers"
+    assert sandbox.format_said(Path("numbers.h5")) == "numbers"
     with pytest.raises(BadData, match=r"^numbers\.h5: this HDF5 file must be a cgid dataset"):
         Dataset("numbers.h5")
 
@@ -216,21 +216,21 @@ def test_a_pipe_is_no_file(tmp_path):
         b'{"arrays": [["x", "<f8", [1000000000000]]]}\n',
         b'{"arrays": [["x", "<f8", [4]]]}\n' + bytes(31),
         b'{"arrays": 3}\n',
-        b"x" * (wire.LONGEST_LINE + 2),
+        b"x" * (sandbox.LONGEST_LINE + 2),
     ],
 )
 def test_answers_that_make_no_sense_are_refused_before_room_is_made(line):
-    with pytest.raises(wire.BrokenWire):
-        wire.receive(io.BytesIO(line), 1 << 20)
+    with pytest.raises(sandbox.BrokenWire):
+        sandbox.receive(io.BytesIO(line), 1 << 20)
 
 
 @pytest.mark.parametrize("dtype", ["<f4", ">f8", "u1", "S7", "?", "c16"])
 def test_what_is_sent_arrives(dtype):
     array = np.ones((3, 4), dtype)[::2].T
     stream = io.BytesIO()
-    wire.send(stream, {"value": {"a": [1.5, "ü", None]}}, {"x": array, "none": array[:0]})
+    sandbox.send(stream, {"value": {"a": [1.5, "ü", None]}}, {"x": array, "none": array[:0]})
     stream.seek(0)
-    message, arrays = wire.receive(stream, 1 << 20)
+    message, arrays = sandbox.receive(stream, 1 << 20)
     assert message == {"value": {"a": [1.5, "ü", None]}}
     for name, wanted in (("x", array), ("none", array[:0])):
         np.testing.assert_array_equal(arrays[name], wanted, strict=True)
@@ -249,12 +249,12 @@ def test_a_packing_whose_library_is_missing_is_named(tmp_path, monkeypatch):
     np.testing.assert_array_equal(KINDS["dataset"].read(tmp_path / "zstd.h5")[0], wanted)
     (tmp_path / "hdf5plugin.py").write_text("raise ImportError\n")
     monkeypatch.syspath_prepend(tmp_path)
-    apart._end_all()
+    sandbox._end_all()
     try:
         with pytest.raises(MissingExtra, match=r"Zstandard need hdf5plugin.*cgid\[compression\]"):
             Dataset(tmp_path / "zstd.h5")
     finally:
-        apart._end_all()
+        sandbox._end_all()
 
 
 @pytest.mark.parametrize("kinds", few([["table"], list(KINDS)]))
@@ -287,9 +287,9 @@ def test_the_watch_sees_what_it_watches_for(tmp_path):
 
 
 def test_headers_are_what_json_can_hold(path):
-    apart._end_all()
+    sandbox._end_all()
     KINDS["dataset"].write(path)
-    about = apart.call("shard_header", path)
+    about = sandbox.call("shard_header", path)
     assert json.loads(json.dumps(about)) == about and about["n_signals"] == 24
 
 
@@ -298,8 +298,8 @@ def test_a_reader_that_is_held_up_ends_by_itself(tmp_path, rests, code):
     """By a pipe that nobody writes into, which takes no time of the processor."""
     (tmp_path / "file").write_bytes(b"")
     script = (
-        "import os, select, sys; from cgid.store import limits; limits._CLOCK, limits._LATER = 0.05, 0.05\n"
-        "limits.begin(sys.argv[1]); sys.argv[2] == 'True' and limits.rest()\n"
+        "import os, select, sys; from cgid.store import sandbox; sandbox._CLOCK, sandbox._LATER = 0.05, 0.05\n"
+        "sandbox.begin(sys.argv[1]); sys.argv[2] == 'True' and sandbox.rest()\n"
         "select.select([os.pipe()[0]], [], [], 0.5 if sys.argv[2] == 'True' else 60)"
     )
     done = subprocess.run([sys.executable, "-c", script, str(tmp_path / "file"), str(rests)], capture_output=True)

@@ -1,4 +1,10 @@
-"""HDF5 files are read in processes of their own, with limits of time and memory.
+"""What goes between a process and the one that reads for it: a line of JSON, and behind it the bytes of arrays.
+
+Nothing in it can make the receiver run anything, as pickle could, and its sizes are looked at before room is made.
+
+How much time and memory a process that reads strangers' files may take; it sets these limits on itself.
+
+HDF5 files are read in processes of their own, with limits of time and memory.
 
 The HDF5 library trusts files: one changed bit can make it search for ever, take all memory or crash, and nothing within
 a process can stop it. So this process never opens them. It asks another (`_reader`), which answers with plain numbers
@@ -10,21 +16,184 @@ from __future__ import annotations
 
 import atexit
 import json
+import math
 import os
+import re
 import signal
 import subprocess
 import sys
 import threading
-from collections.abc import Generator, Iterator
+from collections.abc import Generator, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
+import numpy as np
 from numpy.typing import NDArray
 
 from cgid import errors
 from cgid.errors import BadData, CgidError
-from cgid.store import limits, wire
+
+#: Bytes of a line; a header or a survey takes a small part of it.
+LONGEST_LINE = 16 << 20
+#: Plain numbers and texts of fixed length; `dtype.str` says them so.
+_PLAIN = re.compile(r"[<>|][biufc][0-9]{1,2}|\|S[1-9][0-9]{0,8}")
+_MOST_ARRAYS, _MOST_AXES = 100_000, 32
+
+
+class BrokenWire(Exception):
+    """What came is no message, or none came."""
+
+
+def send(stream: IO[bytes], message: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]] | None = None) -> None:
+    """Write a message and its arrays.
+
+    Raises
+    ------
+    BrokenWire
+        It is longer than a message may be, or JSON cannot hold it.
+    """
+    parts = {name: np.ascontiguousarray(array) for name, array in (arrays or {}).items()}
+    said = [[name, part.dtype.str, list(part.shape)] for name, part in parts.items()]
+    try:
+        line = json.dumps({**message, "arrays": said}, separators=(",", ":")).encode()
+    except (TypeError, ValueError, RecursionError) as error:
+        raise BrokenWire(f"what JSON cannot hold: {error}") from None
+    if len(line) >= LONGEST_LINE:
+        raise BrokenWire(f"a message of {len(line)} bytes")
+    stream.write(line + b"\n")
+    for part in parts.values():
+        if part.size:
+            stream.write(part.reshape(-1).view(np.uint8).data)
+    stream.flush()
+
+
+def receive(stream: IO[bytes], largest: int) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
+    """Return a message and its arrays.
+
+    Parameters
+    ----------
+    stream : file
+    largest : int
+        Bytes that the arrays may take together.
+
+    Raises
+    ------
+    BrokenWire
+        The other end is gone, or says what it must not.
+    """
+    line = stream.readline(LONGEST_LINE + 1)
+    if not line.endswith(b"\n"):
+        raise BrokenWire("no line")
+    try:
+        message = json.loads(line)
+    except (ValueError, RecursionError):
+        raise BrokenWire("no JSON") from None
+    if not isinstance(message, dict):
+        raise BrokenWire("no message")
+    said = message.pop("arrays", None)
+    if not isinstance(said, list) or len(said) > _MOST_ARRAYS or not all(map(_is_plain, said)):
+        raise BrokenWire("no plain arrays")
+    try:
+        kinds = {name: (np.dtype(kind), tuple(shape)) for name, kind, shape in said}
+    except TypeError:
+        raise BrokenWire("no such type") from None
+    if sum(dtype.itemsize * math.prod(shape) for dtype, shape in kinds.values()) > largest:
+        raise BrokenWire("more than was asked for")
+    return message, {name: _filled(stream, dtype, shape) for name, (dtype, shape) in kinds.items()}
+
+
+def _is_plain(said: Any) -> bool:
+    if not isinstance(said, list) or len(said) != 3:
+        return False
+    name, kind, shape = said
+    return (
+        isinstance(name, str)
+        and isinstance(kind, str)
+        and _PLAIN.fullmatch(kind) is not None
+        and isinstance(shape, list)
+        and len(shape) <= _MOST_AXES
+        and all(type(length) is int and length >= 0 for length in shape)
+    )
+
+
+def _filled(stream: IO[bytes], dtype: np.dtype[Any], shape: tuple[int, ...]) -> NDArray[Any]:
+    array = np.empty(shape, dtype)
+    if array.size:
+        rest = array.reshape(-1).view(np.uint8).data
+        while len(rest):
+            count = stream.readinto(rest)  # type: ignore[attr-defined]
+            if not count:
+                raise BrokenWire("cut off")
+            rest = rest[count:]
+    return array
+
+
+#: Of the processor for one answer [s], and bytes of the file for a second more: the slowest packing takes a tenth.
+_SECONDS, _BYTES_A_SECOND = 1.0, 32 << 20
+#: The clock is only a wide net [times as long]: a busy machine or a slow disk is no reason to break off.
+_CLOCK = 60
+#: Who asks breaks off first, and says why; so much later the process ends by itself [s].
+_LATER = 5.0
+#: Beyond what Python and its libraries take, and what an answer was allowed [bytes].
+_SPARE = 128 << 20
+_base = 0
+
+
+def seconds_for(path: str | Path) -> float:
+    """Return how long the processor may work at one answer from this file [s]."""
+    with suppress(OSError):
+        about = Path(path).stat()
+        # A file full of holes claims any size; Windows does not say what lies on the disk.
+        stored = min(about.st_size, 512 * getattr(about, "st_blocks", about.st_size))
+        return _SECONDS + stored / _BYTES_A_SECOND
+    return _SECONDS
+
+
+def patience_for(path: str | Path) -> float:
+    """Return how long to wait for one answer from this file, by the clock [s]."""
+    return _CLOCK * seconds_for(path)
+
+
+def settle() -> None:
+    """Take what this process has now as what it needs by itself; leave no core behind."""
+    global _base
+    with suppress(ImportError):  # only Unix has it; elsewhere the patience of the other process is all there is
+        import resource
+
+        resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+        with suppress(OSError, ValueError):
+            pages = int(Path("/proc/self/statm").read_bytes().split()[5])
+            _base = pages * resource.getpagesize()
+
+
+def begin(path: str | Path) -> None:
+    """Begin an answer from this file: its time runs from now on."""
+    if hasattr(signal, "setitimer"):
+        # Its signal, which nobody waits for, ends the process; a limit of the processor's time counts whole seconds.
+        signal.setitimer(signal.ITIMER_PROF, seconds_for(path))
+        # A device that blocks takes no time of the processor, and who asks may be gone: nobody else would end this.
+        signal.setitimer(signal.ITIMER_REAL, patience_for(path) + _LATER)
+    allow(0)
+
+
+def rest() -> None:
+    """Let nothing but the processor's time run while an answer waits to be taken."""
+    if hasattr(signal, "setitimer"):
+        signal.setitimer(signal.ITIMER_REAL, 0.0)
+
+
+def allow(size: int) -> None:
+    """Let this answer take so many bytes beyond the rest."""
+    if not _base:
+        return
+    import resource
+
+    _, hard = resource.getrlimit(resource.RLIMIT_DATA)
+    soft = _base + _SPARE + size
+    with suppress(OSError, ValueError):
+        resource.setrlimit(resource.RLIMIT_DATA, (soft if hard == resource.RLIM_INFINITY else min(soft, hard), hard))
+
 
 #: Bytes of arrays of one answer, where the caller does not say more.
 LARGEST_ANSWER = 64 << 20
@@ -145,8 +314,8 @@ class _Child:
 
             fcntl.fcntl(self._output, fcntl.F_SETPIPE_SZ, _PIPE)
         try:
-            wire.receive(self._output, 0)
-        except wire.BrokenWire:
+            receive(self._output, 0)
+        except BrokenWire:
             said = self._errors.read().decode(errors="replace").strip().rpartition("\n")[2]
             self.end()
             raise CgidError(
@@ -179,7 +348,7 @@ class _Child:
                 "anew here"
             )
         self.in_step = False
-        patience = threading.Timer(limits.patience_for(path), self._lose_patience)
+        patience = threading.Timer(patience_for(path), self._lose_patience)
         patience.daemon = True
         try:
             patience.start()
@@ -189,8 +358,8 @@ class _Child:
         try:
             if message is not None:
                 self._tell(message)
-            found = wire.receive(self._output, largest)
-        except (OSError, ValueError, wire.BrokenWire) as error:
+            found = receive(self._output, largest)
+        except (OSError, ValueError, BrokenWire) as error:
             raise BadData(
                 f"{source}: the HDF5 library {self._end_told(error)} on this file; it is damaged or hostile: copy it "
                 "again, or leave it out"
@@ -231,7 +400,7 @@ class _Child:
         code = self._process.returncode
         if self._late or code == -getattr(signal, "SIGPROF", 0):
             return "did not come to an end"
-        if isinstance(error, wire.BrokenWire) and code == -getattr(signal, "SIGKILL", 0):
+        if isinstance(error, BrokenWire) and code == -getattr(signal, "SIGKILL", 0):
             return "gave an answer that makes no sense"
         return "crashed"
 
