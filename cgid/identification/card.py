@@ -16,13 +16,12 @@ from typing import Any
 from urllib.parse import quote
 
 from cgid.errors import CannotCreate
-from cgid.files import check_new
+from cgid.files import check_new, write_together
 from cgid.identification.detection import VIBRATION_DEAD_TIME
 from cgid.identification.drop_height import KNOWN
 from cgid.identification.model import Model
 from cgid.identification.training import Training
 from cgid.terminal import printable
-from cgid.together import write_together
 
 #: Signs that Markdown, or the HTML in it, makes something of within a line; an underscore only beside a word.
 _MARKS = re.compile(r"[\\`*\[\]<>&|~]|\b_|_\b|(?<=_)_|_(?=_)")

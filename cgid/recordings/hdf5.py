@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 def read_own(path: Path) -> Contents:
     """Return the one channel of a recording made by `cgid generate`."""
-    from cgid.store.recording import Recording
+    from cgid.store.reading import Recording
 
     recording = Recording(path)
 

@@ -19,7 +19,6 @@ from cgid.reproduction.finite_element_figures import SIMULATED_FIGURES
 from cgid.reproduction.report import write_report
 from cgid.reproduction.study import N_CASES, STUDY_FILE, Study, packed, run_study, shipped_study, unpacked
 from cgid.reproduction.tables import TABLES, PaperTable, table_3
-from cgid.together import write_together
 
 REPORT = "report.md"
 _N_WRITTEN = len(TABLES) + 1 + len(FIGURES) + len(SIMULATED_FIGURES) + 1

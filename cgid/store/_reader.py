@@ -25,7 +25,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cgid.errors import BadData, CgidError
-from cgid.signals import UNITS
 from cgid.store import _foreign, sandbox
 from cgid.store._checks import DAMAGE, attributes_of, bytes_of, chunk_bytes, members, opened, plain_dataset
 from cgid.store.description import (
@@ -39,6 +38,7 @@ from cgid.store.description import (
     require_scene,
     require_schema,
 )
+from cgid.units import UNITS
 from cgid.validation import RATES
 
 #: Labels and names are shorter [bytes].

@@ -1,30 +1,6 @@
 """Writing a dataset: one file, a folder of shards, or an existing dataset as one plain file for other tools."""
 
 from __future__ import annotations
-from cgid.errors import CannotCreate
-from cgid.files import check_new
-from cgid.files import clear_half_written
-from cgid.files import require_room
-from cgid.files import whole_file
-from cgid.files import write_whole
-from cgid.store.description import DATASET_FILES
-from cgid.store.description import FORMAT
-from cgid.store.description import LARGEST_SHARD
-from cgid.store.description import is_entry
-from cgid.store.hdf5 import ShardBuilder
-from cgid.store.hdf5 import ShardPlan
-from cgid.store.hdf5 import hdf5_on_disk
-from cgid.store.hdf5 import lay_out
-from cgid.store.hdf5 import say_kind
-from cgid.store.reading import Dataset
-from cgid.store.run import SUFFIXES
-from cgid.store.run import Goal
-from cgid.store.run import Run
-from cgid.store.run import begun
-from cgid.store.run import is_single_file
-from cgid.store.run import taking_part
-from cgid.store.verification import compression_of
-from cgid.store.verification import examine_whole
 
 import copy
 import hashlib
@@ -38,13 +14,22 @@ from typing import Any
 import h5py
 import numpy as np
 
-from cgid.errors import BadData, InvalidValue, NoInput
-from cgid.signals import Batch, Signal
-from cgid.store import apart
-from cgid.store.header import ShardHeader, text_of
-from cgid.store.identity import Identity
-from cgid.store.manifest import LINKED, MANIFEST, Manifest, ShardEntry, read_manifest
-from cgid.units import quantity_of
+from cgid.errors import BadData, CannotCreate, InvalidValue
+from cgid.files import check_new, clear_half_written, require_room, whole_file, write_whole
+from cgid.signals import Batch
+from cgid.store.description import (
+    DATASET_FILES,
+    FORMAT,
+    LARGEST_SHARD,
+    MANIFEST,
+    ShardEntry,
+    is_entry,
+)
+from cgid.store.hdf5 import ShardBuilder, ShardPlan, hdf5_on_disk, lay_out, say_kind
+from cgid.store.manifest import Manifest, read_manifest
+from cgid.store.reading import Dataset
+from cgid.store.run import SUFFIXES, Goal, Run, begun, is_single_file, taking_part
+from cgid.store.verification import compression_of, examine_whole
 
 #: A manifest of this many shards takes some 100 MB, which readers hold in memory.
 MOST_SHARDS = 300_000

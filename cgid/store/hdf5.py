@@ -43,9 +43,10 @@ from numpy.typing import NDArray
 from cgid.counting import count
 from cgid.errors import BadData, InvalidValue
 from cgid.files import require_room, whole_file
-from cgid.signals import Batch, quantity_of
+from cgid.signals import Batch
 from cgid.store.compression import BY_PLUGIN, deflated, keywords
 from cgid.store.description import LARGEST_RECORDING, RECORDING_FORMAT, RECORDING_SCHEMA_VERSION
+from cgid.units import quantity_of
 
 if TYPE_CHECKING:
     import h5py

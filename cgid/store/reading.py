@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cgid.errors import BadData, InvalidValue, NoInput
-from cgid.signals import Batch, Signal, quantity_of
+from cgid.signals import Batch, Signal
 from cgid.store import sandbox
 from cgid.store.description import (
     LINKED,
@@ -36,6 +36,7 @@ from cgid.store.description import (
     read_manifest,
     text_of,
 )
+from cgid.units import quantity_of
 
 
 class Identity:
