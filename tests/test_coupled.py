@@ -15,7 +15,7 @@ from cgid.physics import (
     Sphere,
     ThinPlate,
     Viscoelastic,
-    modal_curves,
+    coupled,
 )
 from cgid.physics.materials import STEEL, YANG2018_SPHERES
 from tests import few
@@ -329,9 +329,9 @@ def test_momentum_is_kept(many):
 
 
 def test_more_nodes_shorter_steps_and_a_smaller_tail_give_the_same(many, monkeypatch):
-    monkeypatch.setattr(modal_curves, "N_NODES", 20)
-    monkeypatch.setattr(modal_curves, "N_TIMES", 36)
-    monkeypatch.setattr(modal_curves, "_LARGEST_PHASE", 9.0)
+    monkeypatch.setattr(coupled, "N_NODES", 20)
+    monkeypatch.setattr(coupled, "N_TIMES", 36)
+    monkeypatch.setattr(coupled, "_LARGEST_PHASE", 9.0)
     given = {name: getattr(many, name) for name in many.__dataclass_fields__}
     finer = ModalImpact(**{**given, "tolerance": 1e-12})
     assert (finer.contacts == many.contacts).all()

@@ -6,8 +6,7 @@ import pytest
 
 from cgid.errors import InvalidValue
 from cgid.physics import RIGID, Elastic, HalfSpace, HuntCrossley, Impact, Sphere, Viscoelastic
-from cgid.physics.materials import STEEL, YANG2018_SPHERES, Material
-from cgid.physics.sensitivity import (
+from cgid.physics.inverse import (
     PARAMETERS,
     local_sensitivity,
     ordering,
@@ -15,6 +14,7 @@ from cgid.physics.sensitivity import (
     range_influence,
     response_grid,
 )
+from cgid.physics.materials import STEEL, YANG2018_SPHERES, Material
 
 RESPONSES = ("peak_force", "peak_displacement")
 HELD = {

@@ -4,11 +4,11 @@ Dimensionless as in `_taylor` (x approach, y velocity of the sphere, f force, mu
 
     y' = gamma - f,  Q_r'' + 2 z w Q_r' + w^2 Q_r = f,  x' = y - sum of mu_r Q_r',  f = x^(3/2) (1 + D x')
 
-The modes are linear, so they are not integrated: with a = Q' + (z w + i w_d) Q, a' = lambda a + f is exact to any
-step, lambda = i w_d - z w, and what they give back is one number, the velocity of the point of impact. Each step
+The modes are linear and need no integration: with a = Q' + (z w + i w_d) Q, a' = lambda a + f is exact to any
+step, lambda = i w_d - z w, and all they return is one number, the velocity of the point of impact. Each step
 sums over the modes what that velocity is without a force (polynomial through Chebyshev times), solves the force at
 Gauss nodes against it and against the modes' answer to a unit impulse, and gives every mode its integral of the
-force. The cost of the nonlinear part does not know how many modes there are.
+force. The cost of the nonlinear part does not depend on the number of modes.
 
 Where 1 + D x' would become negative the beam runs from the sphere faster than the material recovers: the sphere is
 released, without attraction, until it parts or is pressed again.
@@ -28,12 +28,11 @@ from cgid.physics.collocation import FROM_TOUCH, TO_SEPARATION, WITHIN, Collocat
 
 Array = NDArray[Any]
 
-
-#: What became of an impact.
+#: Outcomes of an impact.
 SEPARATED, STAYS, OUT_OF_REACH = 0, 1, 2
-#: Steps of one impact, contacts of one impact, and trials of one step; what needs more is beyond the reach.
+#: Largest numbers of steps and of contacts of an impact, and of trials of a step.
 MOST_STEPS, MOST_CONTACTS, _MOST_TRIALS = 4096, 64, 60
-#: A contact that lasts so long under its weight does not end.
+#: A contact that lasts longer than this under its weight does not end [T0].
 _FOR_GOOD = 1e3
 #: Columns of the results, in units of L, T0, v, m and K L^(3/2).
 RESULTS = (
@@ -54,22 +53,9 @@ RESULTS = (
     "end_level",
 )
 (
-    _STATUS,
-    _RESTITUTION,
-    _CONTACTS,
-    _PEAK,
-    _TIME_OF_PEAK,
-    _FIRST,
-    _END,
-    _DEPTH,
-    _TIME_OF_DEPTH,
-    _IMPULSE,
-    _WORK,
-    _LOSS,
-    _MODAL,
-    _END_DEPTH,
-    _LEVEL,
-) = range(len(RESULTS))
+    _STATUS, _RESTITUTION, _CONTACTS, _PEAK, _TIME_OF_PEAK, _FIRST, _END, _DEPTH,
+    _TIME_OF_DEPTH, _IMPULSE, _WORK, _LOSS, _MODAL, _END_DEPTH, _LEVEL,
+) = range(len(RESULTS))  # fmt: skip
 #: Columns of a step in the course of an impact: kind, time of its start, its length, then n Legendre coefficients
 #: of the force and n of the displacement.
 KIND, START, LENGTH, COEFFICIENTS = 0, 1, 2, 3
@@ -240,7 +226,7 @@ def _eliminate(matrix: Array) -> None:
 def _attempt(
     rule: Collocation, kind: int, h: float, longest: float, damping: float, weight: float, state: Array, s: Scratch
 ) -> bool:
-    """Solve one step of length h by Newton's method, from the force that stands in s.force; tell if it converged."""
+    """Solve one step of length h by Newton's method, from the force in s.force; return whether it converged."""
     _prepare(rule, kind, h, longest, s)
     n = s.force.size
     place, integral, measure = rule.place[kind], rule.integral[kind], rule.measure[kind]
@@ -335,7 +321,7 @@ def _crest(coefficients: Array, values: Array, rule: Collocation) -> tuple[float
 
 @inner_jit
 def _tail(s: Scratch, scale: float) -> float:
-    """Return what the series of the force leaves out, over the largest force."""
+    """Return the truncation error of the series of the force, over the largest force."""
     n = s.force.size
     for i in range(n):
         scale = max(scale, abs(s.force[i]))
@@ -420,7 +406,7 @@ def _to_release(
 
 @inner_jit
 def _pressed(s: Scratch) -> bool:
-    """Tell if the sphere is in contact all through the step."""
+    """Return whether the sphere is in contact all through the step."""
     for i in range(s.depth.size):
         if s.depth[i] <= 0.0:
             return False
@@ -466,7 +452,7 @@ def _step(
 ) -> tuple[int, float, bool, float]:
     """Find a step that the nodes resolve: kind, length, whether the sphere is free after it, length to try next.
 
-    A length of 0 is none.
+    A length of 0 means that there is none.
     """
     n = s.force.size
     h, kind = min(wish, longest), FROM_TOUCH if state[_X] == 0.0 else WITHIN
@@ -579,7 +565,7 @@ def _fly(
     state: Array,
     s: Scratch,
 ) -> int:
-    """Follow sphere and modes without a force until they meet again or the window is over."""
+    """Follow sphere and modes without a force until they meet again or the window ends."""
     n_times = rule.times.size
     rate, depth, turn = np.empty(n_times), np.empty(n_times), np.empty(n_times)
     s.moments[:] = 0.0
@@ -765,7 +751,7 @@ def follow(
     first_step: Array,
     results: Array,
 ) -> int:
-    """Solve some impacts, in this order, until all are done or the course has no more room; return how many are.
+    """Solve some impacts, in this order, until all are done or the course is full; return how many are done.
 
     decay, angular and loss (modes,) are z w [1/s], w_d [1/s] and z / sqrt(1 - z^2), participation (impacts, modes) is
     in 1/kg, parameters (impacts, 6) are D, gamma, window over T0, mass [kg], T0 [s] and longest step [s]. course

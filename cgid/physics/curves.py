@@ -1,4 +1,11 @@
-"""The dimensionless curves of a batch of impacts, each by the cheapest way that is exact.
+"""Which form of a kernel serves: compiled, or for an impact or two the same functions interpreted.
+
+Compiling takes seconds, once after installing; interpreted, a pulse takes milliseconds to some tens of them. Both do
+the same operations in the same order, so they give the same bits.
+
+Threads that share the rows of a batch: compiled kernels let go of the interpreter's lock.
+
+The dimensionless curves of a batch of impacts, each by the cheapest way that is exact.
 
 Four numbers say all of an impact: the material's restitution (or Hunt-Crossley damping, its other name), zeta,
 lambda and gamma of `cgid.physics._taylor`. Where the last three are zero the impact is *plain*: its peaks are
@@ -8,9 +15,12 @@ else is integrated. This is where it is decided what runs.
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property, partial
+from types import FunctionType, ModuleType
 from typing import Any, Literal
 
 import numpy as np
@@ -20,11 +30,62 @@ from cgid import family
 from cgid.counting import count, counting
 from cgid.elementary import power
 from cgid.errors import InvalidValue
-from cgid.physics.closed_forms import peak_displacement, peak_force
-from cgid.physics.dispatch import FEW_SAMPLES, kernel
-from cgid.physics.restitution import damping_number
-from cgid.physics.threads import in_threads
+from cgid.physics.closed_forms import damping_number, peak_displacement, peak_force
 from cgid.validation import Floats
+
+#: Samples up to which nothing is compiled: these kernels are interpreted, and numpy evaluates the table.
+FEW_SAMPLES = 4096
+#: Impacts up to which kernels are interpreted, until so many seconds have gone into that.
+_FEW_IMPACTS, _PATIENCE = 4, 2.0
+_spent = 0.0
+
+
+def kernel(module: ModuleType, name: str, n_impacts: int, n_samples: int = 0) -> Callable[..., None]:
+    """Return the kernel of a module for so much work: that of the whole batch, not of the rows that need it."""
+    if n_impacts > _FEW_IMPACTS or n_impacts * n_samples > FEW_SAMPLES or _spent > _PATIENCE:
+        compiled: Callable[..., None] = getattr(module, name)
+        return compiled
+    return partial(_interpret, module, name)
+
+
+def _interpret(module: ModuleType, name: str, *arguments: Any) -> None:
+    global _spent
+    start = time.perf_counter()
+    with np.errstate(all="ignore"):
+        _interpreted(module)[name](*arguments)
+    _spent += time.perf_counter() - start
+
+
+@cache
+def _interpreted(module: ModuleType) -> dict[str, Callable[..., None]]:
+    """Return the kernels of a module as plain Python functions, which call each other as such."""
+    names = dict(vars(module))
+    for name, function in vars(module).items():
+        if hasattr(function, "py_func"):
+            names[name] = FunctionType(function.py_func.__code__, names)
+    return names
+
+
+#: Rows below which another thread does not pay, and those after which Python may look for an interruption.
+_LEAST, _MOST = 200, 1024
+
+
+def in_threads(run: Callable[..., None], arguments: tuple[Any, ...], rows: NDArray[np.intp], threads: int) -> None:
+    """Call a kernel, which lets go of the interpreter's lock, for parts of the rows, in threads if there are several.
+
+    No part takes long, so that Ctrl-C is heard.
+    """
+    threads = max(min(threads, -(-rows.size // _LEAST)), 1)
+    parts = np.array_split(rows, max(threads, -(-rows.size // _MOST)))
+    each = pool(threads).map if threads > 1 else map
+    list(each(lambda part: run(*arguments, part), parts))
+
+
+@cache
+def pool(threads: int) -> ThreadPoolExecutor:
+    """Return threads that are kept: starting them anew takes as long as a hundred pulses."""
+    return ThreadPoolExecutor(threads, thread_name_prefix="cgid")
+
 
 Quantity = Literal["force", "displacement"]
 #: Below it the time scales of braking and of leaving lie too far apart for double precision.
@@ -282,9 +343,9 @@ class Curves:
     ) -> None:
         if not rows.size:
             return
-        from cgid.physics import _stepped
+        from cgid.physics import _taylor
 
-        run = kernel(_stepped, "add_to_frames", *frames.shape)
+        run = kernel(_taylor, "add_stepped", *frames.shape)
         numbers = (frames, onset, step, self._parameters, amplitude, self.times[0], n_steps)
         in_threads(run, numbers, rows, threads)
 

@@ -10,9 +10,8 @@ import numpy as np
 from numpy.polynomial import legendre
 from numpy.typing import NDArray
 
-from cgid.elementary import complex_exp, complex_product, modulus, power
+from cgid.elementary import Complex, complex_exp, complex_product, modulus, power
 from cgid.errors import InvalidValue
-from cgid.physics.poles import Complex
 from cgid.validation import Floats
 
 #: Steps of a contact, see `steps_for`: so many for an error of 1, at least, and a sample at most.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 
-from cgid.physics.pulse import HERTZ_LIMIT
+from cgid.physics.impact import HERTZ_LIMIT
 from cgid.reproduction.claims import Claim, all_claims
 from cgid.reproduction.claims.claim import symbol
 from cgid.reproduction.claims.influence import measures

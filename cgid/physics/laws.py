@@ -1,7 +1,22 @@
-"""How the material loses energy: not at all, by Hunt-Crossley damping, or as a viscoelastic solid."""
+"""Hertz contact: the paper's three stiffness theories and the closed forms of an elastic impact.
+
+Every theory has the form `P = K delta^(3/2)`. Hertz's reduced modulus already holds the compliance of both
+bodies, so the paper's own series theory counts it twice, and an independent finite-element run agrees with
+`"hertz"`; all three are kept, and none is chosen silently.
+
+The published damping factors of a Hunt-Crossley contact, each under the name by which it is selected.
+
+All have one form, `P = K delta^(3/2) (1 + chi delta')`, and differ in the damping number `D = chi v` that they
+give a restitution e. All but the exact one are approximations, good near e = 1: what an impact then really
+delivers is `HuntCrossley.delivered_restitution`. Another factor is one more function in the table.
+
+How the material loses energy: not at all, by Hunt-Crossley damping, or as a viscoelastic solid.
+"""
 
 from __future__ import annotations
 
+import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,11 +24,114 @@ from numpy.typing import ArrayLike
 
 from cgid import validation
 from cgid.counting import count
+from cgid.elementary import exp
 from cgid.errors import InvalidValue
 from cgid.physics.bodies import Sphere, Target, sphere_share
-from cgid.physics.damping_factors import HUNT_CROSSLEY_LAWS
-from cgid.physics.restitution import delivered_restitution
+from cgid.physics.closed_forms import damping_number, delivered_restitution
+from cgid.signals import STANDARD_GRAVITY
 from cgid.validation import Floats
+
+#: K over Hertz's `K1 = 4/3 sqrt(R) E`; Yang, Zeng & Wan (2018), Eq. 5-6, 7-8 and 9-13.
+STIFFNESS_THEORIES = {
+    "hertz": 1.0,
+    "rigid-sphere": 8 * np.sqrt(3) / 9,
+    "series": 1 / (1.75 * math.sqrt(1.75)),
+}
+
+
+def contact_stiffness(reduced_radius: ArrayLike, reduced_modulus: ArrayLike, theory: str) -> Floats:
+    """Return K of `P = K delta^(3/2)`.
+
+    Parameters
+    ----------
+    reduced_radius : array_like
+        [m].
+    reduced_modulus : array_like
+        [Pa].
+    theory : {"hertz", "rigid-sphere", "series"}
+        `K1 = 4/3 sqrt(R) E`; `K2 = 8 sqrt(3)/9 K1`; both springs in series, `K1 / 1.75^(3/2)`.
+
+    Returns
+    -------
+    ndarray
+        [N/m^(3/2)].
+
+    Examples
+    --------
+    >>> f"{contact_stiffness(0.025, 2.4265e9, 'hertz'):.4e}"  # Yang 2018, Table 1
+    '5.1155e+08'
+    """
+    factor = STIFFNESS_THEORIES[validation.choice("stiffness", theory, STIFFNESS_THEORIES)]
+    radius = validation.positive("reduced_radius", reduced_radius, "m")
+    modulus = validation.positive("reduced_modulus", reduced_modulus, "Pa")
+    return np.asarray(factor * 4 / 3 * np.sqrt(radius) * modulus)
+
+
+def free_fall_velocity(height: ArrayLike, gravity: float = STANDARD_GRAVITY) -> Floats:
+    """Return the speed after a free fall, `sqrt(2 g H)` [m/s] (Yang 2018, Eq. 15).
+
+    Examples
+    --------
+    >>> round(float(free_fall_velocity(1.0)), 4)
+    4.4287
+    """
+    pull = validation.not_negative("gravity", gravity, "m/s^2")
+    return np.asarray(np.sqrt(2 * pull * validation.not_negative("height", height, "m")))
+
+
+def _hunt_crossley(e: Floats) -> Floats:
+    """Hunt & Crossley (1975), J. Appl. Mech. 42, 440."""
+    return 1.5 * (1 - e)
+
+
+def _herbert_mcwhannell(e: Floats) -> Floats:
+    """Herbert & McWhannell (1977), J. Eng. Ind. 99, 663."""
+    return 6 * (1 - e) / ((2 * e - 1) * (2 * e - 1) + 3)
+
+
+def _lee_wang(e: Floats) -> Floats:
+    """Lee & Wang (1983), J. Mech. Transm. Autom. Des. 105, 534."""
+    return 0.75 * (1 - e)
+
+
+def _lankarani_nikravesh(e: Floats) -> Floats:
+    """Lankarani & Nikravesh (1990), J. Mech. Des. 112, 369."""
+    return 0.75 * (1 - e) * (1 + e)
+
+
+def _gonthier(e: Floats) -> Floats:
+    """Gonthier, McPhee, Lange & Piedboeuf (2004), Multibody Syst. Dyn. 11, 209: their approximation."""
+    return (1 - e) * (1 + e) / e
+
+
+def _zhiying_qishao(e: Floats) -> Floats:
+    """Zhang Zhiying & Lu Qishao (2006)."""
+    return 0.75 * (1 - e) * (1 + e) * exp(2 * (1 - e))
+
+
+def _flores(e: Floats) -> Floats:
+    """Flores, Machado, Silva & Martins (2011), Multibody Syst. Dyn. 25, 357."""
+    return 1.6 * (1 - e) / e
+
+
+def _hu_guo(e: Floats) -> Floats:
+    """Hu & Guo (2015), Multibody Syst. Dyn. 35, 131."""
+    return 1.5 * (1 - e) / e
+
+
+#: Law by name: the damping number D = chi v of the restitution asked for. "exact" delivers what is asked.
+HUNT_CROSSLEY_LAWS: dict[str, Callable[[Floats], Floats]] = {
+    "exact": damping_number,
+    "hunt-crossley": _hunt_crossley,
+    "herbert-mcwhannell": _herbert_mcwhannell,
+    "lee-wang": _lee_wang,
+    "lankarani-nikravesh": _lankarani_nikravesh,
+    "gonthier": _gonthier,
+    "zhiying-qishao": _zhiying_qishao,
+    "flores": _flores,
+    "hu-guo": _hu_guo,
+}
+
 
 #: An impact so damped that it would lie outside the reach of double precision anyway.
 _MOST_DAMPING = 1e100
@@ -49,7 +167,7 @@ class HuntCrossley:
     law : str
         How chi follows from the restitution: "exact", which delivers what is asked, or one of the published
         factors "hunt-crossley", "herbert-mcwhannell", "lee-wang", "lankarani-nikravesh", "gonthier",
-        "zhiying-qishao", "flores", "hu-guo" (`cgid.physics.damping_factors`).
+        "zhiying-qishao", "flores", "hu-guo" (`cgid.physics.laws`).
 
     Raises
     ------

@@ -1,18 +1,121 @@
-"""Modes measured by a tap test: what a user has instead of a model of his beam."""
+"""Modes of a panel: frequencies, damping, modal masses, and shapes at any point.
+
+Modes measured by a tap test: what a user has instead of a model of his beam.
+
+Frequency response of a beam: motion at the sensor over force where it is hit.
+"""
 
 from __future__ import annotations
 
 import csv
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from cgid import validation
 from cgid.errors import BadData, InvalidValue
 from cgid.files import read_regular
+from cgid.physics.plates import Shapes
+from cgid.physics.response import DERIVATIVES
 from cgid.validation import Floats
+
+Point = tuple[ArrayLike, ArrayLike]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Modes:
+    """Natural modes of a rectangular panel, `TailBeam.modes` makes them.
+
+    Mode r moves by `q_r'' + 2 zeta_r omega_r q_r' + omega_r^2 q_r = shape_r(impact) P / m_r`, and a point of the
+    panel by the sum of `shape_r(point) q_r`.
+
+    Parameters
+    ----------
+    frequency : ndarray, (n_modes,)
+        Natural frequencies without damping [Hz], ascending.
+    damping_ratio : ndarray, (n_modes,)
+    modal_mass : ndarray, (n_modes,)
+        Integral of mass per area times shape squared [kg].
+    length, width : float
+        Of the panel [m].
+    shapes : SineShapes or PolynomialShapes
+        Over the unit square; the mean square of each is 1/4.
+    """
+
+    frequency: Floats
+    damping_ratio: Floats
+    modal_mass: Floats
+    length: float
+    width: float
+    shapes: Shapes
+
+    def __post_init__(self) -> None:
+        validation.hold(self, "frequency", "damping_ratio", "modal_mass")
+
+    def shape(self, x: ArrayLike, y: ArrayLike) -> Floats:
+        """Return the shapes of all modes at points of the panel, dimensionless.
+
+        Parameters
+        ----------
+        x, y : array_like
+            From the held edge along the length and from one side over the width [m]; they broadcast.
+
+        Returns
+        -------
+        ndarray, (*points, n_modes)
+
+        Raises
+        ------
+        InvalidValue
+            A point does not lie on the panel.
+        """
+        along, across = validation.broadcast(x=on_panel("x", x, self.length), y=on_panel("y", y, self.width))
+        values = self.shapes.at(along.ravel(), across.ravel())
+        return values.reshape(*along.shape, self.frequency.size)
+
+    def participation(self, impact: Point, sensor: Point) -> Floats:
+        """Return how much each mode carries from one point to another, `shape(impact) shape(sensor) / modal_mass`.
+
+        Parameters
+        ----------
+        impact, sensor : tuple of array_like
+            x and y [m] of where the force acts and of where the motion is measured.
+
+        Returns
+        -------
+        ndarray, (*points, n_modes)
+            [1/kg].
+        """
+        return self.shape(*impact) * self.shape(*sensor) / self.modal_mass
+
+    def up_to(self, frequency: float) -> Modes:
+        """Return only the modes up to a frequency [Hz]; their shapes then cost less, too."""
+        return self.taken(np.flatnonzero(self.frequency <= validation.not_negative("frequency", frequency, "Hz")))
+
+    def taken(self, modes: NDArray[np.intp]) -> Modes:
+        """Return only the modes of these numbers, ascending."""
+        return replace(
+            self,
+            frequency=self.frequency[modes],
+            damping_ratio=self.damping_ratio[modes],
+            modal_mass=self.modal_mass[modes],
+            shapes=self.shapes.taken(modes),
+        )
+
+
+def on_panel(name: str, value: ArrayLike, extent: float) -> Floats:
+    """Return places as a share of a side, or raise."""
+    place = validation.real(name, value, "m")
+    off = np.flatnonzero((place < 0) | (place > extent))
+    if off.size:
+        index = f" at index {off[0]}" if place.ndim else ""
+        raise InvalidValue(
+            f"{name} must lie on the beam, from 0 to {extent:g} m, got {place.ravel()[off[0]]:g} m{index}"
+        )
+    return place / extent
+
 
 #: The columns of a table of modes, with their units.
 COLUMNS = {
@@ -190,3 +293,56 @@ def _require_rule(name: str, value: ArrayLike) -> Floats:
                 f"{name} must be below 1, where a mode ceases to ring, got {numbers.ravel()[over[0]]:g}{index}"
             )
     return numbers
+
+
+def frequency_response(
+    frequency: ArrayLike, modes: Modes | MeasuredModes, participation: Floats, *, quantity: str
+) -> NDArray[np.complex128]:
+    """Return motion over force at given frequencies, `exp(+j omega t)`.
+
+    `sum participation (j omega)^n / (omega_r^2 - omega^2 + 2 j zeta_r omega_r omega)`, n = 0, 1, 2 for receptance,
+    mobility and accelerance: Ewins (2000), Modal Testing, section 2. Modes that were left out above the
+    highest are missing, which shows as a stiffness below them.
+
+    Parameters
+    ----------
+    frequency : array_like, (n_frequencies,)
+        [Hz], 0 or more.
+    modes : Modes or MeasuredModes
+    participation : ndarray, (*points, n_modes)
+        `modes.participation(...)` [1/kg].
+    quantity : {"acceleration", "velocity", "displacement"}
+
+    Returns
+    -------
+    ndarray of complex, (*points, n_frequencies)
+        [m/s^2/N], [m/s/N] or [m/N].
+
+    Raises
+    ------
+    InvalidValue
+        A frequency is negative, the quantity unknown, or the participation is that of other modes.
+
+    Examples
+    --------
+    At its resonance one mode moves as the damping allows, a quarter period behind the force:
+
+    >>> modes = MeasuredModes(
+    ...     frequency=[100.0], damping_ratio=[0.01], modal_mass=[50.0], shape_impact=[1.0], shape_sensor=[1.0]
+    ... )
+    >>> response = frequency_response([100.0], modes, modes.participation(), quantity="acceleration")
+    >>> complex(response[0].round(9))
+    1j
+    """
+    validation.choice("quantity", quantity, DERIVATIVES)
+    asked = np.atleast_1d(validation.not_negative("frequency", frequency, "Hz"))
+    natural, damping = (np.asarray(part, dtype=np.float64) for part in (modes.frequency, modes.damping_ratio))
+    if participation.shape[-1:] != natural.shape:
+        raise InvalidValue(
+            f"participation must have one number for each of the {natural.size} modes in its last axis, got shape "
+            f"{participation.shape}"
+        )
+    omega, natural = 2 * np.pi * asked[:, None], 2 * np.pi * natural
+    each = (1j * omega) ** DERIVATIVES[quantity] / (natural**2 - omega**2 + 2j * damping * natural * omega)
+    # Not a product of matrices, whose last bits hang on the library and its threads.
+    return np.asarray(np.einsum("...m,fm->...f", participation, each))

@@ -1,4 +1,6 @@
-"""Modes of clamped and cantilever panels by Rayleigh and Ritz, in polynomials.
+"""Mode shapes that can be asked for at any point: products of sines, or sums of Legendre polynomials.
+
+Modes of clamped and cantilever panels by Rayleigh and Ritz, in polynomials.
 
 A shape is a sum of products of one-dimensional functions, integrals of Legendre polynomials that keep to the held
 edges; free edges follow from the energy. In these the frequencies fall towards the true ones as the degree rises,
@@ -18,13 +20,176 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.polynomial import legendre
+from numpy.typing import NDArray
 
 from cgid.elementary import matrix_product
+from cgid.physics import _modes
 from cgid.physics.collocation import gauss
-from cgid.physics.tail_beam import _eigen
-from cgid.physics.tail_beam.rigidities import Rigidities
-from cgid.physics.tail_beam.shapes import PolynomialShapes
 from cgid.validation import Floats
+
+Indices = NDArray[np.intp]
+
+#: A term that adds less than this to every mode (a shape's mean square is 1/4) is left out; together at most 1e-6.
+_NEGLIGIBLE = 1e-7
+
+
+@dataclass(frozen=True, kw_only=True)
+class Rigidities:
+    """Bending and twisting of an orthotropic plate [N m] and its mass per area [kg/m^2].
+
+    Its energy per area is `(Dx wxx^2 + 2 D1 wxx wyy + Dy wyy^2 + 4 Dxy wxy^2) / 2`.
+
+    Parameters
+    ----------
+    along : float
+        Dx: bending along x, the ribs' own direction.
+    across : float
+        Dy.
+    coupling : float
+        D1, `nu D` of the skin.
+    twist : float
+        Dxy.
+    mass : float
+        Per area.
+    """
+
+    along: float
+    across: float
+    coupling: float
+    twist: float
+    mass: float
+
+    @property
+    def mixed(self) -> float:
+        """`H = D1 + 2 Dxy` [N m], with which waves run: `D(theta) = Dx c^4 + 2 H c^2 s^2 + Dy s^4`."""
+        return self.coupling + 2 * self.twist
+
+    @property
+    def impedance(self) -> float:
+        """Force over velocity at a point of the infinite plate [kg/s], a real number at every frequency.
+
+        The receptance `1/(4 pi^2) integral dk / (D(theta) k^4 - m omega^2)` with a trace of damping leaves of the
+        integral over |k| half the residue of its pole, so `Z = 16 pi / integral_0^2pi dtheta / sqrt(m D(theta))`. With
+        `t = tan theta` that is a complete elliptic integral, which Gauss's arithmetic-geometric mean gives:
+        `Z = 8 sqrt(m sqrt(Dx Dy)) agm(1, sqrt((1 + H / sqrt(Dx Dy)) / 2))`, for an isotropic plate
+        `8 sqrt(B rho h)`: Cremer, Heckl & Petersson (2005), Structure-Borne Sound, section 4.
+        """
+        mean = math.sqrt(self.along * self.across)
+        return 8 * math.sqrt(self.mass * mean) * _agm(1.0, math.sqrt((1 + self.mixed / mean) / 2))
+
+
+def _agm(a: float, b: float) -> float:
+    """Return Gauss's arithmetic-geometric mean of two positive numbers."""
+    while abs(a - b) > 1e-15 * a:
+        a, b = (a + b) / 2, math.sqrt(a * b)
+    return (a + b) / 2
+
+
+@dataclass(frozen=True, eq=False)
+class SineShapes:
+    """`sin(i pi x) sin(j pi y)` over the unit square: a simply supported panel.
+
+    Parameters
+    ----------
+    along, across : ndarray of int, (n_modes,)
+        i and j, half waves in x and y.
+    """
+
+    along: Indices
+    across: Indices
+
+    def at(self, x: Floats, y: Floats) -> Floats:
+        """Return the shapes (n_points, n_modes) at points (n_points,) of the unit square."""
+        out = np.empty((x.size, self.along.size))
+        if out.size:
+            _modes.sine_shapes(x, y, self.along, self.across, out)
+        return out
+
+    def taken(self, modes: Indices) -> SineShapes:
+        """Return only the modes of these numbers."""
+        return SineShapes(self.along[modes], self.across[modes])
+
+
+@dataclass(frozen=True, eq=False)
+class _Symmetry:
+    """The modes of one symmetry: which they are, and their terms `P_i(2x - 1) P_j(2y - 1)`.
+
+    Parameters
+    ----------
+    modes : ndarray of int, (n_modes,)
+        Their numbers among all modes.
+    along, across : ndarray of int, (n_terms,)
+        i and j of each term.
+    coefficients : ndarray, (n_terms, n_modes)
+        Filled up with zeros, for the kernel to take four terms and sixteen modes at a time.
+    """
+
+    modes: Indices
+    along: Indices
+    across: Indices
+    coefficients: Floats
+
+    def kept(self, columns: Indices, numbers: Indices) -> _Symmetry:
+        """Return these columns under new numbers, without negligible terms."""
+        coefficients = self.coefficients[:, columns]
+        terms = np.flatnonzero(np.abs(coefficients).max(axis=1, initial=0.0) > _NEGLIGIBLE)
+        more_terms, more_modes = -terms.size % 4, -columns.size % 16
+        return _Symmetry(
+            numbers,
+            np.pad(self.along[terms], (0, more_terms)),
+            np.pad(self.across[terms], (0, more_terms)),
+            np.pad(coefficients[terms], ((0, more_terms), (0, more_modes))),
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class PolynomialShapes:
+    """Sums of products of Legendre polynomials over the unit square, those of each symmetry together."""
+
+    symmetries: tuple[_Symmetry, ...]
+
+    @classmethod
+    def of(cls, coefficients: list[Floats], order: Indices) -> PolynomialShapes:
+        """Return shapes given the coefficients (n_degrees_x, n_degrees_y, n_modes) of each symmetry.
+
+        `order` says which of the modes, counted through all symmetries, stands at each place.
+        """
+        place = np.empty(order.size, dtype=np.intp)
+        place[order] = np.arange(order.size)
+        symmetries, start = [], 0
+        for cube in coefficients:
+            modes = place[start : start + cube.shape[2]]
+            start += cube.shape[2]
+            along, across = (index.ravel() for index in np.indices(cube.shape[:2]))
+            table = cube.reshape(along.size, modes.size)
+            # Of a shape and its negative, the one whose largest coefficient is positive.
+            table = table * np.sign(table[np.abs(table).argmax(axis=0), np.arange(modes.size)])
+            symmetries.append(_Symmetry(modes, along, across, table).kept(np.arange(modes.size), modes))
+        return cls(tuple(symmetries))
+
+    def at(self, x: Floats, y: Floats) -> Floats:
+        """Return the shapes (n_points, n_modes) at points (n_points,) of the unit square."""
+        out = np.empty((x.size, sum(symmetry.modes.size for symmetry in self.symmetries)))
+        for symmetry in self.symmetries:
+            if symmetry.modes.size and x.size:
+                part = np.empty((x.size, symmetry.coefficients.shape[1]))
+                _modes.polynomial_shapes(x, y, symmetry.along, symmetry.across, symmetry.coefficients, part)
+                out[:, symmetry.modes] = part[:, : symmetry.modes.size]
+        return out
+
+    def taken(self, modes: Indices) -> PolynomialShapes:
+        """Return only the modes of these numbers."""
+        place = np.full(sum(symmetry.modes.size for symmetry in self.symmetries), -1)
+        place[modes] = np.arange(modes.size)
+        symmetries = []
+        for symmetry in self.symmetries:
+            numbers = place[symmetry.modes]
+            symmetries.append(symmetry.kept(np.flatnonzero(numbers >= 0), numbers[numbers >= 0]))
+        return PolynomialShapes(tuple(symmetries))
+
+
+Shapes = SineShapes | PolynomialShapes
+
 
 #: Relative change of any frequency, when both degrees are raised by `_RISE`, at which the basis is taken as enough.
 TOLERANCE = 1e-5
@@ -131,10 +296,10 @@ class _Panel:
         """Return the standard form of `M v = v K / omega^2`, the factor of the stiffness, and the products' scale."""
         scale = 1 / np.sqrt(np.diag(self.stiffness))
         factor = self.stiffness * scale * scale[:, None]
-        if not _eigen.factorise(factor):
+        if not _modes.factorise(factor):
             raise FloatingPointError("stiffness of a panel is not positive")
         form = np.empty_like(factor)
-        _eigen.standard_form(factor, self.mass * scale * scale, form)
+        _modes.standard_form(factor, self.mass * scale * scale, form)
         return form, factor, scale
 
     def frequencies(self, highest: float) -> Floats:
@@ -148,7 +313,7 @@ class _Panel:
         """
         form, factor, scale = self._standard()
         inverse, vectors = eigenpairs(form, 1 / (highest * highest))
-        _eigen.unfactorised(factor, vectors)
+        _modes.unfactorised(factor, vectors)
         vectors *= scale[:, None] / np.sqrt(inverse)
         cube = vectors.reshape(self.along.functions.shape[1], self.across.functions.shape[1], -1)
         half = matrix_product(self.along.functions, cube).swapaxes(0, 1)
@@ -198,17 +363,17 @@ def eigenpairs(matrix: Floats, lowest: float = -np.inf) -> tuple[Floats, Floats]
     """Return the same and their unit vectors, (n, n_values)."""
     diagonal, beside, values, factors = _tridiagonal(matrix, lowest)
     rows = np.empty((values.size, len(matrix)))
-    _eigen.vectors(diagonal, beside, values, rows)
+    _modes.vectors(diagonal, beside, values, rows)
     columns = np.ascontiguousarray(rows.T)
-    _eigen.turned_back(matrix, factors, columns)
+    _modes.turned_back(matrix, factors, columns)
     return values, columns
 
 
 def _tridiagonal(matrix: Floats, lowest: float) -> tuple[Floats, Floats, Floats, Floats]:
     n = len(matrix)
     diagonal, beside, factors, values = np.empty(n), np.empty(n - 1), np.empty(n), np.empty(n)
-    _eigen.tridiagonalise(matrix, diagonal, beside, factors)
-    return diagonal, beside, values[: _eigen.largest(diagonal, beside, lowest, values)], factors
+    _modes.tridiagonalise(matrix, diagonal, beside, factors)
+    return diagonal, beside, values[: _modes.largest(diagonal, beside, lowest, values)], factors
 
 
 def _settled(coarse: Floats, fine: Floats) -> bool:
