@@ -150,7 +150,7 @@ def test_each_setting_by_itself(environment: dict[str, str]) -> None:
 
 #: Folders, modules and functions below `cgid/physics` and `cgid/scene` whose results are in no stored signal, and why.
 _NOT_STORED = {
-    "physics/inverse.py: _sought": "seeks a loss for the user",
+    "physics/sensitivity.py: _sought": "seeks a loss for the user",
     "physics/tabulation.py": "made the table of the family once",
     "physics/modes.py: frequency_response": "a picture",
     "scene/calibration": "from a recording to a scene",

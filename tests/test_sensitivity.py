@@ -6,7 +6,8 @@ import pytest
 
 from cgid.errors import InvalidValue
 from cgid.physics import RIGID, Elastic, HalfSpace, HuntCrossley, Impact, Sphere, Viscoelastic
-from cgid.physics.inverse import (
+from cgid.physics.materials import STEEL, YANG2018_SPHERES, Material
+from cgid.physics.sensitivity import (
     PARAMETERS,
     local_sensitivity,
     ordering,
@@ -14,7 +15,6 @@ from cgid.physics.inverse import (
     range_influence,
     response_grid,
 )
-from cgid.physics.materials import STEEL, YANG2018_SPHERES, Material
 
 RESPONSES = ("peak_force", "peak_displacement")
 HELD = {

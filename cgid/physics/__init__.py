@@ -4,15 +4,6 @@ from cgid.physics.bodies import RIGID, HalfSpace, RigidWall, Sphere, ThinPlate
 from cgid.physics.closed_forms import damping_number, delivered_restitution
 from cgid.physics.coupled import ModalImpact
 from cgid.physics.impact import HertzRangeWarning, Impact, ThinPlateWarning
-from cgid.physics.inverse import (
-    Sensitivity,
-    dissipative_constant,
-    local_sensitivity,
-    ordering,
-    plate_thickness,
-    range_influence,
-    response_grid,
-)
 from cgid.physics.laws import (
     HUNT_CROSSLEY_LAWS,
     STIFFNESS_THEORIES,
@@ -21,6 +12,15 @@ from cgid.physics.laws import (
     Viscoelastic,
     contact_stiffness,
     free_fall_velocity,
+)
+from cgid.physics.sensitivity import (
+    Sensitivity,
+    dissipative_constant,
+    local_sensitivity,
+    ordering,
+    plate_thickness,
+    range_influence,
+    response_grid,
 )
 
 __all__ = [

@@ -1,17 +1,13 @@
-"""Restitution <-> damping of a Hunt-Crossley contact, exactly.
+"""Closed forms of a Hunt-Crossley impact: restitution from damping and back, and the peaks.
 
-The contact `m x'' = -K x^(3/2) (1 + chi x')` of impact speed v has one damping number, D = chi v. Its
-first integral (Hunt & Crossley 1975, *J. Appl. Mech.* 42, 440) links D and the restitution e by
-`(1 + e) D = ln[(1 + D) / (1 - e D)]`. With `kappa = (1 - e) / (1 + e)` and `D = 2 t / (1 + e)` this is
+The contact `m x'' = -K x^(3/2) (1 + chi x')` of impact speed v has one damping number, D = chi v. Its first integral
+(Hunt & Crossley 1975, J. Appl. Mech. 42, 440) links D and the restitution e by `(1 + e) D = ln[(1 + D) / (1 - e D)]`.
+With `kappa = (1 - e) / (1 + e)` and `D = 2 t / (1 + e)` this is
 
     coth(t) - 1/t = kappa,
 
-so t is the inverse Langevin function of kappa: no cancellation as e -> 1, no underflow as e -> 0.
-
-What a Hunt-Crossley impact needs no integration for: its peaks, from the damping number alone.
-
-Everything is dimensionless: displacement in units of L, force in `K L^(3/2)`. Source: the first integral of
-Hunt & Crossley (1975), `(2/5) x^(5/2) = G(1) - G(x')` with `G(u) = u/D - ln(1 + D u)/D^2`.
+so t is the inverse Langevin function of kappa: no cancellation as e -> 1, no underflow as e -> 0. The same integral,
+`(2/5) x^(5/2) = G(1) - G(x')` with `G(u) = u/D - ln(1 + D u)/D^2`, gives the peaks, here in units of L and `K L^(3/2)`.
 """
 
 from __future__ import annotations
@@ -37,6 +33,7 @@ def _langevin_series() -> Floats:
 
 _SERIES = _langevin_series()
 _NEWTON_STEPS = 6  # the start value is within 5 %, and each step squares the error
+_PEAK_NEWTON_STEPS = 12
 
 
 def langevin(t: ArrayLike) -> tuple[Floats, Floats]:
@@ -172,9 +169,6 @@ def exponential_rest(p: ArrayLike) -> Floats:
     return np.asarray(np.where(small, x * x / 2 * series, expm1(p) - p), dtype=np.float64)
 
 
-_NEWTON_STEPS_closed_forms = 12
-
-
 def energy_below(damping: ArrayLike) -> Floats:
     """Return `G(1) = 1/D - ln(1 + D)/D^2`, the energy stored at the largest displacement over `m v^2`.
 
@@ -213,7 +207,7 @@ def peak_logarithm(damping: float | Floats) -> Floats:
     a = log1p(np.asarray(damping, dtype=np.float64))
     energy = exponential_rest(a)
     p = np.where(a < 1, 5 / 6 * a * a, np.maximum(a - 0.47, 0.1))
-    for _ in range(_NEWTON_STEPS_closed_forms):
+    for _ in range(_PEAK_NEWTON_STEPS):
         p = p - (1.6 * expm1(p) - p - energy) / (1.6 * exp(p) - 1)
     return np.maximum(p, 0.0)
 

@@ -1,7 +1,4 @@
-"""The dimensionless courses of a batch of impacts on structures given by their modes, solved and kept.
-
-ModalImpact: a sphere on a structure that is given by its modes, contact and modes solved together.
-"""
+"""ModalImpact: an impact on a structure that is given by its modes, contact and modes solved together."""
 
 from __future__ import annotations
 
@@ -28,13 +25,232 @@ N_NODES, N_TIMES = 16, 32
 _LARGEST_PHASE, _LONGEST_STEP = 16.0, 1.2
 #: Modes up to which an impact or two are not worth compiling.
 _FEW_MODES = 256
-#: Steps of an impact for which there is room at first, and steps that are kept in one piece.
+#: Steps of an impact for which memory is allocated at first, and the most steps in one piece of memory.
 _USUAL_STEPS, _PIECE = 64, 16384
+#: Default window for new contacts after the first touch [T0]: about four undamped contacts.
+USUAL_WINDOW = 12.0
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ModalImpact(Impact):
+    """A normal impact of a sphere on a structure that moves in its modes; numbers may be arrays, and they broadcast.
+
+    The structure yields at the point of impact, rings, and may swing back and hit the sphere again. No loss is counted
+    twice: rebound, material loss and energy of the structure add up to the energy of impact and the work of gravity.
+    Use it in place of an `Impact` on a thin plate if waves come back from the edges in time, or if the structure is no
+    plate; the two agree on a large plate with enough modes.
+
+    Parameters
+    ----------
+    sphere : Sphere
+        What falls.
+    target : HalfSpace
+        The material of the structure, for the stiffness of the contact.
+    velocity : array_like
+        Normal impact speed [m/s], above 0.
+    stiffness : {"hertz", "rigid-sphere", "series"}
+        The theory of the contact stiffness (`cgid.physics.laws`).
+    dissipation : Elastic or HuntCrossley
+        Loss in the material alone.
+    gravity : array_like
+        Pull towards the structure [m/s^2], 0 or more, during contact and between contacts.
+    frequency : array_like, (n_modes,)
+        Natural frequencies, undamped [Hz], ascending. There may be none.
+    damping_ratio : array_like, (n_modes,) or one number
+        Above 0 and below 1.
+    compliance : array_like, (..., n_modes)
+        Square of each mode's shape at the point of impact over its modal mass [1/kg], 0 or more. The axes before the
+        last are those of the impacts.
+    residual_compliance : array_like
+        Static compliance at the point of impact of the higher modes that are left out [m/N], 0 or more: the sum of
+        `compliance / (2 pi frequency)^2` over them, or `2 / (pi Z w)` of a thin plate of impedance Z, cut at
+        w [rad/s].
+    window : array_like, optional
+        Time from the first touch [s] within which a new contact may begin; it is then followed to its end. By default
+        12 times T0, about four undamped contacts on a half space.
+    tolerance : float
+        Truncation error of the polynomials of the force over its peak, from 1e-12 to 1e-4. Energies, restitution and
+        the duration of contact are far more accurate.
+
+    Raises
+    ------
+    InvalidValue
+        A number breaks its rule, shapes do not broadcast, the sphere does not rebound, or the impact lies outside the
+        range of double precision.
+
+    Warns
+    -----
+    HertzRangeWarning
+        If the displacement passes a tenth of the radius.
+
+    Notes
+    -----
+    Modes far above the contact contribute compliance: leaving them out makes the structure too stiff, with an error
+    like the inverse of the highest frequency. Their residual compliance becomes one more mode, with the damping of the
+    last one, at sqrt(3) times its frequency: for the modes of a plate, whose compliances are spread evenly in
+    frequency, this is right to second order. On a wide plate, modes up to twice the inverse contact duration then give
+    the restitution of the thin-plate theory within .001 (lambda of .13 and .5).
+
+    Examples
+    --------
+    A mode of 20 kg at 50 Hz hardly moves in a third of a millisecond, so sphere and mode are two free masses:
+
+    >>> from cgid.physics import Elastic, HalfSpace, ModalImpact, Sphere
+    >>> from cgid.physics.materials import STEEL, YANG2018_SPHERES
+    >>> impact = ModalImpact(
+    ...     sphere=Sphere(material=YANG2018_SPHERES[1], radius=0.025),
+    ...     target=HalfSpace(material=STEEL),
+    ...     velocity=2.0,
+    ...     stiffness="hertz",
+    ...     dissipation=Elastic(),
+    ...     frequency=[50.0],
+    ...     damping_ratio=0.01,
+    ...     compliance=[1 / 20],
+    ... )
+    >>> mass = float(impact.reduced_mass)
+    >>> round(float(impact.restitution), 3), round((20 - mass) / (20 + mass), 3)
+    (0.991, 0.991)
+    """
+
+    frequency: ArrayLike
+    damping_ratio: ArrayLike
+    compliance: ArrayLike
+    residual_compliance: ArrayLike = 0.0
+    window: ArrayLike | None = None
+    tolerance: float = 1e-9
+
+    def __post_init__(self) -> None:
+        validation.instance("target", self.target, HalfSpace)
+        validation.instance("dissipation", self.dissipation, Elastic, HuntCrossley)
+        frequency = validation.positive("frequency", self.frequency, "Hz")
+        if frequency.ndim != 1:
+            raise InvalidValue(f"frequency must be a list of modes, got an array of shape {frequency.shape}")
+        validation.ascending("frequency", frequency, "Hz")
+        damping = validation.damping_ratio("damping_ratio", self.damping_ratio)
+        compliance = validation.not_negative("compliance", self.compliance, "1/kg")
+        n_modes = frequency.size
+        if damping.shape not in ((), (n_modes,)) or compliance.shape[-1:] != (n_modes,):
+            raise InvalidValue(
+                f"damping_ratio and the last axis of compliance must have one number for each of the {n_modes} "
+                f"frequencies, got shapes {damping.shape} and {compliance.shape}"
+            )
+        residual = validation.not_negative("residual_compliance", self.residual_compliance, "m/N")
+        if residual.any() and not n_modes:
+            raise InvalidValue("residual_compliance needs a mode above which it lies, got no frequencies")
+        tolerance = validation.real("tolerance", self.tolerance)
+        if tolerance.ndim or not 1e-12 <= tolerance <= 1e-4:
+            raise InvalidValue(f"tolerance must be one number from 1e-12 to 1e-4, got {self.tolerance!r}")
+        if self.window is not None:
+            validation.not_negative("window", self.window, "s")
+            validation.hold(self, "window")
+        validation.hold(self, "frequency", "damping_ratio", "compliance", "residual_compliance")
+        super().__post_init__()
+
+    @cached_property
+    def _given(self) -> dict[str, Floats]:
+        """Numbers of the impact from its parts, broadcast to one shape."""
+        given = super()._given
+        leading = np.empty(np.shape(self.compliance)[:-1])
+        window = np.empty(()) if self.window is None else np.asarray(self.window)
+        residual = np.asarray(self.residual_compliance)
+        others = {"compliance": leading, "residual_compliance": residual, "window": window}
+        shape = validation.broadcast(impacts=given["mass"], **others)[0].shape
+        return {name: np.broadcast_to(numbers, shape) for name, numbers in given.items()}
+
+    def _modes(self, shape: tuple[int, ...]) -> tuple[Floats, Floats, Floats]:
+        """Return frequencies, damping ratios and compliances (*shape, n_modes), the residual one as last mode."""
+        frequency = np.asarray(self.frequency, np.float64)
+        damping = np.broadcast_to(np.asarray(self.damping_ratio, np.float64), frequency.shape)
+        compliance = np.broadcast_to(np.asarray(self.compliance, np.float64), (*shape, frequency.size))
+        residual = np.broadcast_to(np.asarray(self.residual_compliance, np.float64), shape)
+        if not residual.any():
+            return frequency, damping, compliance
+        highest = np.sqrt(3) * frequency[-1]
+        share = residual[..., None] * ((2 * np.pi * highest) * (2 * np.pi * highest))
+        return (
+            np.append(frequency, highest),
+            np.append(damping, damping[-1]),
+            np.concatenate([compliance, share], axis=-1),
+        )
+
+    @cached_property
+    def curves(self) -> ModalCurves:
+        """The dimensionless courses, one row for each impact in C order."""
+        shape, size = self.reduced_mass.shape, self.reduced_mass.size
+        count("coupled_impacts", size)
+        rigid = super().curves
+        frequency, damping_ratio, compliance = self._modes(shape)
+        window = USUAL_WINDOW if self.window is None else np.asarray(self.window) / self.time_scale
+        return _solve(
+            frequency,
+            damping_ratio,
+            # A copy: for a read-only array the kernel would be compiled once more.
+            np.array(compliance.reshape(size, frequency.size), order="C"),
+            rigid.material_restitution,
+            rigid.damping,
+            rigid.weight,
+            np.broadcast_to(window, shape).ravel(),
+            self.reduced_mass.ravel(),
+            self.time_scale.ravel(),
+            float(self.tolerance),
+        )
+
+    def _result(self, name: str) -> Floats:
+        return self._shaped(self.curves.result(name))
+
+    @property
+    def restitution(self) -> Floats:
+        """Speed away from the structure's place at rest after the last contact, over impact speed.
+
+        Negative where the sphere goes on in the direction of the impact.
+        """
+        return self._result("restitution").copy()
+
+    @property
+    def contacts(self) -> NDArray[np.intp]:
+        """How many contacts began within the window."""
+        return self._result("contacts").astype(np.intp)
+
+    @property
+    def contact_duration(self) -> Floats:
+        """Time from touch to the end of the force of the first contact [s]."""
+        return self.time_scale * self._result("contact_time")
+
+    @property
+    def end_of_contact(self) -> Floats:
+        """Time from touch to the end of the force of the last contact [s]."""
+        return self.time_scale * self._result("end")
+
+    @property
+    def radiated_energy(self) -> Floats:
+        """Energy passed to the structure, the work of the force on it over all contacts [J]."""
+        return self._energy_scale * self._result("plate_energy")
+
+    @property
+    def modal_energy(self) -> Floats:
+        """The part of it still in the modes at the end of the last contact [J]."""
+        return self._energy_scale * self._result("modal_energy")
+
+    @property
+    def modal_dissipation(self) -> Floats:
+        """The part of it lost in the modes' damping until then [J]."""
+        return self.radiated_energy - self.modal_energy
+
+    @property
+    def dissipated_energy(self) -> Floats:
+        """Energy lost in the material, the work of the damping force [J]: integrated, not a remainder."""
+        return self._energy_scale * self._result("material_loss")
+
+    @property
+    def energy_error(self) -> Floats:
+        """Rebound, material loss and structure less the energy of impact and of the fall, over the energy of impact."""
+        found = 0.5 * self.restitution**2 + self._result("plate_energy") + self._result("material_loss")
+        return np.asarray(2 * (found - 0.5 - self._shaped(self.curves.weight) * self._result("end_level")))
 
 
 @dataclass(frozen=True)
 class ModalCurves(Curves):
-    """The courses of n impacts, in units of L, T0 and `K L^(3/2)`; all numbers are solved for, none is a closed form.
+    """The courses of n impacts, in units of L, T0 and `K L^(3/2)`; all of them are integrated.
 
     Attributes
     ----------
@@ -43,7 +259,7 @@ class ModalCurves(Curves):
     course : ndarray, (n_steps, n_columns)
         Force and displacement step by step, see `_coupled`.
     begin, end : ndarray, (n,)
-        Which of the steps are an impact's.
+        First step of each impact, and one past its last.
     """
 
     results: Floats
@@ -53,7 +269,7 @@ class ModalCurves(Curves):
 
     @cached_property
     def plain(self) -> NDArray[np.bool_]:
-        """Nowhere."""
+        """False: no result is a closed form."""
         return np.zeros(len(self.results), bool)
 
     @cached_property
@@ -128,7 +344,7 @@ class ModalCurves(Curves):
         in_threads(kernel(_coupled, "add_to_frames", *frames.shape), numbers, np.arange(len(frames)), threads)
 
 
-def solve(
+def _solve(
     frequency: Floats,
     damping_ratio: Floats,
     participation: Floats,
@@ -153,11 +369,11 @@ def solve(
     weight : ndarray, (n,)
         `g L / v^2`.
     window : ndarray, (n,)
-        Time from touch within which a new contact may begin, over T0.
+        Of new contacts, over T0.
     mass, time_scale : ndarray, (n,)
         Of the sphere [kg], and T0 [s].
     tolerance : float
-        What the series of the force may leave out in a step, over the largest force.
+        Truncation error of the force in a step, over the largest force.
     """
     from cgid.physics import _coupled
 
@@ -166,7 +382,7 @@ def solve(
     longest = _longest_steps(angular, time_scale)
     parameters = np.stack([damping, weight, window, mass, time_scale, longest], axis=1)
     results = np.empty((len(mass), len(_coupled.RESULTS)))
-    # One after the other with steps of one length, for which what the modes do freely is tabulated once.
+    # Sorted by the length of their steps: the free motion of the modes is tabulated once for each length.
     left = np.argsort(longest, kind="stable")
     bounds = np.zeros((2, len(mass)), np.intp)
     pieces, total = [], 0
@@ -192,7 +408,7 @@ def solve(
 
 
 def _longest_steps(angular: Floats, time_scale: Floats) -> Floats:
-    """Return what a step may last at most [s], the same for as many impacts as can be."""
+    """Return the longest step of each impact [s], equal for as many impacts as possible."""
     allowed = _LONGEST_STEP * time_scale
     if not angular.size:
         return np.asarray(allowed)
@@ -200,237 +416,3 @@ def _longest_steps(angular: Floats, time_scale: Floats) -> Floats:
     # The least power of two that is not below resolved / allowed, 1 or more.
     fraction, exponent = np.frexp(np.maximum(resolved / allowed, 1.0))
     return np.asarray(np.ldexp(resolved, -(exponent - (fraction == 0.5))))
-
-
-#: Times T0 after touch within which new contacts are followed, if nothing is said: some four undamped contacts.
-USUAL_WINDOW = 12.0
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class ModalImpact(Impact):
-    """A normal impact of a sphere on a structure that moves in its modes; numbers may be arrays, and they broadcast.
-
-    The structure gives way at the point of impact, rings, and may swing back: the sphere can be hit again. No loss is
-    counted twice: rebound, material loss and what the structure was given are together the energy of impact, with what
-    gravity does on the way. It takes the place of an `Impact` on a thin plate where waves come back from the edges,
-    or where the structure is no plate; the two agree on a large plate with enough modes.
-
-    Parameters
-    ----------
-    sphere : Sphere
-        What falls.
-    target : HalfSpace
-        The material of the structure, for the stiffness of the contact.
-    velocity : array_like
-        Normal impact speed [m/s], above 0.
-    stiffness : {"hertz", "rigid-sphere", "series"}
-        The theory of the contact stiffness (`cgid.physics.laws`).
-    dissipation : Elastic or HuntCrossley
-        The material's loss alone.
-    gravity : array_like
-        Pull towards the structure [m/s^2], 0 or more, during contact and between contacts.
-    frequency : array_like, (n_modes,)
-        Natural frequencies, undamped [Hz], ascending. There may be none.
-    damping_ratio : array_like, (n_modes,) or one number
-        Above 0 and below 1.
-    compliance : array_like, (..., n_modes)
-        Square of each mode's shape at the point of impact over its modal mass [1/kg], 0 or more: how lightly the mode
-        is moved there. The axes before the last are those of the impacts.
-    residual_compliance : array_like
-        Static compliance at the point of impact of the modes that were left out above these [m/N], 0 or more: the sum
-        of `compliance / (2 pi frequency)^2` over them, or `2 / (pi Z w)` of a thin plate of impedance Z, cut at
-        w [rad/s].
-    window : array_like, optional
-        Time from the first touch [s] within which a new contact may begin; one that has begun is followed to its end.
-        12 times T0 (some four undamped contacts on a half space) if it is not given.
-    tolerance : float
-        What the polynomials of the force may leave out over its peak, from 1e-12 to 1e-4. Energies, restitution and
-        the duration of contact come out far better than that.
-
-    Raises
-    ------
-    InvalidValue
-        A number breaks its rule, shapes do not broadcast, the sphere does not rebound, or the impact lies outside the
-        reach of double precision.
-
-    Warns
-    -----
-    HertzRangeWarning
-        If the displacement passes a tenth of the radius.
-
-    Notes
-    -----
-    Modes far above the contact take part as well, by giving way: leaving them out makes the structure too stiff, and
-    the error goes like the inverse of the highest frequency. With their residual compliance they are one more mode, as
-    much damped as the last, at sqrt(3) times its frequency: there it stands for the modes of a plate, whose
-    compliances are evenly spread in frequency, to the second order, too. On a wide plate the restitution of the
-    thin-plate theory is then met within .001 by modes up to twice the inverse contact duration (lambda of .13 and .5).
-
-    Examples
-    --------
-    A mode of 20 kg at 50 Hz hardly moves in a third of a millisecond, so sphere and mode are two free masses:
-
-    >>> from cgid.physics import Elastic, HalfSpace, ModalImpact, Sphere
-    >>> from cgid.physics.materials import STEEL, YANG2018_SPHERES
-    >>> impact = ModalImpact(
-    ...     sphere=Sphere(material=YANG2018_SPHERES[1], radius=0.025),
-    ...     target=HalfSpace(material=STEEL),
-    ...     velocity=2.0,
-    ...     stiffness="hertz",
-    ...     dissipation=Elastic(),
-    ...     frequency=[50.0],
-    ...     damping_ratio=0.01,
-    ...     compliance=[1 / 20],
-    ... )
-    >>> mass = float(impact.reduced_mass)
-    >>> round(float(impact.restitution), 3), round((20 - mass) / (20 + mass), 3)
-    (0.991, 0.991)
-    """
-
-    frequency: ArrayLike
-    damping_ratio: ArrayLike
-    compliance: ArrayLike
-    residual_compliance: ArrayLike = 0.0
-    window: ArrayLike | None = None
-    tolerance: float = 1e-9
-
-    def __post_init__(self) -> None:
-        validation.instance("target", self.target, HalfSpace)
-        validation.instance("dissipation", self.dissipation, Elastic, HuntCrossley)
-        frequency = validation.positive("frequency", self.frequency, "Hz")
-        if frequency.ndim != 1:
-            raise InvalidValue(f"frequency must be a list of modes, got an array of shape {frequency.shape}")
-        falling = np.flatnonzero(np.diff(frequency) < 0)
-        if falling.size:
-            at = falling[0]
-            raise InvalidValue(
-                f"frequency must ascend, got {frequency[at + 1]:g} Hz after {frequency[at]:g} Hz at index {at + 1}; "
-                "sort the modes, with their damping ratios and compliances"
-            )
-        damping = validation.positive("damping_ratio", self.damping_ratio)
-        over = damping >= 1
-        if over.any():
-            raise InvalidValue(f"damping_ratio must lie above 0 and below 1, got {damping[over][0]:g}")
-        compliance = validation.not_negative("compliance", self.compliance, "1/kg")
-        n_modes = frequency.size
-        if damping.shape not in ((), (n_modes,)) or compliance.shape[-1:] != (n_modes,):
-            raise InvalidValue(
-                f"damping_ratio and the last axis of compliance must have one number for each of the {n_modes} "
-                f"frequencies, got shapes {damping.shape} and {compliance.shape}"
-            )
-        residual = validation.not_negative("residual_compliance", self.residual_compliance, "m/N")
-        if residual.any() and not n_modes:
-            raise InvalidValue("residual_compliance needs a mode above which it lies, got no frequencies")
-        tolerance = validation.real("tolerance", self.tolerance)
-        if tolerance.ndim or not 1e-12 <= tolerance <= 1e-4:
-            raise InvalidValue(f"tolerance must be one number from 1e-12 to 1e-4, got {self.tolerance!r}")
-        if self.window is not None:
-            validation.not_negative("window", self.window, "s")
-            validation.hold(self, "window")
-        validation.hold(self, "frequency", "damping_ratio", "compliance", "residual_compliance")
-        super().__post_init__()
-
-    @cached_property
-    def _given(self) -> dict[str, Floats]:
-        """What the parts come to, broadcast to one shape."""
-        given = super()._given
-        leading = np.empty(np.shape(self.compliance)[:-1])
-        window = np.empty(()) if self.window is None else np.asarray(self.window)
-        residual = np.asarray(self.residual_compliance)
-        others = {"compliance": leading, "residual_compliance": residual, "window": window}
-        shape = validation.broadcast(impacts=given["mass"], **others)[0].shape
-        return {name: np.broadcast_to(numbers, shape) for name, numbers in given.items()}
-
-    def _modes(self, shape: tuple[int, ...]) -> tuple[Floats, Floats, Floats]:
-        """Return frequencies, damping ratios and compliances (*shape, n_modes), those left out as a mode of its own."""
-        frequency = validation.real("frequency", self.frequency)
-        damping = np.broadcast_to(validation.real("damping_ratio", self.damping_ratio), frequency.shape)
-        compliance = np.broadcast_to(validation.real("compliance", self.compliance), (*shape, frequency.size))
-        residual = np.broadcast_to(validation.real("residual_compliance", self.residual_compliance), shape)
-        if not residual.any():
-            return frequency, damping, compliance
-        highest = np.sqrt(3) * frequency[-1]
-        share = residual[..., None] * ((2 * np.pi * highest) * (2 * np.pi * highest))
-        return (
-            np.append(frequency, highest),
-            np.append(damping, damping[-1]),
-            np.concatenate([compliance, share], axis=-1),
-        )
-
-    @cached_property
-    def curves(self) -> ModalCurves:
-        """The dimensionless courses, one row for each impact in C order."""
-        shape, size = self.reduced_mass.shape, self.reduced_mass.size
-        count("coupled_impacts", size)
-        rigid = super().curves
-        frequency, damping_ratio, compliance = self._modes(shape)
-        window = USUAL_WINDOW if self.window is None else validation.real("window", self.window) / self.time_scale
-        return solve(
-            frequency,
-            damping_ratio,
-            # A copy, for of an array that is read only the kernel would be compiled once more.
-            np.array(compliance.reshape(size, frequency.size), order="C"),
-            rigid.material_restitution,
-            rigid.damping,
-            rigid.weight,
-            np.broadcast_to(window, shape).ravel(),
-            self.reduced_mass.ravel(),
-            self.time_scale.ravel(),
-            float(self.tolerance),
-        )
-
-    @property
-    def _unit_of_energy(self) -> Floats:
-        return self.reduced_mass * self._velocity**2
-
-    def _result(self, name: str) -> Floats:
-        return self._shaped(self.curves.result(name))
-
-    @property
-    def restitution(self) -> Floats:
-        """Speed away from the structure's place at rest after the last contact, over impact speed.
-
-        Below 0 where the sphere goes on as the structure does, only slower.
-        """
-        return self._result("restitution").copy()
-
-    @property
-    def contacts(self) -> NDArray[np.intp]:
-        """How many contacts began within the window."""
-        return self._result("contacts").astype(np.intp)
-
-    @property
-    def contact_duration(self) -> Floats:
-        """Time from touch to the end of the force of the first contact [s]."""
-        return self.time_scale * self._result("contact_time")
-
-    @property
-    def end_of_contact(self) -> Floats:
-        """Time from touch to the end of the force of the last contact [s]."""
-        return self.time_scale * self._result("end")
-
-    @property
-    def radiated_energy(self) -> Floats:
-        """Energy given to the structure, the work of the force on it over all contacts [J]."""
-        return self._unit_of_energy * self._result("plate_energy")
-
-    @property
-    def modal_energy(self) -> Floats:
-        """What the modes still hold of it at the end of the last contact [J]."""
-        return self._unit_of_energy * self._result("modal_energy")
-
-    @property
-    def modal_dissipation(self) -> Floats:
-        """What the modes' damping took of it until then [J]."""
-        return self.radiated_energy - self.modal_energy
-
-    @property
-    def dissipated_energy(self) -> Floats:
-        """Energy lost in the material, the work of the damping force [J]; no remainder, but an integral of its own."""
-        return self._unit_of_energy * self._result("material_loss")
-
-    @property
-    def energy_error(self) -> Floats:
-        """Rebound, material loss and structure less the energy of impact and the sphere's fall, over the former."""
-        found = 0.5 * self.restitution**2 + self._result("plate_energy") + self._result("material_loss")
-        return np.asarray(2 * (found - 0.5 - self._shaped(self.curves.weight) * self._result("end_level")))

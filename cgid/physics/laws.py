@@ -1,16 +1,12 @@
-"""Hertz contact: the paper's three stiffness theories and the closed forms of an elastic impact.
+"""Contact laws: the stiffness of the contact, and the loss in the material.
 
-Every theory has the form `P = K delta^(3/2)`. Hertz's reduced modulus already holds the compliance of both
-bodies, so the paper's own series theory counts it twice, and an independent finite-element run agrees with
-`"hertz"`; all three are kept, and none is chosen silently.
+Every stiffness theory has the form `P = K delta^(3/2)`. Hertz's reduced modulus already holds the compliance of both
+bodies, so the paper's own series theory counts it twice, and an independent finite-element run agrees with `"hertz"`.
+All three are kept, and none is the default.
 
-The published damping factors of a Hunt-Crossley contact, each under the name by which it is selected.
-
-All have one form, `P = K delta^(3/2) (1 + chi delta')`, and differ in the damping number `D = chi v` that they
-give a restitution e. All but the exact one are approximations, good near e = 1: what an impact then really
-delivers is `HuntCrossley.delivered_restitution`. Another factor is one more function in the table.
-
-How the material loses energy: not at all, by Hunt-Crossley damping, or as a viscoelastic solid.
+The damping factors of a Hunt-Crossley contact, `P = K delta^(3/2) (1 + chi delta')`, differ in the damping number
+`D = chi v` that they assign to a restitution e. All but the exact one are approximations, good near e = 1:
+`HuntCrossley.delivered_restitution` is what an impact really has. A new factor is one more entry of the table.
 """
 
 from __future__ import annotations
@@ -79,67 +75,33 @@ def free_fall_velocity(height: ArrayLike, gravity: float = STANDARD_GRAVITY) -> 
     return np.asarray(np.sqrt(2 * pull * validation.not_negative("height", height, "m")))
 
 
-def _hunt_crossley(e: Floats) -> Floats:
-    """Hunt & Crossley (1975), J. Appl. Mech. 42, 440."""
-    return 1.5 * (1 - e)
-
-
-def _herbert_mcwhannell(e: Floats) -> Floats:
-    """Herbert & McWhannell (1977), J. Eng. Ind. 99, 663."""
-    return 6 * (1 - e) / ((2 * e - 1) * (2 * e - 1) + 3)
-
-
-def _lee_wang(e: Floats) -> Floats:
-    """Lee & Wang (1983), J. Mech. Transm. Autom. Des. 105, 534."""
-    return 0.75 * (1 - e)
-
-
-def _lankarani_nikravesh(e: Floats) -> Floats:
-    """Lankarani & Nikravesh (1990), J. Mech. Des. 112, 369."""
-    return 0.75 * (1 - e) * (1 + e)
-
-
-def _gonthier(e: Floats) -> Floats:
-    """Gonthier, McPhee, Lange & Piedboeuf (2004), Multibody Syst. Dyn. 11, 209: their approximation."""
-    return (1 - e) * (1 + e) / e
-
-
-def _zhiying_qishao(e: Floats) -> Floats:
-    """Zhang Zhiying & Lu Qishao (2006)."""
-    return 0.75 * (1 - e) * (1 + e) * exp(2 * (1 - e))
-
-
-def _flores(e: Floats) -> Floats:
-    """Flores, Machado, Silva & Martins (2011), Multibody Syst. Dyn. 25, 357."""
-    return 1.6 * (1 - e) / e
-
-
-def _hu_guo(e: Floats) -> Floats:
-    """Hu & Guo (2015), Multibody Syst. Dyn. 35, 131."""
-    return 1.5 * (1 - e) / e
-
-
-#: Law by name: the damping number D = chi v of the restitution asked for. "exact" delivers what is asked.
+#: Damping number D = chi v of the requested restitution e, by the name of the law. Only "exact" delivers e.
 HUNT_CROSSLEY_LAWS: dict[str, Callable[[Floats], Floats]] = {
     "exact": damping_number,
-    "hunt-crossley": _hunt_crossley,
-    "herbert-mcwhannell": _herbert_mcwhannell,
-    "lee-wang": _lee_wang,
-    "lankarani-nikravesh": _lankarani_nikravesh,
-    "gonthier": _gonthier,
-    "zhiying-qishao": _zhiying_qishao,
-    "flores": _flores,
-    "hu-guo": _hu_guo,
+    # Hunt & Crossley (1975), J. Appl. Mech. 42, 440.
+    "hunt-crossley": lambda e: 1.5 * (1 - e),
+    # Herbert & McWhannell (1977), J. Eng. Ind. 99, 663.
+    "herbert-mcwhannell": lambda e: 6 * (1 - e) / ((2 * e - 1) * (2 * e - 1) + 3),
+    # Lee & Wang (1983), J. Mech. Transm. Autom. Des. 105, 534.
+    "lee-wang": lambda e: 0.75 * (1 - e),
+    # Lankarani & Nikravesh (1990), J. Mech. Des. 112, 369.
+    "lankarani-nikravesh": lambda e: 0.75 * (1 - e) * (1 + e),
+    # Gonthier, McPhee, Lange & Piedboeuf (2004), Multibody Syst. Dyn. 11, 209: their approximation.
+    "gonthier": lambda e: (1 - e) * (1 + e) / e,
+    # Zhang Zhiying & Lu Qishao (2006).
+    "zhiying-qishao": lambda e: 0.75 * (1 - e) * (1 + e) * exp(2 * (1 - e)),
+    # Flores, Machado, Silva & Martins (2011), Multibody Syst. Dyn. 25, 357.
+    "flores": lambda e: 1.6 * (1 - e) / e,
+    # Hu & Guo (2015), Multibody Syst. Dyn. 35, 131.
+    "hu-guo": lambda e: 1.5 * (1 - e) / e,
 }
-
-
-#: An impact so damped that it would lie outside the reach of double precision anyway.
+#: An impact with more damping would lie outside the range of double precision anyway.
 _MOST_DAMPING = 1e100
 
 
 @dataclass(frozen=True)
 class Elastic:
-    """No loss in the material: against anything but a thin plate the sphere leaves as fast as it came."""
+    """No loss in the material: except on a thin plate, the sphere leaves as fast as it came."""
 
     @property
     def damping_number(self) -> Floats:
@@ -152,8 +114,8 @@ class Elastic:
         return np.ones(())
 
     def loss(self, sphere: Sphere, target: Target) -> tuple[Floats, Floats]:
-        """Return what `Collision` asks of every dissipation: restitution by Hunt-Crossley damping, and A [s]."""
-        return self.delivered_restitution, np.zeros(())
+        """Return the restitution by Hunt-Crossley damping and the dissipative constant A [s], as for every law."""
+        return np.ones(()), np.zeros(())
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -163,11 +125,11 @@ class HuntCrossley:
     Parameters
     ----------
     restitution : array_like
-        Rebound speed over impact speed asked for, in (0, 1].
+        Requested rebound speed over impact speed, in (0, 1].
     law : str
-        How chi follows from the restitution: "exact", which delivers what is asked, or one of the published
-        factors "hunt-crossley", "herbert-mcwhannell", "lee-wang", "lankarani-nikravesh", "gonthier",
-        "zhiying-qishao", "flores", "hu-guo" (`cgid.physics.laws`).
+        How chi follows from the restitution: "exact", which delivers it, or one of the published factors
+        "hunt-crossley", "herbert-mcwhannell", "lee-wang", "lankarani-nikravesh", "gonthier", "zhiying-qishao",
+        "flores", "hu-guo".
 
     Raises
     ------
@@ -191,7 +153,7 @@ class HuntCrossley:
     @property
     def damping_number(self) -> Floats:
         """D = chi v, for this law."""
-        restitution = validation.restitution("restitution", self.restitution)
+        restitution = np.asarray(self.restitution, np.float64)
         with np.errstate(over="ignore"):
             damping = np.asarray(HUNT_CROSSLEY_LAWS[self.law](restitution))
         if not (damping < _MOST_DAMPING).all():
@@ -204,13 +166,13 @@ class HuntCrossley:
     def delivered_restitution(self) -> Floats:
         """The restitution that this damping really gives on a target that takes no energy."""
         if self.law == "exact":
-            return validation.restitution("restitution", self.restitution)
+            return np.asarray(self.restitution, np.float64)
         damping = self.damping_number
         count("damping_solves", damping.size)
         return delivered_restitution(damping)
 
     def loss(self, sphere: Sphere, target: Target) -> tuple[Floats, Floats]:
-        """Return what `Collision` asks of every dissipation: restitution by Hunt-Crossley damping, and A [s]."""
+        """As `Elastic.loss`."""
         return self.delivered_restitution, np.zeros(())
 
 
@@ -219,7 +181,7 @@ class Viscoelastic:
     """A viscoelastic sphere, `P = K (delta^(3/2) + A delta^(1/2) delta')` (Kuwabara & Kono 1987).
 
     Restitution is a result: it falls with speed. Contact ends where the force has fallen to zero, while the
-    sphere is still flattened; there is never attraction. Give one of the two numbers.
+    sphere is still flattened; there is no attraction. Give one of the two numbers.
 
     Parameters
     ----------
@@ -227,8 +189,8 @@ class Viscoelastic:
         A [s] as written above. (Brilliantov et al. 1996, Phys. Rev. E 53, 5382, write `3/2 A` for it.)
     time_constant : array_like, optional
         b [s] of a Kelvin-Voigt sphere, whose stress is that of the strain plus b times its rate. Then
-        `A = 3/2 b s`, where s is the sphere's share in the compliance of both bodies: the target, a second sphere too,
-        is elastic. For two viscoelastic spheres give the dissipative constant of their contact.
+        `A = 3/2 b s`, where s is the sphere's share in the compliance of both bodies. The target is elastic, even if it
+        is a second sphere: for two viscoelastic spheres give the dissipative constant of their contact.
 
     Raises
     ------
@@ -248,14 +210,11 @@ class Viscoelastic:
         validation.hold(self, "dissipative_constant", "time_constant")
 
     def loss(self, sphere: Sphere, target: Target) -> tuple[Floats, Floats]:
-        """Return what `Collision` asks of every dissipation: restitution by Hunt-Crossley damping, and A [s]."""
-        if self.time_constant is not None:
-            time_constant = validation.positive("time_constant", self.time_constant, "s")
-            constant = np.asarray(1.5 * time_constant * sphere_share(sphere, target))
-        else:
-            assert self.dissipative_constant is not None  # __post_init__ saw to it
-            constant = validation.positive("dissipative_constant", self.dissipative_constant, "s")
-        return np.ones(()), constant
+        """As `Elastic.loss`."""
+        if self.time_constant is None:
+            return np.ones(()), np.asarray(self.dissipative_constant, np.float64)
+        time_constant = np.asarray(self.time_constant, np.float64)
+        return np.ones(()), np.asarray(1.5 * time_constant * sphere_share(sphere, target))
 
 
 Dissipation = Elastic | HuntCrossley | Viscoelastic

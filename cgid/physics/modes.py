@@ -1,9 +1,4 @@
-"""Modes of a panel: frequencies, damping, modal masses, and shapes at any point.
-
-Modes measured by a tap test: what a user has instead of a model of his beam.
-
-Frequency response of a beam: motion at the sensor over force where it is hit.
-"""
+"""Modes of a tail beam, computed or measured by a tap test, and their frequency response."""
 
 from __future__ import annotations
 
@@ -23,13 +18,18 @@ from cgid.validation import Floats
 
 Point = tuple[ArrayLike, ArrayLike]
 
+#: Columns of a table of measured modes, with their units.
+COLUMNS = {"frequency": "Hz", "damping_ratio": "1", "modal_mass": "kg", "shape_impact": "1", "shape_sensor": "1"}
+#: Largest table of modes [bytes].
+_LARGEST_FILE = 8 << 20
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Modes:
-    """Natural modes of a rectangular panel, `TailBeam.modes` makes them.
+    """Natural modes of a rectangular panel, as `TailBeam.modes` returns them.
 
-    Mode r moves by `q_r'' + 2 zeta_r omega_r q_r' + omega_r^2 q_r = shape_r(impact) P / m_r`, and a point of the
-    panel by the sum of `shape_r(point) q_r`.
+    Mode r obeys `q_r'' + 2 zeta_r omega_r q_r' + omega_r^2 q_r = shape_r(impact) P / m_r`, and a point of
+    the panel moves by the sum of `shape_r(point) q_r`.
 
     Parameters
     ----------
@@ -76,12 +76,12 @@ class Modes:
         return values.reshape(*along.shape, self.frequency.size)
 
     def participation(self, impact: Point, sensor: Point) -> Floats:
-        """Return how much each mode carries from one point to another, `shape(impact) shape(sensor) / modal_mass`.
+        """Return the participation of each mode between two points, `shape(impact) shape(sensor) / modal_mass`.
 
         Parameters
         ----------
         impact, sensor : tuple of array_like
-            x and y [m] of where the force acts and of where the motion is measured.
+            x and y [m] of the force and of the measured motion.
 
         Returns
         -------
@@ -91,11 +91,11 @@ class Modes:
         return self.shape(*impact) * self.shape(*sensor) / self.modal_mass
 
     def up_to(self, frequency: float) -> Modes:
-        """Return only the modes up to a frequency [Hz]; their shapes then cost less, too."""
+        """Return only the modes up to a frequency [Hz]; evaluating their shapes then costs less, too."""
         return self.taken(np.flatnonzero(self.frequency <= validation.not_negative("frequency", frequency, "Hz")))
 
     def taken(self, modes: NDArray[np.intp]) -> Modes:
-        """Return only the modes of these numbers, ascending."""
+        """Return only the modes with these indices, ascending."""
         return replace(
             self,
             frequency=self.frequency[modes],
@@ -106,7 +106,7 @@ class Modes:
 
 
 def on_panel(name: str, value: ArrayLike, extent: float) -> Floats:
-    """Return places as a share of a side, or raise."""
+    """Return positions on the panel as a share of its side, or raise."""
     place = validation.real(name, value, "m")
     off = np.flatnonzero((place < 0) | (place > extent))
     if off.size:
@@ -117,21 +117,9 @@ def on_panel(name: str, value: ArrayLike, extent: float) -> Floats:
     return place / extent
 
 
-#: The columns of a table of modes, with their units.
-COLUMNS = {
-    "frequency": "Hz",
-    "damping_ratio": "1",
-    "modal_mass": "kg",
-    "shape_impact": "1",
-    "shape_sensor": "1",
-}
-#: No table of modes is longer [bytes].
-_LARGEST_FILE = 8 << 20
-
-
 @dataclass(frozen=True, kw_only=True, eq=False)
 class MeasuredModes:
-    """Modes as a tap test gives them, for one place that is hit and one sensor.
+    """Modes from a tap test, for one point of impact and one sensor.
 
     Parameters
     ----------
@@ -162,31 +150,20 @@ class MeasuredModes:
         if len(set(lengths.values())) > 1 or columns["frequency"].ndim != 1 or not columns["frequency"].size:
             shapes = ", ".join(f"{name} {shape}" for name, shape in lengths.items())
             raise InvalidValue(f"measured modes must be equally long rows of at least one number, got {shapes}")
-        unsorted = np.flatnonzero(np.diff(columns["frequency"]) < 0)
-        if unsorted.size:
-            raise InvalidValue(
-                "frequency must ascend from mode to mode, got "
-                f"{columns['frequency'][unsorted[0] + 1]:g} Hz at index {unsorted[0] + 1} after "
-                f"{columns['frequency'][unsorted[0]]:g} Hz; sort the modes"
-            )
+        validation.ascending("frequency", columns["frequency"], "Hz")
         for name, column in columns.items():
             object.__setattr__(self, name, column)
         validation.hold(self, *COLUMNS)
 
     def participation(self) -> Floats:
-        """Return how much each mode carries from impact to sensor, `shape_impact shape_sensor / modal_mass` [1/kg].
-
-        Returns
-        -------
-        ndarray, (n_modes,)
-        """
+        """Return the participation of each mode, `shape_impact shape_sensor / modal_mass` [1/kg], (n_modes,)."""
         impact, sensor, mass = (
             np.asarray(getattr(self, name)) for name in ("shape_impact", "shape_sensor", "modal_mass")
         )
         return np.asarray(impact * sensor / mass)
 
     def up_to(self, frequency: float) -> MeasuredModes:
-        """Return only the modes up to a frequency [Hz], of which there must be one."""
+        """Return only the modes up to a frequency [Hz]; there must be at least one."""
         highest, natural = validation.positive("frequency", frequency, "Hz"), np.asarray(self.frequency)
         if natural[0] > highest:
             raise InvalidValue(
@@ -203,16 +180,16 @@ def read_measured_modes(path: str | Path) -> MeasuredModes:
     ----------
     path : str or Path
         UTF-8 text. The first line names the columns, in any order, each with its unit: `frequency [Hz]`,
-        `damping_ratio [1]`, `modal_mass [kg]`, `shape_impact [1]`, `shape_sensor [1]`; others are passed over. A line
-        a mode follows; empty lines and lines that begin with # are passed over.
+        `damping_ratio [1]`, `modal_mass [kg]`, `shape_impact [1]`, `shape_sensor [1]`; other columns are ignored. One
+        line per mode follows; empty lines and lines that begin with # are ignored.
 
     Raises
     ------
     NoInput
         The file cannot be opened.
     BadData
-        It is no regular file or too large, a column or a number is missing, the rows are not sorted, or a number breaks
-        its rule; with the line's number.
+        The file is not a regular one or too large, a column or a number is missing, the rows are not sorted, or a
+        number breaks its rule; the message names the line.
 
     Examples
     --------
@@ -251,11 +228,11 @@ def read_measured_modes(path: str | Path) -> MeasuredModes:
 
 
 def _places(path: str | Path, titles: list[str]) -> dict[str, int]:
-    """Return in which cell of a line each column stands."""
+    """Return the cell of a line in which each column is."""
     wanted = {name: f"{name} [{unit}]" for name, unit in COLUMNS.items()}
     for name, title in wanted.items():
         if titles.count(title) != 1:
-            # What a scene names may be any file of whoever loads it: only a table of modes is quoted.
+            # A scene may name any file of its reader: only a table of modes is quoted.
             is_table = any(other in titles for other in wanted.values())
             others = f"only {', '.join(map(repr, titles))}" if is_table else "none of the columns of a table of modes"
             found = "twice" if title in titles else others
@@ -264,7 +241,7 @@ def _places(path: str | Path, titles: list[str]) -> dict[str, int]:
 
 
 def _row(place: str, cells: list[str], places: dict[str, int]) -> dict[str, float]:
-    """Return the numbers of one mode, or raise with the place."""
+    """Return the numbers of one mode, or raise `BadData` with the place."""
     row = {}
     for name, index in places.items():
         cell = cells[index].strip() if index < len(cells) else ""
@@ -280,19 +257,12 @@ def _row(place: str, cells: list[str], places: dict[str, int]) -> dict[str, floa
 
 
 def _require_rule(name: str, value: ArrayLike) -> Floats:
-    """Return a column or a cell as numbers, or raise."""
-    unit = COLUMNS[name]
+    """Return a column or a cell as numbers, or raise `InvalidValue`."""
     if name.startswith("shape"):
         return validation.real(name, value)
-    numbers = validation.positive(name, value, unit if unit != "1" else "")
     if name == "damping_ratio":
-        over = np.flatnonzero(np.atleast_1d(numbers) >= 1)
-        if over.size:
-            index = f" at index {over[0]}" if numbers.ndim else ""
-            raise InvalidValue(
-                f"{name} must be below 1, where a mode ceases to ring, got {numbers.ravel()[over[0]]:g}{index}"
-            )
-    return numbers
+        return validation.damping_ratio(name, value)
+    return validation.positive(name, value, COLUMNS[name])
 
 
 def frequency_response(
@@ -301,8 +271,8 @@ def frequency_response(
     """Return motion over force at given frequencies, `exp(+j omega t)`.
 
     `sum participation (j omega)^n / (omega_r^2 - omega^2 + 2 j zeta_r omega_r omega)`, n = 0, 1, 2 for receptance,
-    mobility and accelerance: Ewins (2000), Modal Testing, section 2. Modes that were left out above the
-    highest are missing, which shows as a stiffness below them.
+    mobility and accelerance: Ewins (2000), Modal Testing, section 2. Modes above the highest are missing,
+    which shows as a stiffness below them.
 
     Parameters
     ----------
@@ -344,5 +314,5 @@ def frequency_response(
         )
     omega, natural = 2 * np.pi * asked[:, None], 2 * np.pi * natural
     each = (1j * omega) ** DERIVATIVES[quantity] / (natural**2 - omega**2 + 2j * damping * natural * omega)
-    # Not a product of matrices, whose last bits hang on the library and its threads.
+    # Not a matrix product, whose last bits depend on the library and its threads.
     return np.asarray(np.einsum("...m,fm->...f", participation, each))

@@ -1,16 +1,14 @@
-"""Mode shapes that can be asked for at any point: products of sines, or sums of Legendre polynomials.
+"""Bending of rectangular orthotropic plates: rigidities, mode shapes, and modes by Rayleigh and Ritz.
 
-Modes of clamped and cantilever panels by Rayleigh and Ritz, in polynomials.
+A shape is a sum of products of one-dimensional functions, integrals of Legendre polynomials that satisfy the held
+edges; free edges follow from the energy. The frequencies fall towards the true ones as the degree rises, at first
+exponentially, at last as the corner of a held and a free edge allows (cases in Leissa 1973, J. Sound Vib. 31, 257). The
+degree is raised until that changes no frequency by more than `TOLERANCE`, which leaves them within 3e-5 of the exact
+ones (1e-8 where all edges are held), and a cantilever's shapes within .002.
 
-A shape is a sum of products of one-dimensional functions, integrals of Legendre polynomials that keep to the held
-edges; free edges follow from the energy. In these the frequencies fall towards the true ones as the degree rises,
-at first exponentially, at last as the corner where a held edge meets a free one allows (Leissa 1973, J. Sound Vib.
-31, 257, has the cases). The degree is raised until that changes no frequency by more than `TOLERANCE`, which
-leaves them within 3e-5 of the exact ones (1e-8 where all edges are held), and a cantilever's shapes within .002.
-
-Two things keep the digits where polynomials of degree 60 would lose them. In each direction the functions are
-first turned into those that diagonalise mass and bending both, so that the stiffness, scaled to a unit diagonal, is
-well conditioned. And what is solved for is `1 / omega^2`: rounding is relative to the largest, the first mode's.
+Polynomials of degree 60 would lose their digits, but for two measures. In each direction the functions are first
+transformed into those that diagonalise both mass and bending, so that the stiffness, scaled to a unit diagonal, is well
+conditioned. And the eigenvalue is `1 / omega^2`: rounding is relative to the largest, that of the first mode.
 """
 
 from __future__ import annotations
@@ -31,6 +29,11 @@ Indices = NDArray[np.intp]
 
 #: A term that adds less than this to every mode (a shape's mean square is 1/4) is left out; together at most 1e-6.
 _NEGLIGIBLE = 1e-7
+#: Largest relative change of a frequency when both degrees are raised by `_RISE`: the basis is then large enough.
+TOLERANCE = 1e-5
+_RISE = 4
+#: Polynomials for each half wave that fits in, and some more for the edges.
+_PER_HALF_WAVE, _FOR_EDGES = math.pi / 2, 8
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -61,16 +64,16 @@ class Rigidities:
 
     @property
     def mixed(self) -> float:
-        """`H = D1 + 2 Dxy` [N m], with which waves run: `D(theta) = Dx c^4 + 2 H c^2 s^2 + Dy s^4`."""
+        """`H = D1 + 2 Dxy` [N m] of waves in direction theta: `D(theta) = Dx c^4 + 2 H c^2 s^2 + Dy s^4`."""
         return self.coupling + 2 * self.twist
 
     @property
     def impedance(self) -> float:
         """Force over velocity at a point of the infinite plate [kg/s], a real number at every frequency.
 
-        The receptance `1/(4 pi^2) integral dk / (D(theta) k^4 - m omega^2)` with a trace of damping leaves of the
-        integral over |k| half the residue of its pole, so `Z = 16 pi / integral_0^2pi dtheta / sqrt(m D(theta))`. With
-        `t = tan theta` that is a complete elliptic integral, which Gauss's arithmetic-geometric mean gives:
+        The receptance `1/(4 pi^2) integral dk / (D(theta) k^4 - m omega^2)` with a trace of damping reduces the
+        integral over |k| to half the residue of its pole: `Z = 16 pi / integral_0^2pi dtheta / sqrt(m D(theta))`. With
+        `t = tan theta` this is a complete elliptic integral, given by Gauss's arithmetic-geometric mean:
         `Z = 8 sqrt(m sqrt(Dx Dy)) agm(1, sqrt((1 + H / sqrt(Dx Dy)) / 2))`, for an isotropic plate
         `8 sqrt(B rho h)`: Cremer, Heckl & Petersson (2005), Structure-Borne Sound, section 4.
         """
@@ -112,16 +115,16 @@ class SineShapes:
 
 @dataclass(frozen=True, eq=False)
 class _Symmetry:
-    """The modes of one symmetry: which they are, and their terms `P_i(2x - 1) P_j(2y - 1)`.
+    """The modes of one symmetry: their indices and their terms `P_i(2x - 1) P_j(2y - 1)`.
 
     Parameters
     ----------
     modes : ndarray of int, (n_modes,)
-        Their numbers among all modes.
+        Indices among all modes.
     along, across : ndarray of int, (n_terms,)
         i and j of each term.
     coefficients : ndarray, (n_terms, n_modes)
-        Filled up with zeros, for the kernel to take four terms and sixteen modes at a time.
+        Padded with zeros: the kernel takes four terms and sixteen modes at a time.
     """
 
     modes: Indices
@@ -130,7 +133,7 @@ class _Symmetry:
     coefficients: Floats
 
     def kept(self, columns: Indices, numbers: Indices) -> _Symmetry:
-        """Return these columns under new numbers, without negligible terms."""
+        """Return these columns with new indices, without negligible terms."""
         coefficients = self.coefficients[:, columns]
         terms = np.flatnonzero(np.abs(coefficients).max(axis=1, initial=0.0) > _NEGLIGIBLE)
         more_terms, more_modes = -terms.size % 4, -columns.size % 16
@@ -152,7 +155,7 @@ class PolynomialShapes:
     def of(cls, coefficients: list[Floats], order: Indices) -> PolynomialShapes:
         """Return shapes given the coefficients (n_degrees_x, n_degrees_y, n_modes) of each symmetry.
 
-        `order` says which of the modes, counted through all symmetries, stands at each place.
+        `order` is the index of the mode at each place, counted through all symmetries.
         """
         place = np.empty(order.size, dtype=np.intp)
         place[order] = np.arange(order.size)
@@ -178,7 +181,7 @@ class PolynomialShapes:
         return out
 
     def taken(self, modes: Indices) -> PolynomialShapes:
-        """Return only the modes of these numbers."""
+        """Return only the modes with these indices."""
         place = np.full(sum(symmetry.modes.size for symmetry in self.symmetries), -1)
         place[modes] = np.arange(modes.size)
         symmetries = []
@@ -189,13 +192,6 @@ class PolynomialShapes:
 
 
 Shapes = SineShapes | PolynomialShapes
-
-
-#: Relative change of any frequency, when both degrees are raised by `_RISE`, at which the basis is taken as enough.
-TOLERANCE = 1e-5
-_RISE = 4
-#: Polynomials for each half wave that fits in, and some more for what happens at the edges.
-_PER_HALF_WAVE, _FOR_EDGES = math.pi / 2, 8
 
 
 @dataclass(frozen=True, eq=False)
@@ -239,10 +235,10 @@ def _integrated(series: Floats) -> Floats:
 
 
 def _line(number: int, held: str) -> list[_Line]:
-    """Return `number` functions, even and odd ones apart where the line is symmetric.
+    """Return `number` functions, even and odd ones separately where the line is symmetric.
 
-    `held` says where value and slope are zero: at "both" ends, the "start", or "none". The second derivatives are
-    Legendre polynomials, turned so that the integrals of f f are diagonal as well.
+    Value and slope are zero where the line is held: at "both" ends, the "start", or "none". The second derivatives are
+    Legendre polynomials, transformed so that the integrals of f f are diagonal as well.
     """
     # Integrals of P_n from -1 vanish at +1 as well from the second degree on.
     degrees = np.arange(number) + (2 if held == "both" else 0)
@@ -250,7 +246,7 @@ def _line(number: int, held: str) -> list[_Line]:
     bends[degrees, np.arange(number)] = np.sqrt(degrees + 0.5)
     functions = _integrated(_integrated(bends))
     if held == "none":
-        functions[:2] = 0.0  # what is left bends; the motions of a rigid body are functions of their own
+        functions[:2] = 0.0  # bending only; the motions of a rigid body are added below
     parts = [functions] if held == "start" else [functions[:, 0::2], functions[:, 1::2]]
     for parity, part in enumerate(parts):
         parts[parity] = matrix_product(part, eigenpairs(_Line(part).integrals()[0])[1])
@@ -270,7 +266,7 @@ class _Panel:
     stiffness : ndarray, (n_products, n_products)
         In [rad^2/s^2], over the square [-1, 1] x [-1, 1].
     mass : ndarray, (n_products,)
-        Of each product; by the choice of the functions the mass of two is zero.
+        Of each product; by the choice of functions it is diagonal.
     """
 
     along: _Line
@@ -280,7 +276,7 @@ class _Panel:
 
     @classmethod
     def of(cls, along: _Line, across: _Line, rigidities: Rigidities, length: float, width: float) -> _Panel:
-        """Return the panel whose shapes are products of a function along and one across."""
+        """Return the panel whose shapes are products of a function along and a function across."""
         a, b = 4 / (length * length), 4 / (width * width)
         mass_x, slope_x, bending_x, mixed_x = along.integrals()
         mass_y, slope_y, bending_y, mixed_y = across.integrals()
@@ -340,7 +336,7 @@ def ritz_modes(
         lines = [_line(number, where) for number, where in zip(numbers, held, strict=True)]
         return [_Panel.of(x, y, rigidities, length, width) for x in lines[0] for y in lines[1]]
 
-    # What falls to the highest frequency as the degree rises lies barely above it before.
+    # A frequency that falls to the highest one as the degree rises lies barely above it before.
     coarse = [panel.frequencies(1.001 * highest) for panel in panels()]
     while True:
         numbers = [number + _RISE for number in numbers]
@@ -355,7 +351,7 @@ def ritz_modes(
 
 
 def eigenvalues(matrix: Floats, lowest: float = -np.inf) -> Floats:
-    """Return the eigenvalues of a symmetric matrix (n, n) above the lowest, falling; the matrix is used up."""
+    """Return the eigenvalues of a symmetric matrix (n, n) above the lowest, falling; the matrix is overwritten."""
     return _tridiagonal(matrix, lowest)[2]
 
 

@@ -1,17 +1,13 @@
-"""One dimensionless damped-Hertz pulse by quadrature: the slow, exact path.
+"""The exact dimensionless damped-Hertz pulse by quadrature, and the table of pulses made from it.
 
-It makes the table of `cgid.family`, and checks it and the integration of `cgid.physics._taylor`.
+`python -m cgid.physics.tabulation` writes `cgid/family.npz`. Each entry is right to about 1e-14; the remaining error is
+that of the interpolation. `tests/test_family.py` checks the shipped file against a fresh evaluation.
 
-With `p = ln(1 + D x')` the equation `x'' = -x^(3/2) (1 + D x')` reads `p' = -D x^(3/2)`, and its first
-integral (Hunt & Crossley 1975) gives x in closed form, `(2/5) D^2 x^(5/2) = phi(p_end) - phi(p)` with
-`phi(p) = e^p - 1 - p`. So time is an integral over p of a known function. Counted from touch
-(p = ln(1 + D)) or back from separation (p = ln(1 - e D)) by a distance `y^5`, the integrand is
-analytic in y: Gauss-Legendre nodes reach machine precision, no differential equation is solved.
-
-Makes the table of the pulse family: `python -m cgid.physics.tabulation` writes `cgid/family.npz`.
-
-Each entry comes from `cgid.physics.tabulation`, so it is right to about 1e-14; what is left is the error
-of the interpolation. `tests/test_family.py` checks the shipped file against a fresh evaluation.
+With `p = ln(1 + D x')` the equation `x'' = -x^(3/2) (1 + D x')` reads `p' = -D x^(3/2)`, and its first integral (Hunt &
+Crossley 1975) gives x in closed form, `(2/5) D^2 x^(5/2) = phi(p_end) - phi(p)` with `phi(p) = e^p - 1 - p`. So time is
+an integral over p of a known function. Counted from touch (p = ln(1 + D)) or back from separation (p = ln(1 - e D)) by
+a distance `y^5`, the integrand is analytic in y: Gauss-Legendre nodes reach machine precision without solving a
+differential equation.
 """
 
 from __future__ import annotations
@@ -24,6 +20,12 @@ from cgid.family import INTERVALS, LOWEST_RESTITUTION, ORDERS, POWERS, SEGMENTS,
 from cgid.physics.closed_forms import damping_number, exponential_rest, logarithms, peak_logarithm
 from cgid.validation import Floats
 
+# Measured with the sizes of `cgid.family`: the force is within 3e-11 of the peak at e = .05, 1e-12 from .1 on,
+# 1e-13 from .2 on.
+N_TIME_ORDERS = 14  # the time of the peak force has a branch point just above e = 1 and converges slowly
+#: The exponent of the cut between the two halves: near the largest displacement where e is large,
+#: late enough for the long tail where e is small (0.6 balances the errors of both halves).
+_CUT = 0.6
 _PANELS, _NODES = 6, 24
 _NEWTON_STEPS = 12
 # The elastic pulse is the limit D -> 0; this D differs from it by less than one part in 1e17.
@@ -141,14 +143,6 @@ class _Branch:
             step = (np.sqrt(reached) - np.sqrt(times)) * 2 * np.sqrt(reached) / self.rate(y)
             y = np.asarray(np.clip(y - step, 0.5 * y, longest))
         return np.asarray(y, dtype=np.float64)
-
-
-# Measured with the sizes of `cgid.family`: the force is within 3e-11 of the peak at e = .05, 1e-12 from .1 on,
-# 1e-13 from .2 on.
-N_TIME_ORDERS = 14  # the time of the peak force has a branch point just above e = 1 and converges slowly
-#: The exponent of the cut between the two halves: near the largest displacement where e is large,
-#: late enough for the long tail where e is small (0.6 balances the errors of both halves).
-_CUT = 0.6
 
 
 def tabulate() -> FamilyTable:

@@ -8,7 +8,7 @@ from typing import Any
 from numpy.typing import ArrayLike
 
 from cgid.physics import Impact
-from cgid.physics.inverse import parameters_of, response_grid
+from cgid.physics.sensitivity import parameters_of, response_grid
 from cgid.reproduction import impacts, paper
 from cgid.reproduction.drawing import Lines, Surface
 from cgid.reproduction.paper_figure import PaperFigure, frame, highest_strain, joined

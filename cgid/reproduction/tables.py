@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from cgid.physics import Impact
-from cgid.physics.inverse import PARAMETERS, parameters_of, range_influence
 from cgid.physics.materials import STEEL, YANG2018_RADIUS, YANG2018_SPHERES, Material
+from cgid.physics.sensitivity import PARAMETERS, parameters_of, range_influence
 from cgid.reproduction import impacts, paper
 from cgid.reproduction.quantities import QUANTITIES
 

@@ -6,8 +6,8 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from cgid.physics.inverse import Sensitivity, local_sensitivity, range_influence
 from cgid.physics.materials import STEEL, YANG2018_RADIUS, YANG2018_SPHERES
+from cgid.physics.sensitivity import Sensitivity, local_sensitivity, range_influence
 from cgid.reproduction import impacts, paper
 from cgid.reproduction.claims.claim import Claim, judged_exponential, judged_ordering, symbol, trend, written
 from cgid.reproduction.figures import FIGURES

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from cgid.physics.bodies import sphere_share
-from cgid.physics.inverse import dissipative_constant
 from cgid.physics.materials import YANG2018_SPHERES
+from cgid.physics.sensitivity import dissipative_constant
 from cgid.reproduction import paper
 from cgid.reproduction.impacts import paper_impact
 

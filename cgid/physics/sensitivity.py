@@ -1,13 +1,11 @@
-"""The loss that gives a wanted restitution, where restitution is a result: A of a viscoelastic sphere, h of a plate.
+"""Sensitivity of peak force and displacement to the parameters of an impact, and the loss for a wanted restitution.
 
-(For Hunt-Crossley damping the answer is a closed form, `cgid.physics.closed_forms.damping_number`.)
+There are two measures of sensitivity. The local one, `d ln P / d ln X`, is the per cent that the response changes for a
+per cent of the parameter: a property of the impact alone. The influence over a range, as in Yang, Zeng & Wan (2018),
+section 4, moves one parameter through a range and holds the others: it depends as much on the range as on the impact.
 
-How much each parameter of an impact matters for its peak force and for its largest displacement (DCS).
-
-Two measures, because they answer different questions. The local one, `d ln P / d ln X`, is the per cent that
-the response changes for a per cent of the parameter, and a property of the impact alone. The influence over
-a range, as in Yang, Zeng & Wan (2018), section 4, moves one parameter through a range and holds the rest: it
-says as much about the range as about the impact.
+Where restitution is a result, of a viscoelastic sphere or a thin plate, `dissipative_constant` and `plate_thickness`
+invert it. (For Hunt-Crossley damping the inverse is a closed form, `cgid.physics.closed_forms.damping_number`.)
 """
 
 from __future__ import annotations
@@ -27,8 +25,265 @@ from cgid.physics.laws import Elastic, HuntCrossley
 from cgid.physics.materials import Material
 from cgid.validation import Floats
 
-#: Values of zeta and of lambda between which the answer is sought: from no visible loss to restitutions of 1e-5, 1e-6.
+#: Parameters of the sphere and of the half space it falls on, with their units.
+PARAMETERS = {
+    "radius": "m",
+    "density": "kg/m^3",
+    "youngs_modulus": "Pa",
+    "poisson_ratio": "",
+    "target_youngs_modulus": "Pa",
+    "target_poisson_ratio": "",
+}
+_OF_TARGET = "target_"
+#: Bounds of zeta and of lambda in the search: from no visible loss to restitutions of 1e-5 and 1e-6.
 _ZETA, _LAMBDA = (1e-17, 1e3), (1e-17, 15.0)
+
+
+@dataclass(frozen=True)
+class Sensitivity:
+    """Effect of each parameter on both responses of an impact, by parameter name.
+
+    Parameters
+    ----------
+    peak_force, peak_displacement : dict of str to ndarray
+        Dimensionless. The parameters of the target are absent for a rigid wall.
+    """
+
+    peak_force: dict[str, Floats]
+    peak_displacement: dict[str, Floats]
+
+
+def local_sensitivity(impact: Impact) -> Sensitivity:
+    """Return `d ln P_max / d ln X` and `d ln delta_max / d ln X` for every parameter X; closed forms.
+
+    With the share `s_i = c_i / (c_1 + c_2)` of each body in the compliance, `c_i = (1 - nu_i^2) / E_i`, they follow
+    from `P ~ R^2 rho^(3/5) c^(-2/5)` and `delta ~ R rho^(2/5) c^(2/5)` (Yang, Zeng & Wan 2018, Eq. 17-18):
+    R: 2 and 1; rho: 3/5 and 2/5; E_i: 2/5 s_i and -2/5 s_i; nu_i: 4/5 s_i nu_i^2 / (1 - nu_i^2) and its negative.
+    Stiffness theory, velocity and restitution cancel as long as they are held.
+
+    Parameters
+    ----------
+    impact : Impact
+        Elastic or Hunt-Crossley, without gravity, of a sphere on a half space or a rigid wall; of any shape.
+
+    Returns
+    -------
+    Sensitivity
+        Each value of the shape that sphere and target broadcast to.
+
+    Raises
+    ------
+    InvalidValue
+        Another dissipation, another target or gravity, which have other exponents.
+
+    Examples
+    --------
+    >>> from cgid.physics import Elastic, HalfSpace, Impact, Sphere
+    >>> from cgid.physics.materials import STEEL, YANG2018_SPHERES
+    >>> impact = Impact(
+    ...     sphere=Sphere(material=YANG2018_SPHERES[1], radius=0.025), target=HalfSpace(material=STEEL),
+    ...     velocity=2.0, stiffness="hertz", dissipation=Elastic(),
+    ... )
+    >>> for name, value in local_sensitivity(impact).peak_force.items():
+    ...     print(f"{name} {value:.4f}")
+    radius 2.0000
+    density 0.6000
+    youngs_modulus 0.3958
+    poisson_ratio 0.0673
+    target_youngs_modulus 0.0042
+    target_poisson_ratio 0.0008
+    """
+    validation.instance("impact", impact, Impact)
+    if not isinstance(impact.dissipation, Elastic | HuntCrossley):
+        raise InvalidValue(
+            "dissipation must be Elastic or HuntCrossley for local sensitivities, got "
+            f"{type(impact.dissipation).__name__}; range_influence serves any"
+        )
+    if np.any(impact.gravity):
+        raise InvalidValue("gravity must be 0 for local sensitivities; range_influence serves any")
+    materials = _materials(impact)
+    shape = np.broadcast_shapes(*(np.shape(value) for value in parameters_of(impact).values()))
+    total = sum(material.plane_strain_compliance for material in materials.values())
+    force: dict[str, ArrayLike] = {"radius": 2.0, "density": 0.6}
+    displacement: dict[str, ArrayLike] = {"radius": 1.0, "density": 0.4}
+    for body, material in materials.items():
+        share = material.plane_strain_compliance / total
+        square = np.square(np.asarray(material.poisson_ratio, np.float64))
+        force[f"{body}youngs_modulus"] = 0.4 * share
+        force[f"{body}poisson_ratio"] = 0.8 * share * square / (1 - square)
+        for name in (f"{body}youngs_modulus", f"{body}poisson_ratio"):
+            displacement[name] = -np.asarray(force[name])
+    return Sensitivity(_filled(force, shape), _filled(displacement, shape))
+
+
+def range_influence(impact: Impact, ranges: Mapping[str, ArrayLike]) -> Sensitivity:
+    """Return how far each range moves the responses, `largest / smallest - 1`, the other parameters held.
+
+    Parameters
+    ----------
+    impact : Impact
+        The single impact whose parameters are held; any dissipation.
+    ranges : mapping of str to array_like, (n_values,)
+        Values of each parameter of `PARAMETERS` to be moved, in its unit.
+
+    Returns
+    -------
+    Sensitivity
+        Scalars, zero or more.
+
+    Raises
+    ------
+    InvalidValue
+        As for `response_grid`.
+
+    Examples
+    --------
+    >>> from cgid.physics import Elastic, HalfSpace, Impact, Sphere
+    >>> from cgid.physics.materials import STEEL, YANG2018_SPHERES
+    >>> impact = Impact(
+    ...     sphere=Sphere(material=YANG2018_SPHERES[1], radius=0.025), target=HalfSpace(material=STEEL),
+    ...     velocity=2.0, stiffness="hertz", dissipation=Elastic(),
+    ... )
+    >>> found = range_influence(impact, {"radius": [0.02, 0.04], "density": [1000, 3400]})
+    >>> print(f"{found.peak_force['radius']:.4f} {found.peak_force['density']:.4f}")
+    3.0000 1.0840
+    """
+    validation.instance("impact", impact, Impact)
+    validation.instance("ranges", ranges, Mapping)
+    grids = {name: response_grid(impact, {name: values}) for name, values in ranges.items()}
+    return Sensitivity(
+        {name: _spread(grid.peak_force) for name, grid in grids.items()},
+        {name: _spread(grid.peak_displacement) for name, grid in grids.items()},
+    )
+
+
+def ordering(sensitivity: Mapping[str, ArrayLike]) -> tuple[str, ...]:
+    """Return the names by falling absolute value; equal ones keep their order.
+
+    Parameters
+    ----------
+    sensitivity : mapping of str to scalar
+        One response of a `Sensitivity` of a single impact.
+
+    Raises
+    ------
+    InvalidValue
+        A value is not a single number.
+
+    Examples
+    --------
+    >>> ordering({"density": 0.4, "radius": 1.0, "youngs_modulus": -0.396})
+    ('radius', 'density', 'youngs_modulus')
+    """
+    sizes = {name: np.abs(validation.real(name, value)) for name, value in sensitivity.items()}
+    for name, size in sizes.items():
+        if size.ndim:
+            raise InvalidValue(f"{name} must be a single number to be put in order, got shape {size.shape}")
+    return tuple(sorted(sizes, key=lambda name: -float(sizes[name])))
+
+
+def response_grid(impact: Impact, parameters: Mapping[str, ArrayLike]) -> Impact:
+    """Return the impacts over a grid of parameters: one gives a curve of the responses, two a response surface.
+
+    Parameters
+    ----------
+    impact : Impact
+        The single impact whose other parameters are held; any dissipation.
+    parameters : mapping of str to array_like, (n,)
+        Values of parameters of `PARAMETERS`, in their units; each is an axis of the grid, in this order.
+
+    Returns
+    -------
+    Impact
+        Impacts of shape (n_first, n_second, ...), with `peak_force`, `peak_displacement` and all else.
+
+    Raises
+    ------
+    InvalidValue
+        The impact is not a single one, its target is no half space or rigid wall, a parameter is unknown or missing in
+        this impact, or a value breaks the rule of its parameter.
+
+    Warns
+    -----
+    HertzRangeWarning
+        If the displacement passes a tenth of the radius somewhere on the grid.
+
+    Examples
+    --------
+    >>> from cgid.physics import RIGID, Elastic, Impact, Sphere
+    >>> from cgid.physics.materials import YANG2018_SPHERES
+    >>> impact = Impact(
+    ...     sphere=Sphere(material=YANG2018_SPHERES[1], radius=0.025), target=RIGID,
+    ...     velocity=2.0, stiffness="hertz", dissipation=Elastic(),
+    ... )
+    >>> response_grid(impact, {"radius": [0.02, 0.04], "density": [1200, 1800, 2400]}).peak_force.shape
+    (2, 3)
+    """
+    validation.instance("impact", impact, Impact)
+    validation.instance("parameters", parameters, Mapping)
+    held = parameters_of(impact)
+    if not parameters:
+        raise InvalidValue("parameters must name at least one of " + ", ".join(held))
+    if impact.peak_force.ndim:
+        raise InvalidValue(f"impact must be a single one, its numbers have shape {impact.peak_force.shape}")
+    axes: dict[str, Floats] = {}
+    for name, values in parameters.items():
+        validation.choice("parameter", name, tuple(held))
+        axes[name] = validation.real(name, values, PARAMETERS[name])
+        if axes[name].ndim != 1 or axes[name].size == 0:
+            raise InvalidValue(f"{name} must be a row of values, got shape {axes[name].shape}")
+    grids = np.meshgrid(*axes.values(), indexing="ij")
+    return _changed(impact, {**held, **dict(zip(axes, grids, strict=True))})
+
+
+def _materials(impact: Impact) -> dict[str, Material]:
+    """Return the materials that deform, by the prefix of their parameters."""
+    if isinstance(impact.target, RigidWall):
+        return {"": impact.sphere.material}
+    if isinstance(impact.target, HalfSpace):
+        return {"": impact.sphere.material, _OF_TARGET: impact.target.material}
+    raise InvalidValue(
+        f"target must be a half space or a rigid wall for sensitivities, got {type(impact.target).__name__}"
+    )
+
+
+def parameters_of(impact: Impact) -> dict[str, Floats]:
+    """Return the values of an impact's parameters, by name and in the units of `PARAMETERS`.
+
+    Parameters
+    ----------
+    impact : Impact
+        Of a sphere on a half space or a rigid wall, which has no parameters.
+
+    Raises
+    ------
+    InvalidValue
+        Another target.
+    """
+    values = {"radius": impact.sphere.radius, "density": impact.sphere.material.density}
+    for body, material in _materials(impact).items():
+        values[f"{body}youngs_modulus"] = material.youngs_modulus
+        values[f"{body}poisson_ratio"] = material.poisson_ratio
+    return {name: np.asarray(value, np.float64) for name, value in values.items()}
+
+
+def _changed(impact: Impact, values: Mapping[str, ArrayLike]) -> Impact:
+    material = Material(
+        density=values["density"], youngs_modulus=values["youngs_modulus"], poisson_ratio=values["poisson_ratio"]
+    )
+    target = impact.target
+    if isinstance(target, HalfSpace):
+        changes = {name: values[_OF_TARGET + name] for name in ("youngs_modulus", "poisson_ratio")}
+        target = HalfSpace(material=replace(target.material, **changes))
+    return replace(impact, sphere=Sphere(material=material, radius=values["radius"]), target=target)
+
+
+def _filled(values: Mapping[str, ArrayLike], shape: tuple[int, ...]) -> dict[str, Floats]:
+    return {name: np.array(np.broadcast_to(np.asarray(value, float), shape)) for name, value in values.items()}
+
+
+def _spread(response: Floats) -> Floats:
+    return np.asarray(response.max() / response.min() - 1)
 
 
 def dissipative_constant(restitution: ArrayLike, impact: Impact) -> Floats:
@@ -113,8 +368,7 @@ def _sought(
     curves: Callable[[Floats, NDArray[np.intp]], Curves],
     between: tuple[float, float],
 ) -> Floats:
-    """Return the number, in the shape of restitution and impact, whose curves have the wanted restitution."""
-    # Loaded here: everything else in this room does without scipy's optimisers.
+    """Return the loss parameter, in the shape of restitution and impact, whose curves have the wanted restitution."""
     from scipy.optimize import elementwise
 
     wanted, lossless = validation.broadcast(
@@ -134,7 +388,7 @@ def _sought(
             f"impact has without this loss, got {wanted[unreachable][0]:g}"
         )
     found = np.asarray(elementwise.find_root(excess, (low, high), args=(wanted, rows)).x)
-    # With gravity the restitution falls from some value straight to nothing: the sphere stays.
+    # With gravity the restitution drops from some value to nothing: the sphere stays.
     missed = np.abs(excess(found, wanted, rows)) > 1e-9 * wanted
     if missed.any():
         last = wanted + excess(found - 1e-9, wanted, rows)
@@ -143,271 +397,3 @@ def _sought(
             f"target, got {wanted[missed][0]:g}"
         )
     return np.asarray(np.exp(found))
-
-
-#: Parameters of the sphere and of the half space it falls on, with their units.
-PARAMETERS = {
-    "radius": "m",
-    "density": "kg/m^3",
-    "youngs_modulus": "Pa",
-    "poisson_ratio": "",
-    "target_youngs_modulus": "Pa",
-    "target_poisson_ratio": "",
-}
-_OF_TARGET = "target_"
-
-
-@dataclass(frozen=True)
-class Sensitivity:
-    """What each parameter does to both responses of an impact, by parameter name.
-
-    Parameters
-    ----------
-    peak_force, peak_displacement : dict of str to ndarray
-        Dimensionless. The parameters of the target are absent for a rigid wall.
-    """
-
-    peak_force: dict[str, Floats]
-    peak_displacement: dict[str, Floats]
-
-
-def local_sensitivity(impact: Impact) -> Sensitivity:
-    """Return `d ln P_max / d ln X` and `d ln delta_max / d ln X` for every parameter X; closed forms.
-
-    With the share `s_i = c_i / (c_1 + c_2)` of each body in the compliance, `c_i = (1 - nu_i^2) / E_i`, they follow
-    from `P ~ R^2 rho^(3/5) c^(-2/5)` and `delta ~ R rho^(2/5) c^(2/5)` (Yang, Zeng & Wan 2018, Eq. 17-18):
-    R: 2 and 1; rho: 3/5 and 2/5; E_i: 2/5 s_i and -2/5 s_i; nu_i: 4/5 s_i nu_i^2 / (1 - nu_i^2) and its negative.
-    The theory of the stiffness, the velocity and the restitution drop out, as long as they are held.
-
-    Parameters
-    ----------
-    impact : Impact
-        Elastic or Hunt-Crossley, without gravity, of a sphere on a half space or a rigid wall; of any shape.
-
-    Returns
-    -------
-    Sensitivity
-        Each value of the shape that sphere and target broadcast to.
-
-    Raises
-    ------
-    InvalidValue
-        Another dissipation, another target or gravity: there the exponents are others.
-
-    Examples
-    --------
-    >>> from cgid.physics import Elastic, HalfSpace, Impact, Sphere
-    >>> from cgid.physics.materials import STEEL, YANG2018_SPHERES
-    >>> impact = Impact(
-    ...     sphere=Sphere(material=YANG2018_SPHERES[1], radius=0.025),
-    ...     target=HalfSpace(material=STEEL),
-    ...     velocity=2.0,
-    ...     stiffness="hertz",
-    ...     dissipation=Elastic(),
-    ... )
-    >>> for name, value in local_sensitivity(impact).peak_force.items():
-    ...     print(f"{name} {value:.4f}")
-    radius 2.0000
-    density 0.6000
-    youngs_modulus 0.3958
-    poisson_ratio 0.0673
-    target_youngs_modulus 0.0042
-    target_poisson_ratio 0.0008
-    """
-    validation.instance("impact", impact, Impact)
-    if not isinstance(impact.dissipation, Elastic | HuntCrossley):
-        raise InvalidValue(
-            "dissipation must be Elastic or HuntCrossley for local sensitivities, got "
-            f"{type(impact.dissipation).__name__}; range_influence serves any"
-        )
-    if np.any(impact.gravity):
-        raise InvalidValue("gravity must be 0 for local sensitivities; range_influence serves any")
-    materials = _materials(impact)
-    shape = np.broadcast_shapes(*(np.shape(value) for value in parameters_of(impact).values()))
-    total = sum(material.plane_strain_compliance for material in materials.values())
-    force: dict[str, ArrayLike] = {"radius": 2.0, "density": 0.6}
-    displacement: dict[str, ArrayLike] = {"radius": 1.0, "density": 0.4}
-    for body, material in materials.items():
-        share = material.plane_strain_compliance / total
-        square = np.square(validation.real("poisson_ratio", material.poisson_ratio))
-        force[f"{body}youngs_modulus"] = 0.4 * share
-        force[f"{body}poisson_ratio"] = 0.8 * share * square / (1 - square)
-        for name in (f"{body}youngs_modulus", f"{body}poisson_ratio"):
-            displacement[name] = -np.asarray(force[name])
-    return Sensitivity(_filled(force, shape), _filled(displacement, shape))
-
-
-def range_influence(impact: Impact, ranges: Mapping[str, ArrayLike]) -> Sensitivity:
-    """Return how far each range moves the responses, `largest / smallest - 1`, the other parameters held.
-
-    Parameters
-    ----------
-    impact : Impact
-        The single impact whose parameters are held; any dissipation.
-    ranges : mapping of str to array_like, (n_values,)
-        Values of each parameter of `PARAMETERS` to be moved, in its unit.
-
-    Returns
-    -------
-    Sensitivity
-        Scalars, zero or more.
-
-    Raises
-    ------
-    InvalidValue
-        As for `response_grid`.
-
-    Examples
-    --------
-    >>> from cgid.physics import Elastic, HalfSpace, Impact, Sphere
-    >>> from cgid.physics.materials import STEEL, YANG2018_SPHERES
-    >>> impact = Impact(
-    ...     sphere=Sphere(material=YANG2018_SPHERES[1], radius=0.025),
-    ...     target=HalfSpace(material=STEEL),
-    ...     velocity=2.0,
-    ...     stiffness="hertz",
-    ...     dissipation=Elastic(),
-    ... )
-    >>> found = range_influence(impact, {"radius": [0.02, 0.04], "density": [1000, 3400]})
-    >>> print(f"{found.peak_force['radius']:.4f} {found.peak_force['density']:.4f}")
-    3.0000 1.0840
-    """
-    validation.instance("impact", impact, Impact)
-    validation.instance("ranges", ranges, Mapping)
-    grids = {name: response_grid(impact, {name: values}) for name, values in ranges.items()}
-    return Sensitivity(
-        {name: _spread(grid.peak_force) for name, grid in grids.items()},
-        {name: _spread(grid.peak_displacement) for name, grid in grids.items()},
-    )
-
-
-def ordering(sensitivity: Mapping[str, ArrayLike]) -> tuple[str, ...]:
-    """Return the names by falling absolute value; equal ones stay in the order given.
-
-    Parameters
-    ----------
-    sensitivity : mapping of str to scalar
-        One response of a `Sensitivity` of a single impact.
-
-    Raises
-    ------
-    InvalidValue
-        A value is no single number.
-
-    Examples
-    --------
-    >>> ordering({"density": 0.4, "radius": 1.0, "youngs_modulus": -0.396})
-    ('radius', 'density', 'youngs_modulus')
-    """
-    sizes = {name: np.abs(validation.real(name, value)) for name, value in sensitivity.items()}
-    for name, size in sizes.items():
-        if size.ndim:
-            raise InvalidValue(f"{name} must be a single number to be put in order, got shape {size.shape}")
-    return tuple(sorted(sizes, key=lambda name: -float(sizes[name])))
-
-
-def response_grid(impact: Impact, parameters: Mapping[str, ArrayLike]) -> Impact:
-    """Return the impacts over a grid of parameters: one makes a curve of the responses, two a response surface.
-
-    Parameters
-    ----------
-    impact : Impact
-        The single impact whose other parameters are held; any dissipation.
-    parameters : mapping of str to array_like, (n,)
-        Values of parameters of `PARAMETERS`, in their units; each is an axis of the grid, in this order.
-
-    Returns
-    -------
-    Impact
-        Impacts of shape (n_first, n_second, ...), with `peak_force`, `peak_displacement` and all else.
-
-    Raises
-    ------
-    InvalidValue
-        The impact is not a single one or its target no half space or rigid wall, a name is unknown or missing
-        in this impact, or a value breaks the rule of its parameter.
-
-    Warns
-    -----
-    HertzRangeWarning
-        If the displacement passes a tenth of the radius somewhere on the grid.
-
-    Examples
-    --------
-    >>> from cgid.physics import RIGID, Elastic, Impact, Sphere
-    >>> from cgid.physics.materials import YANG2018_SPHERES
-    >>> impact = Impact(
-    ...     sphere=Sphere(material=YANG2018_SPHERES[1], radius=0.025),
-    ...     target=RIGID,
-    ...     velocity=2.0,
-    ...     stiffness="hertz",
-    ...     dissipation=Elastic(),
-    ... )
-    >>> response_grid(impact, {"radius": [0.02, 0.04], "density": [1200, 1800, 2400]}).peak_force.shape
-    (2, 3)
-    """
-    validation.instance("impact", impact, Impact)
-    validation.instance("parameters", parameters, Mapping)
-    held = parameters_of(impact)
-    if not parameters:
-        raise InvalidValue("parameters must name at least one of " + ", ".join(held))
-    if impact.peak_force.ndim:
-        raise InvalidValue(f"impact must be a single one, its numbers have shape {impact.peak_force.shape}")
-    axes: dict[str, Floats] = {}
-    for name, values in parameters.items():
-        validation.choice("parameter", name, tuple(held))
-        axes[name] = validation.real(name, values, PARAMETERS[name])
-        if axes[name].ndim != 1 or axes[name].size == 0:
-            raise InvalidValue(f"{name} must be a row of values, got shape {axes[name].shape}")
-    grids = np.meshgrid(*axes.values(), indexing="ij")
-    return _changed(impact, {**held, **dict(zip(axes, grids, strict=True))})
-
-
-def _materials(impact: Impact) -> dict[str, Material]:
-    """Return the materials that deform, by the prefix of their parameters."""
-    if isinstance(impact.target, RigidWall):
-        return {"": impact.sphere.material}
-    if isinstance(impact.target, HalfSpace):
-        return {"": impact.sphere.material, _OF_TARGET: impact.target.material}
-    raise InvalidValue(
-        f"target must be a half space or a rigid wall for sensitivities, got {type(impact.target).__name__}"
-    )
-
-
-def parameters_of(impact: Impact) -> dict[str, Floats]:
-    """Return the values of an impact's parameters, by name and in the units of `PARAMETERS`.
-
-    Parameters
-    ----------
-    impact : Impact
-        Of a sphere on a half space or a rigid wall, which has no parameters.
-
-    Raises
-    ------
-    InvalidValue
-        Another target.
-    """
-    values = {"radius": impact.sphere.radius, "density": impact.sphere.material.density}
-    for body, material in _materials(impact).items():
-        values[f"{body}youngs_modulus"] = material.youngs_modulus
-        values[f"{body}poisson_ratio"] = material.poisson_ratio
-    return {name: validation.real(name, value, PARAMETERS[name]) for name, value in values.items()}
-
-
-def _changed(impact: Impact, values: Mapping[str, ArrayLike]) -> Impact:
-    material = Material(
-        density=values["density"], youngs_modulus=values["youngs_modulus"], poisson_ratio=values["poisson_ratio"]
-    )
-    target = impact.target
-    if isinstance(target, HalfSpace):
-        changes = {name: values[_OF_TARGET + name] for name in ("youngs_modulus", "poisson_ratio")}
-        target = HalfSpace(material=replace(target.material, **changes))
-    return replace(impact, sphere=Sphere(material=material, radius=values["radius"]), target=target)
-
-
-def _filled(values: Mapping[str, ArrayLike], shape: tuple[int, ...]) -> dict[str, Floats]:
-    return {name: np.array(np.broadcast_to(np.asarray(value, float), shape)) for name, value in values.items()}
-
-
-def _spread(response: Floats) -> Floats:
-    return np.asarray(response.max() / response.min() - 1)
