@@ -17,10 +17,10 @@ from cgid.measure.features import FEATURES, extract_array, extract_truncated
 from cgid.measure.pulses import PulseBatch
 from cgid.measure.vibration import VibrationBatch
 from cgid.physics import Elastic, HalfSpace, HuntCrossley, Impact, Sphere, _kernels, _taylor, coupled, curves
+from cgid.physics.coupled import ModalCurves
 from cgid.physics.curves import Curves
 from cgid.physics.materials import STEEL as STEEL_MATERIAL
 from cgid.physics.materials import Material
-from cgid.physics.modal_curves import ModalCurves
 from cgid.physics.response import Response
 from cgid.physics.tail_beam import TailBeam
 from cgid.scene import load_scene, response, synthesis, synthesise

@@ -13,8 +13,7 @@ from cgid.errors import InvalidValue
 from cgid.physics import Elastic, HalfSpace, HuntCrossley, Impact, Sphere
 from cgid.physics.driving import steps_for
 from cgid.physics.materials import STEEL, Material
-from cgid.physics.poles import LowPass, Resonance, resonator_poles
-from cgid.physics.response import Response
+from cgid.physics.response import LowPass, Resonance, Response, resonator_poles
 from cgid.scene.response import TOLERANCE
 from cgid.scene.taps import SHAPES, TapPulses
 from tests import few

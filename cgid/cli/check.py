@@ -115,7 +115,7 @@ def _shares(draws: list[Any], values: dict[str, Any], sampling_rate: Any, scene:
     import numpy as np
 
     from cgid.measure.pulses import WANTED_SAMPLES
-    from cgid.physics.pulse import BEYOND_THIN_PLATE, HERTZ_LIMIT, INELASTICITY_LIMIT
+    from cgid.physics.impact import BEYOND_THIN_PLATE, HERTZ_LIMIT, INELASTICITY_LIMIT
 
     strain = np.concatenate([d.impact.peak_displacement / d.impact.reduced_radius for d in draws])
     inelasticity = np.concatenate([d.inelasticity for d in draws])

@@ -172,7 +172,7 @@ def _write_dataset(asked: Any, options: dict[str, Any]) -> None:
 def _warn_of_plate(scene: Any, seed: int) -> None:
     """Say once what passing the range of the thin plate means, if rocks of the first block do; blocks are silent."""
     from cgid.physics import ThinPlate
-    from cgid.physics.pulse import BEYOND_THIN_PLATE, INELASTICITY_LIMIT
+    from cgid.physics.impact import BEYOND_THIN_PLATE, INELASTICITY_LIMIT
     from cgid.scene.population import draw
     from cgid.scene.range_warnings import unwarned
 

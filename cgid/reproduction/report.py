@@ -6,6 +6,8 @@ The report's section on the finite elements: which theory they support, and what
 """
 
 from __future__ import annotations
+from cgid.reproduction.finite_element.section import finite_element_section
+from cgid.reproduction.markdown import table
 
 from collections.abc import Iterable, Sequence
 

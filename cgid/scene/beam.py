@@ -10,8 +10,8 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from cgid.physics.materials import Material
-from cgid.physics.tail_beam import MeasuredModes, Ribs, TailBeam, read_measured_modes
-from cgid.physics.tail_beam.measured import COLUMNS
+from cgid.physics.modes import COLUMNS, MeasuredModes, read_measured_modes
+from cgid.physics.tail_beam import Ribs, TailBeam
 from cgid.scene.distributions import Distribution, measured, within
 from cgid.scene.sections import Section
 from cgid.scene.units import LIMITS, Frequency, Length, Mass, Number, Ratio, Whole

@@ -10,7 +10,7 @@ from pydantic import Field, field_validator, model_validator
 
 from cgid.counting import count
 from cgid.measure.filters import SENSOR_TAPER, fft_filter, filter_gain
-from cgid.physics.poles import LowPass, Resonance
+from cgid.physics.response import LowPass, Resonance
 from cgid.scene.sections import Section
 from cgid.scene.units import Frequency, Level, Number, Ratio, Whole
 from cgid.units import parse

@@ -12,7 +12,7 @@ from cgid import validation
 from cgid.errors import BadData, InvalidValue
 from cgid.physics import Impact
 from cgid.physics.driving import Pulses
-from cgid.physics.poles import LowPass, Resonance
+from cgid.physics.response import LowPass, Resonance
 from cgid.scene.scene import Scene
 from cgid.signals import Signal
 from cgid.units import STANDARD_GRAVITY

@@ -10,23 +10,84 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from cgid import validation
+from cgid.elementary import expm1
 from cgid.errors import InvalidValue
 from cgid.physics.bodies import ThinPlate
 from cgid.physics.materials import Material
-from cgid.physics.tail_beam.modes import Modes, on_panel
-from cgid.physics.tail_beam.rigidities import RibbedPlate, Ribs, Rigidities, single, smeared
-from cgid.physics.tail_beam.ritz import ritz_modes
-from cgid.physics.tail_beam.shapes import PolynomialShapes, Shapes, SineShapes
+from cgid.physics.modes import Modes, on_panel
+from cgid.physics.plates import Rigidities, Shapes, SineShapes, ritz_modes
 from cgid.validation import Floats
 
-#: How a panel is held; where along x and along y value and slope are zero (simply supported panels need no Ritz).
+#: Ends along x and along y where value and slope are zero, by the kind of edges; None is solved by a formula.
 EDGES: dict[str, tuple[str, str] | None] = {
     "simply-supported": None,
     "clamped": ("both", "both"),
     "cantilever": ("start", "none"),
 }
-#: Modes that are worked out at most: simply supported by a formula, else by an eigenproblem.
+#: Largest number of modes, by the formula and by an eigenproblem.
 MOST_MODES, MOST_RITZ_MODES = 20_000, 1_000
+_PI_TO_THE_FIFTH = 306.01968478528147
+
+
+@dataclass(frozen=True, kw_only=True)
+class Ribs:
+    """Equal flat bars along the length of a skin, welded on edge to its back, evenly spaced over its width.
+
+    Parameters
+    ----------
+    number : int
+        1 or more.
+    depth : float
+        Perpendicular to the skin [m].
+    thickness : float
+        Of one bar [m].
+    """
+
+    number: int
+    depth: float
+    thickness: float
+
+    def __post_init__(self) -> None:
+        validation.count("number", self.number)
+        for name in ("depth", "thickness"):
+            number = validation.number(f"ribs {name}", getattr(self, name), "m", validation.positive)
+            object.__setattr__(self, name, number)
+
+    @property
+    def torsion_constant(self) -> float:
+        """J of one bar [m^4], a rectangle `a >= b`: Timoshenko & Goodier (1970), Theory of Elasticity, section 109.
+
+        `J = a b^3 (1/3 - 64/pi^5 b/a sum_odd tanh(n pi a / (2 b)) / n^5)`, of which 12 terms leave 1e-8.
+        """
+        long, short = max(self.depth, self.thickness), min(self.depth, self.thickness)
+        odd = np.arange(1, 25, 2)
+        falling = expm1(-odd * np.pi * long / short)
+        tanh = -falling / (2 + falling)
+        series = float(np.sum(tanh / (odd * odd * odd * odd * odd)))
+        return long * (short * short * short) * (1 / 3 - 64 / _PI_TO_THE_FIFTH * short / long * series)
+
+
+@dataclass(frozen=True, kw_only=True)
+class RibbedPlate(ThinPlate):
+    """A thin plate whose ribs raise its impedance: the target of an `Impact` on a ribbed beam.
+
+    Parameters
+    ----------
+    ribbed_impedance : array_like
+        Impedance of skin and ribs together [kg/s]; `thickness` is the skin's.
+    """
+
+    ribbed_impedance: ArrayLike = np.nan
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        validation.positive("ribbed_impedance", self.ribbed_impedance, "kg/s")
+        validation.hold(self, "ribbed_impedance")
+
+    @property
+    def impedance(self) -> Floats:
+        """`ribbed_impedance` [kg/s]."""
+        return np.asarray(self.ribbed_impedance, np.float64)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -56,9 +117,9 @@ class TailBeam:
 
     Notes
     -----
-    Kirchhoff's plate knows neither shear nor rotary inertia: its frequencies are some 5 % too high where the
-    wave length is 12 thicknesses, 18 % at 6. Smeared ribs stand for waves longer than `2 * rib_spacing`:
-    see `highest_smeared_frequency`.
+    Kirchhoff's plate has neither shear nor rotary inertia: its frequencies are about 5 % too high where the wavelength
+    is 12 thicknesses, 18 % at 6. Smeared ribs are valid for waves longer than `2 * rib_spacing`: see
+    `highest_smeared_frequency`.
 
     Examples
     --------
@@ -90,13 +151,13 @@ class TailBeam:
         validation.instance("ribs", self.ribs, Ribs, type(None))
         validation.choice("edges", self.edges, tuple(EDGES))
         for name in ("length", "width", "thickness"):
-            object.__setattr__(self, name, single(name, getattr(self, name), "m"))
-        object.__setattr__(self, "damping_ratio", single("damping_ratio", self.damping_ratio, ""))
-        if self.damping_ratio >= 1:
-            raise InvalidValue(f"damping_ratio must be below 1, where a mode stops to ring, got {self.damping_ratio:g}")
-        # Plain floats: a beam is hashed, so that its modes are worked out once.
-        constants = {name: _constant(self.material, name) for name in ("density", "youngs_modulus", "poisson_ratio")}
-        object.__setattr__(self, "material", Material(**constants))
+            object.__setattr__(self, name, validation.number(name, getattr(self, name), "m", validation.positive))
+        damping = validation.damping_ratio("damping_ratio", self.damping_ratio)
+        object.__setattr__(self, "damping_ratio", validation.number("damping_ratio", damping))
+        # Plain floats: a beam is hashed, so that its modes are computed once.
+        constants = ("density", "youngs_modulus", "poisson_ratio")
+        plain = {name: validation.number(f"{name} of the beam", getattr(self.material, name)) for name in constants}
+        object.__setattr__(self, "material", Material(**plain))
         if self.ribs is not None and self.ribs.thickness > self.rib_spacing:
             raise InvalidValue(
                 f"ribs must fit side by side: {self.ribs.number} of {self.ribs.thickness:g} m do not on a width of "
@@ -125,14 +186,14 @@ class TailBeam:
 
     @property
     def skin(self) -> ThinPlate:
-        """The skin alone, what a short blow between two ribs meets."""
+        """The skin alone, the target of a short impact between two ribs."""
         return ThinPlate(material=self.material, thickness=self.thickness)
 
     @property
     def plate(self) -> ThinPlate:
-        """The panel as a target of `Impact`: one without edges, of the impedance of skin and ribs.
+        """The panel as a target of `Impact`: a plate without edges, with the impedance of skin and ribs.
 
-        It holds until waves come back (`echo_time`), and with ribs up to `highest_smeared_frequency`.
+        Valid until waves come back (`echo_time`), and with ribs up to `highest_smeared_frequency`.
         """
         if self.ribs is None:
             return self.skin
@@ -145,18 +206,18 @@ class TailBeam:
 
     @property
     def modal_density(self) -> float:
-        """Modes per hertz far up, `4 mass / impedance` [1/Hz].
+        """Modes per hertz at high frequencies, `4 mass / impedance` [1/Hz].
 
-        Of waves with `k^2 = omega sqrt(m / D(theta))` the panel holds `A / (4 pi^2)` per area of the wave-number plane,
-        over the half turn that differs: the integral is the one in the impedance.
+        The panel has `A / (4 pi^2)` waves with `k^2 = omega sqrt(m / D(theta))` per area of the wave-number plane, over
+        half a turn: the integral is the one in the impedance.
         """
         return 4 * self.mass / self.impedance
 
     @property
     def highest_smeared_frequency(self) -> float:
-        """Frequency [Hz] where the wave across the ribs is two spacings long; infinite without ribs.
+        """Frequency [Hz] at which the wave across the ribs is two spacings long; infinite without ribs.
 
-        Above it the skin bends between the ribs, which a smeared model does not know.
+        Above it the skin bends between the ribs, which a smeared model neglects.
         """
         if self.ribs is None:
             return math.inf
@@ -164,10 +225,10 @@ class TailBeam:
         return wave_number * wave_number * math.sqrt(self.rigidities.across / self.mass_per_area) / (2 * math.pi)
 
     def echo_time(self, x: ArrayLike, y: ArrayLike, frequency: ArrayLike) -> Floats:
-        """Return when flexural waves of a frequency come back from the nearest edge [s].
+        """Return the time at which flexural waves of a frequency come back from the nearest edge [s].
 
-        A packet runs at the group velocity `2 sqrt(omega) (D / m)^(1/4)`, straight to an edge and back. Higher
-        frequencies are faster: for a blow ask at the highest that it holds, about one over its contact duration.
+        A packet travels at the group velocity `2 sqrt(omega) (D / m)^(1/4)`, straight to an edge and back. Higher
+        frequencies are faster: for an impact take its highest, about the inverse contact duration.
 
         Parameters
         ----------
@@ -187,9 +248,9 @@ class TailBeam:
         return np.minimum(*validation.broadcast(x=times[0], y=times[1]))
 
     def modes(self, highest_frequency: float) -> Modes:
-        """Return all modes up to a frequency [Hz]; asked again, the same ones.
+        """Return all modes up to a frequency [Hz]; they are cached.
 
-        Simply supported panels have a closed form; for clamped and cantilever ones see `cgid.physics.tail_beam.ritz`:
+        Simply supported panels have a closed form; for clamped and cantilever ones see `cgid.physics.plates`:
         every frequency is above the exact one, by at most 3e-5 of it. Two hundred modes take a second, four hundred
         some four, a thousand of a cantilever some forty.
 
@@ -198,7 +259,7 @@ class TailBeam:
         InvalidValue
             There would be more than 20,000 modes (1,000 unless simply supported).
         """
-        highest = single("highest_frequency", highest_frequency, "Hz")
+        highest = validation.number("highest_frequency", highest_frequency, "Hz", validation.positive)
         expected, most = self.modal_density * highest, MOST_RITZ_MODES if EDGES[self.edges] else MOST_MODES
         if expected > most:
             raise InvalidValue(
@@ -208,11 +269,28 @@ class TailBeam:
         return _modes(self, highest)
 
 
-def _constant(material: Material, name: str) -> float:
-    value = np.asarray(getattr(material, name))
-    if value.ndim:
-        raise InvalidValue(f"{name} of the beam must be one number, got an array of shape {value.shape}")
-    return float(value)
+def smeared(material: Material, thickness: float, ribs: Ribs | None, spacing: float) -> Rigidities:
+    """Return the rigidities of a skin and ribs a `spacing` [m] apart.
+
+    Along the ribs a strip one spacing wide bends about the neutral axis of its T-section: the skin with the modulus
+    of a wide plate, `E / (1 - nu^2)`, the bar with E. Across them only the skin bends, and the bars twist along with
+    it: `H = D + G J / (2 spacing)` (Huber's plate, Timoshenko & Woinowsky-Krieger 1959, Theory of Plates and Shells,
+    sections 86-87). It holds for waves longer than about two spacings; shorter ones see each rib.
+    """
+    modulus, density, ratio = (
+        float(np.asarray(value)) for value in (material.youngs_modulus, material.density, material.poisson_ratio)
+    )
+    wide_modulus = modulus / (1 - ratio * ratio)
+    skin = wide_modulus * (thickness * thickness * thickness) / 12
+    along, twist, mass = skin, skin * (1 - ratio) / 2, density * thickness
+    if ribs is not None:
+        bar_stretch, skin_stretch = modulus * ribs.depth * ribs.thickness / spacing, wide_modulus * thickness
+        between = (ribs.depth + thickness) / 2
+        along += bar_stretch * (ribs.depth * ribs.depth) / 12
+        along += bar_stretch * skin_stretch / (bar_stretch + skin_stretch) * (between * between)
+        twist += modulus / (2 * (1 + ratio)) * ribs.torsion_constant / (4 * spacing)
+        mass += density * ribs.depth * ribs.thickness / spacing
+    return Rigidities(along=along, across=skin, coupling=ratio * skin, twist=twist, mass=mass)
 
 
 @lru_cache(maxsize=16)
@@ -220,7 +298,11 @@ def _modes(beam: TailBeam, highest: float) -> Modes:
     held = EDGES[beam.edges]
     frequency: Floats
     shapes: Shapes
-    frequency, shapes = _simply_supported(beam, highest) if held is None else _held(beam, held, highest)
+    if held is None:
+        frequency, shapes = _simply_supported(beam, highest)
+    else:
+        omega, shapes = ritz_modes(beam.rigidities, beam.length, beam.width, held, 2 * math.pi * highest)
+        frequency = omega / (2 * math.pi)
     return Modes(
         frequency=frequency,
         damping_ratio=np.full(frequency.size, beam.damping_ratio),
@@ -249,8 +331,3 @@ def _simply_supported(beam: TailBeam, highest: float) -> tuple[Floats, SineShape
     order = np.argsort(frequency, kind="stable")
     order = order[frequency[order] <= highest]
     return frequency[order], SineShapes(along[order], across[order])
-
-
-def _held(beam: TailBeam, held: tuple[str, str], highest: float) -> tuple[Floats, PolynomialShapes]:
-    omega, shapes = ritz_modes(beam.rigidities, beam.length, beam.width, held, 2 * math.pi * highest)
-    return omega / (2 * math.pi), shapes

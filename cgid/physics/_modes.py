@@ -1,11 +1,11 @@
-"""Numba kernels of a symmetric eigenproblem, `M v = mu K v` with a diagonal M, for its largest eigenvalues.
+"""Numba kernels of the modes of a panel: a symmetric eigenproblem, and mode shapes at points.
 
-LAPACK's results depend on the kernels that its BLAS picks for a processor. These loops do the same sums in the same
-order everywhere, each along rows, so that the compiler still takes several columns at once.
-
-The method is the classic one: Cholesky's factor turns it into a standard problem, Householder's reflections into a
-tridiagonal one (Golub & Van Loan 2013, Matrix Computations, section 8.3), whose eigenvalues are found by bisection
-with Sturm's counts, and their vectors by inverse iteration, each made orthogonal to those of near eigenvalues.
+The eigenproblem is `M v = mu K v` with a diagonal M, for its largest eigenvalues. LAPACK's results depend on the
+kernels that its BLAS picks for a processor. These loops do the same sums in the same order everywhere, each along
+rows, so that the compiler still vectorises over columns. The method is the classic one: Cholesky's factor turns the
+problem into a standard one, Householder's reflections make it tridiagonal (Golub & Van Loan 2013, Matrix Computations,
+section 8.3), bisection with Sturm's counts finds the eigenvalues, and inverse iteration their vectors, each made
+orthogonal to those of near eigenvalues.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from cgid._elementary import sincos
 from cgid.compiled import jit
 
 Array = NDArray[Any]
@@ -26,7 +27,7 @@ _NEAR, _HALVINGS, _ITERATIONS = 1e-3, 60, 4
 
 @jit
 def factorise(matrix: Array) -> bool:
-    """Put Cholesky's factor U, `U' U = matrix` (n, n), into the upper half in place; tell if the matrix has one."""
+    """Put Cholesky's factor U, `U' U = matrix` (n, n), into the upper half in place; return False if there is none."""
     n = matrix.shape[0]
     for j in range(n):
         if not matrix[j, j] > 0.0:
@@ -65,7 +66,7 @@ def standard_form(factor: Array, mass: Array, out: Array) -> None:
 
 @jit
 def tridiagonalise(matrix: Array, diagonal: Array, beside: Array, factors: Array) -> None:
-    """Reduce a symmetric matrix (n, n) to its diagonal (n,) and what stands beside it (n - 1,).
+    """Reduce a symmetric matrix (n, n) to a tridiagonal one: diagonal (n,) and off-diagonal `beside` (n - 1,).
 
     Row k of the matrix then holds the vector v of reflection k from entry k + 1 on, `I - factor v v'`, factors (n,).
     """
@@ -185,7 +186,7 @@ def vectors(diagonal: Array, beside: Array, values: Array, out: Array) -> None:
     least = 1e-300 + 1e-16 * scale
     first, shift = 0, 0.0
     for number in range(values.size):
-        # Of eigenvalues that are equal each is sought from a place of its own.
+        # Equal eigenvalues start from different vectors and shifts.
         shift = values[number] if number == 0 else min(values[number], shift - 10.0 * least)
         while values[first] - values[number] > _NEAR * scale:
             first += 1
@@ -199,7 +200,7 @@ def vectors(diagonal: Array, beside: Array, values: Array, out: Array) -> None:
                 size = max(size, abs(x[i]))
             for i in range(n):
                 x[i] /= size
-            # Twice, for what the first pass leaves by cancellation.
+            # Twice: the first pass leaves a rest by cancellation.
             for _ in range(2):
                 for other in range(first, number):
                     along, y = 0.0, out[other]
@@ -247,3 +248,60 @@ def unfactorised(factor: Array, columns: Array) -> None:
                 row[m] -= value * done[m]
         for m in range(row.size):
             row[m] /= factor[i, i]
+
+
+_POINTS = 32  # evaluated together
+
+
+@jit
+def sine_shapes(x: Array, y: Array, along: Array, across: Array, out: Array) -> None:
+    """Fill out (points, modes) with `sin(i pi x) sin(j pi y)`, x and y within [0, 1], i = along, j = across."""
+    sines_along, sines_across = np.zeros(along.max() + 1), np.zeros(across.max() + 1)
+    for point in range(x.size):
+        for i in range(sines_along.size):
+            sines_along[i] = sincos(math.pi * i * x[point])[0]
+        for j in range(sines_across.size):
+            sines_across[j] = sincos(math.pi * j * y[point])[0]
+        for mode in range(along.size):
+            out[point, mode] = sines_along[along[mode]] * sines_across[across[mode]]
+
+
+@jit
+def _legendre(u: float, out: Array) -> None:
+    """Fill out (degrees) with the Legendre polynomials at u, by Bonnet's recurrence."""
+    before, value = 0.0, 1.0
+    for degree in range(out.size):
+        out[degree] = value
+        before, value = value, ((2 * degree + 1) * u * value - degree * before) / (degree + 1)
+
+
+@jit
+def polynomial_shapes(x: Array, y: Array, along: Array, across: Array, coefficients: Array, out: Array) -> None:
+    """Fill out (points, modes) with sums of `P_i(2x - 1) P_j(2y - 1)`, i = along, j = across (terms).
+
+    Points are taken in blocks: each row of coefficients is then fetched once for all of them.
+
+    Parameters
+    ----------
+    coefficients : ndarray, (terms, modes)
+        Their number of modes is best a multiple of 16, so that the compiler vectorises over them. The number of terms
+        must be a multiple of 4.
+    """
+    legendre_along, legendre_across = np.empty(along.max() + 1), np.empty(across.max() + 1)
+    weights = np.empty((_POINTS, along.size))
+    for start in range(0, x.size, _POINTS):
+        block = out[start : start + _POINTS]
+        block[:, :] = 0.0
+        for point in range(len(block)):
+            _legendre(2.0 * x[start + point] - 1.0, legendre_along)
+            _legendre(2.0 * y[start + point] - 1.0, legendre_across)
+            for term in range(along.size):
+                weights[point, term] = legendre_along[along[term]] * legendre_across[across[term]]
+        for term in range(0, along.size, 4):
+            c0, c1 = coefficients[term], coefficients[term + 1]
+            c2, c3 = coefficients[term + 2], coefficients[term + 3]
+            for point in range(len(block)):
+                w0, w1 = weights[point, term], weights[point, term + 1]
+                w2, w3 = weights[point, term + 2], weights[point, term + 3]
+                for mode in range(c0.size):
+                    block[point, mode] += (w0 * c0[mode] + w1 * c1[mode]) + (w2 * c2[mode] + w3 * c3[mode])
