@@ -24,7 +24,7 @@ from cgid.elementary import exp
 from cgid.errors import InvalidValue
 from cgid.physics.bodies import Sphere, Target, sphere_share
 from cgid.physics.closed_forms import damping_number, delivered_restitution
-from cgid.signals import STANDARD_GRAVITY
+from cgid.units import STANDARD_GRAVITY
 from cgid.validation import Floats
 
 #: K over Hertz's `K1 = 4/3 sqrt(R) E`; Yang, Zeng & Wan (2018), Eq. 5-6, 7-8 and 9-13.

@@ -6,19 +6,18 @@ The report's section on the finite elements: which theory they support, and what
 """
 
 from __future__ import annotations
-from cgid.reproduction.finite_element.section import finite_element_section
-from cgid.reproduction.markdown import table
 
 from collections.abc import Iterable, Sequence
 
 import numpy as np
 
 from cgid.physics import STIFFNESS_THEORIES
+from cgid.physics.impact import HERTZ_LIMIT
 from cgid.physics.materials import YANG2018_RADIUS, YANG2018_SPHERES
-from cgid.physics.pulse import HERTZ_LIMIT
 from cgid.reproduction.claims import all_claims
 from cgid.reproduction.drawing import PaperFigure
 from cgid.reproduction.judging import Claim, symbol
+from cgid.reproduction.markdown import table
 from cgid.reproduction.paper import RESTITUTIONS, THEORY_NAMES, paper_impact
 from cgid.reproduction.parameter_claims import measures
 from cgid.reproduction.study import (

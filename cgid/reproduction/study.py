@@ -19,8 +19,8 @@ import numpy as np
 from cgid.errors import BadData, NoInput
 from cgid.measure.filters import fft_filter
 from cgid.physics.bodies import sphere_share
-from cgid.physics.inverse import dissipative_constant
 from cgid.physics.materials import STEEL, YANG2018_RADIUS, YANG2018_SPHERES
+from cgid.physics.sensitivity import dissipative_constant
 from cgid.reproduction import paper
 from cgid.reproduction.paper import paper_impact
 from cgid.validation import Floats
