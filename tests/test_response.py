@@ -15,8 +15,8 @@ from cgid.physics.driving import steps_for
 from cgid.physics.materials import STEEL, Material
 from cgid.physics.poles import LowPass, Resonance, resonator_poles
 from cgid.physics.response import Response
-from cgid.scene.response import TOLERANCE
-from cgid.scene.taps import SHAPES, TapPulses
+from cgid.scene.impacts import SHAPES, TapPulses
+from cgid.scene.plan import RESPONSE_TOLERANCE as TOLERANCE
 from tests import few
 
 RATE = 25_600.0

@@ -21,8 +21,8 @@ from cgid.cli.main import run
 from cgid.errors import BadData, CannotCreate, NoInput
 from cgid.scene import generate, parse_scene
 from cgid.scene.plan import plan
+from cgid.scene.recordings import generate_recordings
 from cgid.scene.repair import repair
-from cgid.scene.stream.generation import generate_recordings
 from cgid.scene.tabulation import tabulate
 from cgid.store import Dataset, opening, read_table
 from cgid.store.examination import damaged_rows, examine_file

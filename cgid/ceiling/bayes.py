@@ -26,8 +26,8 @@ from cgid.measure.filters import low_pass_response
 from cgid.measure.pulses import PulseBatch
 from cgid.physics import HertzRangeWarning
 from cgid.scene import Scene, parse_scene
-from cgid.scene.population import draw
-from cgid.scene.randomness import BLOCK
+from cgid.scene.draws import BLOCK
+from cgid.scene.impacts import draw
 from cgid.scene.synthesis import synthesise
 from cgid.signals import Batch
 from cgid.validation import Floats

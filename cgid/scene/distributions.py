@@ -15,7 +15,7 @@ from cgid.elementary import exp, expm1, log, log1p, normal_quantile, normal_shar
 from cgid.scene.units import DIMENSIONS, LIMITS, Number, parse
 from cgid.validation import Floats
 
-#: The smallest and largest uniform numbers that are ever drawn (`cgid.scene.randomness`).
+#: The smallest and largest uniform numbers that are ever drawn (`cgid.scene.draws`).
 SMALLEST_UNIFORM, LARGEST_UNIFORM = 2.0**-54, 1 - 2.0**-53
 
 

@@ -11,7 +11,7 @@ from typing import Literal
 from cgid import validation
 from cgid.errors import InvalidValue
 from cgid.scene.provenance import attributes_of, shard_plan
-from cgid.scene.scene import Scene
+from cgid.scene.schema import Scene
 from cgid.scene.synthesis import synthesise
 from cgid.scene.workers import write_shards
 from cgid.store import FORMAT, SCHEMA_VERSION, DatasetWriter, check_output

@@ -15,8 +15,8 @@ from typing import Literal, TypeVar
 
 import numpy as np
 
-from cgid.scene.randomness import BLOCK
-from cgid.scene.scene import Scene
+from cgid.scene.draws import BLOCK
+from cgid.scene.schema import Scene
 from cgid.scene.synthesis import synthesise
 from cgid.signals import Batch
 from cgid.store import DatasetWriter

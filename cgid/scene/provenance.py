@@ -12,8 +12,8 @@ from typing import Any
 
 from cgid import __version__
 from cgid.errors import BadData
-from cgid.scene.population import parameter_units
-from cgid.scene.scene import Scene, parse_scene
+from cgid.scene.draws import parameter_units
+from cgid.scene.schema import Scene, parse_scene
 from cgid.store.compression import library
 from cgid.store.examination import compression_of
 from cgid.store.shard import ShardPlan

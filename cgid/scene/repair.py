@@ -17,11 +17,10 @@ from cgid.files import whole_file, write_whole
 from cgid.lock import locked
 from cgid.scene._fourier import LARGEST_FACTOR, transformable
 from cgid.scene.provenance import attributes_of, in_order, plan_of, scene_of, shard_plan, whole_number
+from cgid.scene.recordings import write_recording
 from cgid.scene.relisting import relist
 from cgid.scene.repair_size import Room, require_length, size_made, size_of
-from cgid.scene.scene import Scene
-from cgid.scene.stream.axis import samples_of
-from cgid.scene.stream.generation import write_recording
+from cgid.scene.schema import Scene, samples_of
 from cgid.scene.synthesis import synthesise
 from cgid.store.examination import compression_of, examine_file
 from cgid.store.export import write_dataset

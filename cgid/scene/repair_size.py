@@ -10,8 +10,7 @@ from typing import Any
 import numpy as np
 
 from cgid.errors import BadData
-from cgid.scene.scene import Scene
-from cgid.scene.stream.axis import samples_of
+from cgid.scene.schema import Scene, samples_of
 
 #: So many bytes, and for each byte that lies there so many more.
 _ROOM, _ROOM_FOR_EACH = 16 << 20, 100

@@ -12,7 +12,7 @@ from typing import Literal
 
 from cgid.errors import CannotCreate
 from cgid.scene.overlap import write_in_turn
-from cgid.scene.scene import Scene
+from cgid.scene.schema import Scene
 from cgid.store import DatasetWriter
 from cgid.store.journal import JOURNAL
 from cgid.store.manifest import ShardEntry

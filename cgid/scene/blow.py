@@ -13,7 +13,7 @@ from cgid.errors import BadData, InvalidValue
 from cgid.physics import Impact
 from cgid.physics.driving import Pulses
 from cgid.physics.poles import LowPass, Resonance
-from cgid.scene.scene import Scene
+from cgid.scene.schema import Scene
 from cgid.signals import STANDARD_GRAVITY, Signal
 from cgid.validation import Floats
 
