@@ -22,11 +22,11 @@ from cgid.measure.features import FEATURES, choose, extract_array
 from cgid.measure.filters import fft_filter
 from cgid.physics import HertzRangeWarning
 from cgid.scene import generate, load_scene
+from cgid.scene.draws import BLOCK
+from cgid.scene.impacts import blows_of, draw
 from cgid.scene.noise import add_noise
 from cgid.scene.plan import plan
-from cgid.scene.population import draw
-from cgid.scene.randomness import BLOCK
-from cgid.scene.synthesis import add_pulses, make_frames, synthesise
+from cgid.scene.synthesis import make_frames, synthesise
 
 ROUNDS = 7
 
@@ -51,9 +51,8 @@ def main() -> None:
     warnings.simplefilter("ignore", HertzRangeWarning)
     scene = load_scene(shipped.scene_path(arguments.scene))
     rate, pre_trigger = scene.sampling.sampling_rate, scene.sampling.pre_trigger
-    drawn = draw(scene, 0, 0)
-    asked = plan(scene)
-    frames = make_frames(asked, drawn, 0, 0, np.float32)
+    drawn = blows_of(plan(scene), 0, 0)
+    frames = make_frames(drawn, 0, 0, np.float32)
     silence, level = np.zeros_like(frames), scene.sensor.noise_level(drawn.parameters["peak_force"], rate)
     model = Model.load(shipped.path_of("models", shipped.DEFAULT_MODEL))
     table = extract_array(frames, rate, model.measured, pre_trigger=pre_trigger, invalid="nan")
@@ -65,7 +64,7 @@ def main() -> None:
 
     making = {
         "parameters": lambda: draw(scene, 0, 0),
-        "pulse": lambda: add_pulses(frames, asked, drawn),
+        "pulse": lambda: drawn.add_to_frames(frames),
         "noise": lambda: add_noise(silence, level, 0, 0),
         "sensor (range, bits; nothing when off)": lambda: scene.sensor.digitise(frames, rate),
     }

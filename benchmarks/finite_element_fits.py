@@ -12,7 +12,7 @@ from finite_element_rocks import FAMILY, FINITE_ELEMENTS, VISCOELASTIC, extreme_
 from cgid.identification.estimation import Estimates, estimate
 from cgid.measure.template import curve
 from cgid.physics.sampled import SampledPulses, smoothed
-from cgid.scene.solved import SolvedImpacts
+from cgid.scene.given_pulses import SolvedImpacts
 
 #: Classes of restitution in the tables of shape.
 EDGES = (0.1, 0.25, 0.35, 0.45, 0.55, 0.65, 1.0)

@@ -29,8 +29,8 @@ from cgid.identification.model import Model
 from cgid.identification.rows import measure
 from cgid.identification.training import train
 from cgid.scene import Scene, load_scene, synthesise, synthesise_given, varied
-from cgid.scene.population import draw
-from cgid.scene.solved import SolvedImpacts
+from cgid.scene.given_pulses import SolvedImpacts
+from cgid.scene.impacts import draw
 from cgid.signals import Batch
 
 SEED, TRAINING_SEED = 3_000_017, 4_000_037

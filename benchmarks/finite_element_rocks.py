@@ -13,7 +13,7 @@ from cgid.physics import Elastic, HalfSpace, HuntCrossley, Impact, Sphere, Visco
 from cgid.physics.materials import STEEL, Material
 from cgid.physics.sampled import SampledPulses, shares_of_contact, smoothed
 from cgid.scene import Scene
-from cgid.scene.solved import SolvedImpacts
+from cgid.scene.given_pulses import SolvedImpacts
 
 ELASTIC = "finite elements without loss"
 FINITE_ELEMENTS, VISCOELASTIC, FAMILY = "finite elements", "Kuwabara-Kono", "Hunt-Crossley (the family)"

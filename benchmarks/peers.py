@@ -40,7 +40,7 @@ from scipy.integrate import odeint, solve_ivp
 from cgid import shipped
 from cgid.physics.tabulation import reference_pulse
 from cgid.scene import load_scene
-from cgid.scene.population import draw
+from cgid.scene.impacts import draw
 
 try:
     import numbalsoda

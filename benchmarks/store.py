@@ -29,7 +29,7 @@ import numpy as np
 
 from cgid import shipped
 from cgid.scene import generate, load_scene, synthesise
-from cgid.scene.population import parameter_units
+from cgid.scene.draws import parameter_units
 from cgid.store.compression import COMPRESSIONS, keywords
 from cgid.store.hdf5 import ShardBuilder, ShardPlan
 

@@ -32,7 +32,7 @@ from cgid.physics.curves import Curves
 from cgid.physics.materials import STEEL, Material
 from cgid.plots import png, require_matplotlib
 from cgid.scene import load_scene
-from cgid.scene.population import draw
+from cgid.scene.impacts import draw
 
 HERE = Path(__file__).parent
 KNOWN = 500  # pulses whose error is measured: quadrature takes its time

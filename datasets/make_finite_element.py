@@ -33,8 +33,8 @@ from cgid.physics.bodies import sphere_share
 from cgid.physics.materials import STEEL, Material
 from cgid.physics.sampled import SampledPulses, shares_of_contact, smoothed
 from cgid.scene import load_scene
-from cgid.scene.population import draw
-from cgid.scene.solved import MAKING, PARAMETERS, SolvedImpacts
+from cgid.scene.given_pulses import MAKING, PARAMETERS, SolvedImpacts
+from cgid.scene.impacts import draw
 from cgid.workers import workers
 
 HERE = Path(__file__).parent

@@ -12,7 +12,7 @@ import numpy as np
 
 from cgid.physics import Impact
 from cgid.scene import load_scene
-from cgid.scene.population import draw
+from cgid.scene.impacts import draw
 
 SEED, SAMPLING_RATE, SPACING = 20180917, 200e3, 0.020
 NOISE = 25.0  # N, the sensor's own

@@ -9,11 +9,10 @@ from typing import Any
 from cgid.counting import counted
 from cgid.measure.features import extract_array
 from cgid.scene import Scene, parse_scene, synthesise
+from cgid.scene.draws import BLOCK
+from cgid.scene.impacts import beam_modes, draw
 from cgid.scene.plan import Plan, plan
-from cgid.scene.population import draw
-from cgid.scene.randomness import BLOCK
-from cgid.scene.response import beam_modes
-from cgid.scene.tables import closed_forms_of, columns_of
+from cgid.scene.synthesis import columns_of
 
 STEEL = {"density": 7850, "youngs_modulus": "210 GPa", "poisson_ratio": 0.3}
 #: Signals of which it is counted what runs: two blocks.
@@ -99,7 +98,7 @@ class Case:
         """Return what runs for `COUNTED` signals."""
         with counted() as counts:
             asked = self.plan
-            kept, outputs = asked.request.kept, [self.output]
+            kept, outputs = asked.kept, [self.output]
             made = synthesise(self.scene, COUNTED, outputs=outputs) if kept else columns_of(asked, COUNTED)
             for _ in made:
                 pass
@@ -111,10 +110,10 @@ class Case:
         On a beam: the true pulses, too, and all modes that it has in the band, over every sample.
         """
         with counted() as counts:
-            for _ in closed_forms_of(self.scene, COUNTED):
+            for _ in columns_of(plan(self.scene, ["closed-form"]), COUNTED):
                 pass
             for batch in synthesise(self.scene, COUNTED):
-                names = None if batch.unit == "N" else plan(self.scene, ["features"]).request.features
+                names = None if batch.unit == "N" else plan(self.scene, ["features"]).features
                 extract_array(batch.signals, batch.sampling_rate, names, pre_trigger=batch.pre_trigger, invalid="nan")
             if self.scene.tail_beam is not None:
                 for _ in synthesise(self.scene, COUNTED, outputs=["pulses"]):

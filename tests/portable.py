@@ -17,8 +17,8 @@ import numpy as np
 
 from cgid.physics.laws import HUNT_CROSSLEY_LAWS, STIFFNESS_THEORIES
 from cgid.scene import load_scene, synthesise
-from cgid.scene.scene import Scene
-from cgid.scene.stream.synthesis import record
+from cgid.scene.schema import Scene
+from cgid.scene.stream import record
 from tests.plan_scenes import CASES, PANEL, STEEL, TAP, beam_of, scene_of
 
 DATASETS = Path(__file__).parents[1] / "datasets"

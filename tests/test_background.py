@@ -11,9 +11,9 @@ from scipy.io import wavfile
 
 from cgid.errors import BadData, CgidError, NoInput
 from cgid.scene import load_scene, parse_scene, synthesise
-from cgid.scene.background_noise import CHUNK, background_of, reference_peak
-from cgid.scene.randomness import BLOCK
-from cgid.scene.stream.synthesis import record
+from cgid.scene.draws import BLOCK
+from cgid.scene.noise import CHUNK, background_of, reference_peak
+from cgid.scene.stream import record
 from tests.test_stream import RATE, population
 from tests.test_stream import content as stream_content
 

@@ -10,7 +10,7 @@ from cgid.physics import Elastic, HalfSpace, HuntCrossley, Impact, Sphere, Visco
 from cgid.physics.materials import STEEL, YANG2018_SPHERES
 from cgid.physics.sampled import SampledPulses, shares_of_contact
 from cgid.scene import load_scene, synthesise, synthesise_given, varied
-from cgid.scene.population import draw
+from cgid.scene.impacts import draw
 
 DATASETS = Path(__file__).parents[1] / "datasets"
 

@@ -11,8 +11,8 @@ from scipy import stats
 
 from cgid.errors import InvalidValue
 from cgid.scene._noise import LANES, TILE, random_words, to_normal
+from cgid.scene.draws import BLOCK, NOISE, TAPS
 from cgid.scene.noise import MOST_SAMPLES, add_noise
-from cgid.scene.randomness import BLOCK, NOISE, TAPS
 
 #: Numbers of the statistical tests; what their mean is off by is about 1 / sqrt(MANY).
 MANY = 1 << 23

@@ -8,6 +8,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from cgid.scene.population import draw
+from cgid.scene.stream.synthesis import record
 from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import TypeAdapter
@@ -17,12 +19,10 @@ from cgid import shipped
 from cgid.errors import BadData, CgidError, InvalidValue, NoInput
 from cgid.scene import load_scene, parse_scene, synthesise
 from cgid.scene.distributions import LARGEST_UNIFORM, SMALLEST_UNIFORM, Distribution
-from cgid.scene.population import draw
-from cgid.scene.randomness import generator, uniforms
-from cgid.scene.stream.axis import samples_of
-from cgid.scene.stream.capacity import require_capacity
-from cgid.scene.stream.synthesis import record
-from cgid.scene.taps import SHAPES
+from cgid.scene.draws import generator, uniforms
+from cgid.scene.recordings import require_capacity
+from cgid.scene.schema import samples_of
+from cgid.scene.sections import SHAPES
 from cgid.units import parse
 from tests import few
 

@@ -18,9 +18,9 @@ from cgid.identification.rows import measure
 from cgid.physics import Elastic, HalfSpace, Impact, Sphere, Viscoelastic, dissipative_constant
 from cgid.physics.materials import STEEL, Material
 from cgid.physics.sampled import SampledPulses, shares_of_contact, smoothed
-from cgid.scene.population import draw
-from cgid.scene.range_warnings import unwarned
-from cgid.scene.solved import MAKING, PARAMETERS, SolvedImpacts, radii
+from cgid.scene.extremes import unwarned
+from cgid.scene.given_pulses import MAKING, PARAMETERS, SolvedImpacts, radii
+from cgid.scene.impacts import draw
 
 PATH = shipped.path_of("datasets", shipped.FINITE_ELEMENT_IMPACTS)
 

@@ -22,7 +22,7 @@ from cgid.errors import BadData, CannotCreate, CgidError, InvalidValue, NoInput,
 from cgid.files import write_whole
 from cgid.recordings import is_dataset
 from cgid.scene import generate, parse_scene, synthesise
-from cgid.scene.population import PARAMETER_UNITS
+from cgid.scene.draws import PARAMETER_UNITS
 from cgid.store import Dataset
 from tests import few
 

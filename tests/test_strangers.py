@@ -16,8 +16,8 @@ from cgid.physics import Elastic, HalfSpace, HuntCrossley, Impact, Sphere, ThinP
 from cgid.physics.materials import Material
 from cgid.scene import generate, load_scene, parse_scene, synthesise, varied
 from cgid.scene.distributions import Constant, Uniform
-from cgid.scene.population import PARAMETER_UNITS, draw
-from cgid.scene.randomness import BLOCK
+from cgid.scene.draws import BLOCK, PARAMETER_UNITS
+from cgid.scene.impacts import draw
 from cgid.shipped import SCENES, scene_path
 from cgid.store import Dataset
 from tests import few

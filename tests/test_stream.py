@@ -10,16 +10,16 @@ from scipy import integrate, stats
 from cgid.errors import BadData, InvalidValue
 from cgid.physics import HalfSpace, HuntCrossley, Impact, Sphere
 from cgid.physics.materials import Material
-from cgid.scene import parse_scene, synthesise, varied
-from cgid.scene.impacts import impact_of, impacts_by_coupling
-from cgid.scene.randomness import BLOCK, generator
-from cgid.scene.response import hearing
-from cgid.scene.stream import rocks, synthesis
-from cgid.scene.stream.arrivals import PoissonTimes, arrivals_of, population_shares
-from cgid.scene.stream.axis import samples_of
-from cgid.scene.stream.capacity import most_impacts, require_capacity
-from cgid.scene.stream.sections import RateTable
-from cgid.scene.stream.synthesis import record
+from cgid.scene import parse_scene, rocks, synthesise, varied
+from cgid.scene import stream as synthesis
+from cgid.scene.draws import BLOCK, generator
+from cgid.scene.impacts import hearing, impact_of, impacts_by_coupling
+from cgid.scene.plan import plan
+from cgid.scene.recordings import most_impacts, require_capacity
+from cgid.scene.rocks import PoissonTimes, arrivals_of, population_shares
+from cgid.scene.schema import samples_of
+from cgid.scene.sections import RateTable
+from cgid.scene.stream import record
 
 GRAVITY = 9.80665
 RATE = 25_600.0
@@ -139,7 +139,7 @@ def test_a_stretch_never_holds_more_than_a_block():
     from scipy.special import pdtr
 
     from cgid.scene.distributions import LARGEST_UNIFORM
-    from cgid.scene.stream.arrivals import EXPECTED_ROCKS
+    from cgid.scene.rocks import EXPECTED_ROCKS
 
     assert np.searchsorted(pdtr(np.arange(BLOCK), EXPECTED_ROCKS), LARGEST_UNIFORM) < BLOCK
 
@@ -380,10 +380,11 @@ def test_the_ringing_of_every_impact_goes_on_through_the_recording(sensor):
     scene = scene_of(duration="6 s", arrivals={"rate": "60 Hz"}, sensor=sensor, rebounds={"most": 1}, **beam())
     signal, found = record(scene, dtype="float64")
     assert signal.unit == scene.sensor.unit and len(set(found["time"] // (128 / 60))) == 3
-    heard = hearing(scene)
+    planned = plan(scene, ["recordings"])
+    heard = hearing(planned)
     # All at once, in one frame as long as the recording. What was asked is more than what the beam has left.
     asked = {**found, "restitution": np.full(found["time"].size, 0.5)}
-    impact = impact_of(scene, asked, np.arange(found["time"].size))
+    impact = impact_of(planned, asked, np.arange(found["time"].size))
     wanted, rows = np.zeros((1, signal.samples.size)), np.zeros(found["time"].size, int)
     heard.response.add_to_frames(wanted, impact, found["time"], heard.participation(found), rows=rows)
     np.testing.assert_allclose(signal.samples, wanted[0], atol=1e-4 * np.abs(wanted).max())
@@ -394,10 +395,11 @@ def test_rocks_that_feel_the_modes_of_the_beam_bounce_by_what_these_leave():
     scene = scene_of(duration="2 s", arrivals={"rate": "20 Hz"}, **changes)
     signal, found = record(scene)
     assert np.abs(signal.samples).max() > 0 and found["bounce"].max() == 1
+    planned = plan(scene, ["recordings"])
     asked = {**found, "restitution": np.full(found["time"].size, 0.5)}
     for row in (0, found["time"].size - 1):
         alone = {name: column[row : row + 1] for name, column in asked.items()}
-        ((_, impact, _),) = impacts_by_coupling(scene, impact_of(scene, alone, np.arange(1)), alone, np.arange(1))
+        ((_, impact, _),) = impacts_by_coupling(planned, impact_of(planned, alone, np.arange(1)), alone, np.arange(1))
         assert found["restitution"][row] == pytest.approx(float(impact.restitution[0]), rel=1e-9)
         assert found["restitution"][row] != pytest.approx(0.5, rel=1e-3)
 

@@ -13,7 +13,7 @@ from cgid.physics import HUNT_CROSSLEY_LAWS, RIGID, Elastic, HalfSpace, HuntCros
 from cgid.physics.materials import Material
 from cgid.scene import _fourier, load_scene, parse_scene, synthesise
 from cgid.scene import synthesis as synthesis_module
-from cgid.scene.randomness import BLOCK
+from cgid.scene.draws import BLOCK
 
 DATASETS = Path(__file__).parents[1] / "datasets"
 STEEL = {"density": 7850, "youngs_modulus": "210 GPa", "poisson_ratio": 0.3}

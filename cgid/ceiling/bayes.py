@@ -30,8 +30,8 @@ from cgid.measure.likelihood import Prior, Profile, profile
 from cgid.measure.pulses import PulseBatch
 from cgid.physics import HertzRangeWarning
 from cgid.scene import Scene, parse_scene, synthesise
+from cgid.scene.draws import BLOCK
 from cgid.scene.population import draw
-from cgid.scene.randomness import BLOCK
 from cgid.signals import Batch
 from cgid.validation import Floats
 

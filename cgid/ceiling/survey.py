@@ -10,7 +10,7 @@ import numpy as np
 from cgid.ceiling.bayes import ceilings, check_covered
 from cgid.errors import BadData
 from cgid.scene import Scene, varied
-from cgid.scene.population import draw
+from cgid.scene.impacts import draw
 from cgid.scene.sections import Population
 from cgid.validation import Floats
 

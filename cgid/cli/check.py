@@ -21,7 +21,7 @@ def check(scene: str, seed: int, as_json: bool) -> None:
     """Validate SCENE (a .toml file or the name of a shipped one), and preview 4096 of its impacts."""
     from cgid import shipped
     from cgid.scene import load_scene
-    from cgid.scene.background_noise import background_of
+    from cgid.scene.noise import background_of
 
     loaded = load_scene(shipped.scene_path(scene))
     background_of(loaded)  # a recording that cannot be read shows here
@@ -56,9 +56,9 @@ def _preview(scene: Any, seed: int) -> dict[str, Any]:
 
     import numpy as np
 
-    from cgid.scene.population import draw, parameter_units
-    from cgid.scene.randomness import BLOCK
-    from cgid.scene.range_warnings import unwarned
+    from cgid.scene.draws import BLOCK, parameter_units
+    from cgid.scene.extremes import unwarned
+    from cgid.scene.impacts import draw
 
     with unwarned():
         draws = [draw(scene, seed, block) for block in range(_BLOCKS)]
@@ -88,7 +88,7 @@ def _preview(scene: Any, seed: int) -> dict[str, Any]:
 
 def _tail_beam(scene: Any) -> dict[str, float]:
     """Return what is to be known of a scene's tail beam; nothing if it has none."""
-    from cgid.scene.response import beam_modes
+    from cgid.scene.impacts import beam_modes
 
     if scene.tail_beam is None:
         return {}
@@ -148,10 +148,10 @@ def _stream(scene: Any) -> dict[str, Any]:
     """
     import numpy as np
 
-    from cgid.scene.background_noise import background_of
-    from cgid.scene.stream.arrivals import arrivals_of, population_shares
-    from cgid.scene.stream.axis import samples_of
-    from cgid.scene.stream.capacity import require_capacity
+    from cgid.scene.noise import background_of
+    from cgid.scene.recordings import require_capacity
+    from cgid.scene.rocks import arrivals_of, population_shares
+    from cgid.scene.schema import samples_of
 
     require_capacity(scene, "float32")
     background, duration = background_of(scene), scene.stream.duration

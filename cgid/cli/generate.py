@@ -50,7 +50,7 @@ _OF_DATASETS = (*_OF_RECORDINGS, "shard_signals", "compression", "jobs", "schedu
 @click.option("--closed-form-only", is_flag=True, help="A table of what the impacts are without their pulses.")
 @click.option("--quantities", help="Only these, with commas between them; by default all.")
 @click.option("--parameters-only", is_flag=True, help="A table of what is drawn.")
-@click.option("--explain", is_flag=True, help="Print the plan: what would run, what not, why, and the cost.")
+@click.option("--explain", is_flag=True, help="Print the plan: what would run, what not, and why.")
 @click.option("--json", "as_json", is_flag=True, help="The plan as one JSON object.")
 @click.pass_context
 def generate(context: click.Context, /, scene: str, **options: Any) -> None:
@@ -155,13 +155,13 @@ def _features_of_model(scene: Any) -> tuple[str, ...]:
 def _write_dataset(asked: Any, options: dict[str, Any]) -> None:
     from cgid.scene import generate as generate_dataset
 
-    scene, n_signals = asked.request.scene, options["n_signals"]
+    scene, n_signals = asked.scene, options["n_signals"]
     start = time.perf_counter()
     _warn_of_plate(scene, options["seed"])
     with progress_bar(n_signals, "signals") as progress:
         path = generate_dataset(scene, progress=progress, **{name: options[name] for name in _OF_DATASETS})
     seconds = time.perf_counter() - start
-    megabytes = n_signals * asked.request.signal_bytes / 1e6
+    megabytes = n_signals * asked.signal_bytes / 1e6
     say(
         f"{path}: {n_signals} signals of {scene.sampling.samples} samples in {seconds:.1f} s: "
         f"{n_signals / seconds:.0f} signals/s, {megabytes / seconds:.0f} MB/s",
@@ -173,8 +173,8 @@ def _warn_of_plate(scene: Any, seed: int) -> None:
     """Say once what passing the range of the thin plate means, if rocks of the first block do; blocks are silent."""
     from cgid.physics import ThinPlate
     from cgid.physics.impact import BEYOND_THIN_PLATE, INELASTICITY_LIMIT
+    from cgid.scene.extremes import unwarned
     from cgid.scene.population import draw
-    from cgid.scene.range_warnings import unwarned
 
     if not isinstance(scene.body, ThinPlate):
         return
@@ -209,37 +209,29 @@ def _write_table(asked: Any, options: dict[str, Any]) -> None:
 
 
 def _explain(asked: Any, n_signals: int, as_json: bool) -> None:
-    """Print the plan: a line for each stage, the sum, and what it comes to for all signals."""
-    from dataclasses import asdict
-
+    """Print the plan: a line for each stage, and the bytes of all signals."""
     from cgid.errors import InvalidValue
 
     if n_signals < 1:
         raise InvalidValue(f"n_signals must be 1 or more, got {n_signals}")
-    stages, microseconds, size = asked.stages, asked.microseconds, asked.request.signal_bytes
-    noun = "signal" if asked.request.scene.stream is None else "recording"
+    size, noun = asked.signal_bytes, "signal" if asked.scene.stream is None else "recording"
     if as_json:
         print_json(
             {
-                "scene": asked.request.scene.name,
+                "scene": asked.scene.name,
                 "output": asked.kind,
-                "stages": [asdict(stage) for stage in stages],
-                f"microseconds_per_{noun}": microseconds,
+                "stages": [{"name": name, **decision._asdict()} for name, decision in asked.decisions.items()],
                 f"bytes_per_{noun}": size,
                 f"{noun}s": n_signals,
-                "seconds": microseconds * n_signals * 1e-6,
                 "bytes": size * n_signals,
             }
         )
         return
-    say(f"{asked.request.scene.name}: {asked.kind}; costs are estimates for one thread")
-    say(f"{'stage':<23}{'':<9}{f'us/{noun}':>13}{'error':>9}  why")
-    for stage in stages:
-        cost, runs = (f"{stage.microseconds:.2f}", "run") if stage.runs else ("-", "skipped")
-        say(f"{stage.name:<23}{runs:<9}{cost:>13}{stage.error_bound:>9.2g}  {stage.why}")
-    say(f"{'sum':<32}{microseconds:>13.2f}{'':>9}  {size} bytes a {noun}")
-    seconds, megabytes = microseconds * n_signals * 1e-6, size * n_signals / 1e6
-    say(f"{n_signals} {noun}s: {seconds:.3g} s, {megabytes:.4g} MB")
+    say(f"{asked.scene.name}: {asked.kind}")
+    say(f"{'stage':<23}{'':<9}{'error':>9}  why")
+    for name, decision in asked.decisions.items():
+        say(f"{name:<23}{'run' if decision.runs else 'skipped':<9}{decision.error_bound:>9.2g}  {decision.why}")
+    say(f"{n_signals} {noun}s: {size} bytes each, {size * n_signals / 1e6:.4g} MB")
 
 
 def _require_recordings(scene: Any, options: dict[str, Any]) -> None:
@@ -254,8 +246,8 @@ def _require_recordings(scene: Any, options: dict[str, Any]) -> None:
 
 
 def _make_recordings(scene: Any, output: str, n_signals: int, **options: Any) -> None:
-    from cgid.scene.stream.axis import samples_of
-    from cgid.scene.stream.generation import generate_recordings
+    from cgid.scene.recordings import generate_recordings
+    from cgid.scene.schema import samples_of
 
     seconds = scene.stream.duration * n_signals
     start = time.perf_counter()

@@ -1,14 +1,14 @@
 """Many impacts and what senses them: a scene file, its populations, its signals."""
 
-from cgid.scene.calibration import Blow, Calibration, calibrated
+from cgid.scene.blow import Blow
+from cgid.scene.calibration import Calibration, calibrated
 from cgid.scene.generation import generate
 from cgid.scene.given_pulses import synthesise_given
-from cgid.scene.scene import Scene, load_scene, parse_scene
+from cgid.scene.recordings import generate_recordings
+from cgid.scene.schema import Scene, load_scene, parse_scene, varied
 from cgid.scene.sensor import Sensor
-from cgid.scene.stream.generation import generate_recordings
-from cgid.scene.stream.synthesis import record
+from cgid.scene.stream import record
 from cgid.scene.synthesis import synthesise
-from cgid.scene.variation import varied
 
 __all__ = [
     "Blow",

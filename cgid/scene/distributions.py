@@ -16,7 +16,7 @@ from cgid.scene.units import LIMITS, Number
 from cgid.units import DIMENSIONS, parse
 from cgid.validation import Floats
 
-#: The smallest and largest uniform numbers that are ever drawn (`cgid.scene.randomness`).
+#: The smallest and largest uniform numbers that are ever drawn (`cgid.scene.draws`).
 SMALLEST_UNIFORM, LARGEST_UNIFORM = 2.0**-54, 1 - 2.0**-53
 
 

@@ -26,10 +26,10 @@ import numpy as np
 from cgid import __version__, validation
 from cgid.errors import CannotCreate, InvalidValue
 from cgid.files import require_room
+from cgid.scene.draws import BLOCK, parameter_units
 from cgid.scene.plan import Plan
-from cgid.scene.population import parameter_units
-from cgid.scene.randomness import BLOCK
-from cgid.scene.scene import Scene
+from cgid.scene.provenance import attributes_of
+from cgid.scene.schema import Scene
 from cgid.scene.synthesis import synthesise
 from cgid.scene.tables import columns_of
 from cgid.signals import Batch

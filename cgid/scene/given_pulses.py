@@ -1,19 +1,30 @@
-"""Pulses that no law of a scene has made, as its sensor and recorder would have them: another solver's, or measured."""
+"""Pulses that no law of a scene has made, as its sensor and recorder would have them: from another solver, or measured.
+
+The shipped test set of other physics was solved by finite elements once, for spheres of 1 m. Without gravity an impact
+has no size: at the same speed a sphere of R times the radius, of a material whose damping time is R times as long, has
+R times the time and R^2 times the force.
+"""
 
 from __future__ import annotations
 
+import io
+import json
 from collections.abc import Callable, Iterator, Mapping
-from typing import Literal
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cgid import validation
-from cgid.errors import InvalidValue
+from cgid.errors import BadData, InvalidValue
+from cgid.files import read_regular
 from cgid.physics.sampled import SampledPulses
-from cgid.scene.impacts import PARTICLE
-from cgid.scene.plan import Plan, plan
-from cgid.scene.population import (
+from cgid.scene.draws import (
+    BLOCK,
+    FALL,
+    PARTICLE,
     POINT_UNITS,
     RANDOMISED_UNITS,
     levels_of,
@@ -21,19 +32,19 @@ from cgid.scene.population import (
     onset_of,
     parameter_units,
     points_of_impact,
+    settled,
     specimen_of,
 )
-from cgid.scene.randomisation import settled
-from cgid.scene.randomness import BLOCK
-from cgid.scene.scene import Scene
-from cgid.scene.strike import Blows, Strike
+from cgid.scene.impacts import Blows, Strike
+from cgid.scene.plan import Plan, plan
+from cgid.scene.schema import Scene
 from cgid.scene.synthesis import batch_of, require_frames
 from cgid.signals import Batch
 from cgid.validation import Floats
 
-#: What follows from the pulses, and may not be said beside them.
+#: What follows from the pulses and may not be given with them.
 _OF_PULSES = ("peak_force", "contact_duration")
-#: What is possible; of a name that is not here, any finite number.
+#: The rules of parameters; any finite number may stand for a name that is not here.
 _RULES: dict[str, Callable[..., Floats]] = {
     "density": validation.positive,
     "youngs_modulus": validation.positive,
@@ -50,6 +61,14 @@ _RULES: dict[str, Callable[..., Floats]] = {
 }
 #: A number that every rule allows, to stand where none is known.
 _ALLOWED = 0.25
+#: Columns of a file of solved impacts: what is stored with each signal, and what made the impact.
+PARAMETERS = ("density", "youngs_modulus", "poisson_ratio", "drop_height", "velocity", "restitution")
+MAKING = ("restitution_asked", "retardation_time")
+#: No file of solved impacts is larger [bytes].
+_LARGEST_FILE = 64 << 20
+_MAKER = "python datasets/make_finite_element.py"
+#: Which of the numbers of a signal gives its radius; the first gives its population.
+_RADIUS = 1 + FALL.index("radius")
 
 
 def synthesise_given(
@@ -75,7 +94,7 @@ def synthesise_given(
         n of them, in newtons.
     labels : array_like of str, (n,)
     parameters : dict of array_like, each (n,), optional
-        What is known of each impact, by the names and in the units of `cgid.scene.population.parameter_units`; nan
+        What is known of each impact, by the names and in the units of `cgid.scene.draws.parameter_units`; nan
         where it is not. Onset and points of impact are drawn as the scene does where they are nan or left out. Peak and
         duration are those of the pulses, levels of the sensor those of the scene.
     seed : int
@@ -101,8 +120,8 @@ def synthesise_given(
         # A block is drawn whole: rows behind the last pulse repeat it, and are left out of the batch.
         rows = np.minimum(np.arange(first, first + BLOCK), n - 1)
         part = {name: values[rows] for name, values in known.items()}
-        struck = _struck(asked, pulses.taken(rows), names[rows], part, seed, first // BLOCK)
-        yield batch_of(asked, struck, seed, first // BLOCK, slice(0, min(n - first, BLOCK)), dtype)
+        blows = _blows(asked, pulses.taken(rows), names[rows], part, seed, first // BLOCK)
+        yield batch_of(blows, seed, first // BLOCK, slice(0, min(n - first, BLOCK)))
 
 
 def _known(parameters: Mapping[str, ArrayLike], scene: Scene, n: int) -> dict[str, Floats]:
@@ -134,11 +153,11 @@ def _require_on_panel(known: Mapping[str, Floats], scene: Scene) -> None:
             )
 
 
-def _struck(
+def _blows(
     asked: Plan, pulses: SampledPulses, labels: NDArray[np.str_], known: dict[str, Floats], seed: int, block: int
 ) -> Blows:
-    here = settled(asked.request.scene, seed, block)
-    values = {name: np.full(BLOCK, np.nan) for name in parameter_units(asked.request.scene)}
+    here = settled(asked.scene, seed, block)
+    values = {name: np.full(BLOCK, np.nan) for name in parameter_units(asked.scene)}
     drawn = {"onset": onset_of(here, numbers_of(seed, block)[-1]), **points_of_impact(here, seed, block)}
     values |= {"peak_force": pulses.peak_force, "contact_duration": pulses.contact_duration, **known}
     values |= {name: np.where(np.isnan(values[name]), own, values[name]) for name, own in drawn.items()}
@@ -148,4 +167,111 @@ def _struck(
     stranger = np.isnan(np.sum(particle, axis=0))
     number = block * BLOCK + np.arange(BLOCK, dtype=np.uint64)
     specimen = np.where(stranger, number, specimen_of([np.ascontiguousarray(column) for column in particle]))
-    return Blows(labels, values, specimen, (Strike(np.arange(BLOCK), pulses, values["onset"]),), here)
+    strike = Strike(np.arange(BLOCK), pulses, values["onset"])
+    return Blows(labels, values, specimen, (strike,), asked.for_block(here))
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class SolvedImpacts:
+    """Impacts of spheres of 1 m radius.
+
+    Attributes
+    ----------
+    pulses : SampledPulses
+        n of them: forces [N] and durations [s] of spheres of 1 m.
+    labels : ndarray of str, (n,)
+    columns : dict of ndarray, each (n,)
+        `PARAMETERS`, in SI units, restitution as it came out; and `MAKING`: the one asked for, and the retardation
+        time of the sphere's material [s].
+    made : dict
+        How: scene, seed, mesh, steps.
+    """
+
+    pulses: SampledPulses
+    labels: NDArray[np.str_]
+    columns: Mapping[str, Floats]
+    made: Mapping[str, Any]
+
+    def __len__(self) -> int:
+        return len(self.pulses)
+
+    def of_radius(self, radius: ArrayLike) -> SampledPulses:
+        """Return the pulses of spheres of these radii [m], one or (n,)."""
+        radius = validation.positive("radius", radius, "m")
+        return self.pulses.stretched(radius**2, radius)
+
+    def signals(self, scene: Scene, seed: int = 0) -> Iterator[Batch]:
+        """Yield the signals of a scene with these pulses in batches of at most 256; another seed gives other sizes.
+
+        Radii are drawn as the scene draws them, onsets and noise as `synthesise_given` says.
+        """
+        radius = radii(scene, self.labels, seed)
+        known = {name: self.columns[name] for name in PARAMETERS} | {"radius": radius}
+        yield from synthesise_given(scene, self.of_radius(radius), self.labels, known, seed)
+
+    def to_bytes(self) -> bytes:
+        """Return the content of a file; the same impacts give the same bytes."""
+        arrays: dict[str, NDArray[Any]] = {
+            "made": np.frombuffer(json.dumps(dict(self.made), sort_keys=True).encode(), np.uint8),
+            "shares": self.pulses.shares,
+            "forces": self.pulses.forces.astype(np.float32),
+            "contact_duration": self.pulses.contact_duration,
+            "labels": self.labels,
+        }
+        arrays |= {name: self.columns[name] for name in (*PARAMETERS, *MAKING)}
+        stream = io.BytesIO()
+        np.savez_compressed(stream, **arrays)  # type: ignore[arg-type]
+        return stream.getvalue()
+
+    @classmethod
+    def load(cls, path: str | Path) -> SolvedImpacts:
+        """Return the impacts of a file.
+
+        Raises
+        ------
+        NoInput
+            The file cannot be read.
+        BadData
+            It holds something else.
+        """
+        content = read_regular(path, "solved impacts", _LARGEST_FILE, f"make them: {_MAKER}")
+        try:
+            with np.load(io.BytesIO(content), allow_pickle=False) as stored:
+                held = {name: stored[name] for name in stored.files}
+            pulses = SampledPulses(
+                shares=held["shares"], forces=held["forces"], contact_duration=held["contact_duration"]
+            )
+            columns = {name: validation.real(name, held[name]) for name in (*PARAMETERS, *MAKING)}
+            made = json.loads(held["made"].tobytes())
+            _require_sound(held["labels"], columns, made, len(pulses))
+        except Exception as error:
+            raise BadData(f"{path}: no solved impacts ({error}); make them: {_MAKER}") from None
+        return cls(pulses=pulses, labels=held["labels"], columns=columns, made=made)
+
+
+def _require_sound(labels: NDArray[Any], columns: Mapping[str, Floats], made: Any, n: int) -> None:
+    if any(column.shape != (n,) for column in (labels, *columns.values())):
+        raise ValueError("columns must have a row for each pulse")
+    if labels.dtype.kind != "U":
+        raise ValueError(f"labels must be text, got {labels.dtype}")
+    if not isinstance(made, dict) or "scene" not in made:
+        raise ValueError("how they were made must be told by name, the scene too")
+    for name, column in columns.items():
+        if name == "poisson_ratio":
+            validation.poisson_ratio(name, column)
+        else:
+            validation.positive(name, column)
+
+
+def radii(scene: Scene, labels: NDArray[np.str_], seed: int) -> Floats:
+    """Return radii [m] as a scene draws them for labels; of populations that share a label the first counts."""
+    found = np.empty(len(labels))
+    laws = {population.label: population.radius for population in reversed(scene.populations)}
+    for first in range(0, len(labels), BLOCK):
+        numbers = numbers_of(seed, first // BLOCK)[_RADIUS][: len(labels) - first]
+        here = slice(first, first + len(numbers))
+        for label in np.unique(labels[here]):
+            validation.choice("label", str(label), laws)
+            rows = np.flatnonzero(labels[here] == label)
+            found[first + rows] = laws[str(label)].quantile(numbers[rows])
+    return found

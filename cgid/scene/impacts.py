@@ -1,64 +1,185 @@
-"""From the drawn numbers of a block to its impacts: on a target, or on a beam that swings back."""
+"""From drawn numbers to pulses: impacts on a target or a beam that swings back, taps, and what a recorder hears."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Mapping
-from functools import partial
+from dataclasses import dataclass
+from functools import lru_cache, partial
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from cgid.counting import count
+from cgid.errors import InvalidValue
 from cgid.physics import Elastic, HalfSpace, HuntCrossley, Impact, Sphere
 from cgid.physics.coupled import ModalImpact
 from cgid.physics.materials import Material
-from cgid.scene.response import TOLERANCE, beam_modes
-from cgid.scene.scene import Scene
-from cgid.scene.sections import TargetSection
-from cgid.scene.weight import weighed
+from cgid.physics.modes import MeasuredModes
+from cgid.physics.response import Response
+from cgid.physics.sampled import SampledPulses
+from cgid.physics.tail_beam import Modes, TailBeam
+from cgid.scene.draws import PARTICLE, drawn_block
+from cgid.scene.extremes import unwarned, weighed
+from cgid.scene.plan import NEGLIGIBLE_ECHO, RESPONSE_TOLERANCE, STORED, Plan, highest_frequency
+from cgid.scene.schema import Scene
+from cgid.scene.sections import SHAPES, TailBeamSection, TargetSection
 from cgid.validation import Floats
 
-PARTICLE = ("density", "youngs_modulus", "poisson_ratio", "radius")
-#: Below this lambda a beam takes so little that what its edges send back of it is left out: the restitution changes
-#: by some lambda at most.
-NEGLIGIBLE_ECHO = 0.02
+# -- the beam and the recorder ----------------------------------------------------------------------------
 
 
-def impact_of(scene: Scene, values: Mapping[str, Floats], rows: NDArray[np.intp]) -> Impact:
+@dataclass(frozen=True)
+class BeamModes:
+    """The modes of a scene's tail beam, with their shapes at the sensor.
+
+    Attributes
+    ----------
+    modes : Modes or MeasuredModes
+    at_sensor : ndarray, (n_modes,)
+    """
+
+    modes: Modes | MeasuredModes
+    at_sensor: Floats
+
+    @property
+    def frequency(self) -> Floats:
+        """[Hz], (n_modes,)."""
+        return np.asarray(self.modes.frequency)
+
+    @property
+    def damping_ratio(self) -> Floats:
+        """(n_modes,)."""
+        return np.asarray(self.modes.damping_ratio)
+
+    @property
+    def modal_mass(self) -> Floats:
+        """[kg], (n_modes,)."""
+        return np.asarray(self.modes.modal_mass)
+
+    def shape_at(self, parameters: Mapping[str, Floats]) -> Floats:
+        """Return the shapes where each blow falls, (n, n_modes)."""
+        if isinstance(self.modes, MeasuredModes):
+            n = len(next(iter(parameters.values())))
+            return np.broadcast_to(np.asarray(self.modes.shape_impact), (n, self.at_sensor.size))
+        return self.modes.shape(parameters["impact_x"], parameters["impact_y"])
+
+    def participation(self, parameters: Mapping[str, Floats]) -> Floats:
+        """Return how strongly each blow drives each mode as the sensor sees it, (n, n_modes) [1/kg]."""
+        return self.shape_at(parameters) * (self.at_sensor / self.modal_mass)
+
+
+def beam_modes(scene: Scene) -> BeamModes:
+    """Return the modes of a scene's tail beam as far as its recorder can hear them; they are found only once.
+
+    Raises
+    ------
+    InvalidValue
+        The beam has none there.
+    """
+    assert scene.tail_beam is not None  # a scene has checked that a motion has a beam
+    return _beam_modes(scene.tail_beam, scene.panel, highest_frequency(scene))
+
+
+@lru_cache(maxsize=16)
+def _beam_modes(section: TailBeamSection, panel: TailBeam | None, highest: float) -> BeamModes:
+    if panel is None:
+        assert section.measured is not None
+        return BeamModes(section.measured, np.asarray(section.measured.shape_sensor))
+    assert section.sensor_point is not None
+    try:
+        modes = panel.modes(highest)
+    except InvalidValue as error:
+        raise InvalidValue(
+            f"tail_beam: {error}; that frequency follows from sensor.anti_alias.frequency, or else from "
+            "sampling.sampling_rate: lower it, or take a smaller or thicker beam"
+        ) from None
+    if not modes.frequency.size:
+        raise InvalidValue(
+            f"tail_beam: must have a mode within the band of its recorder, it has none below {highest:.4g} Hz; "
+            "raise sampling.sampling_rate or sensor.anti_alias.frequency, or take a larger or thinner beam"
+        )
+    return BeamModes(modes, modes.shape(section.sensor_point.x, section.sensor_point.y))
+
+
+@dataclass(frozen=True)
+class Hearing:
+    """The response of a scene's recorder; `modes` is None for a force, which has no gain either."""
+
+    response: Response
+    modes: BeamModes | None
+    gain: float | None = None
+
+    def participation(self, parameters: Mapping[str, Floats]) -> Floats | None:
+        """Return how strongly each blow drives each mode as the recorder shows it, (n, n_modes) [1/kg]."""
+        if self.modes is None:
+            return None
+        participation = self.modes.participation(parameters)
+        return participation if self.gain is None else self.gain * participation
+
+
+def hearing(asked: Plan) -> Hearing | None:
+    """Return what responds to the forces: beam and sensor; None where the forces themselves are recorded."""
+    if not asked.responds:
+        return None
+    chain = asked.runs("sensor chain")
+    count("sensor_filters", len(asked.scene.sensor.filters) * chain)
+    return _hearing(asked.scene, asked.runs("tail beam"), chain)
+
+
+@lru_cache(maxsize=16)
+def _hearing(scene: Scene, beam: bool, chain: bool) -> Hearing:
+    sensor = scene.sensor
+    modes = beam_modes(scene) if beam else None
+    response = Response(
+        sampling_rate=scene.sampling.sampling_rate,
+        quantity=sensor.quantity,
+        modes=modes,
+        filters=sensor.filters if chain else (),
+        tolerance=RESPONSE_TOLERANCE,
+    )
+    return Hearing(response, modes, sensor.gain)
+
+
+# -- impacts ----------------------------------------------------------------------------------------------
+
+
+def impact_of(asked: Plan, values: Mapping[str, Floats], rows: NDArray[np.intp]) -> Impact:
     """Return the impacts of some rows; a beam of known size gives way as a plate without edges."""
-    return weighed(scene.impact, target=scene.body, **_collision(scene, values, rows))
+    scene = asked.scene
+    parts = _collision(scene, values, rows)
+    if not asked.runs("gravity"):
+        return Impact(target=scene.body, **parts)
+    return weighed(scene.impact, target=scene.body, **parts)
 
 
 def impacts_by_coupling(
-    scene: Scene, impact: Impact, values: Mapping[str, Floats], rows: NDArray[np.intp]
+    asked: Plan, impact: Impact, values: Mapping[str, Floats], rows: NDArray[np.intp]
 ) -> Iterator[tuple[NDArray[np.intp], Impact | ModalImpact, Callable[[NDArray[np.intp]], Impact | ModalImpact]]]:
-    """Yield rows, their impacts and what makes those of other rows alike, apart by how the beam gives way.
+    """Yield groups of rows by how the beam gives way: the rows, their impacts, and what makes those of other rows.
 
     impact is what `impact_of` makes of all the rows.
     """
-    through_modes = _through_modes(scene, impact, values, rows)
+    through_modes = _through_modes(asked, impact, values, rows)
     plain, modal = rows[~through_modes], rows[through_modes]
     if plain.size:
-        make = partial(impact_of, scene, values)
+        make = partial(impact_of, asked, values)
         yield plain, impact if not modal.size else make(plain), make
     if modal.size:
-        make_modal = partial(_modal_impact_of, scene, values)
+        make_modal = partial(_modal_impact_of, asked.scene, values)
         yield modal, make_modal(modal), make_modal
 
 
-def share_through_modes(scene: Scene, impact: Impact, values: Mapping[str, Floats], rows: NDArray[np.intp]) -> float:
-    """Return the share of the impacts of some rows that are solved together with the modes of the beam."""
-    return float(np.mean(_through_modes(scene, impact, values, rows)))
-
-
 def _through_modes(
-    scene: Scene, impact: Impact, values: Mapping[str, Floats], rows: NDArray[np.intp]
+    asked: Plan, impact: Impact, values: Mapping[str, Floats], rows: NDArray[np.intp]
 ) -> NDArray[np.bool_]:
     """Return which impacts feel the edges of the beam: its waves come back while they last, and matter."""
-    if scene.tail_beam is None or scene.tail_beam.coupling == "impedance":
+    scene = asked.scene
+    if not asked.runs("coupling"):
         return np.zeros(rows.size, bool)
-    if scene.panel is None or scene.tail_beam.coupling == "modes":
+    assert scene.tail_beam is not None
+    if scene.panel is None or scene.tail_beam.couples_always:
         return np.ones(rows.size, bool)
     lasts = impact.contact_duration
     echo = scene.panel.echo_time(values["impact_x"][rows], values["impact_y"][rows], 1 / lasts)
@@ -75,7 +196,7 @@ def _modal_impact_of(scene: Scene, values: Mapping[str, Floats], rows: NDArray[n
         damping_ratio=modes.damping_ratio,
         compliance=shape**2 / modes.modal_mass,
         residual_compliance=_residual_compliance(scene, modes.frequency[-1]),
-        tolerance=0.1 * TOLERANCE,
+        tolerance=0.1 * RESPONSE_TOLERANCE,
         **_collision(scene, values, rows),
     )
 
@@ -84,13 +205,13 @@ def _residual_compliance(scene: Scene, highest: float) -> float:
     """Return how far a panel gives way by the modes above a frequency [Hz], which follow a blow at once [m/N].
 
     The real part of its mobility is 1/Z at every frequency, so the static compliance above w is `2 / (pi Z w)`. Of a
-    beam that was measured nothing is known above the last mode of its table.
+    measured beam nothing is known above the last mode of its table.
     """
     return 0.0 if scene.panel is None else 1 / (math.pi * math.pi * scene.panel.impedance * highest)
 
 
 def _collision(scene: Scene, values: Mapping[str, Floats], rows: NDArray[np.intp]) -> dict[str, Any]:
-    """Return what an impact is given beside its target."""
+    """Return the arguments of an impact except its target."""
     asked = {name: values[name][rows] for name in (*PARTICLE, "restitution", "velocity")}
     material = Material(
         density=asked["density"], youngs_modulus=asked["youngs_modulus"], poisson_ratio=asked["poisson_ratio"]
@@ -102,3 +223,195 @@ def _collision(scene: Scene, values: Mapping[str, Floats], rows: NDArray[np.intp
         "stiffness": scene.impact.stiffness,
         "dissipation": Elastic() if elastic else HuntCrossley(restitution=asked["restitution"], law=scene.impact.law),
     }
+
+
+# -- the pulses of a block --------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class TapPulses:
+    """Pulses of prescribed shapes, one for each row: a hammer, a calibration, a fault.
+
+    Attributes
+    ----------
+    shape : ndarray of int, (n,)
+        Number of the shape in `SHAPES`.
+    peak_force : ndarray, (n,)
+        [N].
+    contact_duration : ndarray, (n,)
+        [s].
+    """
+
+    shape: NDArray[np.intp]
+    peak_force: Floats
+    contact_duration: Floats
+
+    @property
+    def end_of_contact(self) -> Floats:
+        """When the force is over [s], (n,)."""
+        return self.contact_duration
+
+    def add_to_frames(
+        self, frames: NDArray[Any], sampling_rate: float | Floats, onset: Floats, *, tolerance: float = 0.0
+    ) -> None:
+        """Add the pulses to frames (n, n_samples) in place, each from its time of touch [s] on; without any error."""
+        shapes = tuple(SHAPES.values())
+        count("tap_pulses", len(frames))
+        place, length = onset * sampling_rate, self.contact_duration * sampling_rate
+        # As for an impact, a sample on touch or on the end itself holds no force, not even that of a square pulse.
+        first = np.clip(np.floor(place) + 1, 0, frames.shape[1]).astype(np.intp)
+        behind = np.clip(np.ceil(place + length), first, frames.shape[1]).astype(np.intp)
+        for row, frame in enumerate(frames):
+            samples = np.arange(first[row], behind[row])
+            share = (samples - place[row]) / length[row]
+            # Where a sample falls on the end, rounding may put it a hair behind.
+            force = np.where(share < 1, shapes[self.shape[row]](share), 0.0)
+            frame[first[row] : behind[row]] += self.peak_force[row] * force
+
+
+Pulses = Impact | ModalImpact | TapPulses | SampledPulses
+
+
+@dataclass(frozen=True)
+class Strike:
+    """Pulses of one kind, each with its place in a block.
+
+    Attributes
+    ----------
+    rows : ndarray of int, (n,)
+        Signals of the block that they belong to.
+    pulses : Impact, ModalImpact, TapPulses or SampledPulses
+        n of them.
+    onset : ndarray, (n,)
+        Time of touch in the frame [s].
+    ratio : ndarray, (n,), optional
+        What each is multiplied by.
+    """
+
+    rows: NDArray[np.intp]
+    pulses: Pulses
+    onset: Floats
+    ratio: Floats | None = None
+
+    def add_to_frames(self, frames: NDArray[Any], sampling_rate: float) -> None:
+        """Add the pulses to the frames of the block, in place."""
+        if self.ratio is None and self.rows.size == len(frames):
+            self.pulses.add_to_frames(frames, sampling_rate, self.onset)
+            return
+        own = np.zeros((self.rows.size, frames.shape[1]), frames.dtype)
+        self.pulses.add_to_frames(own, sampling_rate, self.onset)
+        if self.ratio is not None:
+            own *= self.ratio.astype(frames.dtype)[:, None]
+        frames[self.rows] += own
+
+    def add_response(self, frames: NDArray[Any], heard: Hearing, parameters: Mapping[str, Floats]) -> None:
+        """Add what a recorder hears of the pulses to the frames of the block, in place."""
+        own = {name: values[self.rows] for name, values in parameters.items()}
+        heard.response.add_to_frames(
+            frames, self.pulses, self.onset, heard.participation(own), rows=self.rows, ratio=self.ratio
+        )
+
+
+@dataclass(frozen=True)
+class Blows:
+    """All that is heard in one block of signals.
+
+    Attributes
+    ----------
+    labels : ndarray of str, (n_signals,)
+    parameters : dict of ndarray, each (n_signals,)
+        Drawn and derived, nan where one does not apply; onset is the time of touch in the frame, peak and duration are
+        those of the first hit.
+    specimen : ndarray of uint64, (n_signals,)
+        Equal for pulses of an equal particle, or of an equal tap.
+    strikes : tuple of Strike
+        What the frames are made of: impacts, taps, second hits.
+    plan : Plan
+        Of this block.
+    """
+
+    labels: NDArray[np.str_]
+    parameters: Mapping[str, Floats]
+    specimen: NDArray[np.uint64]
+    strikes: tuple[Strike, ...]
+    plan: Plan
+
+    @property
+    def scene(self) -> Scene:
+        """The scene as it holds in this block."""
+        return self.plan.scene
+
+    def add_to_frames(self, frames: NDArray[Any]) -> None:
+        """Add to each frame what the plan asks for, in place: the forces, or what beam and sensor make of them."""
+        heard = hearing(self.plan)
+        for strike in self.strikes:
+            if heard is None:
+                strike.add_to_frames(frames, self.scene.sampling.sampling_rate)
+            else:
+                strike.add_response(frames, heard, self.parameters)
+
+
+@dataclass(frozen=True)
+class DrawnBlows(Blows):
+    """The pulses of one block as a scene draws them; their parameters are those of `parameter_units`.
+
+    Attributes
+    ----------
+    impact : Impact
+        All impacts of the block, as if a beam had no edges.
+    """
+
+    impact: Impact
+
+    @property
+    def inelasticity(self) -> Floats:
+        """Zener's lambda of the impacts themselves, 0 for what goes through the modes of a beam, (n_impacts,)."""
+        first = [strike.pulses for strike in self.strikes if strike.ratio is None]
+        return np.concatenate([np.empty(0), *(p.inelasticity for p in first if isinstance(p, Impact))])
+
+
+def draw(scene: Scene, seed: int, block: int) -> DrawnBlows:
+    """Return the true pulses of one block of 256, as `blows_of`; of a stream as if its rocks fell into frames."""
+    return blows_of(Plan(scene=scene, outputs=frozenset(("pulses",))), seed, block)
+
+
+def blows_of(asked: Plan, seed: int, block: int) -> DrawnBlows:
+    """Return the pulses of one block of 256; no range of a theory is warned of, `cgid check` says how often it ends."""
+    drawn = drawn_block(asked.scene, seed, block)
+    here, values = asked.for_block(drawn.scene), drawn.values
+    strikes: list[Strike] = []
+    with unwarned():
+        impact = impact_of(here, values, drawn.fallen)
+        impacts = impacts_by_coupling(here, impact, values, drawn.fallen) if here.runs("pulses") else ()
+        for rows, pulses, alike in impacts:
+            strikes += _strikes(here, pulses, alike, rows, values)
+            # What a law delivers is what the pulse shows, and what was asked may differ from it.
+            for name in STORED:
+                values[name][rows] = getattr(pulses, name)
+        if here.runs("taps"):
+            tapped = partial(_taps, drawn.shapes, values)
+            strikes += _strikes(here, tapped(drawn.tapped), tapped, drawn.tapped, values)
+    return DrawnBlows(drawn.labels, values, drawn.specimen, tuple(strikes), here, impact)
+
+
+def _strikes(
+    asked: Plan,
+    first: Pulses,
+    pulses_of: Callable[[NDArray[np.intp]], Pulses],
+    rows: NDArray[np.intp],
+    values: Mapping[str, Floats],
+) -> Iterator[Strike]:
+    """Yield the first pulses of some signals, and the second ones of those that have one; nothing for none."""
+    if rows.size:
+        yield Strike(rows, first, values["onset"][rows])
+    if not asked.runs("second hits"):
+        return
+    again = rows[np.isfinite(values["second_hit_delay"][rows])]
+    if again.size:
+        count("second_hits", again.size)
+        onset = values["onset"][again] + values["second_hit_delay"][again]
+        yield Strike(again, pulses_of(again), onset, values["second_hit_ratio"][again])
+
+
+def _taps(shapes: NDArray[np.intp], values: Mapping[str, Floats], rows: NDArray[np.intp]) -> TapPulses:
+    return TapPulses(shapes[rows], values["peak_force"][rows], values["contact_duration"][rows])

@@ -1,16 +1,30 @@
-"""White noise by address: every sample of every signal has a number of its own, drawn only where it is asked for."""
+"""Noise by address: every sample of every signal has its own, the same in however many pieces the signal is made.
+
+White noise of the sensor, and the background of a scene: hum, coloured noise, a recording.
+"""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from fractions import Fraction
+from functools import cached_property, lru_cache
+from pathlib import Path
 from typing import Any
 
 import numpy as np
+import scipy  # which loads its parts when they are first used
 from numpy.typing import NDArray
 
 from cgid.counting import count
-from cgid.errors import InvalidValue
+from cgid.elementary import cos, power, sin
+from cgid.errors import BadData, InvalidValue
+from cgid.recordings import read_recording
 from cgid.scene._noise import LANES, TILE, add_normal
-from cgid.scene.randomness import NOISE, require_seed
+from cgid.scene.draws import BLOCK, COLOURED, HUM, NOISE, RECORDED, require_seed, uniforms
+from cgid.scene.impacts import Blows, blows_of
+from cgid.scene.plan import Plan
+from cgid.scene.schema import Scene
+from cgid.scene.sensor import BackgroundSection
 from cgid.validation import Floats
 
 #: Samples of a signal that have an address: 93 hours at 51.2 kHz.
@@ -42,7 +56,7 @@ def add_noise(
     first_sample : int
         Where the window begins within its signals.
     purpose : int
-        What the noise is for, a number of `cgid.scene.randomness`; another purpose is other noise.
+        What the noise is for, a number of `cgid.scene.draws`; another purpose is other noise.
 
     Raises
     ------
@@ -58,7 +72,8 @@ def add_noise(
     True
     """
     require_seed(seed)
-    count("noise_samples", frames.size)
+    if purpose == NOISE:
+        count("noise_samples", frames.size)
     if not 0 <= block < 2**56:
         raise InvalidValue(f"block must lie between 0 and 2^56 - 1, got {block}")
     if first_sample < 0 or first_sample + frames.shape[1] > MOST_SAMPLES:
@@ -70,3 +85,219 @@ def add_noise(
     high = purpose << 24 | block >> 32
     words = [np.uint64(word) for word in (block & 0xFFFFFFFF, high, seed & 0xFFFFFFFF, seed >> 32)]
     add_normal(frames, np.asarray(level, frames.dtype), first_sample, *words)
+
+
+#: Samples of a recording that share one address.
+CHUNK = 1 << 16
+#: No closer fraction is sought for the ratio of two sampling rates.
+_LARGEST_TERM = 10_000
+#: Half width of the filter that changes a sampling rate, in periods of the lower one, and shape of its window.
+_HALF_PERIODS, _KAISER = 10, 5.0
+#: Blocks of 256 rocks that tell a scene's median peak.
+_REFERENCE_BLOCKS = 4
+#: In so many samples a blow has passed its peak.
+_REFERENCE_SAMPLES = 2048
+
+
+@dataclass(frozen=True)
+class Background:
+    """The background of a scene at one sampling rate.
+
+    Attributes
+    ----------
+    section : BackgroundSection
+    quantity : str
+        What the sensor measures.
+    sampling_rate : float
+        [Hz].
+    recorded : ndarray, (n,), optional
+        The recording that is mixed in, at this rate, with mean 0 and root mean square 1,
+    recorded_level : float
+        and what it is multiplied by.
+    """
+
+    section: BackgroundSection
+    quantity: str
+    sampling_rate: float
+    recorded: Floats | None
+    recorded_level: float = 0.0
+
+    def in_frames(self, seed: int, block: int, n_samples: int) -> Floats:
+        """Return the background of the frames of one block, (`BLOCK`, n_samples), each with its own."""
+        out = np.zeros((BLOCK, n_samples))
+        numbers = uniforms(seed, block, len(self.section.hum), HUM) if self.section.hum else ()
+        for line, amplitude, phases in zip(self.section.hum, self._amplitudes, numbers, strict=True):
+            turns = line.frequency * np.arange(n_samples) / self.sampling_rate
+            out += amplitude * _wave(turns + phases[:, None])
+        if self.section.coloured is not None:
+            # Of a period twice as long as the frame, or more, whose ends then have nothing to do with each other.
+            length = 1 << (2 * n_samples - 1).bit_length()
+            out += self._coloured(seed, block, 0, BLOCK, length)[:, :n_samples]
+        if self.recorded is not None:
+            starts = (uniforms(seed, block, 1, RECORDED)[0] * self.recorded.size).astype(np.intp)
+            out += self.recorded_level * self.recorded[(starts[:, None] + np.arange(n_samples)) % self.recorded.size]
+        return out
+
+    def in_recording(self, seed: int, recording: int, chunk: int) -> Floats:
+        """Return the background of one chunk of a recording, (`CHUNK`,)."""
+        samples = chunk * CHUNK + np.arange(CHUNK)
+        out = np.zeros(CHUNK)
+        numbers = uniforms(seed, 0, len(self.section.hum), HUM, recording)[:, 0] if self.section.hum else ()
+        for line, amplitude, phase in zip(self.section.hum, self._amplitudes, numbers, strict=True):
+            out += amplitude * _wave(line.frequency * (samples / self.sampling_rate) + phase)
+        if self.section.coloured is not None:
+            out += self._segment(seed, recording, chunk)[CHUNK:] + self._segment(seed, recording, chunk + 1)[:CHUNK]
+        if self.recorded is not None:
+            start = int(uniforms(seed, 0, 1, RECORDED, recording)[0, 0] * self.recorded.size)
+            out += self.recorded_level * self.recorded[(start + samples) % self.recorded.size]
+        return out
+
+    @cached_property
+    def rms(self) -> float:
+        """Root mean square of the whole background, in SI units."""
+        return float(np.sqrt(self.section.known_power(self.quantity) + self.recorded_level * self.recorded_level))
+
+    @cached_property
+    def _amplitudes(self) -> Floats:
+        return self.section.amplitudes(self.quantity)
+
+    def _segment(self, seed: int, recording: int, number: int) -> Floats:
+        """Return one of the segments that make up a recording's coloured noise, (2 `CHUNK`,).
+
+        Each reaches over two chunks, and two overlap in every chunk. They are faded by a sine, whose squares
+        add up to 1, so that the power is the same everywhere.
+        """
+        return _faded_segment(self.section, self.quantity, self.sampling_rate, seed, recording, number)
+
+    def _coloured(self, seed: int, block: int, number: int, rows: int, length: int) -> Floats:
+        """Return periodic Gaussian noise of the asked density, (rows, length), a power of 2: one of many by number."""
+        from cgid.scene._fourier import from_spectrum
+
+        assert self.section.coloured is not None
+        frequency = np.asarray(np.fft.rfftfreq(length, 1 / self.sampling_rate), np.float64)
+        power = self.section.coloured.at(frequency, self.quantity)
+        parts = np.zeros((rows, 2 * frequency.size))
+        add_noise(parts, np.ones(rows), seed, block, first_sample=number * parts.shape[1], purpose=COLOURED)
+        # A line of the periodogram 2 |X|^2 / (rate n) then has the asked density as its mean. The mean of a signal
+        # belongs to no frequency, and the line at half the rate is real and counts once.
+        height = np.sqrt(power * self.sampling_rate * length / 4)
+        height[0] = 0.0
+        height[-1] *= 2.0
+        return np.asarray(from_spectrum(parts[:, : height.size] * height, parts[:, height.size :] * height, length))
+
+
+def _wave(turns: Floats) -> Floats:
+    """Return the sine of so many turns."""
+    return sin(2 * np.pi * (turns - np.rint(turns)))
+
+
+@lru_cache(maxsize=4)
+def _faded_segment(
+    section: BackgroundSection, quantity: str, sampling_rate: float, seed: int, recording: int, number: int
+) -> Floats:
+    background = Background(section, quantity, sampling_rate, None)
+    fade = sin(np.pi * (np.arange(2 * CHUNK) + 0.5) / (2 * CHUNK))
+    return np.asarray(fade * background._coloured(seed, recording, number, 1, 2 * CHUNK)[0])
+
+
+@lru_cache(maxsize=16)
+def reference_peak(scene: Scene) -> float:
+    """Return the median peak of the first hits of a scene's rocks, drawn by the weights of their populations.
+
+    What the level of a recorded background is measured by, in the SI unit of what the sensor feels. It is a number of
+    the scene, and so the same for all its signals.
+    """
+    asked = Plan(scene=scene, outputs=frozenset(("frames",)))
+    peaks = [_peaks(blows_of(asked, 0, block)) for block in range(_REFERENCE_BLOCKS)]
+    slope = 0.0 if scene.stream is None else scene.stream.inclination
+    # The normal velocity of a vertical fall is v cos(alpha), and the peak of a Hertz impact goes with its power 6/5.
+    return float(np.median(peaks) * power(cos(slope), 1.2))
+
+
+def _peaks(blows: Blows) -> Floats:
+    if not blows.plan.responds:
+        return blows.parameters["peak_force"]
+    frames = np.zeros((BLOCK, blows.scene.sampling.samples or _REFERENCE_SAMPLES))
+    blows.add_to_frames(frames)
+    return np.asarray(np.abs(frames).max(axis=1))
+
+
+def background_of(scene: Scene) -> Background | None:
+    """Return the background of a scene at its sampling rate; None where it has none.
+
+    Raises
+    ------
+    NoInput, BadData
+        The recording cannot be read, holds nothing but a constant, or has several channels and none is chosen.
+    MissingOption
+        The recording does not say its sampling rate, and neither does the scene.
+    """
+    section, sampling_rate = scene.background, scene.sampling.sampling_rate
+    if section is None:
+        return None
+    recorded, level = None, 0.0
+    if section.recorded is not None:
+        asked = section.recorded
+        path = asked.file(scene.folder)
+        recorded = _unit_recording(path, _age(path), asked.sampling_rate, asked.channel, sampling_rate)
+        level = float(reference_peak(scene) * power(10.0, -asked.signal_to_noise / 20))
+    return Background(section, scene.sensor.quantity, sampling_rate, recorded, level)
+
+
+def _age(path: Path) -> int:
+    try:
+        return path.stat().st_mtime_ns
+    except OSError:
+        return 0  # reading it will say what is wrong
+
+
+def _resampling_filter(factor: int) -> Floats:
+    """Return the low-pass that keeps what both sampling rates hold: a sinc in Kaiser's window, as scipy would take."""
+    half = _HALF_PERIODS * factor
+    place = np.arange(-half, half + 1.0)
+    angle = np.pi * place / factor
+    taps = np.where(place == 0, 1.0, sin(angle) / np.where(place == 0, 1.0, angle))
+    taps *= _bessel_i0(_KAISER * np.sqrt(1 - (place / half) * (place / half)))
+    return np.asarray(taps / taps.sum())
+
+
+def _bessel_i0(x: Floats) -> Floats:
+    """Return the modified Bessel function of order 0 by its series, up to x of some 10."""
+    term, total = np.ones_like(x), np.ones_like(x)
+    for k in range(1, 40):
+        term = term * (x / (2 * k)) * (x / (2 * k))
+        total = total + term
+    return total
+
+
+@lru_cache(maxsize=4)
+def _unit_recording(
+    path: Path, age: int, given_rate: float | None, channel: str | None, sampling_rate: float
+) -> NDArray[Any]:
+    """Return a recording at another sampling rate, with mean 0 and root mean square 1.
+
+    The age of the file tells its versions apart.
+    """
+    signals = read_recording(path, sampling_rate=given_rate, channel=channel)
+    if len(signals) > 1:
+        names = ", ".join(one.channel for one in signals)
+        cure = "choose one by background.recorded.channel"
+        raise BadData(f"{path}: a background must be one channel, this file has {names}; {cure}")
+    samples = signals[0].samples.astype(np.float64)
+    ratio = Fraction(sampling_rate / signals[0].sampling_rate).limit_denominator(_LARGEST_TERM)
+    if not ratio:
+        raise BadData(
+            f"{path}: a background's sampling rate must lie nearer to {sampling_rate:g} Hz, it is "
+            f"{signals[0].sampling_rate:g} Hz"
+        )
+    samples -= samples.mean()
+    if ratio != 1:
+        taps = _resampling_filter(max(ratio.numerator, ratio.denominator))
+        samples = scipy.signal.resample_poly(samples, ratio.numerator, ratio.denominator, window=taps)
+        samples -= samples.mean()
+    level = np.sqrt(np.mean(samples * samples))
+    if not level > 0:
+        raise BadData(f"{path}: a background must hold more than a constant; give another recording")
+    samples /= level
+    samples.setflags(write=False)
+    return samples

@@ -1,59 +1,103 @@
-"""The plan: from a scene and what is asked of it, what runs, what is skipped, why, and what it costs."""
+"""The plan: from a scene and what is asked of it, which stages run, which are skipped, and why.
+
+This is the only place that decides. Each stage has one function, from the plan to a `Decision`; whatever makes frames,
+recordings or tables asks `Plan.runs(stage)` for every stage. What depends on drawn numbers is decided where they are
+known: whether an impact has a closed form (`cgid.physics.curves`), feels gravity or feels the edges of a beam. The plan
+then says whether any impact may.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 
 from cgid import validation
+from cgid.elementary import power
 from cgid.errors import InvalidValue
-from cgid.measure.features import choose, kind_for, require_supported, supported
-from cgid.scene.costs import Workload
-from cgid.scene.quantities import STORED, choose_quantities
-from cgid.scene.request import OUTPUTS, Decision, Request
-from cgid.scene.scene import Scene
-from cgid.scene.stages import STAGES
+from cgid.family import LOWEST_RESTITUTION
+from cgid.measure.beginnings import look_at_the_beginning
+from cgid.measure.features import FEATURES, choose, kind_for, kind_of, require_supported, supported
+from cgid.measure.pulses import FAINT
+from cgid.physics import HuntCrossley, ThinPlate
+from cgid.scene.draws import parameter_units
+from cgid.scene.extremes import largest_error, tolerance_of
+from cgid.scene.schema import Scene, samples_of
+
+#: What can be asked of a scene.
+OUTPUTS = ("parameters", "closed-form", "pulses", "frames", "recordings", "features")
+#: Properties of `Impact` and their units.
+QUANTITIES = {
+    "restitution": "1",
+    "peak_force": "N",
+    "peak_displacement": "m",
+    "contact_duration": "s",
+    "time_of_peak": "s",
+    "impulse": "N s",
+    "rebound_velocity": "m/s",
+    "dissipated_energy": "J",
+    "radiated_energy": "J",
+}
+#: Quantities that the scene file gives for a tap.
+OF_TAPS = ("peak_force", "contact_duration")
+#: Quantities that are stored with signals and features.
+STORED = ("restitution", "peak_force", "contact_duration")
+#: Prefix of the true numbers in a table of measured ones.
+TRUE = "true_"
+
+#: Error of the response over its largest sample: how fine a contact is cut, and which modes are too quiet to be run.
+RESPONSE_TOLERANCE = 3e-5
+#: Below this lambda a beam takes so little energy that what its edges send back is left out: the restitution changes by
+#: about lambda at most.
+NEGLIGIBLE_ECHO = 0.02
+#: Modes are found up to this multiple of the highest frequency that the recorder passes: they have a tail in its band.
+BEYOND_BAND = 1.25
+#: Modes above it follow at once what a contact does that lasts long enough to feel the edges of a beam [Hz].
+HIGHEST_FELT = 20e3
+#: As long as an anti-alias filter passes this share of it, a frequency is in the band.
+_STILL_HEARD = 0.1
+#: More features than these are counted, not listed.
+_MOST_LISTED = 13
 
 
-@dataclass(frozen=True, kw_only=True)
-class Stage:
-    """A line of the plan.
+class Decision(NamedTuple):
+    """Whether a stage runs, why, and the error of what it leaves out, relative to the peak (0: nothing changes)."""
 
-    Attributes
-    ----------
-    name : str
-    runs : bool
-    why : str
-    microseconds : float
-        What it is estimated to cost a signal, or a recording of a stream, on one thread; 0 where it is skipped.
-    error_bound : float
-        Of what is left out, relative to the peak; 0 where nothing changes.
-    """
-
-    name: str
     runs: bool
     why: str
-    microseconds: float
-    error_bound: float
+    error_bound: float = 0.0
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Plan:
-    """What runs for what is asked; the engine goes by it. See `plan`.
+    """What is asked of a scene, and what runs for it; see `plan`.
 
     Attributes
     ----------
-    request : Request
-    decisions : dict of Decision
-        One for each stage, in the order of the data.
+    scene : Scene
+    outputs : frozenset of str
+        Out of `OUTPUTS`.
+    features : tuple of str
+        Of `cgid.measure.features`; none unless features are asked for.
+    quantities : tuple of str
+        Of `QUANTITIES`: those asked for, or needed by what is asked for.
+    dtype : {"float32", "float64"}
+        Of samples that are kept.
     """
 
-    request: Request
-    decisions: dict[str, Decision]
+    scene: Scene
+    outputs: frozenset[str]
+    features: tuple[str, ...] = ()
+    quantities: tuple[str, ...] = STORED
+    dtype: Literal["float32", "float64"] = "float32"
+
+    @cached_property
+    def decisions(self) -> dict[str, Decision]:
+        """The decision for each stage, in the order of the data."""
+        return {stage: decide(self) for stage, decide in STAGES.items()}
 
     def runs(self, stage: str) -> bool:
         """Return whether a stage runs."""
@@ -61,39 +105,60 @@ class Plan:
 
     @property
     def responds(self) -> bool:
-        """Whether a beam or the chain of sensors stands between the forces and the signals."""
+        """Whether a beam or a sensor with poles of its own stands between the forces and the signals."""
         return self.runs("tail beam") or self.runs("sensor chain")
 
     def for_block(self, scene: Scene) -> Plan:
-        """Return the plan of a block, in which nothing is left to be drawn anew."""
-        if scene is self.request.scene:
-            return self
-        return _decided(replace(self.request, scene=scene))
-
-    @cached_property
-    def stages(self) -> tuple[Stage, ...]:
-        """All stages with their estimated costs."""
-        work = Workload(self.request.scene, self.request.features, self.runs("rest of the frames"))
-        return tuple(
-            Stage(
-                name=name,
-                runs=decision.runs,
-                why=decision.why,
-                microseconds=decision.cost(work) if decision.runs else 0.0,
-                error_bound=decision.error_bound,
-            )
-            for name, decision in self.decisions.items()
-        )
+        """Return the plan of a block, whose scene has nothing left to be drawn."""
+        return self if scene is self.scene else replace(self, scene=scene)
 
     @property
     def kind(self) -> str:
-        """What comes out, in a word: the last of what is asked on the way of the data."""
-        return max(self.request.outputs, key=OUTPUTS.index)
+        """What comes out, in a word: the last of the outputs in the order of the data."""
+        return max(self.outputs, key=OUTPUTS.index)
 
     @property
-    def microseconds(self) -> float:
-        """Estimated cost of a signal or recording."""
-        return sum(stage.microseconds for stage in self.stages)
+    def signals(self) -> bool:
+        """Whether signals must be made at all."""
+        return self.sensed or "pulses" in self.outputs
+
+    @property
+    def sensed(self) -> bool:
+        """Whether signals must be made as the sensor gives them."""
+        return not self.outputs.isdisjoint(("frames", "recordings", "features"))
+
+    @property
+    def kept(self) -> bool:
+        """Whether whole signals are asked for."""
+        return not self.outputs.isdisjoint(("pulses", "frames", "recordings"))
+
+    @property
+    def column_units(self) -> dict[str, str]:
+        """The columns of the table that is asked for, and their units; none where signals are kept."""
+        if self.kept:
+            return {}
+        parameters = parameter_units(self.scene)
+        rate = {"sampling_rate": "Hz"} if self.scene.draws("sampling_rate") else {}
+        if "features" in self.outputs:
+            measured = {name: FEATURES[name].unit_for(self.scene.sensor.unit) for name in self.features}
+            return measured | {f"{TRUE}{name}": unit for name, unit in parameters.items()} | rate
+        drawn = {name for source in self.scene.sources for name in source.laws} | {"onset"}
+        drawn |= {"velocity"} if self.scene.populations else set()  # a drop height comes with it
+        drawn |= set() if self.scene.randomise is None else set(self.scene.randomise.laws)
+        # A law, a plate or gravity may deliver another restitution.
+        units = {
+            "asked_restitution" if name == "restitution" else name: unit
+            for name, unit in parameters.items()
+            if name in drawn
+        }
+        return units | rate | {name: QUANTITIES[name] for name in self.quantities}
+
+    @property
+    def signal_bytes(self) -> int:
+        """Size of one signal or recording on disk: its samples, or its columns."""
+        if self.kept:
+            return samples_of(self.scene) * np.dtype(self.dtype).itemsize
+        return 8 * len(self.column_units)
 
 
 def plan(
@@ -112,13 +177,13 @@ def plan(
     outputs : iterable of str
         "parameters": what is drawn. "closed-form": quantities of the impacts without their pulses. "pulses": forces
         without beam and sensor. "frames": signals as the sensor gives them. "features": measured on such signals,
-        which are not kept unless frames are asked, too. "recordings": all that a stream has, and a stream has nothing
-        else.
+        which are not kept unless frames are asked for, too. "recordings": all that a stream has, and a stream has
+        nothing else.
     features : iterable of str, optional
         Names out of `cgid.measure.features.FEATURES`, only with the output "features". By default all of the kind
         that the sensor's quantity has, as far as sampling rate and frames allow.
     quantities : iterable of str, optional
-        Names out of `cgid.scene.quantities.QUANTITIES`, all by default; only with the output "closed-form".
+        Names out of `QUANTITIES`, all by default; only with the output "closed-form".
     dtype : {"float32", "float64"}
         Of stored samples.
 
@@ -132,8 +197,8 @@ def plan(
     >>> from cgid.scene import load_scene
     >>> from cgid.shipped import scene_path
     >>> asked = plan(load_scene(scene_path("reference")), ["closed-form"], quantities=["contact_duration"])
-    >>> [stage.name for stage in asked.stages if stage.runs]
-    ['parameters', 'closed forms', 'storing columns']
+    >>> [stage for stage, decision in asked.decisions.items() if decision.runs]
+    ['impacts']
     """
     asked = frozenset((outputs,) if isinstance(outputs, str) else outputs)
     if not asked:
@@ -144,18 +209,33 @@ def plan(
         if given is not None and output not in asked:
             raise InvalidValue(f"{name} must come with the output {output!r}, which is not asked; leave them out")
     _require_recordings(scene, asked)
-    request = Request(
-        scene=scene,
-        outputs=asked,
+    validation.choice("dtype", dtype, ("float32", "float64"))
+    made = Plan(scene=scene, outputs=asked, dtype=dtype)
+    wanted = _quantities(quantities) if "closed-form" in asked else ()
+    return replace(
+        made,
         features=_features(scene, features) if "features" in asked else (),
-        quantities=_needed(asked, quantities),
-        sample_bytes=np.dtype(validation.choice("dtype", dtype, ("float32", "float64"))).itemsize,
+        quantities=tuple(dict.fromkeys((*STORED, *wanted))) if made.signals else wanted,
     )
-    return _decided(request)
 
 
-def _decided(request: Request) -> Plan:
-    return Plan(request, {name: decide(request) for name, decide in STAGES.items()})
+def supported_by(scene: Scene, features: Iterable[str]) -> tuple[str, ...]:
+    """Return those of the features that every frame of a scene is sampled fast and long enough for.
+
+    Raises
+    ------
+    InvalidValue
+        None of them is.
+    """
+    names = tuple(features)
+    for rate in scene.extreme_rates:
+        names = supported(names, rate, scene.sampling.samples)
+    if not names:
+        raise InvalidValue(
+            f"scene {scene.name}: frames must be sampled fast and long enough for one feature at least, "
+            f"{scene.sampling.samples} samples at {scene.sampling.sampling_rate:g} Hz hold none; record longer"
+        )
+    return names
 
 
 def _require_recordings(scene: Scene, outputs: frozenset[str]) -> None:
@@ -173,39 +253,266 @@ def _features(scene: Scene, features: Iterable[str] | None) -> tuple[str, ...]:
     names = choose(features, kind_for(scene.sensor.quantity))
     if features is None:
         return supported_by(scene, names)
-    for rate in _extreme_rates(scene):
+    for rate in scene.extreme_rates:
         require_supported(names, rate, scene.sampling.samples)
     return names
 
 
-def supported_by(scene: Scene, features: Iterable[str]) -> tuple[str, ...]:
-    """Return those of the features that every frame of a scene is sampled fast and long enough for.
-
-    Raises
-    ------
-    InvalidValue
-        None of them is.
-    """
-    names = tuple(features)
-    for rate in _extreme_rates(scene):
-        names = supported(names, rate, scene.sampling.samples)
-    if not names:
-        raise InvalidValue(
-            f"scene {scene.name}: frames must be sampled fast and long enough for one feature at least, "
-            f"{scene.sampling.samples} samples at {scene.sampling.sampling_rate:g} Hz hold none; record longer"
-        )
+def _quantities(quantities: Iterable[str] | None) -> tuple[str, ...]:
+    """Return the names of the quantities asked for, all for None; raise `InvalidValue` for unknown or repeated ones."""
+    if quantities is None:
+        return tuple(QUANTITIES)
+    names = (quantities,) if isinstance(quantities, str) else tuple(quantities)
+    for name in names:
+        validation.choice("quantity", name, QUANTITIES)
+    if not names or len(set(names)) != len(names):
+        raise InvalidValue(f"quantities must be named once each, and at least one, got {', '.join(names) or 'none'}")
     return names
 
 
-def _extreme_rates(scene: Scene) -> tuple[float, ...]:
-    """Return the sampling rate of a scene, or the lowest and the highest that it draws [Hz]."""
-    drawn = None if scene.randomise is None else scene.randomise.sampling_rate
-    return (scene.sampling.sampling_rate,) if drawn is None else drawn.extremes
+def highest_frequency(scene: Scene) -> float:
+    """Return up to which frequency the modes of a scene's beam are found [Hz]."""
+    if scene.sensor.quantity == "force":  # they are not heard, but felt by the rocks that last till their echo
+        return HIGHEST_FELT
+    anti_alias = scene.sensor.anti_alias
+    if anti_alias is None:
+        return BEYOND_BAND * scene.sampling.sampling_rate / 2
+    # A Butterworth filter passes 1 / sqrt(1 + (f / edge)^(2 order)).
+    return float(
+        BEYOND_BAND * anti_alias.frequency * power(1 / (_STILL_HEARD * _STILL_HEARD) - 1, 0.5 / anti_alias.order)
+    )
 
 
-def _needed(outputs: frozenset[str], quantities: Iterable[str] | None) -> tuple[str, ...]:
-    """Return the quantities that are asked, or stored beside the signals."""
-    asked = choose_quantities(quantities) if "closed-form" in outputs else ()
-    if outputs.isdisjoint(("pulses", "frames", "recordings", "features")):
-        return asked
-    return tuple(dict.fromkeys((*STORED, *asked)))
+# -- the stages: one decision each ------------------------------------------------------------------------
+
+_NO_IMPACTS = Decision(False, "no populations: taps have no law of impact")
+_NO_SIGNALS = Decision(False, "no signals are asked for")
+_NO_SENSOR = Decision(False, "no sensed signals are asked for")
+_ONLY_DRAWN = Decision(False, "only what is drawn is asked for")
+_OFF = Decision(False, "off")
+
+
+def _arrivals(asked: Plan) -> Decision:
+    stream = asked.scene.stream
+    if stream is None:
+        return Decision(False, "the scene is no stream")
+    if "recordings" not in asked.outputs:
+        return Decision(False, "no recordings are asked for")
+    how = "Poisson" if stream.arrivals.rate is not None else "listed"
+    mixture = "" if stream.mixture is None else ", the mixture changes"
+    return Decision(True, f"{how}, {stream.duration:g} s{mixture}")
+
+
+def _impacts(asked: Plan) -> Decision:
+    scene = asked.scene
+    if not scene.populations:
+        return _NO_IMPACTS
+    if not asked.quantities:
+        return _ONLY_DRAWN
+    if isinstance(scene.body, ThinPlate) or scene.tail_beam is not None:
+        return Decision(True, "integrated: a plate or beam that gives way leaves no closed form")
+    if _gravity(asked).runs:
+        return Decision(True, "closed forms, integrated where gravity is felt")
+    if _damps_beyond(scene):
+        return Decision(True, f"integrated where law {scene.impact.law} damps beyond the table of pulses")
+    return Decision(True, "closed forms and the table of pulses are exact here")
+
+
+def _damps_beyond(scene: Scene) -> bool:
+    """Return whether the law can deliver less restitution than the table of pulses holds."""
+    lowest = [source.restitution.extremes[0] for source in scene.populations if source.restitution is not None]
+    if not lowest or scene.impact.law == "exact":
+        return False
+    delivered = HuntCrossley(restitution=min(lowest), law=scene.impact.law).delivered_restitution
+    return bool(delivered < LOWEST_RESTITUTION)
+
+
+def _gravity(asked: Plan) -> Decision:
+    section = asked.scene.impact
+    if section.gravity is None:
+        return _OFF
+    if not asked.scene.populations:
+        return _NO_IMPACTS
+    if not asked.quantities:
+        return _ONLY_DRAWN
+    bound, limit = largest_error(section, asked.scene.body, asked.scene.populations), tolerance_of(section)
+    if bound <= limit:
+        return Decision(False, f"2.4 g L / (v^2 e) is at most {bound:.2g}, the tolerance {limit:g}", bound)
+    if np.isinf(bound):
+        return Decision(True, "no bound is known on a thin plate")
+    return Decision(True, f"for each impact with 2.4 g L / (v^2 e) above {limit:g}", limit)
+
+
+def _coupling(asked: Plan) -> Decision:
+    beam = asked.scene.tail_beam
+    if beam is None:
+        return Decision(False, "the scene has no tail beam")
+    if not asked.scene.populations:
+        return _NO_IMPACTS
+    if not asked.quantities:
+        return _ONLY_DRAWN
+    if beam.coupling == "impedance":
+        return Decision(False, "coupling impedance: the beam as an endless plate")
+    if beam.modes is not None:
+        return Decision(True, "every impact through the modes: those of a table have no impedance")
+    if beam.coupling == "modes":
+        return Decision(True, "coupling modes: every impact through them")
+    return Decision(
+        True,
+        "coupling auto: through the modes where waves come back from an edge during contact and lambda is above "
+        f"{NEGLIGIBLE_ECHO:g}, else as an endless plate",
+        NEGLIGIBLE_ECHO,
+    )
+
+
+def _rebounds(asked: Plan) -> Decision:
+    arriving, stream = _arrivals(asked), asked.scene.stream
+    if stream is None or not arriving.runs:
+        return arriving
+    if stream.rebounds is None:
+        return Decision(False, "off: no rock bounces")
+    most, least = stream.rebounds.most, stream.rebounds.least_speed
+    return Decision(True, f"by formula, {most} rebounds at most, none slower than {least:g} m/s")
+
+
+def _pulses(asked: Plan) -> Decision:
+    if not asked.signals:
+        return _NO_SIGNALS
+    return Decision(True, "samples in contact only") if asked.scene.populations else _NO_IMPACTS
+
+
+def _taps(asked: Plan) -> Decision:
+    if not asked.scene.taps:
+        return Decision(False, "the scene has none")
+    return Decision(True, "samples in contact only") if asked.signals else _NO_SIGNALS
+
+
+def _second_hits(asked: Plan) -> Decision:
+    if all(source.second_hit is None for source in asked.scene.sources):
+        return _OFF
+    return Decision(True, "the same pulse once more, delay and ratio are drawn") if asked.signals else _NO_SIGNALS
+
+
+def _tail_beam(asked: Plan) -> Decision:
+    scene = asked.scene
+    if scene.tail_beam is None:
+        return Decision(False, "the scene has none")
+    if not asked.sensed:
+        return _NO_SENSOR
+    if scene.sensor.quantity == "force":
+        return Decision(False, "the sensor feels the force: no mode is heard")
+    if scene.panel is None:
+        modes = f"the {len(scene.tail_beam.modes or ())} modes of the table"
+    else:
+        # As many per hertz as a panel has at high frequencies: nothing is solved to make a plan.
+        highest = highest_frequency(scene)
+        number = max(round(scene.panel.modal_density * highest), 1)
+        modes = f"about {number} modes up to {highest:.3g} Hz, none further beyond the band"
+    why = f"{scene.sensor.quantity}: {modes}; those too quiet at the sensor are left out"
+    return Decision(True, why, RESPONSE_TOLERANCE)
+
+
+def _sensor_chain(asked: Plan) -> Decision:
+    sensor = asked.scene.sensor
+    if not sensor.filters:
+        return _OFF
+    if not asked.sensed:
+        return _NO_SENSOR
+    parts = {"mounting": sensor.mounting, "anti-alias": sensor.anti_alias}
+    on = ", ".join(f"{name} {part.frequency:g} Hz" for name, part in parts.items() if part is not None)
+    return Decision(True, f"{on}: {sum(part.poles.size for part in sensor.filters)} poles", RESPONSE_TOLERANCE)
+
+
+def _rest_of_frames(asked: Plan) -> Decision:
+    sensor = asked.scene.sensor
+    if not asked.signals:
+        return _NO_SIGNALS
+    if asked.kept:
+        return Decision(True, "whole signals are asked for")
+    if kind_of(asked.features) != "pulse":
+        return Decision(True, "a vibration is measured all through the frame")
+    if not look_at_the_beginning(asked.features):
+        everywhere = [name for name in asked.features if FEATURES[name].whole_frame]
+        return Decision(True, f"{', '.join(everywhere)} looks at samples far from the pulse")
+    if sensor.quantity != "force" or sensor.filters:
+        return Decision(True, "what is heard of a blow through a beam or a filter rings on")
+    if asked.scene.background is not None:
+        return Decision(True, "a background may stand out anywhere")
+    if sensor.relative_noise * FAINT > 1 and not asked.scene.draws("relative_noise"):
+        return Decision(True, f"a pulse below {FAINT:g} times the noise is looked for in all the frame")
+    return Decision(False, "no asked feature looks there; made for the signals where that is not certain")
+
+
+def _bandwidth(asked: Plan) -> Decision:
+    if not asked.sensed:
+        return _NO_SENSOR
+    drawn, edge = asked.scene.draws("bandwidth"), asked.scene.sensor.bandwidth
+    if edge is None and not drawn:
+        return _OFF
+    return Decision(True, f"{'drawn for each block' if drawn else f'{edge:g} Hz'}; always whole frames")
+
+
+def _noise(asked: Plan) -> Decision:
+    if not asked.sensed:
+        return _NO_SENSOR
+    if not asked.scene.sensor.noisy and not asked.scene.draws("relative_noise"):
+        return _OFF
+    whole = _rest_of_frames(asked).runs
+    return Decision(True, "whole frames" if whole else "up to the last sample that a feature looks at")
+
+
+def _background(asked: Plan) -> Decision:
+    section = asked.scene.background
+    if section is None:
+        return _OFF
+    if not asked.sensed:
+        return _NO_SENSOR
+    on = [name for name in ("hum", "coloured", "recorded") if getattr(section, name)]
+    return Decision(True, f"{', '.join(on)}; always whole frames")
+
+
+def _clipping(asked: Plan) -> Decision:
+    if all(source.clipped_at is None for source in asked.scene.sources):
+        return _OFF
+    return Decision(True, "clipped_at is drawn") if asked.sensed else _NO_SENSOR
+
+
+def _digitising(asked: Plan) -> Decision:
+    sensor = asked.scene.sensor
+    parts = {"offset": sensor.offset, "drift": sensor.drift, "range": sensor.range, "bits": sensor.bits}
+    on = [f"{name} {value:g}" for name, value in parts.items() if value]
+    if not on:
+        return _OFF
+    return Decision(True, ", ".join(on)) if asked.sensed else _NO_SENSOR
+
+
+def _measuring(asked: Plan) -> Decision:
+    names = asked.features
+    if "features" not in asked.outputs:
+        return Decision(False, "no features are asked for")
+    listed = ", ".join(names) if len(names) <= _MOST_LISTED else f"{names[0]} to {names[-1]}, {len(names)} of them"
+    fitted = "a fit" if any(FEATURES[name].fitted for name in names) else "no fit"
+    spectral = any(FEATURES[name].spectral for name in names if FEATURES[name].kind == "pulse")
+    return Decision(True, f"{listed}; {fitted}, {'spectra' if spectral else 'no spectra'}")
+
+
+#: Every stage in the order of the data.
+STAGES: Mapping[str, Callable[[Plan], Decision]] = {
+    "arrivals": _arrivals,
+    "impacts": _impacts,
+    "gravity": _gravity,
+    "coupling": _coupling,
+    "rebounds": _rebounds,
+    "pulses": _pulses,
+    "taps": _taps,
+    "second hits": _second_hits,
+    "tail beam": _tail_beam,
+    "sensor chain": _sensor_chain,
+    "rest of the frames": _rest_of_frames,
+    "bandwidth": _bandwidth,
+    "noise": _noise,
+    "background": _background,
+    "clipping": _clipping,
+    "offset, range and bits": _digitising,
+    "features": _measuring,
+}

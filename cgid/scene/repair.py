@@ -24,9 +24,8 @@ from cgid.errors import BadData, CannotCreate, CgidError
 from cgid.files import locked, whole_file, write_whole
 from cgid.scene._fourier import LARGEST_FACTOR, transformable
 from cgid.scene.generation import attributes_of, in_order, shard_plan
-from cgid.scene.scene import Scene, parse_scene
-from cgid.scene.stream.axis import samples_of
-from cgid.scene.stream.generation import write_recording
+from cgid.scene.recordings import write_recording
+from cgid.scene.schema import Scene, parse_scene, samples_of
 from cgid.scene.synthesis import synthesise
 from cgid.store import Dataset
 from cgid.store.dataset import write_dataset

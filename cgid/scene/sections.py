@@ -1,13 +1,18 @@
-"""The sections of a scene file, each checked by itself."""
+"""The sections of a scene file, each checked by itself; `cgid.scene.schema` checks what must hold between them."""
 
 from __future__ import annotations
 
-from functools import partial
+from collections.abc import Callable, Mapping
+from functools import cached_property, partial
+from itertools import pairwise
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self
 
+import numpy as np
 from pydantic import (
     AfterValidator,
     BaseModel,
+    BeforeValidator,
     ConfigDict,
     Field,
     SerializerFunctionWrapHandler,
@@ -16,12 +21,50 @@ from pydantic import (
 )
 
 from cgid import validation
+from cgid.elementary import sin
 from cgid.family import HIGHEST_RESTITUTION, LOWEST_RESTITUTION
 from cgid.physics import HUNT_CROSSLEY_LAWS, RIGID, HalfSpace, RigidWall, ThinPlate
 from cgid.physics.materials import Material
+from cgid.physics.modes import MeasuredModes, read_measured_modes
+from cgid.physics.tail_beam import Ribs, TailBeam
+from cgid.physics.tail_beam.measured import COLUMNS
 from cgid.scene.distributions import Distribution, measured, measured_within, within
-from cgid.scene.taps import SHAPES
-from cgid.scene.units import Acceleration, Density, Frequency, Length, Modulus, Number, Ratio, Whole
+from cgid.scene.units import (
+    LIMITS,
+    Acceleration,
+    Density,
+    Duration,
+    Frequency,
+    Inclination,
+    Length,
+    Mass,
+    Modulus,
+    Moment,
+    Number,
+    Rate,
+    Ratio,
+    Speed,
+    Whole,
+)
+from cgid.units import parse
+from cgid.validation import Floats
+
+#: Force over its peak against time over the duration, strictly between 0 and 1. Their order numbers them.
+SHAPES: Mapping[str, Callable[[Floats], Floats]] = {
+    "half-sine": lambda u: sin(np.pi * u),
+    "square": np.ones_like,
+    "triangle": lambda u: np.asarray(1 - np.abs(2 * u - 1)),
+    "haversine": lambda u: sin(np.pi * u) ** 2,
+}
+
+if TYPE_CHECKING:
+    from cgid.scene.sensor import Sensor
+
+    Law = str
+    Shape = str
+else:
+    Law = Literal[*HUNT_CROSSLEY_LAWS]
+    Shape = Literal[*SHAPES]
 
 
 def _between(lowest: float, highest: float) -> Any:
@@ -89,14 +132,6 @@ class Population(_Source):
         if (self.drop_height is None) == (self.velocity is None):
             raise ValueError("must have either drop_height or velocity, and not both")
         return self
-
-
-if TYPE_CHECKING:
-    Law = str
-    Shape = str
-else:
-    Law = Literal[*HUNT_CROSSLEY_LAWS]
-    Shape = Literal[*SHAPES]
 
 
 class Tap(_Source):
@@ -201,3 +236,320 @@ class RandomiseSection(Section):
         """The distributions that are there, by the name of what is drawn."""
         found = {name: getattr(self, name) for name in type(self).model_fields}
         return {name: law for name, law in found.items() if law is not None}
+
+
+_PLACE = within(0.0, LIMITS["length"][1], f"must lie between 0 and {LIMITS['length'][1]:g} m", "m")
+_Place = Annotated[Distribution, measured("length"), _PLACE]
+
+# Shapes come in any scale, of which the modal mass is part.
+_SHAPE = Field(ge=-1e6, le=1e6)
+
+
+class ImpactPoint(Section):
+    """Where the rocks hit, from the held edge along the length and along the width."""
+
+    x: _Place
+    y: _Place
+
+
+class SensorPoint(Section):
+    """Where the sensor sits."""
+
+    x: Annotated[Length, Field(ge=0)]
+    y: Annotated[Length, Field(ge=0)]
+
+
+class RibsSection(Section):
+    """Longitudinal ribs under the skin."""
+
+    number: Whole = Field(ge=1, le=100)
+    depth: Length
+    thickness: Length
+
+
+class ModeRow(Section):
+    """A mode as a tap test gives it."""
+
+    frequency: Frequency
+    damping_ratio: Ratio = Field(gt=0, lt=1)
+    modal_mass: Mass
+    shape_impact: Annotated[Number, _SHAPE]
+    shape_sensor: Annotated[Number, _SHAPE]
+
+
+class TailBeamSection(Section):
+    """A rectangular panel, stiffened or not, or what a tap test has measured of one.
+
+    Parameters
+    ----------
+    length, width, thickness : float, optional
+        Of the panel [m], length from the held edge.
+    edges : {"simply-supported", "clamped", "cantilever"}
+    damping_ratio : float
+        Of every mode.
+    ribs : RibsSection, optional
+    impact_point, sensor_point : optional
+        Of the panel.
+    modes : tuple of ModeRow, optional
+        In place of the panel: frequencies ascending. In a file `modes = "modes.csv"` reads them from a table.
+    coupling : {"auto", "impedance", "modes"}
+        How the beam gives way under a rock: as an endless thin plate, through its modes, or by what holds.
+    """
+
+    length: Length | None = None
+    width: Length | None = None
+    thickness: Length | None = None
+    edges: Literal["simply-supported", "clamped", "cantilever"] | None = None
+    damping_ratio: Annotated[Ratio, Field(gt=0, lt=1)] | None = None
+    ribs: RibsSection | None = None
+    impact_point: ImpactPoint | None = None
+    sensor_point: SensorPoint | None = None
+    modes: tuple[ModeRow, ...] | None = Field(default=None, min_length=1, max_length=10_000)
+    coupling: Literal["auto", "impedance", "modes"] = "auto"
+
+    @model_validator(mode="after")
+    def _panel_or_table(self) -> Self:
+        panel = ("length", "width", "thickness", "edges", "damping_ratio", "impact_point", "sensor_point")
+        missing = [name for name in panel if getattr(self, name) is None]
+        given = [name for name in (*panel, "ribs") if getattr(self, name) is not None]
+        if self.modes is None and missing:
+            raise ValueError(f"must have {', '.join(missing)}, or modes in place of a panel")
+        if self.modes is not None and given:
+            raise ValueError(f"must have either modes or a panel, and not both; take out {', '.join(given)}")
+        if self.modes is not None and self.coupling == "impedance":
+            raise ValueError("coupling must be auto or modes where the modes are measured: a table has no impedance")
+        self._require_ascending()
+        self._require_audible()
+        self._require_on_panel()
+        return self
+
+    def _require_ascending(self) -> None:
+        rows = self.modes or ()
+        for number in range(1, len(rows)):
+            if rows[number].frequency < rows[number - 1].frequency:
+                raise ValueError(
+                    f"modes must be sorted by frequency, row {number + 1} has {rows[number].frequency:g} Hz after "
+                    f"{rows[number - 1].frequency:g} Hz; sort them"
+                )
+
+    def _require_audible(self) -> None:
+        if self.modes is not None and not any(row.shape_impact * row.shape_sensor for row in self.modes):
+            raise ValueError(
+                "modes must hold one whose shape is not 0 both where the rocks hit and where the sensor sits; "
+                "there is none, and nothing would be heard"
+            )
+
+    def _require_on_panel(self) -> None:
+        if self.impact_point is None or self.sensor_point is None:
+            return
+        for axis, size in (("x", self.length), ("y", self.width)):
+            assert size is not None
+            for name, place in (
+                ("impact_point", getattr(self.impact_point, axis).extremes[1]),
+                ("sensor_point", getattr(self.sensor_point, axis)),
+            ):
+                if place > size:
+                    raise ValueError(
+                        f"{name}.{axis} must lie on the beam, between 0 and {size:g} m, it can be {place:.4g} m"
+                    )
+
+    def panel(self, material: Material) -> TailBeam | None:
+        """Return the panel made of a material; None where the modes are measured."""
+        if self.modes is not None:
+            return None
+        ribs = None if self.ribs is None else Ribs(**self.ribs.model_dump())
+        names = ("length", "width", "thickness", "edges", "damping_ratio")
+        return TailBeam(material=material, ribs=ribs, **{name: getattr(self, name) for name in names})
+
+    @property
+    def couples_always(self) -> bool:
+        """Whether every impact goes through the modes: by choice, or because measured modes have no impedance."""
+        return self.modes is not None or self.coupling == "modes"
+
+    @cached_property
+    def measured(self) -> MeasuredModes | None:
+        """The modes of the table."""
+        if self.modes is None:
+            return None
+        return MeasuredModes(
+            **{name: np.array([getattr(row, name) for row in self.modes]) for name in ModeRow.model_fields}
+        )
+
+
+def with_table(content: dict[str, Any], folder: Path) -> dict[str, Any]:
+    """Return the content of a scene file with the rows of the table that `tail_beam.modes` names, if it names one."""
+    beam = content.get("tail_beam")
+    if not isinstance(beam, dict) or not isinstance(beam.get("modes"), str):
+        return content
+    modes = read_measured_modes(folder / beam["modes"])
+    columns = [np.asarray(getattr(modes, name)).tolist() for name in COLUMNS]
+    rows = [dict(zip(COLUMNS, row, strict=True)) for row in zip(*columns, strict=True)]
+    return content | {"tail_beam": beam | {"modes": rows}}
+
+
+#: No table in a scene file has more rows.
+_MOST_ROWS = 100_000
+#: The lowest bandwidth over the sampling rate: every impact is then smeared over some 65,000 samples.
+_LEAST_BAND = 1 / 512
+#: Shares that add up to one within this do.
+_SHARE_TOLERANCE = 1e-9
+
+
+def _not_empty(times: tuple[float, ...]) -> tuple[float, ...]:
+    if not times:
+        raise ValueError("must hold at least 1 time, got none")
+    return times
+
+
+_Times = Annotated[tuple[Moment, ...], Field(max_length=_MOST_ROWS), AfterValidator(_not_empty)]
+
+
+def _require_ascending(times: tuple[float, ...]) -> None:
+    for row, (before, after) in enumerate(pairwise(times), start=1):
+        if not before < after:
+            raise ValueError(f"times must ascend, got {after:g} s after {before:g} s in row {row}")
+
+
+class RateTable(Section):
+    """How many rocks come in a second: linear between the times, constant before the first and after the last."""
+
+    times: _Times
+    values: tuple[Rate, ...]
+
+    @model_validator(mode="after")
+    def _sound(self) -> Self:
+        _require_ascending(self.times)
+        if len(self.values) != len(self.times):
+            raise ValueError(f"values must be as many as times, {len(self.times)}, got {len(self.values)}")
+        if max(self.values) < 1e-3:
+            raise ValueError(f"must somewhere be 0.001 Hz or more, got at most {max(self.values):g} Hz")
+        return self
+
+
+def _read_rate(content: Any) -> Any:
+    """Take a bare rate for one that never changes."""
+    if isinstance(content, dict | BaseModel):
+        return content
+    return {"times": [0.0], "values": [parse(content, "frequency")]}
+
+
+class ArrivalsSection(Section):
+    """When rocks arrive: at random (a Poisson process) with a rate, or at given times."""
+
+    rate: Annotated[RateTable, BeforeValidator(_read_rate)] | None = None
+    times: _Times | None = None
+
+    @model_validator(mode="after")
+    def _one_way(self) -> Self:
+        if (self.rate is None) == (self.times is None):
+            raise ValueError("must have either rate or times, and not both")
+        if self.times is not None and any(before > after for before, after in pairwise(self.times)):
+            raise ValueError("times must not descend; sort them")
+        return self
+
+
+class MixtureSection(Section):
+    """The share of labels among the arriving rocks against time; every key but `times` is a label.
+
+    Shares are linear between the times, constant before the first and after the last. Labels without a row share
+    what is left by the weights of their populations.
+    """
+
+    model_config = ConfigDict(extra="allow", frozen=True, allow_inf_nan=False)
+    __pydantic_extra__: dict[str, tuple[Annotated[Ratio, Field(ge=0, le=1)], ...]]
+
+    times: _Times
+
+    @property
+    def shares(self) -> dict[str, tuple[float, ...]]:
+        """The shares of the labels that have some."""
+        return dict(self.__pydantic_extra__)
+
+    @model_validator(mode="after")
+    def _sound(self) -> Self:
+        _require_ascending(self.times)
+        if not self.shares:
+            raise ValueError("must give the shares of at least one label, such as gangue = [0.1, 0.9]")
+        for label, shares in self.shares.items():
+            if len(shares) != len(self.times):
+                raise ValueError(f"{label} must have as many shares as times, {len(self.times)}, got {len(shares)}")
+        total = np.sum([*self.shares.values()], axis=0)
+        if total.max() > 1 + _SHARE_TOLERANCE:
+            row = int(np.argmax(total))
+            raise ValueError(f"shares must add up to 1 or less, got {total[row]:g} at {self.times[row]:g} s")
+        return self
+
+    def problems(self, labels: tuple[str, ...]) -> list[str]:
+        """Return what is wrong with these shares for a scene of these labels."""
+        known = ", ".join(labels)
+        found = [
+            f"stream.mixture.{label}: must be a label of a population, one of {known}"
+            for label in self.shares
+            if label not in labels
+        ]
+        total = np.sum([*self.shares.values()], axis=0)
+        if not found and set(labels) == set(self.shares) and total.min() < 1 - _SHARE_TOLERANCE:
+            row = int(np.argmin(total))
+            found.append(
+                f"stream.mixture: shares of all labels must add up to 1, got {total[row]:g} at {self.times[row]:g} s; "
+                "leave out a label, which then takes the rest"
+            )
+        return found
+
+    def at(self, label: str, times: Floats) -> Floats:
+        """Return the share of a label that has a row at these times [s]."""
+        return np.asarray(np.interp(times, self.times, self.shares[label]))
+
+
+class ReboundsSection(Section):
+    """How long a rock is followed: so many rebounds, and while it comes back at this normal speed or more."""
+
+    most: Whole = Field(default=5, ge=1, le=1000)
+    least_speed: Speed = 0.1
+
+
+class StreamSection(Section):
+    """One long recording of rocks that come in a stream."""
+
+    duration: Duration
+    arrivals: ArrivalsSection
+    mixture: MixtureSection | None = None
+    rebounds: ReboundsSection | None = None
+    inclination: Inclination = 0.0
+
+    @model_validator(mode="after")
+    def _arrivals_inside(self) -> Self:
+        times = self.arrivals.times
+        if times is not None and times[-1] >= self.duration:
+            raise ValueError(
+                f"arrivals.times must lie before the end of the recording at {self.duration:g} s, got {times[-1]:g} s"
+            )
+        return self
+
+    def problems(self, populations: tuple[Population, ...], sensor: Sensor, sampling_rate: float) -> list[str]:
+        """Return what does not go with this stream, whose rocks share one time axis and one sensor."""
+        labels = tuple(sorted({population.label for population in populations}))
+        found = [] if self.mixture is None or not labels else self.mixture.problems(labels)
+        if sensor.relative_noise > 0:
+            found.append(
+                "sensor.relative_noise: must be left out of a stream, whose impacts share one noise; "
+                "give absolute_noise or noise_density"
+            )
+        if sensor.bandwidth is not None and (sensor.quantity != "force" or sensor.filters):
+            found.append(
+                "sensor.bandwidth: must be left out of a stream where something rings before it; give anti_alias"
+            )
+        elif sensor.bandwidth is not None and sensor.bandwidth < sampling_rate * _LEAST_BAND:
+            found.append(
+                f"sensor.bandwidth: must be at least 1/{1 / _LEAST_BAND:g} of the sampling rate in a stream, "
+                f"{sampling_rate * _LEAST_BAND:.4g} Hz, got {sensor.bandwidth:g} Hz, which smears impacts too far to "
+                "both sides; give anti_alias, or lower the sampling rate"
+            )
+        for index, population in enumerate(populations):
+            for name, cure in (
+                ("second_hit", "stream.rebounds makes further hits"),
+                ("clipped_at", "sensor.range clips"),
+            ):
+                if getattr(population, name) is not None:
+                    found.append(f"populations.{index}.{name}: must be left out of a stream; {cure}")
+        return found

@@ -1,28 +1,30 @@
-"""From a scene to signals, block by block, doing only what the scene asks for."""
+"""From a scene to signals, or to columns of a table, block by block, doing only what the plan says."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
-from cgid import validation
 from cgid.counting import count
 from cgid.errors import InvalidValue
-from cgid.scene.background_noise import add_to_frames
-from cgid.scene.noise import HIGHEST_NOISE, add_noise
-from cgid.scene.plan import Plan, plan
-from cgid.scene.population import draw
-from cgid.scene.randomness import BLOCK
-from cgid.scene.range_warnings import unwarned
-from cgid.scene.response import hearing
-from cgid.scene.scene import Scene
+from cgid.measure.beginnings import measure_beginnings
+from cgid.measure.features import extract_array, samples_needed
+from cgid.scene.draws import BLOCK, drawn_block, parameter_units
+from cgid.scene.extremes import unwarned
+from cgid.scene.impacts import Blows, DrawnBlows, blows_of, impact_of, impacts_by_coupling
+from cgid.scene.noise import HIGHEST_NOISE, add_noise, background_of
+from cgid.scene.plan import OF_TAPS, TRUE, Plan, plan
+from cgid.scene.schema import Scene
 from cgid.scene.sensor import Sensor, clip
-from cgid.scene.strike import Blows
 from cgid.signals import Batch
 from cgid.validation import Floats
+
+#: Blocks measured at once: the fit shares its overhead among the signals of a batch.
+_TOGETHER = 4
 
 
 def synthesise(
@@ -62,13 +64,12 @@ def synthesise(
         A number breaks its rule.
     """
     require_count(n_signals, first)
-    validation.choice("dtype", dtype, ("float32", "float64"))
     require_frames(scene)
     asked = plan(scene, outputs, dtype=dtype)
-    if not asked.request.kept:
+    if not asked.kept:
         raise InvalidValue(f"outputs must be frames or pulses where signals are wanted, got {', '.join(outputs)}")
     for block, part in blocks(n_signals, first):
-        yield _block(asked, seed, block, part, dtype)
+        yield batch_of(blows_of(asked, seed, block), seed, block, part)
 
 
 def blocks(n_signals: int, first: int) -> Iterator[tuple[int, slice]]:
@@ -93,44 +94,36 @@ def require_frames(scene: Scene) -> None:
         )
 
 
-def _block(asked: Plan, seed: int, block: int, part: slice, dtype: DTypeLike) -> Batch:
-    with unwarned():
-        drawn = draw(asked.request.scene, seed, block)
-    return batch_of(asked, drawn, seed, block, part, dtype)
-
-
-def batch_of(asked: Plan, drawn: Blows, seed: int, block: int, part: slice, dtype: DTypeLike) -> Batch:
-    """Return some signals of one block, with all that is known of them; parameters as in `make_frames`."""
-    scene = asked.request.scene
-    frames = make_frames(asked.for_block(drawn.scene), drawn, seed, block, dtype)
+def batch_of(blows: Blows, seed: int, block: int, part: slice) -> Batch:
+    """Return some signals of one block, with all that is known of them."""
+    asked, scene = blows.plan, blows.scene
     return Batch(
-        signals=frames[part],
-        labels=drawn.labels[part],
-        sampling_rate=drawn.scene.sampling.sampling_rate,
-        unit=scene.sensor.unit if asked.request.sensed else "N",
+        signals=make_frames(blows, seed, block, asked.dtype)[part],
+        labels=blows.labels[part],
+        sampling_rate=scene.sampling.sampling_rate,
+        unit=scene.sensor.unit if asked.sensed else "N",
         pre_trigger=scene.sampling.pre_trigger,
-        specimen=drawn.specimen[part],
-        parameters={name: values[part] for name, values in drawn.parameters.items()},
+        specimen=blows.specimen[part],
+        parameters={name: values[part] for name, values in blows.parameters.items()},
         source=scene.sha256,
     )
 
 
-def make_frames(asked: Plan, drawn: Blows, seed: int, block: int, dtype: DTypeLike) -> NDArray[Any]:
-    """Return the frames of one block: pulses, bandwidth, noise, background, clipping, range, bits, if the plan says so.
+def make_frames(blows: Blows, seed: int, block: int, dtype: DTypeLike) -> NDArray[Any]:
+    """Return the frames of one block: pulses, bandwidth, noise, background, clipping, range and bits, as planned.
 
     Parameters
     ----------
-    asked : Plan
-        That of the block: of `drawn.scene`.
-    drawn : Blows
+    blows : Blows
+        Of the block, with its plan.
     seed, block : int
     dtype : {"float32", "float64"}
     """
-    return make_beginnings(asked, drawn, seed, block, dtype, drawn.scene.sampling.samples)[0]
+    return make_beginnings(blows, seed, block, dtype, blows.scene.sampling.samples)[0]
 
 
 def make_beginnings(
-    asked: Plan, drawn: Blows, seed: int, block: int, dtype: DTypeLike, n_samples: int
+    blows: Blows, seed: int, block: int, dtype: DTypeLike, n_samples: int
 ) -> tuple[NDArray[Any], Floats]:
     """Return the first samples of the frames of one block, and what no sample behind them passes.
 
@@ -143,14 +136,14 @@ def make_beginnings(
     ndarray, (n_signals,)
         Above every sample of the rest of the frame, in the unit of the signals.
     """
-    scene, sensor = drawn.scene, drawn.scene.sensor
-    n_signals, whole, rate = len(drawn.labels), scene.sampling.samples, scene.sampling.sampling_rate
+    asked, sampling, sensor = blows.plan, blows.scene.sampling, blows.scene.sensor
+    n_signals, rate = len(blows.labels), sampling.sampling_rate
     highest_behind = np.zeros(n_signals)
     # The transform of a low-pass goes round the whole frame.
     filtered = asked.runs("bandwidth")
-    frames: NDArray[Any] = np.zeros((n_signals, whole if filtered else n_samples), dtype)
-    add_pulses(frames, asked, drawn)
-    peak = drawn.parameters["peak_force"]
+    frames: NDArray[Any] = np.zeros((n_signals, sampling.samples if filtered else n_samples), dtype)
+    blows.add_to_frames(frames)
+    peak = blows.parameters["peak_force"]
     if filtered:
         frames = sensor.limit_band(frames, rate)
         highest_behind = frames[:, n_samples:].max(axis=1, initial=0.0).astype(np.float64)
@@ -161,18 +154,19 @@ def make_beginnings(
         level = sensor.noise_level(peak, rate)
         add_noise(frames, level, seed, block)
         highest_behind += HIGHEST_NOISE * level
-    if asked.runs("background"):
+    background = background_of(blows.scene) if asked.runs("background") else None
+    if background is not None:
         count("background_samples", frames.size)
-        add_to_frames(frames, scene, seed, block)
+        frames += background.in_frames(seed, block, frames.shape[1]).astype(frames.dtype)
     count("frames", n_signals)
     count("frame_samples", frames.size)
     if asked.runs("clipping"):
         count("clipped_frames", n_signals)
-        clip(frames, drawn.parameters["clipped_at"] * peak)
+        clip(frames, blows.parameters["clipped_at"] * peak)
     if asked.runs("offset, range and bits"):
         count("digitised_frames", n_signals)
         sensor.digitise(frames, rate)
-        highest_behind += _digitised_by(sensor, rate, n_samples, whole)
+        highest_behind += _digitised_by(sensor, rate, n_samples, sampling.samples)
     return frames, highest_behind
 
 
@@ -184,12 +178,155 @@ def _digitised_by(sensor: Sensor, sampling_rate: float, first: int, n_samples: i
     return (sensor.offset or 0.0) + max(drift * first, drift * n_samples) + step
 
 
-def add_pulses(frames: NDArray[Any], asked: Plan, drawn: Blows) -> None:
-    """Add to each frame what is asked of its blows, in place: their forces, or what beam and sensor make of them."""
-    scene = drawn.scene
-    heard = hearing(scene) if asked.responds else None
-    for strike in drawn.strikes:
-        if heard is None:
-            strike.add_to_frames(frames, scene.sampling.sampling_rate)
-        else:
-            strike.add_response(frames, heard, drawn.parameters)
+# -- columns of a table -----------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Columns:
+    """Some rows of a table.
+
+    Attributes
+    ----------
+    labels : ndarray of str, (n_signals,)
+    specimen : ndarray of uint64, (n_signals,)
+        Equal for impacts of an equal particle.
+    values : dict of ndarray, each (n_signals,)
+        Of `Plan.column_units`; nan where a number does not apply, or cannot be measured.
+    n_unmeasured : int
+        Signals of which a feature cannot be measured.
+    """
+
+    labels: NDArray[np.str_]
+    specimen: NDArray[np.uint64]
+    values: Mapping[str, Floats]
+    n_unmeasured: int = 0
+
+    def __len__(self) -> int:
+        return len(self.labels)
+
+
+def columns_of(asked: Plan, n_signals: int, seed: int = 0, *, first: int = 0) -> Iterator[Columns]:
+    """Yield the columns of a plan, in batches of at most 1024 signals; nothing is made that no column needs.
+
+    Features are those that `cgid.measure.features.extract` gives for float32 signals of `synthesise`.
+
+    Parameters
+    ----------
+    asked : Plan
+        For parameters, closed forms or features.
+    n_signals, seed, first : int
+        As in `synthesise`: the same numbers belong to the same signals.
+
+    Raises
+    ------
+    InvalidValue
+        A number breaks its rule, or the plan is one for signals.
+    """
+    require_count(n_signals, first)
+    require_frames(asked.scene)
+    if asked.kept:
+        raise InvalidValue(
+            "columns are of parameters, closed forms or features, the plan keeps signals; use synthesise"
+        )
+    if asked.runs("features"):
+        return _measured(asked, n_signals, seed, first)
+    return (_untimed(asked, seed, block, part) for block, part in blocks(n_signals, first))
+
+
+def _untimed(asked: Plan, seed: int, block: int, part: slice) -> Columns:
+    """Return the columns that need no pulse."""
+    drawn = drawn_block(asked.scene, seed, block)
+    here = asked.for_block(drawn.scene)
+    rate = np.full(BLOCK, drawn.scene.sampling.sampling_rate)
+    values = drawn.values | {"asked_restitution": drawn.values["restitution"], "sampling_rate": rate}
+    for name in asked.quantities:
+        values[name] = drawn.values[name].copy() if name in OF_TAPS else np.full(BLOCK, np.nan)
+    if here.runs("impacts") and drawn.fallen.size:
+        with unwarned():
+            impact = impact_of(here, drawn.values, drawn.fallen)
+            for rows, impacts, _ in impacts_by_coupling(here, impact, drawn.values, drawn.fallen):
+                for name in asked.quantities:
+                    values[name][rows] = getattr(impacts, name)
+    return Columns(
+        labels=drawn.labels[part],
+        specimen=drawn.specimen[part],
+        values={name: values[name][part] for name in asked.column_units},
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Block:
+    """A block, and which of its signals are asked for."""
+
+    number: int
+    part: slice
+    blows: DrawnBlows
+
+    @property
+    def labels(self) -> NDArray[np.str_]:
+        return self.blows.labels[self.part]
+
+    @property
+    def beginning(self) -> int:
+        """Samples of each frame that the features will most likely look at."""
+        sampling, names = self.blows.scene.sampling, self.blows.plan.features
+        if self.blows.plan.runs("rest of the frames"):
+            return sampling.samples
+        rate = sampling.sampling_rate
+        needed = [
+            samples_needed(names, strike.onset * rate, strike.pulses.contact_duration * rate).max()
+            for strike in self.blows.strikes
+        ]
+        return int(min(max(needed), sampling.samples))
+
+
+def _measured(asked: Plan, n_signals: int, seed: int, first: int) -> Iterator[Columns]:
+    """Yield features; blocks of one sampling rate are measured together."""
+    together = 1 if asked.scene.draws("sampling_rate") else _TOGETHER
+    waiting: list[_Block] = []
+    for block, part in blocks(n_signals, first):
+        waiting.append(_Block(block, part, blows_of(asked, seed, block)))
+        if len(waiting) == together:
+            yield _features(asked, seed, waiting)
+            waiting = []
+    if waiting:
+        yield _features(asked, seed, waiting)
+
+
+def _features(asked: Plan, seed: int, drawn: list[_Block]) -> Columns:
+    names, sampling = asked.features, drawn[0].blows.scene.sampling
+    length = max(one.beginning for one in drawn)
+    made = [make_beginnings(one.blows, seed, one.number, np.float32, length) for one in drawn]
+    frames = np.concatenate([signals[one.part] for one, (signals, _) in zip(drawn, made, strict=True)])
+    behind = np.concatenate([highest[one.part] for one, (_, highest) in zip(drawn, made, strict=True)])
+    if length == sampling.samples:
+        table = extract_array(frames, sampling.sampling_rate, names, pre_trigger=sampling.pre_trigger, invalid="nan")
+    else:
+        table, certain = measure_beginnings(frames, sampling.sampling_rate, names, sampling.pre_trigger, behind)
+        if not certain.all():
+            table[~certain] = _from_whole_frames(names, seed, drawn, ~certain)
+    values = dict(zip(names, table.T, strict=True))
+    for name in parameter_units(asked.scene):
+        values[f"{TRUE}{name}"] = np.concatenate([one.blows.parameters[name][one.part] for one in drawn])
+    if "sampling_rate" in asked.column_units:
+        rates = [np.full(len(one.labels), one.blows.scene.sampling.sampling_rate) for one in drawn]
+        values["sampling_rate"] = np.concatenate(rates)
+    return Columns(
+        labels=np.concatenate([one.labels for one in drawn]),
+        specimen=np.concatenate([one.blows.specimen[one.part] for one in drawn]),
+        values=values,
+        n_unmeasured=int(np.sum(~np.isfinite(table).all(axis=1))),
+    )
+
+
+def _from_whole_frames(names: tuple[str, ...], seed: int, drawn: list[_Block], wanted: NDArray[np.bool_]) -> Floats:
+    """Return the features of the wanted signals, whose beginnings did not suffice, (n_wanted, n_features)."""
+    sampling, rows, place = drawn[0].blows.scene.sampling, [], 0
+    for one in drawn:
+        here = wanted[place : place + len(one.labels)]
+        place += len(one.labels)
+        if here.any():
+            rows.append(make_frames(one.blows, seed, one.number, np.float32)[one.part][here])
+    return extract_array(
+        np.concatenate(rows), sampling.sampling_rate, names, pre_trigger=sampling.pre_trigger, invalid="nan"
+    )

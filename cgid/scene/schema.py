@@ -1,7 +1,7 @@
-"""The scene file: what falls on what, and what senses it.
+"""The scene file: what falls on what, and what senses it; and scenes that vary another one.
 
-A scene is TOML, validated as a whole: every mistake is reported at once with its path. Numbers are in SI
-units, or strings with a unit.
+A scene is TOML, validated as a whole: every mistake is reported at once with its path. Numbers are in SI units, or
+strings with a unit.
 """
 
 from __future__ import annotations
@@ -13,28 +13,27 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any, Self
 
-from pydantic import Field, ValidationError, model_validator
+from pydantic import BaseModel, Field, ValidationError, model_validator
 
 from cgid.errors import BadData, InvalidValue
 from cgid.files import parse_toml, read_regular
 from cgid.physics.bodies import Target
 from cgid.physics.tail_beam import TailBeam
-from cgid.scene.background import BackgroundSection
-from cgid.scene.beam import TailBeamSection, with_table
 from cgid.scene.distributions import DISTRIBUTION_NAMES
-from cgid.scene.plates import problem_on_plate
+from cgid.scene.extremes import problem_of_weight, problem_on_plate
 from cgid.scene.sections import (
     ImpactSection,
     Population,
     RandomiseSection,
     SamplingSection,
     Section,
+    StreamSection,
+    TailBeamSection,
     Tap,
     TargetSection,
+    with_table,
 )
-from cgid.scene.sensor import Sensor
-from cgid.scene.stream.sections import StreamSection
-from cgid.scene.weight import problem_of_weight
+from cgid.scene.sensor import BackgroundSection, Sensor
 from cgid.validation import cut, shown
 
 #: No scene is longer [bytes], nor has more keys: 10,000 measured modes have 60,000.
@@ -90,9 +89,7 @@ class Scene(Section):
                 if getattr(self, name):
                     problems.append(f"{name}: must be left out of a stream, one recording of rocks that fall")
         if self.background is not None:
-            drawn = None if self.randomise is None else self.randomise.sampling_rate
-            lowest_rate = self.sampling.sampling_rate if drawn is None else drawn.extremes[0]
-            problems += self.background.problems(self.sensor, lowest_rate)
+            problems += self.background.problems(self.sensor, self.extreme_rates[0])
         if problems:
             raise ValueError("\n".join(problems))
         return self
@@ -152,6 +149,16 @@ class Scene(Section):
         return tuple(sorted({source.label for source in self.sources}))
 
     @property
+    def extreme_rates(self) -> tuple[float, ...]:
+        """The sampling rate, or the lowest and the highest that are drawn [Hz]."""
+        drawn = None if self.randomise is None else self.randomise.sampling_rate
+        return (self.sampling.sampling_rate,) if drawn is None else drawn.extremes
+
+    def draws(self, name: str) -> bool:
+        """Return whether a setting of `randomise` is drawn for each block."""
+        return self.randomise is not None and name in self.randomise.laws
+
+    @property
     def text(self) -> str:
         """The whole scene as JSON with sorted keys: what is stored in a dataset, and hashed."""
         content = self.model_dump(mode="json", exclude_none=True)
@@ -169,6 +176,13 @@ class Scene(Section):
     def sha256(self) -> str:
         """Identity of the scene: the hash of `text`, whatever the layout of the file."""
         return hashlib.sha256(self.text.encode()).hexdigest()
+
+
+def samples_of(scene: Scene) -> int:
+    """Return the number of samples of a frame, or of a recording of a stream."""
+    if scene.stream is None:
+        return scene.sampling.samples
+    return max(round(scene.stream.duration * scene.sampling.sampling_rate), 1)
 
 
 def load_scene(path: str | Path) -> Scene:
@@ -258,3 +272,87 @@ def _message(entry: Any) -> str:
     if entry["type"] != "value_error" and isinstance(given, str | int | float):
         text += f", got {shown(given)}"
     return text
+
+
+#: A frame that is kept in seconds has at least so many samples before touch: the baseline and the noise come from them.
+LEAST_PRE_TRIGGER = 64
+_SECTIONS: dict[str, type[BaseModel]] = {"impact": ImpactSection, "sampling": SamplingSection, "sensor": Sensor}
+_LISTS: dict[str, type[BaseModel]] = {"populations": Population, "taps": Tap}
+_OF_ITS_OWN = ("label", "weight")
+
+
+def varied(scene: Scene, *, keep_frame: bool = False, **changes: Any) -> Scene:
+    """Return a copy of a scene with some settings changed, checked like a file.
+
+    Parameters
+    ----------
+    scene : Scene
+    keep_frame : bool
+        With another `sampling_rate` the frame keeps its length in seconds before and after touch, but for at least
+        `LEAST_PRE_TRIGGER` samples before it; `samples` and `pre_trigger` must then be left out.
+    **changes
+        Any key of `impact`, `sampling` or `sensor`, such as `stiffness`, `target`, `sampling_rate`, `range`; or any
+        key of a population or tap but label and weight, such as `radius`, `clipped_at`, which is then changed in all
+        of them that have such a key; or `name`, `description`. Values are those of a scene file (a number, a string
+        with a unit, a mapping) or objects of a scene. None takes an optional setting out. `velocity` takes the place
+        of `drop_height` and the other way round; what is given is no longer randomised.
+
+    Raises
+    ------
+    InvalidValue
+        There is no such setting in this scene, or nothing for `keep_frame` to do.
+    BadData
+        The changed scene breaks rules.
+
+    Examples
+    --------
+    >>> from cgid.scene import load_scene
+    >>> from cgid.shipped import scene_path
+    >>> slow = varied(load_scene(scene_path("reference")), keep_frame=True, sampling_rate="50 kHz")
+    >>> slow.sampling.samples, slow.sampling.pre_trigger
+    (526, 64)
+    """
+    content = json.loads(scene.text)
+    if keep_frame:
+        changes |= _kept_frame(scene, changes)
+    for name, value in changes.items():
+        places = _places(content, name)
+        if not places:
+            raise InvalidValue(f"{name} must be a setting of scene {scene.name}, which has none of this name to change")
+        for place in places:
+            for other in {"velocity": ("drop_height",), "drop_height": ("velocity",)}.get(name, ()):
+                place.pop(other, None)
+            place.pop(name, None)
+            if value is not None:
+                place[name] = value
+    return parse_scene(content, source=f"variation of {scene.name}", folder=scene.folder)
+
+
+def _places(content: dict[str, Any], name: str) -> list[dict[str, Any]]:
+    """Return the parts of a scene that may have this key; in `randomise` it is taken out."""
+    randomise = content.get("randomise", {})
+    if name in RandomiseSection.model_fields and randomise.pop(name, None) is not None and not randomise:
+        del content["randomise"]
+    if name in ("name", "description"):
+        return [content]
+    found = [content.setdefault(part, {}) for part, section in _SECTIONS.items() if name in section.model_fields]
+    if name not in _OF_ITS_OWN:
+        for part, kind in _LISTS.items():
+            found += content.get(part, []) if name in kind.model_fields else []
+    return found
+
+
+def _kept_frame(scene: Scene, changes: dict[str, Any]) -> dict[str, Any]:
+    """Return the samples before touch and in all that span the same time at another sampling rate."""
+    given = sorted({"samples", "pre_trigger"} & changes.keys())
+    if "sampling_rate" not in changes or given:
+        raise InvalidValue(
+            "keep_frame must come with sampling_rate and without samples and pre_trigger, which follow from it, "
+            f"got {', '.join(sorted(changes)) or 'nothing'}"
+        )
+    old = scene.sampling
+    # Read as the file would be: it may be a string with a unit.
+    new = varied(scene, sampling_rate=changes["sampling_rate"], bandwidth=None).sampling.sampling_rate
+    ratio = new / old.sampling_rate
+    before = max(LEAST_PRE_TRIGGER, round(old.pre_trigger * ratio))
+    return {"pre_trigger": before, "samples": before + round((old.samples - old.pre_trigger) * ratio)}

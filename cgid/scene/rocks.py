@@ -1,19 +1,39 @@
-"""When the rocks of a recording arrive, and what they are: stretch by stretch of the time axis."""
+"""The rocks of a stream: when they arrive, what they are, and how they bounce.
+
+Arrivals are drawn stretch by stretch of the time axis. Rocks fly by formula from one impact to the next, one generation
+of rebounds after the other; nothing steps through time. They do not meet each other, do not spin, and the beam takes
+nothing of their speed along it.
+
+x runs from the held edge along the length, down the slope where the beam is inclined, y along the width. A beam known
+only by its measured modes has no points, and neither has a half space: nothing falls off these.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cgid.elementary import exp
-from cgid.scene.randomness import ARRIVALS, BLOCK, uniforms
-from cgid.scene.scene import Scene
-from cgid.scene.stream.sections import RateTable, StreamSection
+from cgid.counting import count
+from cgid.elementary import cos, exp, sin
+from cgid.scene.draws import (
+    ARRIVALS,
+    BLOCK,
+    FALL,
+    PARTICLE,
+    POINT_UNITS,
+    points_of_impact,
+    quantities_of,
+    specimen_of,
+    uniforms,
+)
+from cgid.scene.schema import Scene
+from cgid.scene.sections import RateTable, StreamSection
+from cgid.units import STANDARD_GRAVITY
 from cgid.validation import Floats
 
 #: Rocks expected in a stretch at most. As numbers are drawn by the inverse of their distribution at no more than
@@ -89,10 +109,10 @@ class PoissonTimes:
             start, stop = block * self.length, (block + 1) * self.length
             first, last = self.expected([start, stop])
             counting, placing = uniforms(seed, block, 2, ARRIVALS, recording)
-            count = int(np.searchsorted(_poisson_shares(float(last - first)), counting[0]))
+            number = int(np.searchsorted(_poisson_shares(float(last - first)), counting[0]))
             # Given their number, the arrivals of a Poisson process lie independently of each other.
-            times = np.clip(self.time_of(first + (last - first) * np.sort(placing[:count])), start, stop)
-            yield Stretch(start, stop, times, block, np.arange(count))
+            times = np.clip(self.time_of(first + (last - first) * np.sort(placing[:number])), start, stop)
+            yield Stretch(start, stop, times, block, np.arange(number))
 
 
 def _poisson_shares(expected: float) -> Floats:
@@ -176,3 +196,131 @@ def population_shares(scene: Scene, times: Floats) -> Floats:
             for population in scene.populations
         ]
     )
+
+
+def on_beam(scene: Scene, x: Floats, y: Floats) -> NDArray[np.bool_]:
+    """Return which points [m] lie on the beam: all, where there are no points."""
+    if scene.panel is None:
+        return np.ones(x.shape, bool)
+    return np.asarray((x >= 0) & (x <= scene.panel.length) & (y >= 0) & (y <= scene.panel.width))
+
+
+#: What is known of a rock before an impact, beside what it is made of.
+COLUMNS = {
+    "time": np.float64,  # of touch [s]
+    "rock": np.int64,  # its number in the recording
+    "bounce": np.int64,  # how many impacts it has behind it
+    "population": np.int64,
+    "specimen": np.uint64,
+    **dict.fromkeys((*PARTICLE, "restitution", "drop_height", "velocity"), np.float64),
+    "slip": np.float64,  # speed down the slope [m/s]
+    "impact_x": np.float64,  # where it hits the beam [m]
+    "impact_y": np.float64,
+}
+
+
+@dataclass(frozen=True)
+class Rocks:
+    """Rocks before an impact.
+
+    Attributes
+    ----------
+    columns : dict of ndarray, each (n,)
+        `COLUMNS`. The restitution is the one asked for, the velocity the normal one, drop_height is nan but for
+        a first fall from a height, impact_x and impact_y are nan where a beam has no points.
+    """
+
+    columns: Mapping[str, NDArray[Any]]
+
+    def __len__(self) -> int:
+        return len(self.columns["time"])
+
+    def __getitem__(self, name: str) -> NDArray[Any]:
+        return self.columns[name]
+
+    def taken(self, rows: NDArray[Any]) -> Self:
+        """Return some of the rocks, by number or by a mask."""
+        return type(self)({name: column[rows] for name, column in self.columns.items()})
+
+    @classmethod
+    def joined(cls, parts: Iterable[Rocks]) -> Self:
+        """Return the rocks of several batches in one; of none, no rocks."""
+        listed = list(parts)
+        return cls(
+            {
+                name: np.concatenate([np.empty(0, kind), *(part[name] for part in listed)])
+                for name, kind in COLUMNS.items()
+            }
+        )
+
+
+def arriving(scene: Scene, stretch: Stretch, first: int, seed: int, recording: int) -> Rocks:
+    """Return the rocks that arrive in a stretch, before their first impact; `first` is the number of the first one."""
+    assert scene.stream is not None
+    rows, n = stretch.rows, len(stretch.rows)
+    count("arrivals", n)
+    numbers = uniforms(seed, stretch.block, len(FALL) + 1, recording=recording)[:, rows]
+    which = populations_of(scene, stretch.times, numbers[0])
+    values = quantities_of(scene.populations, which, dict(zip(FALL, numbers[1:], strict=True)), (*FALL, "velocity"))
+    nowhere = dict.fromkeys(POINT_UNITS, np.full(n, np.nan))
+    points = {name: at[rows] for name, at in points_of_impact(scene, seed, stretch.block, recording).items()}
+    slope = scene.stream.inclination
+    columns = {
+        **values,
+        **(points or nowhere),
+        "time": stretch.times,
+        "rock": first + np.arange(n),
+        "bounce": np.zeros(n, np.int64),
+        "population": which,
+        "specimen": specimen_of([values[name] for name in PARTICLE]),
+        "slip": values["velocity"] * sin(slope),
+        "velocity": values["velocity"] * cos(slope),
+    }
+    return Rocks({name: columns[name].astype(kind, copy=False) for name, kind in COLUMNS.items()})
+
+
+def thrown_back(
+    scene: Scene, rocks: Rocks, delivered: Floats, contact_duration: Floats, audible: NDArray[Any]
+) -> Rocks:
+    """Return the rocks as they come back from an impact, before the next one.
+
+    A rock leaves with the normal speed `e v`, flies for `2 e v / (g cos alpha)`, and comes back with the same normal
+    speed, while gravity carries it down the slope: by `u t + g sin(alpha) t^2 / 2` from touch to touch.
+
+    Parameters
+    ----------
+    scene : Scene
+    rocks : Rocks
+        n of them, before the impact.
+    delivered : ndarray, (n,)
+        Restitution of the impact, whatever took the energy.
+    contact_duration : ndarray, (n,)
+        [s].
+    audible : ndarray of bool, (n,)
+        Whether the impact is above the noise; a rock that is not is followed no further.
+
+    Returns
+    -------
+    Rocks
+        Those that are still followed.
+    """
+    assert scene.stream is not None
+    rebounds, slope = scene.stream.rebounds, scene.stream.inclination
+    assert rebounds is not None  # the plan asks for rebounds only where the scene has them
+    count("rebounds", len(rocks))
+    velocity = delivered * rocks["velocity"]
+    between = contact_duration + 2 * velocity / (STANDARD_GRAVITY * cos(slope))
+    pull = STANDARD_GRAVITY * sin(slope)
+    after = Rocks(
+        {
+            **rocks.columns,
+            "time": rocks["time"] + between,
+            "bounce": rocks["bounce"] + 1,
+            "velocity": velocity,
+            "drop_height": np.full(len(rocks), np.nan),
+            "slip": rocks["slip"] + pull * between,
+            "impact_x": rocks["impact_x"] + rocks["slip"] * between + pull * between * between / 2,
+        }
+    )
+    followed = audible & (after["bounce"] <= rebounds.most) & (velocity >= rebounds.least_speed)
+    return after.taken(followed & on_beam(scene, after["impact_x"], after["impact_y"]))

@@ -13,7 +13,7 @@ from cgid.errors import BadData, InvalidValue
 from cgid.physics import Impact
 from cgid.physics.driving import Pulses
 from cgid.physics.response import LowPass, Resonance
-from cgid.scene.scene import Scene
+from cgid.scene.schema import Scene
 from cgid.signals import Signal
 from cgid.units import STANDARD_GRAVITY
 from cgid.validation import Floats

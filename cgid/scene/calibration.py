@@ -14,12 +14,11 @@ from threadpoolctl import threadpool_limits
 from cgid import validation
 from cgid.errors import BadData, InvalidValue
 from cgid.physics.response import Resonators
-from cgid.scene.beam import TailBeamSection
-from cgid.scene.calibration.blow import Blow, Struck, made_ready
-from cgid.scene.calibration.fit import Fit, aligned, columns, refined
-from cgid.scene.calibration.free_decay import MOST_MODES, NOTHING_LEFT, Ringing, ringing_modes
-from cgid.scene.response import beam_modes
-from cgid.scene.scene import Scene, parse_scene
+from cgid.scene.blow import Blow, Struck, made_ready
+from cgid.scene.impacts import beam_modes
+from cgid.scene.modal_fit import MOST_MODES, NOTHING_LEFT, Fit, Ringing, aligned, columns, refined, ringing_modes
+from cgid.scene.schema import Scene, parse_scene
+from cgid.scene.sections import TailBeamSection
 from cgid.validation import Floats
 
 #: Without an anti-alias filter or a bandwidth modes are looked for up to this share of the sampling rate.

@@ -1,0 +1,241 @@
+"""What a scene draws: the numbers of every rock, tap and sensor, for frames and for recordings.
+
+Random numbers have addresses: (seed, purpose, block of 256 samples) always gives the same ones. Philox is a
+counter-based generator (Salmon et al. 2011). Its key is the seed and the purpose, its counter the block and, in a
+stream, the recording, so a sample comes out the same whatever the shard, the worker or the order. White noise, of which
+there is far more, has a Philox kernel of its own (`cgid.scene.noise`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cgid.errors import InvalidValue
+from cgid.physics import free_fall_velocity
+from cgid.scene.schema import Scene
+from cgid.scene.sections import SHAPES, Population, Tap
+from cgid.validation import Floats
+
+#: Samples that share one address.
+BLOCK = 256
+#: What numbers are drawn for; a new purpose is a new number.
+PARAMETERS, NOISE, TAPS, SECOND_HITS, CLIPPING, RANDOMISED = 1, 2, 3, 4, 5, 6
+IMPACT_POINTS, ARRIVALS, HUM, COLOURED, RECORDED = 16, 17, 18, 19, 20
+
+PARTICLE = ("density", "youngs_modulus", "poisson_ratio", "radius")
+#: The columns of the numbers of a rock, in order. A fall has one number, whether it is a height or a speed.
+FALL = (*PARTICLE, "restitution", "drop_height")
+#: The columns of purposes that not every scene has.
+_LATER = {
+    TAPS: ("peak_force", "contact_duration"),
+    SECOND_HITS: ("second_hit_delay", "second_hit_ratio"),
+    CLIPPING: ("clipped_at",),
+}
+#: The columns of what is drawn for a whole block; a new one goes to the end.
+_OF_BLOCKS = ("sampling_rate", "relative_noise", "bandwidth")
+
+#: The stored parameters of every scene and their units.
+PARAMETER_UNITS = {
+    "density": "kg/m^3",
+    "youngs_modulus": "Pa",
+    "poisson_ratio": "1",
+    "radius": "m",
+    "restitution": "1",
+    "drop_height": "m",
+    "velocity": "m/s",
+    "onset": "s",
+    "peak_force": "N",
+    "contact_duration": "s",
+}
+#: Parameters that only some scenes have; each batch states its own sampling rate.
+_MORE_UNITS = {"second_hit_delay": "s", "second_hit_ratio": "1", "clipped_at": "1"}
+POINT_UNITS = {"impact_x": "m", "impact_y": "m"}
+#: Settings of the sensor that a scene may draw for each block.
+RANDOMISED_UNITS = {"relative_noise": "1", "bandwidth": "Hz"}
+#: A low-pass with an edge above this share of the sampling rate would cut into what the frame cannot hold anyway (its
+#: transition is half as wide as its frequency): the sensor then counts as unlimited.
+UNLIMITED = 0.45
+
+
+def require_seed(seed: int) -> None:
+    """Raise `InvalidValue` if the seed is not within 0 and 2^63 - 1."""
+    if not 0 <= seed < 2**63:
+        raise InvalidValue(f"seed must lie between 0 and 2^63 - 1, got {seed}")
+
+
+def generator(seed: int, purpose: int, block: int, recording: int = 0) -> np.random.Generator:
+    """Return the generator of one address; raises as `require_seed`. `recording` numbers those of a stream."""
+    require_seed(seed)
+    key = np.array([seed, purpose], np.uint64)
+    # The lower two words of the counter count the numbers drawn.
+    counter = np.array([0, 0, recording, block], np.uint64)
+    return np.random.Generator(np.random.Philox(key=key, counter=counter))
+
+
+def uniforms(seed: int, block: int, n_kinds: int, purpose: int = PARAMETERS, recording: int = 0) -> Floats:
+    """Return uniform numbers strictly between 0 and 1, (n_kinds, `BLOCK`), for one purpose in one block."""
+    raw = generator(seed, purpose, block, recording).random((BLOCK, n_kinds)).T
+    return np.asarray(np.clip(raw, 2.0**-54, None))
+
+
+def parameter_units(scene: Scene) -> dict[str, str]:
+    """Return the stored parameters of a scene and their units: `PARAMETER_UNITS`, and those of its optional parts."""
+    drawn = {name for source in scene.sources for name in source.laws}
+    units = PARAMETER_UNITS | {name: unit for name, unit in _MORE_UNITS.items() if name in drawn}
+    if scene.panel is not None:
+        units |= POINT_UNITS
+    return units | {name: unit for name, unit in RANDOMISED_UNITS.items() if scene.draws(name)}
+
+
+@dataclass(frozen=True)
+class Drawn:
+    """What is drawn for one block, before any law of impact is applied.
+
+    Attributes
+    ----------
+    labels : ndarray of str, (n_signals,)
+    values : dict of ndarray, each (n_signals,)
+        By the names of `parameter_units`, nan where one is not drawn; the restitution is the one asked for.
+    specimen : ndarray of uint64, (n_signals,)
+        Equal for an equal particle or an equal tap.
+    shapes : ndarray of int, (n_signals,)
+        Of a tap its number in `SHAPES`, of an impact -1.
+    scene : Scene
+        The scene as it holds in this block.
+    """
+
+    labels: NDArray[np.str_]
+    values: dict[str, Floats]
+    specimen: NDArray[np.uint64]
+    shapes: NDArray[np.intp]
+    scene: Scene
+
+    @property
+    def fallen(self) -> NDArray[np.intp]:
+        """Rows of the impacts."""
+        return np.flatnonzero(self.shapes < 0)
+
+    @property
+    def tapped(self) -> NDArray[np.intp]:
+        """Rows of the taps."""
+        return np.flatnonzero(self.shapes >= 0)
+
+
+def drawn_block(scene: Scene, seed: int, block: int) -> Drawn:
+    """Return what is drawn for one block of 256 frames."""
+    here, sources = settled(scene, seed, block), scene.sources
+    numbers = numbers_of(seed, block)
+    weights = np.array([source.weight for source in sources])
+    edges = np.cumsum(weights / weights.sum())
+    which = np.minimum(np.searchsorted(edges, numbers[0], side="right"), len(weights) - 1)
+    columns = dict(zip(FALL, numbers[1:-1], strict=True))
+    laws = {name for source in sources for name in source.laws}
+    for purpose, names in _LATER.items():
+        if not laws.isdisjoint(names):
+            columns |= dict(zip(names, uniforms(seed, block, len(names), purpose), strict=True))
+    values = quantities_of(sources, which, columns, parameter_units(scene))
+    values |= points_of_impact(scene, seed, block)
+    values["onset"] = onset_of(here, numbers[-1])
+    values |= levels_of(here, values)
+    shapes = np.array([-1] * len(scene.populations) + [list(SHAPES).index(tap.shape) for tap in scene.taps])[which]
+    fallen, tapped = np.flatnonzero(shapes < 0), np.flatnonzero(shapes >= 0)
+    specimen = np.empty(BLOCK, np.uint64)
+    specimen[fallen] = specimen_of([values[name][fallen] for name in PARTICLE])
+    specimen[tapped] = specimen_of([shapes[tapped].astype(float), *(values[name][tapped] for name in _LATER[TAPS])])
+    return Drawn(np.array([source.label for source in sources])[which], values, specimen, shapes, here)
+
+
+def quantities_of(
+    sources: Sequence[Population | Tap], which: NDArray[np.intp], numbers: Mapping[str, Floats], names: Iterable[str]
+) -> dict[str, Floats]:
+    """Return what rocks and taps draw: the one place where uniform numbers become quantities.
+
+    Parameters
+    ----------
+    sources : sequence of Population and Tap
+    which : ndarray of int, (n,)
+        The source of each.
+    numbers : dict of ndarray, each (n,)
+        Uniform numbers by the name of the quantity; a velocity takes the number of the drop height.
+    names : iterable of str
+        Of the quantities to return, velocity among them.
+
+    Returns
+    -------
+    dict of ndarray, each (n,)
+        In SI units, nan where a source has no such quantity. A drop height comes with its velocity.
+    """
+    values = {name: np.full(which.size, np.nan) for name in names}
+    for index, source in enumerate(sources):
+        rows = np.flatnonzero(which == index)
+        for name, law in source.laws.items():
+            number = numbers["drop_height" if name == "velocity" else name]
+            values[name][rows] = law.quantile(number[rows])
+    fell = np.isfinite(values["drop_height"])
+    values["velocity"][fell] = free_fall_velocity(values["drop_height"][fell])
+    return values
+
+
+def settled(scene: Scene, seed: int, block: int) -> Scene:
+    """Return the scene as it holds in one block, with its randomised settings drawn; the scene itself if none are."""
+    if scene.randomise is None:
+        return scene
+    numbers = dict(zip(_OF_BLOCKS, uniforms(seed, block, len(_OF_BLOCKS), RANDOMISED)[:, :1], strict=True))
+    values = {name: float(law.quantile(numbers[name])[0]) for name, law in scene.randomise.laws.items()}
+    sampling_rate = values.get("sampling_rate", scene.sampling.sampling_rate)
+    bandwidth = values.get("bandwidth", scene.sensor.bandwidth)
+    sensor = {
+        "relative_noise": values.get("relative_noise", scene.sensor.relative_noise),
+        "bandwidth": None if bandwidth is None or bandwidth > UNLIMITED * sampling_rate else bandwidth,
+    }
+    return scene.model_copy(
+        update={
+            "sampling": scene.sampling.model_copy(update={"sampling_rate": sampling_rate}),
+            "sensor": scene.sensor.model_copy(update=sensor),
+            "randomise": None,
+        }
+    )
+
+
+def numbers_of(seed: int, block: int) -> Floats:
+    """Return the uniform numbers of each signal of a block: source, quantities in `FALL`, onset."""
+    return uniforms(seed, block, len(FALL) + 2)
+
+
+def onset_of(scene: Scene, number: Floats) -> Floats:
+    """Return the times of touch [s] for uniform numbers; the scene is that of the block."""
+    return (scene.sampling.pre_trigger + scene.sampling.jitter * number) / scene.sampling.sampling_rate
+
+
+def levels_of(scene: Scene, names: Iterable[str]) -> dict[str, Floats]:
+    """Return those of the names that are settings of the block's sensor (`RANDOMISED_UNITS`), nan where it has none."""
+    levels = {name: getattr(scene.sensor, name) for name in names if name in RANDOMISED_UNITS}
+    return {name: np.full(BLOCK, np.nan if level is None else level) for name, level in levels.items()}
+
+
+def points_of_impact(scene: Scene, seed: int, block: int, recording: int = 0) -> dict[str, Floats]:
+    """Return where each rock of a block first hits the beam [m], by name; nothing unless the beam's sizes are known."""
+    if scene.panel is None:
+        return {}
+    assert scene.tail_beam is not None and scene.tail_beam.impact_point is not None
+    along, across = uniforms(seed, block, 2, IMPACT_POINTS, recording)
+    point = scene.tail_beam.impact_point
+    return {"impact_x": point.x.quantile(along), "impact_y": point.y.quantile(across)}
+
+
+def specimen_of(particle: list[Floats]) -> NDArray[np.uint64]:
+    """Mix the numbers of a particle or a tap into one 64-bit number (the finaliser of splitmix64, Steele et al. 2014).
+
+    An equal particle has the same number in every population, scene and dataset.
+    """
+    mixed = np.zeros(particle[0].shape, np.uint64)
+    for values in particle:
+        mixed = mixed + values.view(np.uint64) + np.uint64(0x9E3779B97F4A7C15)
+        for shift, factor in ((30, 0xBF58476D1CE4E5B9), (27, 0x94D049BB133111EB)):
+            mixed = (mixed ^ (mixed >> np.uint64(shift))) * np.uint64(factor)
+        mixed ^= mixed >> np.uint64(31)
+    return mixed

@@ -1,0 +1,338 @@
+"""From a scene to a long recording and the truth of its impacts, stretch by stretch; memory holds one stretch."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cgid.counting import count
+from cgid.elementary import log
+from cgid.errors import InvalidValue
+from cgid.physics import Impact
+from cgid.physics.coupled import ModalImpact
+from cgid.scene._fourier import transformable
+from cgid.scene.draws import PARAMETER_UNITS, POINT_UNITS
+from cgid.scene.extremes import unwarned
+from cgid.scene.impacts import Hearing, hearing, impact_of, impacts_by_coupling
+from cgid.scene.noise import CHUNK, Background, add_noise, background_of
+from cgid.scene.plan import RESPONSE_TOLERANCE, STORED, Plan, plan
+from cgid.scene.rocks import Rocks, arrivals_of, arriving, thrown_back
+from cgid.scene.schema import Scene, samples_of
+from cgid.signals import Signal
+from cgid.validation import Floats
+
+
+class TimeAxis:
+    """Samples from one on, as far as anything was added to them.
+
+    Attributes
+    ----------
+    first : int
+        Number of the first sample that has not been taken.
+    samples : ndarray, (n,)
+        That one and those behind it; behind the last all are 0.
+    """
+
+    def __init__(self) -> None:
+        self.first = 0
+        self.samples: Floats = np.zeros(0)
+
+    def until(self, stop: int) -> Floats:
+        """Return the samples from the first one to number `stop`, to be added to in place."""
+        missing = stop - self.first - self.samples.size
+        if missing > 0:
+            self.samples = np.concatenate([self.samples, np.zeros(missing)])
+        return self.samples[: stop - self.first]
+
+    def add(self, first: NDArray[np.int64], windows: NDArray[np.floating]) -> None:
+        """Add windows (n, width), each from its own sample on; what lies before the axis is lost."""
+        width = windows.shape[1]
+        samples = self.until(int(first.max()) + width)
+        for start, window in zip((first - self.first).tolist(), windows, strict=True):
+            lost = max(-start, 0)
+            samples[start + lost : start + width] += window[lost:]
+
+    def taken(self, stop: int) -> Floats:
+        """Take the samples before number `stop` off the axis and return them."""
+        part = self.until(stop).copy()
+        self.samples, self.first = self.samples[part.size :], stop
+        return part
+
+
+#: Columns in the order in which they are stored, and their units.
+_UNITS = {"time": "s", "rock": "1", "bounce": "1"} | {
+    name: unit for name, unit in PARAMETER_UNITS.items() if name != "onset"
+}
+_NEIGHBOUR_UNITS = {"next_impact": "s", "overlapping": "1"}
+
+
+def impact_units(scene: Scene) -> dict[str, str]:
+    """Return the numbers that are known of each impact, and their units.
+
+    time: of touch, from the first sample. rock: its number in the recording, by arrival. bounce: how many impacts it
+    has behind it. restitution: as delivered, target and all. drop_height: nan but for a first fall from a height.
+    velocity: the normal one. next_impact: time to the next touch of any rock, nan for the last. overlapping: 1 where
+    the contact has a part in common with another. impact_x, impact_y: on a beam of known size.
+    """
+    place = {} if scene.panel is None else POINT_UNITS
+    return {**_UNITS, **place, **_NEIGHBOUR_UNITS}
+
+
+def truth_of(scene: Scene, rocks: Rocks, delivered: Mapping[str, Floats]) -> dict[str, NDArray[Any]]:
+    """Return what is known of some impacts, except their neighbours; delivered is that of `strike`."""
+    labels = np.array([population.label for population in scene.populations])
+    truth = {
+        **{name: rocks[name] for name in _UNITS.keys() & rocks.columns.keys()},
+        **delivered,
+        "label": labels[rocks["population"]],
+        "specimen": rocks["specimen"],
+    }
+    if scene.panel is not None:
+        truth |= {"impact_x": rocks["impact_x"], "impact_y": rocks["impact_y"]}
+    return truth
+
+
+def empty_truth(scene: Scene) -> dict[str, NDArray[Any]]:
+    """Return the truth of no impacts."""
+    width = max(len(label) for label in scene.labels)
+    kinds: dict[str, np.dtype[Any]] = {
+        name: np.dtype(np.float64) for name in impact_units(scene) if name not in _NEIGHBOUR_UNITS
+    }
+    kinds["rock"] = kinds["bounce"] = np.dtype(np.int64)
+    kinds |= {"label": np.dtype(f"U{width}"), "specimen": np.dtype(np.uint64)}
+    return {name: np.empty(0, kind) for name, kind in kinds.items()}
+
+
+def joined(scene: Scene, parts: list[dict[str, NDArray[Any]]]) -> dict[str, NDArray[Any]]:
+    """Return the truth of a whole recording from that of its parts in order, neighbours and all."""
+    truth = {name: np.concatenate([part[name] for part in parts]) for name in empty_truth(scene)}
+    touch = truth["time"]
+    separation = touch + truth["contact_duration"]
+    distance = np.append(np.diff(touch), np.nan)[: touch.size]
+    earlier = np.append(-np.inf, np.maximum.accumulate(separation))[: touch.size]
+    later = np.append(touch[1:], np.inf)[: touch.size]
+    truth["next_impact"] = distance
+    truth["overlapping"] = ((touch < earlier) | (later < separation)).astype(np.int64)
+    return truth
+
+
+#: The low-pass of a pulse is followed for this many periods of its edge to either side; what is left of it there is
+#: under 1e-5 of the peak (`tests/test_stream.py`).
+_FILTER_PERIODS = 64
+
+
+def strike(asked: Plan, axis: TimeAxis, rocks: Rocks, heard: Hearing | None) -> dict[str, Floats]:
+    """Add what the sensor gives of the impacts of some rocks to the time axis, and return what they deliver.
+
+    Overlapping impacts add up. heard is what responds to the forces, None where the sensor records the forces.
+
+    Returns
+    -------
+    dict of ndarray, each (n,)
+        `STORED`: restitution, peak force [N], contact duration [s].
+    """
+    delivered = {name: np.empty(len(rocks)) for name in STORED}
+    if not len(rocks):
+        return delivered
+    everyone = np.arange(len(rocks))
+    with unwarned():
+        impact = impact_of(asked, rocks.columns, everyone)
+        parts = list(impacts_by_coupling(asked, impact, rocks.columns, everyone))
+    for rows, pulses, _ in parts:
+        own = rocks.taken(rows)
+        if heard is None:
+            _add_forces(asked, axis, pulses, own["time"])
+        else:
+            _add_response(asked.scene, axis, heard, pulses, own.columns)
+        for name in STORED:
+            delivered[name][rows] = getattr(pulses, name)
+    return delivered
+
+
+def _add_forces(asked: Plan, axis: TimeAxis, pulses: Impact | ModalImpact, times: Floats) -> None:
+    scene, rate, guard = asked.scene, asked.scene.sampling.sampling_rate, lead(asked)
+    filtered = asked.runs("bandwidth")
+    first = np.floor(times * rate).astype(np.int64) - guard
+    width = int(np.ceil(pulses.end_of_contact.max() * rate)) + 2 + 2 * guard
+    while filtered and not transformable(width):
+        width += 1
+    windows: NDArray[np.floating] = np.zeros((times.size, width))
+    pulses.add_to_frames(windows, rate, (times * rate - first) / rate)
+    if filtered:
+        windows = scene.sensor.limit_band(windows, rate)
+    inside = first < samples_of(scene)
+    if inside.any():
+        axis.add(first[inside], windows[inside])
+
+
+def _add_response(
+    scene: Scene,
+    axis: TimeAxis,
+    heard: Hearing,
+    pulses: Impact | ModalImpact,
+    columns: Mapping[str, Floats],
+) -> None:
+    """Run the poles of beam and sensor from the first touch until the last ringing, or the recording, is over."""
+    rate = scene.sampling.sampling_rate
+    first, last = int(np.floor(columns["time"].min() * rate)), samples_of(scene)
+    if first >= last:
+        return
+    # The slowest of the poles falls to its share of the response's tolerance in this time.
+    poles = heard.response.poles
+    ringing = float(log(poles.size / RESPONSE_TOLERANCE) / -poles.real.max())
+    end = columns["time"].max() + pulses.end_of_contact.max() + ringing
+    stop = int(min(np.ceil(end * rate), last))
+    frames = axis.until(stop)[None, first - axis.first :]
+    onset = (columns["time"] * rate - first) / rate
+    rows = np.zeros(onset.size, np.intp)
+    heard.response.add_to_frames(frames, pulses, onset, heard.participation(columns), rows=rows)
+
+
+def lead(asked: Plan) -> int:
+    """Return how many samples before touch an impact may be in the recording: the low-pass has zero phase."""
+    if not asked.runs("bandwidth"):
+        return 0
+    scene = asked.scene
+    assert scene.sensor.bandwidth is not None
+    return int(np.ceil(_FILTER_PERIODS * scene.sampling.sampling_rate / scene.sensor.bandwidth))
+
+
+def hearing_limit(scene: Scene, background: Background | None) -> float:
+    """Return the peak force below which an impact drowns in noise and background [N], and its rock is let go.
+
+    0 where the sensor feels a motion, of which no force alone says how large it is.
+    """
+    if scene.sensor.quantity != "force":
+        return 0.0
+    noise = float(scene.sensor.noise_level(np.zeros(()), scene.sampling.sampling_rate))
+    return float(np.sqrt(noise * noise + (0.0 if background is None else background.rms * background.rms)))
+
+
+@dataclass(frozen=True)
+class Part:
+    """A part of a recording, in order.
+
+    Attributes
+    ----------
+    samples : ndarray, (n,)
+        The next ones.
+    truth : dict of ndarray, each (n_impacts,)
+        Of the impacts of a stretch; they may come somewhat before or behind their samples.
+    """
+
+    samples: NDArray[Any]
+    truth: dict[str, NDArray[Any]]
+
+
+def record(
+    scene: Scene, seed: int = 0, number: int = 0, *, dtype: Literal["float32", "float64"] = "float32"
+) -> tuple[Signal, dict[str, NDArray[Any]]]:
+    """Return a recording of a stream in memory, and the truth of its impacts.
+
+    Parameters
+    ----------
+    scene : Scene
+        With a `stream`.
+    seed, number : int
+        The same seed gives the same recordings; the number tells them apart.
+    dtype : {"float32", "float64"}
+        Of the samples.
+
+    Returns
+    -------
+    Signal
+        The recording.
+    dict of ndarray, each (n_impacts,)
+        The impacts in order of time: `cgid.scene.stream.impact_units`, label, specimen.
+
+    Raises
+    ------
+    InvalidValue
+        The scene has no stream, or a number breaks its rule.
+    """
+    parts = list(parts_of_recording(scene, seed, number, dtype=dtype))
+    signal = Signal(
+        samples=np.concatenate([part.samples for part in parts]),
+        sampling_rate=scene.sampling.sampling_rate,
+        unit=scene.sensor.unit,
+        source=f"{scene.name} {number}",
+    )
+    return signal, joined(scene, [part.truth for part in parts])
+
+
+def parts_of_recording(scene: Scene, seed: int, number: int, *, dtype: Literal["float32", "float64"]) -> Iterator[Part]:
+    """Yield a recording in parts; see `record`."""
+    if scene.stream is None:
+        raise InvalidValue(f"scene {scene.name} must have a section stream to make a recording of; it has none")
+    if not 0 <= number < 2**32:
+        raise InvalidValue(f"number of the recording must lie between 0 and 2^32 - 1, got {number}")
+    asked = plan(scene, ["recordings"], dtype=dtype)
+    background = background_of(scene) if asked.runs("background") else None
+    audible, heard = hearing_limit(scene, background), hearing(asked)
+    axis, carried, n_rocks, done = TimeAxis(), Rocks.joined([]), 0, 0
+    chain = _Chain(asked, background, seed, number)
+    n_samples = samples_of(scene)
+    arrivals = arrivals_of(scene.stream).stretches(scene.stream.duration, seed, number)
+    for stretch in arrivals if asked.runs("arrivals") else ():
+        arrived = arriving(scene, stretch, n_rocks, seed, number)
+        n_rocks += len(arrived)
+        truth = [empty_truth(scene)]
+        coming = Rocks.joined([carried, arrived])
+        waiting = []
+        while len(coming):
+            late = coming["time"] >= stretch.stop
+            waiting.append(coming.taken(late))
+            now = coming.taken(~late)
+            delivered = strike(asked, axis, now, heard)
+            truth.append(truth_of(scene, now, delivered))
+            if not asked.runs("rebounds"):
+                break
+            loud = delivered["peak_force"] > audible
+            coming = thrown_back(scene, now, delivered["restitution"], delivered["contact_duration"], loud)
+        carried = Rocks.joined(waiting)
+        # Later impacts, and what the low-pass makes of them before they touch, lie behind this sample.
+        final = min(max(int(stretch.stop * scene.sampling.sampling_rate) - lead(asked), 0), n_samples)
+        ready = [chain.recorded(axis, chunk) for chunk in range(done, final // CHUNK)]
+        done = max(done, final // CHUNK)
+        yield Part(np.concatenate([np.empty(0, dtype), *ready]), _joined_truth(scene, truth))
+    rest = [chain.recorded(axis, chunk) for chunk in range(done, -(-n_samples // CHUNK))]
+    behind = n_samples - done * CHUNK
+    yield Part(np.concatenate([np.empty(0, dtype), *rest])[:behind], empty_truth(scene))
+
+
+def _joined_truth(scene: Scene, parts: list[dict[str, NDArray[Any]]]) -> dict[str, NDArray[Any]]:
+    """Return the impacts of a stretch in order of time, those after the end of the recording left out."""
+    assert scene.stream is not None
+    truth = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+    order = np.lexsort((truth["rock"], truth["time"]))
+    order = order[truth["time"][order] < scene.stream.duration]
+    return {name: column[order] for name, column in truth.items()}
+
+
+@dataclass(frozen=True)
+class _Chain:
+    """What follows the pulses: noise, background, range and bits, chunk by chunk."""
+
+    asked: Plan
+    background: Background | None
+    seed: int
+    number: int
+
+    def recorded(self, axis: TimeAxis, chunk: int) -> NDArray[Any]:
+        """Take the next chunk off the axis and return it as it is recorded."""
+        sensor, rate = self.asked.scene.sensor, self.asked.scene.sampling.sampling_rate
+        samples = axis.taken((chunk + 1) * CHUNK)
+        if self.asked.runs("noise"):
+            level = sensor.noise_level(np.zeros(1), rate)
+            add_noise(samples[None], level, self.seed, self.number, first_sample=chunk * CHUNK)
+        if self.background is not None:
+            count("background_samples", samples.size)
+            samples += self.background.in_recording(self.seed, self.number, chunk)
+        if self.asked.runs("offset, range and bits"):
+            count("digitised_chunks")
+            sensor.digitise(samples, rate, first=chunk * CHUNK)
+        return samples.astype(self.asked.dtype)
