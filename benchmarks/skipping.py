@@ -13,14 +13,13 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-from cgid.scene.tables import columns_of
-
 from cgid import shipped
 from cgid.identification.rows import DEFAULT_FEATURES
 from cgid.measure.features import extract_array
 from cgid.scene import load_scene, synthesise
 from cgid.scene.draws import BLOCK
 from cgid.scene.plan import plan
+from cgid.scene.synthesis import columns_of
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 from tests.plan_scenes import CASES, COUNTED

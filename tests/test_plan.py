@@ -10,10 +10,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from cgid.scene.population import draw
-from cgid.scene.quantities import QUANTITIES
-from cgid.scene.stream.synthesis import record
-from cgid.scene.tables import closed_forms_of, columns_of, features_of, parameters_of
 
 from cgid.cli.main import run
 from cgid.counting import count, counted, counting
@@ -32,10 +28,11 @@ from cgid.physics.tail_beam import TailBeam
 from cgid.scene import Scene, impacts, load_scene, synthesis, synthesise
 from cgid.scene.extremes import GRAVITY_TOLERANCE, weighed
 from cgid.scene.generation import tabulate
-from cgid.scene.impacts import NEGLIGIBLE_ECHO, BeamModes, TapPulses, beam_modes
-from cgid.scene.plan import RESPONSE_TOLERANCE, STAGES, Decision, Plan, plan
+from cgid.scene.impacts import BeamModes, TapPulses, beam_modes, draw
+from cgid.scene.plan import NEGLIGIBLE_ECHO, QUANTITIES, RESPONSE_TOLERANCE, STAGES, Decision, Plan, plan
 from cgid.scene.sensor import Sensor
-from cgid.scene.synthesis import Columns
+from cgid.scene.stream import record
+from cgid.scene.synthesis import Columns, columns_of
 from cgid.shipped import scene_path
 from cgid.store import Rows, TableHeader, is_table, read_table, table, table_writer
 from tests.plan_scenes import (
@@ -280,7 +277,7 @@ WORKERS = {
     "background": [(synthesis, "background_of")],
     "clipping": [(synthesis, "clip")],
     "offset, range and bits": [(Sensor, "digitise")],
-    "features": [(synthesis, "extract_array"), (synthesis, "measure_beginnings")],
+    "features": [(synthesis, "extract_array"), (synthesis, "extract_truncated")],
 }
 
 

@@ -13,7 +13,6 @@ from cgid.errors import InvalidValue
 from cgid.physics import Elastic, HalfSpace, HuntCrossley, Impact, Sphere
 from cgid.physics.driving import steps_for
 from cgid.physics.materials import STEEL, Material
-from cgid.physics.plates import TOLERANCE
 from cgid.physics.response import LowPass, Resonance, Response, resonator_poles
 from cgid.scene.impacts import TapPulses
 from cgid.scene.plan import RESPONSE_TOLERANCE as TOLERANCE

@@ -24,7 +24,7 @@ from cgid.scene.generation import tabulate
 from cgid.scene.plan import plan
 from cgid.scene.recordings import generate_recordings
 from cgid.scene.repair import repair
-from cgid.store import Dataset, opening, read_table
+from cgid.store import Dataset, read_table
 from cgid.store import _checks as opening
 from cgid.store.dataset import export
 from cgid.store.description import file_facts, read_manifest, sums_of, sums_text

@@ -31,7 +31,7 @@ from cgid.measure.pulses import PulseBatch
 from cgid.physics import HertzRangeWarning
 from cgid.scene import Scene, parse_scene, synthesise
 from cgid.scene.draws import BLOCK
-from cgid.scene.population import draw
+from cgid.scene.impacts import draw
 from cgid.signals import Batch
 from cgid.validation import Floats
 

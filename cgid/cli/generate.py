@@ -174,7 +174,7 @@ def _warn_of_plate(scene: Any, seed: int) -> None:
     from cgid.physics import ThinPlate
     from cgid.physics.impact import BEYOND_THIN_PLATE, INELASTICITY_LIMIT
     from cgid.scene.extremes import unwarned
-    from cgid.scene.population import draw
+    from cgid.scene.impacts import draw
 
     if not isinstance(scene.body, ThinPlate):
         return

@@ -143,7 +143,8 @@ def _synthesised(_: list[str], data: list[str], asked: dict[str, Any]) -> tuple[
 def _recorded(manifests: list[str], others: list[str], asked: dict[str, Any]) -> tuple[Any, list[Any]]:
     """Return the training on recordings, and the errors of those that could not be read."""
     from cgid.cli.options import dead_time_in_seconds
-    from cgid.identification.labelled_recordings import Reading, Slicing, record
+    from cgid.identification.labelled_recordings import Reading, record
+    from cgid.identification.rows import Slicing
     from cgid.identification.manifest import read_manifest
     from cgid.identification.training import train as train_model
 

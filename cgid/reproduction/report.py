@@ -17,7 +17,6 @@ from cgid.physics.materials import YANG2018_RADIUS, YANG2018_SPHERES
 from cgid.reproduction.claims import all_claims
 from cgid.reproduction.drawing import PaperFigure
 from cgid.reproduction.judging import Claim, symbol
-from cgid.reproduction.markdown import table
 from cgid.reproduction.paper import RESTITUTIONS, THEORY_NAMES, paper_impact
 from cgid.reproduction.parameter_claims import measures
 from cgid.reproduction.study import (

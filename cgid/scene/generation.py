@@ -28,10 +28,8 @@ from cgid.errors import CannotCreate, InvalidValue
 from cgid.files import require_room
 from cgid.scene.draws import BLOCK, parameter_units
 from cgid.scene.plan import Plan
-from cgid.scene.provenance import attributes_of
 from cgid.scene.schema import Scene
-from cgid.scene.synthesis import synthesise
-from cgid.scene.tables import columns_of
+from cgid.scene.synthesis import columns_of, synthesise
 from cgid.signals import Batch
 from cgid.store import DatasetWriter, Rows, TableHeader, check_output, check_table_output, table_writer
 from cgid.store.compression import COMPRESSIONS, library, require
@@ -369,18 +367,17 @@ def tabulate(
     """
     if not 1 <= n_signals <= MOST_SIGNALS:
         raise InvalidValue(f"n_signals must lie between 1 and {MOST_SIGNALS}, got {n_signals}")
-    request = asked.request
     path = check_table_output(output, overwrite)
     next(iter(columns_of(asked, 1, seed)))  # what is wrong with the plan or the seed shows before anything is written
-    size = n_signals * (2 + len(request.column_units)) * (_BYTES_OF_TEXT if path.suffix == ".csv" else _BYTES)
+    size = n_signals * (2 + len(asked.column_units)) * (_BYTES_OF_TEXT if path.suffix == ".csv" else _BYTES)
     require_room(path, path.parent, size, "rows", "make room, or fewer signals")
     header = TableHeader(
         kind=asked.kind,
-        units=request.column_units,
-        attributes={"n_signals": n_signals} | attributes_of(request.scene, seed),
+        units=asked.column_units,
+        attributes={"n_signals": n_signals} | attributes_of(asked.scene, seed),
     )
     unmeasured = 0
-    width = max(len(label.encode()) for label in request.scene.labels)
+    width = max(len(label.encode()) for label in asked.scene.labels)
     with table_writer(path, header, width, overwrite=overwrite) as writer:
         for columns in columns_of(asked, n_signals, seed):
             writer.add(Rows(labels=columns.labels, specimen=columns.specimen, columns=columns.values))

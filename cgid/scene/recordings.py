@@ -16,8 +16,7 @@ from cgid.scene.generation import attributes_of
 from cgid.scene.noise import background_of
 from cgid.scene.rocks import arrivals_of
 from cgid.scene.schema import Scene, samples_of
-from cgid.scene.stream import impact_units, parts_of_recording
-from cgid.scene.stream.truth import joined
+from cgid.scene.stream import impact_units, joined, parts_of_recording
 from cgid.scene.units import SHORTEST_RECORDING
 from cgid.store.description import (
     JOURNAL,

@@ -22,11 +22,12 @@ from cgid.store.description import (
     FORMAT,
     LARGEST_SHARD,
     MANIFEST,
+    Manifest,
     ShardEntry,
     is_entry,
+    read_manifest,
 )
 from cgid.store.hdf5 import ShardBuilder, ShardPlan, hdf5_on_disk, lay_out, say_kind
-from cgid.store.manifest import Manifest, read_manifest
 from cgid.store.reading import Dataset
 from cgid.store.run import SUFFIXES, Goal, Run, begun, is_single_file, taking_part
 from cgid.store.verification import compression_of, examine_whole
