@@ -10,9 +10,9 @@ import numpy as np
 
 from cgid.elementary import power
 from cgid.errors import InvalidValue
-from cgid.physics.modes import MeasuredModes
+from cgid.physics.modes import MeasuredModes, Modes
 from cgid.physics.response import Response
-from cgid.physics.tail_beam import Modes, TailBeam
+from cgid.physics.tail_beam import TailBeam
 from cgid.scene.beam import TailBeamSection
 from cgid.scene.scene import Scene
 from cgid.validation import Floats
