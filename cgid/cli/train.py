@@ -144,8 +144,8 @@ def _recorded(manifests: list[str], others: list[str], asked: dict[str, Any]) ->
     """Return the training on recordings, and the errors of those that could not be read."""
     from cgid.cli.options import dead_time_in_seconds
     from cgid.identification.labelled_recordings import Reading, record
-    from cgid.identification.rows import Slicing
     from cgid.identification.manifest import read_manifest
+    from cgid.identification.rows import Slicing
     from cgid.identification.training import train as train_model
 
     if len(manifests) > 1:
