@@ -8,9 +8,9 @@ from typing import Any, TypeVar
 
 import click
 
-from cgid.cli.console import say
 from cgid.cli.model_choice import Models, parse_cost
 from cgid.cli.options import PATH
+from cgid.cli.output import say
 
 F = TypeVar("F", bound=Callable[..., Any])
 

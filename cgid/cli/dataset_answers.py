@@ -8,8 +8,8 @@ from itertools import count
 from typing import Any
 
 from cgid.cli.answer_lines import AnswerLines
-from cgid.cli.console import say
 from cgid.cli.model_choice import Models, warn_of_rate
+from cgid.cli.output import say
 
 
 def identify_dataset(

@@ -8,7 +8,7 @@ from typing import Any
 
 import click
 
-from cgid.cli.console import say
+from cgid.cli.output import say
 
 
 class Models:

@@ -8,7 +8,6 @@ import click
 
 from cgid.cli.answer_lines import AnswerLines
 from cgid.cli.asked import Asked, answering_options, asked_of
-from cgid.cli.console import say
 from cgid.cli.dataset_answers import heights, identify_dataset
 from cgid.cli.model_choice import warn_of_rate
 from cgid.cli.options import (
@@ -20,6 +19,7 @@ from cgid.cli.options import (
     read_signals,
     recording_options,
 )
+from cgid.cli.output import say
 from cgid.cli.recording_answers import answer_recording
 from cgid.cli.report_pages import Pages
 
