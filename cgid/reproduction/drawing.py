@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -119,7 +119,7 @@ def frame(columns: Mapping[str, ArrayLike]) -> Any:
     return pd.DataFrame({name: array.ravel() for name, array in zip(columns, arrays, strict=True)})
 
 
-def joined(frames: list[Any]) -> Any:
+def joined(frames: Iterable[Any]) -> Any:
     """Return data frames below each other."""
     import pandas as pd
 
@@ -233,6 +233,32 @@ class PaperFigure:
     panels: tuple[Panel, ...]
     columns: int = 1
     highest_strain: float
+
+
+#: Data, panels, and the largest displacement over radius of a figure.
+Drawn = tuple[Any, Sequence[Panel], float]
+
+
+class Figures(dict[str, Callable[..., PaperFigure]]):
+    """How to make figures, by the name of their files."""
+
+    def add(
+        self, name: str, title: str, note: str = "", caption: str = "", *, columns: int = 1, **arguments: Any
+    ) -> Callable[[Callable[..., Drawn]], Callable[..., Drawn]]:
+        """Return a decorator that adds the figure that a function draws if called with these arguments."""
+
+        def register(function: Callable[..., Drawn]) -> Callable[..., Drawn]:
+            def make(*of: Any) -> PaperFigure:
+                data, panels, strain = function(*of, **arguments)
+                return PaperFigure(
+                    name=name, title=title, note=note, caption=caption, data=data, panels=tuple(panels),
+                    columns=columns, highest_strain=strain,
+                )  # fmt: skip
+
+            self[name] = make
+            return function
+
+        return register
 
 
 def draw(drawn: PaperFigure) -> bytes:
