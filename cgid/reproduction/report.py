@@ -40,7 +40,6 @@ from cgid.reproduction.theories import (
 )
 from cgid.validation import Floats
 
-
 _SOURCE = (
     "Yang, Zeng & Wan (2018), *Contact Response Analysis of Vertical Impact between Elastic Sphere and Elastic Half "
     "Space*, Shock and Vibration"
@@ -166,7 +165,7 @@ def _table(heads: Sequence[str], rows: Iterable[Sequence[str]]) -> list[str]:
     return [f"| {' | '.join(heads)} |", "|---" * len(heads) + "|", *(f"| {' | '.join(row)} |" for row in rows), ""]
 
 
-# ---- what finite elements tell of the three theories ------------------------------------------------------------------
+# ---- what finite elements tell of the three theories ----------------------------------------------------------------
 
 
 def finite_element_section(study: Study) -> list[str]:
