@@ -6,7 +6,6 @@ from typing import Any
 
 import click
 
-from cgid.cli.console import say
 from cgid.cli.options import (
     PATH,
     asks_for_whole_dataset,
@@ -16,6 +15,7 @@ from cgid.cli.options import (
     read_signals,
     recording_options,
 )
+from cgid.cli.output import say
 
 #: Most impacts, or channels, that cannot be measured and are reported one by one.
 _MOST_REPORTED = 3

@@ -8,6 +8,10 @@ The signals of a dataset, identified batch by batch, and how many of the answers
 """
 
 from __future__ import annotations
+from cgid.cli.dataset_answers import heights
+from cgid.cli.dataset_answers import identify_dataset
+from cgid.cli.recording_answers import answer_recording
+from cgid.cli.report_pages import Pages
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
