@@ -10,7 +10,6 @@ from collections.abc import Iterable, Sequence
 from typing import Any
 
 from cgid.cli.answering import Asked
-from cgid.cli.console import say
 from cgid.cli.options import print_json
 from cgid.cli.output import say
 

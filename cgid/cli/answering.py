@@ -4,8 +4,6 @@ What is asked of a recording: by which model, and how, its impacts are answered.
 """
 
 from __future__ import annotations
-from cgid.cli.model_choice import Models
-from cgid.cli.model_choice import parse_cost
 
 from collections.abc import Callable
 from contextlib import suppress
@@ -15,7 +13,6 @@ from typing import Any, TypeVar
 
 import click
 
-from cgid.cli.console import say
 from cgid.cli.options import PATH
 from cgid.cli.output import say
 

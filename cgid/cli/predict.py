@@ -8,10 +8,6 @@ The signals of a dataset, identified batch by batch, and how many of the answers
 """
 
 from __future__ import annotations
-from cgid.cli.dataset_answers import heights
-from cgid.cli.dataset_answers import identify_dataset
-from cgid.cli.recording_answers import answer_recording
-from cgid.cli.report_pages import Pages
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -23,7 +19,6 @@ import click
 
 from cgid.cli.answer_rows import AnswerLines, Telling
 from cgid.cli.answering import Asked, Models, answering_options, asked_of, warn_of_rate
-from cgid.cli.console import say
 from cgid.cli.options import (
     PATH,
     asks_for_whole_dataset,
@@ -33,6 +28,7 @@ from cgid.cli.options import (
     read_signals,
     recording_options,
 )
+from cgid.cli.output import say
 from cgid.errors import CgidError
 
 

@@ -17,7 +17,7 @@ from cgid.reproduction.figures import FIGURES
 from cgid.reproduction.finite_element_figures import SIMULATED_FIGURES
 from cgid.reproduction.report import write_report
 from cgid.reproduction.study import N_CASES, STUDY_FILE, Study, packed, run_study, shipped_study, unpacked
-from cgid.reproduction.tables import TABLES, PaperTable, table_3
+from cgid.reproduction.tables import TABLES
 
 REPORT = "report.md"
 _N_WRITTEN = len(TABLES) + len(FIGURES) + len(SIMULATED_FIGURES) + 1
