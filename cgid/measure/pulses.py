@@ -527,10 +527,7 @@ PULSE_FEATURES = (
     ),
     _spectral("spectral_rolloff", "Hz", "85 % of the energy lies below", measure=lambda p: p.rolloff),
     _spectral(
-        "cutoff_10db",
-        "Hz",
-        "where the spectrum first is 10 dB below its value at 0 Hz",
-        measure=lambda p: p.cutoff,
+        "cutoff_10db", "Hz", "where the spectrum first is 10 dB below its value at 0 Hz", measure=lambda p: p.cutoff
     ),
     Bank(
         "band_energy_*_hz",

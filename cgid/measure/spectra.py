@@ -271,6 +271,34 @@ class EnergySpectrum:
         return out
 
 
+def hann(length: int) -> Floats:
+    """Return one period of the Hann bell, sampled so that it is never zero."""
+    return np.asarray(np.sin(np.pi * (np.arange(length) + 0.5) / length) ** 2)
+
+
+def frame_spectra(samples: Floats, length: int, sampling_rate: float) -> tuple[float, Floats]:
+    """Return the energy spectra of half-overlapping frames under Hann bells.
+
+    Parameters
+    ----------
+    samples : ndarray, (n_rows, n_samples)
+    length : int
+        Of a frame [samples].
+    sampling_rate : float
+        [Hz].
+
+    Returns
+    -------
+    spacing : float
+        Width of a bin [Hz], at most half the resolution of a frame.
+    energy : ndarray, (n_rows, n_frames, n_bins)
+        [unit^2 s].
+    """
+    frames = np.lib.stride_tricks.sliding_window_view(samples, length, axis=1)[:, :: max(length // 2, 1)]
+    spectrum = EnergySpectrum.of((frames * hann(length)).reshape(-1, length), sampling_rate, finer=2)
+    return spectrum.spacing, spectrum.energy.reshape(len(samples), frames.shape[1], -1)
+
+
 def padded_length(wanted: int) -> int:
     """Return a length of at least `wanted` samples with a fast transform: four to eight times a power of two.
 

@@ -26,6 +26,7 @@ from cgid.measure.spectra import (
     THIRD_OCTAVE_SOURCE,
     THIRD_OCTAVES,
     EnergySpectrum,
+    frame_spectra,
     packet_energies,
     passage,
     third_octave,
@@ -321,14 +322,10 @@ class VibrationBatch(Frames):
         From the windowed event in frames of `DELAY_FRAME` under Hann bells, the first centred at the onset.
         """
         length = 2 * max(round(0.5 * DELAY_FRAME * self.sampling_rate), 1)
-        bell = np.sin(np.pi * (np.arange(length) + 0.5) / length) ** 2
         padded = np.pad(self.event * self._window, ((0, 0), (length // 2, length // 2)))
-        cut = np.lib.stride_tricks.sliding_window_view(padded, length, axis=1)[:, :: length // 2]
-        spectrum = EnergySpectrum.of((cut * bell).reshape(-1, length), self.sampling_rate, finer=2)
-        energy = MEL_BANDS.within(0.5 * self.sampling_rate).sums(
-            spectrum.energy.reshape(*cut.shape[:2], -1), spectrum.spacing
-        )
-        time = np.arange(cut.shape[1]) * (length // 2 / self.sampling_rate)
+        spacing, energy = frame_spectra(padded, length, self.sampling_rate)
+        energy = MEL_BANDS.within(0.5 * self.sampling_rate).sums(energy, spacing)
+        time = np.arange(energy.shape[1]) * (length // 2 / self.sampling_rate)
         total = np.maximum(energy.sum(axis=1), np.finfo(np.float64).tiny)
         return np.asarray((energy * time[:, None]).sum(axis=1) / total)
 
@@ -493,10 +490,7 @@ VIBRATION_FEATURES = (
         measure=lambda v: v.clean_spectrum.moments[1],
     ),
     _spectral(
-        "vibration_rolloff",
-        "Hz",
-        "85 % of the same energy lie below",
-        measure=lambda v: v.clean_spectrum.rolloff(0.85),
+        "vibration_rolloff", "Hz", "85 % of the same energy lie below", measure=lambda v: v.clean_spectrum.rolloff(0.85)
     ),
     _vibration(
         "time_to_first_maximum",
