@@ -194,7 +194,7 @@ class Window:
         Samples per point.
     outside, clipped : ndarray of bool, (n, n_points), or None
         Points outside the frame, and points at the sensor's limit; None where there are none.
-    beside : ndarray, (n,)
+    elsewhere : ndarray, (n,)
         The largest magnitude of the samples outside the window.
     run : int
         Samples per point where they are equal for all rows by design; else 1.
@@ -208,7 +208,7 @@ class Window:
     averaged: Floats
     outside: NDArray[np.bool_] | None
     clipped: NDArray[np.bool_] | None
-    beside: Floats
+    elsewhere: Floats
     run: int
     reach: NDArray[np.intp]
 
@@ -221,32 +221,32 @@ class Window:
 def windows(
     samples: NDArray[np.floating],
     guess: Floats,
-    offset: Floats | None,
-    clip_level: Floats | None,
+    offset: Floats | float,
+    clip_level: Floats | float,
+    unit: Floats | float = 1.0,
     averaged: bool = True,
-    unit: Floats | None = None,
 ) -> Iterator[Window]:
     """Yield windows around pulses (peak, ln width, place, shape, baseline), those of similar length together.
 
-    Values are divided by `unit`, (n,), if it is given; offset and limit are in the unit of the samples.
+    Values are divided by `unit`; offset and limit are in the unit of the samples.
     """
+    offset, clip_level, unit = (np.broadcast_to(value, len(samples)) for value in (offset, clip_level, unit))
     width = np.exp(guess[:, 1])
     duration, lead, _, _ = relative_times(guess[:, 3])
-    first = guess[:, 2] - (lead + _MARGIN) * width
+    first = np.floor(guess[:, 2] - (lead + _MARGIN) * width).astype(np.intp) - 2
     lengths = np.minimum(duration + 2 * _MARGIN, lead + _MARGIN + _FURTHEST) * width
     # Lengths come in steps, so that the window of a row does not depend on the other rows.
     step = np.ceil(np.log(np.maximum(lengths, 1.0)) / np.log(_STEP)).astype(np.intp)
     for chosen in np.unique(step):
         rows = np.flatnonzero(step == chosen)
         length = int(np.ceil(_STEP**chosen)) + 4
+        run = max(-(-length // _LONGEST), 1) if averaged else 1
         yield _window(
-            samples, rows, np.floor(first[rows]).astype(np.intp) - 2, length, offset, clip_level, averaged, unit
+            samples, rows, first[rows], -(-length // run) * run, run, offset[rows], clip_level[rows], unit[rows]
         )
 
 
-def coarse_window(
-    samples: NDArray[np.floating], start: Start, offset: Floats | None, clip_level: Floats | None
-) -> Window:
+def coarse_window(samples: NDArray[np.floating], start: Start, offset: Floats, clip_level: Floats) -> Window:
     """Return few points of every pulse, over its first peak, each a mean of as many samples as its width allows."""
     n, n_samples = samples.shape
     run = np.maximum(np.ceil((BEFORE + BEHIND) * start.width / _COARSE), 1).astype(np.intp)
@@ -255,18 +255,21 @@ def coarse_window(
     total = np.zeros((n, n_samples + 1))
     np.cumsum(samples, axis=1, dtype=np.float64, out=total[:, 1:])
     at_edges = np.take_along_axis(total, np.clip(edges, 0, n_samples), axis=1)
-    values = np.diff(at_edges, axis=1) / run[:, None]
-    if offset is not None:
-        values -= offset[:, None]
+    values = np.diff(at_edges, axis=1) / run[:, None] - offset[:, None]
     outside = (edges[:, :-1] < 0) | (edges[:, 1:] > n_samples)
-    clipped = None
-    if clip_level is not None:  # a point near the limit contains clipped samples
-        near = ~outside & (values >= 0.97 * clip_level[:, None])
-        clipped = near if near.any() else None
-    values /= start.peak[:, None]
-    times = 0.5 * (edges[:, :-1] + edges[:, 1:] - 1.0)
-    rows = np.arange(n)
-    return Window(rows, values, times, run.astype(np.float64), outside, clipped, np.zeros(n), 1, edges[:, -1] - 1)
+    # A point near the limit contains clipped samples.
+    clipped = ~outside & (values >= 0.97 * clip_level[:, None])
+    return Window(
+        rows=np.arange(n),
+        values=values / start.peak[:, None],
+        times=0.5 * (edges[:, :-1] + edges[:, 1:] - 1.0),
+        averaged=run.astype(np.float64),
+        outside=outside,
+        clipped=clipped if clipped.any() else None,
+        elsewhere=np.zeros(n),
+        run=1,
+        reach=edges[:, -1] - 1,
+    )
 
 
 def _window(
@@ -274,46 +277,37 @@ def _window(
     rows: NDArray[np.intp],
     first: NDArray[np.intp],
     length: int,
-    offset: Floats | None,
-    clip_level: Floats | None,
-    averaged: bool,
-    unit: Floats | None,
+    run: int,
+    offset: Floats,
+    clip_level: Floats,
+    unit: Floats,
 ) -> Window:
-    n_samples = samples.shape[1]
-    run = max(-(-length // _LONGEST), 1) if averaged else 1
-    length = -(-length // run) * run
     columns = first[:, None] + np.arange(length)
-    beyond = (columns < 0) | (columns >= n_samples)
-    values = samples[rows[:, None], np.clip(columns, 0, n_samples - 1)].astype(np.float64)
-    if offset is not None:
-        values -= offset[rows][:, None]
-    beside = _largest_beside(samples, rows, first, length, offset)
-    outside = beyond if beyond.any() else None
-    clipped = None
-    if clip_level is not None:
-        at_limit = ~beyond & (values >= clip_level[rows][:, None])
-        clipped = at_limit if at_limit.any() else None
-    if unit is not None:
-        values /= unit[rows][:, None]
-        beside /= unit[rows]
-    times, reach = columns.astype(np.float64), first + length - 1
-    if run > 1:
-        shape = (len(rows), length // run, run)
-        values, times = values.reshape(shape).mean(axis=2), times.reshape(shape).mean(axis=2)
-        outside = None if outside is None else outside.reshape(shape).any(axis=2)
-        clipped = None if clipped is None else clipped.reshape(shape).any(axis=2)
-    return Window(rows, values, times, np.full(len(rows), float(run)), outside, clipped, beside, run, reach)
+    beyond = (columns < 0) | (columns >= samples.shape[1])
+    values = samples[rows[:, None], np.clip(columns, 0, samples.shape[1] - 1)] - offset[:, None]
+    clipped = ~beyond & (values >= clip_level[:, None])
+    # Runs of samples become points.
+    shape = (len(rows), length // run, run)
+    return Window(
+        rows=rows,
+        values=(values / unit[:, None]).reshape(shape).mean(axis=2),
+        times=columns.astype(np.float64).reshape(shape).mean(axis=2),
+        averaged=np.full(len(rows), float(run)),
+        outside=beyond.reshape(shape).any(axis=2) if beyond.any() else None,
+        clipped=clipped.reshape(shape).any(axis=2) if clipped.any() else None,
+        elsewhere=_largest_elsewhere(samples, rows, first, length, offset) / unit,
+        run=run,
+        reach=first + length - 1,
+    )
 
 
-def _largest_beside(
-    samples: NDArray[np.floating], rows: NDArray[np.intp], first: NDArray[np.intp], length: int, offset: Floats | None
+def _largest_elsewhere(
+    samples: NDArray[np.floating], rows: NDArray[np.intp], first: NDArray[np.intp], length: int, offset: Floats
 ) -> Floats:
     out = np.zeros(len(rows))
-    for place, (row, column) in enumerate(zip(rows.tolist(), first.tolist(), strict=True)):
-        frame = samples[row]
-        for part in (frame[: max(column, 0)], frame[max(column + length, 0) :]):
+    for place, (row, column, base) in enumerate(zip(rows.tolist(), first.tolist(), offset.tolist(), strict=True)):
+        for part in (samples[row, : max(column, 0)], samples[row, max(column + length, 0) :]):
             if part.size:
-                base = 0.0 if offset is None else offset[row]
                 out[place] = max(out[place], float(part.max()) - base, base - float(part.min()))
     return out
 
@@ -383,30 +377,25 @@ def fit_pulses(
     """
     if not len(samples):
         return PulseFit.nothing()
-    blocks = [
-        _fit_block(
-            samples[block],
-            start.rows(block),
-            noise[block],
-            rows_of(offset, block),
-            fit_baseline,
-            rows_of(onset, block),
-            rows_of(clip_level, block),
-            response,
-        )
-        for block in (slice(first, first + _ROWS) for first in range(0, len(samples), _ROWS))
-    ]
-    return PulseFit.joined(blocks)
+    n = len(samples)
+    offset = np.zeros(n) if offset is None else offset
+    clip_level = np.full(n, np.inf) if clip_level is None else clip_level
+    blocks = (slice(first, first + _ROWS) for first in range(0, n, _ROWS))
+    parts = (
+        (samples[rows], start.rows(rows), noise[rows], offset[rows], clip_level[rows], rows_of(onset, rows))
+        for rows in blocks
+    )
+    return PulseFit.joined([_fit_block(*part, fit_baseline, response) for part in parts])
 
 
 def _fit_block(
     samples: NDArray[np.floating],
     start: Start,
     noise: Floats,
-    offset: Floats | None,
-    fit_baseline: bool,
+    offset: Floats,
+    clip_level: Floats,
     onset: Floats | None,
-    clip_level: Floats | None,
+    fit_baseline: bool,
     response: Floats | None,
 ) -> PulseFit:
     # In units of its first peak, every pulse is of order 1.
@@ -416,7 +405,7 @@ def _fit_block(
         coarse = coarse_window(samples, start, offset, clip_level)
         guess = _coarse(coarse, first_guess(start), sigma, fit_baseline, onset)
         parts = []
-        for window in windows(samples, guess, offset, clip_level, averaged=response is None, unit=unit):
+        for window in windows(samples, guess, offset, clip_level, unit, averaged=response is None):
             rows = window.rows
             problem = Problem(window, fit_baseline, rows_of(onset, rows), response)
             found = _search(problem, guess[rows], sigma[rows] / np.sqrt(window.averaged), _ITERATIONS, 1e-6)
@@ -597,7 +586,7 @@ def _report(
     counted = window.values.shape[1] - (0 if window.outside is None else window.outside.sum(axis=1))
     freedom = np.maximum(counted - clipped - len(problem.free), 1)
     believed = variance + (MODEL_ERROR * peak) ** 2 / window.averaged
-    beside = (window.beside / _OUTLIER) ** 2 / (believed * window.averaged)
+    stray = (window.elsewhere / _OUTLIER) ** 2 / (believed * window.averaged)
     return PulseFit(
         peak=peak * unit,
         duration=width * duration,
@@ -606,7 +595,7 @@ def _report(
         shape=shape,
         baseline=baseline * unit,
         covariance=covariance,
-        misfit=np.maximum(cost / freedom / believed, beside),
+        misfit=np.maximum(cost / freedom / believed, stray),
         clipped=clipped,
         evidence=peak**2 * np.maximum(information[:, 0, 0], 0.0) / variance,
         converged=converged,

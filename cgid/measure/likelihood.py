@@ -161,7 +161,9 @@ def cramer_rao_bound(
     response = None
     if bandwidth is not None:
         if np.ptp(rate) > 0:
-            raise InvalidValue("sampling_rate must be one number when there is a bandwidth; compute each rate separately")
+            raise InvalidValue(
+                "sampling_rate must be one number when there is a bandwidth; compute each rate separately"
+            )
         response = low_pass_response(float(rate.flat[0]), bandwidth)
     samples = (duration * rate).ravel()
     if (samples > MOST_SAMPLES).any():
@@ -278,12 +280,11 @@ def profile(
     for first in range(0, len(samples), _PROFILED_ROWS):
         block = slice(first, first + _PROFILED_ROWS)
         guess = parameters_of(fit.peak[block], fit.width[block], fit.onset[block], fit.shape[block])
-        own_offset = rows_of(offset, block)
-        own_limit = rows_of(clip_level, block)
+        own = (0.0 if offset is None else offset[block], np.inf if clip_level is None else clip_level[block])
         # As long as the pulse would be at the lowest shape: a window without its tail could not speak against it.
         longest = guess.copy()
         longest[:, 3] = shapes[block, 0]
-        for window in windows(samples[block], longest, own_offset, own_limit, averaged=response is None):
+        for window in windows(samples[block], longest, *own, averaged=response is None):
             rows = first + window.rows
             problem = Problem(window, n_quiet is not None, rows_of(onset, rows), response)
             sigma = noise[rows] / np.sqrt(window.averaged)

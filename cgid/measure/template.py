@@ -15,7 +15,6 @@ strongly correlated with s. The reported parameters are `PARAMETERS`.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
@@ -34,25 +33,18 @@ _BEYOND = 3
 _EDGE = 1e-12
 
 
-@dataclass(frozen=True, eq=False)
-class _Table:
-    """Nodes and derivatives.
+@cache
+def _table() -> tuple[tuple[Floats, ...], Floats]:
+    """Return the curve and the times at the nodes, with derivatives.
 
-    Attributes
-    ----------
+    Returns
+    -------
     curve : tuple of ndarray, (n_nodes,)
         g, g_w, g_ww, g_s, g_sw, g_ss at the nodes of s and w, flat.
     times : ndarray, (n_shapes, 2, 3)
-        Contact duration, and the time from touch to the peak, over the width (impulse over peak); with two
+        Contact duration, and the time from touch to the peak, over the width (impulse over peak), with two
         derivatives in s.
     """
-
-    curve: tuple[Floats, ...]
-    times: Floats
-
-
-@cache
-def _table() -> _Table:
     step = -LOWEST_SHAPE / _SHAPES
     shapes = LOWEST_SHAPE + step * np.arange(_SHAPES + 1)
     w = np.arange(_PLACES + 1) / _PLACES
@@ -80,7 +72,7 @@ def _table() -> _Table:
     )
     held = tuple(np.ascontiguousarray(part[: _SHAPES + 1].ravel()) for part in derivatives)
     time_derivatives = np.stack([times, _slope(times, 0) / step, _bend(times, 0) / step**2], axis=-1)[: _SHAPES + 1]
-    return _Table(held, time_derivatives)
+    return held, time_derivatives
 
 
 def _slope(values: Floats, axis: int) -> Floats:
@@ -114,7 +106,7 @@ def relative_times(shape: Floats) -> tuple[Floats, Floats, Floats, Floats]:
     duration, peak_time, duration_slope, peak_time_slope : ndarray, (n,)
     """
     node, offset = _nearest(shape)
-    value, slope, bend = np.moveaxis(_table().times[node], -1, 0)
+    value, slope, bend = np.moveaxis(_table()[1][node], -1, 0)
     at = value + offset[:, None] * (slope + 0.5 * offset[:, None] * bend)
     slopes = slope + offset[:, None] * bend
     turned = shape > 0
@@ -152,7 +144,7 @@ def curve(share: Floats, shape: Floats) -> tuple[Floats, Floats, Floats]:
     column = np.rint(place)
     dw = (place - column) * (1 / _PLACES)
     index = column.astype(np.intp) + (node * (_PLACES + 1))[:, None]
-    g, g_w, g_ww, g_s, g_sw, g_ss = (np.take(held, index) for held in _table().curve)
+    g, g_w, g_ww, g_s, g_sw, g_ss = (np.take(held, index) for held in _table()[0])
     ds = offset[:, None]
     in_shape = (g_s + ds * g_ss + dw * g_sw) * inside
     g_w += ds * g_sw
