@@ -92,9 +92,10 @@ def require_known(name: str) -> None:
     if not isinstance(name, str) or name not in FEATURES:
         import difflib
 
-        similar = difflib.get_close_matches(str(name)[:80], FEATURES, n=5, cutoff=0.3)
+        known = [*FEATURES, *(entry.name for entry in FEATURES.entries if "*" in entry.name)]
+        similar = difflib.get_close_matches(str(name)[:80], known, n=5, cutoff=0.3)
         raise InvalidValue(
-            f"feature must be one of the {len(FEATURES)} that `cgid features --list` prints, got {name!r}; most "
+            f"feature must be one of the {len(FEATURES)} that `cgid features --list` describes, got {name!r}; most "
             f"like it are {', '.join(similar) or 'none'}"
         )
 

@@ -14,8 +14,7 @@ _WITH_GAIN = ("window_level", "window_peak")
 
 
 def _windows(*wanted: Callable[[str], bool]) -> tuple[str, ...]:
-    own = (name for name, feature in FEATURES.items() if feature.kind == "window" and not feature.extra)
-    return tuple(name for name in own if any(want(name) for want in wanted))
+    return tuple(name for name in FEATURES.names("window") if any(want(name) for want in wanted))
 
 
 def _starting(*starts: str) -> Callable[[str], bool]:
