@@ -64,21 +64,10 @@ def without_impact(samples: NDArray[np.floating], fit: PulseFit) -> dict[int, st
 
 
 class PulseBatch(Frames):
-    """Single pulses in frames; each quantity is computed when it is first needed.
+    """Single positive pulses in frames; each quantity is computed when it is first needed.
 
-    Parameters
-    ----------
-    samples : ndarray, (n_signals, n_samples)
-        One positive pulse per row.
-    sampling_rate : float
-        [Hz].
-    pre_trigger : int or None
-        Samples before touch. None: each row's own number, up to where it is last below 1 % of the way from its
-        first samples to its largest.
-    remove_baseline : bool
-        Whether the mean before touch is subtracted.
-    detection_limit : float
-        A peak must exceed this many standard deviations of the noise before touch.
+    Parameters are those of `Frames`. Without `pre_trigger`, each row is quiet up to where it is last below 1 % of the
+    way from its first samples to its largest.
     """
 
     # -- before touch ---------------------------------------------------------------------------------

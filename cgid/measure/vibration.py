@@ -64,20 +64,8 @@ EARLY_BANDS = ((0, 500), (500, 1000), (1000, 2000), (2000, 4000), (4000, 8000))
 class VibrationBatch(Frames):
     """Vibrations in frames, one impact each; each quantity is computed when it is first needed.
 
-    No row depends on the other rows of the batch.
-
-    Parameters
-    ----------
-    samples : ndarray, (n_signals, n_samples)
-        One impact's vibration per row.
-    sampling_rate : float
-        [Hz].
-    pre_trigger : int or None
-        Samples before touch. None: each row's own number, up to well before it first leaves its initial level.
-    remove_baseline : bool
-        Whether the mean before touch is subtracted.
-    detection_limit : float
-        The largest deviation must exceed this many standard deviations of the noise before touch.
+    Parameters are those of `Frames`. Without `pre_trigger`, each row is quiet up to well before it first leaves its
+    initial level. No row depends on the other rows of the batch.
     """
 
     # -- before touch ---------------------------------------------------------------------------------
