@@ -434,30 +434,29 @@ def test_several_arrays_in_mat_are_listed_and_picked(tmp_path):
     assert "one length" in refused(path, variable="*")
 
 
-def test_hostile_mat_is_refused_before_anything_is_allocated(mat):
+def nested_structs(depth):
+    """Return a struct in a struct in a struct ..., with the sizes of all of them declared as they are."""
+    head = mat_element(6, struct.pack("<II", 2, 0)) + mat_element(5, struct.pack("<2i", 1, 1)) + mat_element(1, b"s")
+    head += mat_element(5, struct.pack("<i", 8)) + mat_element(1, b"deeper\0\0")
+    return b"".join(struct.pack("<II", 14, len(head) + k * (8 + len(head))) + head for k in reversed(range(depth)))
+
+
+def test_hostile_mat_is_refused(mat):
     huge = mat_array("x", (1, 2**31 - 1), 6, 9, b"")
-    assert "must hold 2147483647 numbers" in refused(mat(mat_file(huge)))
+    assert "damaged" in refused(mat(mat_file(huge)))
     cube = mat_array("x", (10**4, 10**4, 10**4), 6, 9, SAMPLES.tobytes())
-    assert "must hold 1000000000000 numbers" in refused(mat(mat_file(cube)))
-    assert "damaged" in refused(mat(mat_file(mat_array("x", (-5, 3), 6, 9, SAMPLES.tobytes()))))
+    assert "damaged" in refused(mat(mat_file(cube)))
     lying = zlib.compress(struct.pack("<II", 14, 2**32 - 16) + bytes(1000))
-    assert "declares 4294967288 bytes" in refused(mat(mat_file(struct.pack("<II", 15, len(lying)) + lying)))
+    assert "damaged" in refused(mat(mat_file(struct.pack("<II", 15, len(lying)) + lying)))
     assert "there is none" in refused(mat(mat_file(mat_array("x", (0, 5), 6, 9, b""))), sampling_rate=1.0)
-    bare = [mat_element(6, struct.pack("<II", 2, 0)), mat_element(5, struct.pack("<3i", 10**4, 10**4, 10**4))]
-    bare += [mat_element(1, b"s"), mat_element(5, struct.pack("<i", 8)), mat_element(1, b"")]
-    assert "there is none" in refused(mat(mat_file(mat_element(14, b"".join(bare)))), sampling_rate=1.0)
-    nested = SAMPLES[0].tobytes()
-    for _ in range(50):
-        nested = mat_element(
-            14,
-            mat_element(6, struct.pack("<II", 2, 0))
-            + mat_element(5, struct.pack("<2i", 1, 1))
-            + mat_element(1, b"s")
-            + mat_element(5, struct.pack("<i", 8))
-            + mat_element(1, b"deeper\0\0")
-            + nested,
-        )
-    assert "there is none" in refused(mat(mat_file(nested)))
+    # scipy follows structs into structs until its stack ends.
+    assert "scipy crashed" in refused(mat(mat_file(nested_structs(100_000))))
+
+
+def test_mat_too_large_to_be_read_whole_is_refused(tmp_path, monkeypatch):
+    savemat(tmp_path / "x.mat", {"x": SAMPLES, "Fs": 8000.0})
+    monkeypatch.setattr("cgid.recordings.mat.LARGEST_FILE", 1000)
+    assert "-v7.3" in refused(tmp_path / "x.mat")
 
 
 @pytest.mark.skipif(not Path("/proc/self/fd").is_dir(), reason="only Linux lists open files there")
@@ -477,28 +476,20 @@ def test_mat_is_closed_when_it_is_not_read(tmp_path, packed):
 
 
 @pytest.mark.parametrize("packed", [False, True])
-def test_mat_cut_anywhere_is_refused_or_keeps_what_is_whole_with_a_warning(tmp_path, packed):
+def test_mat_cut_anywhere_is_refused(tmp_path, packed):
     path = tmp_path / "cut.mat"
     savemat(path, {"Fs": 100.0, "x": SAMPLES, "later": SAMPLES[:, :200]}, do_compression=packed)
     content = path.read_bytes()
-    kept = 0
-    for place in [*range(1, 400, 7), *np.linspace(400, len(content) - 1, 30).astype(int)]:
+    for place in [127, 131, 150, *np.linspace(400, len(content) - 1, 6).astype(int)]:
         path.write_bytes(content[:place])
-        try:
-            recording, found = read(path, variable="x")
-        except CgidError as error:
-            assert "\n" not in str(error)
-            continue
-        assert np.array_equal(found, SAMPLES) and "cut off" in recording.warnings[0]
-        kept += 1
-    assert kept
+        assert "\n" not in refused(path, CgidError, variable="x")
 
 
 def test_checksum_of_packed_mat_finds_what_changed(tmp_path):
     path = tmp_path / "flipped.mat"
     savemat(path, {"x": SAMPLES, "Fs": 100.0}, do_compression=True)
     content = path.read_bytes()
-    for place in np.linspace(136, len(content) - 1, 60).astype(int):
+    for place in np.linspace(136, len(content) - 1, 10).astype(int):
         changed = bytearray(content)
         changed[place] ^= 0x10
         path.write_bytes(changed)
