@@ -345,7 +345,10 @@ def _saved(opened: Callable[[], AbstractContextManager[Any]], source: str) -> tu
 
 
 def temporary_file(spool: ExitStack, *, needs_name: bool = False) -> tuple[Path, IO[bytes]]:
-    """Return the path of a temporary file and the open file, which goes when the stack closes or this process ends."""
+    """Return the path of a temporary file and the open file, which goes when the stack closes or this process ends.
+
+    Windows is untested; without /bin/sh the file stays if the process is killed.
+    """
     if not needs_name and Path("/proc/self/fd").is_dir():
         file = spool.enter_context(tempfile.TemporaryFile())  # noqa: SIM115
         return Path(f"/proc/self/fd/{file.fileno()}"), file
@@ -355,7 +358,7 @@ def temporary_file(spool: ExitStack, *, needs_name: bool = False) -> tuple[Path,
     kept = tempfile.NamedTemporaryFile(prefix="cgid-", suffix=".recording", delete=False)  # noqa: SIM115
     spool.callback(Path(kept.name).unlink, missing_ok=True)
     spool.enter_context(kept)
-    with suppress(FileNotFoundError):  # without a shell, the file stays if this process is killed
+    with suppress(FileNotFoundError):
         remover = subprocess.Popen(
             ["/bin/sh", "-c", 'cat; rm -f -- "$1"', "sh", kept.name],
             stdin=subprocess.PIPE,
