@@ -6,9 +6,8 @@ import io
 import os
 import warnings
 import zipfile
-import zlib
 from collections.abc import Iterator, Sequence
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, Any, BinaryIO
@@ -18,7 +17,7 @@ from numpy.lib import format as npy_format
 from numpy.typing import NDArray
 
 from cgid.errors import BadData
-from cgid.recordings.recording import MAX_CHANNELS, MOST_NUMBERS, Contents
+from cgid.recordings.recording import MAX_CHANNELS, MOST_NUMBERS, Contents, understood
 from cgid.recordings.statements import Value, Values
 from cgid.recordings.variables import Variable, contents_of
 
@@ -208,6 +207,9 @@ _MOST_SIDE_BY_SIDE = 64
 _PIECE = 1 << 18
 
 
+_DAMAGED = ("the archive is damaged or cut off", "copy or save it again")
+
+
 def read_npz(path: Path, source: str, variable: str | None) -> Contents:
     """Return the channels of an array in an NPZ archive.
 
@@ -229,7 +231,7 @@ def read_npz(path: Path, source: str, variable: str | None) -> Contents:
     """
     variables: list[Variable] = []
     said: dict[str, Values] = {}
-    with _understood(source), zipfile.ZipFile(path) as archive:
+    with understood(source, *_DAMAGED), zipfile.ZipFile(path) as archive:
         members = [member for member in archive.infolist() if member.filename.endswith(".npy")]
         if len(members) > _MOST_MEMBERS:
             raise BadData(f"{source}: an archive must hold at most {_MOST_MEMBERS} arrays, it holds {len(members)}")
@@ -262,7 +264,7 @@ def _variable(archive: zipfile.ZipFile, path: Path, member: zipfile.ZipInfo, sou
         fault = f"of {head.n_channels} channels must be saved as (n_samples, n_channels)"
 
     def blocks(length: int, channels: Sequence[int]) -> Iterator[NDArray[np.float64]]:
-        with _understood(source), zipfile.ZipFile(path) as again:
+        with understood(source, *_DAMAGED), zipfile.ZipFile(path) as again:
             yield from _blocks(again, member.filename, head, length, channels)
 
     if not head.n_samples or not head.n_channels:
@@ -305,7 +307,7 @@ def _pass_over(file: IO[bytes], size: int) -> None:
 def _exactly(file: IO[bytes], size: int) -> bytes:
     raw = file.read(size)
     if len(raw) < size:
-        raise EOFError
+        raise EOFError("it ends too early")
     return raw
 
 
@@ -325,18 +327,3 @@ def _value(raw: bytes) -> Value | None:
         texts = [str(text) for text in array.ravel()[:MAX_CHANNELS]]
         return texts[0] if array.size == 1 else texts
     return float(array.ravel()[0]) if array.dtype.kind in "fiu" and array.size == 1 else None
-
-
-@contextmanager
-def _understood(source: str) -> Iterator[None]:
-    """Say what is wrong with an archive in one line."""
-    try:
-        yield
-    except (FileNotFoundError, PermissionError):
-        raise
-    # zipfile also raises RuntimeError on encrypted members, and the errors of the parsers below it.
-    except (zipfile.BadZipFile, zlib.error, EOFError, RuntimeError, NotImplementedError, OSError, ValueError) as error:
-        if isinstance(error, BadData):
-            raise
-        reason = " ".join(str(error).split())[:120] or "it ends too early"
-        raise BadData(f"{source}: the archive is damaged or cut off ({reason}); copy or save it again") from None

@@ -351,7 +351,7 @@ def _selected(contents: Contents, channel: int | str | Sequence[int | str] | Non
 
 @contextmanager
 def told(source: str) -> Iterator[None]:
-    """Say why a file cannot be opened or read, in one line."""
+    """Turn errors of the system on opening or reading a file into `NoInput` of one line."""
     try:
         yield
     except CgidError:
@@ -363,3 +363,19 @@ def told(source: str) -> Iterator[None]:
     except OSError as error:
         reason = error.strerror or str(error)
         raise NoInput(f"{source!r}: the file cannot be opened ({reason}); check the name") from None
+
+
+@contextmanager
+def understood(source: str, fault: str, cure: str = "copy it again") -> Iterator[None]:
+    """Turn what a library raises on a damaged file into `BadData` of one line: source, fault, reason and cure."""
+    try:
+        yield
+    except (CgidError, FileNotFoundError, PermissionError):
+        raise
+    # Libraries fail on damaged files with any exception, and hide the first one behind their own.
+    except Exception as raised:
+        error: BaseException = raised
+        while error.__context__ is not None:
+            error = error.__context__
+        reason = " ".join(str(error).split())[:120] or type(error).__name__
+        raise BadData(f"{source}: {fault} ({reason}); {cure}") from None

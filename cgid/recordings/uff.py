@@ -6,8 +6,8 @@ Layout: "Universal Dataset Number 58", SDRL of the University of Cincinnati, htt
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cgid.errors import BadData, MissingExtra
-from cgid.recordings.recording import Contents, rates_agree
+from cgid.recordings.recording import Contents, rates_agree, understood
 from cgid.units import known_unit, seconds_of
 
 #: Larger files [bytes] are refused, as pyuff reads them whole and takes several times their size.
@@ -113,7 +113,8 @@ def read_uff(path: Path, source: str, variable: str | None) -> Contents:
             f"{source}: universal files need the library pyuff, which is not installed; pip install 'cgid[formats]'"
         ) from None
     _require_whole(path, source)
-    with _understood(source):
+    fault, cure = "the universal file is damaged", "copy or export it again"
+    with understood(source, fault, cure), warnings.catch_warnings(action="ignore"):
         file = pyuff.UFF(str(path))
         places = [place for place, kind in enumerate(file.get_set_types()) if kind == 58]
         headers = [file.read_sets(place, header_only=True) for place in places]
@@ -152,24 +153,6 @@ def _require_whole(path: Path, source: str) -> None:
                 f"{source}: a universal file must end with the mark -1 of its last data set, it does not; it looks cut "
                 "off, copy it again"
             )
-
-
-@contextmanager
-def _understood(source: str) -> Iterator[None]:
-    """Say in one line what pyuff cannot read."""
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            yield
-    except (BadData, FileNotFoundError, PermissionError):
-        raise
-    # pyuff hides the error of Python or numpy behind others of its own.
-    except Exception as raised:
-        error: BaseException = raised
-        while error.__context__ is not None:
-            error = error.__context__
-        reason = " ".join(str(error).split())[:120] or type(error).__name__
-        raise BadData(f"{source}: the universal file is damaged ({reason}); copy or export it again") from None
 
 
 def _chosen(sets: Sequence[_DataSet], source: str, variable: str | None) -> list[_DataSet]:
