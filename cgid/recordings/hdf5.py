@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from cgid.errors import BadData, InvalidValue
 from cgid.recordings.recording import DATASET_CURE, Contents
-from cgid.recordings.statements import is_telling
+from cgid.recordings.statements import is_statement
 from cgid.recordings.variables import Variable, contents_of, orientation
 
 if TYPE_CHECKING:
@@ -77,7 +77,7 @@ def read_hdf5(path: Path, source: str, variable: str | None) -> Contents:
         if variable not in (None, "samples"):
             raise InvalidValue(f"{source}: the variable of a recording of cgid is 'samples', got {variable!r}")
         return read_own(path)
-    found = survey(path, source, lambda name: name in _PACKING or is_telling(name))
+    found = survey(path, source, lambda name: name in _PACKING or is_statement(name))
     if said is None or said.startswith("cgid"):
         raise BadData(f"{source}: an HDF5 file is a dataset, not one recording; {DATASET_CURE}")
 

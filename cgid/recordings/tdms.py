@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from cgid.errors import BadData, MissingExtra
 from cgid.recordings.recording import Contents, understood
-from cgid.recordings.statements import Value, is_telling
+from cgid.recordings.statements import Value, is_statement
 from cgid.recordings.variables import Variable, contents_of
 
 _LEAD_IN, _TAG = 28, b"TDSm"
@@ -161,7 +161,7 @@ def _variable(file: _Tdms, group: str, channel: Any) -> Variable:
 def _values(properties: Any) -> dict[str, Value]:
     found: dict[str, Value] = {}
     for name, value in properties.items():
-        if not is_telling(name):
+        if not is_statement(name):
             continue
         if isinstance(value, np.datetime64):
             # Timestamps of TDMS are in UTC; before year 1 or after 9999 there is no datetime.
