@@ -228,11 +228,10 @@ def _moment(date: str, time: str) -> datetime | None:
     clock = re.fullmatch(r"(\d\d?):(\d\d):(\d\d)(?:[.,](\d{1,6})\d*)?", time)
     if not day or not clock:
         return None
-    numbers = map(int, (*day.groups(), *clock.groups()[:3], (clock[4] or "0").ljust(6, "0")))
-    try:
-        return datetime(*numbers)
-    except ValueError:
-        return None
+    micros = int((clock[4] or "0").ljust(6, "0"))
+    with suppress(ValueError):
+        return datetime(int(day[1]), int(day[2]), int(day[3]), int(clock[1]), int(clock[2]), int(clock[3]), micros)
+    return None
 
 
 def _channels_alike(segment: _Segment, named: str | None, source: str, warnings: list[str]) -> list[int]:

@@ -104,9 +104,10 @@ class Coding:
         return scaled
 
 
+_KINDS: dict[str, tuple[Literal["i", "f"], tuple[int, ...]]] = {"s": ("i", (2, 3, 4)), "f": ("f", (4, 8))}
 _NAMED = {"u8": Coding(kind="u", width=1)} | {
     f"{letter}{8 * width}{ending}": Coding(kind=kind, width=width, big_endian=ending == "be")
-    for kind, letter, widths in (("i", "s", (2, 3, 4)), ("f", "f", (4, 8)))
+    for letter, (kind, widths) in _KINDS.items()
     for width in widths
     for ending in ("le", "be", "")
 }
