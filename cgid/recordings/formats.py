@@ -143,7 +143,7 @@ def is_dataset(path: str | Path) -> bool:
     except (OSError, ValueError):
         return False
     from cgid.store.apart import format_said
-    from cgid.store.header import RECORDING_FORMAT
+    from cgid.store.description import RECORDING_FORMAT
 
     said = format_said(Path(path))
     return said is None or (said.startswith("cgid") and said != RECORDING_FORMAT)
