@@ -187,19 +187,20 @@ def table_writer(
 
 class _Hdf5Writer(TableWriter):
     def __init__(self, output: Hdf5OnDisk, header: TableHeader, label_width: int) -> None:
+        from cgid.store.hdf5 import CHUNK_ROWS, put_attributes, put_column
+
         super().__init__(header)
         self._output, self._filled = output, 0
         head = {"format": TABLE_FORMAT, "schema_version": TABLE_VERSION, "kind": header.kind}
         columns: dict[str, str] = {"labels": f"S{label_width}", "specimen": "uint64"}
         columns |= {f"columns/{name}": "float64" for name in header.units}
         with output.step() as file:
-            for name, value in {**header.attributes, **head}.items():
-                file.attrs[name] = np.bytes_(value.encode()) if isinstance(value, str) else value
+            put_attributes(file, {**header.attributes, **head})
             file.create_group("columns", track_order=True)
             for name, dtype in columns.items():
-                file.create_dataset(name, (0,), dtype, maxshape=(None,), chunks=(_CHUNK,), fletcher32=True)
+                put_column(file, name, 0, dtype, chunk=CHUNK_ROWS, grows=True)
             for name, unit in header.units.items():
-                file[f"columns/{name}"].attrs["unit"] = np.bytes_(unit.encode())
+                put_attributes(file[f"columns/{name}"], {"unit": unit})
 
     def _write(self, rows: Rows) -> None:
         place = slice(self._filled, self._filled + len(rows))
