@@ -54,7 +54,7 @@ def storage_fault(item: h5py.Dataset, file_size: int, best_ratio: float = BEST_R
         return ""
     if chunk_bytes(item) > LARGEST_CHUNK:
         return f"has chunks of more than {LARGEST_CHUNK >> 20} MiB"
-    filters = _filters(item)
+    filters = filters_of(item)
     for code, _, _, label in filters:
         if not _is_unpacked(code):
             return f"is packed by filter {code} ({label.decode(errors='replace')}), which is not unpacked here"
@@ -66,10 +66,11 @@ def storage_fault(item: h5py.Dataset, file_size: int, best_ratio: float = BEST_R
 
 def packs_silence(item: h5py.Dataset) -> bool:
     """Return whether one of its filters may reach `BEST_RATIO_OF_SILENCE`."""
-    return any(code in _WITH_PLUGIN for code, *_ in _filters(item))
+    return any(code in _WITH_PLUGIN for code, *_ in filters_of(item))
 
 
-def _filters(item: h5py.Dataset) -> list[Any]:
+def filters_of(item: h5py.Dataset) -> list[Any]:
+    """Return the filters of a dataset, the number of HDF5 first."""
     creation = item.id.get_create_plist()
     return [creation.get_filter(index) for index in range(creation.get_nfilters())]
 
