@@ -1,15 +1,13 @@
-"""How the signals of a shard may be packed: by filters of HDF5 that everything reads, or by those of an extra.
+"""Compression of signals: HDF5's own filters, those of an extra, and a fast deflate.
 
-`gzip` is HDF5's own shuffle and deflate: h5dump, MATLAB and LabVIEW read it as they are. `zstd` and `blosc2` (filters
-32015 and 32026 of HDF5's registry) are read where their plugins are, in Python by hdf5plugin. Whatever the filter, a
-checksum (fletcher32) of what it leaves comes after it. `python benchmarks/store.py` measures size and speed of each.
+`gzip` is HDF5's own shuffle and deflate: h5dump, MATLAB and LabVIEW read it. `zstd` and `blosc2` (filters 32015 and
+32026 of HDF5's registry) need their plugins, in Python hdf5plugin. Each is followed by a checksum (fletcher32) of its
+output. `python benchmarks/store.py` measures size and speed.
 
-Deflate as quick as signals allow: a stream that every zlib unpacks, with a choice for each byte of the numbers.
-
-After HDF5's byte shuffle the exponents of a chunk lie together, and each byte of the mantissas by itself. Noise leaves
-nothing to be found in the lower of these: they are stored as they are. The others hold no words that come again, only
-bytes that are frequent and runs of zeros: Huffman's code and runs (zlib's strategy Z_RLE) pack them as well as the
-search for words, which is what takes gzip its time.
+Our deflate is as fast as signals allow, and every zlib unpacks it. After HDF5's byte shuffle the exponents of a chunk
+are together, and so is each byte of the mantissas. In noise the lower of these contain nothing to compress: they are
+stored. The others contain no repeated words, only frequent bytes and runs of zeros: Huffman's code and runs (zlib's
+strategy Z_RLE) pack them as well as the search for words, which is what takes gzip its time.
 """
 
 from __future__ import annotations
