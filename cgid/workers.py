@@ -1,7 +1,8 @@
-"""Who does work that falls into parts: this process, several on this machine, or those of a cluster.
+"""One executor for work that consists of parts: this process, several processes, or those of a cluster.
 
-joblib hands the parts out, on a cluster by dask.distributed. A part is a function of what all have in common and of
-what is its own, so its result is the same whoever does it.
+joblib distributes the parts, on a cluster by dask.distributed. A part is a function of what all parts have in common
+and of what is its own, so its result does not depend on who computes it. No process is forked: joblib's start new ones,
+on Windows, too (not tested).
 """
 
 from __future__ import annotations
@@ -22,13 +23,13 @@ from typing import Any, TypeVar
 
 from cgid.errors import CgidError, ClusterFailed, InvalidValue, MissingExtra
 
-#: The scheduler must answer, and have a worker, within this time [s].
+#: The scheduler must answer and have a worker within this time [s].
 PATIENCE = 10.0
-#: A run goes on without any worker for so long [s]: one that has died may be started again.
+#: A run waits this long without any worker [s]: a dead one may be started again.
 DESERTED = 60.0
-#: What all parts have in common is sent with each up to this size, which outlives every worker; else once to each.
+#: What all parts have in common is sent with each part up to this size, and survives every worker; else to each worker.
 _SMALL = 1 << 20
-#: What decides on the last digits of a result, or on whether it arrives.
+#: Libraries that the last digits of a result depend on, or whether it arrives.
 _LIBRARIES = ("cgid", "numpy", "scipy", "numba", "h5py", "scikit-learn", "joblib", "distributed")
 _ADDRESS = re.compile(r"(tcp|tls)://.+:[0-9]+")
 
@@ -39,7 +40,7 @@ Result = TypeVar("Result")
 
 @dataclass(frozen=True)
 class Workers:
-    """Who does the work; see `workers`.
+    """The executor; see `workers`.
 
     Attributes
     ----------
@@ -59,7 +60,7 @@ class Workers:
 
     @property
     def elsewhere(self) -> bool:
-        """Whether other machines may do the work, which share no more than was agreed on."""
+        """Whether other machines do the work, which share one folder."""
         return self.client is not None
 
     def each(
@@ -70,18 +71,18 @@ class Workers:
         *,
         ordered: bool = True,
     ) -> Generator[Result, None, None]:
-        """Yield `function(common, part)` for each part; closing the generator drops what is not done.
+        """Yield `function(common, part)` for each part; closing the generator cancels the rest.
 
-        What is running on a cluster then cannot be stopped: it ends, and nobody asks for what it has made.
+        What is running on a cluster then cannot be stopped: it ends, and its result is not used.
 
         Parameters
         ----------
         function : callable
-            Of a module that the workers have, too.
+            Of a module that the workers have as well.
         common, parts
             Can be pickled.
         ordered : bool
-            Whether results come in the order of the parts, or as they are done.
+            Whether results come in the order of the parts, or when they are done.
 
         Raises
         ------
@@ -140,18 +141,18 @@ class Workers:
         return joblib.Parallel(backend=_backend(self.client), batch_size=1, return_as=way)(tasks)
 
 
-#: This process, which does everything itself.
+#: This process does everything itself.
 ALONE = Workers()
 
 
 @contextmanager
 def workers(jobs: int = 1, scheduler: str | None = None) -> Iterator[Workers]:
-    """Yield who does the work, within this context.
+    """Yield the executor, for this context.
 
     Parameters
     ----------
     jobs : int
-        Processes on this machine, of no account with a scheduler.
+        Processes on this machine; ignored with a scheduler.
     scheduler : str, optional
         Address of a dask scheduler, such as tcp://192.168.0.7:8786: all workers it has, or gets, do the work.
 
@@ -233,7 +234,7 @@ def _versions() -> dict[str, str]:
 
 
 def _until_failure(parts: Iterable[Part], failures: list[BaseException]) -> Iterator[Part]:
-    """Yield the parts; a failure in making them ends them and is kept: joblib asks in threads, and would lose it."""
+    """Yield the parts until making one fails; the failure is kept, since joblib asks in threads and would lose it."""
     try:
         yield from parts
     except Exception as error:
@@ -241,7 +242,7 @@ def _until_failure(parts: Iterable[Part], failures: list[BaseException]) -> Iter
 
 
 def _do_alike(expected: dict[str, str], function: Any, common: Any, part: Any) -> Any:
-    """Do a part on a worker, which may have come after all were asked for their versions."""
+    """Do a part on a worker, which may have joined after the versions were compared."""
     _require_alike(expected, _versions(), platform.node())
     return _do(function, common, part)
 
@@ -253,14 +254,14 @@ def _do(function: Any, common: Any, part: Any) -> Any:
     return function(common, part)
 
 
-# -- joblib's backend, and what it leaves to wait for ever ------------------------------------------------------
+# ---- joblib's backend for dask, which would otherwise wait for ever -------------------------------------------------
 
 
 def _backend(client: Any) -> Any:
-    """Return joblib's backend for dask, which learns of every end of a part.
+    """Return joblib's backend for dask, notified of every end of a part.
 
-    joblib's own hears of results and of what a function raises. It never hears of a part that dask has given up, takes
-    one that was cancelled for a result, and waits for ever where no worker is left.
+    joblib's own is notified of results and of errors of the function. It is not notified of a part that dask has given
+    up, takes a cancelled one for a result, and waits for ever if no worker is left.
     """
     import asyncio
 
@@ -305,7 +306,7 @@ def _backend(client: Any) -> Any:
 
 
 def _told_here(error: Exception) -> ClusterFailed | None:
-    """Return in words of ours that a process of this machine has died, None for what a function has raised."""
+    """Return our error for a process of this machine that has died, None for what a function has raised."""
     from concurrent.futures import BrokenExecutor
 
     if isinstance(error, BrokenExecutor):
@@ -316,7 +317,7 @@ def _told_here(error: Exception) -> ClusterFailed | None:
 
 
 def _told(error: Exception) -> ClusterFailed | None:
-    """Return what dask raises in words of ours, None for what a function has raised."""
+    """Return our error for one of dask, None for what a function has raised."""
     from concurrent.futures import CancelledError
 
     from distributed.scheduler import KilledWorker
@@ -333,8 +334,8 @@ def _told(error: Exception) -> ClusterFailed | None:
 
 @contextmanager
 def _quiet() -> Iterator[None]:
-    """Keep the log of dask, and of what it runs on, off the terminal: what matters of it is raised."""
-    # Each by its name: dask gives levels and handlers to some of them that their parents' do not reach.
+    """Keep the log of dask and its libraries off the terminal: what matters is raised."""
+    # Each by its name: dask gives some of them levels and handlers of their own.
     chosen = re.compile(r"(distributed|tornado|asyncio)(\..+)?")
     logs = [logging.getLogger(name) for name in list(logging.root.manager.loggerDict) if chosen.fullmatch(name)]
     before = [log.level for log in logs]
