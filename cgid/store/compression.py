@@ -21,12 +21,12 @@ from numpy.typing import NDArray
 from cgid.errors import MissingExtra
 
 COMPRESSIONS = ("none", "gzip", "zstd", "blosc2")
-#: Those whose filters hdf5plugin brings.
+#: Those with filters of hdf5plugin.
 BY_PLUGIN = ("zstd", "blosc2")
 
 
 def keywords(compression: str) -> dict[str, Any]:
-    """Return what h5py's `create_dataset` is told; raises as `require`."""
+    """Return the arguments for h5py's `create_dataset`; raises as `require`."""
     if compression == "none":
         return {}
     if compression == "gzip":
@@ -38,7 +38,7 @@ def keywords(compression: str) -> dict[str, Any]:
 
 
 def require(compression: str) -> None:
-    """Raise `MissingExtra` if the library that packs so is not installed."""
+    """Raise `MissingExtra` if the library of a compression is not installed."""
     if compression in BY_PLUGIN:
         _plugin(compression)
 
@@ -67,9 +67,9 @@ _RAW = -15
 _HEADER = b"\x78\x01"
 #: zlib's default.
 _MEMORY = 8
-#: A plane is looked at in so many places, so many bytes each.
+#: A plane is sampled in this many places, this many bytes each.
 _PLACES, _LOOK = 8, 256
-#: It is packed if at most so much is left of them.
+#: It is packed if at most this fraction is left of them.
 _WORTH = 0.97
 
 
@@ -79,7 +79,7 @@ def deflated(planes: NDArray[np.uint8]) -> bytes:
     Parameters
     ----------
     planes : ndarray of uint8, (itemsize, n), C order
-        Row k holds byte k of every number, as HDF5's byte shuffle lays them.
+        Row k holds byte k of every number, as after HDF5's byte shuffle.
 
     Examples
     --------
@@ -101,7 +101,7 @@ def deflated(planes: NDArray[np.uint8]) -> bytes:
 def _is_worth_packing(plane: NDArray[np.uint8]) -> bool:
     if plane.size <= _PLACES * _LOOK:
         return True
-    # Evenly spread, they fall on other places of each signal.
+    # Evenly spread, they are at different places of the signals.
     starts = np.linspace(0, plane.size - _LOOK, _PLACES).astype(int)
     seen = b"".join([plane[start : start + _LOOK].tobytes() for start in starts])
     packer = zlib.compressobj(1, zlib.DEFLATED, _RAW, _MEMORY, zlib.Z_RLE)
