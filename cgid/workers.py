@@ -1,8 +1,8 @@
 """One executor for work that consists of parts: this process, several processes, or those of a cluster.
 
-joblib distributes the parts, on a cluster by dask.distributed. A part is a function of what all parts have in common
-and of what is its own, so its result does not depend on who computes it. No process is forked: joblib's start new ones,
-on Windows, too (not tested).
+joblib distributes the parts on this machine, dask.distributed on a cluster. A part is a function of what all parts have
+in common and of what is its own, so its result does not depend on who computes it. No process is forked: joblib starts
+new ones, on Windows, too (not tested).
 """
 
 from __future__ import annotations
@@ -19,9 +19,10 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import cache
 from importlib.metadata import version
+from itertools import islice
 from typing import Any, TypeVar
 
-from cgid.errors import CgidError, ClusterFailed, InvalidValue, MissingExtra
+from cgid.errors import ClusterFailed, InvalidValue, MissingExtra
 
 #: The scheduler must answer and have a worker within this time [s].
 PATIENCE = 10.0
@@ -101,44 +102,96 @@ class Workers:
             for part in parts:
                 yield function(common, part)
             return
+        made = (
+            self._on_cluster(function, common, parts, ordered)
+            if self.client
+            else self._here(function, common, parts, ordered)
+        )
+        try:
+            yield from made
+        finally:
+            made.close()
+
+    def _here(self, function: Any, common: Any, parts: Iterable[Any], ordered: bool) -> Generator[Any, None, None]:
+        """Have processes of this machine do the parts."""
+        from concurrent.futures import BrokenExecutor
+
         import joblib
 
         failures: list[BaseException] = []
-        fed = _until_failure(parts, failures)
+        tasks = (joblib.delayed(_do)(function, common, part) for part in _until_failure(parts, failures))
         way = "generator" if ordered else "generator_unordered"
-        if self.client is None:
-            tasks = (joblib.delayed(_do)(function, common, part) for part in fed)
-            results = joblib.Parallel(n_jobs=self.jobs, batch_size=1, return_as=way)(tasks)
-        else:
-            results = self._on_cluster(function, common, fed, way)
+        results = joblib.Parallel(n_jobs=self.jobs, batch_size=1, return_as=way)(tasks)
         try:
             for result in results:  # noqa: UP028 - `yield from` would pass an interruption on before the warning is off
                 yield result
             if failures:
                 raise failures[0]
-        except CgidError:
-            raise
-        except Exception as error:
-            told = _told_here(error) if self.client is None else _told(error)
-            if told is None:
-                raise
-            raise told from error
+        except BrokenExecutor as error:
+            raise ClusterFailed(
+                "jobs: a worker process was ended from outside, as they are where memory is short; take fewer jobs"
+            ) from error
         finally:
             with warnings.catch_warnings():
-                warnings.simplefilter("ignore", UserWarning)  # that work is cancelled is what an interruption is for
+                warnings.simplefilter("ignore", UserWarning)  # cancelled work is what an interruption is for
                 results.close()
 
-    def _on_cluster(self, function: Any, common: Any, parts: Iterable[Any], way: str) -> Any:
+    def _on_cluster(
+        self, function: Any, common: Any, parts: Iterable[Any], ordered: bool
+    ) -> Generator[Any, None, None]:
+        """Have the workers of the cluster do the parts, a few more at once than they have threads."""
+        import asyncio
+        from concurrent.futures import CancelledError
+
         import cloudpickle
-        import joblib
+        from distributed.scheduler import KilledWorker
 
         given = common
         if len(cloudpickle.dumps(common)) > _SMALL:
-            # Not known by its hash: what was sent before and is just being forgotten would be taken for it.
+            # Not by its hash: dask would confuse it with the same data of a run before that it is just deleting.
             given = self.client.scatter(common, broadcast=True, hash=False)
-        expected = _versions()
-        tasks = (joblib.delayed(_do_alike)(expected, function, given, part) for part in parts)
-        return joblib.Parallel(backend=_backend(self.client), batch_size=1, return_as=way)(tasks)
+        versions, rest, running = _versions(), iter(parts), []
+        most = max(2, 2 * sum(self.client.ncores().values()))
+        try:
+            while True:
+                for part in islice(rest, most - len(running)):
+                    running.append(self.client.submit(_do_alike, versions, function, given, part, pure=False))
+                if not running:
+                    return
+                done = self._first_done(running[:1] if ordered else running)
+                running.remove(done)
+                yield done.result()
+        except KilledWorker as error:
+            raise ClusterFailed(
+                "cluster: several workers have died of the same part, as they do where memory is short; give them more "
+                "of it, fewer threads, or ask for smaller shards"
+            ) from error
+        except (CancelledError, asyncio.CancelledError) as error:
+            raise ClusterFailed(
+                "cluster: the scheduler is lost, or has dropped the work; start it, and go on (--resume)"
+            ) from error
+        finally:
+            with suppress(OSError, TimeoutError, RuntimeError):
+                self.client.cancel(running)
+
+    def _first_done(self, running: list[Any]) -> Any:
+        """Return the first part that has ended, however it did; raises `ClusterFailed` where no worker is left."""
+        from distributed import wait
+
+        seen = time.monotonic()
+        while True:
+            with suppress(TimeoutError), self.client.as_current():
+                wait(running, timeout=min(1.0, DESERTED / 4), return_when="FIRST_COMPLETED")
+            done = next((part for part in running if part.done()), None)
+            if done is not None:
+                return done
+            with suppress(OSError, RuntimeError, TimeoutError):
+                if self.client.ncores():
+                    seen = time.monotonic()
+            if time.monotonic() - seen > DESERTED:
+                raise ClusterFailed(
+                    f"cluster: no worker is left since {DESERTED:g} s; start some, and go on with --resume"
+                )
 
 
 #: This process does everything itself.
@@ -252,84 +305,6 @@ def _do(function: Any, common: Any, part: Any) -> Any:
     if threading.current_thread() is threading.main_thread():
         signal.signal(signal.SIGINT, signal.SIG_IGN)
     return function(common, part)
-
-
-# ---- joblib's backend for dask, which would otherwise wait for ever -------------------------------------------------
-
-
-def _backend(client: Any) -> Any:
-    """Return joblib's backend for dask, notified of every end of a part.
-
-    joblib's own is notified of results and of errors of the function. It is not notified of a part that dask has given
-    up, takes a cancelled one for a result, and waits for ever if no worker is left.
-    """
-    import asyncio
-
-    from joblib._dask import DaskDistributedBackend
-
-    class Backend(DaskDistributedBackend):  # type: ignore[misc]
-        def effective_n_jobs(self, n_jobs: int) -> int:
-            # With a single worker joblib would do the work in this process.
-            return max(2, int(super().effective_n_jobs(n_jobs)))
-
-        def submit(self, func: Any, callback: Any = None) -> Any:
-            future = super().submit(func, callback)
-            future.add_done_callback(lambda done: done.exception() and callback(done.exception()))
-            return future
-
-        def retrieve_result_callback(self, out: Any) -> Any:
-            if isinstance(out, BaseException):
-                raise out
-            return super().retrieve_result_callback(out)
-
-        def start_call(self) -> None:
-            super().start_call()
-            self.client.loop.add_callback(self._watch)
-
-        async def _watch(self) -> None:
-            seen = time.monotonic()
-            while self._continue:
-                with suppress(OSError, RuntimeError):  # a lost connection is dask's to tell
-                    if await self.client.scheduler.ncores(workers=None):
-                        seen = time.monotonic()
-                if time.monotonic() - seen > DESERTED:
-                    for waiting in list(self._results):
-                        self._callbacks.pop(waiting, None)
-                        self._results.pop(waiting).set_exception(
-                            ClusterFailed(
-                                f"cluster: no worker is left since {DESERTED:g} s; start some, and go on with --resume"
-                            )
-                        )
-                await asyncio.sleep(min(1.0, DESERTED / 4))
-
-    return Backend(client=client)
-
-
-def _told_here(error: Exception) -> ClusterFailed | None:
-    """Return our error for a process of this machine that has died, None for what a function has raised."""
-    from concurrent.futures import BrokenExecutor
-
-    if isinstance(error, BrokenExecutor):
-        return ClusterFailed(
-            "jobs: a worker process was ended from outside, as they are where memory is short; take fewer jobs"
-        )
-    return None
-
-
-def _told(error: Exception) -> ClusterFailed | None:
-    """Return our error for one of dask, None for what a function has raised."""
-    from concurrent.futures import CancelledError
-
-    from distributed.scheduler import KilledWorker
-
-    if isinstance(error, KilledWorker):
-        return ClusterFailed(
-            "cluster: several workers have died of the same part, as they do where memory is short; give them more of "
-            "it, fewer threads, or ask for smaller shards"
-        )
-    if isinstance(error, CancelledError):
-        return ClusterFailed("cluster: the scheduler is lost, or has dropped the work; start it, and go on (--resume)")
-    return None
 
 
 @contextmanager
