@@ -8,6 +8,7 @@ new ones, on Windows, too (not tested).
 from __future__ import annotations
 
 import logging
+import math
 import platform
 import re
 import signal
@@ -15,7 +16,7 @@ import threading
 import time
 import warnings
 from collections.abc import Callable, Generator, Iterable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass
 from functools import cache
 from importlib.metadata import version
@@ -28,6 +29,8 @@ from cgid.errors import ClusterFailed, InvalidValue, MissingExtra
 PATIENCE = 10.0
 #: A run waits this long without any worker [s]: a dead one may be started again.
 DESERTED = 60.0
+#: The workers are counted again after this time [s]: a cluster may grow.
+_RECOUNT = 1.0
 #: What all parts have in common is sent with each part up to this size, and survives every worker; else to each worker.
 _SMALL = 1 << 20
 #: Libraries that the last digits of a result depend on, or whether it arrives.
@@ -102,15 +105,10 @@ class Workers:
             for part in parts:
                 yield function(common, part)
             return
-        made = (
-            self._on_cluster(function, common, parts, ordered)
-            if self.client
-            else self._here(function, common, parts, ordered)
-        )
-        try:
+        with closing(
+            (self._here if self.client is None else self._on_cluster)(function, common, parts, ordered)
+        ) as made:
             yield from made
-        finally:
-            made.close()
 
     def _here(self, function: Any, common: Any, parts: Iterable[Any], ordered: bool) -> Generator[Any, None, None]:
         """Have processes of this machine do the parts."""
@@ -150,10 +148,12 @@ class Workers:
         if len(cloudpickle.dumps(common)) > _SMALL:
             # Not by its hash: dask would confuse it with the same data of a run before that it is just deleting.
             given = self.client.scatter(common, broadcast=True, hash=False)
-        versions, rest, running = _versions(), iter(parts), []
-        most = max(2, 2 * sum(self.client.ncores().values()))
+        versions, rest, running = _versions(), iter(parts), list[Any]()
+        most, counted = 2, -math.inf
         try:
             while True:
+                if time.monotonic() - counted > _RECOUNT:
+                    most, counted = max(2, 2 * self._threads()), time.monotonic()
                 for part in islice(rest, most - len(running)):
                     running.append(self.client.submit(_do_alike, versions, function, given, part, pure=False))
                 if not running:
@@ -174,6 +174,12 @@ class Workers:
             with suppress(OSError, TimeoutError, RuntimeError):
                 self.client.cancel(running)
 
+    def _threads(self) -> int:
+        """Return the number of threads of all workers of the cluster; a lost connection is reported elsewhere."""
+        with suppress(OSError, RuntimeError, TimeoutError):
+            return sum(self.client.ncores().values())
+        return 0
+
     def _first_done(self, running: list[Any]) -> Any:
         """Return the first part that has ended, however it did; raises `ClusterFailed` where no worker is left."""
         from distributed import wait
@@ -185,9 +191,8 @@ class Workers:
             done = next((part for part in running if part.done()), None)
             if done is not None:
                 return done
-            with suppress(OSError, RuntimeError, TimeoutError):
-                if self.client.ncores():
-                    seen = time.monotonic()
+            if self._threads():
+                seen = time.monotonic()
             if time.monotonic() - seen > DESERTED:
                 raise ClusterFailed(
                     f"cluster: no worker is left since {DESERTED:g} s; start some, and go on with --resume"

@@ -253,7 +253,7 @@ def examine(path: str, source: str, steps: Mapping[str, int]) -> Iterator[dict[s
     with opened(path, source) as file:
         attributes = attributes_of(file, source)
         yield {"attributes": attributes}
-        kind = attributes.get("format")
+        kind = str(attributes.get("format"))
         if kind not in _KINDS:
             raise BadData(f"{source}: this HDF5 file must be a dataset, a recording or a table of cgid; it is none")
         {FORMAT: shard_header, RECORDING_FORMAT: recording_header, TABLE_FORMAT: table_header}[kind](path, source)

@@ -462,7 +462,7 @@ class ShardBuilder:
         """Return the content of the finished file, without a copy."""
         if self._filled != self._n_signals:
             raise BadData(f"a shard of {self._n_signals} signals was given {self._filled}")
-        columns = {
+        columns: dict[str, list[Any]] = {
             "labels": [np.char.encode(part.labels, "utf-8") for part in self._columns],
             "specimen": [part.specimen for part in self._columns],
         }

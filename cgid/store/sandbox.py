@@ -175,9 +175,8 @@ class _Child:
             env=environment,
             **apart,
         )
-        self._input: Any = self._process.stdin
-        self._output: Any = self._process.stdout
-        self._errors: Any = self._process.stderr
+        sides: Any = (self._process.stdin, self._process.stdout, self._process.stderr)
+        self._input, self._output, self._errors = sides
         _alive.add(self)
         with suppress(ImportError, AttributeError, OSError):  # only Linux has wide pipes
             import fcntl
