@@ -142,7 +142,7 @@ def is_dataset(path: str | Path) -> bool:
                 return False
     except (OSError, ValueError):
         return False
-    from cgid.store.apart import format_said
+    from cgid.store.sandbox import format_said
     from cgid.store.description import RECORDING_FORMAT
 
     said = format_said(Path(path))
