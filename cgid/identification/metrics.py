@@ -30,15 +30,15 @@ def evaluate(
     probabilities : ndarray, (n_impacts, n_classes)
     classes : tuple of str
     n_independent : int, optional
-        How many of the impacts count for the interval: that of their specimens, where it is smaller.
+        Number of independent impacts for the interval, such as that of the specimens.
 
     Returns
     -------
     dict
         accuracy and its 95 % interval (Wilson), recall of each class, Brier score (sum over the classes, so 0 to
-        2), log loss, expected calibration error, what perfectly calibrated probabilities would show of it by chance,
-        area under the ROC curve, confusion (rows are the truth), reliability (mean confidence, accuracy and count of
-        each bin).
+        2), log loss, expected calibration error, the value of it that perfectly calibrated probabilities have by
+        chance, area under the ROC curve, confusion (rows are the truth), reliability (mean confidence, accuracy and
+        count of each bin).
     """
     names = np.array(classes)
     predicted = names[np.argmax(probabilities, axis=1)]
@@ -65,7 +65,7 @@ def evaluate(
 
 
 def reliability(confidence: Floats, hits: NDArray[np.bool_]) -> list[list[float]]:
-    """Return mean confidence, accuracy and count of each bin of confidence that is not empty."""
+    """Return mean confidence, accuracy and count of each non-empty bin of confidence."""
     place = _place(confidence)
     rows = []
     for k in range(_BINS):
@@ -76,10 +76,10 @@ def reliability(confidence: Floats, hits: NDArray[np.bool_]) -> list[list[float]
 
 
 def calibration_error_by_chance(confidence: Floats) -> float:
-    """Return the expected calibration error of answers that are right exactly as often as they say.
+    """Return the expected calibration error of perfectly calibrated answers.
 
-    Of n such answers in a bin the number of right ones is normal about its mean with variance sum p (1 - p), and
-    the mean of its distance from there is sqrt(2 / pi) standard deviations: an error of this size is no error.
+    The number of right answers in a bin is normal about its mean with variance sum p (1 - p), and the mean absolute
+    deviation is sqrt(2 / pi) standard deviations: an error of this size means nothing.
     """
     variances = np.bincount(_place(confidence), confidence * (1 - confidence), _BINS)
     return float(np.sqrt(2 / np.pi * variances).sum() / len(confidence))
@@ -92,7 +92,7 @@ def evaluate_sets(
     conformal: Conformal,
     coverages: tuple[float, ...] = COVERAGES,
 ) -> list[dict[str, Any]]:
-    """Return how prediction sets did, one row for each coverage that can be promised, as plain numbers for JSON.
+    """Return the results of prediction sets, one row for each possible coverage, as plain numbers for JSON.
 
     Returns
     -------
@@ -106,7 +106,7 @@ def evaluate_sets(
         for coverage in coverages:
             try:
                 sets = conformal.prediction_set(probabilities, coverage, class_conditional=class_conditional)
-            except InvalidValue:  # too few calibration impacts for so much
+            except InvalidValue:  # too few calibration impacts
                 continue
             held, size = (sets & truth).any(axis=1), sets.sum(axis=1)
             rows.append(
@@ -154,7 +154,7 @@ def clustered_interval(hits: NDArray[np.bool_], group: NDArray[np.integer]) -> t
     n_groups = int(own.max()) + 1
     if n_groups < 2:
         return 0.0, 1.0
-    variance = _clustered_variance(hits - share, own)
+    variance = _clustered_variance(hits.astype(float) - share, own)
     trials = share * (1 - share) / variance if variance > 0 else 0.0
     trials *= (stats.norm.ppf(0.975) / stats.t.ppf(0.975, n_groups - 1)) ** 2
     if min(np.unique(own[hits]).size, np.unique(own[~hits]).size) < FEWEST_GROUPS:

@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 
 # -- the archive ------------------------------------------------------------------------------------------
 
-#: The most arrays a model has, and the longest directory of so many entries [bytes].
+#: Most arrays of a model, and longest directory of an archive with them [bytes].
 MOST_ENTRIES, _LARGEST_DIRECTORY = 64, 64 * 128
 _NAME = re.compile(r"[a-z0-9_.]{1,64}\.npy")
 #: File type in the upper half of an entry's attributes: none or a regular file, never a link.
@@ -121,7 +121,7 @@ FORMAT = "cgid-model"
 SCHEMA_VERSION = 4
 _OLDEST_SCHEMA = 2
 #: What a header of schema 2 leaves out.
-_SINCE_3 = {"window_time": 0.0, "hop_time": 0.0, "n_channels": 1, "sensors": []}
+_SINCE_3: dict[str, Any] = {"window_time": 0.0, "hop_time": 0.0, "n_channels": 1, "sensors": []}
 #: The longest header [bytes]: a hundred bytes for each of twenty thousand recordings.
 LARGEST_HEADER = 2 << 20
 #: The deepest nesting of lists and objects; ours have seven levels.
@@ -198,7 +198,7 @@ def fields_of(header: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> 
     version = header["schema_version"]
     if version >= 4 and header.get("sha256") != digest(header, arrays):
         raise BadData("header and arrays must match the SHA-256 in the header, they were changed")
-    fields = (_SINCE_3 if version == 2 else {}) | dict(header)
+    fields: dict[str, Any] = (_SINCE_3 if version == 2 else {}) | dict(header)
     if unknown := fields.keys() - _FIELDS.keys() - _FURTHER_FIELDS:
         raise BadData(f"the header must have the fields of a model only, got {min(unknown)[:40]!r}")
     for name, kind in _FIELDS.items():

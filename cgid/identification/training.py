@@ -156,14 +156,15 @@ def train(
         A choice is unknown, a label has a single specimen, or a guard is no positive number.
     """
     if isinstance(data, Rows):
-        rows, names, limiting = data, None if features is None else tuple(features), ()
+        rows, names, limiting = data, tuple(features or ()), tuple(guards or ())
     else:
         rows, names, limiting = _measured(data, features, guards, tuple(known), progress, crew)
     rows = _shuffled(rows, seed) if shuffle_labels else rows
     _require_labels(rows, class_weights)
     if rows.slicing is None:
+        names = names or tuple(name for name in rows.names if name not in limiting)
         split = _Split(test_share, calibration_share, judged_on, seed)
-        fitted = _held_out(rows, names or rows.names, limiting, family or "logistic", class_weights, split, crew)
+        fitted = _held_out(rows, names, limiting, family or "logistic", class_weights, split, crew)
     else:
         sets = {"asked for": names} if names else sets_for(rows.kind, level_free=level_free)
         candidates = candidates_for(sets, rows.names, family or "linear")
