@@ -268,9 +268,13 @@ def _joined(batches: Iterator[Batch]) -> Iterator[Batch]:
 
 
 def _one(held: list[Batch]) -> Batch:
-    columns = {name: [getattr(batch, name) for batch in held] for name in ("signals", "labels", "specimen")}
-    parameters = {name: np.concatenate([batch.parameters[name] for batch in held]) for name in held[0].parameters}
-    return replace(held[0], **{name: np.concatenate(own) for name, own in columns.items()}, parameters=parameters)
+    return replace(
+        held[0],
+        signals=np.concatenate([batch.signals for batch in held]),
+        labels=np.concatenate([batch.labels for batch in held]),
+        specimen=np.concatenate([batch.specimen for batch in held]),
+        parameters={name: np.concatenate([batch.parameters[name] for batch in held]) for name in held[0].parameters},
+    )
 
 
 def _profiles(scene: Scene, batch: Batch, knowledge: list[_Knowledge], n_nodes: int) -> list[Profile]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,10 +12,18 @@ from sklearn import metrics
 from cgid.errors import InvalidValue
 from cgid.identification.conformal import COVERAGES, Conformal
 from cgid.identification.interval import wilson_interval
+from cgid.identification.windows import LEAST_PROBABILITY, RunningVote
 from cgid.validation import Floats
+
+if TYPE_CHECKING:
+    from cgid.identification.rows import Rows
 
 #: Bins of the reliability diagram.
 _BINS = 10
+#: Running votes are judged over these times [s].
+VOTE_TIMES = (0.5, 1.0)
+#: Fewest groups with misses (or hits) that show how much groups differ.
+FEWEST_GROUPS = 3
 
 
 def evaluate(
@@ -128,8 +136,7 @@ def _place(confidence: Floats) -> NDArray[np.int_]:
     return np.asarray(np.minimum((confidence * _BINS).astype(int), _BINS - 1))
 
 
-#: Fewest groups with misses (or hits) that show how much groups differ.
-FEWEST_GROUPS = 3
+# -- answers that are not independent ---------------------------------------------------------------------
 
 
 def clustered_interval(hits: NDArray[np.bool_], group: NDArray[np.integer]) -> tuple[float, float]:
@@ -161,6 +168,63 @@ def clustered_interval(hits: NDArray[np.bool_], group: NDArray[np.integer]) -> t
         trials = 0.0
     low, high = wilson_interval(share, min(max(trials, n_groups), len(hits)))
     return max(float(low), 0.0), min(float(high), 1.0)
+
+
+def evaluate_recordings(rows: Rows, probabilities: Floats) -> dict[str, Any]:
+    """Return the metrics of rows, of whole recordings and of running votes; their intervals count groups."""
+    classes = np.unique(rows.labels)
+    metrics = evaluate(rows.labels, probabilities, tuple(classes.tolist()))
+    hits = classes[np.argmax(probabilities, axis=1)] == rows.labels
+    metrics["accuracy_interval_95"] = list(clustered_interval(hits, rows.group))
+    recordings = _recordings(rows, probabilities)
+    voted = np.array([row["vote"] == row["label"] for row in recordings])
+    owner = np.array([rows.groups.index(row["group"]) for row in recordings])
+    metrics["recordings"] = {"n": len(voted), **_share(voted, owner), "rows": recordings}
+    if rows.kind == "window":
+        metrics["running"] = [_running(rows, probabilities, time) for time in VOTE_TIMES]
+    return {**metrics, "prediction_sets": []}
+
+
+def _share(hits: NDArray[np.bool_], group: NDArray[np.integer]) -> dict[str, Any]:
+    return {"accuracy": float(hits.mean()), "accuracy_interval_95": list(clustered_interval(hits, group))}
+
+
+def _recordings(rows: Rows, probabilities: Floats) -> list[dict[str, Any]]:
+    """Return the vote of each recording: the label with the largest mean of logarithms of its rows."""
+    classes = np.unique(rows.labels)
+    votes = []
+    for source in np.unique(rows.source):
+        own = rows.source == source
+        total = np.log(np.maximum(probabilities[own], LEAST_PROBABILITY)).mean(axis=0)
+        votes.append(
+            {
+                "name": rows.sources[source],
+                "group": rows.groups[rows.group[own][0]],
+                "label": str(rows.labels[own][0]),
+                "n": int(own.sum()),
+                "accuracy": float(np.mean(classes[np.argmax(probabilities[own], axis=1)] == rows.labels[own])),
+                "vote": str(classes[np.argmax(total)]),
+            }
+        )
+    return votes
+
+
+def _running(rows: Rows, probabilities: Floats, time: float) -> dict[str, Any]:
+    """Return how often the vote of the windows within a time [s] is right, over the recordings that are so long."""
+    assert rows.slicing is not None
+    classes = np.unique(rows.labels)
+    hits, group, short = [], [], 0
+    for source in np.unique(rows.source):
+        own = rows.source == source
+        vote = RunningVote.over(time, rows.slicing.window_time, rows.slicing.hop_time)
+        voted = vote.feed(probabilities[own])[vote.n_windows - 1 :]
+        short += not len(voted)
+        hits.append(classes[np.argmax(voted, axis=1)] == rows.labels[own][0])
+        group.append(rows.group[own][: len(voted)])
+    if not sum(map(len, hits)):
+        return {"time": time, "n": 0, "n_too_short": short}
+    all_hits, all_groups = np.concatenate(hits), np.concatenate(group)
+    return {"time": time, "n": len(all_hits), "n_too_short": short, **_share(all_hits, all_groups)}
 
 
 def paired_difference(

@@ -19,6 +19,7 @@ from cgid.files import read_regular
 from cgid.identification.conformal import Conformal
 from cgid.identification.families import BY_NAME, Family, Neighbourhood, Standardiser, softmax
 from cgid.identification.model_file import (
+    FIELDS,
     FORMAT,
     SCHEMA_VERSION,
     STANDARDISER,
@@ -348,24 +349,12 @@ class Model:
     @property
     def header(self) -> dict[str, Any]:
         """Everything but the arrays."""
+        fields = {name: getattr(self, name) for name in FIELDS}
         return {
             "format": FORMAT,
             "schema_version": SCHEMA_VERSION,
-            "family": self.family,
-            "labels": list(self.labels),
-            "features": list(self.features),
-            "known": list(self.known),
-            "guards": list(self.guards),
-            "guard_limits": list(self.guard_limits),
             "quantity": self.quantity,
-            "unit": self.unit,
-            "sampling_rates": list(self.sampling_rates),
-            "temperature": self.temperature,
-            "neighbourhood_limit": self.neighbourhood_limit,
-            "window_time": self.window_time,
-            "hop_time": self.hop_time,
-            "n_channels": self.n_channels,
-            "sensors": list(self.sensors),
+            **{name: list(value) if isinstance(value, tuple) else value for name, value in fields.items()},
             "training": dict(self.training),
         }
 

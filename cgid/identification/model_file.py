@@ -129,7 +129,7 @@ _DEEPEST = 32
 #: The largest absolute value of any number: products of three such numbers are still finite.
 _LARGEST_NUMBER = 1e100
 #: The required fields and their types.
-_FIELDS: dict[str, type] = {
+FIELDS: dict[str, type] = {
     "family": str,
     "labels": list,
     "features": list,
@@ -199,13 +199,13 @@ def fields_of(header: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> 
     if version >= 4 and header.get("sha256") != digest(header, arrays):
         raise BadData("header and arrays must match the SHA-256 in the header, they were changed")
     fields: dict[str, Any] = (_SINCE_3 if version == 2 else {}) | dict(header)
-    if unknown := fields.keys() - _FIELDS.keys() - _FURTHER_FIELDS:
+    if unknown := fields.keys() - FIELDS.keys() - _FURTHER_FIELDS:
         raise BadData(f"the header must have the fields of a model only, got {min(unknown)[:40]!r}")
-    for name, kind in _FIELDS.items():
+    for name, kind in FIELDS.items():
         good = _is(fields.get(name), kind)
         if not good or (name in _LISTS_OF_NUMBERS and not all(_is(number, float) for number in fields[name])):
             raise BadData(f"{name} is missing or of a wrong kind in the header")
-    return {name: tuple(fields[name]) if kind is list else fields[name] for name, kind in _FIELDS.items()}
+    return {name: tuple(fields[name]) if kind is list else fields[name] for name, kind in FIELDS.items()}
 
 
 def signed(header: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> bytes:
