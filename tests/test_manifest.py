@@ -103,7 +103,7 @@ MISTAKES = {
     "reference without a sensor": ("path,label,reference\na,,yes\n", "must name its sensor"),
     "reference with a label": ("path,label,sensor,reference\na,b,s,yes\n", "have no label"),
     "sensor without a reference": ("path,label,sensor\na,b,left\n", "sensor left must have a reference run"),
-    "one sensor unsaid": ("path,label,sensor,reference\nr,,s,yes\na,b,s,no\nc,d,,no\n", "every recording must have a sensor"),
+    "one sensor unsaid": ("path,label,sensor,reference\nr,,s,yes\na,b,s,no\nc,d,,no\n", "must have a sensor"),
     "overlapping intervals": ("path,label,start,end\na,b,0,2\na,c,1,3\n", "must not overlap, b and c do at 1 s"),
     "recording twice": ("path,label\na,b\na,c\n", "must not overlap"),
     "recording in two groups": ("path,label,start,end,group\na,b,0,1,x\na,c,1,2,y\n", "must lie in one group"),
