@@ -11,7 +11,7 @@ import csv
 import io
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -28,6 +28,15 @@ COLUMNS = (
 )
 #: Characters of a label, group or sensor.
 _LONGEST_WORD = 100
+#: Largest manifest [bytes], and most keys of it.
+LARGEST_FILE, _MOST_KEYS = 16 << 20, 1_000_000
+#: Keys that may hold for all recordings of a TOML manifest.
+_SHARED = ("group", "channel", "gain", "sensor", "rate", "unit", "variable")
+#: Most mistakes that are reported at once.
+_MOST_MISTAKES = 20
+
+
+# -- its rows ---------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -137,24 +146,21 @@ def _number(name: str, value: Any, what: str) -> float:
     return number
 
 
-def _positive(name: str, value: Any, unit: str) -> float:
-    number = _number(name, value, f" in {unit}")
+def _positive(name: str, value: Any, unit: str = "") -> float:
+    number = _number(name, value, f" in {unit}" if unit else ", a factor or with dB behind it")
     if not 0 < number < math.inf:
-        raise InvalidValue(f"{name} must be above 0 and finite, got {number:g} {unit}")
+        raise InvalidValue(f"{name} must be above 0 and finite, got {number:g} {unit}".rstrip())
     return number
 
 
 def _gain(value: Any) -> float:
     """Return a gain as a factor; a string may give it in dB."""
-    if isinstance(value, str) and value.lower().endswith("db"):
-        level = _number("gain", value[:-2], " in dB")
-        if not abs(level) <= 400:
-            raise InvalidValue(f"gain must lie between -400 and 400 dB, got {level:g} dB")
-        return float(10.0 ** (level / 20))
-    number = _number("gain", value, ", a factor or with dB behind it")
-    if not 0 < number < math.inf:
-        raise InvalidValue(f"gain must be above 0 and finite, got {number:g}")
-    return number
+    if not isinstance(value, str) or not value.lower().endswith("db"):
+        return _positive("gain", value)
+    level = _number("gain", value[:-2], " in dB")
+    if not abs(level) <= 400:
+        raise InvalidValue(f"gain must lie between -400 and 400 dB, got {level:g} dB")
+    return float(10.0 ** (level / 20))
 
 
 def _truth(name: str, value: Any) -> bool:
@@ -200,28 +206,15 @@ def contradictions(annotations: Sequence[Annotation]) -> list[str]:
     return found
 
 
-#: Largest manifest [bytes], and most keys of it.
-LARGEST_FILE, _MOST_KEYS = 16 << 20, 1_000_000
-#: Keys that may hold for all recordings of a TOML manifest.
-_SHARED = ("group", "channel", "gain", "sensor", "rate", "unit", "variable")
-#: Most mistakes that are reported at once.
-_MOST_MISTAKES = 20
+# -- the file ---------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, kw_only=True)
 class Manifest:
-    """Annotated recordings.
-
-    Attributes
-    ----------
-    source : str
-        The file.
-    annotations : tuple of Annotation
-        In the order of the file, reference runs among them.
-    """
+    """The annotations of a manifest in the order of the file, reference runs among them; `source` is its name."""
 
     source: str
-    annotations: tuple[Annotation, ...] = field(default_factory=tuple)
+    annotations: tuple[Annotation, ...] = ()
 
     @property
     def labels(self) -> tuple[str, ...]:
@@ -268,8 +261,6 @@ def read_manifest(path: str | Path) -> Manifest:
         raise BadData(*mistakes[:_MOST_MISTAKES], *[f"{path}: and {more} more mistakes"] * (more > 0))
     return Manifest(source=str(path), annotations=tuple(annotations))
 
-
-# -- the two formats --------------------------------------------------------------------------------------
 
 Row = tuple[str, Mapping[str, Any]]
 

@@ -108,14 +108,14 @@ def train(
     Parameters
     ----------
     data : iterable of Batch, or Rows
-        The batches of a dataset or scene, or the rows of recordings
-        (`cgid.identification.labelled_recordings.record`).
+        The batches of a dataset or scene, or rows: of recordings
+        (`cgid.identification.labelled_recordings.record`), or measured before (`cgid.identification.rows.measure`).
     features : iterable of str, optional
         Names of features. By default those that `cgid.identification.rows` has for the quantity; for recordings one
         of its sets is chosen.
     guards : iterable of str, optional
         Features that only show how strange an impact is: the larger, the stranger. They are left out of `features`.
-        By default `DEFAULT_GUARDS` for pulses, none for vibrations. Not for recordings.
+        By default `DEFAULT_GUARDS` for batches of pulses, else none. Not for recordings.
     known : iterable of str
         Known quantities, out of `cgid.identification.known.KNOWN`. Not for recordings.
     family : {"boosting", "logistic", "network", "linear"}, optional
@@ -154,6 +154,8 @@ def train(
     """
     if isinstance(data, Rows):
         rows, names, limiting = data, tuple(features or ()), tuple(guards or ())
+        for name in (*names, *limiting):
+            validation.choice("feature of rows", name, rows.names)
     else:
         rows, names, limiting = _measured(data, features, guards, tuple(known), progress, crew)
     rows = _shuffled(rows, seed) if shuffle_labels else rows
