@@ -273,18 +273,24 @@ def record(
             measured.append(_measured(file, cutting, progress))
         except CgidError as error:
             reading.note(error, failures)
-    annotations = [one for rows in measured for one in rows.annotations]
-    if not annotations:
+    if not any(rows.annotations for rows in measured):
         said = "".join(f"; {error}" for error in failures[:1])
         raise BadData(
             f"{manifest.source}: recordings must hold a {slicing.by} with a label, there is none{said}; "
             "correct start and end, or what is decided on"
         )
+    return replace(_joined(measured, cutting), references=references, failures=tuple(failures))
+
+
+def _joined(measured: Sequence[_FileRows], cutting: _Cutting) -> Rows:
+    """Return the rows of all files together."""
+    annotations = [one for rows in measured for one in rows.annotations]
     sources, source = _numbered([one.name for one in annotations])
     groups, group = _numbered([one.group for one in annotations])
-    rates = [rows.file.recording.sampling_rate for rows in measured]
+    recordings = [rows.file.recording for rows in measured]
+    rates = [recording.sampling_rate for recording in recordings]
     return Rows(
-        names=names,
+        names=cutting.names,
         features=np.concatenate([part for rows in measured for part in rows.features]),
         labels=np.array([one.label for one in annotations]),
         group=group,
@@ -292,15 +298,13 @@ def record(
         sources=sources,
         groups=groups,
         digests=tuple(rows.file.digest for rows in measured),
-        unit=files[0].unit,
+        unit=cutting.unit,
         sampling_rates=(min(rates), max(rates)),
-        n_channels=len(files[0].recording.channels),
-        slicing=slicing,
+        n_channels=len(recordings[0].channels),
+        slicing=cutting.slicing,
         time=np.concatenate([part for rows in measured for part in rows.times]),
-        references=references,
         left_out=sum(rows.left_out for rows in measured),
-        failures=tuple(failures),
-        warnings=tuple(warning for rows in measured for warning in rows.warnings(slicing.by)),
+        warnings=tuple(warning for rows in measured for warning in rows.warnings(cutting.slicing.by)),
     )
 
 

@@ -299,21 +299,24 @@ class Model:
         cls,
         classifier: ImpactClassifier,
         *,
-        features: tuple[str, ...],
-        unit: str,
-        sampling_rates: tuple[float, float],
-        training: Mapping[str, Any],
-        known: tuple[str, ...] = (),
         guards: Mapping[str, float] | None = None,
         conformal: Conformal | None = None,
-        window_time: float = 0.0,
-        hop_time: float = 0.0,
-        n_channels: int = 1,
         references: Mapping[str, Floats] | None = None,
+        **fields: Any,
     ) -> Model:
-        """Return the model of a classifier fitted to `features` and `known`.
+        """Return the model of a classifier.
 
-        `guards` are names and limits, `references` the reference spectra of sensors, (n_channels, n_bands) each.
+        Parameters
+        ----------
+        classifier : ImpactClassifier
+            Fitted to the features, channel after channel, and the known quantities.
+        guards : dict of float, optional
+            Limits of the guards.
+        conformal : Conformal, optional
+        references : dict of ndarray, each (n_channels, n_bands), optional
+            Reference spectra of the sensors.
+        **fields
+            Other attributes of a model: at least features, unit, sampling_rates and training.
         """
         guards = guards or {}
         standardiser, neighbourhood = classifier.standardiser_, classifier.neighbourhood_
@@ -330,20 +333,13 @@ class Model:
         return cls(
             family=classifier.family,
             labels=tuple(str(label) for label in classifier.classes_),
-            features=features,
-            unit=unit,
-            sampling_rates=sampling_rates,
             temperature=classifier.temperature_,
             neighbourhood_limit=neighbourhood.limit,
             arrays=arrays,
-            training=training,
-            known=known,
             guards=tuple(guards),
             guard_limits=tuple(guards.values()),
-            window_time=window_time,
-            hop_time=hop_time,
-            n_channels=n_channels,
             sensors=tuple(references or ()),
+            **fields,
         )
 
     @property
