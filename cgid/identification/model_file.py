@@ -169,14 +169,13 @@ def read_header(stored: NDArray[Any]) -> dict[str, Any]:
         raise BadData(f"its header must be at most {LARGEST_HEADER >> 20} MiB, it is {stored.size / 2**20:.1f} MiB")
     try:
         header = json.loads(stored.tobytes(), object_pairs_hook=_unique)
-        depth = _depth(header)
     except BadData:
         raise
     except (ValueError, RecursionError):
         raise BadData("it must have a header of JSON") from None
     if not isinstance(header, dict) or header.get("format") != FORMAT:
         raise BadData(f"format must be {FORMAT!r}")
-    if depth > _DEEPEST:
+    if _is_deeper(header, _DEEPEST):
         raise BadData(f"its header must not nest deeper than {_DEEPEST}")
     version = header.get("schema_version")
     if type(version) is not int or version < _OLDEST_SCHEMA:
@@ -235,9 +234,10 @@ def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     return found
 
 
-def _depth(value: Any) -> int:
-    inner = value.values() if isinstance(value, dict) else value if isinstance(value, list) else ()
-    return 1 + max(map(_depth, inner), default=0)
+def _is_deeper(value: Any, levels: int) -> bool:
+    """Return whether lists and objects nest deeper than a number of levels."""
+    inner = value.values() if isinstance(value, dict) else value
+    return levels == 0 or any(_is_deeper(one, levels - 1) for one in inner if isinstance(one, dict | list))
 
 
 def _is(value: Any, kind: type) -> bool:
