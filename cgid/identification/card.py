@@ -221,11 +221,11 @@ def _votes(training: Record) -> list[str]:
         *((f"running vote over {row['time']:g} s", row) for row in metrics.get("running", []) if row["n"]),
         ("vote of a whole recording", recordings),
     ]
-    shares = [
-        (name, f"{row['accuracy']:.4f}", "{:.4f} to {:.4f}".format(*row["accuracy_interval_95"]), row.get("n"))
-        for name, row in judged
-    ]
-    shares[0] = (*shares[0][:3], metrics["n_impacts"])
+    shares = []
+    for name, row in judged:
+        low, high = row["accuracy_interval_95"]
+        number = row.get("n", metrics["n_impacts"])
+        shares.append((name, f"{row['accuracy']:.4f}", f"{low:.4f} to {high:.4f}", number))
     votes = [
         (
             plain(row["name"]),
