@@ -19,7 +19,6 @@ from numpy.typing import NDArray
 
 from cgid import validation
 from cgid.errors import InvalidValue
-from cgid.measure.features import extract_array
 from cgid.measure.filters import low_pass_response
 from cgid.measure.likelihood import Prior, Profile, profile
 from cgid.measure.pulses import PulseBatch

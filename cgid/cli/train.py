@@ -140,10 +140,8 @@ def _from_signals(data: list[str], options: dict[str, Any]) -> tuple[Any, list[A
 
 def _from_recordings(manifest: str, others: list[str], options: dict[str, Any]) -> tuple[Any, list[Any]]:
     """Return the training on recordings, and the errors of those that could not be read."""
-    from cgid.cli.options import dead_time_in_seconds
-    from cgid.identification.labelled_recordings import Reading, record
+    from cgid.identification.labelled_recordings import record
     from cgid.identification.manifest import read_manifest
-    from cgid.identification.rows import Slicing
     from cgid.identification.training import train as train_model
 
     slicing, reading = _recording_options(options)

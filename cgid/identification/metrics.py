@@ -1,8 +1,6 @@
 """How good answers are: accuracy and its interval, calibration, prediction sets."""
 
 from __future__ import annotations
-from cgid.identification.windows import LEAST_PROBABILITY
-from cgid.identification.windows import RunningVote
 
 from typing import TYPE_CHECKING, Any
 
@@ -14,6 +12,7 @@ from sklearn import metrics
 from cgid.errors import InvalidValue
 from cgid.identification.conformal import COVERAGES, Conformal
 from cgid.identification.share import wilson_interval
+from cgid.identification.windows import LEAST_PROBABILITY, RunningVote
 from cgid.validation import Floats
 
 if TYPE_CHECKING:
