@@ -203,7 +203,7 @@ def _follow(live: Any, scale: float, asked: Asked, lines: AnswerLines) -> None:
     factor = factor_of(model, live.unit, live.source, mass=asked.mass) * (-scale if asked.invert else scale)
     names = [str(number) for number in range(1, live.n_channels + 1)]
     inbox, delay = Inbox(live, live.sampling_rate), _Delay(live.source, lines)
-    blocks, question = scaled(inbox, [factor] * live.n_channels), asked.question(batch=1, whole=0)
+    blocks, question = scaled(inbox, [factor] * live.n_channels), asked.question(batch=1)
     steps = identify_blocks(blocks, live.sampling_rate, model, names, question, live.source)
     asked.warn_of_sensor(live.source, model)
     telling = Telling(live.source, model, names, live.sampling_rate, asked, lines, always=True)

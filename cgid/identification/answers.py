@@ -10,8 +10,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cgid.errors import BadData, InvalidValue, MissingOption
-from cgid.identification.detection import Event, find_impacts
+from cgid.identification.detection import find_impacts
 from cgid.identification.drop_height import known_columns
+from cgid.identification.events import Event, frames_alike
 from cgid.identification.model import Model
 from cgid.measure.equalisation import Equalisation
 from cgid.measure.features import extract_array, problems_of
@@ -225,25 +226,24 @@ def identify_events(
     `channels` are the names of the channels that the events number, `sensors` the sensors of the model that they were
     heard by, where known; else as `identify`.
     """
-    alike: dict[tuple[int | None, float, float, str | None], list[int]] = {}
-    for number, event in enumerate(events):
-        key = (event.pre_trigger, event.detection_limit, event.sampling_rate, sensors[event.channel])
-        alike.setdefault(key, []).append(number)
     answers: dict[int, Answer] = {}
-    for (pre_trigger, limit, sampling_rate, sensor), numbers in alike.items():
-        found = identify_frames(
-            np.stack([events[number].samples for number in numbers]),
-            sampling_rate,
-            model,
-            pre_trigger=pre_trigger,
-            costs=decision.costs,
-            coverage=decision.coverage,
-            class_conditional=decision.class_conditional,
-            drop_height=drop_height,
-            detection_limit=limit,
-            equalisation=None if sensor is None else model.equalisation(sensor)[0],
-        )
-        answers |= dict(zip(numbers, found, strict=True))
+    for sensor in dict.fromkeys(sensors):
+        own = [number for number, event in enumerate(events) if sensors[event.channel] == sensor]
+        for numbers, frames in frames_alike([events[number] for number in own]):
+            event = events[own[numbers[0]]]
+            found = identify_frames(
+                frames,
+                event.sampling_rate,
+                model,
+                pre_trigger=event.pre_trigger,
+                costs=decision.costs,
+                coverage=decision.coverage,
+                class_conditional=decision.class_conditional,
+                drop_height=drop_height,
+                detection_limit=event.detection_limit,
+                equalisation=None if sensor is None else model.equalisation(sensor)[0],
+            )
+            answers |= zip((own[number] for number in numbers), found, strict=True)
     return [_placed(answers[number], event, channels) for number, event in enumerate(events)]
 
 

@@ -16,7 +16,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import chain
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -24,7 +23,8 @@ from numpy.typing import NDArray
 
 from cgid.errors import BadData, InvalidValue
 from cgid.identification.answers import Answer, Decision, answers_from, identify_events, suited, unmeasured
-from cgid.identification.detection import Event, Extent, ImpactDetector, find_impacts
+from cgid.identification.detection import ImpactDetector
+from cgid.identification.events import Event
 from cgid.identification.model import Model
 from cgid.identification.reference import MeanSpectrum, drift
 from cgid.identification.windows import VOTE_TIME, RunningVote, measure_windows, windows_of
@@ -177,8 +177,6 @@ def _named(steps: Iterator[Step], source: str) -> Iterator[Step]:
 
 #: So many impacts are identified at once: a batch costs little more than a single one.
 BATCH = 256
-#: Samples that are held at once without a second thought.
-WHOLE = 1 << 22
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -198,9 +196,6 @@ class Question:
         By which of the sensors that the model knows it was recorded: one for all channels, or one for each.
     batch : int
         Impacts wait until they are so many; with 1 none waits.
-    whole : int
-        A recording of up to so many samples, of all channels, is looked at as a whole by `find_impacts`, which knows
-        its highest pulse; a longer one by `ImpactDetector` as it comes. With 0 every one is.
     """
 
     decision: Decision = field(default_factory=Decision)
@@ -209,7 +204,6 @@ class Question:
     vote_time: float = VOTE_TIME
     sensors: tuple[str, ...] = ()
     batch: int = BATCH
-    whole: int = WHOLE
 
     def heard_by(self, model: Model, channels: Sequence[str]) -> list[str | None]:
         """Return the sensor of each channel, or of each group of channels that the model looks at together.
@@ -264,19 +258,8 @@ def impacts_answered(
 
     As `cgid.identification.stream.identify_blocks`.
     """
-    coming = iter(blocks)
-    held: list[NDArray[Any]] = []
-    size = 0
-    while size <= question.whole and (block := next(coming, None)) is not None:
-        held.append(block)
-        size += block.size
-    if held and size <= question.whole:
-        samples = held[0] if len(held) == 1 else np.concatenate(held, axis=1)
-        yield _whole_answered(samples, sampling_rate, model, channels, question, source)
-        return
-    kind = kind_found(model)
-    detector = ImpactDetector(sampling_rate, len(channels), kind=kind, dead_time=question.dead_time)
-    extent = Extent(len(channels))
+    names = [_name(source, channel, channels) for channel in channels]
+    detector = ImpactDetector(sampling_rate, len(channels), kind=kind_found(model), dead_time=question.dead_time)
     waiting: list[Event] = []
     heard: set[int] = set()
 
@@ -284,48 +267,15 @@ def impacts_answered(
         heard.update(event.channel for event in waiting)
         answers = _events_answered(waiting, model, channels, question)
         waiting.clear()
-        return Step(answers, detector.told / sampling_rate, silent)
+        return Step(answers, detector.known_until / sampling_rate, silent)
 
-    for block in chain(_emptied(held), coming):
-        extent.see(block)
+    for block in blocks:
         waiting += detector.feed(block)
         if not waiting or len(waiting) >= question.batch:
             yield step()
     waiting += detector.finish()
-    quiet = [channel for number, channel in enumerate(channels) if number not in heard | {e.channel for e in waiting}]
-    yield step(
-        tuple(
-            f"{_name(source, channel, channels)}: no impact in {detector.told / sampling_rate:g} s: nothing rises "
-            f"above the noise; look at it with cgid plot, or {extent.cure(list(channels).index(channel), kind)}"
-            for channel in quiet
-        )
-    )
-
-
-def _whole_answered(
-    samples: NDArray[Any], sampling_rate: float, model: Model, channels: Sequence[str], question: Question, source: str
-) -> Step:
-    """Return the answers for a recording (n_channels, n_samples) that is in memory."""
-    events: list[Event] = []
-    silent = []
-    for number, channel in enumerate(channels):
-        signal = Signal(
-            samples=samples[number],
-            sampling_rate=sampling_rate,
-            unit=model.unit,
-            source=_name(source, channel, channels),
-        )
-        try:
-            found = find_impacts(signal, kind=kind_found(model), dead_time=question.dead_time)
-        except BadData as error:
-            silent.append(str(error))
-            continue
-        events += [replace(event, channel=number) for event in found]
-    events.sort(key=lambda event: (event.onset, event.channel))
-    answers = []
-    for first in range(0, len(events), BATCH):
-        answers += _events_answered(events[first : first + BATCH], model, channels, question)
-    return Step(answers, samples.shape[1] / sampling_rate, tuple(silent))
+    quiet = set(range(len(channels))) - heard - {event.channel for event in waiting}
+    yield step(tuple(f"{names[row]}: {detector.why_silent(row, model.unit)}" for row in sorted(quiet)))
 
 
 def kind_found(model: Model) -> ImpactKind:
@@ -335,12 +285,6 @@ def kind_found(model: Model) -> ImpactKind:
 
 def _name(source: str, channel: str, channels: Sequence[str]) -> str:
     return source if list(channels) == ["1"] else f"{source} channel {channel}"
-
-
-def _emptied(held: list[NDArray[Any]]) -> Iterator[NDArray[Any]]:
-    """Yield what is held, and hold it no longer."""
-    while held:
-        yield held.pop(0)
 
 
 def _events_answered(

@@ -53,7 +53,7 @@ END_SHARE, END_OVER_NOISE = 0.01, 2.0
 _ONSET_RATE = 25_600.0
 
 
-class RingingOnsets:
+class VibrationOnsets:
     """Blows in vibrations, channel by channel or in all together, from chunks of samples.
 
     Parameters
@@ -73,7 +73,9 @@ class RingingOnsets:
     chunk : int
         Samples that are taken at once, or multiples of it; the first time `START_CHUNKS` at least.
     lag : int
-        What begins so many samples before the end of what was taken may not be known yet.
+        What begins this many samples before the end of what was taken may not be known yet.
+    steepest : ndarray, (n_channels,)
+        The highest rise so far; a blow is one above `RISE`.
     """
 
     def __init__(self, sampling_rate: float, n_channels: int, dead_time: float, joint: bool) -> None:
@@ -94,6 +96,7 @@ class RingingOnsets:
         self._most = np.zeros((n_channels, 1, self.n_bands), np.float32)
         self._rises = np.zeros((n_channels, 0), np.float32)
         self._latest: list[tuple[int, Onset] | None] = [None] * (1 if joint else n_channels)
+        self.steepest = np.zeros(n_channels)
 
     # -- energies -------------------------------------------------------------------------------------
 
@@ -208,6 +211,8 @@ class RingingOnsets:
         self._rises = rises[:, n_decided:]
         rows = rises.max(axis=0, keepdims=True) if self._joint else rises
         found = []
+        decided = rises[:, : max(n_decided, 0)]
+        self.steepest = np.maximum(self.steepest, decided.max(axis=1, initial=0.0))
         there = min(rises.shape[1], n_decided + (2 if n_known is None else 0))
         for row in range(len(rows)):
             for place in np.flatnonzero(rows[row, :n_decided] > RISE).tolist():

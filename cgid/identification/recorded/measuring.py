@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 
 from cgid import validation
 from cgid.errors import BadData, CgidError, InvalidValue
-from cgid.identification.detection import Event, ImpactDetector
+from cgid.identification.detection import ImpactDetector
+from cgid.identification.events import Event, frames_alike
 from cgid.identification.recorded.annotated import AnnotatedFile, Failures, Reading, annotated_blocks, open_all
 from cgid.identification.recorded.annotation import Annotation
 from cgid.identification.recorded.feature_sets import sets_for, union_of
@@ -323,17 +324,15 @@ def _measured_events(
 ) -> Measured:
     for annotation in file.annotations:
         own = [event for event in events if annotation.start <= event.time < annotation.end]
-        alike: dict[tuple[int | None, float], list[Event]] = {}
-        for event in own:
-            alike.setdefault((event.pre_trigger, event.detection_limit), []).append(event)
-        for (pre_trigger, detection_limit), some in alike.items():
+        for numbers, frames in frames_alike(own):
+            some = [own[number] for number in numbers]
             features = extract_array(
-                np.stack([event.samples for event in some]) * file.scale(annotation, unit),
+                frames * file.scale(annotation, unit),
                 file.recording.sampling_rate,
                 names,
-                pre_trigger=pre_trigger,
+                pre_trigger=some[0].pre_trigger,
                 invalid="nan",
-                detection_limit=detection_limit,
+                detection_limit=some[0].detection_limit,
                 equalisation=equalisations[annotation.sensor][0] if annotation.sensor else None,
             )
             features[[bool(event.problem) for event in some]] = np.nan
