@@ -289,7 +289,7 @@ def reference_frames():
     return frames.astype(np.float64)
 
 
-@pytest.mark.parametrize(("frequency", "decay"), [(80.0, 0.1), (200.0, 0.05), (1500.0, 0.02), (8000.0, 0.01)])
+@pytest.mark.parametrize(("frequency", "decay"), [(250.0, 0.1), (400.0, 0.05), (1500.0, 0.02), (8000.0, 0.01)])
 @pytest.mark.parametrize("sign", [1, -1])
 def test_ringing_of_a_force_sensor_is_no_blow_and_hides_none_that_stands_clear(frequency, decay, sign):
     rate = 100e3

@@ -7,8 +7,8 @@ A pulse points upwards from a baseline that may drift. It is found where the sig
     b(t) = max over s < t of 2 d(s) exp(-(t - s) / 20 ms)
 
 with the noise sigma, the height h above the baseline and the depth d below it, where that is deeper than 6 sigma. a
-allows for echoes of a blow. b follows a ringing: it swings below the baseline as far as above, and each swing renews
-the demand, at 40 Hz or more. Both decay, so a blow of any height hides nothing that comes some tens of milliseconds
+allows for echoes of a blow. b follows a ringing of 200 Hz or more: it swings below the baseline as far as above, and
+each swing renews the demand. Both decay, so a blow of any height hides nothing that comes some tens of milliseconds
 later.
 """
 

@@ -40,6 +40,7 @@ from cgid import validation
 from cgid.errors import InvalidValue
 from cgid.identification.answers import Answer
 from cgid.identification.model import Model
+from cgid.identification.question import Question
 from cgid.validation import Floats
 
 #: No impact is surer than this, whatever its model says: one that is wrong and quite sure would outweigh all others.
@@ -259,55 +260,6 @@ class Shutting:
         return Turn(time=share.time, shut=self._shut, cost=cost, share=share)
 
 
-#: The label of what must not be drawn.
-GANGUE = "gangue"
-#: A share looks back over this, where nobody says it [s].
-SHARE_TIME = 10.0
-#: Over less there is nothing to share, and of an hour there would be millions of shares [s].
-SHORTEST_SHARE_TIME = 0.05
-
-
-@dataclass(frozen=True, kw_only=True)
-class ShareSettings:
-    """How shares are told.
-
-    Attributes
-    ----------
-    length : float
-        How far a share looks back [s], above 0.
-    step : float
-        From the end of one window to that of the next [s], above 0.
-    gangue : tuple of str
-        The labels of what must not be drawn.
-    gangue_cost : float
-        Of one drawn gangue impact, in lost coal impacts; above 0.
-    """
-
-    length: float = SHARE_TIME
-    step: float = SHARE_TIME / 2
-    gangue: tuple[str, ...] = (GANGUE,)
-    gangue_cost: float = 1.0
-
-    def __post_init__(self) -> None:
-        if not validation.positive("window", self.length, "s") >= SHORTEST_SHARE_TIME:
-            raise InvalidValue(f"window must be at least {SHORTEST_SHARE_TIME:g} s, got {self.length:g} s")
-        validation.positive("step", self.step, "s")
-        validation.positive("gangue_cost", self.gangue_cost)
-
-    def serve(self, model: Model) -> bool:
-        """Return whether a model tells gangue from something else."""
-        return 0 < len(set(self.gangue) & set(model.labels)) < len(model.labels)
-
-    def require(self, model: Model) -> None:
-        """Raise `InvalidValue` if a label is none of the model's, or is all of them."""
-        for label in self.gangue:
-            validation.choice("gangue label", label, model.labels)
-        if not self.serve(model):
-            raise InvalidValue(
-                f"gangue labels must leave another one, got all of the model's: {', '.join(self.gangue)}; leave one out"
-            )
-
-
 class CavingWatch:
     """Follows the answers of a recording, each channel for itself: a channel is a support with a window of its own.
 
@@ -316,7 +268,8 @@ class CavingWatch:
     model : Model
     channels : sequence of str
         Their names.
-    settings : ShareSettings
+    question : Question
+        Its share, step, labels and cost of gangue.
     weight : float
         See `ShareWindow`.
 
@@ -325,23 +278,21 @@ class CavingWatch:
     See `cgid.cli.predict`, which prints what `feed` and `finish` return.
     """
 
-    def __init__(self, model: Model, channels: Sequence[str], settings: ShareSettings, weight: float = 1.0) -> None:
-        settings.require(model)
-        share = trained_share(model, settings.gangue)
-        self._settings = settings
+    def __init__(self, model: Model, channels: Sequence[str], question: Question, weight: float = 1.0) -> None:
+        question.require_gangue(model)
+        share = trained_share(model, question.gangue_labels)
+        self._gangue, self._step = question.gangue_labels, question.step
         self._windows = {
-            name: ShareWindow(settings.length, trained_share=share, weight=weight, channel=name) for name in channels
+            name: ShareWindow(question.share_length, trained_share=share, weight=weight, channel=name)
+            for name in channels
         }
-        self._rules = {name: Shutting(settings.gangue_cost) for name in channels}
+        self._rules = {name: Shutting(question.cost_of_gangue) for name in channels}
+        #: The share above which going on costs more than it brings.
+        self.threshold = Shutting(question.cost_of_gangue).threshold
         self._waiting: deque[Answer] = deque()
         self._steps = 0
         # Channels whose last window held nothing, and has been told.
         self._silent: set[str] = set()
-
-    @property
-    def threshold(self) -> float:
-        """The share above which going on costs more than it brings."""
-        return Shutting(self._settings.gangue_cost).threshold
 
     def feed(self, answers: Iterable[Answer], until: float) -> list[Share | Turn]:
         """Return the shares of the windows that end by now, and the turns that they bring.
@@ -358,7 +309,7 @@ class CavingWatch:
         self._waiting.extend(answers)
         told: list[Share | Turn] = []
         self._pass_silence(until)
-        while (end := (self._steps + 1) * self._settings.step) <= until:
+        while (end := (self._steps + 1) * self._step) <= until:
             self._steps += 1
             told += self._at(end)
             self._pass_silence(until)
@@ -373,7 +324,7 @@ class CavingWatch:
         """Go on to the window of the next impact where all channels are silent, at most to the last one by now."""
         if len(self._silent) == len(self._windows):
             due = min(until, self._waiting[0].time) if self._waiting else until
-            self._steps = max(self._steps, int(due / self._settings.step) - 1)
+            self._steps = max(self._steps, int(due / self._step) - 1)
 
     def _at(self, end: float) -> Iterator[Share | Turn]:
         while self._waiting and self._waiting[0].time <= end:
@@ -396,7 +347,7 @@ class CavingWatch:
         """Return how probably an impact is gangue; nan where the model cannot speak of it."""
         if not answer.novelty <= 1:
             return float("nan")
-        return sum(answer.probabilities[label] for label in self._settings.gangue)
+        return sum(answer.probabilities[label] for label in self._gangue)
 
 
 #: The 97.5 % point of the normal distribution.

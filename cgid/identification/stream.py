@@ -15,19 +15,20 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cgid.errors import BadData, InvalidValue
-from cgid.identification.answers import Answer, Decision, answers_from, identify_events, suited, unmeasured
+from cgid.identification.answers import Answer, answers_from, identify_events, suited, unmeasured
 from cgid.identification.detection import ImpactDetector
 from cgid.identification.events import Event
 from cgid.identification.model import Model
+from cgid.identification.question import Question
 from cgid.identification.reference import MeanSpectrum, drift
-from cgid.identification.windows import VOTE_TIME, RunningVote, measure_windows, windows_of
+from cgid.identification.windows import RunningVote, measure_windows, windows_of
 from cgid.measure.equalisation import Equalisation
 from cgid.measure.features import FEATURES
 from cgid.measure.features.feature import ImpactKind
@@ -44,9 +45,7 @@ def identify_recording(
     recording: RecordingFile,
     model: Model,
     question: Question | None = None,
-    *,
-    mass: float | None = None,
-    invert: bool = False,
+    **fields: Any,
 ) -> Iterator[Answer]:
     """Return an iterator over the answers for a recording, in order of time; it is read block by block.
 
@@ -56,10 +55,8 @@ def identify_recording(
         As `cgid.recordings.open_recording` gives it; all of its channels in the model's quantity.
     model : Model
     question : Question, optional
-    mass : float, optional
-        Of the accelerated striker [kg]; turns an acceleration into a force.
-    invert : bool
-        Whether pulses point downwards.
+    **fields
+        Of the question, in place of its own: `invert=True`, `mass=2.5` [kg], `coverage=0.9` ...
 
     Raises
     ------
@@ -68,9 +65,9 @@ def identify_recording(
     MissingOption
         The unit of a channel or the drop height is needed and nobody said it.
     """
-    blocks = model_blocks(recording, model, range(len(recording.channels)), mass=mass, invert=invert)
+    question = replace(question or Question(), **fields)
+    blocks = model_blocks(recording, model, range(len(recording.channels)), question)
     names = [channel.name for channel in recording.channels]
-    question = question or Question()
     for step in identify_blocks(blocks, recording.sampling_rate, model, names, question, recording.source):
         yield from step.answers
 
@@ -79,9 +76,8 @@ def model_blocks(
     recording: RecordingFile,
     model: Model,
     rows: Sequence[int],
+    question: Question | None = None,
     *,
-    mass: float | None = None,
-    invert: bool = False,
     seen: Callable[[NDArray[Any]], object] | None = None,
 ) -> Iterator[NDArray[Any]]:
     """Return an iterator over the blocks of some channels, in the model's quantity and unit; as `identify_recording`.
@@ -89,9 +85,10 @@ def model_blocks(
     What is wrong with quantity or unit is said at once, not when the first block is asked for. `seen` is called with
     each block of these channels in their own units.
     """
-    chosen, sign = list(rows), -1.0 if invert else 1.0
+    question = question or Question()
+    chosen, sign = list(rows), -1.0 if question.invert else 1.0
     channels = [recording.channels[row] for row in chosen]
-    factors = [sign * factor_of(model, c.unit, recording.source, c.name, mass=mass) for c in channels]
+    factors = [sign * factor_of(model, c.unit, recording.source, c.name, mass=question.mass) for c in channels]
     return scaled(_chosen_blocks(recording, chosen, seen), factors)
 
 
@@ -160,6 +157,7 @@ def identify_blocks(
             f"{source}: the sampling_rate must be at least {math.ceil(needed)} Hz for this model, got "
             f"{sampling_rate:g} Hz; check it, record faster, or train a model on recordings like this one"
         )
+    question.require_use(model)
     how = windows_answered if model.kind == "window" else impacts_answered
     return _named(how(blocks, sampling_rate, model, channels, question, source), source)
 
@@ -173,55 +171,6 @@ def _named(steps: Iterator[Step], source: str) -> Iterator[Step]:
         if text.startswith(source):
             raise
         raise type(error)(f"{source}: {text}") from None
-
-
-#: So many impacts are identified at once: a batch costs little more than a single one.
-BATCH = 256
-
-
-@dataclass(frozen=True, kw_only=True)
-class Question:
-    """What is asked of every impact or window of a recording.
-
-    Attributes
-    ----------
-    decision : Decision
-    drop_height : float or None
-        How far the rocks fell [m], for a model that needs to know.
-    dead_time : float or None
-        See `find_impacts` [s].
-    vote_time : float
-        Windows are decided on the mean of the logarithms of their probabilities over so long [s]; 0: each by itself.
-    sensors : tuple of str
-        By which of the sensors that the model knows it was recorded: one for all channels, or one for each.
-    batch : int
-        Impacts wait until they are so many; with 1 none waits.
-    """
-
-    decision: Decision = field(default_factory=Decision)
-    drop_height: float | None = None
-    dead_time: float | None = None
-    vote_time: float = VOTE_TIME
-    sensors: tuple[str, ...] = ()
-    batch: int = BATCH
-
-    def heard_by(self, model: Model, channels: Sequence[str]) -> list[str | None]:
-        """Return the sensor of each channel, or of each group of channels that the model looks at together.
-
-        Raises
-        ------
-        InvalidValue
-            There is another number of sensors, or the model knows none of this name.
-        """
-        if not self.sensors:
-            return [None] * len(channels)
-        if len(self.sensors) not in (1, len(channels)):
-            raise InvalidValue(
-                f"sensor must be one for all {len(channels)} channels or one for each, got {len(self.sensors)}"
-            )
-        for sensor in self.sensors:
-            model.equalisation(sensor)
-        return [*self.sensors] * (len(channels) // len(self.sensors))
 
 
 @dataclass(frozen=True)
@@ -265,7 +214,7 @@ def impacts_answered(
 
     def step(silent: tuple[str, ...] = ()) -> Step:
         heard.update(event.channel for event in waiting)
-        answers = _events_answered(waiting, model, channels, question)
+        answers = identify_events(waiting, model, question, channels=channels)
         waiting.clear()
         return Step(answers, detector.known_until / sampling_rate, silent)
 
@@ -287,19 +236,6 @@ def _name(source: str, channel: str, channels: Sequence[str]) -> str:
     return source if list(channels) == ["1"] else f"{source} channel {channel}"
 
 
-def _events_answered(
-    events: Sequence[Event], model: Model, channels: Sequence[str], question: Question
-) -> list[Answer]:
-    return identify_events(
-        events,
-        model,
-        question.decision,
-        drop_height=question.drop_height,
-        channels=channels,
-        sensors=question.heard_by(model, channels),
-    )
-
-
 def answering_channels(model: Model, channels: Sequence[str]) -> tuple[str, ...]:
     """Return the names under which a model answers: that of each channel, or one for all that it looks at together.
 
@@ -318,11 +254,9 @@ def answering_channels(model: Model, channels: Sequence[str]) -> tuple[str, ...]
     return ("+".join(channels),)
 
 
-def independence(model: Model, vote_time: float = VOTE_TIME) -> float:
-    """Return what one answer counts beside others, in (0, 1]: windows that overlap, and votes, tell things again."""
-    if model.kind != "window":
-        return 1.0
-    return min(model.hop_time / max(model.window_time, vote_time), 1.0)
+def independence(model: Model, question: Question) -> float:
+    """Return what one answer counts beside others, in (0, 1]: windows that overlap, and votes, repeat what was said."""
+    return min(model.hop_time / question.vote_over(model), 1.0) if model.kind == "window" else 1.0
 
 
 def windows_answered(
@@ -335,14 +269,14 @@ def windows_answered(
 ) -> Iterator[Step]:
     """Yield the answers for windows as they are complete; as `cgid.identification.stream.identify_blocks`."""
     names = answering_channels(model, channels)
-    votes = [_vote(model, question) for _ in names]
+    votes = [RunningVote.over(question.vote_over(model), model.window_time, model.hop_time) for _ in names]
     sensors = question.heard_by(model, names)
     equalisations = [None if sensor is None else model.equalisation(sensor) for sensor in sensors]
     drifts, seen = Drifts(model, sensors, sampling_rate), False
     for first, windows in windows_of(blocks, sampling_rate, model.window_time, model.hop_time):
         parts = [windows] if model.n_channels > 1 else [windows[:, [row]] for row in range(len(names))]
         told = [
-            _judged(part, sampling_rate, model, question.decision, vote, equalisation)
+            _judged(part, sampling_rate, model, question, vote, equalisation)
             for part, vote, equalisation in zip(parts, votes, equalisations, strict=True)
         ]
         for number, part in enumerate(parts):
@@ -359,15 +293,11 @@ def windows_answered(
     yield Step([], 0.0, warnings=tuple(f"{source}: {warning}" for warning in drifts.warnings()))
 
 
-def _vote(model: Model, question: Question) -> RunningVote:
-    return RunningVote.over(max(question.vote_time, model.window_time), model.window_time, model.hop_time)
-
-
 def _judged(
     windows: NDArray[np.floating],
     sampling_rate: float,
     model: Model,
-    decision: Decision,
+    question: Question,
     vote: RunningVote,
     equalisation: Sequence[Equalisation] | None,
 ) -> list[Answer]:
@@ -381,7 +311,7 @@ def _judged(
     if sound.any():
         probabilities = vote.feed(model.probabilities(inputs[sound]))
         novelties = model.novelty(inputs[sound], guards[sound])
-        answers = answers_from(probabilities, novelties, model, decision, sampling_rate)
+        answers = answers_from(probabilities, novelties, model, question, sampling_rate)
     silent = unmeasured("the window cannot be measured: it is silent, constant or not a number")
     return [next(answers) if known else silent for known in sound.tolist()]
 
