@@ -25,6 +25,8 @@ from tests.impact_truth import Stream, caving, score
 from tests.test_features import REAL_SHOCK
 
 RATE = 25_600.0
+#: What is found in all channels of the real bulk materials.
+BULK_IMPACTS = 1154
 
 
 def detected(samples, kind="vibration", sampling_rate=RATE, cuts=(), **options):
@@ -532,3 +534,23 @@ def test_real_shocks(number):
     event = detected(board.samples, sampling_rate=board.sampling_rate)[0]
     assert event.time == pytest.approx(0.009, abs=1e-3)
     assert not event.cut
+
+
+@pytest.mark.parametrize("size", ["6mm", "10mm"])
+def test_real_steel_balls_are_one_impact_each(size):
+    files = sorted((REAL_SHOCK.parent / "steel_balls" / size).glob("*.txt"))
+    if not files:
+        pytest.skip("the real steel balls are not beside this checkout (../shared/realdata/steel_balls)")
+    for file in files:
+        (table,) = read_recording(file)
+        (event,) = detected(-table.samples.astype(np.float64), "pulse", table.sampling_rate)
+        assert event.time == pytest.approx(0.8e-3, abs=0.1e-3)
+
+
+def test_real_bulk_on_a_ramp_is_found_as_ever():
+    files = sorted((REAL_SHOCK.parent / "bulk_ramp").glob("*.wav"))
+    if not files:
+        pytest.skip("the real bulk materials are not beside this checkout (../shared/realdata/bulk_ramp)")
+    channels = [signal for file in files for signal in read_recording(file)]
+    counts = [len(detected(one.samples, sampling_rate=one.sampling_rate)) for one in channels]
+    assert sum(counts) == BULK_IMPACTS

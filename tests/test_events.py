@@ -90,6 +90,17 @@ def test_blow_under_the_noise_is_left_out():
     assert found_samples(placed(10_000, {2000: sharp(1000), 6000: sharp(60)}, noise=20.0)) == [2000]
 
 
+@pytest.mark.parametrize("neighbour", [0.01, 0.5, 30.0])
+def test_frame_of_a_blow_does_not_depend_on_its_neighbours(neighbour):
+    own, other = {9000: hertzian(1000, 60)}, hertzian(1000 * neighbour, 60)
+    alone, together = (
+        find_impacts(recording(placed(20_000, blows, noise=0.1))) for blows in (own, own | {5000: other, 13_000: other})
+    )
+    (event,), same = alone, together[1]
+    assert (event.onset, event.end) == (same.onset, same.end)
+    assert np.array_equal(event.samples, same.samples)
+
+
 # -- dead time ------------------------------------------------------------------------------------------------
 
 
