@@ -108,7 +108,7 @@ def test_wrong_quantity_is_said_before_anything_is_read(tmp_path: Path, default_
     np.save(tmp_path / "v.npy", np.zeros(100))
     recording = open_recording(tmp_path / "v.npy", sampling_rate=RATE, unit="V")
     with pytest.raises(BadData, match=r"v.npy: the quantity must be the model's, force \[N\], got voltage \[V\]"):
-        model_blocks(recording, default_model, [0])
+        model_blocks(recording, default_model, [0], Question())
 
 
 def test_silent_channels_are_named_and_do_not_hide_the_others(default_model: Model) -> None:

@@ -1,14 +1,6 @@
-"""Answers for a recording that comes in blocks: impacts or windows, many at once, in the order of time.
+"""Answers for a recording that comes in blocks: impacts or windows, many at once, in order of time.
 
 Memory holds what the detector holds and one batch of impacts, however long the recording is.
-
-What is asked of a recording, and the answers as they come.
-
-Answers for the impacts of a recording that comes in blocks.
-
-Answers for the windows of a recording that comes in blocks.
-
-How far the sensors of a session have drifted from their reference runs, while its samples pass by.
 """
 
 from __future__ import annotations
@@ -37,8 +29,30 @@ from cgid.signals import Signal
 if TYPE_CHECKING:
     from cgid.recordings import RecordingFile
 
-#: No recorder of impacts is slower: a rate below is one in another unit, or that of something else [Hz].
+#: No recorder of impacts is slower: a lower rate is in another unit, or is something else [Hz].
 SLOWEST = 10.0
+
+
+@dataclass(frozen=True)
+class Step:
+    """The next answers.
+
+    Attributes
+    ----------
+    answers : list of Answer
+        In order of time.
+    until : float
+        All answers for what happened before this have come [s].
+    silent : tuple of str
+        Why there is nothing to answer in a channel, one text each; at the end.
+    warnings : tuple of str
+        At the end.
+    """
+
+    answers: list[Answer]
+    until: float
+    silent: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = ()
 
 
 def identify_recording(
@@ -63,7 +77,7 @@ def identify_recording(
     BadData
         The recording is damaged, or of another quantity than the model.
     MissingOption
-        The unit of a channel or the drop height is needed and nobody said it.
+        The unit of a channel or the drop height is needed and not given.
     """
     question = replace(question or Question(), **fields)
     blocks = model_blocks(recording, model, range(len(recording.channels)), question)
@@ -76,35 +90,31 @@ def model_blocks(
     recording: RecordingFile,
     model: Model,
     rows: Sequence[int],
-    question: Question | None = None,
+    question: Question,
     *,
-    seen: Callable[[NDArray[Any]], object] | None = None,
+    seen: Callable[[NDArray[Any]], object] = lambda block: None,
 ) -> Iterator[NDArray[Any]]:
     """Return an iterator over the blocks of some channels, in the model's quantity and unit; as `identify_recording`.
 
-    What is wrong with quantity or unit is said at once, not when the first block is asked for. `seen` is called with
-    each block of these channels in their own units.
+    A wrong quantity or unit is an error at once, not when the first block is read. `seen` is called with each block of
+    these channels in their own units.
     """
-    question = question or Question()
     chosen, sign = list(rows), -1.0 if question.invert else 1.0
     channels = [recording.channels[row] for row in chosen]
     factors = [sign * factor_of(model, c.unit, recording.source, c.name, mass=question.mass) for c in channels]
-    return scaled(_chosen_blocks(recording, chosen, seen), factors)
+    every = chosen == list(range(len(recording.channels)))
 
+    def blocks() -> Iterator[NDArray[Any]]:
+        for block in recording.blocks():
+            own = block if every else block[chosen]
+            seen(own)
+            yield own
 
-def _chosen_blocks(
-    recording: RecordingFile, rows: list[int], seen: Callable[[NDArray[Any]], object] | None
-) -> Iterator[NDArray[Any]]:
-    all_of_them = rows == list(range(len(recording.channels)))
-    for block in recording.blocks():
-        chosen = block if all_of_them else block[rows]
-        if seen is not None:
-            seen(chosen)
-        yield chosen
+    return scaled(blocks(), factors)
 
 
 def factor_of(model: Model, unit: str | None, source: str, channel: str = "1", *, mass: float | None = None) -> float:
-    """Return what samples in a unit are multiplied by to be in the model's quantity and unit; raises as `suited`."""
+    """Return the factor from samples in a unit to the model's quantity and unit; raises as `suited`."""
     one = Signal(samples=np.ones(1), sampling_rate=1.0, unit=unit, source=source, channel=channel)
     return float(suited(one, model, mass).samples[0])
 
@@ -116,7 +126,7 @@ def scaled(blocks: Iterable[NDArray[Any]], factors: Sequence[float]) -> Iterator
         return
     column = np.array(factors)[:, np.newaxis]
     for block in blocks:
-        with np.errstate(over="ignore"):  # what is no number then is told where impacts are looked for
+        with np.errstate(over="ignore"):  # the detector refuses what is no number then
             scaled_block = block * column.astype(block.dtype)
         yield scaled_block
 
@@ -158,12 +168,12 @@ def identify_blocks(
             f"{sampling_rate:g} Hz; check it, record faster, or train a model on recordings like this one"
         )
     question.require_use(model)
-    how = windows_answered if model.kind == "window" else impacts_answered
+    how = _windows if model.kind == "window" else _impacts
     return _named(how(blocks, sampling_rate, model, channels, question, source), source)
 
 
 def _named(steps: Iterator[Step], source: str) -> Iterator[Step]:
-    """Yield steps; say which recording it is that cannot be answered for."""
+    """Yield steps; an error names the recording."""
     try:
         yield from steps
     except (BadData, InvalidValue) as error:
@@ -173,29 +183,7 @@ def _named(steps: Iterator[Step], source: str) -> Iterator[Step]:
         raise type(error)(f"{source}: {text}") from None
 
 
-@dataclass(frozen=True)
-class Step:
-    """Answers that have come.
-
-    Attributes
-    ----------
-    answers : list of Answer
-        In order of time.
-    until : float
-        No answer is still to come for what happened before this [s].
-    silent : tuple of str
-        Of which channels there was nothing to answer, and why; at the end.
-    warnings : tuple of str
-        What else is to be said; at the end.
-    """
-
-    answers: list[Answer]
-    until: float
-    silent: tuple[str, ...] = ()
-    warnings: tuple[str, ...] = ()
-
-
-def impacts_answered(
+def _impacts(
     blocks: Iterable[NDArray[Any]],
     sampling_rate: float,
     model: Model,
@@ -203,37 +191,29 @@ def impacts_answered(
     question: Question,
     source: str,
 ) -> Iterator[Step]:
-    """Yield the answers for impacts: of a short recording all at once, of a longer one as they come.
-
-    As `cgid.identification.stream.identify_blocks`.
-    """
-    names = [_name(source, channel, channels) for channel in channels]
-    detector = ImpactDetector(sampling_rate, len(channels), kind=kind_found(model), dead_time=question.dead_time)
+    """Yield the answers for impacts: as soon as there is a batch of them, or nothing else to do."""
+    kind: ImpactKind = "pulse" if model.kind == "pulse" else "vibration"
+    detector = ImpactDetector(sampling_rate, len(channels), kind=kind, dead_time=question.dead_time)
     waiting: list[Event] = []
-    heard: set[int] = set()
+    silent = set(range(len(channels)))
 
-    def step(silent: tuple[str, ...] = ()) -> Step:
-        heard.update(event.channel for event in waiting)
+    def answered(reasons: tuple[str, ...] = ()) -> Step:
         answers = identify_events(waiting, model, question, channels=channels)
         waiting.clear()
-        return Step(answers, detector.known_until / sampling_rate, silent)
+        return Step(answers, detector.known_until / sampling_rate, reasons)
 
     for block in blocks:
         waiting += detector.feed(block)
+        silent -= {event.channel for event in waiting}
         if not waiting or len(waiting) >= question.batch:
-            yield step()
+            yield answered()
     waiting += detector.finish()
-    quiet = set(range(len(channels))) - heard - {event.channel for event in waiting}
-    yield step(tuple(f"{names[row]}: {detector.why_silent(row, model.unit)}" for row in sorted(quiet)))
-
-
-def kind_found(model: Model) -> ImpactKind:
-    """Return what the impacts look like that a model answers for."""
-    return "pulse" if model.kind == "pulse" else "vibration"
-
-
-def _name(source: str, channel: str, channels: Sequence[str]) -> str:
-    return source if list(channels) == ["1"] else f"{source} channel {channel}"
+    silent -= {event.channel for event in waiting}
+    reasons = []
+    for row in sorted(silent):
+        name = source if list(channels) == ["1"] else f"{source} channel {channels[row]}"
+        reasons.append(f"{name}: {detector.why_silent(row, model.unit)}")
+    yield answered(tuple(reasons))
 
 
 def answering_channels(model: Model, channels: Sequence[str]) -> tuple[str, ...]:
@@ -255,11 +235,11 @@ def answering_channels(model: Model, channels: Sequence[str]) -> tuple[str, ...]
 
 
 def independence(model: Model, question: Question) -> float:
-    """Return what one answer counts beside others, in (0, 1]: windows that overlap, and votes, repeat what was said."""
+    """Return the weight of one answer, in (0, 1]: windows that overlap and votes repeat each other."""
     return min(model.hop_time / question.vote_over(model), 1.0) if model.kind == "window" else 1.0
 
 
-def windows_answered(
+def _windows(
     blocks: Iterable[NDArray[Any]],
     sampling_rate: float,
     model: Model,
@@ -267,15 +247,15 @@ def windows_answered(
     question: Question,
     source: str,
 ) -> Iterator[Step]:
-    """Yield the answers for windows as they are complete; as `cgid.identification.stream.identify_blocks`."""
+    """Yield the answers for windows as they are complete."""
     names = answering_channels(model, channels)
     votes = [RunningVote.over(question.vote_over(model), model.window_time, model.hop_time) for _ in names]
     sensors = question.heard_by(model, names)
     equalisations = [None if sensor is None else model.equalisation(sensor) for sensor in sensors]
-    drifts, seen = Drifts(model, sensors, sampling_rate), False
+    drifts, seen = _Drifts(model, sensors, sampling_rate), False
     for first, windows in windows_of(blocks, sampling_rate, model.window_time, model.hop_time):
         parts = [windows] if model.n_channels > 1 else [windows[:, [row]] for row in range(len(names))]
-        told = [
+        judged = [
             _judged(part, sampling_rate, model, question, vote, equalisation)
             for part, vote, equalisation in zip(parts, votes, equalisations, strict=True)
         ]
@@ -285,7 +265,7 @@ def windows_answered(
         answers = [
             replace(answered[row], time=start / sampling_rate, end=(start + length) / sampling_rate, channel=name)
             for row, start in enumerate(first.tolist())
-            for name, answered in zip(names, told, strict=True)
+            for name, answered in zip(names, judged, strict=True)
         ]
         yield Step(answers, answers[-1].time)
     if not seen:
@@ -316,8 +296,8 @@ def _judged(
     return [next(answers) if known else silent for known in sound.tolist()]
 
 
-class Drifts:
-    """The mean spectra of channels whose sensors are known.
+class _Drifts:
+    """How far known sensors have drifted from their reference runs: the mean spectra of their channels.
 
     Parameters
     ----------
@@ -330,7 +310,7 @@ class Drifts:
 
     def __init__(self, model: Model, sensors: Sequence[str | None], sampling_rate: float) -> None:
         self._model, self._sensors = model, sensors
-        # Windows that overlap tell the same again, and a spectrum would seem surer than it is.
+        # Windows that overlap repeat each other; the spectrum would seem more certain than it is.
         self._every = max(math.ceil(model.window_time / model.hop_time - 1e-9), 1) if model.hop_time else 1
         self._seen = [0] * len(sensors)
         self._spectra = [[MeanSpectrum(sampling_rate) for _ in range(model.n_channels)] if s else [] for s in sensors]
@@ -343,13 +323,13 @@ class Drifts:
             spectrum.feed(apart[:, channel])
 
     def warnings(self) -> tuple[str, ...]:
-        """Return what is to be said of those that have drifted too far, one line each."""
-        said: list[str] = []
+        """Return a line for each sensor that has drifted too far."""
+        lines: list[str] = []
         for sensor, spectra in zip(self._sensors, self._spectra, strict=True):
             if sensor is None:
                 continue
             own = self._model.arrays["reference.spectra"][self._model.sensors.index(sensor)]
             for spectrum, reference in zip(spectra, own, strict=True):
                 if spectrum.n_windows and (warning := drift(spectrum, reference).warning(sensor)):
-                    said.append(warning)
-        return tuple(dict.fromkeys(said))
+                    lines.append(warning)
+        return tuple(dict.fromkeys(lines))
