@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from cgid.identification.question import Question
     from cgid.identification.share import Share, Turn
 
-#: Version of the lines that --json prints of answers: since 2 each says its kind, and there are others than impacts.
+#: Version of the lines that --json prints: since 2 each has its kind, and there are others than impacts.
 ANSWERS_VERSION = 2
 _ROW = "{:>12}  {:<12} {:>11}  {:>8}  {}"
 _TITLES = _ROW.format("time [s]", "label", "probability", "novelty", "source")
@@ -34,7 +34,7 @@ class AnswerLines:
         self._titled = False
 
     def answer(self, source: str, number: int, answer: Answer, kind: str = "impact", truth: str | None = None) -> None:
-        """Print the answer for an impact or a window, the how many-th of its channel."""
+        """Print the answer for an impact or a window, with its number in its channel."""
         if self.as_json:
             content = {
                 "kind": kind,
@@ -116,13 +116,13 @@ class AnswerLines:
         say(f"# {source}: {tally.text()} in {duration:.6g} s")
 
     def warning(self, source: str, message: str) -> None:
-        """Say on stderr what is wrong with a recording that is read all the same, and in JSON as well."""
+        """Print on stderr, and in JSON, what is wrong with a recording that can be read nevertheless."""
         say(f"cgid: warning: {message}", err=True)
         if self.as_json:
             self._json({"kind": "warning", "source": source, "message": message})
 
     def delay(self, source: str, behind: float, message: str) -> None:
-        """Say on stderr how far the answers are behind a live stream [s], and in JSON as well."""
+        """Print on stderr, and in JSON, how far the answers are behind a live stream [s]."""
         say(f"cgid: warning: {source}: {behind:.1f} s behind: {message}", err=True)
         if self.as_json:
             self._json({"kind": "delay", "source": source, "behind_s": behind, "message": message})
@@ -132,7 +132,7 @@ class AnswerLines:
 
 
 class RecordingTally:
-    """How many answers of a recording were what."""
+    """Counts of the answers of a recording, by label and by mark."""
 
     def __init__(self, kind: str) -> None:
         self.kind = kind
@@ -201,7 +201,7 @@ class RecordingRows:
     keep : bool
         Whether answers, shares and turns are kept.
     always : bool
-        Whether all leaves at once: else rows wait for one that can be measured, and shares for a second row.
+        Whether everything is printed at once; else rows wait for one that can be measured, and shares for a second row.
     """
 
     def __init__(
@@ -277,7 +277,7 @@ class RecordingRows:
             self.lines.summary(self.source, self.tally, duration, start_time)
 
     def name(self, channel: str) -> str:
-        """Return source and channel in one word; the first channel has no name in JSON, as ever."""
+        """Return source and channel in one word; the first channel has no name in JSON."""
         plain = channel == "1" and (self.lines.as_json or len(self.channels) == 1)
         return self.source if plain else f"{self.source} channel {channel}"
 

@@ -1,4 +1,4 @@
-"""The answer to "what was that?": label, probability, and whether the model may speak of it at all."""
+"""The answer for an impact: its label, the probabilities, and whether it lies within the training of the model."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class Answer:
     Attributes
     ----------
     time : float
-        Of the impact in its recording, or of the begin of the window [s].
+        Of the impact in its recording, or of the start of the window [s].
     label : str
         The decision; "unknown" when the impact is outside of what was trained, could not be measured, or is rejected
         because its prediction set is not a single label.
@@ -42,11 +42,11 @@ class Answer:
     problem : str
         Why there is no known label, or why to doubt it; else empty.
     prediction_set : tuple of str or None
-        The labels that cannot be ruled out at the coverage asked for; None when none was, or nothing was measured.
+        The labels that cannot be ruled out at the coverage asked for; None without a coverage or a measurement.
     channel : str
         Name of the channel; those of a window of several are joined by "+".
     end : float
-        When the impact has died away, or the window ends [s]; nan where nobody looked.
+        When the impact has died away, or the window ends [s]; nan where it is not known.
     overlapping, clipped, cut : bool
         Whether another impact began before this one had died away, samples stand at the limit of the recorder, and
         the recording begins or ends within it.
@@ -86,7 +86,7 @@ def suited(signal: Signal, model: Model, mass: float | None = None) -> Signal:
     Raises
     ------
     MissingOption
-        Nobody said what unit the signal is in.
+        The unit of the signal is not known.
     BadData
         It is another quantity than the model's.
     """
@@ -114,7 +114,7 @@ def suited(signal: Signal, model: Model, mass: float | None = None) -> Signal:
 
 
 def _unit_options(model: Model) -> str:
-    """Return what to give where nobody said the unit: a force is what is believed where nothing is known."""
+    """Return the options that state the unit; a signal of unknown quantity counts as a force."""
     own = f"--unit {model.unit}"
     return own if model.quantity != "force" else f"{own}, or --unit m/s^2 of an accelerometer"
 

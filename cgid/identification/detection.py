@@ -167,7 +167,6 @@ class ImpactDetector:
         self._join()
         self._ended = True
         rest = self._read(self._taken, self._fed)
-        self._limits.see(rest)
         missing = -rest.shape[1] % self._onsets.chunk
         padded = np.pad(rest, ((0, 0), (0, missing)), mode="edge") if rest.shape[1] else rest
         found = self._onsets.take(padded, self._read, rest.shape[1])
@@ -198,9 +197,7 @@ class ImpactDetector:
                 f"no impact: the energy must rise at once to {RISE_OVER_NOISE:g} times that of the noise, it rises to "
                 f"{RISE_OVER_NOISE * steepest:.2g} times at most; {cure}"
             )
-        rise, fall, noise = (
-            float(each[channel]) for each in (self._onsets.rise, self._onsets.fall, self._onsets.noise)
-        )
+        rise, fall, noise = onsets.rise[channel], onsets.fall[channel], onsets.noise[channel]
         if self.is_upside_down(channel):
             cure = TURN_OVER
         return (
@@ -237,7 +234,9 @@ class ImpactDetector:
         """Append the blocks that have come to the samples."""
         if self._blocks:
             kept = [self._samples] if self._samples.shape[1] else []
+            n_kept = self._samples.shape[1]
             self._samples = np.concatenate([*kept, *self._blocks], axis=1)
+            self._limits.see(self._samples[:, n_kept:])
             self._blocks = []
 
     def _read(self, start: int, stop: int) -> Floats:
@@ -245,9 +244,7 @@ class ImpactDetector:
         return part.astype(np.float64, copy=False)
 
     def _take(self, count: int) -> list[Event]:
-        samples = self._read(self._taken, self._taken + count)
-        self._limits.see(samples)
-        found = self._onsets.take(samples, self._read)
+        found = self._onsets.take(self._read(self._taken, self._taken + count), self._read)
         self._taken += count
         events = self._complete(found)
         oldest = min([self._taken - self._onsets.lag, *(onset.sample for onset in self._pending)])
@@ -285,7 +282,7 @@ class _Limits:
         """Take the limits of some more samples."""
         self.lowest, self.highest = np.minimum(self.lowest, lowest), np.maximum(self.highest, highest)
 
-    def see(self, samples: Floats) -> None:
+    def see(self, samples: NDArray[Any]) -> None:
         """Count which of some samples (n_channels, n) lie at the limits."""
         limits = np.stack([self.lowest, self.highest])
         self._counts[limits != self._counted] = 0
