@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from cgid.errors import BadData, CgidError, InvalidValue, MissingOption, NoInput
 from cgid.files import require_regular
 from cgid.identification.detection import ImpactDetector
-from cgid.identification.events import Event
+from cgid.identification.events import Event, frames_alike
 from cgid.identification.manifest import Annotation, Manifest
 from cgid.identification.reference import Equalisations, MeanSpectrum, equalisations_of
 from cgid.identification.rows import Rows, Slicing, sets_for, union_of
@@ -437,17 +437,15 @@ def _impacts(file: AnnotatedFile, cutting: _Cutting) -> Measured:
 def _measured_events(events: list[Event], file: AnnotatedFile, cutting: _Cutting) -> Measured:
     for annotation in file.annotations:
         own = [event for event in events if annotation.start <= event.time < annotation.end]
-        alike: dict[tuple[int | None, float], list[Event]] = {}
-        for event in own:
-            alike.setdefault((event.pre_trigger, event.detection_limit), []).append(event)
-        for (pre_trigger, detection_limit), some in alike.items():
+        for numbers, frames in frames_alike(own):
+            some = [own[number] for number in numbers]
             features = extract_array(
-                np.stack([event.samples for event in some]) * file.scale(annotation, cutting.unit),
+                frames * file.scale(annotation, cutting.unit),
                 file.recording.sampling_rate,
                 cutting.names,
-                pre_trigger=pre_trigger,
+                pre_trigger=some[0].pre_trigger,
                 invalid="nan",
-                detection_limit=detection_limit,
+                detection_limit=some[0].detection_limit,
                 equalisation=cutting.equalisations[annotation.sensor][0] if annotation.sensor else None,
             )
             features[[bool(event.problem) for event in some]] = np.nan
