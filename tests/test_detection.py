@@ -17,7 +17,7 @@ from cgid.identification.detection import ImpactDetector, find_impacts
 from cgid.identification.vibration_onsets import onset_in
 from cgid.measure.features import extract_array
 from cgid.recordings import read_recording
-from cgid.recordings.sound.live import live_stream
+from cgid.recordings.live import live_stream
 from cgid.scene import parse_scene, synthesise
 from cgid.shipped import scene_path
 from cgid.signals import Signal

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from cgid.identification.question import Question
     from cgid.measure.overview import OverviewStream
     from cgid.recordings import RecordingFile
-    from cgid.recordings.recording_file import Channel
+    from cgid.recordings.recording import Channel
     from cgid.signals import Batch, Signal
     from cgid.validation import Floats
 
@@ -177,8 +177,8 @@ class _Prediction:
         """Print the answer for every signal of a dataset, and say how many are right."""
         from cgid.errors import BadData
         from cgid.identification.answers import identify_frames
-        from cgid.signals import UNITS
         from cgid.store import Dataset
+        from cgid.units import UNITS
 
         dataset = Dataset(path)
         model = self.models.of(dataset.quantity)

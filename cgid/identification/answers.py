@@ -1,7 +1,6 @@
 """The answer for an impact: its label, the probabilities, and whether it lies within the training of the model."""
 
 from __future__ import annotations
-from cgid.identification.question import Question
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -15,6 +14,7 @@ from cgid.identification.detection import find_impacts
 from cgid.identification.drop_height import known_columns
 from cgid.identification.events import Event, frames_alike
 from cgid.identification.model import Model
+from cgid.identification.question import Question
 from cgid.measure.features import extract_array, problems_of
 from cgid.measure.filters import Equalisation
 from cgid.measure.frames import DETECTION_LIMIT, MINIMUM_FRAME

@@ -6,8 +6,6 @@ noise (`vibration_onsets`).
 """
 
 from __future__ import annotations
-from cgid.identification.vibration_onsets import RISE
-from cgid.identification.vibration_onsets import VibrationOnsets
 
 from dataclasses import replace
 from typing import Any, get_args
@@ -19,9 +17,8 @@ from cgid import validation
 from cgid.errors import BadData, InvalidValue
 from cgid.identification.events import Event, FrameCutter, Framing, Onset
 from cgid.identification.pulse_onsets import START_CHUNKS as PULSE_START
-from cgid.identification.pulse_onsets import THRESHOLD_OVER_NOISE, THRESHOLD_OVER_PEAK, PulseOnsets
-from cgid.identification.vibration_onsets import RISE_OVER_NOISE, RingingOnsets
-from cgid.identification.vibration_onsets import START_CHUNKS as RINGING_START
+from cgid.identification.pulse_onsets import THRESHOLD_OVER_NOISE, PulseOnsets
+from cgid.identification.vibration_onsets import RISE, RISE_OVER_NOISE, VibrationOnsets
 from cgid.measure.frames import DETECTION_LIMIT, LARGEST
 from cgid.measure.table import ImpactKind
 from cgid.measure.vibration import SHORTEST_EVENT

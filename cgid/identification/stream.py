@@ -20,7 +20,7 @@ from cgid.identification.events import Event
 from cgid.identification.model import Model
 from cgid.identification.question import Question
 from cgid.identification.reference import MeanSpectrum, drift
-from cgid.identification.windows import VOTE_TIME, RunningVote, measure_windows, windows_of
+from cgid.identification.windows import RunningVote, measure_windows, windows_of
 from cgid.measure.features import FEATURES
 from cgid.measure.filters import Equalisation
 from cgid.measure.table import ImpactKind
