@@ -1,4 +1,4 @@
-"""From drawn numbers to pulses: impacts on a target or a beam that swings back, taps, and what a recorder hears."""
+"""From drawn numbers to pulses, impacts on a target or a vibrating beam and taps, and what a recorder shows of them."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ class BeamModes:
 
 
 def beam_modes(scene: Scene) -> BeamModes:
-    """Return the modes of a scene's tail beam as far as its recorder can hear them; they are found only once.
+    """Return the modes of a scene's tail beam as far as its recorder passes them; they are found only once.
 
     Raises
     ------
@@ -103,7 +103,7 @@ def _beam_modes(section: TailBeamSection, panel: TailBeam | None, highest: float
 
 
 @dataclass(frozen=True)
-class Hearing:
+class Recorder:
     """The response of a scene's recorder; `modes` is None for a force, which has no gain either."""
 
     response: Response
@@ -118,17 +118,17 @@ class Hearing:
         return participation if self.gain is None else self.gain * participation
 
 
-def hearing(asked: Plan) -> Hearing | None:
+def recorder_of(asked: Plan) -> Recorder | None:
     """Return what responds to the forces: beam and sensor; None where the forces themselves are recorded."""
     if not asked.responds:
         return None
     chain = asked.runs("sensor chain")
     count("sensor_filters", len(asked.scene.sensor.filters) * chain)
-    return _hearing(asked.scene, asked.runs("tail beam"), chain)
+    return _recorder(asked.scene, asked.runs("tail beam"), chain)
 
 
 @lru_cache(maxsize=16)
-def _hearing(scene: Scene, beam: bool, chain: bool) -> Hearing:
+def _recorder(scene: Scene, beam: bool, chain: bool) -> Recorder:
     sensor = scene.sensor
     modes = beam_modes(scene) if beam else None
     response = Response(
@@ -138,7 +138,7 @@ def _hearing(scene: Scene, beam: bool, chain: bool) -> Hearing:
         filters=sensor.filters if chain else (),
         tolerance=RESPONSE_TOLERANCE,
     )
-    return Hearing(response, modes, sensor.gain)
+    return Recorder(response, modes, sensor.gain)
 
 
 # -- impacts ----------------------------------------------------------------------------------------------
@@ -263,7 +263,7 @@ class TapPulses:
         for row, frame in enumerate(frames):
             samples = np.arange(first[row], behind[row])
             share = (samples - place[row]) / length[row]
-            # Where a sample falls on the end, rounding may put it a hair behind.
+            # Where a sample falls on the end, rounding may put it just behind.
             force = np.where(share < 1, shapes[self.shape[row]](share), 0.0)
             frame[first[row] : behind[row]] += self.peak_force[row] * force
 
@@ -303,17 +303,17 @@ class Strike:
             own *= self.ratio.astype(frames.dtype)[:, None]
         frames[self.rows] += own
 
-    def add_response(self, frames: NDArray[Any], heard: Hearing, parameters: Mapping[str, Floats]) -> None:
-        """Add what a recorder hears of the pulses to the frames of the block, in place."""
+    def add_response(self, frames: NDArray[Any], recorder: Recorder, parameters: Mapping[str, Floats]) -> None:
+        """Add what a recorder shows of the pulses to the frames of the block, in place."""
         own = {name: values[self.rows] for name, values in parameters.items()}
-        heard.response.add_to_frames(
-            frames, self.pulses, self.onset, heard.participation(own), rows=self.rows, ratio=self.ratio
+        recorder.response.add_to_frames(
+            frames, self.pulses, self.onset, recorder.participation(own), rows=self.rows, ratio=self.ratio
         )
 
 
 @dataclass(frozen=True)
 class Blows:
-    """All that is heard in one block of signals.
+    """All pulses of one block of signals.
 
     Attributes
     ----------
@@ -342,12 +342,12 @@ class Blows:
 
     def add_to_frames(self, frames: NDArray[Any]) -> None:
         """Add to each frame what the plan asks for, in place: the forces, or what beam and sensor make of them."""
-        heard = hearing(self.plan)
+        recorder = recorder_of(self.plan)
         for strike in self.strikes:
-            if heard is None:
+            if recorder is None:
                 strike.add_to_frames(frames, self.scene.sampling.sampling_rate)
             else:
-                strike.add_response(frames, heard, self.parameters)
+                strike.add_response(frames, recorder, self.parameters)
 
 
 @dataclass(frozen=True)
@@ -375,15 +375,15 @@ def draw(scene: Scene, seed: int, block: int) -> DrawnBlows:
 
 
 def blows_of(asked: Plan, seed: int, block: int) -> DrawnBlows:
-    """Return the pulses of one block of 256; no range of a theory is warned of, `cgid check` says how often it ends."""
+    """Return the pulses of one block of 256, silently where they pass the range of a theory (see `cgid check`)."""
     drawn = drawn_block(asked.scene, seed, block)
     here, values = asked.for_block(drawn.scene), drawn.values
     strikes: list[Strike] = []
     with unwarned():
         impact = impact_of(here, values, drawn.fallen)
         impacts = impacts_by_coupling(here, impact, values, drawn.fallen) if here.runs("pulses") else ()
-        for rows, pulses, alike in impacts:
-            strikes += _strikes(here, pulses, alike, rows, values)
+        for rows, pulses, pulses_of in impacts:
+            strikes += _strikes(here, pulses, pulses_of, rows, values)
             # What a law delivers is what the pulse shows, and what was asked may differ from it.
             for name in STORED:
                 values[name][rows] = getattr(pulses, name)

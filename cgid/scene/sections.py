@@ -90,19 +90,19 @@ class SecondHit(Section):
 
 
 class _Source(Section):
-    """What pulses of one label have in common, wherever they come from."""
+    """What populations and taps have in common."""
 
     _DRAWN: ClassVar[tuple[str, ...]] = ()
 
     label: Annotated[str, AfterValidator(partial(validation.label, "label"))]
     weight: Number = Field(default=1.0, gt=0, le=1e9)
     second_hit: SecondHit | None = None
-    # The share of a pulse's peak at which the sensor's range ends, as if it were too small for this impact.
+    # Share of the peak at which the pulse is clipped, as if the sensor's range were too small for this impact.
     clipped_at: Annotated[Distribution, measured("ratio"), _between(1e-3, 1.0)] | None = None
 
     @property
     def laws(self) -> dict[str, Distribution]:
-        """The distributions that are there, by the name of what is drawn."""
+        """The distributions of this section, by the name of what is drawn."""
         found = {name: getattr(self, name) for name in (*self._DRAWN, "clipped_at")}
         if self.second_hit is not None:
             found |= {"second_hit_delay": self.second_hit.delay, "second_hit_ratio": self.second_hit.ratio}
@@ -134,7 +134,7 @@ class Population(_Source):
 
 
 class Tap(_Source):
-    """Pulses of a prescribed shape, which no fall of a sphere has made."""
+    """Pulses of a prescribed shape, such as those of a hammer."""
 
     _DRAWN = ("peak_force", "contact_duration")
 
@@ -153,7 +153,7 @@ class TargetSection(Section):
 
     @property
     def material(self) -> Material:
-        """What the target is of."""
+        """The material of the target."""
         return Material(**self.model_dump(exclude={"thickness"}))
 
     @property
@@ -173,7 +173,7 @@ class ImpactSection(Section):
     dissipation: Literal["elastic", "hunt-crossley"]
     law: Law = "exact"
     target: TargetSection | Literal["rigid"]
-    # The pull during contact; left out for every impact that it changes by less than the tolerance (`weight`).
+    # The pull during contact; left out of every impact that it changes by less than the tolerance.
     gravity: Acceleration | None = None
     gravity_tolerance: Ratio | None = Field(default=None, ge=0, le=0.1)
 
@@ -187,7 +187,7 @@ class SamplingSection(Section):
     """How the frame of an impact is cut; of a stream, which has no frames, the sampling rate alone."""
 
     sampling_rate: Frequency
-    # 0 where they are not given, as in a stream: the scene asks for them where there are frames.
+    # 0 if not given, as in a stream; the scene requires them where there are frames.
     samples: Whole = Field(default=0, ge=16, le=2**20)
     pre_trigger: Whole = Field(default=0, ge=2)
     jitter: Number = Field(default=1.0, ge=0, le=1)
@@ -199,7 +199,7 @@ class SamplingSection(Section):
         return {key: value for key, value in content.items() if self.samples or key not in frame}
 
     def frame_problems(self, is_stream: bool) -> list[str]:
-        """Return what of a frame is missing, or given although there is none."""
+        """Return the settings of a frame that are missing, or given although there is no frame."""
         if is_stream:
             return [
                 f"sampling.{name}: must be left out of a stream, whose length is stream.duration"
@@ -232,7 +232,7 @@ class RandomiseSection(Section):
 
     @property
     def laws(self) -> dict[str, Distribution]:
-        """The distributions that are there, by the name of what is drawn."""
+        """The distributions of this section, by the name of what is drawn."""
         found = {name: getattr(self, name) for name in type(self).model_fields}
         return {name: law for name, law in found.items() if law is not None}
 
@@ -240,7 +240,7 @@ class RandomiseSection(Section):
 _PLACE = within(0.0, LIMITS["length"][1], f"must lie between 0 and {LIMITS['length'][1]:g} m", "m")
 _Place = Annotated[Distribution, measured("length"), _PLACE]
 
-# Shapes come in any scale, of which the modal mass is part.
+# Shapes may have any scale, which the modal mass then includes.
 _SHAPE = Field(ge=-1e6, le=1e6)
 
 
@@ -277,7 +277,7 @@ class ModeRow(Section):
 
 
 class TailBeamSection(Section):
-    """A rectangular panel, stiffened or not, or what a tap test has measured of one.
+    """A rectangular panel, stiffened or not, or the modes that a tap test has measured.
 
     Parameters
     ----------
@@ -290,9 +290,9 @@ class TailBeamSection(Section):
     impact_point, sensor_point : optional
         Of the panel.
     modes : tuple of ModeRow, optional
-        In place of the panel: frequencies ascending. In a file `modes = "modes.csv"` reads them from a table.
+        Instead of a panel, frequencies ascending. In a file `modes = "modes.csv"` reads them from a table.
     coupling : {"auto", "impedance", "modes"}
-        How the beam gives way under a rock: as an endless thin plate, through its modes, or by what holds.
+        How the beam gives way under a rock: as an endless thin plate, through its modes, or whichever holds.
     """
 
     length: Length | None = None
@@ -376,7 +376,7 @@ class TailBeamSection(Section):
 
 
 def with_table(content: dict[str, Any], folder: Path) -> dict[str, Any]:
-    """Return the content of a scene file with the rows of the table that `tail_beam.modes` names, if it names one."""
+    """Return the content of a scene file, with the rows of the table in place of its name in `tail_beam.modes`."""
     beam = content.get("tail_beam")
     if not isinstance(beam, dict) or not isinstance(beam.get("modes"), str):
         return content
@@ -386,11 +386,11 @@ def with_table(content: dict[str, Any], folder: Path) -> dict[str, Any]:
     return content | {"tail_beam": beam | {"modes": rows}}
 
 
-#: No table in a scene file has more rows.
+#: Most rows of a table in a scene file.
 _MOST_ROWS = 100_000
 #: The lowest bandwidth over the sampling rate: every impact is then smeared over some 65,000 samples.
 _LEAST_BAND = 1 / 512
-#: Shares that add up to one within this do.
+#: Shares add up to one within this tolerance.
 _SHARE_TOLERANCE = 1e-9
 
 
@@ -410,7 +410,7 @@ def _require_ascending(times: tuple[float, ...]) -> None:
 
 
 class RateTable(Section):
-    """How many rocks come in a second: linear between the times, constant before the first and after the last."""
+    """Rocks per second: linear between the times, constant before the first and after the last."""
 
     times: _Times
     values: tuple[Rate, ...]
@@ -426,7 +426,7 @@ class RateTable(Section):
 
 
 def _read_rate(content: Any) -> Any:
-    """Take a bare rate for one that never changes."""
+    """Read a bare rate as a constant one."""
     if isinstance(content, dict | BaseModel):
         return content
     return {"times": [0.0], "values": [parse(content, "frequency")]}
@@ -450,8 +450,8 @@ class ArrivalsSection(Section):
 class MixtureSection(Section):
     """The share of labels among the arriving rocks against time; every key but `times` is a label.
 
-    Shares are linear between the times, constant before the first and after the last. Labels without a row share
-    what is left by the weights of their populations.
+    Shares are linear between the times, constant before the first and after the last. Labels without a row share the
+    rest by the weights of their populations.
     """
 
     model_config = ConfigDict(extra="allow", frozen=True, allow_inf_nan=False)
@@ -461,7 +461,7 @@ class MixtureSection(Section):
 
     @property
     def shares(self) -> dict[str, tuple[float, ...]]:
-        """The shares of the labels that have some."""
+        """The given shares by label."""
         return dict(self.__pydantic_extra__)
 
     @model_validator(mode="after")
@@ -501,7 +501,7 @@ class MixtureSection(Section):
 
 
 class ReboundsSection(Section):
-    """How long a rock is followed: so many rebounds, and while it comes back at this normal speed or more."""
+    """How long a rock is followed: for this many rebounds, and while its normal speed is at least this."""
 
     most: Whole = Field(default=5, ge=1, le=1000)
     least_speed: Speed = 0.1
@@ -526,7 +526,7 @@ class StreamSection(Section):
         return self
 
     def problems(self, populations: tuple[Population, ...], sensor: Sensor, sampling_rate: float) -> list[str]:
-        """Return what does not go with this stream, whose rocks share one time axis and one sensor."""
+        """Return what cannot be combined with a stream, whose rocks share one time axis and one sensor."""
         labels = tuple(sorted({population.label for population in populations}))
         found = [] if self.mixture is None or not labels else self.mixture.problems(labels)
         if sensor.relative_noise > 0:

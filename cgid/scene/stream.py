@@ -17,7 +17,7 @@ from cgid.physics.coupled import ModalImpact
 from cgid.scene._fourier import transformable
 from cgid.scene.draws import PARAMETER_UNITS, POINT_UNITS
 from cgid.scene.extremes import unwarned
-from cgid.scene.impacts import Hearing, hearing, impact_of, impacts_by_coupling
+from cgid.scene.impacts import Recorder, impact_of, impacts_by_coupling, recorder_of
 from cgid.scene.noise import CHUNK, Background, add_noise, background_of
 from cgid.scene.plan import RESPONSE_TOLERANCE, STORED, Plan, plan
 from cgid.scene.rocks import Rocks, arrivals_of, arriving, thrown_back
@@ -27,14 +27,14 @@ from cgid.validation import Floats
 
 
 class TimeAxis:
-    """Samples from one on, as far as anything was added to them.
+    """The part of the time axis that is still being added to.
 
     Attributes
     ----------
     first : int
         Number of the first sample that has not been taken.
     samples : ndarray, (n,)
-        That one and those behind it; behind the last all are 0.
+        From that one on; all later ones are 0.
     """
 
     def __init__(self) -> None:
@@ -71,19 +71,19 @@ _NEIGHBOUR_UNITS = {"next_impact": "s", "overlapping": "1"}
 
 
 def impact_units(scene: Scene) -> dict[str, str]:
-    """Return the numbers that are known of each impact, and their units.
+    """Return the columns of the truth of each impact, and their units.
 
-    time: of touch, from the first sample. rock: its number in the recording, by arrival. bounce: how many impacts it
-    has behind it. restitution: as delivered, target and all. drop_height: nan but for a first fall from a height.
-    velocity: the normal one. next_impact: time to the next touch of any rock, nan for the last. overlapping: 1 where
-    the contact has a part in common with another. impact_x, impact_y: on a beam of known size.
+    time: of touch, from the first sample. rock: its number in the recording, by arrival. bounce: the number of its
+    earlier impacts. restitution: as delivered, including what the target takes. drop_height: nan except for a first
+    fall from a height. velocity: the normal one. next_impact: time to the next touch of any rock, nan for the last.
+    overlapping: 1 where the contact overlaps another. impact_x, impact_y: on a beam of known size.
     """
     place = {} if scene.panel is None else POINT_UNITS
     return {**_UNITS, **place, **_NEIGHBOUR_UNITS}
 
 
 def truth_of(scene: Scene, rocks: Rocks, delivered: Mapping[str, Floats]) -> dict[str, NDArray[Any]]:
-    """Return what is known of some impacts, except their neighbours; delivered is that of `strike`."""
+    """Return what is known of some impacts, except their neighbours; delivered is that of `add_impacts`."""
     labels = np.array([population.label for population in scene.populations])
     truth = {
         **{name: rocks[name] for name in _UNITS.keys() & rocks.columns.keys()},
@@ -108,7 +108,7 @@ def empty_truth(scene: Scene) -> dict[str, NDArray[Any]]:
 
 
 def joined(scene: Scene, parts: list[dict[str, NDArray[Any]]]) -> dict[str, NDArray[Any]]:
-    """Return the truth of a whole recording from that of its parts in order, neighbours and all."""
+    """Return the truth of a whole recording, with neighbours, from that of its parts in order."""
     truth = {name: np.concatenate([part[name] for part in parts]) for name in empty_truth(scene)}
     touch = truth["time"]
     separation = touch + truth["contact_duration"]
@@ -125,10 +125,10 @@ def joined(scene: Scene, parts: list[dict[str, NDArray[Any]]]) -> dict[str, NDAr
 _FILTER_PERIODS = 64
 
 
-def strike(asked: Plan, axis: TimeAxis, rocks: Rocks, heard: Hearing | None) -> dict[str, Floats]:
+def add_impacts(asked: Plan, axis: TimeAxis, rocks: Rocks, recorder: Recorder | None) -> dict[str, Floats]:
     """Add what the sensor gives of the impacts of some rocks to the time axis, and return what they deliver.
 
-    Overlapping impacts add up. heard is what responds to the forces, None where the sensor records the forces.
+    Overlapping impacts add up. recorder is what responds to the forces, None where the sensor records the forces.
 
     Returns
     -------
@@ -144,10 +144,10 @@ def strike(asked: Plan, axis: TimeAxis, rocks: Rocks, heard: Hearing | None) -> 
         parts = list(impacts_by_coupling(asked, impact, rocks.columns, everyone))
     for rows, pulses, _ in parts:
         own = rocks.taken(rows)
-        if heard is None:
+        if recorder is None:
             _add_forces(asked, axis, pulses, own["time"])
         else:
-            _add_response(asked.scene, axis, heard, pulses, own.columns)
+            _add_response(asked.scene, axis, recorder, pulses, own.columns)
         for name in STORED:
             delivered[name][rows] = getattr(pulses, name)
     return delivered
@@ -172,7 +172,7 @@ def _add_forces(asked: Plan, axis: TimeAxis, pulses: Impact | ModalImpact, times
 def _add_response(
     scene: Scene,
     axis: TimeAxis,
-    heard: Hearing,
+    recorder: Recorder,
     pulses: Impact | ModalImpact,
     columns: Mapping[str, Floats],
 ) -> None:
@@ -182,14 +182,14 @@ def _add_response(
     if first >= last:
         return
     # The slowest of the poles falls to its share of the response's tolerance in this time.
-    poles = heard.response.poles
+    poles = recorder.response.poles
     ringing = float(log(poles.size / RESPONSE_TOLERANCE) / -poles.real.max())
     end = columns["time"].max() + pulses.end_of_contact.max() + ringing
     stop = int(min(np.ceil(end * rate), last))
     frames = axis.until(stop)[None, first - axis.first :]
     onset = (columns["time"] * rate - first) / rate
     rows = np.zeros(onset.size, np.intp)
-    heard.response.add_to_frames(frames, pulses, onset, heard.participation(columns), rows=rows)
+    recorder.response.add_to_frames(frames, pulses, onset, recorder.participation(columns), rows=rows)
 
 
 def lead(asked: Plan) -> int:
@@ -202,9 +202,9 @@ def lead(asked: Plan) -> int:
 
 
 def hearing_limit(scene: Scene, background: Background | None) -> float:
-    """Return the peak force below which an impact drowns in noise and background [N], and its rock is let go.
+    """Return the peak force below which an impact drowns in noise and background and its rock is dropped [N].
 
-    0 where the sensor feels a motion, of which no force alone says how large it is.
+    0 where the sensor feels a motion, whose size does not follow from the force alone.
     """
     if scene.sensor.quantity != "force":
         return 0.0
@@ -221,7 +221,7 @@ class Part:
     samples : ndarray, (n,)
         The next ones.
     truth : dict of ndarray, each (n_impacts,)
-        Of the impacts of a stretch; they may come somewhat before or behind their samples.
+        Of the impacts of a stretch; they may come somewhat before or after their samples.
     """
 
     samples: NDArray[Any]
@@ -238,7 +238,7 @@ def record(
     scene : Scene
         With a `stream`.
     seed, number : int
-        The same seed gives the same recordings; the number tells them apart.
+        The same seed and number give the same recording.
     dtype : {"float32", "float64"}
         Of the samples.
 
@@ -272,7 +272,7 @@ def parts_of_recording(scene: Scene, seed: int, number: int, *, dtype: Literal["
         raise InvalidValue(f"number of the recording must lie between 0 and 2^32 - 1, got {number}")
     asked = plan(scene, ["recordings"], dtype=dtype)
     background = background_of(scene) if asked.runs("background") else None
-    audible, heard = hearing_limit(scene, background), hearing(asked)
+    audible, recorder = hearing_limit(scene, background), recorder_of(asked)
     axis, carried, n_rocks, done = TimeAxis(), Rocks.joined([]), 0, 0
     chain = _Chain(asked, background, seed, number)
     n_samples = samples_of(scene)
@@ -287,7 +287,7 @@ def parts_of_recording(scene: Scene, seed: int, number: int, *, dtype: Literal["
             late = coming["time"] >= stretch.stop
             waiting.append(coming.taken(late))
             now = coming.taken(~late)
-            delivered = strike(asked, axis, now, heard)
+            delivered = add_impacts(asked, axis, now, recorder)
             truth.append(truth_of(scene, now, delivered))
             if not asked.runs("rebounds"):
                 break
@@ -315,7 +315,7 @@ def _joined_truth(scene: Scene, parts: list[dict[str, NDArray[Any]]]) -> dict[st
 
 @dataclass(frozen=True)
 class _Chain:
-    """What follows the pulses: noise, background, range and bits, chunk by chunk."""
+    """The stages after the pulses: noise, background, range and bits, chunk by chunk."""
 
     asked: Plan
     background: Background | None
@@ -323,7 +323,7 @@ class _Chain:
     number: int
 
     def recorded(self, axis: TimeAxis, chunk: int) -> NDArray[Any]:
-        """Take the next chunk off the axis and return it as it is recorded."""
+        """Take the next chunk off the axis and return it as recorded."""
         sensor, rate = self.asked.scene.sensor, self.asked.scene.sampling.sampling_rate
         samples = axis.taken((chunk + 1) * CHUNK)
         if self.asked.runs("noise"):
