@@ -155,8 +155,6 @@ _NOT_STORED = {
     "physics/sensitivity.py": "derivatives for the user",
     "physics/tail_beam/frequency_response.py": "a picture",
     "scene/calibration": "from a recording to a scene",
-    "scene/costs.py": "an estimate of time",
-    "scene/stream/expected.py": "an estimate of how much there is",
     "scene/units.py": "words of a message",
 }
 _FUNCTIONS = {

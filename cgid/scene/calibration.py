@@ -13,9 +13,9 @@ from threadpoolctl import threadpool_limits
 from cgid import validation
 from cgid.errors import BadData, InvalidValue
 from cgid.physics.response import Resonators
-from cgid.scene.blow import Blow, PreparedBlow, prepared
+from cgid.scene.calibration_blow import Blow, PreparedBlow, prepared
+from cgid.scene.calibration_fit import MOST_MODES, NOTHING_LEFT, Fit, Ringing, aligned, columns, refined, ringing_modes
 from cgid.scene.impacts import beam_modes
-from cgid.scene.modal_fit import MOST_MODES, NOTHING_LEFT, Fit, Ringing, aligned, columns, refined, ringing_modes
 from cgid.scene.schema import Scene, parse_scene
 from cgid.scene.sections import TailBeamSection
 from cgid.validation import Floats

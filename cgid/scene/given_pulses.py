@@ -121,7 +121,7 @@ def synthesise_given(
         rows = np.minimum(np.arange(first, first + BLOCK), n - 1)
         part = {name: values[rows] for name, values in known.items()}
         blows = _blows(asked, pulses.taken(rows), names[rows], part, seed, first // BLOCK)
-        yield batch_of(blows, seed, first // BLOCK, slice(0, min(n - first, BLOCK)))
+        yield batch_of(scene, blows, seed, first // BLOCK, slice(0, min(n - first, BLOCK)))
 
 
 def _known(parameters: Mapping[str, ArrayLike], scene: Scene, n: int) -> dict[str, Floats]:

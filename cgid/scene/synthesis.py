@@ -69,7 +69,7 @@ def synthesise(
     if not asked.kept:
         raise InvalidValue(f"outputs must be frames or pulses where signals are wanted, got {', '.join(outputs)}")
     for block, part in blocks(n_signals, first):
-        yield batch_of(blows_of(asked, seed, block), seed, block, part)
+        yield batch_of(scene, blows_of(asked, seed, block), seed, block, part)
 
 
 def blocks(n_signals: int, first: int) -> Iterator[tuple[int, slice]]:
@@ -94,13 +94,13 @@ def require_frames(scene: Scene) -> None:
         )
 
 
-def batch_of(blows: Blows, seed: int, block: int, part: slice) -> Batch:
-    """Return some signals of one block, with all that is known of them."""
-    asked, scene = blows.plan, blows.scene
+def batch_of(scene: Scene, blows: Blows, seed: int, block: int, part: slice) -> Batch:
+    """Return some signals of one block of a scene, with all that is known of them."""
+    asked = blows.plan
     return Batch(
         signals=make_frames(blows, seed, block, asked.dtype)[part],
         labels=blows.labels[part],
-        sampling_rate=scene.sampling.sampling_rate,
+        sampling_rate=blows.scene.sampling.sampling_rate,
         unit=scene.sensor.unit if asked.sensed else "N",
         pre_trigger=scene.sampling.pre_trigger,
         specimen=blows.specimen[part],

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cgid.physics.response import Quantity, Resonators, Response
-from cgid.scene.blow import PreparedBlow
+from cgid.scene.calibration_blow import PreparedBlow
 from cgid.scene.sensor import Sensor
 from cgid.validation import Floats
 
