@@ -18,8 +18,8 @@ from cgid.scene.plan import plan
 from cgid.scene.recordings import most_impacts, require_capacity
 from cgid.scene.rocks import PoissonTimes, arrivals_of, population_shares
 from cgid.scene.schema import samples_of
-from cgid.scene.sections import RateTable
 from cgid.scene.stream import record
+from cgid.scene.stream_section import RateTable
 
 GRAVITY = 9.80665
 RATE = 25_600.0

@@ -167,7 +167,7 @@ def prepared(scene: Scene, blow: Blow) -> PreparedBlow:
         assert blow.impact is not None
         onset, lasts = float(_first_motion(samples, motion.name)), blow.impact.contact_duration.item() * rate
         shifts = np.arange(-_UNSEEN - _UNSEEN_SHARE * lasts, _CHANNELS_APART, 0.5)
-        pulse, stop = _Repeated(blow.impact), int(np.ceil(onset + lasts))
+        pulse, stop = blow.impact, int(np.ceil(onset + lasts))
         flight = 2 * blow.impact.rebound_velocity.item() / STANDARD_GRAVITY
         last = stop + int(_FLIGHT * flight * rate)
     first = max(int(onset) - _BEFORE, 0)
@@ -242,19 +242,6 @@ def _hammered(force: Signal, rate: float) -> tuple[int, int, Pulses]:
     rise = 0.5 - 0.5 * np.cos(np.pi * (np.arange(_TAPER) + 0.5) / _TAPER)
     window = np.concatenate([rise, np.ones(stop - start - 2 * _TAPER), rise[::-1]])
     return start, stop, _RecordedForce(window * samples[start:stop], rate)
-
-
-class _Repeated:
-    """One impact as often as there are frames."""
-
-    def __init__(self, impact: Impact) -> None:
-        self._impact = impact
-        self.contact_duration = impact.contact_duration.reshape(1)
-        self.end_of_contact = impact.end_of_contact.reshape(1)
-
-    def add_to_frames(self, frames: NDArray[Any], sampling_rate: Any, onset: Any, *, tolerance: float) -> None:
-        """Add the force to each frame."""
-        self._impact.add_to_frames(frames, sampling_rate, onset, tolerance=tolerance)
 
 
 class _RecordedForce:

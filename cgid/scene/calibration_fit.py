@@ -232,8 +232,8 @@ class _Rows:
     """The force of a blow as often as there are frames."""
 
     def __init__(self, blow: PreparedBlow, n: int) -> None:
-        self.contact_duration = np.broadcast_to(blow.pulse.contact_duration, (n,))
-        self.end_of_contact = np.broadcast_to(blow.pulse.end_of_contact, (n,))
+        self.contact_duration = np.broadcast_to(blow.pulse.contact_duration.ravel(), (n,))
+        self.end_of_contact = np.broadcast_to(blow.pulse.end_of_contact.ravel(), (n,))
         self.add_to_frames = blow.pulse.add_to_frames
 
 

@@ -178,8 +178,9 @@ def _through_modes(
     if not asked.runs("coupling"):
         return np.zeros(rows.size, bool)
     assert scene.tail_beam is not None
-    if scene.panel is None or scene.tail_beam.couples_always:
+    if scene.tail_beam.couples_always:
         return np.ones(rows.size, bool)
+    assert scene.panel is not None
     lasts = impact.contact_duration
     echo = scene.panel.echo_time(values["impact_x"][rows], values["impact_y"][rows], 1 / lasts)
     return np.asarray((echo < lasts) & (impact.inelasticity > NEGLIGIBLE_ECHO))
@@ -327,6 +328,8 @@ class Blows:
         What the frames are made of: impacts, taps, second hits.
     plan : Plan
         Of this block.
+    impact : Impact, optional
+        All impacts that a scene has drawn, as if a beam had no edges.
     """
 
     labels: NDArray[np.str_]
@@ -334,6 +337,7 @@ class Blows:
     specimen: NDArray[np.uint64]
     strikes: tuple[Strike, ...]
     plan: Plan
+    impact: Impact | None = None
 
     @property
     def scene(self) -> Scene:
@@ -349,19 +353,6 @@ class Blows:
             else:
                 strike.add_response(frames, recorder, self.parameters)
 
-
-@dataclass(frozen=True)
-class DrawnBlows(Blows):
-    """The pulses of one block as a scene draws them; their parameters are those of `parameter_units`.
-
-    Attributes
-    ----------
-    impact : Impact
-        All impacts of the block, as if a beam had no edges.
-    """
-
-    impact: Impact
-
     @property
     def inelasticity(self) -> Floats:
         """Zener's lambda of the impacts themselves, 0 for what goes through the modes of a beam, (n_impacts,)."""
@@ -369,12 +360,12 @@ class DrawnBlows(Blows):
         return np.concatenate([np.empty(0), *(p.inelasticity for p in first if isinstance(p, Impact))])
 
 
-def draw(scene: Scene, seed: int, block: int) -> DrawnBlows:
+def draw(scene: Scene, seed: int, block: int) -> Blows:
     """Return the true pulses of one block of 256, as `blows_of`; of a stream as if its rocks fell into frames."""
     return blows_of(Plan(scene=scene, outputs=frozenset(("pulses",))), seed, block)
 
 
-def blows_of(asked: Plan, seed: int, block: int) -> DrawnBlows:
+def blows_of(asked: Plan, seed: int, block: int) -> Blows:
     """Return the pulses of one block of 256, silently where they pass the range of a theory (see `cgid check`)."""
     drawn = drawn_block(asked.scene, seed, block)
     here, values = asked.for_block(drawn.scene), drawn.values
@@ -390,7 +381,7 @@ def blows_of(asked: Plan, seed: int, block: int) -> DrawnBlows:
         if here.runs("taps"):
             tapped = partial(_taps, drawn.shapes, values)
             strikes += _strikes(here, tapped(drawn.tapped), tapped, drawn.tapped, values)
-    return DrawnBlows(drawn.labels, values, drawn.specimen, tuple(strikes), here, impact)
+    return Blows(drawn.labels, values, drawn.specimen, tuple(strikes), here, impact)
 
 
 def _strikes(

@@ -32,7 +32,7 @@ from cgid.scene.draws import (
     uniforms,
 )
 from cgid.scene.schema import Scene
-from cgid.scene.sections import RateTable, StreamSection
+from cgid.scene.stream_section import RateTable, StreamSection
 from cgid.signals import STANDARD_GRAVITY
 from cgid.validation import Floats
 

@@ -27,13 +27,13 @@ from cgid.scene.sections import (
     RandomiseSection,
     SamplingSection,
     Section,
-    StreamSection,
     TailBeamSection,
     Tap,
     TargetSection,
     with_table,
 )
 from cgid.scene.sensor import BackgroundSection, Sensor
+from cgid.scene.stream_section import StreamSection
 from cgid.validation import cut, shown
 
 #: Largest scene file [bytes] and most keys in it: 10,000 measured modes have 60,000.

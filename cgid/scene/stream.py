@@ -84,27 +84,15 @@ def impact_units(scene: Scene) -> dict[str, str]:
 
 def truth_of(scene: Scene, rocks: Rocks, delivered: Mapping[str, Floats]) -> dict[str, NDArray[Any]]:
     """Return what is known of some impacts, except their neighbours; delivered is that of `add_impacts`."""
+    known = {**rocks.columns, **delivered}
     labels = np.array([population.label for population in scene.populations])
-    truth = {
-        **{name: rocks[name] for name in _UNITS.keys() & rocks.columns.keys()},
-        **delivered,
-        "label": labels[rocks["population"]],
-        "specimen": rocks["specimen"],
-    }
-    if scene.panel is not None:
-        truth |= {"impact_x": rocks["impact_x"], "impact_y": rocks["impact_y"]}
-    return truth
+    truth = {name: known[name] for name in impact_units(scene) if name not in _NEIGHBOUR_UNITS}
+    return truth | {"label": labels[rocks["population"]], "specimen": rocks["specimen"]}
 
 
 def empty_truth(scene: Scene) -> dict[str, NDArray[Any]]:
     """Return the truth of no impacts."""
-    width = max(len(label) for label in scene.labels)
-    kinds: dict[str, np.dtype[Any]] = {
-        name: np.dtype(np.float64) for name in impact_units(scene) if name not in _NEIGHBOUR_UNITS
-    }
-    kinds["rock"] = kinds["bounce"] = np.dtype(np.int64)
-    kinds |= {"label": np.dtype(f"U{width}"), "specimen": np.dtype(np.uint64)}
-    return {name: np.empty(0, kind) for name, kind in kinds.items()}
+    return truth_of(scene, Rocks.joined([]), dict.fromkeys(STORED, np.empty(0)))
 
 
 def joined(scene: Scene, parts: list[dict[str, NDArray[Any]]]) -> dict[str, NDArray[Any]]:

@@ -15,7 +15,7 @@ from cgid.measure.beginnings import measure_beginnings, samples_needed
 from cgid.measure.features import extract_array
 from cgid.scene.draws import BLOCK, drawn_block, parameter_units
 from cgid.scene.extremes import unwarned
-from cgid.scene.impacts import Blows, DrawnBlows, blows_of, impact_of, impacts_by_coupling
+from cgid.scene.impacts import Blows, blows_of, impact_of, impacts_by_coupling
 from cgid.scene.noise import HIGHEST_NOISE, add_noise, background_of
 from cgid.scene.plan import OF_TAPS, TRUE, Plan, plan
 from cgid.scene.schema import Scene
@@ -260,7 +260,7 @@ class _Block:
 
     number: int
     part: slice
-    blows: DrawnBlows
+    blows: Blows
 
     @property
     def labels(self) -> NDArray[np.str_]:
