@@ -229,7 +229,8 @@ def _explain(asked: Any, n_signals: int, as_json: bool) -> None:
     say(f"{'stage':<23}{'':<9}{'error':>9}  why")
     for name, decision in asked.decisions.items():
         say(f"{name:<23}{'run' if decision.runs else 'skipped':<9}{decision.error_bound:>9.2g}  {decision.why}")
-    say(f"{n_signals} {noun}s: {size} bytes each, {size * n_signals / 1e6:.4g} MB")
+    many = "s" * (n_signals > 1)
+    say(f"{n_signals} {noun}{many}: {size} bytes each, {size * n_signals / 1e6:.4g} MB")
 
 
 def _require_recordings(scene: Any, options: dict[str, Any]) -> None:

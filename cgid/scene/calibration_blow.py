@@ -95,38 +95,17 @@ class Blow:
 
 @dataclass(frozen=True)
 class PreparedBlow:
-    """A blow prepared for the fit: cut out, without its mean, over its largest sample.
-
-    Attributes
-    ----------
-    samples : ndarray, (n_samples,)
-    first : int
-        Sample of the recording on which the cut begins.
-    level : float
-        The divisor of the samples, in the SI unit of the sensor.
-    pulse : Pulses
-        The force: one row, which serves any number of frames.
-    onset : float
-        Sample of the cut on which the force seems to begin; it may be off by one of `shifts`.
-    shifts : ndarray, (n_shifts,)
-        [samples].
-    decay : int
-        From this sample on the beam rings freely.
-    filters : tuple of Resonance and LowPass
-        Between this force and the recorded motion, in addition to the beam.
-    limited : bool
-        Whether the zero-phase low-pass of the sensor lies between them, too.
-    """
+    """A blow prepared for the fit: cut out, without its mean, over its largest sample."""
 
     samples: Floats
-    first: int
-    level: float
-    pulse: Pulses
-    onset: float
-    shifts: Floats
-    decay: int
-    filters: tuple[Resonance | LowPass, ...]
-    limited: bool
+    first: int  # sample of the recording on which the cut begins
+    level: float  # the divisor of the samples, in the SI unit of the sensor
+    pulse: Pulses  # the force: one, which serves any number of frames
+    onset: float  # sample of the cut on which the force seems to begin, except for one of the shifts
+    shifts: Floats  # [samples], (n_shifts,)
+    decay: int  # from this sample on the beam rings freely
+    filters: tuple[Resonance | LowPass, ...]  # between force and recorded motion, in addition to the beam
+    limited: bool  # whether the zero-phase low-pass of the sensor lies between them, too
 
 
 def prepared(scene: Scene, blow: Blow) -> PreparedBlow:

@@ -46,17 +46,10 @@ NOTHING_LEFT = 1e-7
 
 @dataclass(frozen=True)
 class Ringing:
-    """Damped modes without shapes or masses.
+    """Damped modes without shapes or masses."""
 
-    Attributes
-    ----------
-    frequency : ndarray, (n,)
-        [Hz].
-    damping_ratio : ndarray, (n,)
-    """
-
-    frequency: Floats
-    damping_ratio: Floats
+    frequency: Floats  # [Hz], (n,)
+    damping_ratio: Floats  # (n,)
 
     def joined(self, other: Ringing) -> Ringing:
         """Return these modes and others."""
@@ -66,19 +59,10 @@ class Ringing:
 
 
 def ringing_modes(decays: list[Floats], rate: float, n_modes: int, highest: float, of_filters: Complex) -> Ringing:
-    """Return the modes that ring in decays, the loudest first.
+    """Return at most `n_modes` modes that ring in decays, the loudest first; fewer if no more stand out of the noise.
 
-    Parameters
-    ----------
-    decays : list of ndarray, (n_samples,) each
-    rate : float
-        [Hz].
-    n_modes : int
-        At most; fewer if no more stand out of the noise.
-    highest : float
-        No mode is higher [Hz].
-    of_filters : ndarray of complex, (n_filters,)
-        Poles of the upper half-plane [rad/s] that ring as well but are no modes.
+    The sampling rate and the highest frequency are in Hz. of_filters are poles of the upper half-plane [rad/s] that
+    ring as well but are no modes.
     """
     length = min(_LONGEST, *(len(decay) for decay in decays))
     together = np.stack([decay[:length] for decay in decays])
@@ -175,26 +159,13 @@ _FAR, _FAR_DAMPING, _FAR_DELAY = 3.0, 1.5, 2.0
 
 @dataclass(frozen=True)
 class Fit:
-    """The least squares of some blows.
-
-    Attributes
-    ----------
-    modes : Resonators
-    amounts : ndarray, (n_columns,)
-        Of the rows of participation.
-    delays : ndarray, (n_blows,)
-        [samples], from where the blow was seen to begin.
-    remains : list of ndarray
-        The residual of each blow, over its largest sample.
-    losses : ndarray, (n_columns,)
-        Energy that would be left in addition without each column.
-    """
+    """The least squares of some blows."""
 
     modes: Resonators
-    amounts: Floats
-    delays: Floats
-    remains: list[Floats]
-    losses: Floats
+    amounts: Floats  # of the rows of participation, (n_columns,)
+    delays: Floats  # from where each blow was seen to begin [samples], (n_blows,)
+    remains: list[Floats]  # the residual of each blow, over its largest sample
+    losses: Floats  # energy that would be left in addition without each column, (n_columns,)
 
     def only(self, which: NDArray[np.bool_]) -> Ringing:
         """Return some of the modes."""
@@ -352,21 +323,10 @@ def refined(
     *,
     free: bool,
 ) -> Fit:
-    """Return the least squares of all blows from a first guess.
+    """Return the least squares of all blows from a first guess of modes and delays [samples].
 
-    Parameters
-    ----------
-    blows : sequence of PreparedBlow
-    sensor, rate
-        Of the scene.
-    modes : Resonators
-        First guess, or what is known.
-    participation : sequence of ndarray, (n_columns, n_modes)
-        For each blow, the columns whose amounts are sought: the unit matrix for each mode by itself.
-    delays : ndarray, (n_blows,)
-        First guess [samples].
-    free : bool
-        Whether frequencies and damping ratios are sought as well.
+    participation holds for each blow the columns whose amounts are sought, (n_columns, n_modes): the unit matrix for
+    each mode by itself. If free, frequencies and damping ratios are sought as well.
     """
     from scipy.optimize import least_squares
 

@@ -31,16 +31,10 @@ from cgid.validation import Floats
 
 @dataclass(frozen=True)
 class BeamModes:
-    """The modes of a scene's tail beam, with their shapes at the sensor.
-
-    Attributes
-    ----------
-    modes : Modes or MeasuredModes
-    at_sensor : ndarray, (n_modes,)
-    """
+    """The modes of a scene's tail beam, with their shapes at the sensor."""
 
     modes: Modes | MeasuredModes
-    at_sensor: Floats
+    at_sensor: Floats  # (n_modes,)
 
     @property
     def frequency(self) -> Floats:
@@ -230,21 +224,11 @@ def _collision(scene: Scene, values: Mapping[str, Floats], rows: NDArray[np.intp
 
 @dataclass(frozen=True)
 class TapPulses:
-    """Pulses of prescribed shapes, one for each row: a hammer, a calibration, a fault.
+    """Pulses of prescribed shapes, one for each row: a hammer, a calibration, a fault."""
 
-    Attributes
-    ----------
-    shape : ndarray of int, (n,)
-        Number of the shape in `SHAPES`.
-    peak_force : ndarray, (n,)
-        [N].
-    contact_duration : ndarray, (n,)
-        [s].
-    """
-
-    shape: NDArray[np.intp]
-    peak_force: Floats
-    contact_duration: Floats
+    shape: NDArray[np.intp]  # number of the shape in `SHAPES`, (n,)
+    peak_force: Floats  # [N], (n,)
+    contact_duration: Floats  # [s], (n,)
 
     @property
     def end_of_contact(self) -> Floats:
@@ -274,24 +258,12 @@ Pulses = Impact | ModalImpact | TapPulses | SampledPulses
 
 @dataclass(frozen=True)
 class Strike:
-    """Pulses of one kind, each with its place in a block.
+    """Pulses of one kind, each with its place in a block."""
 
-    Attributes
-    ----------
-    rows : ndarray of int, (n,)
-        Signals of the block that they belong to.
-    pulses : Impact, ModalImpact, TapPulses or SampledPulses
-        n of them.
-    onset : ndarray, (n,)
-        Time of touch in the frame [s].
-    ratio : ndarray, (n,), optional
-        What each is multiplied by.
-    """
-
-    rows: NDArray[np.intp]
+    rows: NDArray[np.intp]  # the signals of the block that they belong to, (n,)
     pulses: Pulses
-    onset: Floats
-    ratio: Floats | None = None
+    onset: Floats  # time of touch in the frame [s], (n,)
+    ratio: Floats | None = None  # the factor of each, (n,)
 
     def add_to_frames(self, frames: NDArray[Any], sampling_rate: float) -> None:
         """Add the pulses to the frames of the block, in place."""

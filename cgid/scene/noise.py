@@ -100,26 +100,13 @@ _REFERENCE_SAMPLES = 2048
 
 @dataclass(frozen=True)
 class Background:
-    """The background of a scene at one sampling rate.
-
-    Attributes
-    ----------
-    section : BackgroundSection
-    quantity : str
-        What the sensor measures.
-    sampling_rate : float
-        [Hz].
-    recorded : ndarray, (n,), optional
-        The recording that is mixed in, at this rate, with mean 0 and root mean square 1.
-    recorded_level : float
-        Its factor.
-    """
+    """The background of a scene at one sampling rate."""
 
     section: BackgroundSection
-    quantity: str
-    sampling_rate: float
-    recorded: Floats | None
-    recorded_level: float = 0.0
+    quantity: str  # of the sensor
+    sampling_rate: float  # [Hz]
+    recorded: Floats | None  # the recording that is mixed in, at this rate, with mean 0 and root mean square 1
+    recorded_level: float = 0.0  # its factor
 
     def in_frames(self, seed: int, block: int, n_samples: int) -> Floats:
         """Return the background of the frames of one block, (`BLOCK`, n_samples), each with its own."""

@@ -45,25 +45,13 @@ LONGEST_STRETCH = 16.0
 
 @dataclass(frozen=True)
 class Stretch:
-    """A part of the time axis and the rocks that arrive in it.
+    """A part of the time axis and the rocks that arrive in it."""
 
-    Attributes
-    ----------
-    start, stop : float
-        [s].
-    times : ndarray, (n,)
-        Of the arrivals [s], in order.
-    block : int
-        The address of the numbers of these rocks.
-    rows : ndarray of int, (n,)
-        Their rows in the block.
-    """
-
-    start: float
+    start: float  # [s]
     stop: float
-    times: Floats
-    block: int
-    rows: NDArray[np.intp]
+    times: Floats  # of the arrivals [s], in order, (n,)
+    block: int  # the address of the numbers of these rocks
+    rows: NDArray[np.intp]  # their rows in the block, (n,)
 
 
 @dataclass(frozen=True)
@@ -210,13 +198,10 @@ COLUMNS = {
 
 @dataclass(frozen=True)
 class Rocks:
-    """Rocks before an impact.
+    """Rocks before an impact, by the names of `COLUMNS`, each (n,).
 
-    Attributes
-    ----------
-    columns : dict of ndarray, each (n,)
-        `COLUMNS`. The restitution is the one asked for, the velocity the normal one, drop_height is nan except
-        for a first fall from a height, impact_x and impact_y are nan where a beam has no points.
+    The restitution is the one asked for, the velocity the normal one. drop_height is nan except for a first fall from a
+    height, impact_x and impact_y are nan where a beam has no points.
     """
 
     columns: Mapping[str, NDArray[Any]]
@@ -271,27 +256,12 @@ def arriving(scene: Scene, stretch: Stretch, first: int, seed: int, recording: i
 def thrown_back(
     scene: Scene, rocks: Rocks, delivered: Floats, contact_duration: Floats, audible: NDArray[Any]
 ) -> Rocks:
-    """Return the rocks as they come back from an impact, before the next one.
+    """Return the rocks that are still followed after an impact, before the next one.
 
     A rock leaves with the normal speed `e v`, flies for `2 e v / (g cos alpha)`, and comes back with the same normal
-    speed, while gravity carries it down the slope: by `u t + g sin(alpha) t^2 / 2` from touch to touch.
-
-    Parameters
-    ----------
-    scene : Scene
-    rocks : Rocks
-        n of them, before the impact.
-    delivered : ndarray, (n,)
-        Restitution of the impact, including what the target takes.
-    contact_duration : ndarray, (n,)
-        [s].
-    audible : ndarray of bool, (n,)
-        Whether the impact is above the noise; other rocks are followed no further.
-
-    Returns
-    -------
-    Rocks
-        Those that are still followed.
+    speed, while gravity carries it down the slope: by `u t + g sin(alpha) t^2 / 2` from touch to touch. delivered is
+    the restitution of the impact, including what the target takes. Rocks whose impact is not audible are followed no
+    further.
     """
     assert scene.stream is not None
     rebounds, slope = scene.stream.rebounds, scene.stream.inclination

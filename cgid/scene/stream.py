@@ -27,19 +27,11 @@ from cgid.validation import Floats
 
 
 class TimeAxis:
-    """The part of the time axis that is still being added to.
-
-    Attributes
-    ----------
-    first : int
-        Number of the first sample that has not been taken.
-    samples : ndarray, (n,)
-        From that one on; all later ones are 0.
-    """
+    """The part of the time axis that is still being added to."""
 
     def __init__(self) -> None:
-        self.first = 0
-        self.samples: Floats = np.zeros(0)
+        self.first = 0  # number of the first sample that has not been taken
+        self.samples: Floats = np.zeros(0)  # from that one on; all later ones are 0
 
     def until(self, stop: int) -> Floats:
         """Return the samples from the first one to number `stop`, to be added to in place."""
@@ -116,12 +108,7 @@ _FILTER_PERIODS = 64
 def add_impacts(asked: Plan, axis: TimeAxis, rocks: Rocks, recorder: Recorder | None) -> dict[str, Floats]:
     """Add what the sensor gives of the impacts of some rocks to the time axis, and return what they deliver.
 
-    Overlapping impacts add up. recorder is what responds to the forces, None where the sensor records the forces.
-
-    Returns
-    -------
-    dict of ndarray, each (n,)
-        `STORED`: restitution, peak force [N], contact duration [s].
+    Overlapping impacts add up. They deliver the quantities `STORED`, each (n,).
     """
     delivered = {name: np.empty(len(rocks)) for name in STORED}
     if not len(rocks):
@@ -202,15 +189,7 @@ def hearing_limit(scene: Scene, background: Background | None) -> float:
 
 @dataclass(frozen=True)
 class Part:
-    """A part of a recording, in order.
-
-    Attributes
-    ----------
-    samples : ndarray, (n,)
-        The next ones.
-    truth : dict of ndarray, each (n_impacts,)
-        Of the impacts of a stretch; they may come somewhat before or after their samples.
-    """
+    """The next samples of a recording, and the truth of some impacts, which may come before or after their samples."""
 
     samples: NDArray[Any]
     truth: dict[str, NDArray[Any]]

@@ -110,31 +110,17 @@ def batch_of(scene: Scene, blows: Blows, seed: int, block: int, part: slice) -> 
 
 
 def make_frames(blows: Blows, seed: int, block: int, dtype: DTypeLike) -> NDArray[Any]:
-    """Return the frames of one block: pulses, bandwidth, noise, background, clipping, range and bits, as planned.
-
-    Parameters
-    ----------
-    blows : Blows
-        Of the block, with its plan.
-    seed, block : int
-    dtype : {"float32", "float64"}
-    """
+    """Return the frames of one block: pulses, bandwidth, noise, background, clipping, range and bits, as planned."""
     return make_beginnings(blows, seed, block, dtype, blows.scene.sampling.samples)[0]
 
 
 def make_beginnings(
     blows: Blows, seed: int, block: int, dtype: DTypeLike, n_samples: int
 ) -> tuple[NDArray[Any], Floats]:
-    """Return the first samples of the frames of one block, and what no sample behind them passes.
+    """Return the first samples of the frames of one block, (n_signals, n_samples), and a bound on the rest of each.
 
-    They are those of the whole frames to the last bit. All contacts must end within them or lie behind the frame.
-    Other parameters as in `make_frames`.
-
-    Returns
-    -------
-    ndarray, (n_signals, n_samples)
-    ndarray, (n_signals,)
-        Above every sample of the rest of the frame, in the unit of the signals.
+    The samples are those of the whole frames to the last bit. All contacts must end within them or begin after the
+    frame. No sample of the rest lies above the bound, in the unit of the signals.
     """
     asked, sampling, sensor = blows.plan, blows.scene.sampling, blows.scene.sensor
     n_signals, rate = len(blows.labels), sampling.sampling_rate
