@@ -17,9 +17,8 @@ from threadpoolctl import threadpool_limits
 from cgid import shipped
 from cgid.ceiling import ceiling
 from cgid.identification.classifier import FAMILIES, ImpactClassifier
-from cgid.identification.measuring import Measured, measure
 from cgid.identification.metrics import evaluate
-from cgid.identification.training import linear_columns
+from cgid.identification.rows import Rows, linear_columns, measure
 from cgid.scene import Scene, load_scene, synthesise
 
 TEST_SEED = 1_000_003
@@ -34,7 +33,7 @@ def exact(scene: Scene, n: int, seed: int, drop_height: bool) -> np.ndarray:
     )
 
 
-def inputs(measured: Measured) -> np.ndarray:
+def inputs(measured: Rows) -> np.ndarray:
     """Return features and what is known."""
     return np.hstack([measured.features, measured.known])
 

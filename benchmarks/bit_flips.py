@@ -35,8 +35,8 @@ import numpy as np
 from cgid.errors import BadData, NoInput
 from cgid.scene import generate, parse_scene
 from cgid.store import Dataset
-from cgid.store.journal import JOURNAL, Journal, read_journal
-from cgid.store.manifest import read_manifest
+from cgid.store.description import read_manifest
+from cgid.store.run import JOURNAL, Journal, read_journal
 from cgid.store.verification import verify
 
 #: An answer that takes longer is none [s].
@@ -196,7 +196,7 @@ def journal_reader(folder: Path) -> Callable[[], dict[str, Any]]:
             raise NoInput(f"{folder}: there is no journal")
         if all(entry in known for entry in journal.entries) and len(journal.entries) < len(known):
             raise BadData(f"{folder}: {len(journal.entries)} of {len(known)} files are there")
-        return {"plan": journal.plan, "files": [journal.n_files, journal.noun], "entries": list(journal.entries)}
+        return {"plan": journal.description, "files": [journal.n_files, journal.noun], "entries": list(journal.entries)}
 
     return read
 

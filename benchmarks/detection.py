@@ -17,7 +17,7 @@ import time
 
 import numpy as np
 
-from cgid.identification.detection.detector import ImpactDetector
+from cgid.identification.detection import ImpactDetector
 from cgid.scene import record
 from tests.impact_truth import Stream, caving, score
 

@@ -19,12 +19,9 @@ import numpy as np
 from finite_element_cases import CORNERS, impact, peaks, percent, row, solved, table
 from finite_element_peers import by_scikit_fem, by_scipy
 
-from cgid.finite_element import _stepping, elasticity
-from cgid.finite_element import explicit as stepping
-from cgid.finite_element.elasticity import body, highest_frequency
-from cgid.finite_element.explicit import stable_time_step
-from cgid.finite_element.pair import Pair
-from cgid.finite_element.records import N_VALUES
+from cgid.finite_element import _stepping, assembly, steps
+from cgid.finite_element.assembly import Pair, body, highest_frequency
+from cgid.finite_element.steps import N_VALUES, stable_time_step
 from cgid.physics.materials import STEEL, YANG2018_SPHERES
 from cgid.validation import Floats
 
@@ -119,7 +116,7 @@ def where_time_goes(options: argparse.Namespace) -> None:
     for elements in options.elements:
         case = {"elements": elements, "method": "explicit"}
         asked, spy = impact(1, 2.0, **case), Spy()
-        with mock.patch.object(stepping, "advance", spy):
+        with mock.patch.object(steps, "advance", spy):
             whole, _ = timed(asked.run, rounds=1)
         ball, slab = asked.pair.sphere, asked.pair.plate
         matrices, _ = timed(_matrices, ball.mesh, slab.mesh)
@@ -227,7 +224,7 @@ def peers(options: argparse.Namespace) -> None:
     table("elements", "stepped by", "us a step", "in the product", "over ours", "peak force [N]", "restitution")
     for elements in options.elements:
         asked, spy = impact(1, 2.0, elements=elements, method="explicit"), Spy()
-        with mock.patch.object(stepping, "advance", spy):
+        with mock.patch.object(steps, "advance", spy):
             history = asked.run()
         ours = spy.seconds / spy.steps
         product = float(_of_a_step(spy)[0])
@@ -243,7 +240,7 @@ def peers(options: argparse.Namespace) -> None:
 
 
 def _assembly(options: argparse.Namespace) -> None:
-    ours = (elasticity.body, elasticity.element_matrices, elasticity._elasticity)
+    ours = (assembly.body, assembly.element_matrices, assembly._elasticity)
     lines = sum(statements(function) for function in ours)
     print(f"\nStiffness and mass of a sphere: {lines} lines here, {statements(by_scikit_fem)} with scikit-fem.")
     table("elements", "of them", "cgid [ms]", "scikit-fem [ms]", "stiffness apart, of the largest", "mass apart")

@@ -10,7 +10,7 @@ import numpy as np
 from finite_element_rocks import FAMILY, FINITE_ELEMENTS, VISCOELASTIC, extreme_rocks, solved_again
 
 from cgid.identification.estimation import Estimates, estimate
-from cgid.measure.estimation.template import curve
+from cgid.measure.template import curve
 from cgid.physics.sampled import SampledPulses, smoothed
 from cgid.scene.given_pulses import SolvedImpacts
 

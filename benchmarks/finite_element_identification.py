@@ -24,9 +24,9 @@ from finite_element_fits import finer_table, physics_table, shape_table
 from finite_element_rocks import ELASTIC, FAMILY, FINITE_ELEMENTS, VISCOELASTIC, all_three, by_law, without_loss
 
 from cgid import shipped
-from cgid.identification.measuring import measure
 from cgid.identification.metrics import evaluate
 from cgid.identification.model import Model
+from cgid.identification.rows import measure
 from cgid.identification.training import train
 from cgid.scene import Scene, load_scene, synthesise, synthesise_given, varied
 from cgid.scene.given_pulses import SolvedImpacts

@@ -13,7 +13,7 @@ from scipy.sparse import linalg
 
 from cgid.files import write_whole
 from cgid.finite_element import History
-from cgid.finite_element.elasticity import Body
+from cgid.finite_element.assembly import Body
 from cgid.measure.filters import fft_filter
 from cgid.plots import COLOURS, png, require_matplotlib
 from cgid.validation import Floats

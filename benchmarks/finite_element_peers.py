@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from scipy import sparse
 
-from cgid.finite_element.elasticity import Body
+from cgid.finite_element.assembly import Body
 from cgid.finite_element.mesh import Mesh
 from cgid.physics.materials import Material
 from cgid.validation import Floats

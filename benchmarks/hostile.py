@@ -32,7 +32,7 @@ from pathlib import Path
 import numpy as np
 
 from cgid.errors import CgidError
-from cgid.store import apart
+from cgid.store import sandbox
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 from tests.hdf5_mutants import mutant, pieces
@@ -91,7 +91,7 @@ def judge(kind: str, path: Path) -> Outcome:
 
 
 def _readers() -> list[int]:
-    return [child._process.pid for child in apart._alive]
+    return [child._process.pid for child in sandbox._alive]
 
 
 def _memory(reset: bool = False) -> int:
@@ -159,7 +159,7 @@ def audited(folder: Path) -> Iterator[list[str]]:
         ):
             events.append(f"{event} {arguments!r}"[:200])
 
-    apart._end_all()
+    sandbox._end_all()
     os.environ["CGID_AUDIT"] = str(log)
     sys.path.insert(0, str(hook))
     sys.addaudithook(note)
@@ -169,7 +169,7 @@ def audited(folder: Path) -> Iterator[list[str]]:
         armed = False
         sys.path.remove(str(hook))
         del os.environ["CGID_AUDIT"]
-        apart._end_all()
+        sandbox._end_all()
         events += log.read_text().splitlines() if log.exists() else []
 
 

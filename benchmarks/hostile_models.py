@@ -48,7 +48,7 @@ from cgid.identification.model import Model
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 from benchmarks.fuzz_recordings import MUTATIONS
-from tests.hostile_models import CANARY, EXTREME, GOLDEN, HOSTILE, written
+from tests.hostile_models import CANARY, EXTREME, GOLDEN, HOSTILE, golden_files, written
 
 #: Time of the processor [s], and memory beyond what Python with the model's code takes [bytes], that a file may cost.
 TIME_LIMIT, MEMORY_LIMIT = 2.0, 256 << 20
@@ -230,7 +230,7 @@ def failed_by_hand(found: dict[str, Outcome]) -> dict[str, Outcome]:
 
 def _warm_up() -> None:
     """Load models, good and bad, so that no module is imported in the processes that are watched."""
-    for path in GOLDEN.glob("models-*.npz"):
+    for path in golden_files():
         _answered(path, None)
     for make in (HOSTILE["no JSON"], HOSTILE["feature that does not exist"], HOSTILE["family of another world"]):
         with contextlib.suppress(CgidError):
@@ -328,7 +328,7 @@ MUTANTS: dict[str, Callable[[bytes, Model, np.random.Generator, list[bytes]], by
 def mutants(n_mutants: int, seed: int, folder: Path) -> list[tuple[Mutant, Outcome]]:
     """Return mutants of the golden models, and what became of each."""
     _warm_up()
-    contents = {path.name: path.read_bytes() for path in sorted(GOLDEN.glob("models-*.npz"))}
+    contents = {path.name: path.read_bytes() for path in golden_files()}
     models = {name: Model.from_bytes(content) for name, content in contents.items()}
     names, everything, found = list(contents), list(contents.values()), []
     with Watched() as watched:

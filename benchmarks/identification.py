@@ -43,8 +43,8 @@ from identification_peers import FRAMES, PEERS, peak_memory, rows, timed
 from cgid import __version__
 from cgid.files import write_whole
 from cgid.identification.classifier import ImpactClassifier
-from cgid.identification.interval import wilson_interval
-from cgid.identification.measuring import DEFAULT_FEATURES, measure
+from cgid.identification.rows import DEFAULT_FEATURES, measure
+from cgid.identification.share import wilson_interval
 from cgid.measure.features import FEATURES
 from cgid.plots import png, require_matplotlib
 from cgid.signals import Batch
@@ -140,7 +140,7 @@ def run_cgid(train_batches: Iterable[Batch], test_batches: Iterable[Batch]) -> d
         measured, seconds = timed(measure, [batch])
         answers, more = timed(classifier.predict, measured.features)
         features, predict = features + seconds, predict + more
-        found = dict(zip(measured.specimen.tolist(), answers.tolist(), strict=True))
+        found = dict(zip(measured.group.tolist(), answers.tolist(), strict=True))
         predictions += [found.get(number, "") for number in batch.specimen.tolist()]
     n = len(predictions)
     return {"predictions": predictions, "features": features / n, "fit": fit, "predict": predict / n}

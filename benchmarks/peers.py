@@ -38,7 +38,7 @@ from numpy.typing import NDArray
 from scipy.integrate import odeint, solve_ivp
 
 from cgid import shipped
-from cgid.physics.quadrature import reference_pulse
+from cgid.physics.tabulation import reference_pulse
 from cgid.scene import load_scene
 from cgid.scene.impacts import draw
 

@@ -22,17 +22,17 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from cgid.identification.recorded.clustered import clustered_interval
-from cgid.identification.recorded.feature_sets import FEATURE_SETS
-from cgid.identification.recorded.grouped import Lesson, Rows, candidates_for, judge
-from cgid.identification.recorded.manifest import read_manifest
-from cgid.identification.recorded.measuring import Recorded, Slicing, record
-from cgid.identification.recorded.training import train_recorded
+from cgid.identification.grouped import Lesson, candidates_for, judge
+from cgid.identification.labelled_recordings import record
+from cgid.identification.manifest import read_manifest
+from cgid.identification.metrics import clustered_interval
+from cgid.identification.rows import Rows, Slicing, sets_for
+from cgid.identification.training import train
 
 HERE = Path(__file__).parent
 REAL = HERE.parents[1] / "shared" / "realdata" / "bulk_ramp"
 CHANNELS = {"left": "1", "right": "2", "both": "1+2"}
-SETS = FEATURE_SETS["window"]
+SETS = sets_for("window")
 
 
 def recordings(folder: Path) -> list[Path]:
@@ -48,7 +48,7 @@ def material(file: Path) -> str:
     return file.stem[:-2]
 
 
-def measured(files: list[Path], channel: str, hop: float) -> Recorded:
+def measured(files: list[Path], channel: str, hop: float) -> Rows:
     """Return the features of the windows of all recordings, as `cgid train` has them."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "manifest.csv"
@@ -64,12 +64,12 @@ def share(accuracy: float, interval: tuple[float, float]) -> str:
     return f"{accuracy:.3f} ({interval[0]:.2f} to {interval[1]:.2f})"
 
 
-def nested(tables: dict[str, Recorded]) -> None:
+def nested(tables: dict[str, Rows]) -> None:
     """Print what training finds, features chosen inside the folds."""
     print("| channel | a window | a recording | votes over 0.5 s | over 1 s | features taken (of 15 folds) |")
     print("|---|---|---|---|---|---|")
     for channel, table in tables.items():
-        training = train_recorded(table)
+        training = train(table)
         metrics, about = training.model.header["training"]["metrics"], training.model.header["training"]["recorded"]
         shares = [metrics, metrics["recordings"], *metrics["running"]]
         taken = ", ".join(f"{c['name']} ({c['taken_in_folds']})" for c in about["candidates"] if c["taken_in_folds"])
@@ -77,15 +77,14 @@ def nested(tables: dict[str, Recorded]) -> None:
         print(f"| {channel} | {' | '.join(cells)} | {taken} |", flush=True)
 
 
-def answers(table: Recorded, names: tuple[str, ...]) -> NDArray[np.str_]:
+def answers(table: Rows, names: tuple[str, ...]) -> NDArray[np.str_]:
     """Return what each window is called by a model of these features, trained on the other recordings."""
-    rows = Rows(names=table.names, features=table.features, labels=table.labels, group=table.group)
-    candidates = candidates_for({"": names}, table.names, ("linear",))
-    found = judge(Lesson(rows=rows, candidates=candidates, weights=None, seed=0))
+    candidates = candidates_for({"": names}, table.names, "linear")
+    found = judge(Lesson(rows=table, candidates=candidates, weights=None, seed=0))
     return np.asarray(np.unique(table.labels)[np.argmax(found.probabilities, axis=1)])
 
 
-def one_by_one(tables: dict[str, Recorded]) -> None:
+def one_by_one(tables: dict[str, Rows]) -> None:
     """Print each set by itself."""
     print(f"\n| features | number | {' | '.join(tables)} |")
     print("|---|---|---|---|---|")

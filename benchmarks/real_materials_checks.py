@@ -25,11 +25,10 @@ from real_materials import CHANNELS, REAL, SETS, answers, material, measured, re
 from scipy import ndimage, signal
 
 from cgid.identification.classifier import ImpactClassifier
-from cgid.identification.recorded.feature_sets import union_of
-from cgid.identification.recorded.measuring import Recorded
 from cgid.identification.reference import MeanSpectrum
-from cgid.measure.equalisation import Equalisation
+from cgid.identification.rows import Rows, union_of
 from cgid.measure.features import FEATURES, extract_array, supported
+from cgid.measure.filters import Equalisation
 from cgid.recordings import read_recording
 from cgid.validation import Floats
 
@@ -81,7 +80,7 @@ def ramps(files: list[Path]) -> None:
         print(f"| {one} | {' | '.join(cells)} |")
 
 
-def materials(table: Recorded) -> None:
+def materials(table: Rows) -> None:
     """Print which material is told how well."""
     labels = np.unique(table.labels)
     four = some(table, table.labels != APART)
@@ -92,18 +91,18 @@ def materials(table: Recorded) -> None:
         print(f"| {name} | {' | '.join(cells)} | {np.mean(answers(four, names) == four.labels):.3f} |", flush=True)
 
 
-def some(table: Recorded, kept: NDArray[np.bool_]) -> Recorded:
+def some(table: Rows, kept: NDArray[np.bool_]) -> Rows:
     """Return some of the windows."""
-    return replace(table, **{name: getattr(table, name)[kept] for name in ("features", "labels", "piece", "group")})
+    return table[kept]
 
 
-def shuffled(table: Recorded) -> None:
+def shuffled(table: Rows) -> None:
     """Print what labels shuffled among the recordings give."""
-    _, first = np.unique(table.piece, return_index=True)
+    _, first = np.unique(table.source, return_index=True)
     random, name = np.random.default_rng(0), next(iter(SETS))
     shares = []
     while len(shares) < SHUFFLES:
-        other = replace(table, labels=random.permutation(table.labels[first])[table.piece])
+        other = replace(table, labels=random.permutation(table.labels[first])[table.source])
         shares.append(np.mean(answers(other, SETS[name]) == other.labels))
     print(f"\nLabels shuffled among the recordings, {name}: {np.mean(shares):.3f}, {SHUFFLES} times (2 / 14 = 0.143)")
 

@@ -14,7 +14,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from cgid import shipped
-from cgid.identification.measuring import DEFAULT_FEATURES
+from cgid.identification.rows import DEFAULT_FEATURES
 from cgid.measure.features import extract_array
 from cgid.scene import load_scene, synthesise
 from cgid.scene.draws import BLOCK

@@ -31,7 +31,7 @@ from cgid import shipped
 from cgid.scene import generate, load_scene, synthesise
 from cgid.scene.draws import parameter_units
 from cgid.store.compression import COMPRESSIONS, keywords
-from cgid.store.shard import ShardBuilder, ShardPlan
+from cgid.store.hdf5 import ShardBuilder, ShardPlan
 
 SHARD = 4096
 #: Of the run that is timed as a whole for its processor time.

@@ -31,8 +31,8 @@ from cgid.physics import (
 )
 from cgid.physics.bodies import impedance_of_unit_thickness
 from cgid.physics.closed_forms import peak_displacement, peak_force
+from cgid.physics.impact import HERTZ_LIMIT
 from cgid.physics.materials import Material
-from cgid.physics.pulse import HERTZ_LIMIT
 
 BATCH = 2000
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(20)

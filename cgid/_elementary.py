@@ -1,7 +1,7 @@
 """The formulas of `cgid.elementary`, compiled: scalar functions for other kernels, and loops over arrays.
 
-The scalar functions are plain Python functions that numba compiles into its callers, so that interpreted kernels call
-them as they are.
+The scalar functions are plain Python functions that numba compiles into its callers; interpreted kernels call them
+directly.
 """
 
 from __future__ import annotations

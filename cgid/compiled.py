@@ -1,13 +1,13 @@
-"""How kernels are compiled: the same options for all, and a cache on the disk that can only help.
+"""Compilation of kernels: the same options for all, and a cache on disk that can only help.
 
-numba's own cache is an index and data files for each function. Two processes that compile at once may mix them up, a
-damaged file ends the run or changes the numbers, an edit in another file goes unseen, and as its files are pickles,
-whoever may write where they lie can run code. So here every compiled kernel is one file, named by all that it depends
-on and beginning with the SHA-256 of that name and the rest, in a folder that nobody else can write to. What cannot be
-read is compiled anew, what cannot be written stays in memory: no fault of the disk ends a run.
+numba's own cache has an index and data files for each function. Two processes that compile at once may mix them up, a
+damaged file ends the run or changes the numbers, an edit in another file goes unnoticed, and as the files are pickles,
+whoever can write to their folder can run code. Here every compiled kernel is one file in a folder that nobody else can
+write to. Its name contains a hash of everything it depends on, and it begins with the SHA-256 of its name and content.
+A file that cannot be read is compiled anew; one that cannot be written stays in memory: no disk fault ends a run.
 
 The folder is `kernels-<digest>` in `NUMBA_CACHE_DIR`, or else in the user's cache folder (`XDG_CACHE_HOME`,
-~/.cache/cgid on Linux); the digest is of the kernels' sources and the versions of Python, numpy, numba and llvmlite.
+~/.cache/cgid on Linux); the digest covers the kernels' sources and the versions of Python, numpy, numba and llvmlite.
 """
 
 from __future__ import annotations
@@ -45,20 +45,18 @@ SOURCES = (
     "family.py",
     "physics/_coupled.py",
     "physics/_kernels.py",
+    "physics/_modes.py",
     "physics/_response.py",
-    "physics/_stepped.py",
     "physics/_taylor.py",
     "physics/collocation.py",
     "finite_element/_stepping.py",
-    "physics/tail_beam/_eigen.py",
-    "physics/tail_beam/_shapes.py",
     "scene/_fourier.py",
     "scene/_noise.py",
     "store/_fletcher.py",
 )
-#: After so many seconds (30 days) without a new kernel, the folder of other sources or versions is cleared away.
+#: Folders of other sources or versions are removed after this time without a new kernel [s]: 30 days.
 _FORGOTTEN = 30 * 86400.0
-#: What NUMBA_... variables say that makes another kernel of the same source.
+#: NUMBA_... variables that change the kernel compiled from the same source.
 _SETTINGS = (
     "BOUNDSCHECK",
     "DEBUGINFO_DEFAULT",
@@ -71,17 +69,17 @@ _SETTINGS = (
     "SLP_VECTORIZE",
     "USING_SVML",
 )
-_CHECKSUM = 32  # bytes of it that a file begins with
+_CHECKSUM = 32  # bytes
 _OPTIONS = {"nogil": True, "error_model": "numpy"}
 
 
 def jit(function: Function) -> Function:
-    """Return the function compiled when first called (or taken from the cache), which lets go of Python's lock."""
+    """Return the function, compiled or read from the cache at its first call; it releases Python's lock."""
     return _compiled(function, _OPTIONS)
 
 
 def inner_jit(function: Function) -> Function:
-    """Return the same for what only kernels call: no way in from Python is a fifth less to compile."""
+    """Return the same for a function that only kernels call, which compiles a fifth faster."""
     return _compiled(function, _OPTIONS | {"no_cpython_wrapper": True, "no_cfunc_wrapper": True})
 
 
@@ -93,14 +91,14 @@ def _compiled(function: Function, options: dict[str, Any]) -> Function:
 
 
 class KernelCache(NullCache):
-    """What numba asks for a compiled function and hands it to.
+    """Cache of the compiled forms of one function, in the interface that numba expects.
 
     Parameters
     ----------
     function : callable
-        As Python has it.
+        The Python function.
     folder : callable
-        Says where the files lie, or None where there is no place for them; asked when something is compiled.
+        Returns the folder of the files, or None if there is none; called when something is compiled.
     """
 
     def __init__(self, function: Callable[..., Any], folder: Callable[[], Path | None]) -> None:
@@ -114,9 +112,9 @@ class KernelCache(NullCache):
         return None if folder is None else str(folder)
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
-        """Return the function compiled for these types of arguments, None where that is not to be had."""
+        """Return the function compiled for these types of arguments, None if it is not in the cache."""
         target_context.refresh()
-        # Whatever is wrong with the file or the disk: compiling helps.
+        # Whatever is wrong with the file or the disk, compiling helps.
         with contextlib.suppress(Exception):
             payload = _read(self._file(sig, target_context.codegen()))
             if payload is not None:
@@ -124,7 +122,7 @@ class KernelCache(NullCache):
         return None
 
     def save_overload(self, sig: Any, data: Any) -> None:
-        """Keep a compiled function if that can be."""
+        """Store a compiled function if possible."""
         with contextlib.suppress(Exception):
             if not data.library.has_dynamic_globals:  # addresses of this process
                 _write(self._file(sig, data.codegen), dumps(data._reduce()))
@@ -135,14 +133,14 @@ class KernelCache(NullCache):
             raise FileNotFoundError
         types, _ = normalize_signature(sig)
         settings = [str(getattr(numba.config, name, None)) for name in _SETTINGS]
-        # With the processor: a home folder may be seen from several machines.
+        # Includes the processor: several machines may share a home folder.
         identity = repr((self._name, [str(one) for one in types], codegen.magic_tuple(), settings))
         return folder / f"{self._name}-{hashlib.sha256(identity.encode()).hexdigest()[:16]}"
 
 
 @cache
 def kernel_folder() -> Path | None:
-    """Return the folder of this version's compiled kernels, made if need be; None where none can be trusted."""
+    """Return the folder of this version's compiled kernels, created if needed; None if none can be trusted."""
     try:
         asked, usual = getattr(numba.config, "CACHE_DIR", ""), Path(AppDirs("cgid", False).user_cache_dir)
         if not asked and not usual.is_absolute():  # there is no home folder
@@ -157,12 +155,12 @@ def kernel_folder() -> Path | None:
 
 
 def digest(package: Path) -> str:
-    """Return what tells kernels of other sources or versions from these: 16 hexadecimal digits.
+    """Return a digest of the kernels' sources and the libraries' versions: 16 hexadecimal digits.
 
     Parameters
     ----------
     package : Path
-        The folder below which the `SOURCES` are.
+        The folder that contains the `SOURCES`.
     """
     versions = (sys.implementation.cache_tag, np.__version__, numba.__version__, llvmlite.__version__)
     found = hashlib.sha256(repr(versions).encode())
@@ -172,15 +170,15 @@ def digest(package: Path) -> str:
 
 
 def _private(status: os.stat_result) -> bool:
-    """Whether nobody else (but the administrator) can have made or changed it: pickles run code."""
+    """Return whether only this user or the administrator can have written it: pickles run code."""
     if not hasattr(os, "getuid"):  # Windows: a user's cache folder is that user's
         return True
     return status.st_uid in (os.getuid(), 0) and not status.st_mode & (stat.S_IWGRP | stat.S_IWOTH)
 
 
 def _read(path: Path) -> bytes | None:
-    """Return what was written, None where the file is damaged or another's."""
-    # Not to wait for what is no file.
+    """Return the payload of a file, None if it is damaged or others may have written it."""
+    # Do not block on a pipe or a device.
     file = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0))
     with os.fdopen(file, "rb") as stream:
         status = os.fstat(file)
@@ -195,7 +193,7 @@ def _checksum(path: Path, payload: bytes) -> bytes:
 
 
 def _write(path: Path, payload: bytes) -> None:
-    """Write a file whole or not; it need not outlive a power cut, so nothing waits for the disk."""
+    """Write a file atomically; it need not survive a power cut, so there is no fsync."""
     file, name = tempfile.mkstemp(prefix=".", dir=path.parent)
     temporary = Path(name)
     try:
@@ -208,7 +206,7 @@ def _write(path: Path, payload: bytes) -> None:
 
 
 def _clear_forgotten(folder: Path) -> None:
-    """Remove the folders of other sources and versions that have got nothing new for long."""
+    """Remove the folders of other sources and versions that are no longer used."""
     for other in folder.parent.glob("kernels-*"):
         with contextlib.suppress(OSError):
             status = other.lstat()

@@ -1,6 +1,6 @@
-"""How often what has run: counters at the places where work is handed out, for tests and benchmarks.
+"""Counters of the work done, for tests and benchmarks.
 
-Nobody counts unless asked: `with counted() as counts:` collects, everywhere else `count` looks once and returns.
+`with counted() as counts:` collects; outside of it `count` returns at once.
 """
 
 from __future__ import annotations
@@ -20,8 +20,8 @@ _lock = threading.Lock()
 def counted() -> Iterator[Counter[str]]:
     """Collect what runs inside, by name.
 
-    It holds for this thread and for those that are given its context; counts inside another `counted` are added to
-    the outer one's at the end.
+    It covers this thread and those that run in a copy of its context. Counts inside another `counted` are added to the
+    outer one at the end.
 
     Examples
     --------
@@ -42,7 +42,7 @@ def counted() -> Iterator[Counter[str]]:
 
 
 def counting() -> bool:
-    """Return whether anybody counts: what is only made to be counted is made only then."""
+    """Return whether counts are collected: only then is it worth computing a number to count."""
     return _counts.get() is not None
 
 
@@ -54,7 +54,6 @@ def count(name: str, number: SupportsInt = 1) -> None:
     name : str
         What ran, in the plural.
     number : int
-        How many of them.
     """
     counts = _counts.get()
     if counts is not None and int(number):

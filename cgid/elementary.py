@@ -1,16 +1,16 @@
 """Elementary functions that give the same bits on every processor.
 
-The exponential of numpy is another routine where the processor has AVX-512, that of the C library another one where it
-fuses multiplication and addition, and both change with their versions. The functions here use sums, products,
-quotients, roots and integers only, which IEEE 754 rounds in one way. Whatever ends in a stored file goes through them.
+numpy uses another exponential where the processor has AVX-512, the C library another one where it fuses multiplication
+and addition, and both change with their versions. The functions here use only sums, products, quotients, roots and
+integers, which IEEE 754 rounds in one way. Everything that ends in a stored file goes through them.
 
-Each is one formula, written once for scalars and arrays: numpy evaluates it on arrays, and `cgid._elementary` compiles
-it. The compiled loops serve wherever numba has been loaded anyway, numpy's evaluation where it has not; both give the
-same bits. Errors are below 1 unit in the last place (`tests/test_elementary.py`, against mpmath).
+Each function is one formula, written once for scalars and arrays: numpy evaluates it on arrays, and `cgid._elementary`
+compiles it. The compiled loops run if numba has been loaded, numpy's evaluation if not; both give the same bits. Errors
+are below 1 unit in the last place (`tests/test_elementary.py`, against mpmath).
 
 Method: arguments are reduced by a multiple of ln 2 or pi/2 held in two or three parts (Cody & Waite 1980, Software
-Manual for the Elementary Functions), what is left goes into a series, and where one double is not enough a sum of two
-carries on (Dekker 1971, Numer. Math. 18, 224).
+Manual for the Elementary Functions), the remainder goes into a series, and where one double is not enough a sum of two
+is carried (Dekker 1971, Numer. Math. 18, 224).
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from numpy.typing import ArrayLike, NDArray
 Floats = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
-#: Adding it to a number below 2^51 rounds that to an integer, which then stands in its last bits.
+#: Adding it to a number below 2^51 rounds that number to an integer, held in the last bits of the sum.
 _ROUNDER = 1.5 * 2.0**52
 _ROUNDER_BITS = 0x4338000000000000
 _BIAS, _FRACTION_BITS = 1023, 52
@@ -34,7 +34,7 @@ _SQRT_HALF_BITS = 0x3FE6A09E667F3BCD
 _SMALLEST_NORMAL, _RAISE = 2.0**-1022, 2.0**54
 #: Halves of a double: a product of two such halves is exact.
 _SPLITTER = 2.0**27 + 1
-#: ln 2 with 42 bits, times any exponent without rounding, and what is left of it.
+#: ln 2 with 42 bits, which times any exponent is exact, and the remainder.
 _LN2_HIGH, _LN2_LOW = float.fromhex("0x1.62E42FEFA38p-1"), float.fromhex("0x1.EF35793C7673p-45")
 _INVERSE_LN2 = float.fromhex("0x1.71547652B82FEp0")
 #: Outside the exponential is 0 or infinite.
@@ -55,72 +55,24 @@ _COSINE = tuple((-1) ** k / math.factorial(2 * k) for k in range(9, 1, -1))
 #: Rational functions of the normal quantile in its middle, its tails, and far out, highest power first (AS 241).
 _NORMAL = (
     (
-        (
-            2509.0809287301227,
-            33430.57558358813,
-            67265.7709270087,
-            45921.95393154987,
-            13731.69376550946,
-            1971.5909503065513,
-            133.14166789178438,
-            3.3871328727963665,
-        ),
-        (
-            5226.495278852854,
-            28729.085735721943,
-            39307.89580009271,
-            21213.794301586597,
-            5394.196021424751,
-            687.1870074920579,
-            42.31333070160091,
-            1.0,
-        ),
+        (2509.0809287301227, 33430.57558358813, 67265.7709270087, 45921.95393154987,
+         13731.69376550946, 1971.5909503065513, 133.14166789178438, 3.3871328727963665),
+        (5226.495278852854, 28729.085735721943, 39307.89580009271, 21213.794301586597,
+         5394.196021424751, 687.1870074920579, 42.31333070160091, 1.0),
     ),
     (
-        (
-            0.0007745450142783414,
-            0.022723844989269184,
-            0.2417807251774506,
-            1.2704582524523684,
-            3.6478483247632045,
-            5.769497221460691,
-            4.630337846156546,
-            1.4234371107496835,
-        ),
-        (
-            1.0507500716444169e-09,
-            0.0005475938084995345,
-            0.015198666563616457,
-            0.14810397642748008,
-            0.6897673349851,
-            1.6763848301838038,
-            2.053191626637759,
-            1.0,
-        ),
+        (0.0007745450142783414, 0.022723844989269184, 0.2417807251774506, 1.2704582524523684,
+         3.6478483247632045, 5.769497221460691, 4.630337846156546, 1.4234371107496835),
+        (1.0507500716444169e-09, 0.0005475938084995345, 0.015198666563616457, 0.14810397642748008,
+         0.6897673349851, 1.6763848301838038, 2.053191626637759, 1.0),
     ),
     (
-        (
-            2.0103343992922881e-07,
-            2.7115555687434876e-05,
-            0.0012426609473880784,
-            0.026532189526576124,
-            0.29656057182850487,
-            1.7848265399172913,
-            5.463784911164114,
-            6.657904643501103,
-        ),
-        (
-            2.0442631033899397e-15,
-            1.421511758316446e-07,
-            1.8463183175100548e-05,
-            0.0007868691311456133,
-            0.014875361290850615,
-            0.1369298809227358,
-            0.599832206555888,
-            1.0,
-        ),
+        (2.0103343992922881e-07, 2.7115555687434876e-05, 0.0012426609473880784, 0.026532189526576124,
+         0.29656057182850487, 1.7848265399172913, 5.463784911164114, 6.657904643501103),
+        (2.0442631033899397e-15, 1.421511758316446e-07, 1.8463183175100548e-05, 0.0007868691311456133,
+         0.014875361290850615, 0.1369298809227358, 0.599832206555888, 1.0),
     ),
-)
+)  # fmt: skip
 #: Up to here sine and cosine keep all their digits.
 LARGEST_ANGLE = 2.0**40
 
@@ -228,7 +180,7 @@ def sine_and_cosine(x: Any) -> Any:
 
 
 def exp_of(x: Any) -> Any:
-    """Return e^x, of a scalar or an array, whose loop numpy or numba makes."""
+    """Return e^x of a scalar or an array."""
     high, low, n = exponential_parts(x, 0.0)
     return times_power_of_two(high + low, n)
 
@@ -274,7 +226,7 @@ def normal_ratio(which: int, x: Any) -> Any:
     return above / below
 
 
-#: Those that numba compiles (`cgid._elementary`).
+#: Compiled by numba (`cgid._elementary`).
 FORMULAS = (
     product_parts,
     sum_parts,
@@ -296,7 +248,7 @@ def _arrays(*values: ArrayLike) -> tuple[Floats, ...]:
 
 
 def _loop(name: str) -> Any:
-    """Return the compiled loop of a function where numba has been loaded, None where numpy evaluates the formula."""
+    """Return the compiled loop of a function if numba has been loaded, else None: numpy then evaluates the formula."""
     if "numba" not in sys.modules:
         return None
     from cgid import _elementary
@@ -360,7 +312,7 @@ def power(x: ArrayLike, y: ArrayLike) -> Floats:
     x, y = np.broadcast_arrays(*_arrays(x, y))
     with np.errstate(all="ignore"):
         inside = (x > 0) & (x < np.inf)
-        # 0 and infinity have powers of their own kind, which no library rounds.
+        # Powers of 0 and of infinity are exact.
         ends = np.where((x == 0) == (y > 0), 0.0, np.inf)
         outside = np.where(x < 0, np.nan, np.where(y == 0, 1.0, np.where(np.isnan(x + y), np.nan, ends)))
     return np.where(inside, _evaluate("power_loop", power_of, np.where(inside, x, 1.0), y), outside)
@@ -405,12 +357,12 @@ def complex_exp(x: Complex) -> Complex:
 
 
 def complex_product(a: Complex, b: Complex) -> Complex:
-    """Return the product of complex arrays: numpy's own fuses multiplication and addition where a processor can."""
+    """Return the product of complex arrays; numpy's own may fuse multiplication and addition."""
     return complex_of(a.real * b.real - a.imag * b.imag, a.real * b.imag + a.imag * b.real)
 
 
 def matrix_product(a: Floats, b: Floats) -> Floats:
-    """Return the product of a (n, k) and b (k, ...), added up in order of k: BLAS has an order for each processor."""
+    """Return the product of a (n, k) and b (k, ...), summed in order of k; BLAS depends on the processor."""
     out = np.zeros((len(a), *b.shape[1:]))
     for k, row in enumerate(b):
         out += a[:, k].reshape(-1, *(1,) * row.ndim) * row

@@ -1,13 +1,13 @@
 """The dimensionless damped-Hertz pulse, a one-parameter family: tables and their evaluation in numpy.
 
-`x'' = -x^(3/2) (1 + D x')`, `x(0) = 0`, `x'(0) = 1`: every damped impact is this curve, stretched. The
-parameter here is the restitution e (D and e are two names of one number, `cgid.physics.restitution`).
+`x'' = -x^(3/2) (1 + D x')`, `x(0) = 0`, `x'(0) = 1`: every damped impact is this curve, scaled. The parameter here is
+the restitution e, which determines D (`cgid.physics.closed_forms`).
 
-How a pulse is stored. The contact is cut at `tau_s`, between its largest displacement and its middle.
+A pulse is stored as follows. The contact is cut at `tau_s`, between its largest displacement and its middle.
 With `sigma = sqrt(tau / tau_s)` counted from touch, and `sigma = sqrt((tau_c - tau) / (tau_c - tau_s))`
 counted back from separation, force / sigma^3 and displacement / sigma^2 are smooth and positive: each
 is a polynomial on every one of the segments of sigma. Each coefficient of these, like the times, is in turn
-a polynomial of ln e on every one of the intervals of ln e, so that a pulse needs few of them.
+a polynomial of ln e on every one of the intervals of ln e.
 `cgid.physics.tabulation` makes the table by quadrature to machine precision.
 """
 
@@ -42,8 +42,8 @@ class FamilyTable:
     Attributes
     ----------
     force, displacement : ndarray, (INTERVALS, ORDERS, CUT + 1)
-        What the columns hold: the local polynomials of both halves (from touch, from separation), segment by
-        segment, lowest power first, then contact time and time of the cut.
+        Columns: the local polynomials of both halves (from touch, from separation), segment by segment, lowest power
+        first, then contact time and time of the cut.
     times : ndarray, (INTERVALS, n_time_orders, 3)
         Contact time, time of the peak force, time of the largest displacement.
     """
@@ -61,13 +61,13 @@ def table() -> FamilyTable:
 
 
 def in_table(restitution: ArrayLike) -> NDArray[np.bool_]:
-    """Return where the table serves this restitution."""
+    """Return whether the table covers this restitution."""
     e = np.asarray(restitution, dtype=np.float64)
     return np.asarray((e >= LOWEST_RESTITUTION) & (e <= HIGHEST_RESTITUTION))
 
 
 def coordinate(restitution: ArrayLike) -> Floats:
-    """Return where a restitution stands in the table: 0 at 1, `INTERVALS` at the lowest, evenly in ln e."""
+    """Return the place of a restitution in the table: 0 at 1, `INTERVALS` at the lowest, evenly in ln e."""
     e = np.asarray(restitution, dtype=np.float64)
     return np.asarray(np.clip(log(e) * (INTERVALS / log(LOWEST_RESTITUTION)), 0, INTERVALS))
 

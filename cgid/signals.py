@@ -1,4 +1,4 @@
-"""The nouns of the whole house: one signal, and a labelled batch of them."""
+"""One signal, and a labelled batch of signals."""
 
 from __future__ import annotations
 
@@ -10,56 +10,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cgid import validation
+from cgid import units, validation
 from cgid.errors import BadData, InvalidValue
 from cgid.validation import require_rate
-
-#: Standard gravity [m/s^2], the factor from g.
-STANDARD_GRAVITY = 9.80665
-
-#: Quantity -> its units -> factor to the SI unit, which comes first.
-UNITS: Mapping[str, Mapping[str, float]] = {
-    "force": {"N": 1.0, "kN": 1e3, "MN": 1e6, "mN": 1e-3, "lbf": 4.4482216152605},
-    "acceleration": {
-        "m/s^2": 1.0,
-        "m/s2": 1.0,
-        "m/s²": 1.0,
-        "m/s**2": 1.0,
-        "mm/s^2": 1e-3,
-        "g": STANDARD_GRAVITY,
-        "mg": 1e-3 * STANDARD_GRAVITY,
-    },
-    "velocity": {"m/s": 1.0, "mm/s": 1e-3, "cm/s": 1e-2},
-    "displacement": {"m": 1.0, "mm": 1e-3, "um": 1e-6, "µm": 1e-6},
-    "pressure": {"Pa": 1.0, "kPa": 1e3, "MPa": 1e6},
-    "voltage": {"V": 1.0, "mV": 1e-3, "uV": 1e-6, "µV": 1e-6},
-    "energy": {"J": 1.0, "kJ": 1e3, "mJ": 1e-3},
-    "strain": {"m/m": 1.0, "um/m": 1e-6, "µm/m": 1e-6},
-    "level": {"FS": 1.0},
-}
-
-#: Every unit that is known, as it is written.
-KNOWN_UNITS = frozenset(unit for units in UNITS.values() for unit in units)
-
-
-def quantity_of(unit: str) -> str:
-    """Return the quantity that a unit belongs to.
-
-    Raises
-    ------
-    InvalidValue
-        The unit is unknown; the message lists the known ones.
-
-    Examples
-    --------
-    >>> quantity_of("kN"), quantity_of("g")
-    ('force', 'acceleration')
-    """
-    for quantity, units in UNITS.items():
-        if unit in units:
-            return quantity
-    known = "; ".join(f"{quantity}: {', '.join(units)}" for quantity, units in UNITS.items())
-    raise InvalidValue(f"unit must be one of the known ones, got {unit!r} ({known})")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -73,7 +26,7 @@ class Signal:
     sampling_rate : float
         [Hz], above 0.
     unit : str or None
-        As written in `UNITS`; None when nobody said.
+        One of `cgid.units.UNITS`; None if unknown.
     source : str
         Where it came from: a file name.
     channel : str
@@ -119,7 +72,7 @@ class Signal:
             )
         rate = require_rate(self.sampling_rate)
         if self.unit is not None:
-            quantity_of(self.unit)
+            units.quantity_of(self.unit)
         if self.pre_trigger is not None:
             validation.whole("pre_trigger", self.pre_trigger, 0, samples.size - 1)
         object.__setattr__(self, "samples", samples)
@@ -133,7 +86,7 @@ class Signal:
     @property
     def quantity(self) -> str | None:
         """The physical quantity of the unit; None when the unit is unknown."""
-        return None if self.unit is None else quantity_of(self.unit)
+        return None if self.unit is None else units.quantity_of(self.unit)
 
     @property
     def duration(self) -> float:
@@ -151,8 +104,8 @@ class Signal:
         """
         if self.unit is None or self.quantity is None:
             return self
-        units = UNITS[self.quantity]
-        factor, si = units[self.unit], next(iter(units))
+        factors = units.UNITS[self.quantity]
+        factor, si = factors[self.unit], next(iter(factors))
         return self if self.unit == si else replace(self, samples=self.samples * factor, unit=si)
 
     def as_force(self, mass: float) -> Signal:

@@ -129,6 +129,24 @@ def poisson_ratio(name: str, value: ArrayLike) -> Floats:
     return numbers
 
 
+def damping_ratio(name: str, value: ArrayLike) -> Floats:
+    """Return damping ratios as float64 within (0, 1): an oscillation that decays."""
+    numbers = positive(name, value)
+    _require(numbers < 1, name, "must be below 1, where a mode ceases to ring", numbers)
+    return numbers
+
+
+def ascending(name: str, values: Floats, unit: str = "") -> Floats:
+    """Return a row of numbers that does not fall, or raise `InvalidValue`."""
+    falling = np.flatnonzero(np.diff(values) < 0)
+    if falling.size:
+        at, unit = int(falling[0]), f" {unit}" if unit else ""
+        raise InvalidValue(
+            f"{name} must ascend, got {values[at + 1]:g}{unit} after {values[at]:g}{unit} at index {at + 1}; sort them"
+        )
+    return values
+
+
 def restitution(name: str, value: ArrayLike) -> Floats:
     """Return a coefficient of restitution as float64 within (0, 1]; at 0 the damping would be infinite."""
     numbers = real(name, value)

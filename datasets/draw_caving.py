@@ -12,7 +12,7 @@ from pathlib import Path
 from cgid.plots import recording_picture
 from cgid.scene import load_scene
 from cgid.scene.recordings import generate_recordings
-from cgid.store.recording import Recording
+from cgid.store.reading import Recording
 
 FOLDER = Path(__file__).parent
 

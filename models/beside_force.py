@@ -12,8 +12,8 @@ import numpy as np
 from cgid import shipped
 from cgid.identification.answers import Answer, identify_frames
 from cgid.identification.card import force_table
+from cgid.identification.metrics import paired_difference
 from cgid.identification.model import Model
-from cgid.identification.selection import paired_difference
 from cgid.identification.training import train
 from cgid.measure.features import choose, supported
 from cgid.scene import Scene, load_scene, synthesise, varied

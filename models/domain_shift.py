@@ -14,7 +14,7 @@ from cgid.identification.answers import identify_frames
 from cgid.identification.card import domain_shift_table
 from cgid.identification.model import Model
 from cgid.scene import Scene, load_scene, synthesise, varied
-from cgid.signals import STANDARD_GRAVITY
+from cgid.units import STANDARD_GRAVITY
 
 #: No training uses it.
 SEED = 2_000_003

@@ -11,7 +11,7 @@ import sys
 
 from cgid import shipped
 from cgid.identification.card import selection_table
-from cgid.identification.measuring import measure
+from cgid.identification.rows import measure
 from cgid.identification.selection import MARGIN, SUPPORT_VECTOR_IMPACTS, select
 from cgid.scene import load_scene, synthesise
 from cgid.workers import workers

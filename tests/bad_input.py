@@ -19,8 +19,8 @@ from cgid import shipped
 from cgid.identification.model import Model
 from cgid.identification.training import train
 from cgid.scene import generate, load_scene, parse_scene, synthesise
+from cgid.scene.generation import tabulate
 from cgid.scene.plan import plan
-from cgid.scene.tabulation import tabulate
 from tests.bad_recordings import RECORDING_CASES, make_recordings
 
 ROOT = Path(__file__).parents[1]

@@ -17,7 +17,7 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
 import pytest
 
 from cgid.identification.classifier import FAMILIES
-from cgid.identification.measuring import measure
+from cgid.identification.rows import measure
 from cgid.identification.training import Training, train
 from cgid.scene import Scene, load_scene, synthesise
 

@@ -17,8 +17,8 @@ import numpy as np
 from cgid.recordings import open_recording
 from cgid.signals import Batch
 from cgid.store import Dataset, Rows, TableHeader, is_table, read_table, table_writer
-from cgid.store.recording import Recording, RecordingPlan, writing
-from cgid.store.shard import ShardBuilder, ShardPlan
+from cgid.store.hdf5 import RecordingPlan, ShardBuilder, ShardPlan, writing
+from cgid.store.reading import Recording
 
 N_ROWS, N_SAMPLES = 24, 16
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pandas as pd
 
-from cgid.reproduction.finite_element import cases
+from cgid.reproduction.study import UNDAMPED
 
 # rho, E, nu of Table 2 of the paper, written again.
 SPHERES = {1: (1380, 2.26e9, 0.28), 2: (1550.6, 4.3e9, 0.30), 3: (2412, 21.64e9, 0.30), 4: (2400, 3.906e9, 0.28)}
@@ -14,7 +14,7 @@ FACTORS = {"hertz": 1.0, "rigid-sphere": 8 * 3**0.5 / 9, "series": 1.75**-1.5}
 RESPONSES = ("peak_force", "peak_displacement", "contact_duration")
 
 
-def table(study, group=cases.UNDAMPED):
+def table(study, group=UNDAMPED):
     """Return sphere, speed and numbers of a group, a row for each impact."""
     return pd.DataFrame(
         [{"sphere": found.case.sphere, "velocity": found.case.velocity, **found.numbers} for found in study.of(group)]

@@ -15,8 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from cgid.physics.damping_factors import HUNT_CROSSLEY_LAWS
-from cgid.physics.hertz import STIFFNESS_THEORIES
+from cgid.physics.laws import HUNT_CROSSLEY_LAWS, STIFFNESS_THEORIES
 from cgid.scene import load_scene, synthesise
 from cgid.scene.schema import Scene
 from cgid.scene.stream import record

@@ -147,7 +147,7 @@ def _npz(path: Path, samples: np.ndarray, rate: float) -> None:
 
 
 def _own(path: Path, samples: np.ndarray, rate: float) -> None:
-    from cgid.store.recording import RecordingPlan, writing
+    from cgid.store.hdf5 import RecordingPlan, writing
 
     plan = RecordingPlan(n_samples=samples.shape[1], dtype="float64", sampling_rate=rate, unit=UNIT, attributes={})
     with writing(path, plan) as writer:

@@ -15,18 +15,20 @@ from cgid.cli.main import run
 from cgid.errors import BadData, InvalidValue, NoInput
 from cgid.identification.answers import identify, identify_frames, suited
 from cgid.identification.card import force_table, write_card
-from cgid.identification.events import VIBRATION_DEAD_TIME, find_impacts
-from cgid.identification.measuring import (
+from cgid.identification.detection import VIBRATION_DEAD_TIME, find_impacts
+from cgid.identification.model import Model
+from cgid.identification.rows import (
     DEFAULT_FEATURES,
     DEFAULT_GUARDS,
     DEFAULT_VIBRATION_FEATURES,
     default_guards,
+    linear_columns,
     measure,
 )
-from cgid.identification.model import Model
-from cgid.identification.training import Training, linear_columns, train
+from cgid.identification.training import Training, train
 from cgid.measure.features import FEATURES
-from cgid.signals import STANDARD_GRAVITY, Batch, Signal
+from cgid.signals import Batch, Signal
+from cgid.units import STANDARD_GRAVITY
 from tests.ringing import N_SAMPLES, PRE_TRIGGER, RATE, damped_sinusoid, ringing_batch
 
 

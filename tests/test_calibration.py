@@ -8,7 +8,8 @@ from cgid.errors import BadData, CgidError, InvalidValue
 from cgid.physics import HalfSpace, HuntCrossley, Impact, Sphere, free_fall_velocity
 from cgid.physics.materials import STEEL, YANG2018_SPHERES
 from cgid.scene import Blow, calibrated, parse_scene, synthesise, varied
-from cgid.signals import STANDARD_GRAVITY, Signal
+from cgid.signals import Signal
+from cgid.units import STANDARD_GRAVITY
 
 RATE, FINER, N_SAMPLES = 25_600.0, 16, 2560
 FREQUENCY = np.array([118.0, 187.0, 402.0, 911.0, 1930.0, 2075.0, 4320.0])

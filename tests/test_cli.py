@@ -264,10 +264,15 @@ def test_features_of_a_dataset_are_one_row_a_signal(made: Path, capsys: pytest.C
 
 
 def test_table_of_features_is_printed(capsys: pytest.CaptureFixture[str]) -> None:
-    from cgid.measure.features import FEATURES
+    from cgid.measure.features import FEATURES, choose
 
     assert run(["features", "--list"]) == 0
-    assert [line.split("\t")[0] for line in capsys.readouterr().out.splitlines()] == list(FEATURES)
+    rows = [line.split("\t") for line in capsys.readouterr().out.splitlines()]
+    assert [name for row in rows for name in choose([row[0]])] == list(FEATURES)
+    (bank,) = [row for row in rows if row[0] == "mel_*_hz"]
+    assert (
+        bank[1] == "log10(U^2 s)" and bank[2].endswith("(* is one of 39 from 65 to 21584)") and bank[4] == "vibration"
+    )
 
 
 def test_standard_input_is_a_recording() -> None:

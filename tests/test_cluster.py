@@ -22,13 +22,13 @@ from distributed import Client, LocalCluster
 from cgid import workers as cluster
 from cgid.cli.main import run
 from cgid.errors import BadData, CannotCreate, ClusterFailed, InvalidValue, MissingExtra
-from cgid.identification.measuring import measure
-from cgid.identification.recorded.grouped import Candidate, Lesson, Rows, choose, final, judge
+from cgid.identification.grouped import Candidate, Lesson, choose_candidate, final, judge
+from cgid.identification.rows import Rows, measure
 from cgid.identification.selection import CANDIDATES, select
 from cgid.scene import Scene, generate, synthesise
-from cgid.scene import workers as shards
+from cgid.scene import generation as shards
 from cgid.store import Dataset
-from cgid.store.journal import JOURNAL
+from cgid.store.run import JOURNAL
 from cgid.validation import positive
 from cgid.workers import ALONE, Workers, workers
 from tests.mortal import fatal
@@ -85,7 +85,7 @@ def test_a_dataset_is_the_same_whoever_makes_it(
     generate(reference_scene, "dask.h5", 32, 4, scheduler=address)
     assert sums(Path("one")) == sums(Path("two")) == sums(Path("dask"))
     assert Path("dask.h5").read_bytes() == Path("one/shard-00000.h5").read_bytes()
-    assert len(sums(Path("dask"))) == 6  # five shards and the manifest
+    assert len(sums(Path("dask"))) == 7  # five shards, the manifest and the sums
     assert sorted(told) == [22, *[32] * 4]
 
 
@@ -111,7 +111,7 @@ def test_groups_are_judged_alike_whoever_leaves_them_out(address: str) -> None:
     lesson = Lesson(rows=rows, candidates=candidates, weights=None, seed=0)
 
     def learned(crew: Workers) -> list[Any]:
-        judged, choice = judge(lesson, crew=crew), choose(lesson, crew)
+        judged, choice = judge(lesson, crew=crew), choose_candidate(lesson, crew)
         limit = final(lesson, choice, crew).neighbourhood_.limit
         return [judged.probabilities.tolist(), judged.chosen, choice, limit]
 
@@ -138,7 +138,7 @@ def test_a_command_does_its_work_on_a_cluster(address: str, tmp_path: Path, caps
         run(["generate", "reference", "-n", "400", "-o", data, "--shard-signals", "256", "--scheduler", address]) == 0
     )
     for model, way in zip(models, (["--scheduler", address], ["--jobs", "2"], []), strict=True):
-        assert run(["train", data, "-o", str(model), "--family", "discriminant", "--features", FEATURES, *way]) == 0
+        assert run(["train", data, "-o", str(model), "--family", "linear", "--features", FEATURES, *way]) == 0
     assert len({model.read_bytes() for model in models}) == 1
     assert "Traceback" not in capsys.readouterr().err
 

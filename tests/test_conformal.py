@@ -16,10 +16,10 @@ from cgid.identification.answers import Decision, identify_frames
 from cgid.identification.card import write_card
 from cgid.identification.classifier import ImpactClassifier
 from cgid.identification.conformal import COVERAGES, Conformal
+from cgid.identification.families import softmax
 from cgid.identification.metrics import calibration_error_by_chance, evaluate_sets, reliability
 from cgid.identification.model import Model
 from cgid.identification.training import FEWEST_CALIBRATION_SPECIMENS, Training, hold_out, set_apart, train
-from cgid.identification.transform import softmax
 from cgid.scene import Scene, synthesise
 
 Trained = dict[str, Training]

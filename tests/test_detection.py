@@ -6,8 +6,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from cgid.errors import BadData, InvalidValue
-from cgid.identification.detection.detector import ImpactDetector
-from cgid.identification.detection.ringing import onset_in
+from cgid.identification.detection import ImpactDetector
+from cgid.identification.vibration_onsets import onset_in
 from cgid.measure.features import extract_array
 from cgid.recordings import read_recording
 from tests.impact_truth import Stream, caving, score

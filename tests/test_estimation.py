@@ -9,13 +9,11 @@ from scipy import stats
 from cgid import family
 from cgid.errors import BadData, InvalidValue
 from cgid.identification.estimation import Prior, cramer_rao_bound, estimate, posterior
-from cgid.measure.estimation import Start, fit_pulses
-from cgid.measure.estimation.model import shape_deviation
-from cgid.measure.estimation.start import strongest_run
-from cgid.measure.estimation.template import curve, relative_times
 from cgid.measure.features import extract_array
 from cgid.measure.filters import fft_filter
+from cgid.measure.fit import Start, fit_pulses, strongest_run
 from cgid.measure.pulses import PulseBatch
+from cgid.measure.template import curve, relative_times, shape_deviation
 from cgid.scene import load_scene, parse_scene, synthesise
 from tests import few, naive
 from tests.conftest import ROOT
@@ -123,7 +121,7 @@ def test_slopes_of_the_times_are_their_slopes(s):
 
 @pytest.fixture
 def _no_penalty(monkeypatch):
-    monkeypatch.setattr("cgid.measure.estimation.fit._FIRTH", 0.0)
+    monkeypatch.setattr("cgid.measure.fit._FIRTH", 0.0)
 
 
 CASES = [(0.45, 60, 0.01), (0.5, 30, 0.01), (0.65, 30, 0.02), (0.8, 100, 0.02), (0.95, 200, 0.02), (1.2, 60, 0.01)]

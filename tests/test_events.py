@@ -8,7 +8,7 @@ from hypothesis.extra.numpy import arrays
 
 from cgid import family
 from cgid.errors import BadData, CgidError, InvalidValue
-from cgid.identification.events import DEAD_TIME, THRESHOLD_OVER_PEAK, find_impacts
+from cgid.identification.detection import DEAD_TIME, THRESHOLD_OVER_PEAK, find_impacts
 from cgid.measure.features import extract_array
 from cgid.signals import Signal
 from tests import naive

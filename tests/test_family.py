@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 
 from cgid import family
-from cgid.physics.quadrature import reference_pulse, time_of_peak
-from cgid.physics.restitution import damping_number
+from cgid.physics.closed_forms import damping_number
+from cgid.physics.tabulation import reference_pulse, time_of_peak
 from tests import few
 
 

@@ -14,7 +14,7 @@ from scipy import integrate, optimize, signal, stats
 
 from cgid import family
 from cgid.errors import BadData, CgidError, InvalidValue
-from cgid.identification.events import find_impacts
+from cgid.identification.detection import find_impacts
 from cgid.measure.features import FEATURES as ALL_FEATURES
 from cgid.measure.features import choose, extract, extract_array
 from cgid.measure.frames import MINIMUM_FRAME

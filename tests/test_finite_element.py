@@ -9,7 +9,7 @@ from scipy import sparse
 from scipy.sparse import linalg
 
 from cgid.finite_element import FiniteElementImpact, History
-from cgid.finite_element.elasticity import element_matrices
+from cgid.finite_element.assembly import element_matrices
 from cgid.physics import Sphere
 from cgid.physics.materials import STEEL, YANG2018_SPHERES
 from tests.element_twin import ElementTwin, lame, solid_of_revolution

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from cgid.finite_element import ElasticPlate, PenaltyContact
-from cgid.finite_element.bodies import bulk_modulus
+from cgid.finite_element.mesh import bulk_modulus
 from cgid.physics import Sphere, ThinPlate
 from cgid.physics.materials import STEEL, YANG2018_SPHERES
 from tests import few

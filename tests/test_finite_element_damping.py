@@ -296,7 +296,7 @@ def test_runs_repeat_to_the_last_bit():
 @pytest.mark.parametrize("method", ["explicit", "implicit"])
 def test_a_sphere_that_never_leaves_is_told(monkeypatch, method):
     # Two tenths of a contact are not enough for any sphere.
-    monkeypatch.setattr("cgid.finite_element.records.LONGEST", 0.2)
+    monkeypatch.setattr("cgid.finite_element.steps.LONGEST", 0.2)
     with pytest.raises(InvalidValue, match=r"must part from the plate, it still touches or nears it after .* s"):
         impact(method=method).run()
 

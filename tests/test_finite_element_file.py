@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from cgid.errors import BadData, NoInput
-from cgid.reproduction.finite_element import cases, packed, read_study, shipped_study
-from cgid.reproduction.finite_element.study import NUMBERS, Run, Study
+from cgid.reproduction.study import NUMBERS, Run, Study, all_cases, packed, read_study, shipped_study
 
 
 @pytest.fixture(scope="module")
@@ -110,7 +109,7 @@ def test_missing_file_says_its_cure(tmp_path):
 
 
 def test_a_run_without_courses_has_no_times(tmp_path):
-    bare = Run(case=cases.all_cases()[-1], numbers=dict.fromkeys(NUMBERS, 1.0), duration=1e-4, courses={})
+    bare = Run(case=all_cases()[-1], numbers=dict.fromkeys(NUMBERS, 1.0), duration=1e-4, courses={})
     (tmp_path / "study.npz").write_bytes(packed(Study(runs=(bare,), made="by hand")))
     (again,) = read_study(tmp_path / "study.npz").runs
     assert again.case == bare.case and again.courses == {}

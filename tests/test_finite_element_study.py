@@ -12,8 +12,23 @@ from cgid.cli.main import run
 from cgid.errors import InvalidValue
 from cgid.measure.filters import fft_filter
 from cgid.reproduction import n_steps, reproduce
-from cgid.reproduction.finite_element import cases, packed, read_study, running, shipped_study, waves
-from cgid.reproduction.finite_element.study import COURSES, NUMBERS
+from cgid.reproduction import study as running
+from cgid.reproduction.study import (
+    COURSES,
+    DAMPED,
+    ELEMENT_SIZES,
+    N_CASES,
+    NUMBERS,
+    RESTITUTION,
+    SOFT_2_MM,
+    SOFT_BY_FACTOR,
+    UNDAMPED,
+    Case,
+    all_cases,
+    packed,
+    read_study,
+    shipped_study,
+)
 from cgid.signals import Signal
 from tests import few
 from tests.impacts_by_hand import RADIUS, RESPONSES, SPHERES, by_hand, table
@@ -36,8 +51,8 @@ def study():
 
 
 def test_every_case_is_there_as_it_is_chosen_today(study):
-    wanted = cases.all_cases()
-    assert len(study.runs) == len(wanted) == cases.N_CASES == n_steps(finite_element=True) - n_steps()
+    wanted = all_cases()
+    assert len(study.runs) == len(wanted) == N_CASES == n_steps(finite_element=True) - n_steps()
     for found, case in zip(study.runs, wanted, strict=True):
         assert (found.case.group, found.case.sphere) == (case.group, case.sphere)
         for name in ("velocity", "retardation_time", "penalty_factor"):
@@ -60,17 +75,17 @@ def test_balances(study):
         energy = by_hand("hertz", row.sphere, row.velocity)["energy"]
         # Nearly all of it is elastic at some moment, and both have their peaks at nearly the same.
         assert (row.peak_sphere_energy + row.peak_plate_energy) / energy == pytest.approx(1, abs=1e-3)
-    assert table(study, cases.DAMPED)["energy_error"].isna().all()
+    assert table(study, DAMPED)["energy_error"].isna().all()
 
 
 def test_damped_spheres_have_the_restitution_of_kuwabara_and_kono(study):
-    assert table(study, cases.DAMPED)["restitution"].to_numpy() == pytest.approx(cases.RESTITUTION, abs=0.015)
-    assert len({run.case.retardation_time for run in study.of(cases.DAMPED)}) == 20
+    assert table(study, DAMPED)["restitution"].to_numpy() == pytest.approx(RESTITUTION, abs=0.015)
+    assert len({run.case.retardation_time for run in study.of(DAMPED)}) == 20
 
 
 def test_courses_and_peaks_belong_together(study):
-    kept = {cases.UNDAMPED: set(COURSES), cases.DAMPED: set(COURSES)}
-    kept |= {group: {"force", "displacement"} for group in cases.ELEMENT_SIZES}
+    kept = {UNDAMPED: set(COURSES), DAMPED: set(COURSES)}
+    kept |= {group: {"force", "displacement"} for group in ELEMENT_SIZES}
     for found in study.runs:
         assert set(found.courses) == kept.get(found.case.group, set())
         if found.courses:
@@ -87,11 +102,11 @@ def test_courses_and_peaks_belong_together(study):
 # ---- how it is made -------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("group", few([cases.UNDAMPED, cases.SOFT_2_MM, cases.DAMPED]))
+@pytest.mark.parametrize("group", few([UNDAMPED, SOFT_2_MM, DAMPED]))
 def test_a_case_computed_again_is_the_shipped_one(study, group):
     """The quickest of the cases of a group, with the real solver (damped: its implicit steps)."""
     place = [(found.case.group, found.case.sphere, found.case.velocity) for found in study.runs].index((group, 3, 10.0))
-    shipped, again = study.runs[place], running.computed(running.N_POINTS, cases.all_cases()[place])
+    shipped, again = study.runs[place], running.computed(running.N_POINTS, all_cases()[place])
     for name in NUMBERS:
         if not name.endswith("error"):
             # What hangs on the waves' last digits is the same to fewer.
@@ -117,7 +132,7 @@ def history(velocity=2.0):
 
 
 def test_what_is_kept_of_a_history():
-    case = cases.Case(group=cases.DAMPED, sphere=1, velocity=2.0, retardation_time=1e-5)
+    case = Case(group=DAMPED, sphere=1, velocity=2.0, retardation_time=1e-5)
     kept = running.shortened(case, history(), 126)
     assert set(kept.numbers) == set(NUMBERS) and np.isnan(kept.numbers["energy_error"])
     assert set(kept.courses) == set(COURSES) and kept.times.size == 126
@@ -126,14 +141,14 @@ def test_what_is_kept_of_a_history():
     # The low-pass at 4/T takes the wave at 8/T off.
     assert kept.numbers["filtered_at_4"] == pytest.approx(1e3, rel=0.03)
     assert kept.courses["centre_node_force"].max() > 1.2e3
-    soft = dataclasses.replace(case, group=cases.SOFT_BY_FACTOR, penalty_factor=0.1)
+    soft = dataclasses.replace(case, group=SOFT_BY_FACTOR, penalty_factor=0.1)
     assert running.shortened(soft, history(), 126).courses == {}
 
 
 def test_low_pass_does_not_ring_round_the_ends():
     """A course that ends high must not disturb its own beginning."""
     signal = Signal(samples=np.concatenate((np.zeros(500), np.full(500, 1.0))), sampling_rate=1e6)
-    quiet = waves.low_passed(signal.samples, signal.sampling_rate, 2e4)[:100]
+    quiet = running.low_passed(signal.samples, signal.sampling_rate, 2e4)[:100]
     assert np.abs(quiet).max() < 0.1 * np.abs(fft_filter(signal.samples, 1e6, high=2e4)[:100]).max() + 0.02
 
 
@@ -161,7 +176,7 @@ def test_command_makes_the_study_anew_and_writes_it(study, monkeypatch, tmp_path
 
     def computed(jobs, progress):
         asked.append(jobs)
-        for _ in range(cases.N_CASES):
+        for _ in range(N_CASES):
             progress(1)
         return study
 
@@ -192,7 +207,7 @@ def test_the_shipped_copy_repeats_the_folder(study, monkeypatch, tmp_path):
     )
     monkeypatch.setattr("cgid.reproduction.output.run_study", lambda *_: fresh)
     # A picture is its data here.
-    monkeypatch.setattr("cgid.reproduction.output.draw", lambda data, *_: data.to_csv().encode())
+    monkeypatch.setattr("cgid.reproduction.output.draw", lambda figure: figure.data.to_csv().encode())
     monkeypatch.setattr("cgid.reproduction.output.draw_table", lambda _, cells: str(cells).encode())
     made = reproduce(tmp_path / "made", finite_element=True)
     copied = read_study(tmp_path / "made" / "finite_element.npz")

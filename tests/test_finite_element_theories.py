@@ -8,11 +8,12 @@ import re
 import numpy as np
 import pytest
 
-from cgid.reproduction.claims import simulation
-from cgid.reproduction.finite_element import cases, shipped_study, theories, waves
-from cgid.reproduction.finite_element.figures import SIMULATED_FIGURES
-from cgid.reproduction.finite_element.section import finite_element_section
-from cgid.reproduction.finite_element.table import table_3
+from cgid.reproduction import theories
+from cgid.reproduction.claims import all_claims
+from cgid.reproduction.finite_element_figures import SIMULATED_FIGURES
+from cgid.reproduction.report import finite_element_section
+from cgid.reproduction.study import ELEMENT_SIZES, SOFT, SOFT_1_MM, SOFT_2_MM, UNDAMPED, shipped_study
+from cgid.reproduction.tables import table_3
 from tests.impacts_by_hand import FACTORS, RADIUS, RESPONSES, SPHERES, STEEL_COMPLIANCE, by_hand, table
 
 #: An independent program's mean errors of the theories over all twenty: force, DCS, contact time.
@@ -100,14 +101,14 @@ def test_table_3(study):
 
 
 def test_soft_contact_moves_the_finite_elements_to_the_series_theory(study):
-    hard, soft = (table(study, group) for group in (cases.UNDAMPED, cases.SOFT))
+    hard, soft = (table(study, group) for group in (UNDAMPED, SOFT))
     ratio = soft[list(RESPONSES)] / hard[list(RESPONSES)]
     assert (ratio["peak_force"] < 0.95).all() and (ratio["peak_displacement"] > 1.1).all()
     errors = {
         group: {theory: theories.agreement(study, theory, "peak_force", group) for theory in ("hertz", "series")}
-        for group in cases.ELEMENT_SIZES
+        for group in ELEMENT_SIZES
     }
-    for group in cases.ELEMENT_SIZES:
+    for group in ELEMENT_SIZES:
         assert errors[group]["series"].determination > 0.95 > errors[group]["hertz"].determination
 
 
@@ -127,7 +128,7 @@ def as_series(study):
     """Return a study whose undamped impacts are those of the series theory."""
     runs = []
     for found in study.runs:
-        if found.case.group == cases.UNDAMPED:
+        if found.case.group == UNDAMPED:
             wanted = theories.predicted("series", found.case.sphere, (found.case.velocity,))
             found = dataclasses.replace(found, numbers={**found.numbers, **{k: float(v[0]) for k, v in wanted.items()}})
         runs.append(found)
@@ -142,18 +143,14 @@ def test_verdicts_follow_the_numbers(study):
         "traditional force is too large",
         "squared correlation as a yardstick",
     )
-    found, turned = (
-        {claim.name: claim.holds for claim in simulation.simulation_claims(each)} for each in (study, as_series(study))
-    )
+    found, turned = ({claim.name: claim.holds for claim in all_claims(each)} for each in (study, as_series(study)))
     assert [found[name] for name in names] == [False] * 4
     assert [turned[name] for name in names] == [True, True, True, False]
 
 
 def changed(study, change):
     """Return a study with other undamped impacts: of each, what `change` makes of its place and run."""
-    runs = [
-        change(place, found) if found.case.group == cases.UNDAMPED else found for place, found in enumerate(study.runs)
-    ]
+    runs = [change(place, found) if found.case.group == UNDAMPED else found for place, found in enumerate(study.runs)]
     return dataclasses.replace(study, runs=tuple(runs))
 
 
@@ -171,17 +168,17 @@ def with_scattered_peaks(place, found):
 
 def hard_everywhere(study):
     """Return a study in which a soft contact does nothing."""
-    hard = {(found.case.sphere, found.case.velocity): found.numbers for found in study.of(cases.UNDAMPED)}
+    hard = {(found.case.sphere, found.case.velocity): found.numbers for found in study.of(UNDAMPED)}
     runs = [dataclasses.replace(found, numbers=hard[found.case.sphere, found.case.velocity]) for found in study.runs]
     return dataclasses.replace(study, runs=tuple(runs))
 
 
 def without_the_softest(study):
     """Return a study in which elements of 2 mm are as soft as those of 1 mm: nothing is beyond the series theory."""
-    softer = {(found.case.sphere, found.case.velocity): found.numbers for found in study.of(cases.SOFT_1_MM)}
+    softer = {(found.case.sphere, found.case.velocity): found.numbers for found in study.of(SOFT_1_MM)}
     runs = [
         dataclasses.replace(found, numbers=softer[found.case.sphere, found.case.velocity])
-        if found.case.group == cases.SOFT_2_MM
+        if found.case.group == SOFT_2_MM
         else found
         for found in study.runs
     ]
@@ -221,14 +218,14 @@ def test_the_paper_says_something_of_its_contact(study):
 
 
 def test_filtered_peaks_are_those_of_the_contact_force(study):
-    at_4, at_5 = (np.abs(waves.filtered_errors(study, edge)) for edge in (4, 5))
+    at_4, at_5 = (np.abs(theories.filtered_errors(study, edge)) for edge in (4, 5))
     assert at_4.max() < 0.015 < at_5.max()
 
 
 def test_the_force_is_smooth_and_the_centre_is_not(study):
-    for found in study.of(cases.UNDAMPED):
-        assert waves.ripple(found, "force") < 0.01
-        assert waves.ripple(found, "centre_node_force") > 0.3
+    for found in study.of(UNDAMPED):
+        assert theories.ripple(found, "force") < 0.01
+        assert theories.ripple(found, "centre_node_force") > 0.3
 
 
 def test_a_report_without_words_that_the_numbers_do_not_bear_out(study):

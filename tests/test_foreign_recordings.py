@@ -141,7 +141,7 @@ def test_contradicting_and_impossible_rates_are_refused(hdf5):
         fill(file, fs=1000.0)
         file["time"] = times
 
-    assert "fs says 1000 Hz and array time 500 Hz" in refused(hdf5(lambda file: timed(file, np.arange(N) / 500)))
+    assert "fs says 1000 Hz and array time says 500 Hz" in refused(hdf5(lambda file: timed(file, np.arange(N) / 500)))
     recording, _ = read(hdf5(lambda file: timed(file, np.arange(N) ** 2.0)))
     assert recording.sampling_rate == 1000.0 and "times of time are not even" in recording.warnings[0]
     assert "above 0" in refused(hdf5(lambda file: fill(file, fs=-3.0)))
@@ -873,7 +873,7 @@ def test_metadata_of_parquet_and_what_is_missing(parquet):
     assert recording.start_time == datetime(2026, 3, 4)
     assert "--rate HZ" in refused(parquet({"x": SAMPLES[0]}), MissingOption)
     contradicting = parquet({"time": np.arange(N) / 1000.0, "x": SAMPLES[0]}, {"fs": "2000"})
-    assert "fs says 2000 Hz and column time 1000 Hz" in refused(contradicting)
+    assert "fs says 2000 Hz and column time says 1000 Hz" in refused(contradicting)
 
 
 def test_columns_of_parquet_that_are_no_channels(parquet):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cgid.identification.detection.detector import ImpactDetector
+from cgid.identification.detection import ImpactDetector
 
 RATE = 20_000.0
 

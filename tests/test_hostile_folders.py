@@ -18,7 +18,7 @@ import pytest
 from benchmarks.bit_flips import small_scene
 from cgid.cli.main import run
 from cgid.scene import generate
-from cgid.store.digest import sealed
+from cgid.store.description import sealed
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="pipes and links as on Unix")
 GOLDEN = Path(__file__).parent / "golden"

@@ -16,8 +16,8 @@ from benchmarks.hostile_models import Watched, by_hand, failed_by_hand, failed_m
 from cgid.cli.main import run
 from cgid.cli.options import print_json
 from cgid.errors import BadData
-from cgid.identification.header import signed
 from cgid.identification.model import Model
+from cgid.identification.model_file import signed
 from tests.hostile_models import EXTREME, HOSTILE, archive, changed, entries_of, golden
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="processes are forked and watched as on Linux")
@@ -106,7 +106,7 @@ def test_every_byte_of_header_and_arrays_is_in_the_digest():
 
 
 def test_large_models_answer_in_parts_as_in_whole(monkeypatch):
-    for family in ("boosting", "discriminant", "linear", "logistic", "network"):
+    for family in ("boosting", "linear", "logistic", "network"):
         model = golden(family)
         inputs = np.exp(np.random.default_rng(2).normal(size=(40, 2))) * [2e4, 3e-4]
         whole = model.probabilities(inputs), model.novelty(inputs)
@@ -164,4 +164,4 @@ def test_what_is_no_number_is_null_however_deep(capsys):
 def test_everything_that_a_command_says_goes_through_one_door():
     commands = Path(sys.modules["cgid.cli.main"].__file__).parent
     doors = {path.name for path in commands.glob("*.py") if re.search(r"click\.s?echo|\bprint\(", path.read_text())}
-    assert doors == {"saying.py"}
+    assert doors == {"console.py"}

@@ -22,19 +22,18 @@ from sklearn.utils.estimator_checks import check_estimator
 
 from cgid.errors import BadData, CgidError, InvalidValue, MissingOption, NoInput
 from cgid.identification.answers import identify, identify_frames, suited
-from cgid.identification.card import write_card
+from cgid.identification.card import check_model_output, write_card, write_model
 from cgid.identification.classifier import FAMILIES, ImpactClassifier
-from cgid.identification.families import BY_NAME
-from cgid.identification.header import signed
-from cgid.identification.known import drop_heights
+from cgid.identification.drop_height import drop_heights
+from cgid.identification.families import BY_NAME, softmax
 from cgid.identification.metrics import evaluate
 from cgid.identification.model import Model
-from cgid.identification.output import check_model_output, write_model
+from cgid.identification.model_file import signed
 from cgid.identification.training import Training, hold_out, measure, train
-from cgid.identification.transform import softmax
 from cgid.measure.features import extract_array
 from cgid.scene import Scene, parse_scene, synthesise, varied
-from cgid.signals import STANDARD_GRAVITY, Signal
+from cgid.signals import Signal
+from cgid.units import STANDARD_GRAVITY
 from tests import few
 
 Trained = dict[str, Training]
@@ -275,9 +274,11 @@ def test_guard_that_is_never_positive_is_refused(reference_scene: Scene, monkeyp
     from dataclasses import replace
 
     from cgid.measure import features
+    from cgid.measure.table import Table
 
     fall = replace(features.FEATURES["tilt"], measure=lambda pulses: -pulses.peak)
-    monkeypatch.setitem(features.FEATURES, "tilt", fall)
+    entries = [fall if entry.name == "tilt" else entry for entry in features.FEATURES.entries]
+    monkeypatch.setattr(features, "FEATURES", Table(entries))
     with pytest.raises(InvalidValue, match="guard tilt must be above 0"):
         train(synthesise(reference_scene, 300), features=["peak_force"], guards=("tilt",))
 

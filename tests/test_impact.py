@@ -26,14 +26,12 @@ from cgid.physics import (
     Viscoelastic,
     _kernels,
     curves,
-    dispatch,
     free_fall_velocity,
 )
-from cgid.physics.closed_forms import peak_displacement, peak_force
+from cgid.physics.closed_forms import damping_number, peak_displacement, peak_force
+from cgid.physics.curves import in_threads
 from cgid.physics.materials import COAL, STEEL, YANG2018_RADIUS, YANG2018_SPHERES, Material
-from cgid.physics.quadrature import reference_pulse
-from cgid.physics.restitution import damping_number
-from cgid.physics.threads import in_threads
+from cgid.physics.tabulation import reference_pulse
 
 
 def paper_impact(number=1, velocity=2.0, stiffness="series", dissipation=None, radius=YANG2018_RADIUS):
@@ -866,13 +864,13 @@ def test_interpreted_and_compiled_agree(name, monkeypatch):
     one = replace(MECHANISMS[name])
     times = one.contact_duration[:, None] * np.linspace(0, 1, 40)
     compiled = one.force(times), one.restitution, one.time_of_peak
-    monkeypatch.setattr(dispatch, "_FEW_IMPACTS", 5)
-    monkeypatch.setattr(dispatch, "_spent", 0.0)
+    monkeypatch.setattr(curves, "_FEW_IMPACTS", 5)
+    monkeypatch.setattr(curves, "_spent", 0.0)
     two = replace(MECHANISMS[name])
     for one_by_one, together in zip((two.force(times), two.restitution, two.time_of_peak), compiled, strict=True):
         assert (one_by_one == together).all()
     for dtype in ("float32", "float64"):
         frames = two.force_frames(1e5, 60, 1.7e-5, dtype=dtype)
-        monkeypatch.setattr(dispatch, "_spent", 9.0)
+        monkeypatch.setattr(curves, "_spent", 9.0)
         assert (frames == one.force_frames(1e5, 60, 1.7e-5, dtype=dtype)).all()
-        monkeypatch.setattr(dispatch, "_spent", 0.0)
+        monkeypatch.setattr(curves, "_spent", 0.0)

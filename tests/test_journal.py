@@ -16,10 +16,9 @@ from pathlib import Path
 import pytest
 
 from cgid.errors import BadData, CannotCreate, WriteFailed
-from cgid.files import exchange, whole_file, write_whole
-from cgid.lock import locked
-from cgid.store.journal import JOURNAL, Journal, read_journal, taking_part
-from cgid.store.manifest import MANIFEST, Manifest, ShardEntry, parse_manifest, read_manifest
+from cgid.files import locked, whole_file, write_whole
+from cgid.store.description import JOURNAL, MANIFEST, Manifest, ShardEntry, parse_manifest, read_journal, read_manifest
+from cgid.store.run import Journal, taking_part
 
 MANIFEST_OF_TWO = Manifest(
     n_signals=7,
@@ -95,7 +94,7 @@ def journal(tmp_path):
 
 def test_journal_there_and_back(journal):
     found = read_journal(journal.parent)
-    assert (found.plan, list(found.entries)) == (PLAN, ENTRIES)
+    assert (found.description, list(found.entries)) == (PLAN, ENTRIES)
     assert str(os.getpid()) in found.process
     assert found.progress.startswith("3 of 3 shards are there")
     journal.unlink()
@@ -113,7 +112,7 @@ def test_a_torn_line_does_not_count(journal):
                 read_journal(journal.parent)
             continue
         found = read_journal(journal.parent)
-        assert found.plan == PLAN
+        assert found.description == PLAN
         assert list(found.entries) == ENTRIES[: len(found.entries)]
 
 
@@ -127,7 +126,7 @@ def test_flipped_bits_of_a_journal_lose_files_and_never_invent_any(journal):
             found = read_journal(journal.parent)
         except BadData:
             continue
-        assert found.plan == PLAN
+        assert found.description == PLAN
         assert all(entry in ENTRIES for entry in found.entries)
 
 
@@ -171,7 +170,7 @@ def test_a_worker_of_an_earlier_run_is_refused(tmp_path):
 
 def test_a_lock_keeps_other_processes_out_and_goes_with_its_own(tmp_path):
     code = (
-        "import sys; from pathlib import Path; from cgid.lock import locked\n"
+        "import sys; from pathlib import Path; from cgid.files import locked\n"
         "with locked(Path(sys.argv[1])): print('held', flush=True); sys.stdin.read()"
     )
     root = Path(__file__).parents[1]
@@ -202,6 +201,23 @@ def test_a_file_system_without_locks(tmp_path, monkeypatch):
         pass
 
 
+def test_where_there_is_no_fcntl_folders_are_locked_by_a_file(tmp_path, monkeypatch):
+    """As on Windows."""
+    pytest.importorskip("filelock")  # loaded with what it needs here itself
+    monkeypatch.setitem(sys.modules, "fcntl", None)
+    folder = tmp_path / "data"
+    folder.mkdir()
+    with locked(folder) as held:
+        assert held
+        with pytest.raises(BlockingIOError), locked(folder):
+            pytest.fail("it is held")
+        with locked(folder, shared=True) as shared, locked(folder / "file") as file:
+            assert not shared and not file
+    with locked(folder, patience=5.0) as held:
+        assert held
+    assert list(tmp_path.iterdir()) == [folder]
+
+
 # ---- whole files -----------------------------------------------------------------------------------------------------
 
 
@@ -228,16 +244,6 @@ def test_a_new_file_with_and_without_hard_links(tmp_path, monkeypatch, error):
         write_whole(path, b"second", overwrite=False)
     assert path.read_bytes() == b"first" and path.stat().st_nlink == 1
     assert list(tmp_path.iterdir()) == [path]
-
-
-def test_folders_change_names_in_one_step(tmp_path):
-    for name in ("one", "two"):
-        (tmp_path / name).mkdir()
-        (tmp_path / name / name).touch()
-    if not exchange(tmp_path / "one", tmp_path / "two"):
-        pytest.skip("this system cannot")
-    assert [path.name for path in (tmp_path / "one").iterdir()] == ["two"]
-    assert not exchange(tmp_path / "one", tmp_path / "none")
 
 
 def test_a_folder_that_cannot_be_flushed_is_no_failure(tmp_path, monkeypatch):

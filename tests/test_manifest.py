@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from cgid.errors import BadData, CgidError, NoInput
-from cgid.identification.recorded.manifest import is_manifest, read_manifest
+from cgid.identification.manifest import is_manifest, read_manifest
 
 ROOT = Path(__file__).parents[1]
 

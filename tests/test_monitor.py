@@ -16,10 +16,9 @@ import numpy as np
 import pytest
 from scipy.io import wavfile
 
-from cgid.cli.answer_lines import AnswerLines
-from cgid.cli.inbox import Inbox, UnbufferedInput
+from cgid.cli.answer_rows import AnswerLines
 from cgid.cli.main import run
-from cgid.cli.monitor import _Delay
+from cgid.cli.monitor import Inbox, UnbufferedInput, _Delay
 from tests.streams_of_pulses import RATE, ROOT, stream, window_model
 
 LABELS = ["coal"] * 14 + ["gangue"] * 14

@@ -6,7 +6,7 @@ import time
 import pytest
 
 from cgid.counting import count, counted
-from cgid.scene.overlap import ahead
+from cgid.scene.generation import ahead
 
 
 def test_all_come_in_order():

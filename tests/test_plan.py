@@ -14,26 +14,25 @@ import pytest
 from cgid.cli.main import run
 from cgid.counting import count, counted, counting
 from cgid.errors import BadData, CannotCreate, InvalidValue, MissingExtra, NoInput, WriteFailed
-from cgid.identification.measuring import DEFAULT_VIBRATION_FEATURES
-from cgid.measure import beginnings
-from cgid.measure.features import FEATURES, extract_array
+from cgid.identification.rows import DEFAULT_VIBRATION_FEATURES
+from cgid.measure.features import FEATURES, extract_array, extract_truncated
 from cgid.measure.pulses import PulseBatch
 from cgid.measure.vibration import VibrationBatch
 from cgid.physics import Elastic, HalfSpace, HuntCrossley, Impact, Sphere, _kernels, _taylor, coupled, curves
+from cgid.physics.coupled import ModalCurves
 from cgid.physics.curves import Curves
 from cgid.physics.materials import STEEL as STEEL_MATERIAL
 from cgid.physics.materials import Material
-from cgid.physics.modal_curves import ModalCurves
 from cgid.physics.response import Response
 from cgid.physics.tail_beam import TailBeam
 from cgid.scene import Scene, impacts, load_scene, synthesis, synthesise
 from cgid.scene.extremes import GRAVITY_TOLERANCE, weighed
+from cgid.scene.generation import tabulate
 from cgid.scene.impacts import BeamModes, TapPulses, beam_modes, draw
 from cgid.scene.plan import NEGLIGIBLE_ECHO, QUANTITIES, RESPONSE_TOLERANCE, STAGES, Decision, Plan, plan
 from cgid.scene.sensor import Sensor
 from cgid.scene.stream import record
 from cgid.scene.synthesis import Columns, columns_of
-from cgid.scene.tabulation import tabulate
 from cgid.shipped import scene_path
 from cgid.store import Rows, TableHeader, is_table, read_table, table, table_writer
 from tests.plan_scenes import (
@@ -261,7 +260,7 @@ WORKERS = {
         (curves, "peak_displacement"),
         (curves.family, "times"),
         (_taylor, "summaries"),
-        (coupled, "solve"),
+        (coupled, "_solve"),
     ],
     "gravity": [(impacts, "weighed")],
     "coupling": [(impacts, "ModalImpact")],
@@ -278,7 +277,7 @@ WORKERS = {
     "background": [(synthesis, "background_of")],
     "clipping": [(synthesis, "clip")],
     "offset, range and bits": [(Sensor, "digitise")],
-    "features": [(synthesis, "extract_array"), (synthesis, "measure_beginnings")],
+    "features": [(synthesis, "extract_array"), (synthesis, "extract_truncated")],
 }
 
 
@@ -501,10 +500,10 @@ def test_a_beginning_is_certain_only_where_nothing_behind_it_matters(names: tupl
     for length in range(140, 360, 20):
         behind = batch.signals[:, length:].max(axis=1)  # the least that is true of it
         cut = np.ascontiguousarray(batch.signals[:, :length])
-        found, certain = beginnings.measure_beginnings(cut, 200e3, names, 128, behind)
+        found, certain = extract_truncated(cut, 200e3, names, 128, behind)
         np.testing.assert_array_equal(found[certain], whole[certain])
         shares.append(certain.mean())
-        assert not beginnings.measure_beginnings(cut, 200e3, names, 128, behind + 1e9)[1].any()
+        assert not extract_truncated(cut, 200e3, names, 128, behind + 1e9)[1].any()
     assert shares[0] == 0
     assert shares[-1] == 1
     assert any(0 < share < 1 for share in shares)

@@ -182,8 +182,7 @@ def test_colours_are_told_apart_by_everybody() -> None:
 
 
 def test_the_picture_of_shares_shows_interval_threshold_and_turn() -> None:
-    from cgid.identification.answering.share import ShareWindow
-    from cgid.identification.answering.shutting import Shutting
+    from cgid.identification.share import ShareWindow, Shutting
 
     window, rule = ShareWindow(20.0), Shutting(3.0)
     shares, turns = [], []

@@ -14,14 +14,10 @@ from scipy.io import wavfile
 
 from cgid.cli.main import run
 from cgid.errors import BadData, InvalidValue
-from cgid.identification.answering.question import Question
-from cgid.identification.answering.share import Share
-from cgid.identification.answering.shutting import Turn
-from cgid.identification.answering.stream import identify_blocks, identify_recording, model_blocks
-from cgid.identification.answering.watch import CavingWatch, ShareSettings
-from cgid.identification.answering.windows import independence
 from cgid.identification.answers import Answer, identify
 from cgid.identification.model import Model
+from cgid.identification.share import CavingWatch, Share, ShareSettings, Turn
+from cgid.identification.stream import Question, identify_blocks, identify_recording, independence, model_blocks
 from cgid.identification.windows import RunningVote, measure_windows
 from cgid.recordings import open_recording, read_recording
 from tests.streams_of_pulses import RATE, ROOT, stream, window_model

@@ -20,7 +20,8 @@ from cgid.scene import parse_scene
 from cgid.scene.recordings import generate_recordings
 from cgid.scene.stream import impact_units, record
 from cgid.store import Dataset
-from cgid.store.recording import Recording, RecordingPlan, is_recording, writing
+from cgid.store.hdf5 import RecordingPlan, writing
+from cgid.store.reading import Recording, is_recording
 from tests.test_stream import RATE, content
 
 SCENE = parse_scene(content(duration="5 s", rebounds={"most": 2}, sensor={"absolute_noise": "10 N"}))
@@ -84,7 +85,7 @@ def test_a_recorded_background_leaves_its_hash(tmp_path):
 
 
 def test_recordings_of_a_folder_are_those_of_their_numbers(made):
-    files = sorted(path.name for path in (made / "three").iterdir())
+    files = sorted(path.name for path in (made / "three").glob("*.h5"))
     assert files == [f"recording-{number:05d}.h5" for number in range(3)]
     assert (made / "three" / files[0]).read_bytes() == (made / "one.h5").read_bytes()
     samples = [Recording(made / "three" / file).samples() for file in files]
@@ -190,7 +191,7 @@ def test_the_command_makes_recordings(tmp_path, capfd):
     assert run(["generate", str(scene), "-o", str(tmp_path / "one.h5")]) == 0
     assert Recording(tmp_path / "one.h5").n_impacts == 1
     assert run(["generate", str(scene), "-o", str(tmp_path / "many"), "-n", "2"]) == 0
-    assert len(list((tmp_path / "many").iterdir())) == 2
+    assert len(list((tmp_path / "many").glob("*.h5"))) == 2
     assert run(["check", str(scene)]) == 0
     capfd.readouterr()
     for arguments, code, says in (
@@ -277,7 +278,7 @@ def test_overwriting_takes_the_old_recordings_away(made, tmp_path):
     with pytest.raises(CannotCreate, match="exists already"):
         generate_recordings(SCENE, folder, 1, seed=3)
     generate_recordings(SCENE, folder, 1, seed=3, overwrite=True)
-    (only,) = folder.iterdir()
+    (only,) = folder.glob("*.h5")
     assert only.read_bytes() == (made / "one.h5").read_bytes()
 
 

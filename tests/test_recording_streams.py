@@ -14,11 +14,10 @@ from hypothesis import strategies as st
 from scipy.io import wavfile
 
 from cgid.errors import BadData, CgidError, InvalidValue, MissingOption
+from cgid.recordings import lvm as lvm_files
 from cgid.recordings import open_recording, read_recording
-from cgid.recordings.lvm import reader as lvm_files
-from cgid.recordings.sound.live import live_stream
-from cgid.recordings.text import reader as text
-from cgid.recordings.text import rows
+from cgid.recordings import text as rows
+from cgid.recordings.live import live_stream
 
 
 @pytest.fixture
@@ -36,7 +35,7 @@ def small_pieces(monkeypatch):
     """Text is read by pieces of a few rows, as if the file were long."""
 
     def shortened(size=200):
-        for module in (rows, text, lvm_files):
+        for module in (rows, lvm_files):
             monkeypatch.setattr(module, "PIECE", size)
 
     return shortened
@@ -79,8 +78,7 @@ def test_text_by_pieces_is_the_text_at_once(tmp_path_factory, seed, n_samples, s
     path = tmp_path_factory.mktemp("text") / "long.csv"
     path.write_bytes("\n".join(["时间 (s);左 (g);right (m/s^2)", *lines, ""]).encode(encoding))
     with pytest.MonkeyPatch.context() as patch:
-        for module in (rows, text):
-            patch.setattr(module, "PIECE", size)
+        patch.setattr(rows, "PIECE", size)
         recording = open_recording(path)
         blocks = list(recording.blocks(length))
         (second,) = read_recording(path, channel="right")

@@ -23,7 +23,7 @@ from scipy.io import wavfile
 
 from cgid.errors import BadData, CgidError, InvalidValue, MissingOption, NoInput, WriteFailed
 from cgid.recordings import RecordingFile, is_dataset, read_recording
-from cgid.recordings.contents import MAX_CHANNELS
+from cgid.recordings.recording import MAX_CHANNELS
 
 REAL = Path(__file__).parents[2] / "shared" / "realdata"
 real_data = pytest.mark.skipif(not REAL.is_dir(), reason=f"the measured recordings are not there: {REAL}")

@@ -10,11 +10,11 @@ from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import StandardScaler
 
 from cgid.errors import BadData, InvalidValue
-from cgid.identification.answering.drifts import Drifts
 from cgid.identification.reference import LARGEST_DRIFT, MeanSpectrum, drift, target_spectrum
-from cgid.measure.bands import MEL_BANDS
-from cgid.measure.equalisation import LARGEST_GAIN, Equalisation
+from cgid.identification.stream import Drifts
 from cgid.measure.features import choose, extract_array, supported
+from cgid.measure.filters import LARGEST_GAIN, Equalisation
+from cgid.measure.spectra import MEL_BANDS
 from cgid.recordings import read_recording
 
 RATE = 25_600.0

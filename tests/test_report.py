@@ -18,16 +18,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from cgid import report as page
 from cgid import shipped
 from cgid.errors import CannotCreate
-from cgid.identification.answering.share import Share, ShareWindow
-from cgid.identification.answering.shutting import Shutting
 from cgid.identification.answers import Answer
 from cgid.identification.model import Model
+from cgid.identification.share import Share, ShareWindow, Shutting
 from cgid.measure.overview import OverviewStream
 from cgid.plots import Mark
 from cgid.recordings import open_recording
-from cgid.report import Report, model_facts, page, recording_facts, report_page, write_report
+from cgid.report import Report, model_facts, recording_facts, report_page, write_report
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
 #: A name that would do harm wherever it is not escaped.

@@ -13,10 +13,10 @@ from cgid.errors import InvalidValue
 from cgid.physics import Elastic, HalfSpace, HuntCrossley, Impact, Sphere
 from cgid.physics.driving import steps_for
 from cgid.physics.materials import STEEL, Material
-from cgid.physics.poles import LowPass, Resonance, resonator_poles
-from cgid.physics.response import Response
-from cgid.scene.impacts import SHAPES, TapPulses
+from cgid.physics.response import LowPass, Resonance, Response, resonator_poles
+from cgid.scene.impacts import TapPulses
 from cgid.scene.plan import RESPONSE_TOLERANCE as TOLERANCE
+from cgid.scene.sections import SHAPES
 from tests import few
 
 RATE = 25_600.0

@@ -22,7 +22,7 @@ from cgid.scene.impacts import SHAPES, draw
 from cgid.scene.recordings import require_capacity
 from cgid.scene.schema import samples_of
 from cgid.scene.stream import record
-from cgid.scene.units import parse
+from cgid.units import parse
 from tests import few
 
 DATASETS = Path(__file__).parents[1] / "datasets"

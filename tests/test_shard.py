@@ -17,10 +17,8 @@ from benchmarks.store import write_ready
 from cgid.errors import BadData, MissingExtra
 from cgid.signals import Batch
 from cgid.store._fletcher import fletcher32
-from cgid.store.compression import COMPRESSIONS, keywords, require
-from cgid.store.deflate import deflated
-from cgid.store.memory import MemoryFile
-from cgid.store.shard import ShardBuilder, ShardPlan
+from cgid.store.compression import COMPRESSIONS, deflated, keywords, require
+from cgid.store.hdf5 import MemoryFile, ShardBuilder, ShardPlan
 
 # ---- the checksum ----------------------------------------------------------------------------------------------------
 
@@ -252,7 +250,7 @@ def test_a_compression_that_is_not_installed(monkeypatch):
 
 def test_memory_that_was_taken_too_small_grows(monkeypatch):
     expected = build(())
-    monkeypatch.setattr("cgid.store.shard.MemoryFile", lambda capacity: MemoryFile(capacity // 50))
+    monkeypatch.setattr("cgid.store.hdf5.MemoryFile", lambda capacity: MemoryFile(capacity // 50))
     assert build(()) == expected
 
 
@@ -287,6 +285,6 @@ class _Interrupted(MemoryFile):
 
 
 def test_an_interruption_in_the_middle_of_a_write_comes_through(monkeypatch):
-    monkeypatch.setattr("cgid.store.shard.MemoryFile", _Interrupted)
+    monkeypatch.setattr("cgid.store.hdf5.MemoryFile", _Interrupted)
     with pytest.raises(KeyboardInterrupt):
         build(())

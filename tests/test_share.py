@@ -11,9 +11,15 @@ from scipy import stats
 from scipy.integrate import quad
 
 from cgid.errors import InvalidValue
-from cgid.identification.answering.share import Share, ShareWindow, trained_share
-from cgid.identification.answering.shutting import FEWEST_IMPACTS, Shutting
-from cgid.identification.answering.watch import CavingWatch, ShareSettings
+from cgid.identification.share import (
+    FEWEST_IMPACTS,
+    CavingWatch,
+    Share,
+    ShareSettings,
+    ShareWindow,
+    Shutting,
+    trained_share,
+)
 
 #: How far the scores of coal and gangue lie apart, in their deviations: right in 77 % of the impacts.
 SEPARATION = 1.5

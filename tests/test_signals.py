@@ -7,7 +7,8 @@ import pytest
 
 from cgid import validation
 from cgid.errors import BadData, InvalidValue
-from cgid.signals import UNITS, Batch, Signal, quantity_of
+from cgid.signals import Batch, Signal
+from cgid.units import UNITS, quantity_of
 
 
 def one(samples=(1.0, -2.0, 3.0), **fields):

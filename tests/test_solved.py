@@ -13,8 +13,8 @@ from cgid import shipped
 from cgid.errors import BadData, InvalidValue, NoInput
 from cgid.finite_element import ElasticPlate, FiniteElementImpact
 from cgid.identification.estimation import estimate
-from cgid.identification.measuring import measure
 from cgid.identification.model import Model
+from cgid.identification.rows import measure
 from cgid.physics import Elastic, HalfSpace, Impact, Sphere, Viscoelastic, dissipative_constant
 from cgid.physics.materials import STEEL, Material
 from cgid.physics.sampled import SampledPulses, shares_of_contact, smoothed
@@ -291,7 +291,7 @@ def test_a_smooth_course_stays_and_its_steps_go(restitution):
         smoothed(np.linspace(0, 1, 21), np.ones(21), 1.0, shares)
     with pytest.raises(InvalidValue, match="times must lie all over the contact for 8 knots"):
         smoothed(np.linspace(0, 0.3, 99), np.ones(99), 1.0, shares)
-    with pytest.raises(InvalidValue, match=r"times must rise, got 0\.25 s behind 0\.5 s at index 1"):
+    with pytest.raises(InvalidValue, match=r"times must rise, got 0\.25 s after 0\.5 s at index 1"):
         smoothed([0.5, 0.25, 1], np.ones(3), 1.0, shares)
     with pytest.raises(InvalidValue, match=r"forces must be one for each of the times, got shape \(2,\) for \(3,\)"):
         smoothed([0.25, 0.5, 1], np.ones(2), 1.0, shares)

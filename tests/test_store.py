@@ -698,7 +698,7 @@ def test_an_unfinished_folder_can_be_made_again(tmp_path, folder):
     (folder / "shard-00000.h5").unlink()
     (folder / ".shard-00001.h5.0123456789ab.part").write_bytes(b"killed")
     generate(scene_of(32), folder, 100, overwrite=True)
-    assert sorted(path.name for path in folder.iterdir()) == ["manifest.json", "shard-00000.h5"]
+    assert sorted(path.name for path in folder.iterdir()) == ["SHA256SUMS", "manifest.json", "shard-00000.h5"]
     assert len(Dataset(folder)) == 100
 
 
@@ -717,7 +717,7 @@ def test_overwriting_a_file(copy):
 
 def test_overwriting_a_folder_leaves_no_old_shard(folder):
     generate(scene_of(32), folder, 10, overwrite=True)
-    assert sorted(path.name for path in folder.iterdir()) == ["manifest.json", "shard-00000.h5"]
+    assert sorted(path.name for path in folder.iterdir()) == ["SHA256SUMS", "manifest.json", "shard-00000.h5"]
     assert Dataset(folder).header.n_samples == 32
 
 
@@ -846,7 +846,7 @@ def test_options_that_cannot_be_write_nothing(tmp_path, options):
 
 def test_memory_does_not_grow_with_the_number_of_signals(tmp_path, monkeypatch):
     # How many blocks there are at once is a matter of chance up to the most, which tests/test_overlap.py holds.
-    monkeypatch.setattr("cgid.scene.overlap._AHEAD_BLOCKS", 1)
+    monkeypatch.setattr("cgid.scene.generation._AHEAD_BLOCKS", 1)
 
     def peak(n_signals):
         tracemalloc.reset_peak()

@@ -13,10 +13,10 @@ from threadpoolctl import threadpool_limits
 
 from cgid.errors import BadData, InvalidValue, NoInput
 from cgid.physics import Elastic, Impact, Sphere, ThinPlate
+from cgid.physics import plates as ritz
 from cgid.physics.materials import STEEL, YANG2018_SPHERES, Material
-from cgid.physics.tail_beam import MeasuredModes, Ribs, TailBeam, frequency_response, read_measured_modes, ritz
-from cgid.physics.tail_beam.beam import _modes
-from cgid.physics.tail_beam.measured import COLUMNS
+from cgid.physics.modes import COLUMNS, MeasuredModes, frequency_response, read_measured_modes
+from cgid.physics.tail_beam import Ribs, TailBeam, _modes
 from cgid.plots import frequency_response_picture
 
 PLATES = Path(__file__).parent / "references" / "plates.csv"

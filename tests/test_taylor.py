@@ -5,9 +5,8 @@ import pytest
 from scipy.special import beta
 
 from cgid.physics import _taylor
-from cgid.physics.closed_forms import peak_displacement, peak_force
-from cgid.physics.quadrature import reference_pulse, time_of_peak
-from cgid.physics.restitution import damping_number
+from cgid.physics.closed_forms import damping_number, peak_displacement, peak_force
+from cgid.physics.tabulation import reference_pulse, time_of_peak
 from tests import naive
 
 HALF = float(damping_number(0.5))

@@ -10,11 +10,10 @@ import pytest
 
 from cgid import Impact, Signal, Sphere, extract, fft_filter, validation
 from cgid.errors import InvalidValue
-from cgid.identification.detection.detector import ImpactDetector
+from cgid.identification.detection import ImpactDetector
 from cgid.identification.estimation import estimate, posterior
 from cgid.identification.reference import MeanSpectrum
-from cgid.measure.estimation.bound import cramer_rao_bound
-from cgid.measure.estimation.prior import Prior
+from cgid.measure.likelihood import Prior, cramer_rao_bound
 from cgid.measure.overview import OverviewStream
 from cgid.physics import RIGID, Elastic, HuntCrossley, ThinPlate
 from cgid.physics.materials import STEEL, Material

@@ -20,16 +20,15 @@ from benchmarks.bit_flips import Flip, everything_in, is_same, small_scene, some
 from cgid.cli.main import run
 from cgid.errors import BadData, CannotCreate, NoInput
 from cgid.scene import generate, parse_scene
+from cgid.scene.generation import tabulate
 from cgid.scene.plan import plan
 from cgid.scene.recordings import generate_recordings
 from cgid.scene.repair import repair
-from cgid.scene.tabulation import tabulate
-from cgid.store import Dataset, opening, read_table
-from cgid.store.examination import damaged_rows, examine_file
-from cgid.store.export import export
-from cgid.store.manifest import read_manifest
-from cgid.store.run import file_facts
-from cgid.store.verification import verify
+from cgid.store import Dataset, read_table
+from cgid.store import _checks as opening
+from cgid.store.dataset import export
+from cgid.store.description import file_facts, read_manifest, sums_of, sums_text
+from cgid.store.verification import damaged_rows, examine_file, verify
 from tests.test_stream import content
 
 SCENE = small_scene(2048)
@@ -368,7 +367,7 @@ def test_shards_of_another_dataset_than_the_manifest_are_never_replaced(
     assert contents(folder) == before
     assert capsys.readouterr().out.count("seed must be that of manifest.json, 5, got 7") == 3
     (folder / "shard-00001.h5").unlink()  # out of the way, a shard is made again
-    assert mended(folder) == [False, True, False]
+    assert mended(folder) == [False, True, False, False]  # the sums come last
     assert (folder / "shard-00001.h5").read_bytes() == (copies / "other" / "shard-00001.h5").read_bytes()
 
 
@@ -400,39 +399,79 @@ def test_nothing_is_replaced_where_the_undamaged_part_comes_out_otherwise(copies
     assert contents(path) == before
 
 
-def test_other_bytes_of_equal_numbers_are_taken_and_listed_anew(copies: Path) -> None:
-    """As by another version of HDF5: the manifest knows other bytes than those that are made here."""
+def test_a_shard_that_comes_out_with_another_sum_is_not_replaced(made: Path, copies: Path) -> None:
+    """As by another version of HDF5, or with other numbers."""
     folder = copies / "folder"
-    manifest = folder / "manifest.json"
     shard = folder / "shard-00001.h5"
-    with h5py.File(shard, "r+") as file:
-        file.attrs["made_by"] = 1  # what is laid out otherwise
-    entries = {entry.file: entry for entry in read_manifest(folder).shards}
-    _relist(folder, shard)
-    flip(shard, place_of(shard, "signals", 3))
-    assert mended(folder) == [True]
-    assert not verify(folder).findings
-    assert {entry.file: entry for entry in read_manifest(folder).shards} == entries
-    # Where the numbers of an undamaged shard come out otherwise, too, nothing is replaced.
-    changed(folder / "shard-00002.h5", "signals", 5)
-    _relist(folder, folder / "shard-00002.h5")
-    with h5py.File(shard, "r+") as file:
-        file.attrs["made_by"] = 1
-    _relist(folder, shard)
-    flip(shard, place_of(shard, "signals", 3))
-    before = contents(folder)
-    assert mended(folder) == [False]
-    assert contents(folder) == before
-    assert manifest.exists()
+    for change in ("layout", "numbers"):
+        if change == "layout":
+            with h5py.File(shard, "r+") as file:
+                file.attrs["made_by"] = 1
+        else:
+            shutil.copy(made / "folder" / "shard-00001.h5", shard)
+            changed(shard, "signals", 5)
+        _relist(folder, shard)
+        flip(shard, place_of(shard, "signals", 3))
+        before = contents(folder)
+        (one,) = repair(verify(folder))
+        assert not one.done and "nothing was replaced: the versions are the same" in one.told
+        assert contents(folder) == before
 
 
 def _relist(folder: Path, shard: Path) -> None:
-    """Make the manifest speak of a shard as it is now."""
+    """Make the manifest and the sums list a shard as it is now."""
     listed = read_manifest(folder)
     entries = tuple(
         replace(entry, **file_facts(shard)) if entry.file == shard.name else entry for entry in listed.shards
     )
-    (folder / "manifest.json").write_bytes(replace(listed, shards=entries).to_bytes())
+    manifest = replace(listed, shards=entries).to_bytes()
+    (folder / "manifest.json").write_bytes(manifest)
+    (folder / "SHA256SUMS").write_bytes(sums_text(sums_of(entries, manifest)))
+
+
+# ---- sums ------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", ["folder", "recordings"])
+def test_the_sums_are_those_that_sha256sum_checks(made: Path, name: str) -> None:
+    command = ["sha256sum", "-c", "--strict", "SHA256SUMS"]
+    done = subprocess.run(command, cwd=made / name, capture_output=True, text=True)
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert len(done.stdout.splitlines()) == len(contents(made / name)) - 1
+
+
+@pytest.mark.parametrize("name", ["folder", "recordings"])
+def test_damaged_sums_are_found_and_written_again(made: Path, copies: Path, name: str) -> None:
+    sums = copies / name / "SHA256SUMS"
+    for damage in (lambda: flip(sums, 70), lambda: sums.write_bytes(sums.read_bytes()[:-30])):
+        damage()
+        assert problems(copies / name) == {"SHA256SUMS": "damaged"}
+        assert mended(copies / name) == [True]
+        assert contents(copies / name) == contents(made / name)
+
+
+def test_the_last_recording_that_is_missing_is_found_by_the_sums(made: Path, copies: Path) -> None:
+    folder = copies / "recordings"
+    (folder / "recording-00002.h5").unlink()
+    assert problems(folder) == {"recording-00002.h5": "missing"}
+    assert mended(folder) == [True]
+    assert contents(folder) == contents(made / "recordings")
+
+
+def test_a_recording_with_sound_checksums_and_another_sum_is_found(copies: Path) -> None:
+    folder = copies / "recordings"
+    changed(folder / "recording-00001.h5", "samples", 5)
+    (finding,) = verify(folder).findings
+    assert "does not fit the SHA-256 of SHA256SUMS" in finding.what
+
+
+def test_folders_of_older_versions_have_no_sums(made: Path, copies: Path) -> None:
+    for name in ("folder", "recordings"):
+        (copies / name / "SHA256SUMS").unlink()
+        assert not verify(copies / name).findings
+    (copies / "recordings" / "recording-00001.h5").unlink()
+    assert problems(copies / "recordings") == {"recording-00001.h5": "missing"}
+    assert mended(copies / "recordings") == [True]
 
 
 def test_leftovers_go_unless_they_may_still_be_written(copies: Path) -> None:

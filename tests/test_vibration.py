@@ -11,10 +11,8 @@ from hypothesis.extra.numpy import arrays
 from scipy import integrate, signal
 
 from cgid.errors import BadData, InvalidValue
-from cgid.measure.bands import MEL_BANDS
-from cgid.measure.energy_spectrum import EnergySpectrum
 from cgid.measure.features import FEATURES, choose, extract, extract_array, kind_for, kind_of, supported
-from cgid.measure.features.vibration import THIRD_OCTAVES, band_edges
+from cgid.measure.spectra import MEL_BANDS, THIRD_OCTAVES, EnergySpectrum, third_octave
 from cgid.measure.vibration import EARLY_TIME, WINDOW_TIME, VibrationBatch
 from tests.ringing import N_SAMPLES, PRE_TRIGGER, RATE, damped_sinusoid, ringing_batch
 
@@ -114,7 +112,7 @@ def test_first_maximum_comes_after_a_quarter_of_a_period(frequency):
 
 def test_bands_are_those_of_the_standard():
     """Mid-band frequencies agree with their nominal names (IEC 61260-1), and each band begins where one ends."""
-    edges = np.array([band_edges(number) for number in range(len(THIRD_OCTAVES))])
+    edges = np.array([third_octave(number) for number in range(len(THIRD_OCTAVES))])
     middles = np.sqrt(edges.prod(axis=1))
     assert middles == pytest.approx([float(name) for name in THIRD_OCTAVES], rel=0.01)
     assert middles[THIRD_OCTAVES.index("1000")] == pytest.approx(1000, rel=1e-12)
@@ -140,7 +138,7 @@ def test_level_is_the_integral_of_the_spectrum_over_the_band(middle):
     """The Fourier integral by a plain sum over samples, on a grid of its own."""
     samples = struck()
     event, time = windowed(samples), np.arange(N_SAMPLES - PRE_TRIGGER) / RATE
-    low, high = band_edges(THIRD_OCTAVES.index(middle))
+    low, high = third_octave(THIRD_OCTAVES.index(middle))
     grid = np.linspace(low, high, 201)
     density = np.abs([np.sum(event * np.exp(-2j * np.pi * f * time)) / RATE for f in grid]) ** 2
     expected = np.log10(2 * np.trapezoid(density, grid))
@@ -153,7 +151,7 @@ def test_level_is_the_integral_of_the_spectrum_over_the_band(middle):
 def test_level_is_that_of_a_band_pass_filter(middle):
     """A Butterworth filter's skirts take from the neighbours what its rounded edges lose: half a decibel."""
     samples = struck(2)
-    edges = band_edges(THIRD_OCTAVES.index(middle))
+    edges = third_octave(THIRD_OCTAVES.index(middle))
     passed = signal.sosfilt(signal.butter(6, edges, "bandpass", fs=RATE, output="sos"), windowed(samples))
     ring_out = np.log10(np.sum(passed**2) / RATE)
     assert measure(samples, [f"level_{middle}_hz"])[f"level_{middle}_hz"] == pytest.approx(ring_out, abs=0.05)
@@ -250,7 +248,7 @@ def test_a_band_without_vibration_is_at_the_noise():
     noise = 0.5
     samples = damped_sinusoid(200, 0.02) + noise * random.normal(size=(300, N_SAMPLES))
     found = extract_array(samples, RATE, ["level_8000_hz"], pre_trigger=PRE_TRIGGER)[:, 0]
-    low, high = band_edges(THIRD_OCTAVES.index("8000"))
+    low, high = third_octave(THIRD_OCTAVES.index("8000"))
     # Noise of this deviation has noise^2 / (rate / 2) of power in every Hz; the window lasts WINDOW_TIME / 2.
     expected = np.log10(noise**2 * (high - low) / (RATE / 2) * WINDOW_TIME / 2)
     assert found.min() > expected - 0.2  # its own samples before touch say what the noise is

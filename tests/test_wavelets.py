@@ -7,7 +7,7 @@ import pytest
 
 from cgid.errors import MissingExtra
 from cgid.measure.features import FEATURES, choose, extract_array
-from cgid.measure.wavelets import LEVEL, N_PACKETS, WAVELET, packet_energies
+from cgid.measure.spectra import LEVEL, N_PACKETS, WAVELET, packet_energies
 from tests.ringing import PRE_TRIGGER, RATE, ringing_batch
 
 WINDOW = tuple(f"window_packet_{k + 1}_of_{N_PACKETS}" for k in range(N_PACKETS))

@@ -11,12 +11,9 @@ from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import StandardScaler
 
 from cgid.errors import BadData, InvalidValue
-from cgid.measure.bands import EVEN_BANDS, MEL_BANDS, TriangularBands, frequency_of, mel
-from cgid.measure.energy_spectrum import EnergySpectrum
 from cgid.measure.features import FEATURES, choose, extract_array, supported
-from cgid.measure.features.vibration import band_edges
-from cgid.measure.features.window import CORRELATION_LAGS, WINDOW_THIRD_OCTAVES
-from cgid.measure.windows import FRAME_TIME, WindowBatch
+from cgid.measure.spectra import EVEN_BANDS, MEL_BANDS, EnergySpectrum, TriangularBands, frequency_of, mel, third_octave
+from cgid.measure.windows import CORRELATION_LAGS, FRAME_TIME, WINDOW_THIRD_OCTAVES, WindowBatch
 from cgid.recordings import read_recording
 
 RATE = 44_100.0
@@ -72,7 +69,7 @@ def test_white_noise_is_flat():
     assert found["window_rolloff_85"] == pytest.approx(0.85 * RATE / 2, rel=0.01)
     assert found["window_zero_crossing_rate"] == pytest.approx(RATE / 2, rel=0.01)
     for name in ("1000", "4000", "12500"):
-        low, high = band_edges(WINDOW_THIRD_OCTAVES.index(name))
+        low, high = third_octave(WINDOW_THIRD_OCTAVES.index(name))
         # The mean of a logarithm lies below the logarithm of a mean: less, the more bins a band has.
         assert found[f"window_level_{name}_hz"] == pytest.approx(np.log10(4 * (high - low) / (RATE / 2)), abs=0.06)
     widths = (EVEN_BANDS.corners[2:] - EVEN_BANDS.corners[:-2]) / 2
@@ -190,7 +187,7 @@ def test_log_bands_are_those_of_scipys_spectrogram(rustle):
 
 def test_a_tone_lies_in_its_third_octave():
     for name in ("250", "1000", "10000"):
-        low, high = band_edges(WINDOW_THIRD_OCTAVES.index(name))
+        low, high = third_octave(WINDOW_THIRD_OCTAVES.index(name))
         found = measure(np.sin(2 * np.pi * np.sqrt(low * high) * TIME))
         assert found[f"window_level_{name}_hz"] == pytest.approx(np.log10(0.5), abs=0.01)
         assert found[f"window_relative_level_{name}_hz"] == pytest.approx(0, abs=0.01)

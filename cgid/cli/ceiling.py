@@ -7,8 +7,8 @@ from typing import Any
 
 import click
 
+from cgid.cli.console import say
 from cgid.cli.options import PATH, print_json, progress_bar
-from cgid.cli.saying import say
 
 #: Signals at each point of the survey.
 _SURVEYED = 2000
@@ -41,9 +41,8 @@ def ceiling(
     Bayes' rule, which knows the scene, is applied to each of many signals: no classifier can be right more often.
     """
     from cgid import shipped
+    from cgid.ceiling.bayes import bracket, check_covered, sizes_up_to
     from cgid.ceiling.bayes import ceiling as ceiling_of
-    from cgid.ceiling.bayes import check_covered
-    from cgid.ceiling.bracket import bracket, sizes_up_to
     from cgid.ceiling.survey import untrusted
     from cgid.scene import load_scene
 

@@ -6,8 +6,8 @@ from typing import Any
 
 import click
 
+from cgid.cli.console import say
 from cgid.cli.options import PATH, print_json
-from cgid.cli.saying import say
 
 #: Blocks of 256 impacts that are drawn for the preview.
 _BLOCKS = 16
@@ -112,7 +112,7 @@ def _shares(draws: list[Any], values: dict[str, Any], sampling_rate: Any, scene:
     import numpy as np
 
     from cgid.measure.pulses import WANTED_SAMPLES
-    from cgid.physics.pulse import BEYOND_THIN_PLATE, HERTZ_LIMIT, INELASTICITY_LIMIT
+    from cgid.physics.impact import BEYOND_THIN_PLATE, HERTZ_LIMIT, INELASTICITY_LIMIT
 
     strain = np.concatenate([d.impact.peak_displacement / d.impact.reduced_radius for d in draws])
     inelasticity = np.concatenate([d.inelasticity for d in draws])

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import click
 
+from cgid.cli.console import say
 from cgid.cli.options import PATH, progress_bar
-from cgid.cli.saying import say
 
 
 @click.command(short_help="Write a dataset as one plain HDF5 file.")
@@ -19,7 +19,7 @@ def export(data: str, output: str, overwrite: bool) -> None:
     of cgid itself.
     """
     from cgid.store import Dataset
-    from cgid.store.export import export as export_dataset
+    from cgid.store.dataset import export as export_dataset
 
     dataset = Dataset(data)
     with progress_bar(len(dataset), "signals") as progress:

@@ -1,4 +1,4 @@
-"""`cgid features`: the feature table, one row for each impact."""
+"""`cgid features`: measure the impacts in recordings, one row for each impact."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from typing import Any
 
 import click
 
+from cgid.cli.console import say
 from cgid.cli.options import (
     PATH,
     asks_for_whole_dataset,
@@ -15,16 +16,17 @@ from cgid.cli.options import (
     read_signals,
     recording_options,
 )
-from cgid.cli.saying import say
 
-#: So many impacts, or channels, that cannot be measured are told one by one.
-_MOST_TOLD = 3
+#: Most impacts, or channels, that cannot be measured and are reported one by one.
+_MOST_REPORTED = 3
 
 
 @click.command(short_help="Measure the impacts in recordings: one row each.")
 @click.argument("files", type=PATH, nargs=-1, metavar="FILE...")
-@click.option("--list", "as_list", is_flag=True, help="Print the table of features: unit, definition, source, kind.")
-@click.option("--features", "names", help="Only these, with commas between them.")
+@click.option(
+    "--list", "as_list", is_flag=True, help="Print the table of features and banks: unit, definition, source, kind."
+)
+@click.option("--features", "names", help="Only these features or banks, separated by commas.")
 @click.option("--keep-baseline", is_flag=True, help="Do not subtract the mean before touch.")
 @recording_options
 def features(
@@ -43,11 +45,10 @@ def features(
     pressure, level), those of a pulse for all else.
     """
     from cgid.errors import BadData
-    from cgid.measure.features import FEATURES, choose
+    from cgid.measure.features import choose
 
     if as_list:
-        for feature in FEATURES.values():
-            say("\t".join([feature.name, feature.unit, feature.definition, feature.source, feature.kind]))
+        _print_table()
         return 0
     if not files:
         raise click.UsageError("give at least one FILE, or --list for the table of features")
@@ -69,31 +70,43 @@ def features(
                 errors.append(error)
         if len(errors) == len(signals):
             raise errors[0]
-        # A silent channel does not hide the others.
-        for left_out in errors[:_MOST_TOLD]:
+        # A channel without impacts does not hide the others.
+        for left_out in errors[:_MOST_REPORTED]:
             say(f"cgid: warning: {left_out}", err=True)
-        if len(errors) > _MOST_TOLD:
-            say(f"cgid: warning: {path}: and {len(errors) - _MOST_TOLD} more channels cannot be measured", err=True)
+        if len(errors) > _MOST_REPORTED:
+            say(f"cgid: warning: {path}: and {len(errors) - _MOST_REPORTED} more channels cannot be measured", err=True)
 
     return each_file(files, treat, strict=strict)
+
+
+def _print_table() -> None:
+    """Print one row for each feature and each bank."""
+    from cgid.measure.features import FEATURES
+    from cgid.measure.table import Bank
+
+    for entry in FEATURES.entries:
+        definition = entry.definition
+        if isinstance(entry, Bank):
+            definition += f" (* is one of {len(entry.labels)} from {entry.labels[0]} to {entry.labels[-1]})"
+        say("\t".join([entry.name, entry.unit, definition, entry.source, entry.kind]))
 
 
 def _print(
     signal: Any, names: tuple[str, ...] | None, remove_baseline: bool, dead_time: float | None, as_json: bool
 ) -> None:
-    """Print the impacts of one channel; those that cannot be measured have no numbers and say why."""
+    """Print the impacts of one channel; those that cannot be measured have no numbers, but a reason."""
     from cgid.errors import BadData, InvalidValue
-    from cgid.identification.events import find_impacts
+    from cgid.identification.detection import find_impacts
     from cgid.measure.features import extract_array, kind_for, kind_of
 
     kind = kind_for(signal.quantity) if names is None else kind_of(names)
     if kind == "window":
         raise InvalidValue(
             f"{signal.name}: features must be those of impacts, got those of windows; choose others by --features, "
-            "cgid features --list says of what each one is"
+            "the last column of cgid features --list is the kind of each one"
         )
     events = find_impacts(signal, kind=kind, dead_time=dead_time)
-    # All frames of a recording allow the same, but for the first, which may begin later.
+    # All frames of a recording allow the same features, except the first, which may be shorter.
     chosen = _chosen(names, kind, signal.sampling_rate, min(event.signal.samples.size for event in events))
     columns = _Columns(signal.quantity, signal.unit, chosen, as_json)
     columns.title(signal.name, signal.sampling_rate, len(events), remove_baseline)
@@ -116,16 +129,19 @@ def _print(
             problems.append(f"impact {number} at {event.time:.6f} s: {problem}")
         about = {"sampling_rate_hz": signal.sampling_rate, "baseline_removed": remove_baseline, "problem": problem}
         columns.row(signal.name, number, event.time, values, about)
-    for problem in problems[:_MOST_TOLD]:
+    for problem in problems[:_MOST_REPORTED]:
         say(f"cgid: warning: {signal.name}: {problem}", err=True)
-    if len(problems) > _MOST_TOLD:
-        say(f"cgid: warning: {signal.name}: and {len(problems) - _MOST_TOLD} more impacts cannot be measured", err=True)
+    if len(problems) > _MOST_REPORTED:
+        say(
+            f"cgid: warning: {signal.name}: and {len(problems) - _MOST_REPORTED} more impacts cannot be measured",
+            err=True,
+        )
     if len(problems) == len(events):
         raise BadData(f"{signal.name}: none of its {len(events)} impacts can be measured; the first: {problems[0]}")
 
 
 def _chosen(names: tuple[str, ...] | None, kind: Any, sampling_rate: float, n_samples: int) -> tuple[str, ...]:
-    """Return the features asked for, else all of the kind that rate and frames allow."""
+    """Return the given features, by default all of the kind that rate and frames allow."""
     from cgid.measure.features import choose, require_supported, supported
 
     if names is not None:
@@ -178,7 +194,7 @@ class _Columns:
         self.as_json = as_json
 
     def title(self, name: str, rate: float, n_impacts: int, remove_baseline: bool) -> None:
-        """Print what the table is of, and its head."""
+        """Print the title and the head of the table."""
         if self.as_json:
             return
         baseline = "baseline removed" if remove_baseline else "baseline kept"

@@ -8,8 +8,8 @@ from typing import Any
 
 import click
 
+from cgid.cli.console import say
 from cgid.cli.options import PATH, crew_options, print_json, progress_bar, require_one_crew
-from cgid.cli.saying import say
 
 #: Options that leave signals out, with what they ask for and the option that says which of it.
 _ONLY = {"features_only": "features", "closed_form_only": "closed-form", "parameters_only": "parameters"}
@@ -144,7 +144,7 @@ def _which(scene: Any, output: str, options: dict[str, Any]) -> dict[str, Any]:
 
 def _features_of_model(scene: Any) -> tuple[str, ...]:
     """Return what a model looks at by default on signals of this scene."""
-    from cgid.identification.measuring import DEFAULT_FEATURES, DEFAULT_VIBRATION_FEATURES
+    from cgid.identification.rows import DEFAULT_FEATURES, DEFAULT_VIBRATION_FEATURES
     from cgid.measure.features import kind_for
     from cgid.scene.plan import supported_by
 
@@ -172,7 +172,7 @@ def _write_dataset(asked: Any, options: dict[str, Any]) -> None:
 def _warn_of_plate(scene: Any, seed: int) -> None:
     """Warn once if rocks of the first block pass the range of the thin plate; drawing itself is silent."""
     from cgid.physics import ThinPlate
-    from cgid.physics.pulse import BEYOND_THIN_PLATE, INELASTICITY_LIMIT
+    from cgid.physics.impact import BEYOND_THIN_PLATE, INELASTICITY_LIMIT
     from cgid.scene.impacts import draw
 
     if not isinstance(scene.body, ThinPlate):
@@ -187,7 +187,7 @@ def _warn_of_plate(scene: Any, seed: int) -> None:
 
 
 def _write_table(asked: Any, options: dict[str, Any]) -> None:
-    from cgid.scene.tabulation import tabulate
+    from cgid.scene.generation import tabulate
 
     n_signals, start = options["n_signals"], time.perf_counter()
     taken = ("output", "n_signals", "seed", "overwrite")

@@ -6,8 +6,8 @@ from typing import Any
 
 import click
 
+from cgid.cli.console import say
 from cgid.cli.options import PATH, print_json
-from cgid.cli.saying import say
 
 #: Samples of all channels that are held in memory; longer recordings are read block by block.
 _MOST_HELD = 1 << 24
@@ -152,7 +152,7 @@ def _held_channels(recording: Any) -> dict[str, Any]:
     import numpy as np
 
     from cgid.errors import BadData
-    from cgid.identification.events import TURN_OVER, find_impacts
+    from cgid.identification.detection import TURN_OVER, find_impacts
     from cgid.measure.features import kind_for
 
     channels = {}
@@ -178,7 +178,7 @@ def _long_channels(recording: Any) -> dict[str, Any]:
     """Return what is in each channel of a long recording, which is read block by block; a median would hold it all."""
     from collections import Counter
 
-    from cgid.identification.events import TURN_OVER, Extent, ImpactDetector
+    from cgid.identification.detection import TURN_OVER, Extent, ImpactDetector
     from cgid.measure.features import kind_for
 
     names = recording.channels
@@ -221,7 +221,7 @@ def _made(file: str) -> dict[str, Any]:
     """Return what a recording that cgid has made says about itself; nothing for any other."""
     from collections import Counter
 
-    from cgid.store.recording import Recording, is_recording
+    from cgid.store.reading import Recording, is_recording
 
     if not is_recording(file):
         return {}

@@ -11,8 +11,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
-from cgid.cli.interruption import stop_if_asked
-from cgid.cli.saying import say
+from cgid.cli.console import say, stop_if_asked
 from cgid.errors import CgidError, InvalidValue
 from cgid.signals import Signal
 

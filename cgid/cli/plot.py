@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from cgid.cli.console import say
 from cgid.cli.options import PATH, dead_time_in_seconds, open_file, print_json, read_signals, reading_options
-from cgid.cli.saying import say
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from cgid.measure.features.feature import ImpactKind
+    from cgid.measure.table import ImpactKind
     from cgid.plots import Mark
     from cgid.recordings import Channel, RecordingFile
 
@@ -52,7 +52,7 @@ def plot(
     itself, as cgid predict does it.
     """
     from cgid.files import check_new, write_whole
-    from cgid.identification.events import TURN_OVER
+    from cgid.identification.detection import TURN_OVER
     from cgid.measure.overview import OverviewStream
     from cgid.plots import FORMATS, MOST_CHANNELS, overview_figure, picture, require_matplotlib
 
@@ -125,7 +125,7 @@ class _Finder:
         dead_time: float | None,
         begin: float,
     ) -> None:
-        from cgid.identification.events import Extent, ImpactDetector
+        from cgid.identification.detection import Extent, ImpactDetector
         from cgid.measure.features import kind_for
 
         self._rate, self._channels, self._begin = sampling_rate, channels, begin
@@ -152,7 +152,7 @@ class _Finder:
 
     def upside_down(self) -> list[str]:
         """Return the channels without pulses that fall where they should rise."""
-        from cgid.identification.events import TURN_OVER
+        from cgid.identification.detection import TURN_OVER
 
         heard = {mark.channel for mark in self._marks}
         names = {self._channels[row].name: row for row in self._pulses}
@@ -181,7 +181,7 @@ def _opened(file: str, *, index: int | None, **reading: Any) -> RecordingFile:
     if index is None or not is_dataset(file):
         return open_file(file, index=index, **reading)
     from cgid.recordings import RecordingFile
-    from cgid.recordings.contents import Contents
+    from cgid.recordings.recording import Contents
 
     (signal,) = read_signals(file, index=index, invert=False, **reading)
     contents = Contents.of_array(signal.samples[None], units=[signal.unit], sampling_rate=signal.sampling_rate)

@@ -9,8 +9,8 @@ from typing import Any
 import click
 
 from cgid import validation
+from cgid.cli.console import say
 from cgid.cli.options import PATH, crew_options, print_json, progress_bar, require_one_crew, say_error
-from cgid.cli.saying import say
 from cgid.errors import CgidError, InvalidValue
 
 #: Options that belong to the recordings of a manifest, and those that do not.
@@ -39,7 +39,7 @@ _OF_DATASETS = {
 )
 @click.option(
     "--family",
-    type=click.Choice(["logistic", "boosting", "discriminant", "network", "linear"]),
+    type=click.Choice(["logistic", "boosting", "network", "linear"]),
     help="Kind of classifier: logistic by default, linear for recordings.",
 )
 @click.option("--features", "names", help="Only these features, with commas between them.")
@@ -96,8 +96,8 @@ def train(
     group in turn judges what was chosen and trained on the others. Beside a manifest, scenes and datasets teach, too,
     their level and spectrum moved to those of the recordings.
     """
-    from cgid.identification.output import check_model_output, write_model
-    from cgid.identification.recorded.manifest import is_manifest
+    from cgid.identification.card import check_model_output, write_model
+    from cgid.identification.manifest import is_manifest
     from cgid.measure.features import choose
 
     path = check_model_output(Path(output), plots=plots, overwrite=overwrite)
@@ -127,7 +127,7 @@ def _synthesised(_: list[str], data: list[str], asked: dict[str, Any]) -> tuple[
         training = train_model(
             _batches(data, asked["n_signals"], asked["seed"]),
             features=asked["features"],
-            family=asked["family"] or "logistic",
+            family=asked["family"],
             test_share=asked["test_share"],
             calibration_share=asked["calibration_share"],
             known=("drop_height",) if asked["drop_height"] else (),
@@ -143,10 +143,10 @@ def _synthesised(_: list[str], data: list[str], asked: dict[str, Any]) -> tuple[
 def _recorded(manifests: list[str], others: list[str], asked: dict[str, Any]) -> tuple[Any, list[Any]]:
     """Return the training on recordings, and the errors of those that could not be read."""
     from cgid.cli.options import dead_time_in_seconds
-    from cgid.identification.recorded.annotated import Reading
-    from cgid.identification.recorded.manifest import read_manifest
-    from cgid.identification.recorded.measuring import Slicing, record
-    from cgid.identification.recorded.training import train_recorded
+    from cgid.identification.labelled_recordings import Reading, record
+    from cgid.identification.manifest import read_manifest
+    from cgid.identification.rows import Slicing
+    from cgid.identification.training import train as train_model
 
     if len(manifests) > 1:
         raise InvalidValue(f"{manifests[1]}: there must be one manifest, got {len(manifests)}; put all into one")
@@ -179,10 +179,10 @@ def _recorded(manifests: list[str], others: list[str], asked: dict[str, Any]) ->
         say(f"cgid: warning: {warning}", err=True)
     try:
         with progress_bar(None, "groups") as progress:
-            training = train_recorded(
+            training = train_model(
                 recorded,
                 features=asked["features"],
-                families=(asked["family"] or "linear",),
+                family=asked["family"],
                 level_free=asked["level_free"],
                 class_weights=asked["class_weights"],
                 seed=asked["seed"],
@@ -203,8 +203,7 @@ def _measured(data: list[str], recorded: Any, asked: dict[str, Any]) -> tuple[An
     from itertools import chain
 
     from cgid.errors import BadData
-    from cgid.identification.measuring import measure
-    from cgid.identification.recorded.adaptation import in_unit
+    from cgid.identification.rows import in_unit, measure
     from cgid.measure.features import supported
 
     if recorded.kind == "window":

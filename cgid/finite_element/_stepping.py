@@ -1,4 +1,4 @@
-"""Kernels: forces between surfaces that cannot pass through each other, and explicit steps in time."""
+"""Numba kernels: contact forces between surfaces that cannot penetrate each other, and explicit steps in time."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ Indices = NDArray[np.int32]
 
 @jit
 def press(compliance: Floats, gap: Floats, force: Floats, touching: Flags) -> bool:
-    """Fill in the forces that leave no node pressed in and pull at none; False if none were found.
+    """Fill in contact forces that leave no penetration and no attraction; return False if none were found.
 
     Forces leave the gaps `gap + compliance @ force`. Forces and gaps must be at least 0, and one of each pair must be
-    0: a linear complementarity problem. Who touches is guessed (as in the step before), and corrected.
+    0: a linear complementarity problem. The touching nodes are guessed (those of the step before), and corrected.
     """
     n = gap.size
     factor = np.empty((n, n))
@@ -44,7 +44,7 @@ def press(compliance: Floats, gap: Floats, force: Floats, touching: Flags) -> bo
                 touching[i] = not touching[i]
                 changed = True
                 if attempt > 2 * n:
-                    break  # one at a time cannot go round in circles (Murty 1974, Linear Algebra Appl. 9, 65)
+                    break  # changing one at a time cannot cycle (Murty 1974, Linear Algebra Appl. 9, 65)
         if not changed:
             return True
     return False
@@ -116,7 +116,7 @@ def _meet(
     touching: Flags,
     scratch: Any,
 ) -> bool:
-    """Put the massless nodes of both bodies where they are at rest, pressed together; False if that fails.
+    """Put the massless nodes of both bodies in equilibrium with the contact forces; return False if that fails.
 
     `w` holds displacements (with what damping adds) of all others, and is filled in; `before` and `now`,
     (2, n_contact), are the displacements of the massless nodes a step ago and now; `lag` is retardation time over step.
@@ -165,7 +165,7 @@ def advance(matrix: Any, contact: Any, inertia: Any, state: Any, rows: Any, stri
         sphere's unknowns, unknown of the sphere's centre.
     state : tuple
         Displacements, velocities half a step ago, displacements of the touching nodes a step ago (2, n), forces (n,),
-        whether they touch (n,) and the impulse so far (1,): all are carried on.
+        whether they touch (n,) and the impulse so far (1,): all are updated.
     rows : tuple
         Filled in for each record: forces (n_records, n); displacements of centre and mass centre, acceleration of the
         centre, internal energies of both bodies, kinetic energy, momentum of either, impulse (n_records, 9).

@@ -1,4 +1,4 @@
-"""FiniteElementImpact: a sphere falls on a plate, both elastic and meshed; no theory of contact is put in."""
+"""FiniteElementImpact: a sphere falls on a plate, both elastic and meshed; it assumes no theory of contact."""
 
 from __future__ import annotations
 
@@ -11,26 +11,32 @@ import numpy as np
 
 from cgid import validation
 from cgid.errors import InvalidValue
-from cgid.finite_element import limits
-from cgid.finite_element.bodies import ElasticPlate, PenaltyContact, hold_number, single_number
-from cgid.finite_element.elasticity import body
-from cgid.finite_element.explicit import explicit, stable_time_step
-from cgid.finite_element.history import History, history
-from cgid.finite_element.implicit import implicit
-from cgid.finite_element.mesh import plate_mesh, sphere_mesh
-from cgid.finite_element.pair import Pair
-from cgid.finite_element.records import Progress
+from cgid.finite_element.assembly import Pair, body, require_elements_fit
+from cgid.finite_element.mesh import (
+    ElasticPlate,
+    PenaltyContact,
+    hold_numbers,
+    plate_mesh,
+    require_fine_mesh,
+    require_room,
+    sphere_mesh,
+)
+from cgid.finite_element.steps import Progress, Records, explicit, implicit, require_times_fit, stable_time_step
 from cgid.physics.bodies import HalfSpace, Sphere, sphere_share
-from cgid.physics.dissipation import Elastic
-from cgid.physics.pulse import HertzRangeWarning, Impact
+from cgid.physics.impact import HERTZ_LIMIT, HertzRangeWarning, Impact
+from cgid.physics.laws import Elastic
+from cgid.signals import Signal
+from cgid.validation import Floats
 
+#: Largest displacement over radius, where linear elasticity has long ended.
+_DEEPEST = 0.14
 METHODS = ("auto", "explicit", "implicit")
-#: Over the contact radius, unless told otherwise.
+#: Elements over the contact radius by default.
 _ELEMENTS = 14
-#: Where the sphere has more of the compliance than this, the plate's mesh may grow faster.
+#: Above this share of the compliance in the sphere, the mesh of the plate may grow faster.
 _SPHERE_ALONE = 0.75
-#: "auto" takes implicit steps where the contact would last more explicit ones than this.
-_MOST_STEPS = 50_000
+#: "auto" takes implicit steps if the contact would need more explicit ones than this.
+_MOST_EXPLICIT = 50_000
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -38,7 +44,7 @@ class FiniteElementImpact:
     """One normal impact of an elastic sphere on an elastic plate, by axisymmetric finite elements.
 
     Linear elasticity and small strains: node meets node where both were before the impact. Bilinear elements, lumped
-    mass, a contact that cannot be passed through and does not stick, no gravity. Every number is one number.
+    mass, a contact without penetration, adhesion and friction, no gravity. Every parameter is a single number.
 
     Parameters
     ----------
@@ -47,19 +53,19 @@ class FiniteElementImpact:
     velocity : float
         [m/s], above 0.
     retardation_time : float, optional
-        b of the sphere's material as Kelvin and Voigt have it [s]: stress = E (strain + b x strain rate). For a slow
-        impact that is `Viscoelastic` with A = 3/2 b times the sphere's share of the compliance.
+        b of a Kelvin-Voigt sphere [s], stress = E (strain + b x strain rate). For a slow impact that is `Viscoelastic`
+        with A = 3/2 b times the sphere's share of the compliance.
     elements : int, optional
         Over the radius of Hertz's contact: 7 give the peak force within about .5 %, 14 within .1 %.
     element_size : float, optional
         Edge of the elements at the contact [m], in place of `elements`.
     penalty : PenaltyContact, optional
-        A contact that gives way in place of a hard one.
+        A soft contact in place of a hard one.
     method : {"auto", "explicit", "implicit"}, optional
         Explicit central differences, or implicit steps; "auto" takes the latter where damping, or a small contact,
-        would make more than 50,000 explicit steps of it.
+        would need more than 50,000 explicit steps.
     time_step : float, optional
-        [s]; chosen if left out.
+        [s]; chosen by default.
 
     Raises
     ------
@@ -101,28 +107,28 @@ class FiniteElementImpact:
         validation.instance("plate", self.plate, ElasticPlate)
         if self.penalty is not None:
             validation.instance("penalty", self.penalty, PenaltyContact)
-        single_number("radius", self.sphere.radius)
-        hold_number(self, "velocity", validation.positive("velocity", self.velocity, "m/s"))
-        hold_number(self, "retardation_time", validation.not_negative("retardation_time", self.retardation_time, "s"))
+        validation.number("radius", self.sphere.radius)
+        hold_numbers(self, "m/s", velocity=validation.positive)
+        hold_numbers(self, "s", retardation_time=validation.not_negative)
         validation.choice("method", self.method, METHODS)
         if self.time_step is not None:
-            hold_number(self, "time_step", validation.positive("time_step", self.time_step, "s"))
+            hold_numbers(self, "s", time_step=validation.positive)
         if self.elements is not None and self.element_size is not None:
             raise InvalidValue("elements and element_size say the same thing; give one of them")
         if self.element_size is not None:
-            hold_number(self, "element_size", validation.positive("element_size", self.element_size, "m"))
+            hold_numbers(self, "m", element_size=validation.positive)
         elif self.elements is not None:
             validation.count("elements", self.elements)
         for material in (self.sphere.material, self.plate.material):
-            limits.require_elements_fit(material)
-        limits.require_small_strain(float(self.hertz.peak_displacement) / self._radius)
-        limits.require_fine_mesh(self.asked_elements, self.contact_radius)
-        limits.require_room(self.plate, self.contact_radius)
-        limits.require_times_fit(self._retardation, self.time_step, float(self.hertz.contact_duration))
+            require_elements_fit(material)
+        _require_small_strain(float(self.hertz.peak_displacement) / self._radius)
+        require_fine_mesh(self.asked_elements, self.contact_radius)
+        require_room(self.plate, self.contact_radius)
+        require_times_fit(self._retardation, self.time_step, float(self.hertz.contact_duration))
 
     @property
     def _radius(self) -> float:
-        return single_number("radius", self.sphere.radius)
+        return float(np.asarray(self.sphere.radius))
 
     @cached_property
     def hertz(self) -> Impact:
@@ -139,12 +145,12 @@ class FiniteElementImpact:
 
     @property
     def contact_radius(self) -> float:
-        """The largest by Hertz's theory, `sqrt(R delta)` [m]: what the mesh is made for."""
+        """The largest contact radius by Hertz's theory, `sqrt(R delta)` [m]: the mesh is made for it."""
         return float(np.sqrt(self._radius * self.hertz.peak_displacement))
 
     @property
     def asked_elements(self) -> float:
-        """Elements over the contact radius, as asked; next to the axis the mesh is up to a tenth coarser."""
+        """Requested elements over the contact radius; next to the axis the mesh is up to a tenth coarser."""
         if self.element_size is not None:
             return self.contact_radius / self.element_size
         return _ELEMENTS if self.elements is None else self.elements
@@ -189,14 +195,14 @@ class FiniteElementImpact:
 
     @property
     def _retardation(self) -> tuple[float, float]:
-        return float(self.retardation_time), float(self.plate.retardation_time)
+        return self.retardation_time, self.plate.retardation_time
 
     @cached_property
     def chosen_method(self) -> str:
-        """The method that runs: what "auto" comes to."""
+        """The method that runs, "auto" resolved."""
         if self.method != "auto":
             return self.method
-        return "implicit" if float(self.hertz.contact_duration) > _MOST_STEPS * self.stable_time_step else "explicit"
+        return "implicit" if float(self.hertz.contact_duration) > _MOST_EXPLICIT * self.stable_time_step else "explicit"
 
     def run(self, progress: Progress | None = None) -> History:
         """Return the course of the impact.
@@ -204,7 +210,7 @@ class FiniteElementImpact:
         Parameters
         ----------
         progress : callable, optional
-            Called now and then with the time run through, over the contact time of Hertz's theory.
+            Called now and then with the simulated time over the contact time of Hertz's theory.
 
         Raises
         ------
@@ -214,7 +220,7 @@ class FiniteElementImpact:
         integrate = {"explicit": explicit, "implicit": implicit}[self.chosen_method]
         records = integrate(
             self.pair,
-            float(self.velocity),
+            self.velocity,
             float(self.hertz.contact_duration),
             retardation=self._retardation,
             time_step=self.time_step,
@@ -223,7 +229,157 @@ class FiniteElementImpact:
         return history(
             records,
             self.pair,
-            velocity=float(self.velocity),
+            velocity=self.velocity,
             mass=float(self.sphere.mass),
             is_damped=any(self._retardation),
         )
+
+
+def _require_small_strain(strain: float) -> None:
+    """Raise `InvalidValue` or warn of a displacement that is too large a part of the radius."""
+    if strain > _DEEPEST:
+        raise InvalidValue(
+            f"displacement over radius must not pass {_DEEPEST:g}, by Hertz's theory this impact reaches {strain:.3g}: "
+            "strains are far from small there; use a lower velocity or a stiffer material"
+        )
+    if strain > HERTZ_LIMIT:
+        warnings.warn(
+            f"displacement over radius reaches {strain:.3g}; linear elasticity and Hertz's theory hold up to "
+            f"{HERTZ_LIMIT:g}",
+            HertzRangeWarning,
+            stacklevel=4,
+        )
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class History:
+    """The course of one impact. Signals begin at first touch, have one rate, and go on past the end of contact.
+
+    `cgid.extract` takes their `samples` and `sampling_rate`. `cgid.fft_filter` is circular, and the sphere keeps
+    ringing: pad a signal with as many zeros in front as it has samples.
+
+    Parameters
+    ----------
+    contact_force : Signal
+        [N].
+    centre_displacement, mass_centre_displacement : Signal
+        Of the node at the sphere's centre (the paper's DCS) and of its mass centre, towards the plate [m].
+    contact_radius : Signal
+        Radius at which the pressure vanishes [m]: extrapolated from the outermost pressed nodes by Hertz's law that
+        the square of the pressure falls with the square of the radius.
+    contact_pressure : Signal
+        The largest [Pa].
+    sphere_energy, plate_energy : Signal
+        Internal (elastic) energies [J].
+    centre_node_force : Signal
+        Mass of the sphere times acceleration of the node at its centre [N]: the paper's "dense vibration waves".
+    radii, pressures : ndarray, (n_contact,)
+        Contact pressure over the distance from the axis [m], [Pa] at the moment of the largest force.
+    contact_duration : float
+        From first to last touch [s]; a free plate may be hit more than once.
+    restitution : float
+        Velocity of the mass centre away from the plate's first place, over the impact velocity: below 0 where it goes
+        on downwards, slower than a free plate.
+    energy_error : float or None
+        Largest change of the total energy over the impact energy; None with damping.
+    momentum_error : float
+        Largest difference of the sphere's change of momentum and the contact's impulse, over its first momentum.
+    time_step : float
+        [s].
+    n_steps : int
+    """
+
+    contact_force: Signal
+    centre_displacement: Signal
+    mass_centre_displacement: Signal
+    contact_radius: Signal
+    contact_pressure: Signal
+    sphere_energy: Signal
+    plate_energy: Signal
+    centre_node_force: Signal
+    radii: Floats
+    pressures: Floats
+    contact_duration: float
+    restitution: float
+    energy_error: float | None
+    momentum_error: float
+    time_step: float
+    n_steps: int
+
+    @property
+    def times(self) -> Floats:
+        """Time of each sample since first touch [s]."""
+        return np.arange(len(self.contact_force.samples)) / self.contact_force.sampling_rate
+
+    @property
+    def peak_force(self) -> float:
+        """Largest contact force [N]."""
+        return float(self.contact_force.samples.max())
+
+    @property
+    def peak_displacement(self) -> float:
+        """Largest displacement of the sphere's centre [m]."""
+        return float(self.centre_displacement.samples.max())
+
+    @property
+    def peak_pressure(self) -> float:
+        """Largest contact pressure [Pa]."""
+        return float(self.contact_pressure.samples.max())
+
+    @property
+    def peak_sphere_energy(self) -> float:
+        """Largest internal energy of the sphere [J]."""
+        return float(self.sphere_energy.samples.max())
+
+    @property
+    def peak_plate_energy(self) -> float:
+        """Largest internal energy of the plate [J]."""
+        return float(self.plate_energy.samples.max())
+
+
+def history(records: Records, pair: Pair, *, velocity: float, mass: float, is_damped: bool) -> History:
+    """Return the history of a run from its records."""
+    centre, mass_centre, acceleration, in_sphere, in_plate, kinetic, momentum, _, impulse = records.values.T
+    force = records.forces.sum(axis=1)
+    pressures = records.forces / pair.areas
+    rate = 1 / records.interval
+    last = int(np.flatnonzero(force)[-1])
+
+    def signal(samples: Floats, unit: str, name: str) -> Signal:
+        return Signal(samples=samples, sampling_rate=rate, unit=unit, source=name, pre_trigger=0)
+
+    energy = kinetic + in_sphere + in_plate + records.forces**2 @ pair.soft_part / 2
+    return History(
+        contact_force=signal(force, "N", "contact force"),
+        centre_displacement=signal(-centre, "m", "displacement of the sphere's centre"),
+        mass_centre_displacement=signal(-mass_centre, "m", "displacement of the sphere's mass centre"),
+        contact_radius=signal(_radius(pressures, pair.places), "m", "contact radius"),
+        contact_pressure=signal(pressures.max(axis=1), "Pa", "contact pressure"),
+        sphere_energy=signal(in_sphere, "J", "internal energy of the sphere"),
+        plate_energy=signal(in_plate, "J", "internal energy of the plate"),
+        centre_node_force=signal(mass * acceleration, "N", "mass times acceleration of the centre"),
+        radii=pair.places,
+        pressures=pressures[np.argmax(force)],
+        contact_duration=(last + 1) * records.interval,
+        restitution=float(momentum[-1] / (mass * velocity)),
+        energy_error=None if is_damped else float(np.abs(energy / energy[0] - 1).max()),
+        momentum_error=float(np.abs(momentum - momentum[0] - impulse).max() / (mass * velocity)),
+        time_step=records.step,
+        n_steps=round(len(force) * records.interval / records.step),
+    )
+
+
+def _radius(pressures: Floats, places: Floats) -> Floats:
+    """Return where the square of the pressure, extrapolated over the square of the radius, is 0 [m]."""
+    touching = pressures > 0
+    outermost = places.size - 1 - np.argmax(touching[:, ::-1], axis=1)
+    inner = np.maximum(outermost - 1, 0)
+    row = np.arange(len(pressures))
+    squares, last, before = places**2, pressures[row, outermost] ** 2, pressures[row, inner] ** 2
+    falling = before > last
+    beyond = np.divide(
+        last * (squares[outermost] - squares[inner]), before - last, out=np.zeros(len(row)), where=falling
+    )
+    bounds = squares[np.minimum(outermost + 1, places.size - 1)]
+    radius = np.sqrt(np.minimum(squares[outermost] + beyond, bounds))
+    return np.where(touching.any(axis=1), radius, 0.0)

@@ -10,13 +10,14 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cgid.errors import BadData, InvalidValue, MissingOption
-from cgid.identification.events import Event, find_impacts
-from cgid.identification.known import known_columns
+from cgid.identification.detection import Event, find_impacts
+from cgid.identification.drop_height import known_columns
 from cgid.identification.model import Model
-from cgid.measure.equalisation import Equalisation
 from cgid.measure.features import extract_array, problems_of
+from cgid.measure.filters import Equalisation
 from cgid.measure.frames import DETECTION_LIMIT, MINIMUM_FRAME
-from cgid.signals import UNITS, Signal
+from cgid.signals import Signal
+from cgid.units import UNITS
 from cgid.validation import UNKNOWN, Floats
 
 

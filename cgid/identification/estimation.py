@@ -15,12 +15,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from cgid import validation
 from cgid.errors import BadData, InvalidValue
-from cgid.measure.estimation.bound import Bound, cramer_rao_bound
-from cgid.measure.estimation.fit import PulseFit, fit_pulses
-from cgid.measure.estimation.prior import Prior
-from cgid.measure.estimation.profile import profile
 from cgid.measure.filters import low_pass_response
+from cgid.measure.fit import PulseFit, fit_pulses
 from cgid.measure.frames import LARGEST, frames_of
+from cgid.measure.likelihood import Bound, Prior, cramer_rao_bound, profile
 from cgid.measure.pulses import PulseBatch, without_impact
 from cgid.validation import Floats, require_rate
 

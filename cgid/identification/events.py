@@ -1,199 +1,309 @@
-"""Finding the impacts in a recording that is in memory; `ImpactDetector` finds them in one that comes in blocks."""
+"""What the two ways to find the beginnings of impacts give: `ringing` and `pulses`.
+
+Impacts that were found, each in a frame of one length, so that hundreds are identified in one batch.
+"""
 
 from __future__ import annotations
 
-from dataclasses import replace
-from typing import Any, get_args
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cgid import validation
-from cgid.errors import BadData
-from cgid.identification.detection.detector import (
-    DEAD_TIME,
-    VIBRATION_DEAD_TIME,
-    ImpactDetector,
-)
-from cgid.identification.detection.frames import FOUND_LIMIT, Event
-from cgid.identification.detection.pulses import THRESHOLD_OVER_NOISE, THRESHOLD_OVER_PEAK
-from cgid.identification.detection.ringing import RISE_OVER_NOISE
-from cgid.measure.features.feature import ImpactKind
-from cgid.measure.frames import DETECTION_LIMIT, LARGEST
+from cgid.errors import InvalidValue
+from cgid.measure.vibration import SHORTEST_EVENT
 from cgid.signals import Signal
 from cgid.validation import Floats
 
-__all__ = [
-    "DEAD_TIME",
-    "FOUND_LIMIT",
-    "THRESHOLD_OVER_NOISE",
-    "THRESHOLD_OVER_PEAK",
-    "TURN_OVER",
-    "VIBRATION_DEAD_TIME",
-    "Event",
-    "Extent",
-    "ImpactDetector",
-    "cure_of_silence",
-    "find_impacts",
-]
-
-#: A recording of which more samples than this lie at its limits is clipped from its beginning to its end.
-_CLIPPED_SHARE = 0.5
-#: What falls this many times as far as it rises is upside down.
-_UPSIDE_DOWN = 3.0
-#: What cures that.
-TURN_OVER = "turn it over with --invert, for pulses must point upwards"
+#: Returns the samples (n_channels, n) of a recording between two numbers, as far as they are there.
+Read = Callable[[int, int], Floats]
 
 
-def find_impacts(signal: Signal, *, kind: ImpactKind = "pulse", dead_time: float | None = None) -> list[Event]:
-    """Return the impacts in a recording, in order.
-
-    What `ImpactDetector` finds, but for pulses whose highest sample does not rise to `THRESHOLD_OVER_PEAK` of that of
-    the highest pulse, and for vibrations that the recording ends before they can be measured. Frames are
-    longer where a pulse is. A frame of a dataset (its `pre_trigger` is known) is one impact.
-
-    Parameters
-    ----------
-    signal : Signal
-        Pulses point upwards.
-    kind : {"pulse", "vibration"}
-    dead_time : float, optional
-        [s], 0 or more; `DEAD_TIME` or `VIBRATION_DEAD_TIME` if not given.
-
-    Returns
-    -------
-    list of Event
-        At least one; their frames are of one length.
-
-    Raises
-    ------
-    BadData
-        The signal is constant or absurdly large, or nothing rises above the noise.
-    """
-    validation.choice("kind", kind, get_args(ImpactKind))
-    if dead_time is not None:
-        dead_time = validation.number("dead_time", dead_time, "s", validation.not_negative)
-    lowest, highest = float(signal.samples.min()), float(signal.samples.max())
-    if max(highest, -lowest) > LARGEST:
-        raise BadData(
-            f"{signal.name}: samples must lie within +-{LARGEST:g}, they reach from {lowest:.3g} to {highest:.3g}; was "
-            "the file read in the right format?"
-        )
-    if lowest == highest:
-        count = signal.samples.size
-        told = f"all {count} samples are" if count > 1 else "its only sample is"
-        raise BadData(f"{signal.name}: no impact: {told} {lowest:g}; check the sensor and its cable")
-    if signal.pre_trigger is not None:
-        return [_whole_frame(signal, signal.pre_trigger)]
-    found = _found(signal, kind, dead_time)
-    if not found:
-        raise BadData(_nothing_in(signal, kind))
-    if kind == "pulse":
-        found = _high_ones(signal, found)
-    else:
-        long_enough = [event for event in found if not event.problem or event.end < signal.samples.size]
-        if not long_enough:
-            raise BadData(f"{signal.name}: {found[0].problem}")
-        found = long_enough
-    return [replace(event, unit=signal.unit, source=signal.name) for event in found]
-
-
-def _found(signal: Signal, kind: ImpactKind, dead_time: float | None) -> list[Event]:
-    event_time: float | None = None
-    while True:
-        detector = ImpactDetector(signal.sampling_rate, kind=kind, dead_time=dead_time, event_time=event_time)
-        found = detector.feed(signal.samples) + detector.finish()
-        longest = max((event.end - event.onset for event in found), default=0)
-        room = detector.n_samples - detector.n_quiet
-        if kind == "vibration" or longest < room or room >= signal.samples.size:
-            return found
-        event_time = 4 * room / signal.sampling_rate
-
-
-def _high_ones(signal: Signal, found: list[Event]) -> list[Event]:
-    """Leave out the pulses that are low beside the highest: what a struck body does after one may look like them."""
-    middle = float(np.median(signal.samples.astype(np.float64)))  # the sum of two float32 may be beyond all of them
-    heights = [float(signal.samples[event.onset : event.end].max()) - middle for event in found]
-    least = THRESHOLD_OVER_PEAK * max(heights)
-    return [event for event, height in zip(found, heights, strict=True) if height > least]
-
-
-def _whole_frame(signal: Signal, pre_trigger: int) -> Event:
-    return Event(
-        channel=0,
-        onset=pre_trigger,
-        end=signal.samples.size,
-        samples=signal.samples,
-        sampling_rate=signal.sampling_rate,
-        pre_trigger=pre_trigger,
-        detection_limit=DETECTION_LIMIT,
-        unit=signal.unit,
-        source=signal.name,
-    )
-
-
-def _nothing_in(signal: Signal, kind: ImpactKind) -> str:
-    """Return what is to say of a recording without impacts."""
-    samples = signal.samples.astype(np.float64, copy=False)
-    middle = float(np.median(samples))
-    noise = 1.4826 * float(np.median(np.abs(samples - middle)))
-    limits = float(samples.max()), float(samples.min())
-    unit = f" {signal.unit}" if signal.unit else ""
-    if np.mean((samples == limits[0]) | (samples == limits[1])) > _CLIPPED_SHARE:
-        return (
-            f"{signal.name}: no impact: it is clipped throughout, at {limits[1]:.3g} and {limits[0]:.3g}{unit}; record "
-            "with a larger range"
-        )
-    highest, lowest = limits[0] - middle, middle - limits[1]
-    if kind == "vibration":
-        return (
-            f"{signal.name}: no impact: the energy must rise at once to {RISE_OVER_NOISE:g} times that of the noise "
-            f"({noise:.3g}{unit}), it nowhere does; the farthest sample lies {max(highest, lowest):.3g}{unit} from the "
-            "median; record nearer or with less noise"
-        )
-    return (
-        f"{signal.name}: no impact: a sample must rise {THRESHOLD_OVER_NOISE:g} times the noise ({noise:.3g}{unit}) "
-        f"above the median, the highest rises {highest:.3g}{unit}, the deepest falls {lowest:.3g}{unit}; "
-        f"{cure_of_silence(kind, highest, lowest)}"
-    )
-
-
-def cure_of_silence(kind: ImpactKind, rise: float, fall: float) -> str:
-    """Return what to do where no impact is found, by how far samples rise above their middle and fall below it.
-
-    Examples
-    --------
-    >>> cure_of_silence("pulse", 2.0, 90.0) == TURN_OVER
-    True
-    """
-    return TURN_OVER if kind == "pulse" and fall > _UPSIDE_DOWN * rise else "record nearer or with less noise"
-
-
-class Extent:
-    """How far the samples of channels reach, of blocks that pass by.
+@dataclass(eq=False)
+class Onset:
+    """The beginning of an impact, before its frame is cut.
 
     Attributes
     ----------
-    lowest, highest, mean : ndarray, (n_channels,)
-    n_samples : int
+    row : int
+        What dead time and neighbours are counted in: its channel, or 0 where all are one.
+    channel : int
+        Where it was found; where all are one, that which heard it most.
+    sample : int
+        From the first of the recording.
+    noise : ndarray, (n,)
+        Of a vibration: the energy of the noise in each band. Of a pulse: the baseline of each channel.
+    last : int or None
+        Of a pulse: the last sample above the threshold so far.
+    closed : bool
+        Whether no later sample can belong to it.
+    again : int or None
+        Sample at which another one is seen that followed so closely that they are one.
     """
 
-    def __init__(self, n_channels: int) -> None:
-        self.lowest, self.highest = np.full(n_channels, np.inf), np.full(n_channels, -np.inf)
-        self._total, self.n_samples = np.zeros(n_channels), 0
+    row: int
+    channel: int
+    sample: int
+    noise: Floats
+    last: int | None = None
+    closed: bool = True
+    again: int | None = None
+
+
+#: Frames of vibrations begin so long before the impact and go on for so long after it, enough for every third-octave
+#: band [s].
+QUIET_TIME, EVENT_TIME = 10e-3, 150e-3
+#: The same for pulses,
+PULSE_QUIET_TIME, PULSE_TIME = 5e-3, 15e-3
+#: with so many samples at least.
+_FEWEST = 200
+#: The last part of what is before an impact may belong to it already [s].
+LEAD_TIME = 1e-3
+#: The onset of the next impact may be told so late [s].
+_LATE = 0.5e-3
+#: What was found has to rise this many standard deviations above what is before it in its own frame: less than
+#: elsewhere, for there the ringing of the blow before may still go on.
+FOUND_LIMIT = 2.0
+#: So many samples before an impact can stand for others that are missing.
+_ENOUGH = 8
+#: What is held in clipping is this share of the largest deviation at least.
+_CLIPPED_SHARE = 0.5
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Event:
+    """One impact in a recording.
+
+    Attributes
+    ----------
+    channel : int
+        Where it was heard; where all channels are one, that which heard it most.
+    onset, end : int
+        The first sample of it and the first behind it, from the first of the recording. A vibration is over when its
+        energy has fallen to 1 % or to twice the noise, at the latest where its frame or the next impact is.
+    samples : ndarray, (n_samples,) or (n_channels, n_samples)
+        The frame. From shortly before the next impact (or from the end of the recording) on it holds the baseline.
+        Where the impact before it or the start of the recording is too near, what is quiet is turned round to fill it.
+    sampling_rate : float
+        [Hz].
+    pre_trigger : int or None
+        Samples of the frame that are surely before touch; None where the pulse itself must tell.
+    overlapping : bool
+        Whether another impact begins before this one is over, or this one before the last is.
+    clipped : bool
+        Whether the largest value is held for three samples.
+    cut : bool
+        Whether the recording begins or ends within it.
+    problem : str
+        Why it cannot be measured, where the frame does not show it; else empty.
+    detection_limit : float
+        What `cgid.measure.features.extract_array` should ask of it.
+    unit : str or None
+        Of the samples, where known.
+    source : str
+        What the recording is called.
+    """
+
+    channel: int
+    onset: int
+    end: int
+    samples: NDArray[Any]
+    sampling_rate: float
+    pre_trigger: int | None
+    overlapping: bool = False
+    clipped: bool = False
+    cut: bool = False
+    problem: str = ""
+    detection_limit: float = FOUND_LIMIT
+    unit: str | None = None
+    source: str = "signal"
 
     @property
-    def mean(self) -> Floats:
-        """Of all samples."""
-        return self._total / self.n_samples
+    def time(self) -> float:
+        """Of the onset, from the first sample of the recording [s]."""
+        return self.onset / self.sampling_rate
 
-    def see(self, block: NDArray[Any]) -> None:
-        """Look at the next samples, (n_channels, n)."""
-        self.lowest = np.minimum(self.lowest, block.min(axis=1))
-        self.highest = np.maximum(self.highest, block.max(axis=1))
-        self._total += block.sum(axis=1, dtype=np.float64)
-        self.n_samples += block.shape[1]
+    @property
+    def signal(self) -> Signal:
+        """The frame as a signal; raises `InvalidValue` where it is of several channels."""
+        if self.samples.ndim > 1:
+            raise InvalidValue(f"a signal must be of one channel, this event has {len(self.samples)}; take its samples")
+        return Signal(
+            samples=self.samples,
+            sampling_rate=self.sampling_rate,
+            unit=self.unit,
+            source=self.source,
+            pre_trigger=self.pre_trigger,
+        )
 
-    def cure(self, row: int, kind: ImpactKind) -> str:
-        """Return what to do where no impact of a kind is found in a channel."""
-        return cure_of_silence(kind, self.highest[row] - self.mean[row], self.mean[row] - self.lowest[row])
+
+@dataclass(frozen=True)
+class Framing:
+    """How long frames are, in samples.
+
+    Attributes
+    ----------
+    sampling_rate : float
+        [Hz].
+    quiet : int
+        Before the onset,
+    lead : int
+        of which so many may belong to the impact.
+    length : int
+        From the onset on.
+    pre_trigger : int or None
+        See `Event`.
+    shortest : int
+        What ends sooner after its onset with the recording cannot be measured.
+    """
+
+    sampling_rate: float
+    quiet: int
+    lead: int
+    length: int
+    pre_trigger: int | None
+    shortest: int
+
+    @classmethod
+    def of(cls, kind: str, sampling_rate: float, event_time: float | None = None) -> Framing:
+        """Return the framing of a kind at a sampling rate [Hz]."""
+        lead = max(round(LEAD_TIME * sampling_rate), 1)
+        if kind == "pulse":
+            quiet = max(round(PULSE_QUIET_TIME * sampling_rate), _FEWEST)
+            length = max(round((event_time or PULSE_TIME) * sampling_rate), _FEWEST)
+            return cls(sampling_rate, quiet, min(lead, quiet // 2), length, None, 0)
+        quiet = max(round(QUIET_TIME * sampling_rate), 2)
+        length = max(round((event_time or EVENT_TIME) * sampling_rate), 16)
+        shortest = int(np.ceil(SHORTEST_EVENT * sampling_rate))
+        lead = min(lead, quiet // 2)
+        return cls(sampling_rate, quiet, lead, length, quiet - lead, shortest)
+
+    @property
+    def n_samples(self) -> int:
+        """Of a whole frame."""
+        return self.quiet + self.length
+
+    @property
+    def late(self) -> int:
+        """So long before the next onset what is seen of it may begin."""
+        return round(_LATE * self.sampling_rate)
+
+    @property
+    def reach(self) -> int:
+        """From the onset on: an impact that begins later has no part in the frame."""
+        return self.length + self.late + 1
+
+
+class _Ends(Protocol):
+    def end_of(self, onset: Onset, samples: Floats) -> int: ...
+
+
+class FrameCutter:
+    """Cuts the frames of impacts, which come in order of time.
+
+    Parameters
+    ----------
+    framing : Framing
+    ends : PulseOnsets or RingingOnsets
+        Tells when an impact is over.
+    joint : bool
+        Whether frames are of all channels.
+    """
+
+    def __init__(self, framing: Framing, ends: _Ends, joint: bool) -> None:
+        self._framing, self._ends, self._joint = framing, ends, joint
+        # The impact before in each row, and whether it was still going on when the next began.
+        self._before: dict[int, tuple[Onset, bool]] = {}
+
+    def cut(self, onset: Onset, following: Onset | None, samples: NDArray[Any], first: int, stop: int | None) -> Event:
+        """Return the event of an onset.
+
+        Parameters
+        ----------
+        onset : Onset
+        following : Onset or None
+            The next of its row, where there is one.
+        samples : ndarray, (n_channels, n)
+            Of the recording from number `first` on, as far as the frame reaches.
+        first : int
+        stop : int or None
+            Number of samples of the recording, once it is over.
+        """
+        framing = self._framing
+        before, running = self._before.get(onset.row, (None, False))
+        limit = onset.sample + framing.length
+        behind = min(limit, limit if stop is None else stop)
+        if following is not None:
+            behind = min(behind, following.sample)
+        own = samples[onset.channel, onset.sample - first : behind - first].astype(np.float64, copy=False)
+        length = self._ends.end_of(onset, own)
+        interrupted = length < 0 and following is not None and behind == following.sample
+        end = behind if length < 0 else min(onset.sample + length, max(behind, onset.sample + 1))
+        self._before[onset.row] = onset, interrupted
+        began_cut = onset.sample < (framing.lead if framing.pre_trigger is not None else 1)
+        ended_cut = end == stop
+        start = max(onset.sample - framing.quiet, 0, 0 if before is None else (before.last or before.sample) + 1)
+        if following is not None:
+            behind = min(behind, max(following.sample - framing.late, onset.sample + 1))
+        rows = samples if self._joint else samples[onset.channel : onset.channel + 1]
+        frame, baseline = self._frame(rows[:, start - first : behind - first], onset, start)
+        mine = float(baseline[onset.channel if self._joint else 0])
+        return Event(
+            channel=onset.channel,
+            onset=onset.sample,
+            end=end,
+            samples=frame if self._joint else frame[0],
+            sampling_rate=framing.sampling_rate,
+            pre_trigger=framing.pre_trigger,
+            # What is seen behind the frame may not be known yet: it depends on the blocks.
+            overlapping=running or interrupted or (onset.again is not None and onset.again < limit),
+            clipped=_is_clipped(own[: end - onset.sample] - mine),
+            cut=began_cut or ended_cut,
+            problem=self._problem(began_cut, ended_cut, end - onset.sample),
+        )
+
+    def _frame(self, part: NDArray[Any], onset: Onset, start: int) -> tuple[NDArray[Any], Floats]:
+        """Return the frames (n_channels, n_samples) around a part from `start` on, and their baselines."""
+        framing = self._framing
+        quiet = part[:, : max(onset.sample - framing.lead - start, 0)]
+        missing = framing.quiet - (onset.sample - start)
+        told = quiet.shape[1] >= _ENOUGH
+        if told:
+            baseline = quiet.mean(axis=1, dtype=np.float64)
+        else:
+            baseline = np.median(part.astype(np.float64, copy=False), axis=1)
+        frame = np.empty((len(part), framing.n_samples), part.dtype)
+        frame[:] = baseline[:, None]
+        frame[:, missing : missing + part.shape[1]] = part
+        if missing and told:
+            frame[:, :missing] = np.pad(quiet, ((0, 0), (missing, 0)), mode="symmetric")[:, :missing]
+        return frame, baseline
+
+    def _problem(self, began_cut: bool, ended_cut: bool, length: int) -> str:
+        if began_cut:
+            return (
+                "the impact must begin inside the recording, it is cut off by its start (sample 0): record some "
+                "samples before touch"
+            )
+        if not ended_cut:
+            return ""
+        if self._framing.pre_trigger is None:
+            return "the pulse must end inside the recording, it is cut off by its end: record a longer frame"
+        if length < self._framing.shortest:
+            return (
+                f"the vibration must last {SHORTEST_EVENT * 1e3:g} ms inside the recording, it is cut off by its end "
+                f"after {length / self._framing.sampling_rate * 1e3:.3g} ms: record longer"
+            )
+        return ""
+
+
+def _is_clipped(deviation: Floats) -> bool:
+    """Return whether an impact (n,), its baseline removed, holds its highest or lowest value for some samples."""
+    least = _CLIPPED_SHARE * np.abs(deviation).max()
+    for extreme in (deviation.max(), deviation.min()):
+        at = deviation == extreme
+        if abs(extreme) >= least and bool(np.any(at[2:] & at[1:-1] & at[:-2])):
+            return True
+    return False

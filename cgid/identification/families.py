@@ -1,23 +1,120 @@
-"""The families of classifiers as plain arrays: scores from arrays, and what makes such arrays sound.
+"""The classifiers as plain arrays: standardising, scores, probabilities and novelty, in numpy alone.
 
-Every family is one class with `scores(standardised) -> (n,) or (n, n_classes)`; `arrays` is what a model file holds.
+Training and prediction share this code. A family is one class with `scores(standardised) -> (n,) or (n, n_classes)`;
+its `arrays` are what a model file holds.
 """
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cgid.errors import BadData
-from cgid.identification.transform import squares
 from cgid.validation import Floats
 
+
+@dataclass(frozen=True)
+class Standardiser:
+    """Logarithms of features that are always positive, then zero mean and unit variance.
+
+    Attributes
+    ----------
+    logarithmic : ndarray of bool, (n_features,)
+    floor : ndarray, (n_features,)
+        Smallest value of a logarithmic feature; smaller ones are raised to it.
+    mean, scale : ndarray, (n_features,)
+    """
+
+    logarithmic: NDArray[np.bool_]
+    floor: Floats
+    mean: Floats
+    scale: Floats
+
+    @classmethod
+    def fit(cls, features: Floats, linear: Sequence[int] = ()) -> Standardiser:
+        """Return the standardiser of these rows; the columns named linear never get a logarithm."""
+        logarithmic = np.asarray((features > 0).all(axis=0))
+        logarithmic[list(linear)] = False
+        # A thousandth of the smallest training value: far outside, but with a finite logarithm.
+        floor = np.where(logarithmic, np.maximum(1e-3 * features.min(axis=0), np.finfo(float).tiny), 1.0)
+        plain = cls(logarithmic, floor, np.zeros(features.shape[1]), np.ones(features.shape[1])).apply(features)
+        spread = plain.std(axis=0)
+        usable = spread > 1e-12 * np.maximum(np.abs(plain).max(axis=0), 1e-300)
+        return cls(logarithmic, floor, plain.mean(axis=0), np.where(usable, spread, 1.0))
+
+    def apply(self, features: Floats) -> Floats:
+        """Return the standardised rows."""
+        logs = np.log(np.maximum(features, self.floor), where=self.logarithmic, out=features.copy())
+        return np.asarray((logs - self.mean) / self.scale)
+
+
+def squares(standardised: Floats) -> Floats:
+    """Return all features and all their products in pairs, (n, m + m (m + 1) / 2)."""
+    rows, columns = np.triu_indices(standardised.shape[1])
+    return np.hstack([standardised, standardised[:, rows] * standardised[:, columns]])
+
+
+def softmax(scores: Floats) -> Floats:
+    """Return probabilities from the scores of the classes; a single column is the second of two classes."""
+    if scores.ndim == 1:
+        scores = np.stack([np.zeros(len(scores)), scores], axis=1)
+    weights = np.exp(scores - scores.max(axis=1, keepdims=True))
+    return np.asarray(weights / weights.sum(axis=1, keepdims=True))
+
+
+@dataclass(frozen=True)
+class Neighbourhood:
+    """Novelty: Mahalanobis' distance of a row to the nearest class, 1 where 99.9 % of the training lie inside.
+
+    Attributes
+    ----------
+    centres : ndarray, (n_classes, n_features)
+    whitening : ndarray, (n_classes, n_features, n_features)
+        Or a single one, (1, n_features, n_features), for all of them.
+    limit : float
+    """
+
+    centres: Floats
+    whitening: Floats
+    limit: float
+
+    #: Share of the training impacts that lie inside.
+    INSIDE = 0.999
+    #: Added to the variances, so that directions in which the training hardly varies do not decide alone.
+    RIDGE = 1e-3
+
+    @classmethod
+    def fit(cls, standardised: Floats, classes: NDArray[np.intp], covariance: Floats | None = None) -> Neighbourhood:
+        """Return the neighbourhood of these rows; `classes` are numbers from 0.
+
+        Each class has a covariance of its own, unless one (n_features, n_features) is given for all of them.
+        """
+        centres, whitening = [], []
+        for k in range(int(classes.max()) + 1):
+            rows = standardised[classes == k]
+            centred = rows - rows.mean(axis=0)
+            centres.append(rows.mean(axis=0))
+            if covariance is None or k == 0:
+                own = centred.T @ centred / max(len(rows) - 1, 1) if covariance is None else covariance
+                whitening.append(np.linalg.inv(np.linalg.cholesky(own + cls.RIDGE * np.eye(rows.shape[1]))))
+        found = cls(np.array(centres), np.array(whitening), 1.0)
+        limit = float(np.quantile(found.novelty(standardised), cls.INSIDE))
+        return cls(found.centres, found.whitening, max(limit, 1e-12))
+
+    def novelty(self, standardised: Floats) -> Floats:
+        """Return the distance over the limit; above 1 is outside of the training range."""
+        offsets = standardised[None] - self.centres[:, None]
+        white = offsets @ np.swapaxes(self.whitening, 1, 2)
+        return np.asarray(np.sqrt(np.sum(white**2, axis=2)).min(axis=0) / self.limit)
+
+
 Arrays = Mapping[str, NDArray[Any]]
-#: More trees, and longer ways through one, no training makes: each row walks through all of them.
+#: Trees, and nodes from the root of one to a leaf: each row passes through all trees.
 _MOST_TREES, _LONGEST_WAY = 1 << 15, 256
 
 
@@ -47,7 +144,7 @@ class Family(ABC):
     @property
     @abstractmethod
     def width(self) -> int:
-        """Numbers that are held for a row while it is scored."""
+        """Numbers held in memory for each row that is scored."""
 
     @property
     def n_scores(self) -> int:
@@ -59,45 +156,19 @@ class Family(ABC):
             raise BadData(f"array {name} must have shape {shape}, got {self.arrays[name].shape}")
 
 
-class Logistic(Family):
-    """Linear in the features and their products."""
-
-    AXES: ClassVar[Mapping[str, int]] = {"coefficients": 2, "intercepts": 1}
-
-    @staticmethod
-    def export(estimator: Any) -> dict[str, NDArray[Any]]:
-        """Return the arrays of a fitted scikit-learn LogisticRegression."""
-        return {"coefficients": estimator.coef_, "intercepts": estimator.intercept_}
-
-    def check(self) -> None:
-        """Shapes follow from the numbers of features and classes."""
-        self._require("coefficients", (self.n_scores, self.n_features + self.n_features * (self.n_features + 1) // 2))
-        self._require("intercepts", (self.n_scores,))
-
-    @property
-    def width(self) -> int:
-        """The features and their products."""
-        return int(self.arrays["coefficients"].shape[1])
-
-    def scores(self, standardised: Floats) -> Floats:
-        """Return `x w + b`."""
-        scores = squares(standardised) @ self.arrays["coefficients"].T + self.arrays["intercepts"]
-        return np.asarray(scores[:, 0] if self.n_scores == 1 else scores)
-
-
 class Linear(Family):
-    """Linear in the features: Gaussians of one covariance, which is drawn towards a plain one (Ledoit & Wolf 2004)."""
+    """Linear in the features: Gaussians with one covariance, shrunken towards a diagonal one (Ledoit & Wolf 2004)."""
 
     AXES: ClassVar[Mapping[str, int]] = {"coefficients": 2, "intercepts": 1}
 
     @staticmethod
     def export(estimator: Any) -> dict[str, NDArray[Any]]:
-        """Return the arrays of a fitted scikit-learn LinearDiscriminantAnalysis."""
+        """Return the arrays of a fitted estimator with `coef_` and `intercept_`."""
         return {"coefficients": estimator.coef_, "intercepts": estimator.intercept_}
 
     def check(self) -> None:
-        """Shapes follow from the numbers of features and classes."""
-        self._require("coefficients", (self.n_scores, self.n_features))
+        """Check that the shapes follow from the numbers of features and classes."""
+        self._require("coefficients", (self.n_scores, self.width))
         self._require("intercepts", (self.n_scores,))
 
     @property
@@ -107,47 +178,23 @@ class Linear(Family):
 
     def scores(self, standardised: Floats) -> Floats:
         """Return `x w + b`."""
-        scores = standardised @ self.arrays["coefficients"].T + self.arrays["intercepts"]
+        scores = self._terms(standardised) @ self.arrays["coefficients"].T + self.arrays["intercepts"]
         return np.asarray(scores[:, 0] if self.n_scores == 1 else scores)
 
+    def _terms(self, standardised: Floats) -> Floats:
+        return standardised
 
-class Discriminant(Family):
-    """One Gaussian for each class."""
 
-    AXES: ClassVar[Mapping[str, int]] = {"means": 2, "rotations": 3, "variances": 2, "log_priors": 1}
-
-    @staticmethod
-    def export(estimator: Any) -> dict[str, NDArray[Any]]:
-        """Return the arrays of a fitted scikit-learn QuadraticDiscriminantAnalysis."""
-        return {
-            "means": estimator.means_,
-            "rotations": np.stack(estimator.rotations_),
-            "variances": np.stack(estimator.scalings_),
-            "log_priors": np.log(estimator.priors_),
-        }
-
-    def check(self) -> None:
-        """Shapes follow from the numbers of features and classes, variances are above zero."""
-        n_axes = self.arrays["rotations"].shape[2]
-        self._require("means", (self.n_classes, self.n_features))
-        self._require("rotations", (self.n_classes, self.n_features, n_axes))
-        self._require("variances", (self.n_classes, n_axes))
-        self._require("log_priors", (self.n_classes,))
-        if not (self.arrays["variances"] > 0).all():
-            raise BadData("array variances must be above 0")
+class Logistic(Linear):
+    """Linear in the features and their products in pairs."""
 
     @property
     def width(self) -> int:
-        """The features, turned, for each class."""
-        return self.n_classes * int(self.arrays["variances"].shape[1])
+        """The features and their products."""
+        return self.n_features + self.n_features * (self.n_features + 1) // 2
 
-    def scores(self, standardised: Floats) -> Floats:
-        """Return the logarithms of the class densities times the priors."""
-        columns = []
-        for mean, rotation, variance, prior in zip(*(self.arrays[name] for name in self.AXES), strict=True):
-            white = (standardised - mean) @ (rotation * variance**-0.5)
-            columns.append(-0.5 * (np.sum(white**2, axis=1) + np.sum(np.log(variance))) + prior)
-        return np.asarray(columns[1] - columns[0] if self.n_scores == 1 else np.stack(columns, axis=1))
+    def _terms(self, standardised: Floats) -> Floats:
+        return squares(standardised)
 
 
 class Boosting(Family):
@@ -178,7 +225,7 @@ class Boosting(Family):
                     (
                         np.where(leaf, 0, nodes["feature_idx"]).astype(np.int32),
                         np.where(leaf, 0.0, nodes["num_threshold"]),
-                        # A leaf is its own child: a walk that arrives stays there.
+                        # A leaf is its own child: a walk that arrives there stays.
                         np.where(leaf, own, nodes["left"].astype(np.int64) + first).astype(np.int32),
                         np.where(leaf, own, nodes["right"].astype(np.int64) + first).astype(np.int32),
                         np.where(leaf, nodes["value"], 0.0),
@@ -196,7 +243,7 @@ class Boosting(Family):
         }
 
     def check(self) -> None:
-        """Children come after their parent within the same tree, features and columns exist."""
+        """Check that children follow their parent within the same tree, and that features and columns exist."""
         a, n_nodes = self.arrays, len(self.arrays["feature"])
         for name in ("threshold", "left", "right", "value"):
             self._require(name, (n_nodes,))
@@ -223,12 +270,12 @@ class Boosting(Family):
         self._check_ways(own[~leaf])
 
     def _check_ways(self, inner: NDArray[np.intp]) -> None:
-        """Raise unless each node but the roots is the child of one node, and no way to a leaf is too long."""
+        """Raise unless each node except the roots has one parent, and every leaf is near enough."""
         a = self.arrays
         parents = np.bincount(np.append(a["left"][inner], a["right"][inner]), minlength=len(a["feature"]))
         parents[a["roots"]] += 1
         if (parents != 1).any():
-            raise BadData("arrays left and right must name each node once, but for the roots")
+            raise BadData("arrays left and right must name each node once, except the roots")
         level = a["roots"]
         for _ in range(_LONGEST_WAY):
             level = level[a["left"][level] != level]
@@ -283,7 +330,7 @@ class Network(Family):
         }
 
     def check(self) -> None:
-        """Each layer takes what the one before gives."""
+        """Check that each layer has as many inputs as the one before it has outputs."""
         n_inputs = self.n_features
         for layer, n_units in enumerate((len(self.arrays["biases_1"]), len(self.arrays["biases_2"]), self.n_scores), 1):
             self._require(f"weights_{layer}", (n_inputs, n_units))
@@ -296,7 +343,7 @@ class Network(Family):
         return max(len(self.arrays[f"biases_{k}"]) for k in (1, 2))
 
     def scores(self, standardised: Floats) -> Floats:
-        """Return what the last layer adds up, before scikit-learn makes probabilities of it."""
+        """Return the sums of the last layer, before the softmax."""
         a = self.arrays
         hidden = np.tanh(standardised @ a["weights_1"] + a["biases_1"])
         hidden = np.tanh(hidden @ a["weights_2"] + a["biases_2"])
@@ -305,9 +352,8 @@ class Network(Family):
 
 
 #: By the name that the model file gives.
-BY_NAME: Mapping[str, type[Boosting] | type[Discriminant] | type[Linear] | type[Logistic] | type[Network]] = {
+BY_NAME: Mapping[str, type[Boosting] | type[Linear] | type[Network]] = {
     "boosting": Boosting,
-    "discriminant": Discriminant,
     "linear": Linear,
     "logistic": Logistic,
     "network": Network,

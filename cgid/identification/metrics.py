@@ -1,4 +1,4 @@
-"""How good a model is on impacts it has not seen."""
+"""How good answers are: accuracy and its interval, calibration, prediction sets."""
 
 from __future__ import annotations
 
@@ -6,11 +6,12 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import stats
 from sklearn import metrics
 
 from cgid.errors import InvalidValue
 from cgid.identification.conformal import COVERAGES, Conformal
-from cgid.identification.interval import wilson_interval
+from cgid.identification.share import wilson_interval
 from cgid.validation import Floats
 
 #: Bins of the reliability diagram.
@@ -125,3 +126,57 @@ def evaluate_sets(
 
 def _place(confidence: Floats) -> NDArray[np.int_]:
     return np.asarray(np.minimum((confidence * _BINS).astype(int), _BINS - 1))
+
+
+#: Fewest groups with misses (or hits) that show how much groups differ.
+FEWEST_GROUPS = 3
+
+
+def clustered_interval(hits: NDArray[np.bool_], group: NDArray[np.integer]) -> tuple[float, float]:
+    """Return the 95 % interval of a share of hits, where the hits of one group are not independent trials.
+
+    It is the score interval (Wilson 1927) for the number of independent trials that would vary as much as the groups do
+    (Korn & Graubard 1998): at least the number of groups, at most that of hits and misses. Where fewer than
+    `FEWEST_GROUPS` have all the misses (or all the hits), each group is one trial.
+
+    Parameters
+    ----------
+    hits : ndarray of bool, (n,)
+    group : ndarray of int, (n,)
+
+    Examples
+    --------
+    >>> hits = np.array([1, 1, 1, 1, 0, 0, 1, 1], bool)
+    >>> [round(end, 3) for end in clustered_interval(hits, np.array([0, 0, 1, 1, 2, 2, 3, 3]))]
+    [0.301, 0.954]
+    """
+    share, (_, own) = float(hits.mean()), np.unique(group, return_inverse=True)
+    n_groups = int(own.max()) + 1
+    if n_groups < 2:
+        return 0.0, 1.0
+    variance = _clustered_variance(hits - share, own)
+    trials = share * (1 - share) / variance if variance > 0 else 0.0
+    trials *= (stats.norm.ppf(0.975) / stats.t.ppf(0.975, n_groups - 1)) ** 2
+    if min(np.unique(own[hits]).size, np.unique(own[~hits]).size) < FEWEST_GROUPS:
+        trials = 0.0
+    low, high = wilson_interval(share, min(max(trials, n_groups), len(hits)))
+    return max(float(low), 0.0), min(float(high), 1.0)
+
+
+def paired_difference(
+    hits: NDArray[np.bool_], others: NDArray[np.bool_], specimen: NDArray[np.integer]
+) -> tuple[float, float]:
+    """Return by how much more often `hits` holds than `others` for the same impacts, and the standard error.
+
+    The impacts of one specimen are one trial.
+    """
+    difference = hits.astype(float) - others
+    mean = float(difference.mean())
+    _, own = np.unique(specimen, return_inverse=True)
+    return mean, float(np.sqrt(_clustered_variance(difference - mean, own)))
+
+
+def _clustered_variance(deviations: Floats, cluster: NDArray[np.intp]) -> float:
+    """Return the variance of a mean: that of a ratio of sums over clusters, linearised (Cochran 1977, 6.3)."""
+    sums = np.bincount(cluster, deviations)
+    return float(np.sum(sums**2)) * len(sums) / max(len(sums) - 1, 1) / len(deviations) ** 2

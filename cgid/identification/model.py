@@ -19,17 +19,26 @@ from numpy.typing import NDArray
 from cgid import validation
 from cgid.errors import BadData, InvalidValue
 from cgid.files import read_regular
-from cgid.identification.archive import arrays_of
 from cgid.identification.conformal import Conformal
-from cgid.identification.families import BY_NAME, Family
-from cgid.identification.header import FORMAT, SCHEMA_VERSION, NewerSchema, fields_of, read_header, signed
+from cgid.identification.families import BY_NAME, Family, Neighbourhood, Standardiser, softmax
+from cgid.identification.model_file import (
+    FORMAT,
+    SCHEMA_VERSION,
+    STANDARDISER,
+    NewerSchema,
+    arrays_of,
+    check_names,
+    check_numbers,
+    check_training,
+    fields_of,
+    read_header,
+    signed,
+)
 from cgid.identification.reference import equalisations_of
-from cgid.identification.soundness import SHARED, check_names, check_numbers, check_training
-from cgid.identification.transform import Neighbourhood, Standardiser, softmax
-from cgid.measure.equalisation import Equalisation
 from cgid.measure.features import kind_of
-from cgid.measure.features.feature import Kind
-from cgid.signals import quantity_of
+from cgid.measure.filters import Equalisation
+from cgid.measure.table import Kind
+from cgid.units import quantity_of
 from cgid.validation import Floats
 
 if TYPE_CHECKING:
@@ -72,7 +81,7 @@ class Model:
 
     Attributes
     ----------
-    family : {"boosting", "discriminant", "linear", "logistic", "network"}
+    family : {"boosting", "linear", "logistic", "network"}
     labels : tuple of str
         In the order of the probabilities.
     features : tuple of str
@@ -86,7 +95,7 @@ class Model:
     training : dict
         How it was made and how good it is: the content of the model card.
     known : tuple of str
-        What must be known beside the signal, out of `cgid.identification.known.KNOWN`.
+        What must be known beside the signal, out of `cgid.identification.drop_height.KNOWN`.
     guards : tuple of str
         Features that say only whether an impact is like those of the training: the larger, the stranger. The
         labels are not told apart by them.
@@ -162,7 +171,7 @@ class Model:
 
     @cached_property
     def _standardiser(self) -> Standardiser:
-        return Standardiser(**{key: self.arrays[name] for name, (key, _) in SHARED.items()})
+        return Standardiser(**{name: self.arrays[f"standardiser.{name}"] for name in STANDARDISER})
 
     @cached_property
     def _neighbourhood(self) -> Neighbourhood:
@@ -312,7 +321,7 @@ class Model:
         guards = guards or {}
         standardiser, neighbourhood = classifier.standardiser_, classifier.neighbourhood_
         own = BY_NAME[classifier.family].export(classifier.estimator_)
-        arrays: dict[str, NDArray[Any]] = {name: getattr(standardiser, key) for name, (key, _) in SHARED.items()}
+        arrays: dict[str, NDArray[Any]] = {f"standardiser.{name}": getattr(standardiser, name) for name in STANDARDISER}
         arrays |= {"neighbourhood.centres": neighbourhood.centres, "neighbourhood.whitening": neighbourhood.whitening}
         arrays |= {f"family.{name}": array for name, array in own.items()}
         if conformal is not None:
@@ -390,7 +399,7 @@ class Model:
         except (BadData, InvalidValue) as error:
             # A stranger's text in it may be long.
             told = textwrap.shorten(str(error), _LONGEST_MESSAGE, placeholder=" ...")
-            raise BadData(f"{path}: no sound model: {told}; train it again") from None
+            raise BadData(f"{path}: no sound model: {told}; train it again with cgid train") from None
 
     @classmethod
     def from_bytes(cls, content: bytes) -> Model:

@@ -3,7 +3,7 @@
 Two sensors, or one on two supports, do not hear alike: 4 dB more here and less there cost more of the answers than any
 noise. So each sensor records the same kind of flow once, its reference run. The mean spectrum of that is kept with the
 model; what is measured by a sensor is then first made to sound as the mean of the sensors that were trained on
-(`cgid.measure.equalisation.Equalisation.between` of its own spectrum and the target).
+(`cgid.measure.filters.Equalisation.between` of its own spectrum and the target).
 """
 
 from __future__ import annotations
@@ -16,8 +16,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from cgid import validation
 from cgid.errors import BadData, InvalidValue
-from cgid.measure.bands import MEL_BANDS
-from cgid.measure.equalisation import Equalisation
+from cgid.measure.filters import Equalisation
+from cgid.measure.spectra import MEL_BANDS
 from cgid.measure.windows import WindowBatch
 from cgid.validation import Floats, require_rate
 

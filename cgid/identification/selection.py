@@ -1,4 +1,4 @@
-"""Which family of classifiers to take: all of them on the same folds, by specimen, with everything inside the folds."""
+"""The comparison of all families of classifiers by cross-validation, on the same folds."""
 
 from __future__ import annotations
 
@@ -18,23 +18,22 @@ from threadpoolctl import threadpool_limits
 from cgid import validation
 from cgid.errors import InvalidValue
 from cgid.identification.classifier import ImpactClassifier
-from cgid.identification.measuring import Measured
-from cgid.identification.metrics import evaluate
+from cgid.identification.metrics import evaluate, paired_difference
 from cgid.identification.model import Model
-from cgid.identification.training import linear_columns
+from cgid.identification.rows import Rows, linear_columns
 from cgid.validation import Floats
 from cgid.workers import ALONE, Workers
 
-#: Another family is only taken when its accuracy is higher by more than this.
+#: Another family must be better by this accuracy.
 MARGIN = 0.003
-#: Support vector machines cost the square of the number of impacts: a fold's are thinned to so many.
+#: Most impacts of a fold that support vector machines learn from: their cost grows with the square of it.
 SUPPORT_VECTOR_IMPACTS = 10_000
-#: One impact is predicted so often to time it.
+#: Predictions of one impact, to time it.
 _REPEATS = 50
 
 
 class _Forest(RandomForestClassifier):  # type: ignore[misc]
-    """A random forest whose scores are logarithms of probabilities, to be calibrated as the others' are."""
+    """A random forest with a decision function for the calibration: logarithms of probabilities."""
 
     def decision_function(self, X: Floats) -> Floats:
         logs = np.log(np.maximum(self.predict_proba(X), 0.5 / len(self.estimators_)))
@@ -42,7 +41,7 @@ class _Forest(RandomForestClassifier):  # type: ignore[misc]
 
 
 class Rival(ImpactClassifier):
-    """The families that are compared and cannot be exported as plain numbers; all else as `ImpactClassifier`."""
+    """Families for comparison only, which cannot be exported as plain numbers."""
 
     ESTIMATORS: ClassVar[Mapping[str, Callable[[Any], Any]]] = {
         "random forest": lambda own: _Forest(200, min_samples_leaf=5, random_state=own.random_state),
@@ -62,7 +61,7 @@ class Candidate:
     exportable : bool
         Whether a model file can hold it.
     most : int or None
-        It is trained on at most so many impacts of a fold.
+        Largest number of impacts of a fold to train on.
     """
 
     name: str
@@ -78,10 +77,9 @@ def _candidate(kind: type[ImpactClassifier], family: str, name: str, most: int |
     return Candidate(name, make, kind is ImpactClassifier, most)
 
 
-#: The default first, then what can be exported, then the others.
+#: The default, then the other exportable families, then those for comparison only.
 CANDIDATES = (
     _candidate(ImpactClassifier, "logistic", "logistic"),
-    _candidate(ImpactClassifier, "discriminant", "quadratic discriminant"),
     _candidate(ImpactClassifier, "boosting", "gradient boosting"),
     _candidate(ImpactClassifier, "network", "network"),
     _candidate(ImpactClassifier, "linear", "linear discriminant"),
@@ -91,7 +89,7 @@ CANDIDATES = (
 
 
 def select(
-    measured: Measured,
+    measured: Rows,
     *,
     candidates: tuple[Candidate, ...] = CANDIDATES,
     n_folds: int = 5,
@@ -99,23 +97,23 @@ def select(
     progress: Callable[[str], object] | None = None,
     crew: Workers = ALONE,
 ) -> list[dict[str, Any]]:
-    """Compare families by cross-validation, one thread a fold; return one row for each, as plain numbers for JSON.
+    """Compare families by cross-validation; return one row for each, as plain numbers for JSON.
 
-    The folds are the same for all, stratified by label, and the impacts of a specimen stay together. Standardising,
-    fitting and calibrating see the training part of a fold alone.
+    All families share the folds, which are stratified by label and never divide a specimen. Standardising, fitting
+    and calibrating use the training part of a fold only, with one thread.
 
     Parameters
     ----------
-    measured : Measured
+    measured : Rows
     candidates : tuple of Candidate
-        The first is what the others are compared with.
+        The others are compared with the first.
     n_folds : int
     seed : int
         Of the folds and the classifiers.
     progress : callable, optional
         Called with the name of each candidate before it starts.
     crew : Workers
-        Who does the folds, see `cgid.workers.workers`; beside each other they take longer to fit.
+        See `cgid.workers.workers`. Folds that run at the same time take longer to fit.
 
     Returns
     -------
@@ -130,12 +128,12 @@ def select(
         A label has fewer specimens than there are folds.
     """
     labels = measured.labels
-    fewest = min(len(np.unique(measured.specimen[labels == label])) for label in np.unique(labels))
+    fewest = min(len(np.unique(measured.group[labels == label])) for label in np.unique(labels))
     if not 2 <= validation.count("n_folds", n_folds) <= fewest:
         raise InvalidValue(f"n_folds must lie between 2 and {fewest}, the specimens of a label, got {n_folds}")
-    inputs = np.hstack([measured.features, measured.known])
+    inputs = np.ascontiguousarray(measured.inputs(measured.names))
     splitter = StratifiedGroupKFold(n_folds, shuffle=True, random_state=seed)
-    folds = list(splitter.split(inputs, labels, measured.specimen))
+    folds = list(splitter.split(inputs, labels, measured.group))
     rows: list[dict[str, Any]] = []
     hits: list[NDArray[np.bool_]] = []
     for candidate in candidates:
@@ -143,14 +141,14 @@ def select(
             progress(candidate.name)
         row, own = _judge(candidate, measured, inputs, folds, seed, crew)
         hits.append(own)
-        difference, error = paired_difference(own, hits[0], measured.specimen)
+        difference, error = paired_difference(own, hits[0], measured.group)
         rows.append({**row, "difference": difference, "standard_error": error})
     best = preferred([row["accuracy"] for row in rows])
     return [{**row, "chosen": k == best} for k, row in enumerate(rows)]
 
 
 def preferred(accuracies: list[float], margin: float = MARGIN) -> int:
-    """Return which of the candidates, the preferred ones first, is taken: a later one only if better by the margin."""
+    """Return the best candidate; a later one must be better than an earlier one by the margin."""
     best = 0
     for k, accuracy in enumerate(accuracies):
         if accuracy > accuracies[best] + margin:
@@ -158,25 +156,9 @@ def preferred(accuracies: list[float], margin: float = MARGIN) -> int:
     return best
 
 
-def paired_difference(
-    hits: NDArray[np.bool_], others: NDArray[np.bool_], specimen: NDArray[np.uint64]
-) -> tuple[float, float]:
-    """Return by how much more often `hits` holds than `others` on the same impacts, and the standard error.
-
-    Impacts of one specimen are one trial: the error is that of a ratio of sums over specimens (Cochran 1977, 6.3).
-    """
-    difference = hits.astype(float) - others
-    mean = float(difference.mean())
-    _, own = np.unique(specimen, return_inverse=True)
-    deviations = np.bincount(own, difference - mean)
-    n_trials = len(deviations)
-    spread = np.sum(deviations**2) * n_trials / max(n_trials - 1, 1)
-    return mean, float(np.sqrt(spread) / len(hits))
-
-
 def _judge(
     candidate: Candidate,
-    measured: Measured,
+    measured: Rows,
     inputs: Floats,
     folds: list[tuple[NDArray[np.intp], NDArray[np.intp]]],
     seed: int,
@@ -185,7 +167,11 @@ def _judge(
     labels = measured.labels
     classes = tuple(np.unique(labels).tolist())
     probabilities = np.empty((len(labels), len(classes)))
-    parts = [(_thinned(candidate, training, seed), test, test is folds[-1][1]) for training, test in folds]
+    parts = []
+    for training, test in folds:
+        if candidate.most is not None and len(training) > candidate.most:
+            training = np.random.default_rng(seed).permutation(training)[: candidate.most]
+        parts.append((training, test, test is folds[-1][1]))
     judged = list(crew.each(_judge_fold, (candidate, measured, inputs, seed), parts))
     for (_, test, _), (answers, _, _) in zip(parts, judged, strict=True):
         probabilities[test] = answers
@@ -207,31 +193,24 @@ def _judge(
 
 
 def _judge_fold(
-    trial: tuple[Candidate, Measured, Floats, int], part: tuple[NDArray[np.intp], NDArray[np.intp], bool]
+    trial: tuple[Candidate, Rows, Floats, int], part: tuple[NDArray[np.intp], NDArray[np.intp], bool]
 ) -> tuple[Floats, float, ImpactClassifier | None]:
-    """Return probabilities of what is left out, how long the rest took to fit [s], and the classifier if it is kept."""
+    """Return probabilities for the test rows, the time of the fit [s], and the classifier if it is kept."""
     candidate, measured, inputs, seed = trial
     training, test, kept = part
     classifier = candidate.make(linear_columns(measured.names), seed)
     with threadpool_limits(1):
         start = time.perf_counter()
-        classifier.fit(inputs[training], measured.labels[training], measured.specimen[training])
+        classifier.fit(inputs[training], measured.labels[training], measured.group[training])
         seconds = time.perf_counter() - start
-        # Not all are sent from one process to another: a forest is large.
+        # Sending every classifier between processes would be slow: a forest is large.
         return classifier.predict_proba(inputs[test]), seconds, classifier if kept else None
 
 
-def _thinned(candidate: Candidate, training: NDArray[np.intp], seed: int) -> NDArray[np.intp]:
-    """Return as much of the training as the family can bear."""
-    if candidate.most is None or len(training) <= candidate.most:
-        return training
-    return np.random.default_rng(seed).permutation(training)[: candidate.most]
-
-
 def _in_use(
-    candidate: Candidate, classifier: ImpactClassifier, measured: Measured
+    candidate: Candidate, classifier: ImpactClassifier, measured: Rows
 ) -> tuple[Callable[[Floats], Floats], int]:
-    """Return what a user would call for probabilities, and how large the file is."""
+    """Return the function that a user calls for probabilities, and the size of the file [bytes]."""
     if not candidate.exportable:
         return classifier.predict_proba, len(pickle.dumps(classifier))
     model = Model.from_classifier(

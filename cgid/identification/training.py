@@ -1,10 +1,15 @@
-"""From labelled batches to a model: measure, split by specimen, fit, calibrate, judge."""
+"""The training of a model: choose features, fit, calibrate, judge on what the fit has not seen.
+
+There is one training, `train`, for all labelled rows, and two ways of judging. Scenes and datasets have thousands of
+specimens: some are held out to judge, some to calibrate prediction sets. A manifest has a few groups of recordings:
+each group in turn is left out, in a nested cross-validation (`cgid.identification.grouped`).
+"""
 
 from __future__ import annotations
 
 import platform
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from importlib.metadata import version
 from typing import Any
 
@@ -16,12 +21,34 @@ from cgid import __version__, validation
 from cgid.errors import BadData, InvalidValue
 from cgid.identification.classifier import ImpactClassifier
 from cgid.identification.conformal import Conformal
-from cgid.identification.measuring import Measured, chosen_for, default_guards, measure
-from cgid.identification.metrics import evaluate, evaluate_sets
+from cgid.identification.families import Neighbourhood
+from cgid.identification.grouped import (
+    Candidate,
+    Lesson,
+    Weights,
+    candidates_for,
+    choose_candidate,
+    final,
+    judge,
+    require_groups,
+)
+from cgid.identification.metrics import clustered_interval, evaluate, evaluate_sets
 from cgid.identification.model import Model
-from cgid.identification.transform import Neighbourhood
-from cgid.measure.features import FEATURES, choose
-from cgid.signals import Batch, quantity_of
+from cgid.identification.rows import (
+    Rows,
+    chosen_for,
+    default_guards,
+    is_level,
+    linear_columns,
+    measure,
+    mixed,
+    sets_for,
+    shift,
+)
+from cgid.identification.windows import LEAST_PROBABILITY, RunningVote
+from cgid.measure.features import choose
+from cgid.signals import Batch
+from cgid.units import quantity_of
 from cgid.validation import Floats
 from cgid.workers import ALONE, Workers
 
@@ -29,22 +56,24 @@ from cgid.workers import ALONE, Workers
 TEST_SHARE = 0.25
 #: Share of the specimens that only calibrate the prediction sets.
 CALIBRATION_SHARE = 0.1
-#: Guards that may be 0 in all of the training have a limit all the same: a pulse cut off by 5 % is taken.
+#: Smallest limits of guards that may be 0 in all of the training: a pulse cut off by 5 % is accepted.
 LEAST_LIMITS = {"overload": 0.05}
-#: With fewer specimens of a label to calibrate on, all of them train: a promise of .95 takes 19.
+#: Fewest specimens of a label to calibrate on; with fewer all of them train. A coverage of .95 takes 19.
 FEWEST_CALIBRATION_SPECIMENS = 20
+#: Running votes are judged over these times [s].
+VOTE_TIMES = (0.5, 1.0)
 
 
 @dataclass(frozen=True)
 class Training:
-    """A trained model and what it answered for the impacts held out.
+    """A trained model and its answers for the rows that judged it.
 
     Attributes
     ----------
     model : Model
     metrics : dict
         See `cgid.identification.metrics.evaluate` and `evaluate_sets` (under "prediction_sets").
-    test_labels : ndarray of str
+    test_labels : ndarray of str, (n_test,)
     test_probabilities : ndarray, (n_test, n_labels)
     classifier : ImpactClassifier
         The scikit-learn estimator behind the model.
@@ -57,10 +86,196 @@ class Training:
     classifier: ImpactClassifier
 
 
+def train(
+    data: Iterable[Batch] | Rows,
+    *,
+    features: Iterable[str] | None = None,
+    guards: Iterable[str] | None = None,
+    known: Iterable[str] = (),
+    family: str | None = None,
+    test_share: float = TEST_SHARE,
+    calibration_share: float = CALIBRATION_SHARE,
+    seed: int = 0,
+    judged_on: str | None = None,
+    class_weights: Weights = None,
+    level_free: bool = False,
+    synthetic: Rows | None = None,
+    shuffle_labels: bool = False,
+    selection: Sequence[Mapping[str, Any]] | None = None,
+    progress: Callable[[int], object] | None = None,
+    crew: Workers = ALONE,
+) -> Training:
+    """Train a model on labelled impacts or windows and judge it on specimens or groups it has not seen.
+
+    Each fit uses one thread, so that the same data give the same model to the last digit on every machine.
+
+    Parameters
+    ----------
+    data : iterable of Batch, or Rows
+        The batches of a dataset or scene, or the rows of recordings
+        (`cgid.identification.labelled_recordings.record`).
+    features : iterable of str, optional
+        Names of features. By default those that `cgid.identification.rows` has for the quantity; for recordings one
+        of its sets is chosen.
+    guards : iterable of str, optional
+        Features that only show how strange an impact is: the larger, the stranger. They are left out of `features`.
+        By default `DEFAULT_GUARDS` for pulses, none for vibrations. Not for recordings.
+    known : iterable of str
+        Known quantities, out of `cgid.identification.known.KNOWN`. Not for recordings.
+    family : {"boosting", "logistic", "network", "linear"}, optional
+        By default logistic, for recordings linear.
+    test_share : float
+        Share of the specimens held out, in (0, 1). Not for recordings.
+    calibration_share : float
+        Share of the specimens that only calibrate the prediction sets, in [0, 1); 0 for none. Not for recordings.
+    seed : int
+        Of the splits, the folds and the network.
+    judged_on : str, optional
+        The `source` of the batches that judge and calibrate; all others only train. By default every source does all.
+    class_weights : dict or "balanced", optional
+        Weights of the labels: see `cgid.identification.classifier.ImpactClassifier`.
+    level_free : bool
+        Whether the set of features is chosen among those in which the gain of the sensor cancels. For recordings.
+    synthetic : Rows, optional
+        Impacts of scenes or datasets with the features and the unit of the recorded ones. They train, too, with their
+        levels moved to those of the recordings, and never judge.
+    shuffle_labels : bool
+        Whether to shuffle the labels of specimens or recordings first, to check the method: the accuracy must then be
+        that of guessing. With few recordings it is lower, because recordings of one material resemble each other.
+    selection : sequence of dict, optional
+        How the family was chosen (`cgid.identification.selection.select`), for the model card.
+    progress : callable, optional
+        Called with the number of signals measured; for recordings with 1 for each group judged.
+    crew : Workers
+        Measures, and fits folds: see `cgid.workers.workers`.
+
+    Raises
+    ------
+    BadData
+        There are fewer than two labels or too few groups, nothing to train on, or a known quantity is missing.
+    InvalidValue
+        A choice is unknown, a label has a single specimen, or a guard is no positive number.
+    """
+    if isinstance(data, Rows):
+        rows, names, limiting = data, None if features is None else tuple(features), ()
+    else:
+        rows, names, limiting = _measured(data, features, guards, tuple(known), progress, crew)
+    rows = _shuffled(rows, seed) if shuffle_labels else rows
+    _require_labels(rows, class_weights)
+    if rows.slicing is None:
+        split = _Split(test_share, calibration_share, judged_on, seed)
+        fitted = _held_out(rows, names or rows.names, limiting, family or "logistic", class_weights, split, crew)
+    else:
+        sets = {"asked for": names} if names else sets_for(rows.kind, level_free=level_free)
+        candidates = candidates_for(sets, rows.names, family or "linear")
+        lesson = Lesson(rows=rows, candidates=candidates, weights=class_weights, seed=seed)
+        fitted = _left_out(lesson, synthetic, progress, crew)
+        fitted.record["recorded"]["level_free"] = level_free
+    record = fitted.record | {"seed": seed, "labels_shuffled": shuffle_labels}
+    if selection is not None:
+        record["selection"] = [dict(row) for row in selection]
+    model = _model(rows, fitted, _origin(rows, synthetic) | record)
+    return Training(model, fitted.metrics, fitted.labels, fitted.probabilities, fitted.classifier)
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Fitted:
+    """What a way of judging returns: the classifier, its answers for rows that judged, and the record for the card."""
+
+    classifier: ImpactClassifier
+    features: tuple[str, ...]
+    labels: NDArray[np.str_]
+    probabilities: Floats
+    metrics: dict[str, Any]
+    record: dict[str, Any]
+    guard_limits: Mapping[str, float] = field(default_factory=dict)
+    conformal: Conformal | None = None
+
+
+def _measured(
+    batches: Iterable[Batch],
+    features: Iterable[str] | None,
+    guards: Iterable[str] | None,
+    known: tuple[str, ...],
+    progress: Callable[[int], object] | None,
+    crew: Workers,
+) -> tuple[Rows, tuple[str, ...], tuple[str, ...]]:
+    """Return the rows of batches, and which of their columns are features and which are guards."""
+    batches, names = chosen_for(batches, features)
+    guards = default_guards(names) if guards is None else tuple(guards)
+    guards = choose(guards) if guards else ()
+    names = tuple(name for name in names if name not in guards)
+    with threadpool_limits(1):
+        return measure(batches, names + guards, progress, known=known, crew=crew), names, guards
+
+
+def _shuffled(rows: Rows, seed: int) -> Rows:
+    """Return the rows with labels shuffled among specimens or recordings, which the split keeps together."""
+    unit = rows.group if rows.slicing is None else rows.source
+    _, first, own = np.unique(unit, return_index=True, return_inverse=True)
+    return replace(rows, labels=np.random.default_rng(seed).permutation(rows.labels[first])[own])
+
+
+def _require_labels(rows: Rows, class_weights: Weights) -> None:
+    """Raise unless there are two labels, in enough groups, and weights are positive and of these labels."""
+    labels = np.unique(rows.labels)
+    if rows.slicing is not None:
+        require_groups(rows.labels, rows.group)
+    elif len(labels) < 2:
+        raise BadData(
+            f"data must have at least 2 labels to tell apart, got {', '.join(labels) or 'none'}; "
+            "add data of another material"
+        )
+    for label, weight in class_weights.items() if isinstance(class_weights, Mapping) else ():
+        validation.choice("label of class_weights", label, tuple(labels.tolist()))
+        validation.positive(f"class weight of {label}", weight)
+
+
+def _model(rows: Rows, fitted: _Fitted, training: Mapping[str, Any]) -> Model:
+    slicing = rows.slicing if rows.kind == "window" else None
+    return Model.from_classifier(
+        fitted.classifier,
+        features=fitted.features,
+        known=rows.known_names,
+        guards=fitted.guard_limits,
+        conformal=fitted.conformal,
+        unit=rows.unit,
+        sampling_rates=rows.sampling_rates,
+        window_time=0.0 if slicing is None else slicing.window_time,
+        hop_time=0.0 if slicing is None else slicing.hop_time,
+        n_channels=rows.n_channels,
+        references=rows.references,
+        training={**training, "metrics": fitted.metrics},
+    )
+
+
+def _origin(rows: Rows, synthetic: Rows | None) -> dict[str, Any]:
+    return {
+        "sources": [*rows.digests, *(() if synthetic is None else synthetic.digests)],
+        "quantity": quantity_of(rows.unit),
+        "n_left_out": rows.left_out,
+        "versions": {"cgid": __version__, "python": platform.python_version()}
+        | {name: version(name) for name in ("numpy", "scikit-learn")},
+    }
+
+
+# -- many specimens: held out -----------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class _Split:
+    """Which specimens judge and calibrate: the parameters of `train`."""
+
+    test_share: float
+    calibration_share: float
+    judged_on: str | None
+    seed: int
+
+
 def hold_out(
-    labels: NDArray[np.str_], specimen: NDArray[np.uint64], share: float = TEST_SHARE, seed: int = 0
+    labels: NDArray[np.str_], specimen: NDArray[np.integer], share: float = TEST_SHARE, seed: int = 0
 ) -> NDArray[np.bool_]:
-    """Return which impacts are held out: whole specimens, the same share of each label.
+    """Return the impacts to hold out: whole specimens, the same share of each label.
 
     Raises
     ------
@@ -70,7 +285,7 @@ def hold_out(
     if not 0 < share < 1:
         raise InvalidValue(f"test share must lie between 0 and 1, got {share:g}")
     generator = np.random.default_rng(seed)
-    held: list[NDArray[np.uint64]] = []
+    held: list[NDArray[np.integer]] = []
     for label in np.unique(labels):
         own = np.unique(specimen[labels == label])
         if len(own) < 2:
@@ -84,14 +299,14 @@ def hold_out(
 
 def set_apart(
     labels: NDArray[np.str_],
-    specimen: NDArray[np.uint64],
+    specimen: NDArray[np.integer],
     test: NDArray[np.bool_],
     share: float = CALIBRATION_SHARE,
     seed: int = 0,
 ) -> NDArray[np.bool_]:
-    """Return which impacts that do not judge calibrate: whole specimens, the same share of each label.
+    """Return the impacts to calibrate on, out of those that do not judge: whole specimens, equal shares of labels.
 
-    No impact does when the share is 0, or is fewer than `FEWEST_CALIBRATION_SPECIMENS` of a label.
+    There are none when the share is 0 or less than `FEWEST_CALIBRATION_SPECIMENS` of a label.
 
     Raises
     ------
@@ -107,174 +322,76 @@ def set_apart(
     left = 1 - len(np.unique(specimen[test])) / sum(counts)
     if share >= left:
         raise InvalidValue(f"test and calibration share must leave some to train on, got {1 - left:.3g} and {share:g}")
-    # Another seed than that of the test, or the same ranks of the same specimens would be drawn.
+    # With the seed of the test the same ranks of the same specimens would be drawn.
     apart[~test] = hold_out(labels[~test], specimen[~test], share / left, seed + 1)
     return apart
 
 
-def train(
-    batches: Iterable[Batch],
-    *,
-    features: Iterable[str] | None = None,
-    guards: Iterable[str] | None = None,
-    known: Iterable[str] = (),
-    family: str = "logistic",
-    test_share: float = TEST_SHARE,
-    calibration_share: float = CALIBRATION_SHARE,
-    seed: int = 0,
-    judged_on: str | None = None,
-    class_weights: Mapping[str, float] | str | None = None,
-    shuffle_labels: bool = False,
-    selection: Sequence[Mapping[str, Any]] | None = None,
-    progress: Callable[[int], object] | None = None,
-    crew: Workers = ALONE,
-) -> Training:
-    """Train a model on labelled impacts and judge it on specimens it has not seen.
-
-    One thread does each fit, so that the same data give the same model to the last digit wherever many are allowed.
-
-    Parameters
-    ----------
-    batches : iterable of Batch
-        A dataset's, or a scene's as it is synthesised.
-    features : iterable of str, optional
-        Names of features; if not given, what `cgid.identification.measuring` has for the quantity.
-    guards : iterable of str, optional
-        Features that only say how strange an impact is: the larger, the stranger. They are left out of `features`.
-        If not given, `DEFAULT_GUARDS` for features of pulses, none for those of vibrations.
-    known : iterable of str
-        What the model is told beside the signal, out of `cgid.identification.known.KNOWN`.
-    family : {"boosting", "discriminant", "logistic", "network"}
-    test_share : float
-        Share of the specimens held out, in (0, 1).
-    calibration_share : float
-        Share of the specimens that only calibrate the prediction sets, in [0, 1); 0 for none.
-    seed : int
-        Of the splits, the folds and the network.
-    judged_on : str, optional
-        The `source` of the batches that judge and calibrate the prediction sets; all others only train. By default
-        every source does all.
-    class_weights : dict or "balanced", optional
-        What an impact of a label counts: see `cgid.identification.classifier.ImpactClassifier`.
-    shuffle_labels : bool
-        A check of the method: labels are shuffled first, so the accuracy must be that of guessing.
-    selection : sequence of dict, optional
-        How the family was chosen (`cgid.identification.selection.select`), for the model card.
-    progress : callable, optional
-        Called with the number of signals measured.
-    crew : Workers
-        Who measures, and fits the folds that calibrate: see `cgid.workers.workers`.
-
-    Raises
-    ------
-    BadData
-        There are fewer than two labels, nothing to train on, or nobody says what has to be known.
-    InvalidValue
-        A choice is unknown, a label has a single specimen, or a guard is no positive number.
-    """
-    batches, names = chosen_for(batches, features)
-    guards = default_guards(names) if guards is None else tuple(guards)
-    guards = choose(guards) if guards else ()
-    names = tuple(name for name in names if name not in guards)
-    known = tuple(known)
+def _held_out(
+    rows: Rows,
+    names: tuple[str, ...],
+    guards: tuple[str, ...],
+    family: str,
+    class_weights: Weights,
+    split: _Split,
+    crew: Workers,
+) -> _Fitted:
+    """Return a classifier that some specimens train, others calibrate and others judge."""
+    labels, specimen, seed = rows.labels, rows.group, split.seed
+    home = _home(rows, split.judged_on)
+    test, calibration = np.zeros_like(home), np.zeros_like(home)
+    test[home] = hold_out(labels[home], specimen[home], split.test_share, seed)
+    calibration[home] = set_apart(labels[home], specimen[home], test[home], split.calibration_share, seed)
+    # A specimen that judges trains nowhere, not even in another source.
+    training = ~np.isin(specimen, specimen[test | calibration])
+    inputs = np.ascontiguousarray(rows.inputs(names))
     with threadpool_limits(1):
-        measured = measure(batches, names + guards, progress, known=known, crew=crew)
-        labels, specimen = measured.labels, measured.specimen
-        _require_two(labels)
-        if shuffle_labels:
-            # Among the specimens, so that the split that is checked is the one that is used.
-            _, first, own = np.unique(specimen, return_index=True, return_inverse=True)
-            labels = np.random.default_rng(seed).permutation(labels[first])[own]
-        home = _home(measured, judged_on)
-        test, calibration = np.zeros_like(home), np.zeros_like(home)
-        test[home] = hold_out(labels[home], specimen[home], test_share, seed)
-        calibration[home] = set_apart(labels[home], specimen[home], test[home], calibration_share, seed)
-        # A particle that judges trains nowhere, not even as it fell in another source.
-        training = ~np.isin(specimen, specimen[test | calibration])
-        inputs = np.hstack([measured.features[:, : len(names)], measured.known])
-        check_class_weights(class_weights, np.unique(labels))
         classifier = ImpactClassifier(
             family=family, linear=linear_columns(names), class_weight=class_weights, random_state=seed
         )
         classifier.fit(inputs[training], labels[training], specimen[training], crew=crew)
         conformal = _calibrated(classifier, inputs[calibration], labels[calibration], specimen[calibration], seed)
         probabilities = classifier.predict_proba(inputs[test])
-    metrics = _judged(labels[test], probabilities, classifier, conformal, len(np.unique(specimen[test])))
+    classes = tuple(str(label) for label in classifier.classes_)
+    metrics = evaluate(labels[test], probabilities, classes, len(np.unique(specimen[test])))
+    sets = [] if conformal is None else evaluate_sets(labels[test], probabilities, classes, conformal)
     parts = {"train": training, "calibration": calibration, "test": test}
-    model = Model.from_classifier(
-        classifier,
+    return _Fitted(
+        classifier=classifier,
         features=names,
-        known=known,
-        guards=_guard_limits(guards, measured.features[training, len(names) :]),
+        guard_limits=_guard_limits(guards, rows.columns(guards)[training]),
         conformal=conformal,
-        unit=measured.unit,
-        sampling_rates=measured.sampling_rates,
-        training={
-            **_origin(measured),
-            **{f"n_{part}_specimens": len(np.unique(specimen[rows])) for part, rows in parts.items()},
+        labels=labels[test],
+        probabilities=probabilities,
+        metrics=metrics | {"prediction_sets": sets},
+        record={
+            **{f"n_{part}_specimens": len(np.unique(specimen[own])) for part, own in parts.items()},
             "n_train": int(training.sum()),
-            "seed": seed,
-            "test_share": test_share,
-            "calibration_share": calibration_share,
-            "labels_shuffled": shuffle_labels,
-            "judged_on": judged_on,
+            "test_share": split.test_share,
+            "calibration_share": split.calibration_share,
+            "judged_on": split.judged_on,
             **({} if class_weights is None else {"class_weights": class_weights}),
-            "metrics": metrics,
-            **({} if selection is None else {"selection": [dict(row) for row in selection]}),
         },
     )
-    return Training(model, metrics, labels[test], probabilities, classifier)
 
 
-def check_class_weights(weights: Mapping[str, float] | str | None, labels: NDArray[np.str_]) -> None:
-    """Raise `InvalidValue` unless weights are those of labels that there are, and above 0."""
-    for label, weight in weights.items() if isinstance(weights, Mapping) else ():
-        validation.choice("label of class_weights", label, tuple(labels.tolist()))
-        validation.positive(f"class weight of {label}", weight)
-
-
-def linear_columns(features: Sequence[str]) -> tuple[int, ...]:
-    """Return the columns that never get a logarithm: they are logarithms already, or may be of either sign."""
-    return tuple(column for column, name in enumerate(features) if FEATURES[name].linear)
-
-
-def _home(measured: Measured, judged_on: str | None) -> NDArray[np.bool_]:
-    """Return which impacts may judge."""
+def _home(rows: Rows, judged_on: str | None) -> NDArray[np.bool_]:
+    """Return the impacts that may judge."""
     if judged_on is None:
-        return np.ones(len(measured.labels), bool)
-    validation.choice("judged_on", judged_on, measured.sources)
-    return np.asarray(measured.source == measured.sources.index(judged_on))
-
-
-def _require_two(labels: NDArray[np.str_]) -> None:
-    if len(np.unique(labels)) < 2:
-        raise BadData(
-            f"data must have at least 2 labels to tell apart, got {', '.join(np.unique(labels)) or 'none'}; "
-            "add data of another material"
-        )
+        return np.ones(len(rows.labels), bool)
+    validation.choice("judged_on", judged_on, rows.sources)
+    return np.asarray(rows.source == rows.sources.index(judged_on))
 
 
 def _calibrated(
-    classifier: ImpactClassifier, inputs: Floats, labels: NDArray[np.str_], specimen: NDArray[np.uint64], seed: int
+    classifier: ImpactClassifier, inputs: Floats, labels: NDArray[np.str_], specimen: NDArray[np.integer], seed: int
 ) -> Conformal | None:
-    """Return the calibration by one impact of each specimen: those of one specimen are no independent trials."""
+    """Return the calibration by one impact of each specimen: several of one are not independent."""
     if not len(labels):
         return None
     order = np.random.default_rng(seed).permutation(len(labels))
     one = order[np.unique(specimen[order], return_index=True)[1]]
     return Conformal.fit(classifier.predict_proba(inputs[one]), np.searchsorted(classifier.classes_, labels[one]))
-
-
-def _judged(
-    labels: NDArray[np.str_],
-    probabilities: Floats,
-    classifier: ImpactClassifier,
-    conformal: Conformal | None,
-    n_independent: int,
-) -> dict[str, Any]:
-    classes = tuple(str(label) for label in classifier.classes_)
-    sets = [] if conformal is None else evaluate_sets(labels, probabilities, classes, conformal)
-    return evaluate(labels, probabilities, classes, n_independent) | {"prediction_sets": sets}
 
 
 def _guard_limits(guards: tuple[str, ...], values: Floats) -> dict[str, float]:
@@ -291,11 +408,128 @@ def _guard_limits(guards: tuple[str, ...], values: Floats) -> dict[str, float]:
     return limits
 
 
-def _origin(measured: Measured) -> dict[str, Any]:
+# -- few groups of recordings: left out one by one --------------------------------------------------------
+
+
+def _left_out(
+    lesson: Lesson, synthetic: Rows | None, progress: Callable[[int], object] | None, crew: Workers
+) -> _Fitted:
+    """Return a classifier of all rows; each group judges what was chosen and trained on the others."""
+    rows, adaptation = lesson.rows, {}
+    if synthetic is not None:
+        together = replace(lesson, rows=mixed(rows, synthetic, lesson.seed))
+        adaptation = _adaptation(lesson, together.rows, crew)
+        lesson = together
+    judged = judge(lesson, progress, crew)
+    choice = choose_candidate(lesson, crew)
+    best = lesson.candidates[choice.best]
+    assert rows.slicing is not None
+    return _Fitted(
+        classifier=final(lesson, choice, crew),
+        features=best.features,
+        labels=rows.labels,
+        probabilities=judged.probabilities,
+        metrics=_metrics(rows, judged.probabilities),
+        record={
+            "n_train": len(rows.labels),
+            "recorded": {
+                "by": rows.slicing.by,
+                "n_groups": len(np.unique(rows.group)),
+                "n_recordings": len(rows.sources),
+                "class_weights": lesson.weights,
+                "candidates": _comparison(lesson.candidates, choice.accuracies, judged.chosen, choice.best),
+                "failures": [str(error) for error in rows.failures],
+                "warnings": list(rows.warnings),
+                **adaptation,
+            },
+        },
+    )
+
+
+def _adaptation(recorded: Lesson, together: Rows, crew: Workers) -> dict[str, Any]:
+    """Return the number of synthetic impacts, how far they were moved, and the accuracy without them."""
+    moved = shift(together.names, together.features, together.labels, together.group < 0)
+    alone = judge(recorded, crew=crew).probabilities
+    labels = recorded.rows.labels
+    answers = np.unique(labels)[np.argmax(alone, axis=1)]
+    names = zip(together.names, moved.tolist(), strict=True)
     return {
-        "sources": list(measured.sources),
-        "quantity": quantity_of(measured.unit),
-        "n_left_out": measured.left_out,
-        "versions": {"cgid": __version__, "python": platform.python_version()}
-        | {name: version(name) for name in ("numpy", "scikit-learn")},
+        "synthetic": {
+            "n": int(np.sum(together.group < 0)),
+            "moved_db": {name: 10 * by for name, by in names if is_level(name)},
+            "accuracy_without": float(np.mean(answers == labels)),
+        }
     }
+
+
+def _comparison(
+    candidates: Sequence[Candidate], accuracies: Sequence[float], chosen: Sequence[int], best: int
+) -> list[dict[str, Any]]:
+    return [
+        {
+            "name": candidate.name,
+            "family": candidate.family,
+            "n_features": len(candidate.features),
+            "accuracy": accuracy,
+            "taken_in_folds": sum(one == k for one in chosen),
+            "chosen": k == best,
+        }
+        for k, (candidate, accuracy) in enumerate(zip(candidates, accuracies, strict=True))
+    ]
+
+
+def _metrics(rows: Rows, probabilities: Floats) -> dict[str, Any]:
+    """Return the metrics of rows, of whole recordings and of running votes; intervals count groups."""
+    classes = np.unique(rows.labels)
+    metrics = evaluate(rows.labels, probabilities, tuple(classes.tolist()))
+    hits = classes[np.argmax(probabilities, axis=1)] == rows.labels
+    metrics["accuracy_interval_95"] = list(clustered_interval(hits, rows.group))
+    recordings = _recordings(rows, probabilities)
+    voted = np.array([row["vote"] == row["label"] for row in recordings])
+    owner = np.array([rows.groups.index(row["group"]) for row in recordings])
+    metrics["recordings"] = {"n": len(voted), **_share(voted, owner), "rows": recordings}
+    if rows.kind == "window":
+        metrics["running"] = [_running(rows, probabilities, time) for time in VOTE_TIMES]
+    return {**metrics, "prediction_sets": []}
+
+
+def _share(hits: NDArray[np.bool_], group: NDArray[np.integer]) -> dict[str, Any]:
+    return {"accuracy": float(hits.mean()), "accuracy_interval_95": list(clustered_interval(hits, group))}
+
+
+def _recordings(rows: Rows, probabilities: Floats) -> list[dict[str, Any]]:
+    """Return the vote of each recording: the label with the largest mean of logarithms of its rows."""
+    classes = np.unique(rows.labels)
+    votes = []
+    for source in np.unique(rows.source):
+        own = rows.source == source
+        total = np.log(np.maximum(probabilities[own], LEAST_PROBABILITY)).mean(axis=0)
+        votes.append(
+            {
+                "name": rows.sources[source],
+                "group": rows.groups[rows.group[own][0]],
+                "label": str(rows.labels[own][0]),
+                "n": int(own.sum()),
+                "accuracy": float(np.mean(classes[np.argmax(probabilities[own], axis=1)] == rows.labels[own])),
+                "vote": str(classes[np.argmax(total)]),
+            }
+        )
+    return votes
+
+
+def _running(rows: Rows, probabilities: Floats, time: float) -> dict[str, Any]:
+    """Return how often the vote of the windows within a time [s] is right, over the recordings that are so long."""
+    assert rows.slicing is not None
+    classes = np.unique(rows.labels)
+    hits, group, short = [], [], 0
+    for source in np.unique(rows.source):
+        own = rows.source == source
+        vote = RunningVote.over(time, rows.slicing.window_time, rows.slicing.hop_time)
+        voted = vote.feed(probabilities[own])[vote.n_windows - 1 :]
+        short += not len(voted)
+        hits.append(classes[np.argmax(voted, axis=1)] == rows.labels[own][0])
+        group.append(rows.group[own][: len(voted)])
+    if not sum(map(len, hits)):
+        return {"time": time, "n": 0, "n_too_short": short}
+    all_hits, all_groups = np.concatenate(hits), np.concatenate(group)
+    return {"time": time, "n": len(all_hits), "n_too_short": short, **_share(all_hits, all_groups)}

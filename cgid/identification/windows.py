@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 
 from cgid import validation
 from cgid.errors import InvalidValue
-from cgid.identification.transform import softmax
-from cgid.measure.equalisation import Equalisation
+from cgid.identification.families import softmax
 from cgid.measure.features import extract_array
+from cgid.measure.filters import Equalisation
 from cgid.measure.frames import MINIMUM_FRAME
 from cgid.validation import Floats
 

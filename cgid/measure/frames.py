@@ -1,4 +1,4 @@
-"""Signals in frames, one impact each, and what is quiet before it: what pulses and vibrations have in common."""
+"""Signals in frames, one impact each, and the quiet part before it: what pulses and vibrations have in common."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from cgid import validation
 from cgid.errors import BadData
 from cgid.validation import Floats
 
-#: A frame must hold the fewest samples of a pulse and one on either side.
+#: A frame holds at least the fewest samples of a pulse and one on either side.
 MINIMUM_FRAME = 6
-#: Beyond it squares are no numbers.
+#: The squares of larger samples overflow.
 LARGEST = 1e150
-#: An impact must pass this many standard deviations of the noise.
+#: An impact must exceed this many standard deviations of the noise.
 DETECTION_LIMIT = 5.0
 
 
@@ -26,9 +26,9 @@ def frames_of(samples: ArrayLike, pre_trigger: int | None = None) -> NDArray[Any
     Raises
     ------
     BadData
-        They are no rows of at least `MINIMUM_FRAME` samples, or one is not finite or too large.
+        They are not rows of at least `MINIMUM_FRAME` samples, or one is not finite or too large.
     InvalidValue
-        They are no real numbers or masked, or none of a row is left behind the pre-trigger.
+        They are not real numbers or are masked, or the pre-trigger is as long as a row.
     """
     frames = validation.plain("samples", samples)
     if frames.dtype not in (np.float32, np.float64):
@@ -38,7 +38,7 @@ def frames_of(samples: ArrayLike, pre_trigger: int | None = None) -> NDArray[Any
         raise BadData(
             f"samples must be rows of at least {MINIMUM_FRAME} samples, got shape {np.shape(samples)}: record longer"
         )
-    if frames.size and not -LARGEST <= float(frames.min()) <= float(frames.max()) <= LARGEST:  # nan lies nowhere
+    if frames.size and not -LARGEST <= float(frames.min()) <= float(frames.max()) <= LARGEST:  # also false for nan
         row, column = np.argwhere(~(np.abs(frames, dtype=np.float64) <= LARGEST))[0]
         where = f"signal {row} sample {column}" if len(frames) > 1 else f"sample {column}"
         rule = f"lie within +-{LARGEST:g}" if np.isfinite(frames[row, column]) else "be finite"
@@ -46,6 +46,11 @@ def frames_of(samples: ArrayLike, pre_trigger: int | None = None) -> NDArray[Any
     if pre_trigger is not None:
         validation.whole("pre_trigger", pre_trigger, 0, frames.shape[1] - 1)
     return frames
+
+
+def constant_signal(value: float) -> str:
+    """Return the problem of a signal that never changes."""
+    return f"no impact: all samples are {value:g}; check the sensor and its cable"
 
 
 class Frames:
@@ -57,11 +62,11 @@ class Frames:
     sampling_rate : float
         [Hz].
     pre_trigger : int or None
-        Samples before touch. None: each row's own, as many as the kind of signal tells.
+        Samples before touch. None: each row's own number, found by the subclass.
     remove_baseline : bool
         Whether the mean before touch is subtracted.
     detection_limit : float
-        An impact must pass this many standard deviations of what is before touch.
+        An impact must exceed this many standard deviations of the noise before touch.
     """
 
     def __init__(
@@ -80,7 +85,7 @@ class Frames:
 
     @cached_property
     def _surely_quiet(self) -> NDArray[np.intp]:
-        """Number of samples of each row that are surely before touch, where nobody says it."""
+        """Number of samples of each row that are certainly before touch, where `pre_trigger` is not given."""
         raise NotImplementedError
 
     def _moments(self, count: NDArray[np.intp]) -> tuple[Floats, Floats]:
@@ -88,8 +93,8 @@ class Frames:
         before = np.arange(self.samples.shape[1]) < count[:, None]
         mean = np.sum(self.samples, axis=1, where=before, dtype=np.float64) / np.maximum(count, 1)
         square = np.where(before, (self.samples - mean[:, None]) ** 2, 0.0).sum(axis=1, dtype=np.float64)
-        told = count > 1
-        return np.where(told, mean, 0.0), np.where(told, np.sqrt(square / np.maximum(count - 1, 1)), 0.0)
+        enough = count > 1
+        return np.where(enough, mean, 0.0), np.where(enough, np.sqrt(square / np.maximum(count - 1, 1)), 0.0)
 
     @cached_property
     def _quiet(self) -> tuple[Floats, Floats]:
@@ -105,6 +110,11 @@ class Frames:
     def baseline(self) -> Floats:
         """Mean before touch, 0 where fewer than two samples are before touch."""
         return self._quiet[0]
+
+    @cached_property
+    def offset(self) -> Floats:
+        """What is subtracted from the samples: the baseline, or nothing."""
+        return self.baseline if self.remove_baseline else np.zeros(len(self.samples))
 
     @property
     def noise(self) -> Floats:

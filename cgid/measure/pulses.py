@@ -1,46 +1,47 @@
-"""What can be measured on a batch of single pulses, each quantity once and only when asked for.
+"""Measurements on a batch of single pulses, such as contact forces, and their features (`PULSE_FEATURES`, at the end).
 
-Everything is relative to a baseline taken from the samples before touch, and everything after the peak
-search happens in a window just wide enough for the longest contact of the batch: samples outside contact
-are looked at once.
+Each quantity is computed once, when it is first needed. Everything is relative to a baseline from the samples before
+touch. After the peak is found, only a window around contact is looked at.
 """
 
 from __future__ import annotations
 
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cgid.counting import count
-from cgid.measure.estimation import PulseFit, Start, fit_pulses
-from cgid.measure.estimation.start import strongest_run
-from cgid.measure.frames import Frames
+from cgid.measure.fit import PulseFit, Start, fit_pulses, strongest_run
+from cgid.measure.frames import Frames, constant_signal
+from cgid.measure.table import Bank, Feature
 from cgid.validation import Floats
 
-#: Fewest samples between the 10 % crossings that can tell a width.
+#: A width needs this many samples between the 10 % crossings.
 MINIMUM_SAMPLES = 4
-#: The narrowest fitted pulse (impulse over peak, in samples) that can tell anything.
+#: A fit needs a pulse this wide (impulse over peak) [samples].
 MINIMUM_WIDTH = 1.5
-#: How many samples there should be on a contact, for the cure in the message.
+#: Recommended samples on a contact, for the cure in messages.
 WANTED_SAMPLES = 20
-#: The lower of the two levels from which contact is carried on to zero: over the noise, and its bounds
-#: over the peak. Without noise a damped pulse of restitution .5 comes out .2 % short, .4 1.2 %, .3 9 %:
-#: the tail of a strongly damped pulse lies below any level.
+#: The lower of the two levels from which contact is extrapolated to zero: over the noise, and its bounds over the peak.
+#: Without noise a damped pulse of restitution .5 comes out .2 % short, .4 1.2 %, .3 9 %: the tail of a strongly damped
+#: pulse lies below any level.
 FOOT_OVER_NOISE, FOOT_LEVELS = 4.0, (0.01, 0.1)
-#: Below this many standard deviations of the noise the largest sample does not say where the pulse is.
+#: A peak below this many standard deviations of the noise does not locate the pulse.
 FAINT = 12.0
-#: Width (impulse over peak) of a usual pulse over its width at half the peak.
+#: Width (impulse over peak) of a typical pulse over its width at half the peak.
 _WIDTH_OVER_HALF_WIDTH = 1.08
-#: Samples at the top in a row, equal to the last bit, that mean a sensor at its limit.
+#: This many equal samples in a row at the top mean a sensor at its limit.
 _FLAT_TOP = 3
-#: What a pulse must explain of the samples, over the variance of the noise: a chance run of samples explains less.
+#: A pulse must explain this much of the samples, over the variance of the noise: chance explains less.
 EVIDENCE = 40.0
-#: Spectra are taken up to this number over the contact duration: a clean pulse has nothing above
-#: (a low-pass there moves the peak by less than 1 %), noise has.
+#: Spectra end at this number over the contact duration: above, a clean pulse has nothing (a low-pass there changes the
+#: peak by less than 1 %), but noise has.
 SPECTRUM_LIMIT = 4.0
-#: The spectrum's grid is at least this much finer than one over the window.
+#: The bins of the spectrum are at least this much narrower than one over the window.
 _ZERO_PADDING = 8
+#: Mean and standard deviation of the restitution of anything that falls on steel.
+_WIDE_RESTITUTION = (0.5, 0.25)
 
 
 def without_impact(samples: NDArray[np.floating], fit: PulseFit) -> dict[int, str]:
@@ -57,35 +58,35 @@ def without_impact(samples: NDArray[np.floating], fit: PulseFit) -> dict[int, st
                 f"no impact: a pulse must point upwards, the best one reaches {fit.peak[row]:.3g}; invert the signal"
             )
         if np.ptp(samples[row]) == 0:
-            found[int(row)] = f"no impact: all samples are {samples[row, 0]:g}; check the sensor and its cable"
+            found[int(row)] = constant_signal(samples[row, 0])
     return found
 
 
 class PulseBatch(Frames):
-    """Single pulses in frames, measured lazily.
+    """Single pulses in frames; each quantity is computed when it is first needed.
 
     Parameters
     ----------
     samples : ndarray, (n_signals, n_samples)
-        One positive pulse a row.
+        One positive pulse per row.
     sampling_rate : float
         [Hz].
     pre_trigger : int or None
-        Samples before touch. None: each row's own, up to where it last is below 1 % of the way from its first
-        samples to its largest.
+        Samples before touch. None: each row's own number, up to where it is last below 1 % of the way from its
+        first samples to its largest.
     remove_baseline : bool
         Whether the mean before touch is subtracted.
     detection_limit : float
-        A peak must pass this many standard deviations of what is before touch.
+        A peak must exceed this many standard deviations of the noise before touch.
     """
 
     # -- before touch ---------------------------------------------------------------------------------
 
     @cached_property
     def _surely_quiet(self) -> NDArray[np.intp]:
-        """A sample surely before touch: a fifth of the rise before the last one below 1 % of the peak.
+        """A sample certainly before touch: a fifth of the rise before the last one below 1 % of the peak.
 
-        The peak is counted from the mean of the first quarter of what is before it: whatever offset a sensor has.
+        The peak is relative to the mean of the first quarter of the samples before it, so a sensor's offset cancels.
         """
         place, highest = self._highest
         columns = np.arange(self.samples.shape[1])
@@ -99,7 +100,7 @@ class PulseBatch(Frames):
 
     @cached_property
     def n_quiet(self) -> Floats:
-        """Number of samples before touch that baseline and noise are of."""
+        """Number of samples before touch from which baseline and noise are computed."""
         if self.pre_trigger is not None:
             return np.full(len(self.samples), float(max(self.pre_trigger, 1)))
         return np.asarray(np.maximum(self._surely_quiet, 1), np.float64)
@@ -112,11 +113,6 @@ class PulseBatch(Frames):
         return place, self.samples[np.arange(len(place)), place].astype(np.float64)
 
     @cached_property
-    def offset(self) -> Floats:
-        """What is taken off the samples."""
-        return self.baseline if self.remove_baseline else np.zeros(len(self.samples))
-
-    @cached_property
     def peak(self) -> Floats:
         """The largest sample above the baseline."""
         return self._highest[1] - self.offset
@@ -127,9 +123,9 @@ class PulseBatch(Frames):
     def _edges(self) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
         """First and last sample of the run around the peak that is above 10 % of the peak."""
         n_rows, n_samples = self.samples.shape
-        # Never above the largest sample: where nothing rises above the baseline it is a run by itself.
+        # Never above the largest sample: where nothing rises above the baseline, that sample is the run.
         level = np.minimum(0.1 * self.peak + self.offset, self._highest[1]).astype(self.samples.dtype)
-        # Few samples are high: their flat places fall into runs, broken by gaps and by the ends of rows.
+        # Few samples are high: their flat indices form runs, which gaps and the ends of rows separate.
         high = np.flatnonzero(self.samples >= level[:, None])
         breaks = np.flatnonzero((np.diff(high) > 1) | (high[1:] % n_samples == 0)) + 1
         starts, stops = high[np.append(0, breaks)], high[np.append(breaks - 1, high.size - 1)]
@@ -139,16 +135,16 @@ class PulseBatch(Frames):
 
     @cached_property
     def window_reach(self) -> NDArray[np.intp]:
-        """The last sample that the window around contact asks for, in the frame or beyond it."""
+        """The last sample of the window around contact, in the frame or beyond it."""
         first, last = self._edges
         return np.asarray(last + (last - first + 1) + 2)
 
     @cached_property
     def _window(self) -> tuple[Floats, NDArray[np.intp]]:
-        """Samples around contact (n_signals, width), baseline taken off, and the column of the first.
+        """Samples around contact (n_signals, width), less the baseline, and the column of the first.
 
-        A quarter of the run before it and the whole run after it hold the feet (a damped pulse has a long
-        tail); beyond that there are zeros, so a row comes out the same whatever else is in the batch.
+        The window extends the run by a quarter of its length before and by its whole length after, for a damped pulse
+        has a long tail. Zeros follow, so a row does not depend on the other rows of the batch.
         """
         first, last = self._edges
         start, stop = first - (last - first + 1) // 4 - 2, self.window_reach
@@ -167,16 +163,16 @@ class PulseBatch(Frames):
         return {}
 
     def crossings(self, level: float) -> tuple[Floats, Floats]:
-        """Return where the pulse passes a fraction of its peak, rising and falling [samples of the window].
+        """Return where the pulse crosses a fraction of its peak, rising and falling [samples of the window].
 
-        Linear between samples; walking outwards from the peak, the first sample below the level counts.
+        Linear between samples; outwards from the peak, the first sample below the level counts.
         """
         if level not in self._crossings:
             self._crossings[level] = self._crossings_at(np.full(len(self.samples), level))
         return self._crossings[level]
 
     def _crossings_at(self, level: Floats, power: float = 1.0) -> tuple[Floats, Floats]:
-        """Return both crossings of a level of each row; straight in a power of the pulse between samples."""
+        """Return both crossings of a level of each row; linear in a power of the pulse between samples."""
         window, columns = self._window[0], np.arange(self._window[0].shape[1])
         height, place = (level * self.peak)[:, None], self._peak_column[:, None]
         low = window < height
@@ -198,11 +194,11 @@ class PulseBatch(Frames):
 
     @cached_property
     def contact(self) -> tuple[Floats, Floats]:
-        """Touch and separation [samples of the window], carried on from two crossings near the foot.
+        """Touch and separation [samples of the window], extrapolated from two crossings near the foot.
 
-        An elastic pulse is close to sin^(3/2), so `arcsin(F^(2/3))` is nearly straight in time where
-        contact begins and ends: the line through two crossings meets zero there. The lower crossing is as
-        low as the noise allows, `FOOT_OVER_NOISE` standard deviations but within `FOOT_LEVELS`.
+        An elastic pulse is close to sin^(3/2), so `arcsin(F^(2/3))` is nearly linear in time where contact begins and
+        ends: the line through two crossings meets zero there. The lower crossing is as low as the noise allows,
+        `FOOT_OVER_NOISE` standard deviations but within `FOOT_LEVELS`.
         """
         low = np.clip(FOOT_OVER_NOISE * self.noise / self.peak, *FOOT_LEVELS)
         angle, angle_up = np.arcsin(low ** (2 / 3)), np.arcsin((3 * low) ** (2 / 3))
@@ -261,7 +257,7 @@ class PulseBatch(Frames):
 
     @cached_property
     def fit(self) -> PulseFit:
-        """The most likely damped-Hertz pulse, times in samples of the frame; nan where nothing rises."""
+        """The most likely damped-Hertz pulse, times in samples of the frame; nan where there is no rise."""
         alive = np.flatnonzero((self.peak > 0) & (np.ptp(self.samples, axis=1) > 0))
         count("fits", alive.size)
         found = fit_pulses(
@@ -275,7 +271,7 @@ class PulseBatch(Frames):
 
     @cached_property
     def fit_start(self) -> Start:
-        """Where the fit begins: at the largest sample, or at the strongest run of samples where noise is as large."""
+        """Start of the fit: the largest sample, or the strongest run of samples where the noise is as large."""
         faint = np.flatnonzero(self.peak < FAINT * self.noise)
         peak, place = self.peak.copy(), self._highest[0].astype(np.float64)
         width = np.empty(len(peak))
@@ -292,7 +288,7 @@ class PulseBatch(Frames):
 
     @cached_property
     def clip_level(self) -> Floats | None:
-        """Level above the baseline at which a sensor was at its limit, infinite where it was not."""
+        """Level above the baseline where the sensor was at its limit, infinite where it was not."""
         place, highest = self._highest
         rows, flat = np.arange(len(place)), np.ones(len(place), bool)
         for step in range(1, _FLAT_TOP):
@@ -301,10 +297,18 @@ class PulseBatch(Frames):
 
     @cached_property
     def overload(self) -> Floats:
-        """Fitted peak over the level at which the samples are cut off, minus 1; 0 where they are not."""
+        """Fitted peak over the level where the samples are clipped, minus 1; 0 where they are not."""
         if self.clip_level is None:
             return np.zeros(len(self.samples))
         return np.maximum(self.fit.peak / self.clip_level - 1, 0.0)
+
+    @cached_property
+    def shrunken_restitution(self) -> tuple[Floats, Floats]:
+        """Mean and standard deviation of the fitted restitution combined with a wide Gaussian prior."""
+        mean, deviation = _WIDE_RESTITUTION
+        certainty = self.fit.restitution_deviation**-2.0
+        total = certainty + deviation**-2
+        return (certainty * self.fit.restitution + mean * deviation**-2) / total, total**-0.5
 
     def fit_problems(self) -> dict[int, str]:
         """Return, for each row that cannot be fitted, the rule it breaks, its value and the cure."""
@@ -338,7 +342,7 @@ class PulseBatch(Frames):
 
     @cached_property
     def n_bins(self) -> NDArray[np.intp]:
-        """How many bins of each row's spectrum count; behind them is padding."""
+        """Number of bins of each row's spectrum; padding follows."""
         top = np.minimum(SPECTRUM_LIMIT / self.duration, self.sampling_rate / 2)
         return np.asarray(np.floor(top * self._transform_lengths / self.sampling_rate).astype(np.intp) + 1)
 
@@ -346,9 +350,8 @@ class PulseBatch(Frames):
     def spectrum(self) -> tuple[Floats, Floats]:
         """Frequencies [Hz] and power, each (n_signals, n_bins), of the contact alone.
 
-        The grid is that of a zero-padded transform whose length is a power of two at least
-        `_ZERO_PADDING` times the row's own contact, up to `SPECTRUM_LIMIT / duration`; padded with
-        zero power, so a row does not depend on its neighbours.
+        The transform is zero-padded to a power of two that is at least `_ZERO_PADDING` times the row's own contact.
+        The spectrum ends at `SPECTRUM_LIMIT / duration`; zero power follows, so a row does not depend on the others.
         """
         touch, separation = self.contact
         lengths, bins = self._transform_lengths, self.n_bins
@@ -368,15 +371,55 @@ class PulseBatch(Frames):
 
     @cached_property
     def cumulative_energy(self) -> Floats:
-        """Share of the spectrum's energy up to each frequency, (n_signals, n_bins), trapezoids."""
+        """Share of the spectrum's energy up to each frequency, (n_signals, n_bins), by the trapezoid rule."""
         _, power = self.spectrum
         steps = 0.5 * (power[:, 1:] + power[:, :-1])
-        # No step from a row's last bin to the padding behind it.
+        # No step from a row's last bin to its padding.
         steps[np.arange(1, power.shape[1]) >= self.n_bins[:, None]] = 0.0
         total = np.cumsum(steps, axis=1)
         return np.concatenate([np.zeros((len(power), 1)), total / total[:, -1:]], axis=1)
 
-    # -- what is wrong with it ------------------------------------------------------------------------
+    def power_mean(self, values: Floats) -> Floats:
+        """Return the mean over the spectrum by the trapezoid rule: the bin at 0 Hz has half a bin's width."""
+        power = self.spectrum[1].copy()
+        power[:, 0] *= 0.5
+        return np.asarray(np.sum(values * power, axis=1) / power.sum(axis=1))
+
+    @cached_property
+    def spectral_moments(self) -> tuple[Floats, Floats]:
+        """Mean and standard deviation of the frequency, weighted by power [Hz]."""
+        frequency = self.spectrum[0]
+        mean = self.power_mean(frequency)
+        return mean, np.sqrt(self.power_mean((frequency - mean[:, None]) ** 2))
+
+    @cached_property
+    def rolloff(self) -> Floats:
+        """Frequency below which 85 % of the energy lie [Hz]."""
+        return _frequency_where(self.spectrum[0], self.cumulative_energy, self.cumulative_energy >= 0.85, 0.85)
+
+    @cached_property
+    def cutoff(self) -> Floats:
+        """Frequency where the spectrum first is 10 dB below its value at 0 Hz, or its last frequency [Hz]."""
+        frequency, power = self.spectrum
+        decibel = 10 * np.log10(np.maximum(power, 1e-30 * power[:, :1]) / power[:, :1])
+        last = self.n_bins - 1
+        reached = (decibel <= -10.0) & (np.arange(decibel.shape[1]) <= last[:, None])
+        found = _frequency_where(frequency, decibel, reached, -10.0)
+        return np.where(reached.any(axis=1), found, frequency[np.arange(len(decibel)), last])
+
+    def energy_between(self, low: float, high: float) -> Floats:
+        """Return the share of the spectrum's energy between two frequencies [Hz]."""
+        return self._energy_below(high) - self._energy_below(low)
+
+    def _energy_below(self, limit: float) -> Floats:
+        frequency, energy = self.spectrum[0], self.cumulative_energy
+        place = limit / frequency[:, 1]
+        before = np.minimum(place.astype(np.intp), energy.shape[1] - 1)
+        after = np.minimum(before + 1, energy.shape[1] - 1)
+        low, high = (energy[np.arange(len(energy)), column] for column in (before, after))
+        return np.asarray(low + (place - before).clip(0, 1) * (high - low))
+
+    # -- rows that cannot be measured -----------------------------------------------------------------
 
     def problems(self) -> dict[int, str]:
         """Return, for each row that cannot be measured, the rule it breaks, its value and the cure."""
@@ -391,8 +434,7 @@ class PulseBatch(Frames):
         cut_off = (first == 0) | (last == self.samples.shape[1] - 1)
         for row in np.flatnonzero(cut_off):
             if np.ptp(self.samples[row]) == 0:
-                constant = f"no impact: all samples are {self.samples[row, 0]:g}; check the sensor and its cable"
-                found.setdefault(int(row), constant)
+                found.setdefault(int(row), constant_signal(self.samples[row, 0]))
             end = "start" if first[row] == 0 else "end"
             found.setdefault(
                 int(row),
@@ -408,3 +450,135 @@ class PulseBatch(Frames):
                 f"use {WANTED_SAMPLES / span:.3g} Hz or more",
             )
         return found
+
+
+def _frequency_where(frequency: Floats, curve: Floats, reached: NDArray[np.bool_], level: float) -> Floats:
+    """Return the frequency at which a curve first reaches a level, linear between two bins."""
+    rows = np.arange(len(curve))
+    after = np.maximum(np.argmax(reached, axis=1), 1)
+    low, high = curve[rows, after - 1], curve[rows, after]
+    share = np.clip((level - low) / np.where(high == low, 1.0, high - low), 0.0, 1.0)
+    return np.asarray(frequency[rows, after - 1] + share * (frequency[rows, after] - frequency[rows, after - 1]))
+
+
+# -- features -----------------------------------------------------------------------------------------
+
+
+def _transition(pulses: PulseBatch, side: int) -> Floats:
+    """Return the time between 10 % and 90 % of the peak, rising (0) or falling (1) [s]."""
+    return np.abs(pulses.crossings(0.9)[side] - pulses.crossings(0.1)[side]) / pulses.sampling_rate
+
+
+def _asymmetry(pulses: PulseBatch) -> Floats:
+    rising, falling = pulses.crossings(0.1)
+    return (rising + falling - 2 * pulses.time_of_peak) / (falling - rising)
+
+
+def _tilt(pulses: PulseBatch) -> Floats:
+    (rise_10, fall_10), (rise_50, fall_50) = pulses.crossings(0.1), pulses.crossings(0.5)
+    return ((rise_10 + fall_10) - (rise_50 + fall_50)) / (fall_50 - rise_50)
+
+
+#: Edges of the bands of `band_energy_*_hz` [Hz].
+_BANDS = ((0, 500), (500, 1000), (1000, 2000), (2000, 4000), (4000, 8000), (8000, 16000))
+_YANG = "Yang, Zeng & Wan 2018"
+_HERTZ = "Hertz 1882: an elastic pulse is close to sin^(3/2)"
+_IEEE = "IEEE Std 181-2011 (transition durations, reference levels)"
+_PEETERS = "Peeters 2004, CUIDADO report (spectral shape), on the power spectrum of the contact up to 4/T"
+
+_spectral = partial(Feature, source=_PEETERS, spectral=True)
+_fitted = partial(Feature, source="cgid.measure.fit: least squares with Firth's penalty (1993)", fitted=True)
+
+PULSE_FEATURES = (
+    Feature("peak_force", "U", "largest sample, baseline removed", _YANG, lambda p: p.peak),
+    Feature(
+        "contact_duration",
+        "s",
+        "touch to separation T: arcsin(F^(2/3)) extrapolated to zero from crossings at 4 and 12 times the noise",
+        _HERTZ,
+        lambda p: p.duration,
+    ),
+    Feature("width_10", "s", "width at 10 % of the peak", _IEEE, lambda p: p.width(0.1)),
+    Feature("width_50", "s", "width at 50 % of the peak", _IEEE, lambda p: p.width(0.5)),
+    Feature("rise_time", "s", "10 % to 90 % of the peak, rising", _IEEE, lambda p: _transition(p, 0)),
+    Feature("fall_time", "s", "90 % to 10 % of the peak, falling", _IEEE, lambda p: _transition(p, 1)),
+    Feature(
+        "asymmetry",
+        "1",
+        "(fall - rise) / (fall + rise), from the 10 % crossings to the top of a parabola fitted above 80 %",
+        "cgid",
+        _asymmetry,
+    ),
+    Feature("tilt", "1", "twice the middle at 10 % minus the middle at 50 %, over width_50", "cgid", _tilt),
+    Feature("skewness", "1", "third standardised moment of the pulse in time", "cgid", lambda p: p.moments[2]),
+    Feature("deviation", "s", "standard deviation of the pulse in time", "cgid", lambda p: p.moments[1]),
+    Feature("impulse", "U s", "integral of the pulse over contact", "mechanics", lambda p: p.moments[0]),
+    Feature("energy", "U^2 s", "integral of the squared pulse over contact", "signal energy", lambda p: p.energy),
+    Feature(
+        "size_free_index",
+        "U/s^2",
+        "peak_force / contact_duration^2: P ~ R^2 and T ~ R, so the size of the rock cancels",
+        "Hertz scaling",
+        lambda p: p.peak / p.duration**2,
+    ),
+    _spectral("spectral_centroid", "Hz", "mean frequency, weighted by power", measure=lambda p: p.spectral_moments[0]),
+    _spectral(
+        "spectral_bandwidth", "Hz", "standard deviation about the centroid", measure=lambda p: p.spectral_moments[1]
+    ),
+    _spectral("spectral_rolloff", "Hz", "85 % of the energy lies below", measure=lambda p: p.rolloff),
+    _spectral(
+        "cutoff_10db",
+        "Hz",
+        "where the spectrum first is 10 dB below its value at 0 Hz",
+        measure=lambda p: p.cutoff,
+    ),
+    Bank(
+        "band_energy_*_hz",
+        "1",
+        "share of the spectrum's energy between the two frequencies of the name",
+        _PEETERS,
+        lambda p, n: p.energy_between(*_BANDS[n]),
+        [f"{low}_{high}" for low, high in _BANDS],
+        spectral=True,
+    ),
+    _fitted("fitted_peak", "U", "peak of the most likely damped-Hertz pulse", measure=lambda p: p.fit.peak),
+    _fitted("fitted_width", "s", "its impulse over its peak", measure=lambda p: p.fit.width / p.sampling_rate),
+    _fitted("fitted_duration", "s", "its contact duration", measure=lambda p: p.fit.duration / p.sampling_rate),
+    _fitted(
+        "fitted_restitution",
+        "1",
+        "its restitution, above 1 where it rises more slowly than it falls",
+        measure=lambda p: p.fit.restitution,
+    ),
+    _fitted(
+        "fitted_restitution_deviation",
+        "1",
+        "standard deviation of that restitution",
+        measure=lambda p: p.fit.restitution_deviation,
+        positive=True,
+    ),
+    _fitted(
+        "shrunken_restitution",
+        "1",
+        "mean of that restitution and of .5 +- .25, weighted by their certainty: .5 where a pulse says nothing",
+        measure=lambda p: p.shrunken_restitution[0],
+    ),
+    _fitted(
+        "shrunken_restitution_deviation",
+        "1",
+        "standard deviation of that mean, at most .25",
+        measure=lambda p: p.shrunken_restitution[1],
+        positive=True,
+    ),
+    _fitted(
+        "misfit",
+        "1",
+        "squared residual over what the noise explains (reduced chi-square), or a stray sample outside the pulse",
+        measure=lambda p: p.fit.misfit,
+        positive=True,
+        whole_frame=True,
+    ),
+    _fitted(
+        "overload", "1", "fitted peak over the level where samples are clipped, minus 1", measure=lambda p: p.overload
+    ),
+)

@@ -1,85 +1,99 @@
-"""What can be measured on a batch of ringing signals, each quantity once and only when asked for.
+"""Measurements on a batch of vibrations, one impact each, and their features (`VIBRATION_FEATURES`, at the end).
 
-A struck structure answers with an oscillation of both signs that begins at once and dies away. Everything here is
-relative to a baseline and a noise taken before touch, and happens in an event: the samples from the onset on.
+A struck structure answers with an oscillation of both signs that begins at once and decays. Everything here is
+relative to a baseline and a noise from before touch, and uses the event: the samples from the onset on.
 
-Most of it looks at the event times `exp(-t / WINDOW_TIME)`, the exponential window of impact testing: what comes late
-weighs little, be it noise, the next blow or the end of the frame. So frames of other lengths are measured alike.
-
-Other sampling rates give the same numbers, too, as long as the vibration lies well below half of the lower one. Three
-numbers depend on the rate all the same, for all of the spectrum tells them: skewness, kurtosis and flatness
-(`EnergySpectrum`).
+Most quantities use the event times `exp(-t / WINDOW_TIME)`, the exponential window of impact testing. What comes late
+(noise, the next impact, the end of the frame) has little weight, so the length of the frame hardly matters. Nor does
+the sampling rate, as long as the vibration lies well below half of it; only skewness, kurtosis and flatness of the
+spectrum depend on the rate, for they use all of it (`EnergySpectrum`).
 """
 
 from __future__ import annotations
 
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cgid.measure.bands import MEL_BANDS
-from cgid.measure.energy_spectrum import LOWEST_SHARE, EnergySpectrum, passage
-from cgid.measure.frames import Frames
-from cgid.measure.wavelets import packet_energies
+from cgid.measure.frames import Frames, constant_signal
+from cgid.measure.spectra import (
+    LOWEST_SHARE,
+    MEL_BANDS,
+    MEL_SOURCE,
+    N_PACKETS,
+    PACKET_SOURCE,
+    THIRD_OCTAVE_SOURCE,
+    THIRD_OCTAVES,
+    EnergySpectrum,
+    packet_energies,
+    passage,
+    third_octave,
+)
+from cgid.measure.table import LEAST_BANDWIDTH, OF_THE_RATE, Bank, Feature
 from cgid.validation import Floats
 
 #: Time constant of the exponential window [s]. It widens a line by 1 / (pi WINDOW_TIME) = 21 Hz.
 WINDOW_TIME = 15e-3
-#: Maxima of the spectrum are further apart than this [Hz]: several widths of a line.
+#: Maxima of the spectrum are at least this far apart [Hz]: several widths of a line.
 APART = 100.0
-#: Length of the frames that say when the energy of a band comes [s].
+#: Length of the frames in which the delay of a band is measured [s].
 DELAY_FRAME = 10e-3
-#: Later than this after the onset nothing is looked at: the window has fallen to 2e-6 [s].
+#: The event ends this long after the onset: the window has fallen to 2e-6 [s].
 LONGEST_EVENT = 0.2
-#: With less after the onset nothing can be said of a vibration [s].
+#: A vibration needs this much after the onset [s].
 SHORTEST_EVENT = 5e-3
 #: The onset is where the signal first leaves the baseline by this share of its largest deviation,
 ONSET_OVER_PEAK = 0.05
-#: or by so many standard deviations of the noise, where that is more (but never by more than the last of these).
+#: or by this many standard deviations of the noise where that is more, but at most by the second share of the largest
+#: deviation.
 ONSET_OVER_NOISE, LATEST_ONSET = 5.0, 0.8
-#: Where nobody says when touch is, quiet ends so long before the signal leaves it [s].
+#: Without `pre_trigger`, the quiet part ends this long before the signal leaves it [s].
 QUIET_MARGIN = 1e-3
 #: Length of the early window, in which the force still acts [s].
 EARLY_TIME = 2e-3
-#: What is smaller has no fourth power that is a number.
+#: The fourth power of anything smaller underflows.
 SMALLEST_PEAK = 1e-75
-#: The strong part of an event holds this share of its energy.
+#: Share of the energy of an event in its strong part.
 STRONG_SHARE = 0.9
+#: Bands of the early window [Hz].
+EARLY_BANDS = ((0, 500), (500, 1000), (1000, 2000), (2000, 4000), (4000, 8000))
 
 
 class VibrationBatch(Frames):
-    """Single ringing events in frames, measured lazily; every row is the same whatever else is in the batch.
+    """Vibrations in frames, one impact each; each quantity is computed when it is first needed.
+
+    No row depends on the other rows of the batch.
 
     Parameters
     ----------
     samples : ndarray, (n_signals, n_samples)
-        One impact's vibration a row, of both signs.
+        One impact's vibration per row.
     sampling_rate : float
         [Hz].
     pre_trigger : int or None
-        Samples before touch. None: each row's own, up to well before it first leaves what it is at its start.
+        Samples before touch. None: each row's own number, up to well before it first leaves its initial level.
     remove_baseline : bool
         Whether the mean before touch is subtracted.
     detection_limit : float
-        The largest deviation must pass this many standard deviations of what is before touch.
+        The largest deviation must exceed this many standard deviations of the noise before touch.
     """
 
     # -- before touch ---------------------------------------------------------------------------------
 
     @property
     def n_quiet(self) -> NDArray[np.intp]:
-        """Number of samples before touch that baseline and noise are of."""
+        """Number of samples before touch from which baseline and noise are computed."""
         if self.pre_trigger is not None:
             return np.full(len(self.samples), self.pre_trigger, np.intp)
         return self._surely_quiet
 
     @cached_property
     def _surely_quiet(self) -> NDArray[np.intp]:
-        """Samples up to well before the first that leaves what is before the largest deviation."""
+        """Samples up to well before the first that leaves the level before the largest deviation."""
         centre = self.samples.mean(axis=1, dtype=np.float64)
         place = np.argmax(np.abs(self.samples - centre[:, None]), axis=1)
-        # The first half of what is before the largest deviation says what quiet is.
+        # The first half of the samples before the largest deviation defines what is quiet.
         mean, noise = self._moments(place // 2)
         deviation = np.abs(self.samples - mean[:, None])
         threshold = _onset_threshold(deviation[np.arange(len(place)), place], noise)
@@ -91,8 +105,7 @@ class VibrationBatch(Frames):
     @cached_property
     def _deviation(self) -> Floats:
         """Distance from the baseline, 0 before touch."""
-        offset = self.baseline if self.remove_baseline else np.zeros(len(self.samples))
-        deviation = np.abs(self.samples - offset[:, None])
+        deviation = np.abs(self.samples - self.offset[:, None])
         if self.pre_trigger is None:
             deviation[np.arange(deviation.shape[1]) < self.n_quiet[:, None]] = 0.0
         else:
@@ -115,7 +128,7 @@ class VibrationBatch(Frames):
 
     @cached_property
     def _lead(self) -> Floats:
-        """How long before the first sample of the event the threshold is passed [samples], straight between two."""
+        """Time from the crossing of the threshold to the first sample of the event [samples], linear in between."""
         rows = np.arange(len(self.first))
         high = self._deviation[rows, self.first]
         low = np.where(self.first > 0, self._deviation[rows, np.maximum(self.first - 1, 0)], 0.0)
@@ -125,19 +138,18 @@ class VibrationBatch(Frames):
 
     @cached_property
     def event(self) -> Floats:
-        """Samples from the onset on, baseline removed; zeros behind the end of the frame."""
+        """Samples from the onset on, baseline removed; zeros after the end of the frame."""
         n_samples = self.samples.shape[1]
         out = np.zeros((len(self.samples), min(n_samples, int(np.ceil(LONGEST_EVENT * self.sampling_rate)))))
-        offset = self.baseline if self.remove_baseline else np.zeros(len(self.samples))
-        # Row by row: a slice is copied several times faster than the same samples are gathered.
+        # Row by row: copying a slice is several times faster than gathering the same samples.
         for row, first in enumerate(self.first.tolist()):
             part = self.samples[row, first : first + out.shape[1]]
-            np.subtract(part, offset[row], out=out[row, : part.size])
+            np.subtract(part, self.offset[row], out=out[row, : part.size])
         return out
 
     @cached_property
     def n_event(self) -> NDArray[np.intp]:
-        """Samples of the frame in each event."""
+        """Number of samples of each event inside the frame."""
         return np.asarray(np.minimum(self.samples.shape[1] - self.first, self.event.shape[1]))
 
     @cached_property
@@ -146,14 +158,14 @@ class VibrationBatch(Frames):
 
     @cached_property
     def _noise_share(self) -> Floats:
-        """Energy that the noise has in the windowed event [unit^2 s]."""
+        """Energy of the noise in the windowed event [unit^2 s]."""
         sums = np.append(0.0, np.cumsum(self._window**2))
         return np.asarray(self.noise**2 * sums[self.n_event] / self.sampling_rate)
 
     def _running_energy(self, weight: Floats) -> Floats:
-        """Return the energy of the event up to each sample under a weight [unit^2 s], that of the noise taken off.
+        """Return the weighted energy of the event up to each sample [unit^2 s], less that of the noise.
 
-        At most half of the energy is taken off: before touch, the blow before may still have rung.
+        At most half of the energy is subtracted: what is called noise may be the decay of the previous impact.
         """
         square = self.event**2 * weight
         share = np.append(0.0, np.cumsum(weight))[self.n_event]
@@ -168,8 +180,8 @@ class VibrationBatch(Frames):
         return self._running_energy(self._window**2)
 
     def rise(self, share: float) -> Floats:
-        """Return the time from the onset until a share of the windowed energy has come [s]."""
-        # The energy of a sample comes in the time around it; the first is never all of it.
+        """Return the time from the onset until a share of the windowed energy has arrived [s]."""
+        # The energy of a sample arrives in the interval around it.
         count = passage(self._growth, share) - 0.5 + self._lead
         return np.maximum(count, 0.5) / self.sampling_rate
 
@@ -177,22 +189,27 @@ class VibrationBatch(Frames):
 
     @cached_property
     def _n_strong(self) -> NDArray[np.intp]:
-        """Samples until `STRONG_SHARE` of the windowed energy has come."""
+        """Number of samples with `STRONG_SHARE` of the windowed energy."""
         return np.maximum(np.ceil(passage(self._growth, STRONG_SHARE)), 1).astype(np.intp)
 
     @cached_property
     def _strong(self) -> Floats:
-        """The event with everything behind its strong part set to zero."""
+        """The event, zero after its strong part."""
         longest = int(self._n_strong.max())
         return np.where(np.arange(longest) < self._n_strong[:, None], self.event[:, :longest], 0.0)
 
     @cached_property
     def strong_moments(self) -> tuple[Floats, Floats]:
         """Mean of the square and of the fourth power over the strong part."""
-        # A running sum, for how a plain one is split depends on the longest row of the batch.
+        # A running sum: how a plain sum is split depends on the longest row of the batch.
         square = self._strong**2
         second, fourth = (np.cumsum(power, axis=1)[:, -1] for power in (square, square**2))
         return np.asarray(second / self._n_strong), np.asarray(fourth / self._n_strong)
+
+    @property
+    def strong_rms(self) -> Floats:
+        """Root mean square over the strong part."""
+        return np.sqrt(self.strong_moments[0])
 
     @cached_property
     def zero_crossing_rate(self) -> Floats:
@@ -211,7 +228,7 @@ class VibrationBatch(Frames):
 
     @cached_property
     def time_to_first_maximum(self) -> Floats:
-        """From the onset to where the distance from the baseline first stops growing [s], by a parabola there."""
+        """From the onset to the first maximum of the distance from the baseline [s], by a parabola there."""
         size = np.abs(self.event)
         falls = size[:, 1:] < size[:, :-1]
         falls[:, -1] = True
@@ -227,10 +244,10 @@ class VibrationBatch(Frames):
 
     @cached_property
     def decay_time(self) -> Floats:
-        """Time in which the energy falls by 60 dB, from where what is still to come is 5 and 15 dB down [s].
+        """Time in which the energy falls by 60 dB, from where the energy to come is 5 and 15 dB down [s].
 
-        Schroeder's backward integral of the event without window, the noise taken off. It ends with the frame: a
-        vibration that goes on behind it comes out too short.
+        Schroeder's backward integral of the event without window, less the noise. It ends with the frame: for a
+        vibration that lasts longer than the frame the result is too short.
         """
         running = self._running_energy(np.ones(self.event.shape[1]))
         five, fifteen = (passage(running, 1 - 10**-fall) for fall in (0.5, 1.5))
@@ -246,8 +263,8 @@ class VibrationBatch(Frames):
     def level(self, low: float, high: float) -> Floats:
         """Return the logarithm (base 10) of the energy between two frequencies [Hz] in the windowed event.
 
-        The share of the noise is taken off, as if it were white; at least that share, and `LOWEST_SHARE` of the
-        whole energy, is left.
+        The share of the noise, taken as white, is subtracted; at least that share and `LOWEST_SHARE` of the whole
+        energy are left.
         """
         return self._level(self.spectrum, self._noise_share, low, high)
 
@@ -263,9 +280,9 @@ class VibrationBatch(Frames):
 
     @cached_property
     def _early(self) -> tuple[EnergySpectrum, Floats]:
-        """Spectrum of the early window, and the energy that the noise has in it [unit^2 s]."""
+        """Spectrum of the early window, and the energy of the noise in it [unit^2 s]."""
         count = min(max(round(EARLY_TIME * self.sampling_rate), 2), self.event.shape[1])
-        # Half a cosine bell: an event begins by itself and must not be cut off.
+        # Half a cosine bell: an event has a beginning of its own, only its end needs a taper.
         window = np.cos(np.arange(count) * (0.5 * np.pi / count)) ** 2
         noise = self.noise**2 * (np.sum(window**2) / self.sampling_rate)
         return EnergySpectrum.of(self.event[:, :count] * window, self.sampling_rate, finer=4), noise
@@ -276,10 +293,10 @@ class VibrationBatch(Frames):
 
     @cached_property
     def clean_spectrum(self) -> EnergySpectrum:
-        """Of the windowed event, the share of the noise taken off each bin but never more than there is."""
+        """Of the windowed event, less the share of the noise in each bin, but never below 0."""
         energy = self.spectrum.energy
         clean = np.maximum(energy - (self._noise_share / (energy.shape[1] - 1))[:, None], 0.0)
-        # Where noise is all there is, all of it counts.
+        # Where there is only noise, all of it counts.
         return EnergySpectrum(self.spectrum.spacing, np.where((clean > 0).any(axis=1)[:, None], clean, energy))
 
     @cached_property
@@ -299,10 +316,9 @@ class VibrationBatch(Frames):
 
     @cached_property
     def mel_delay(self) -> Floats:
-        """When the energy of each of `MEL_BANDS` comes after the onset, in the mean [s], (n_signals, n_bands).
+        """Mean time after the onset of the energy in each of `MEL_BANDS` [s], (n_signals, n_bands).
 
-        From the windowed event in frames of `DELAY_FRAME` under Hann bells, the first about the onset: bands that die
-        slowly have their energy late.
+        From the windowed event in frames of `DELAY_FRAME` under Hann bells, the first centred at the onset.
         """
         length = 2 * max(round(0.5 * DELAY_FRAME * self.sampling_rate), 1)
         bell = np.sin(np.pi * (np.arange(length) + 0.5) / length) ** 2
@@ -324,18 +340,18 @@ class VibrationBatch(Frames):
         return self._levels(energy, energy.sum(axis=1), self._noise_share, width)
 
     def _levels(self, energy: Floats, total: Floats, noise: Floats, width: Floats) -> Floats:
-        """Return levels of energies in bands (n_signals, n_bands) of widths [Hz], the share of the noise taken off."""
+        """Return levels of energies in bands (n_signals, n_bands) of widths [Hz], less the share of the noise."""
         share = noise[:, None] * (width / (0.5 * self.sampling_rate))
         least = np.maximum(share, np.maximum(LOWEST_SHARE * total, np.finfo(np.float64).tiny)[:, None])
         return np.asarray(np.log10(np.maximum(energy - share, least)))
 
-    # -- what is wrong with it ------------------------------------------------------------------------
+    # -- rows that cannot be measured -----------------------------------------------------------------
 
     def problems(self) -> dict[int, str]:
         """Return, for each row that cannot be measured, the rule it breaks, its value and the cure."""
         found: dict[int, str] = {}
         for row in np.flatnonzero(np.ptp(self.samples, axis=1) == 0):
-            found[int(row)] = f"no impact: all samples are {self.samples[row, 0]:g}; check the sensor and its cable"
+            found[int(row)] = constant_signal(self.samples[row, 0])
         for row in np.flatnonzero(~(self.peak > self.detection_limit * self.noise) | ~(self.peak > SMALLEST_PEAK)):
             found.setdefault(
                 int(row),
@@ -360,5 +376,195 @@ class VibrationBatch(Frames):
 
 
 def _onset_threshold(peak: Floats, noise: Floats) -> Floats:
-    """Return what a signal must pass to have left its baseline."""
+    """Return what a signal must exceed to have left its baseline."""
     return np.maximum(ONSET_OVER_PEAK * peak, np.minimum(ONSET_OVER_NOISE * noise, LATEST_ONSET * peak))
+
+
+# -- features -----------------------------------------------------------------------------------------
+
+_PEETERS = "Peeters 2004, CUIDADO report (spectral shape)"
+_SCHROEDER = "Schroeder 1965 (backward integral); as T20 of ISO 3382-1, but from -5 to -15 dB, times 6"
+_WINDOWED = f"event x exp(-t/{WINDOW_TIME * 1e3:g} ms), the exponential window of impact testing (Fladung & Rost 1997)"
+_MAXIMUM = f"maximum of the same spectrum, {APART:g} Hz or more from a stronger one"
+
+_vibration = partial(Feature, kind="vibration", highest_frequency=LEAST_BANDWIDTH)
+_spectral = partial(_vibration, source=_PEETERS)
+
+_TOTAL = _vibration(
+    "level_total",
+    "log10(U^2 s)",
+    f"log10 of the energy, noise subtracted, of the {_WINDOWED}",
+    "signal energy",
+    lambda v: v.total_level,
+)
+_OCTAVES = [third_octave(number) for number in range(len(THIRD_OCTAVES))]
+_LEVELS = Bank(
+    "level_*_hz",
+    "log10(U^2 s)",
+    "log10 of the energy in the third octave at * Hz, windowed as for level_total",
+    THIRD_OCTAVE_SOURCE,
+    lambda v, n: v.level(*third_octave(n)),
+    THIRD_OCTAVES,
+    kind="vibration",
+    highest_frequency=[max(high, LEAST_BANDWIDTH) for _, high in _OCTAVES],
+    # A frame resolves frequencies that are one over its length apart.
+    shortest_frame=[1 / (high - low) for low, high in _OCTAVES],
+)
+_EARLY_LEVELS = Bank(
+    "early_level_*_hz",
+    "log10(U^2 s)",
+    f"log10 of the energy between the two frequencies of the name in the first {EARLY_TIME * 1e3:g} ms under half a "
+    "cosine bell, noise subtracted: the force still acts",
+    "cgid",
+    lambda v, n: v.early_level(*EARLY_BANDS[n]),
+    [f"{low}_{high}" for low, high in EARLY_BANDS],
+    kind="vibration",
+    highest_frequency=[max(high, LEAST_BANDWIDTH) for _, high in EARLY_BANDS],
+)
+_mel = partial(
+    Bank,
+    source=MEL_SOURCE,
+    labels=MEL_BANDS.labels,
+    kind="vibration",
+    highest_frequency=np.maximum(MEL_BANDS.corners[2:], LEAST_BANDWIDTH).tolist(),
+    shortest_frame=(2 / (MEL_BANDS.corners[2:] - MEL_BANDS.corners[:-2])).tolist(),
+)
+_MEL = _mel(
+    "mel_*_hz",
+    "log10(U^2 s)",
+    "log10 of the energy in the mel band at * Hz, windowed as for level_total",
+    measure=lambda v, n: v.mel[:, n],
+)
+_PACKETS = Bank(
+    f"packet_*_of_{N_PACKETS}",
+    "log10(U^2 s)",
+    "log10 of the energy in wavelet packet *, windowed as for level_total",
+    PACKET_SOURCE,
+    lambda v, n: v.packets[:, n],
+    [str(number + 1) for number in range(N_PACKETS)],
+    kind="vibration",
+    highest_frequency=LEAST_BANDWIDTH,
+    extra="wavelets",
+)
+
+VIBRATION_FEATURES = (
+    _vibration("peak_amplitude", "U", "largest distance from the baseline", "signal amplitude", lambda v: v.peak),
+    _vibration(
+        "strong_rms",
+        "U",
+        f"root mean square from the onset until {STRONG_SHARE * 100:g} % of the windowed energy (the strong part)",
+        "signal energy",
+        lambda v: v.strong_rms,
+    ),
+    _vibration(
+        "crest_factor",
+        "1",
+        "peak_amplitude over strong_rms",
+        "signal shape",
+        lambda v: v.peak / v.strong_rms,
+        positive=True,
+    ),
+    _vibration(
+        "strong_kurtosis",
+        "1",
+        "fourth moment over the square of the second, strong part",
+        "signal shape",
+        lambda v: v.strong_moments[1] / v.strong_moments[0] ** 2,
+        positive=True,
+    ),
+    _vibration(
+        "zero_crossing_rate",
+        "Hz",
+        "changes of sign over the length of the strong part; twice the frequency of one mode",
+        "Rice 1944 (zero crossings)",
+        lambda v: v.zero_crossing_rate,
+    ),
+    _vibration("decay_time", "s", "time to fall by 60 dB", _SCHROEDER, lambda v: v.decay_time),
+    _spectral(
+        "vibration_centroid",
+        "Hz",
+        f"mean frequency, weighted by energy, noise subtracted, of the {_WINDOWED}",
+        measure=lambda v: v.clean_spectrum.moments[0],
+    ),
+    _spectral(
+        "vibration_spread",
+        "Hz",
+        "standard deviation about that centroid",
+        measure=lambda v: v.clean_spectrum.moments[1],
+    ),
+    _spectral(
+        "vibration_rolloff",
+        "Hz",
+        "85 % of the same energy lie below",
+        measure=lambda v: v.clean_spectrum.rolloff(0.85),
+    ),
+    _vibration(
+        "time_to_first_maximum",
+        "s",
+        "from the onset (5 % of the peak, or above the noise) to the first maximum of the amplitude",
+        "cgid",
+        lambda v: v.time_to_first_maximum,
+    ),
+    _vibration(
+        "time_to_peak",
+        "s",
+        "from the onset to the largest distance from the baseline",
+        "cgid",
+        lambda v: v.time_to_peak,
+    ),
+    _vibration("energy_rise_50", "s", f"time to half of the energy of the {_WINDOWED}", "cgid", lambda v: v.rise(0.5)),
+    _vibration("energy_rise_90", "s", "time to 90 % of it", "cgid", lambda v: v.rise(0.9)),
+    _TOTAL,
+    _LEVELS,
+    _LEVELS.less("relative_level_*_hz", _TOTAL),
+    _EARLY_LEVELS,
+    _EARLY_LEVELS.less("relative_early_level_*_hz", _TOTAL),
+    _spectral(
+        "vibration_skewness",
+        "1",
+        f"third standardised moment about vibration_centroid; {OF_THE_RATE}",
+        measure=lambda v: v.clean_spectrum.standardised_moments[0],
+    ),
+    _spectral(
+        "vibration_kurtosis",
+        "1",
+        f"fourth standardised moment about vibration_centroid; {OF_THE_RATE}",
+        measure=lambda v: v.clean_spectrum.standardised_moments[1],
+        positive=True,
+    ),
+    _spectral(
+        "vibration_flatness",
+        "1",
+        "log10 of the geometric over the arithmetic mean of the same spectrum above 0 Hz, noise included; "
+        f"{OF_THE_RATE}",
+        measure=lambda v: v.spectrum.flatness,
+    ),
+    _spectral(
+        "dominant_frequency",
+        "Hz",
+        f"frequency of the strongest {_MAXIMUM}",
+        measure=lambda v: v.dominant_frequencies[:, 0],
+    ),
+    _spectral(
+        "second_frequency",
+        "Hz",
+        f"frequency of the second strongest {_MAXIMUM}",
+        measure=lambda v: v.dominant_frequencies[:, 1],
+    ),
+    _spectral(
+        "third_frequency",
+        "Hz",
+        f"frequency of the third strongest {_MAXIMUM}",
+        measure=lambda v: v.dominant_frequencies[:, 2],
+    ),
+    _MEL,
+    _MEL.less("relative_mel_*_hz", _TOTAL),
+    _mel(
+        "mel_delay_*_hz",
+        "s",
+        "mean time after the onset of the energy of mel_*_hz; late where it decays slowly",
+        measure=lambda v, n: v.mel_delay[:, n],
+    ),
+    _PACKETS,
+    _PACKETS.less(f"relative_packet_*_of_{N_PACKETS}", _TOTAL),
+)

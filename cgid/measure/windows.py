@@ -1,36 +1,58 @@
-"""What can be measured on windows of a recording that nobody has looked for impacts in, lazily, each thing once.
+"""Measurements on windows of a recording, and their features (`WINDOW_FEATURES`, at the end).
 
-A window is a stretch of a stationary record: many bodies fall, slide and overlap, and none has a beginning. So nothing
-here looks for an onset, for noise before touch, or for where a vibration ends.
+A window is a stretch of a stationary recording: many bodies fall, slide and overlap, and no single impact is looked
+for. So there is no onset, no noise before touch and no end of a vibration.
 
-A window is cut into frames of `FRAME_TIME` that half overlap, each under a Hann bell. Their spectra, averaged, say what
-sounds; how much they differ from frame to frame says how: single blows differ, a steady rustle does not.
+A window is cut into frames of `FRAME_TIME` that half overlap, each under a Hann bell. Their mean spectrum says what
+sounds; how much they differ says how: single impacts differ, a steady rustle does not. Features with `relative` in
+their names, those without a unit and frequencies do not depend on the gain of the sensor.
 """
 
 from __future__ import annotations
 
-from functools import cached_property
+from collections.abc import Callable
+from functools import cached_property, partial
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cgid.measure.bands import EVEN_BANDS, MEL_BANDS, TriangularBands
-from cgid.measure.energy_spectrum import LOWEST_SHARE, EnergySpectrum
-from cgid.measure.wavelets import packet_energies
+from cgid.measure.spectra import (
+    EVEN_BANDS,
+    LOWEST_SHARE,
+    MEL_BANDS,
+    MEL_SOURCE,
+    N_PACKETS,
+    PACKET_SOURCE,
+    THIRD_OCTAVE_SOURCE,
+    THIRD_OCTAVES,
+    EnergySpectrum,
+    TriangularBands,
+    packet_energies,
+    third_octave,
+)
+from cgid.measure.table import LEAST_BANDWIDTH, OF_THE_RATE, Bank, Feature
 from cgid.validation import Floats
 
 #: Length of a frame [s]; the next begins half of it later.
 FRAME_TIME = 10e-3
-#: The envelope is the root mean square over so long [s].
+#: The envelope is the root mean square over this time [s].
 ENVELOPE_TIME = 1e-3
-#: A blow is where the envelope is highest within `BLOW_TIME` to either side [s], and at least so many times its mean.
+#: A blow is where the envelope is highest within `BLOW_TIME` to either side [s], and at least this many times its mean.
 BLOW_TIME, BLOW_OVER_MEAN = 3e-3, 1.5
-#: What is smaller has no fourth power that is a number.
+#: The fourth power of anything smaller underflows.
 SMALLEST_RMS = 1e-70
+#: Third octaves of windows [Hz]: without an exponential window they cover the audible range.
+WINDOW_THIRD_OCTAVES = (*THIRD_OCTAVES, "12500", "16000", "20000")
+#: Lags of the correlation of the envelope with itself [s].
+CORRELATION_LAGS = (2e-3, 5e-3, 10e-3)
+#: Shortest window [s]: three frames, half overlapping.
+SHORTEST_WINDOW = 2 * FRAME_TIME
 
 
 class WindowBatch:
-    """Windows of a recording; every row is the same whatever else is in the batch.
+    """Windows of a recording; each quantity is computed when it is first needed.
+
+    No row depends on the other rows of the batch.
 
     Parameters
     ----------
@@ -46,11 +68,11 @@ class WindowBatch:
         self.sampling_rate = sampling_rate
         self.remove_baseline = remove_baseline
 
-    # -- in time --------------------------------------------------------------------------------------
+    # -- samples --------------------------------------------------------------------------------------
 
     @cached_property
     def swing(self) -> Floats:
-        """The samples, baseline removed."""
+        """The samples, less the baseline."""
         swing = self.samples.astype(np.float64)
         if self.remove_baseline:
             swing -= swing.mean(axis=1, keepdims=True)
@@ -62,7 +84,7 @@ class WindowBatch:
 
     @cached_property
     def mean_square(self) -> Floats:
-        """Of the samples [unit^2]."""
+        """Mean square of the samples [unit^2]."""
         return np.asarray(self._square.mean(axis=1))
 
     @cached_property
@@ -77,7 +99,7 @@ class WindowBatch:
 
     @cached_property
     def kurtosis(self) -> Floats:
-        """Fourth moment over the square of the second: 3 for Gaussian noise, 1.5 for a tone, more for blows."""
+        """Fourth moment over the square of the second: 3 for Gaussian noise, 1.5 for a tone, more for impacts."""
         return np.asarray(np.square(self._square).mean(axis=1) / self.mean_square**2)
 
     @cached_property
@@ -120,11 +142,11 @@ class WindowBatch:
         return np.asarray(np.log10(np.maximum(self.envelope, 1e-6 * np.sqrt(self.mean_square)[:, None])))
 
     def envelope_quantile(self, share: float) -> Floats:
-        """Return what a share of the envelope stays below, as a logarithm (base 10)."""
+        """Return a quantile of the envelope, as a logarithm (base 10)."""
         return np.asarray(np.quantile(self.log_envelope, share, axis=1))
 
     def envelope_correlation(self, lag: float) -> Floats:
-        """Return how the envelope correlates with itself a time [s] later: vibrations that die slowly, much."""
+        """Return the correlation of the envelope with itself a time [s] later."""
         steps = min(max(round(lag / self._envelope_step), 1), self.envelope.shape[1] - 1)
         centred = self.envelope - self.envelope.mean(axis=1, keepdims=True)
         variance = np.maximum(np.square(centred).sum(axis=1), LOWEST_SHARE * self.mean_square)
@@ -132,7 +154,7 @@ class WindowBatch:
 
     @cached_property
     def blow_rate(self) -> Floats:
-        """Blows in a second [Hz]: where the envelope is highest around, and well above its mean."""
+        """Blows per second [Hz]: local maxima of the envelope well above its mean."""
         reach = max(round(BLOW_TIME / self._envelope_step), 1)
         padded = np.pad(self.envelope, ((0, 0), (reach, reach)))
         around = np.lib.stride_tricks.sliding_window_view(padded, 2 * reach + 1, axis=1)
@@ -143,12 +165,12 @@ class WindowBatch:
 
     @cached_property
     def _frames(self) -> tuple[float, Floats]:
-        """Width of a bin [Hz], and the mean square in each of them in each frame, (n_windows, n_frames, n_bins)."""
+        """Width of a bin [Hz], and the mean square in each bin of each frame, (n_windows, n_frames, n_bins)."""
         n_windows, n_samples = self.swing.shape
         length = min(max(round(FRAME_TIME * self.sampling_rate), 2), n_samples)
         bell = _hann(length)
         cut = np.lib.stride_tricks.sliding_window_view(self.swing, length, axis=1)[:, :: max(length // 2, 1)]
-        # Twice as long with zeros behind: bins no wider than half a frame's resolution.
+        # Zero-padded to twice the length: bins no wider than half the resolution of a frame.
         spectrum = EnergySpectrum.of((cut * bell).reshape(-1, length), self.sampling_rate, finer=2)
         power = spectrum.energy.reshape(n_windows, cut.shape[1], -1)
         power *= self.sampling_rate / np.sum(bell**2)
@@ -167,7 +189,7 @@ class WindowBatch:
 
     @cached_property
     def _fine_spectrum(self) -> EnergySpectrum:
-        """Mean square in the bins of the whole window [unit^2]: narrow, and no mean over frames."""
+        """Mean square in the narrow bins of the whole window [unit^2], without frames."""
         bell = _hann(self.swing.shape[1])
         spectrum = EnergySpectrum.of(self.swing * bell, self.sampling_rate)
         return EnergySpectrum(spectrum.spacing, spectrum.energy * (self.sampling_rate / np.sum(bell**2)))
@@ -208,15 +230,15 @@ class WindowBatch:
 
     @cached_property
     def even(self) -> tuple[Floats, Floats]:
-        """The same of `EVEN_BANDS`."""
+        """Mean and deviation of the logarithms (base 10) of `EVEN_BANDS` over the frames, (n_windows, n_bands)."""
         return _over_frames(self._log_levels(EVEN_BANDS))
 
     @cached_property
     def flux(self) -> Floats:
-        """How much the logarithms of the mel bands change from frame to frame, root mean square over bands."""
+        """Change of the logarithms of the mel bands from frame to frame, root mean square over bands."""
         return np.asarray(np.sqrt(np.square(np.diff(self._mel_levels, axis=1)).mean(axis=1).mean(axis=1)))
 
-    # -- what is wrong with it ------------------------------------------------------------------------
+    # -- rows that cannot be measured -----------------------------------------------------------------
 
     def problems(self) -> dict[int, str]:
         """Return, for each row that cannot be measured, the rule it breaks, its value and the cure."""
@@ -239,3 +261,204 @@ def _over_frames(levels: Floats) -> tuple[Floats, Floats]:
     """Return mean and standard deviation over the frames, (n_windows, n_bands)."""
     mean = levels.mean(axis=1)
     return np.asarray(mean), np.sqrt(np.square(levels - mean[:, None]).mean(axis=1))
+
+
+_Measure = Callable[[WindowBatch], Floats]
+
+
+# -- features -----------------------------------------------------------------------------------------
+
+_PEETERS = "Peeters 2004, CUIDADO report (spectral shape), of the mean spectrum of Welch 1967"
+_FRAMES = f"frames of {FRAME_TIME * 1e3:g} ms, half overlapping"
+_ENVELOPE = f"root mean square over each {ENVELOPE_TIME * 1e3:g} ms"
+_MAXIMUM = f"maximum of the mean spectrum, {2 / FRAME_TIME:g} Hz or more from a stronger"
+
+_window = partial(Feature, kind="window", highest_frequency=LEAST_BANDWIDTH, shortest_frame=SHORTEST_WINDOW)
+_spectral = partial(_window, source=_PEETERS)
+_shape = partial(_window, source="signal shape")
+
+_LEVEL = _window(
+    "window_level", "log10(U^2)", "log10 of the mean square, baseline removed", "signal energy", lambda w: w.level
+)
+
+
+def _triangular(
+    of: str, band: str, source: str, bands: TriangularBands, measured: Callable[[WindowBatch], tuple[Floats, Floats]]
+) -> tuple[Bank, Bank, Bank]:
+    """Return mean, mean relative to the total level, and deviation over the frames of each band."""
+    bank = partial(
+        Bank,
+        source=source,
+        labels=bands.labels,
+        kind="window",
+        highest_frequency=np.maximum(bands.corners[2:], LEAST_BANDWIDTH).tolist(),
+        shortest_frame=SHORTEST_WINDOW,
+    )
+    mean = bank(
+        f"window_{of}_*_hz",
+        "log10(U^2)",
+        f"mean over {_FRAMES}, of log10 of the mean square in the {band} at * Hz",
+        measure=lambda w, n: measured(w)[0][:, n],
+    )
+    deviation = bank(
+        f"window_{of}_deviation_*_hz",
+        "1",
+        f"standard deviation of what window_{of}_*_hz is a mean of",
+        measure=lambda w, n: measured(w)[1][:, n],
+    )
+    return mean, mean.less(f"window_relative_{of}_*_hz", _LEVEL), deviation
+
+
+_OCTAVES = [third_octave(number) for number in range(len(WINDOW_THIRD_OCTAVES))]
+_LEVELS = Bank(
+    "window_level_*_hz",
+    "log10(U^2)",
+    "log10 of the mean square in the third octave at * Hz, under one Hann bell",
+    THIRD_OCTAVE_SOURCE,
+    lambda w, n: w.band_level(*third_octave(n)),
+    WINDOW_THIRD_OCTAVES,
+    kind="window",
+    highest_frequency=[max(high, LEAST_BANDWIDTH) for _, high in _OCTAVES],
+    # A Hann bell over the window makes a line two over its length wide.
+    shortest_frame=[max(2 / (high - low), SHORTEST_WINDOW) for low, high in _OCTAVES],
+)
+_PACKETS = Bank(
+    f"window_packet_*_of_{N_PACKETS}",
+    "log10(U^2)",
+    "log10 of the mean square in wavelet packet *",
+    PACKET_SOURCE,
+    lambda w, n: w.packets[:, n],
+    [str(number + 1) for number in range(N_PACKETS)],
+    kind="window",
+    highest_frequency=LEAST_BANDWIDTH,
+    shortest_frame=SHORTEST_WINDOW,
+    extra="wavelets",
+)
+
+WINDOW_FEATURES = (
+    _LEVEL,
+    _window("window_peak", "U", "largest distance from the baseline", "signal amplitude", lambda w: w.peak),
+    _shape(
+        "window_crest_factor",
+        "1",
+        "window_peak over the root mean square",
+        measure=lambda w: w.peak / w.mean_square**0.5,
+        positive=True,
+    ),
+    _shape(
+        "window_kurtosis",
+        "1",
+        "fourth moment over the square of the second: 3 for Gaussian noise, more for single impacts",
+        measure=lambda w: w.kurtosis,
+        positive=True,
+    ),
+    _window(
+        "window_zero_crossing_rate",
+        "Hz",
+        "changes of sign over the length of the window",
+        "Rice 1944 (zero crossings)",
+        lambda w: w.zero_crossing_rate,
+    ),
+    _spectral("window_centroid", "Hz", "mean frequency, weighted by power", measure=lambda w: w.spectrum.moments[0]),
+    _spectral("window_spread", "Hz", "standard deviation about the centroid", measure=lambda w: w.spectrum.moments[1]),
+    _spectral(
+        "window_spectral_skewness",
+        "1",
+        f"third standardised moment about the centroid; {OF_THE_RATE}",
+        measure=lambda w: w.spectrum.standardised_moments[0],
+    ),
+    _spectral(
+        "window_spectral_kurtosis",
+        "1",
+        f"fourth standardised moment about the centroid; {OF_THE_RATE}",
+        measure=lambda w: w.spectrum.standardised_moments[1],
+        positive=True,
+    ),
+    _spectral("window_rolloff_50", "Hz", "half of the power lies below", measure=lambda w: w.spectrum.rolloff(0.5)),
+    _spectral("window_rolloff_85", "Hz", "85 % of the power lie below", measure=lambda w: w.spectrum.rolloff(0.85)),
+    _spectral(
+        "window_flatness",
+        "1",
+        f"log10 of the geometric over the arithmetic mean of the spectrum above 0 Hz; {OF_THE_RATE}",
+        measure=lambda w: w.spectrum.flatness,
+    ),
+    _spectral(
+        "window_flux",
+        "1",
+        f"root mean square change of log10 of the mel bands from one frame to the next ({_FRAMES})",
+        measure=lambda w: w.flux,
+        positive=True,
+    ),
+    _spectral(
+        "window_dominant_frequency",
+        "Hz",
+        f"frequency of the strongest {_MAXIMUM}",
+        measure=lambda w: w.dominant_frequencies[:, 0],
+    ),
+    _spectral(
+        "window_second_frequency",
+        "Hz",
+        f"frequency of the second strongest {_MAXIMUM}",
+        measure=lambda w: w.dominant_frequencies[:, 1],
+    ),
+    _spectral(
+        "window_third_frequency",
+        "Hz",
+        f"frequency of the third strongest {_MAXIMUM}",
+        measure=lambda w: w.dominant_frequencies[:, 2],
+    ),
+    _shape(
+        "window_envelope_variation",
+        "1",
+        f"standard deviation over mean of the envelope ({_ENVELOPE})",
+        measure=lambda w: w.envelope_moments[0],
+        positive=True,
+    ),
+    _shape("window_envelope_skewness", "1", "third standardised moment of it", measure=lambda w: w.envelope_moments[1]),
+    _shape(
+        "window_envelope_kurtosis",
+        "1",
+        "fourth standardised moment of it",
+        measure=lambda w: w.envelope_moments[2],
+        positive=True,
+    ),
+    _shape(
+        "window_envelope_range",
+        "1",
+        "log10 of the 90 % quantile of the envelope over its 10 % quantile",
+        measure=lambda w: w.envelope_quantile(0.9) - w.envelope_quantile(0.1),
+        positive=True,
+    ),
+    _shape(
+        "window_envelope_crest",
+        "1",
+        "log10 of the largest over the median of the envelope",
+        measure=lambda w: w.envelope_quantile(1.0) - w.envelope_quantile(0.5),
+        positive=True,
+    ),
+    Bank(
+        "window_envelope_correlation_*_ms",
+        "1",
+        "correlation of the envelope with itself * ms later: high where vibrations decay slowly",
+        "signal shape",
+        lambda w, n: w.envelope_correlation(CORRELATION_LAGS[n]),
+        [f"{lag * 1e3:g}" for lag in CORRELATION_LAGS],
+        kind="window",
+        highest_frequency=LEAST_BANDWIDTH,
+        shortest_frame=SHORTEST_WINDOW,
+    ),
+    _window(
+        "window_blow_rate",
+        "Hz",
+        f"maxima of the envelope per second, the highest within {BLOW_TIME * 1e3:g} ms and above {BLOW_OVER_MEAN:g} "
+        "times its mean",
+        "cgid",
+        lambda w: w.blow_rate,
+    ),
+    _LEVELS,
+    _LEVELS.less("window_relative_level_*_hz", _LEVEL),
+    *_triangular("mel", "mel band", MEL_SOURCE, MEL_BANDS, lambda w: w.mel),
+    *_triangular("even", "band of an even bank", "cgid", EVEN_BANDS, lambda w: w.even),
+    _PACKETS,
+    _PACKETS.less(f"window_relative_packet_*_of_{N_PACKETS}", _LEVEL),
+)

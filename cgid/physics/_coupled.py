@@ -4,11 +4,11 @@ Dimensionless as in `_taylor` (x approach, y velocity of the sphere, f force, mu
 
     y' = gamma - f,  Q_r'' + 2 z w Q_r' + w^2 Q_r = f,  x' = y - sum of mu_r Q_r',  f = x^(3/2) (1 + D x')
 
-The modes are linear, so they are not integrated: with a = Q' + (z w + i w_d) Q, a' = lambda a + f is exact to any
-step, lambda = i w_d - z w, and what they give back is one number, the velocity of the point of impact. Each step
+The modes are linear and need no integration: with a = Q' + (z w + i w_d) Q, a' = lambda a + f is exact to any
+step, lambda = i w_d - z w, and all they return is one number, the velocity of the point of impact. Each step
 sums over the modes what that velocity is without a force (polynomial through Chebyshev times), solves the force at
 Gauss nodes against it and against the modes' answer to a unit impulse, and gives every mode its integral of the
-force. The cost of the nonlinear part does not know how many modes there are.
+force. The cost of the nonlinear part does not depend on the number of modes.
 
 Where 1 + D x' would become negative the beam runs from the sphere faster than the material recovers: the sphere is
 released, without attraction, until it parts or is pressed again.
@@ -28,12 +28,11 @@ from cgid.physics.collocation import FROM_TOUCH, TO_SEPARATION, WITHIN, Collocat
 
 Array = NDArray[Any]
 
-
-#: What became of an impact.
+#: Outcomes of an impact.
 SEPARATED, STAYS, OUT_OF_REACH = 0, 1, 2
-#: Steps of one impact, contacts of one impact, and trials of one step; what needs more is beyond the reach.
+#: Largest numbers of steps and of contacts of an impact, and of trials of a step.
 MOST_STEPS, MOST_CONTACTS, _MOST_TRIALS = 4096, 64, 60
-#: A contact that lasts so long under its weight does not end.
+#: A contact that lasts longer than this under its weight does not end [T0].
 _FOR_GOOD = 1e3
 #: Columns of the results, in units of L, T0, v, m and K L^(3/2).
 RESULTS = (
@@ -54,22 +53,9 @@ RESULTS = (
     "end_level",
 )
 (
-    _STATUS,
-    _RESTITUTION,
-    _CONTACTS,
-    _PEAK,
-    _TIME_OF_PEAK,
-    _FIRST,
-    _END,
-    _DEPTH,
-    _TIME_OF_DEPTH,
-    _IMPULSE,
-    _WORK,
-    _LOSS,
-    _MODAL,
-    _END_DEPTH,
-    _LEVEL,
-) = range(len(RESULTS))
+    _STATUS, _RESTITUTION, _CONTACTS, _PEAK, _TIME_OF_PEAK, _FIRST, _END, _DEPTH,
+    _TIME_OF_DEPTH, _IMPULSE, _WORK, _LOSS, _MODAL, _END_DEPTH, _LEVEL,
+) = range(len(RESULTS))  # fmt: skip
 #: Columns of a step in the course of an impact: kind, time of its start, its length, then n Legendre coefficients
 #: of the force and n of the displacement.
 KIND, START, LENGTH, COEFFICIENTS = 0, 1, 2, 3
@@ -78,6 +64,21 @@ _T, _X, _Y, _N_STATE = 0, 1, 2, 3
 #: What ends a flight: nothing, a touch, or the material catches up with a sphere that was released.
 _NEVER, _TOUCH, _CAUGHT_UP = 0, 1, 2
 _FIRST_STEP = 0.4  # of an elastic contact that lasts 3.22
+
+
+class Problem(NamedTuple):
+    """One impact, in units of L, T0 and v, and the weights of a step."""
+
+    rule: Collocation
+    table: Array  # (modes, 2, k) real and imaginary part of exp(lambda t) over the longest step
+    share: Array  # (modes,) mu
+    loss: Array  # (modes,) z / sqrt(1 - z^2)
+    angular: Array  # (modes,) w_d
+    longest: float  # step
+    damping: float  # D
+    weight: float  # gamma
+    window: float  # within which a new contact may begin
+    tolerance: float  # of the force in a step, over its peak
 
 
 class Scratch(NamedTuple):
@@ -135,25 +136,23 @@ def _dot(a: Array, b: Array) -> float:
 
 
 @inner_jit
-def _advance_modes(
-    table: Array, share: Array, loss: Array, moments: Array, turn: Array, whole: bool, amplitude: Array, free: Array
-) -> None:
+def _advance_modes(p: Problem, moments: Array, turn: Array, whole: bool, s: Scratch) -> None:
     """Take the modes over a step and sum what the point of impact will do without a force."""
-    last = free.size - 1
+    amplitude, free, last = s.amplitude, s.free, s.free.size - 1
     free[:] = 0.0
-    for r in range(share.size):
-        real, imaginary = table[r, 0], table[r, 1]
+    for r in range(p.share.size):
+        real, imaginary = p.table[r, 0], p.table[r, 1]
         a, b = amplitude[r, 0], amplitude[r, 1]
         if whole:
-            c, s = real[last], imaginary[last]
+            cosine, sine = real[last], imaginary[last]
         else:
-            c, s = _dot(real, turn), _dot(imaginary, turn)
-        a, b = c * a - s * b + _dot(real, moments), c * b + s * a + _dot(imaginary, moments)
+            cosine, sine = _dot(real, turn), _dot(imaginary, turn)
+        a, b = cosine * a - sine * b + _dot(real, moments), cosine * b + sine * a + _dot(imaginary, moments)
         amplitude[r, 0], amplitude[r, 1] = a, b
         # Q' is the real part of (1 + i z / sqrt(1 - z^2)) a.
-        c, s = share[r] * (a - loss[r] * b), share[r] * (b + loss[r] * a)
+        to_real, to_imaginary = p.share[r] * (a - p.loss[r] * b), p.share[r] * (b + p.loss[r] * a)
         for k in range(free.size):
-            free[k] += c * real[k] - s * imaginary[k]
+            free[k] += to_real * real[k] - to_imaginary * imaginary[k]
 
 
 @inner_jit
@@ -174,16 +173,16 @@ def _cardinal(rule: Collocation, at: float, out: Array) -> None:
 
 
 @inner_jit
-def _prepare(rule: Collocation, kind: int, h: float, longest: float, s: Scratch) -> None:
+def _prepare(p: Problem, kind: int, h: float, s: Scratch) -> None:
     """Bring what modes do into the time of a step of length h, and fill its matrices."""
-    k_times, n = rule.times.size, rule.place.shape[1]
-    if h == longest:
+    k_times, n = p.rule.times.size, p.rule.place.shape[1]
+    if h == p.longest:
         for j in range(k_times):
             s.free_now[j] = s.free[j]
     else:
         if s.known[2] != h:
             for j in range(k_times):
-                _cardinal(rule, h / longest * rule.times[j], s.restriction[j])
+                _cardinal(p.rule, h / p.longest * p.rule.times[j], s.restriction[j])
             s.known[2] = h
         for j in range(k_times):
             s.free_now[j] = _dot(s.restriction[j], s.free)
@@ -191,13 +190,13 @@ def _prepare(rule: Collocation, kind: int, h: float, longest: float, s: Scratch)
         return
     s.known[0], s.known[1] = kind, h
     for j in range(k_times):
-        s.answer_now[j] = s.answer[j] if h == longest else _dot(s.restriction[j], s.answer)
-    integral = rule.integral[kind]
+        s.answer_now[j] = s.answer[j] if h == p.longest else _dot(s.restriction[j], s.answer)
+    integral = p.rule.integral[kind]
     for i in range(n):
         for j in range(n):
             s.first[i, j] = integral[i, j]
     for k in range(k_times):
-        answer, memory = s.answer_now[k], rule.memory[kind, k]
+        answer, memory = s.answer_now[k], p.rule.memory[kind, k]
         for i in range(n):
             for j in range(n):
                 s.first[i, j] += answer * memory[i, j]
@@ -237,16 +236,14 @@ def _eliminate(matrix: Array) -> None:
 
 
 @inner_jit
-def _attempt(
-    rule: Collocation, kind: int, h: float, longest: float, damping: float, weight: float, state: Array, s: Scratch
-) -> bool:
-    """Solve one step of length h by Newton's method, from the force that stands in s.force; tell if it converged."""
-    _prepare(rule, kind, h, longest, s)
+def _attempt(p: Problem, kind: int, h: float, state: Array, s: Scratch) -> bool:
+    """Solve one step of length h by Newton's method, from the force in s.force; return whether it converged."""
+    _prepare(p, kind, h, s)
     n = s.force.size
-    place, integral, measure = rule.place[kind], rule.integral[kind], rule.measure[kind]
+    place, integral, measure = p.rule.place[kind], p.rule.integral[kind], p.rule.measure[kind]
     base, level = np.empty(n), np.empty(n)
     for i in range(n):
-        base[i] = state[_Y] + weight * h * place[i] - _dot(rule.cardinal[kind, i], s.free_now)
+        base[i] = state[_Y] + p.weight * h * place[i] - _dot(p.rule.cardinal[kind, i], s.free_now)
     for i in range(n):
         level[i] = state[_X] + h * _dot(integral[i], base)
     converged = False
@@ -256,11 +253,11 @@ def _attempt(
             rate, depth = base[i] - _dot(s.first[i], s.force), level[i] - _dot(s.second[i], s.force)
             root = math.sqrt(max(depth, 0.0))
             spring = root * max(depth, 0.0)
-            of_depth, of_rate = 1.5 * root * (1.0 + damping * rate), damping * spring
+            of_depth, of_rate = 1.5 * root * (1.0 + p.damping * rate), p.damping * spring
             for j in range(n):
                 s.jacobian[i, j] = of_depth * s.second[i, j] + of_rate * s.first[i, j]
             s.jacobian[i, i] += 1.0
-            s.jacobian[i, n] = spring * (1.0 + damping * rate) - s.force[i]
+            s.jacobian[i, n] = spring * (1.0 + p.damping * rate) - s.force[i]
         _eliminate(s.jacobian)
         for i in range(n):
             s.force[i] += s.jacobian[i, n]
@@ -273,15 +270,15 @@ def _attempt(
             break
     for i in range(n):
         s.rate[i], s.depth[i] = base[i] - _dot(s.first[i], s.force), level[i] - _dot(s.second[i], s.force)
-        s.beam[i] = state[_Y] + h * (weight * place[i] - _dot(integral[i], s.force)) - s.rate[i]
+        s.beam[i] = state[_Y] + h * (p.weight * place[i] - _dot(integral[i], s.force)) - s.rate[i]
     answer = s.free_now[s.free_now.size - 1]
     for k in range(s.moments.size):
-        s.moments[k] = h * _dot(rule.moment[kind, k], s.force)
+        s.moments[k] = h * _dot(p.rule.moment[kind, k], s.force)
         answer += s.answer_now[k] * s.moments[k]
     s.ends[0] = state[_X] + h * _dot(measure, s.rate)
-    s.ends[1] = state[_Y] + h * (weight - _dot(measure, s.force)) - answer
+    s.ends[1] = state[_Y] + h * (p.weight - _dot(measure, s.force)) - answer
     for i in range(n):
-        s.coefficients[i] = _dot(rule.legendre[i], s.force)
+        s.coefficients[i] = _dot(p.rule.legendre[i], s.force)
     return converged
 
 
@@ -335,7 +332,7 @@ def _crest(coefficients: Array, values: Array, rule: Collocation) -> tuple[float
 
 @inner_jit
 def _tail(s: Scratch, scale: float) -> float:
-    """Return what the series of the force leaves out, over the largest force."""
+    """Return the truncation error of the series of the force, over the largest force."""
     n = s.force.size
     for i in range(n):
         scale = max(scale, abs(s.force[i]))
@@ -344,13 +341,11 @@ def _tail(s: Scratch, scale: float) -> float:
 
 
 @inner_jit
-def _separate(
-    rule: Collocation, kind: int, guess: float, longest: float, damping: float, weight: float, state: Array, s: Scratch
-) -> float:
+def _separate(p: Problem, kind: int, guess: float, state: Array, s: Scratch) -> float:
     """Solve the step up to separation; return its length, or 0 if the sphere does not leave in the longest step."""
-    h = min(guess, longest)
+    h = min(guess, p.longest)
     for _ in range(12):
-        if not _attempt(rule, kind, h, longest, damping, weight, state, s) or s.ends[1] >= 0.0:
+        if not _attempt(p, kind, h, state, s) or s.ends[1] >= 0.0:
             return 0.0
         change = -s.ends[0] / s.ends[1]
         if abs(change) <= 4e-16 * (state[_T] + h):
@@ -359,30 +354,30 @@ def _separate(
                     return 0.0
             return h
         h += change
-        if not 0.0 < h <= longest:
+        if not 0.0 < h <= p.longest:
             return 0.0
     return 0.0
 
 
 @inner_jit
-def _release(rule: Collocation, kind: int, h: float, damping: float, s: Scratch) -> float:
+def _release(p: Problem, kind: int, h: float, s: Scratch) -> float:
     """Return when in this step the force would become attractive, 0 if it does not."""
     n = s.rate.size
     first = -1
     for i in range(n):
-        if 1.0 + damping * s.rate[i] < 0.0:
+        if 1.0 + p.damping * s.rate[i] < 0.0:
             first = i
             break
-    if first < 0 and 1.0 + damping * s.ends[1] >= 0.0:
+    if first < 0 and 1.0 + p.damping * s.ends[1] >= 0.0:
         return 0.0
     series = np.empty(n)
     for i in range(n):
-        series[i] = _dot(rule.legendre[i], s.rate)
-    low = rule.place[WITHIN, first - 1] if first > 0 else (0.0 if first == 0 else rule.place[WITHIN, n - 1])
-    high = rule.place[WITHIN, first] if first >= 0 else 1.0
+        series[i] = _dot(p.rule.legendre[i], s.rate)
+    low = p.rule.place[WITHIN, first - 1] if first > 0 else (0.0 if first == 0 else p.rule.place[WITHIN, n - 1])
+    high = p.rule.place[WITHIN, first] if first >= 0 else 1.0
     for _ in range(52):
         middle = 0.5 * (low + high)
-        if 1.0 + damping * _legendre(series, middle)[0] > 0.0:
+        if 1.0 + p.damping * _legendre(series, middle)[0] > 0.0:
             low = middle
         else:
             high = middle
@@ -390,37 +385,28 @@ def _release(rule: Collocation, kind: int, h: float, damping: float, s: Scratch)
 
 
 @inner_jit
-def _to_release(
-    rule: Collocation,
-    kind: int,
-    guess: float,
-    longest: float,
-    damping: float,
-    weight: float,
-    state: Array,
-    s: Scratch,
-) -> float:
+def _to_release(p: Problem, kind: int, guess: float, state: Array, s: Scratch) -> float:
     """Solve the step up to where the force has fallen to zero within contact; return its length, or 0."""
     n, h = s.rate.size, guess
     series = np.empty(n)
     for _ in range(12):
-        if not _attempt(rule, kind, h, longest, damping, weight, state, s):
+        if not _attempt(p, kind, h, state, s):
             return 0.0
         for i in range(n):
-            series[i] = _dot(rule.legendre[i], s.rate)
+            series[i] = _dot(p.rule.legendre[i], s.rate)
         slope = _legendre(series, 1.0)[1] / (h if kind == WITHIN else 2.0 * h)
-        change = -(s.ends[1] + 1.0 / damping) / slope
+        change = -(s.ends[1] + 1.0 / p.damping) / slope
         if abs(change) <= 1e-14 * (state[_T] + h):
             return h
         h += change
-        if slope >= 0.0 or not 0.0 < h <= longest:
+        if slope >= 0.0 or not 0.0 < h <= p.longest:
             return 0.0
     return 0.0
 
 
 @inner_jit
 def _pressed(s: Scratch) -> bool:
-    """Tell if the sphere is in contact all through the step."""
+    """Return whether the sphere is in contact all through the step."""
     for i in range(s.depth.size):
         if s.depth[i] <= 0.0:
             return False
@@ -428,18 +414,18 @@ def _pressed(s: Scratch) -> bool:
 
 
 @inner_jit
-def _guess(rule: Collocation, kind: int, h: float, damping: float, state: Array, s: Scratch) -> None:
+def _guess(p: Problem, kind: int, h: float, state: Array, s: Scratch) -> None:
     """Start Newton from a sphere that is braked by the force of this moment, on a beam that goes on as it does."""
     rate = state[_Y] - s.free[0]
-    start = _cubed_root(state[_X]) * (1.0 + damping * rate)
+    start = _cubed_root(state[_X]) * (1.0 + p.damping * rate)
     for i in range(s.force.size):
-        t = h * rule.place[kind, i]
+        t = h * p.rule.place[kind, i]
         depth = state[_X] * (1.0 - t / h) if kind == TO_SEPARATION else state[_X] + t * (rate - 0.5 * start * t)
-        s.force[i] = _cubed_root(depth) * max(1.0 + damping * (rate - start * t), 0.0)
+        s.force[i] = _cubed_root(depth) * max(1.0 + p.damping * (rate - start * t), 0.0)
 
 
 @inner_jit
-def _parting(damping: float, state: Array, s: Scratch) -> float:
+def _parting(p: Problem, state: Array, s: Scratch) -> float:
     """Return about when the sphere leaves, infinity while it is pressed deeper.
 
     Exact for a force that falls with the power 3/2 of the time left, and moves the sphere alone.
@@ -447,58 +433,48 @@ def _parting(damping: float, state: Array, s: Scratch) -> float:
     away = s.free[0] - state[_Y]
     if away <= 0.0:
         return math.inf
-    push = 2.0 / 7.0 * _cubed_root(state[_X]) * max(1.0 - damping * away, 0.0)
+    push = 2.0 / 7.0 * _cubed_root(state[_X]) * max(1.0 - p.damping * away, 0.0)
     parting: float = 2.0 * state[_X] / (away + math.sqrt(away * away + 4.0 * push * state[_X]))
     return parting
 
 
 @inner_jit
-def _step(
-    rule: Collocation,
-    wish: float,
-    longest: float,
-    damping: float,
-    weight: float,
-    tolerance: float,
-    peak: float,
-    state: Array,
-    s: Scratch,
-) -> tuple[int, float, bool, float]:
+def _step(p: Problem, wish: float, peak: float, state: Array, s: Scratch) -> tuple[int, float, bool, float]:
     """Find a step that the nodes resolve: kind, length, whether the sphere is free after it, length to try next.
 
-    A length of 0 is none.
+    A length of 0 means that there is none.
     """
     n = s.force.size
-    h, kind = min(wish, longest), FROM_TOUCH if state[_X] == 0.0 else WITHIN
+    h, kind = min(wish, p.longest), FROM_TOUCH if state[_X] == 0.0 else WITHIN
     for _ in range(_MOST_TRIALS):
-        parting = _parting(damping, state, s)
+        parting = _parting(p, state, s)
         last = TO_SEPARATION if kind == WITHIN and parting <= h else kind
         if last == TO_SEPARATION:
-            _guess(rule, last, parting, damping, state, s)
-            found = _separate(rule, last, parting, longest, damping, weight, state, s)
+            _guess(p, last, parting, state, s)
+            found = _separate(p, last, parting, state, s)
             if found > 0.0:
-                released = _release(rule, last, found, damping, s) if damping > 0.0 else 0.0
+                released = _release(p, last, found, s) if p.damping > 0.0 else 0.0
                 if released == 0.0:
-                    if _tail(s, peak) <= tolerance:
+                    if _tail(s, peak) <= p.tolerance:
                         return last, found, True, wish
                 else:
                     h = min(h, 1.05 * released)
         if kind == WITHIN and 0.5 * parting < h < parting * 1.5:
             h = 0.5 * parting
-        _guess(rule, kind, h, damping, state, s)
-        fine = _attempt(rule, kind, h, longest, damping, weight, state, s) and _pressed(s)
+        _guess(p, kind, h, state, s)
+        fine = _attempt(p, kind, h, state, s) and _pressed(s)
         tail = _tail(s, peak) if fine else math.inf
-        if fine and tail <= tolerance:
-            factor = min(2.0, power(0.2 * tolerance / max(tail, 1e-18), 2.0 / n))
-            released = _release(rule, kind, h, damping, s) if damping > 0.0 else 0.0
+        if fine and tail <= p.tolerance:
+            factor = min(2.0, power(0.2 * p.tolerance / max(tail, 1e-18), 2.0 / n))
+            released = _release(p, kind, h, s) if p.damping > 0.0 else 0.0
             if released == 0.0:
                 return kind, h, False, max(factor * h, 0.5 * wish if h < wish else 0.0)
-            found = _to_release(rule, kind, released, longest, damping, weight, state, s)
-            if found > 0.0 and _tail(s, peak) <= tolerance:
+            found = _to_release(p, kind, released, state, s)
+            if found > 0.0 and _tail(s, peak) <= p.tolerance:
                 return kind, found, True, wish
             h = 0.5 * released
         elif fine:
-            h *= max(0.3, power(0.2 * tolerance / tail, 2.0 / n))
+            h *= max(0.3, power(0.2 * p.tolerance / tail, 2.0 / n))
         else:
             h *= 0.4
         if h < 1e-13:
@@ -507,22 +483,24 @@ def _step(
 
 
 @inner_jit
-def _energy(share: Array, loss: Array, amplitude: Array) -> float:
+def _energy(p: Problem, s: Scratch) -> float:
     """Return what the modes hold: mu (Q'^2 + w^2 Q^2) / 2."""
     total = 0.0
-    for r in range(share.size):
-        rate = amplitude[r, 0] - loss[r] * amplitude[r, 1]
-        total += 0.5 * share[r] * (rate * rate + amplitude[r, 1] * amplitude[r, 1] * (1.0 + loss[r] * loss[r]))
+    for r in range(p.share.size):
+        a, b, loss = s.amplitude[r, 0], s.amplitude[r, 1], p.loss[r]
+        rate = a - loss * b
+        total += 0.5 * p.share[r] * (rate * rate + b * b * (1.0 + loss * loss))
     return total
 
 
 @inner_jit
-def _level(share: Array, angular: Array, amplitude: Array) -> tuple[float, float]:
-    """Return the displacement of the point of impact, and what it never passes without a force."""
+def _level(p: Problem, s: Scratch) -> tuple[float, float]:
+    """Return the displacement of the point of impact, and its largest one without a force."""
     level, most = 0.0, 0.0
-    for r in range(share.size):
-        level += share[r] * amplitude[r, 1] / angular[r]
-        most += share[r] * math.sqrt(amplitude[r, 0] * amplitude[r, 0] + amplitude[r, 1] * amplitude[r, 1]) / angular[r]
+    for r in range(p.share.size):
+        a, b = s.amplitude[r, 0], s.amplitude[r, 1]
+        level += p.share[r] * b / p.angular[r]
+        most += p.share[r] * math.sqrt(a * a + b * b) / p.angular[r]
     return level, most
 
 
@@ -542,137 +520,98 @@ def _between(rule: Collocation, values: Array, low: float, high: float, sign: fl
 
 
 @inner_jit
-def _event(
-    rule: Collocation, depth: Array, rate: Array, damping: float, released: bool, room: Array
-) -> tuple[int, float]:
+def _event(p: Problem, depth: Array, rate: Array, released: bool, room: Array) -> tuple[int, float]:
     """Return what happens first in an interval of flight, and when over its length."""
     caught = np.empty(rate.size)
     for k in range(rate.size):
-        caught[k] = 1.0 + damping * rate[k]
+        caught[k] = 1.0 + p.damping * rate[k]
     for k in range(1, depth.size):
-        low, high = rule.times[k - 1], rule.times[k]
+        low, high = p.rule.times[k - 1], p.rule.times[k]
         if released:
             if caught[k] > 0.0 and depth[k] > 0.0:
-                return _CAUGHT_UP, _between(rule, caught, low, high, 1.0, room)
+                return _CAUGHT_UP, _between(p.rule, caught, low, high, 1.0, room)
             released = depth[k] > 0.0
         elif depth[k] >= 0.0:
-            return _TOUCH, _between(rule, depth, low, high, 1.0, room)
+            return _TOUCH, _between(p.rule, depth, low, high, 1.0, room)
         elif rate[k - 1] > 0.0 > rate[k]:
-            crest = _between(rule, rate, low, high, -1.0, room)
-            _cardinal(rule, crest, room)
+            crest = _between(p.rule, rate, low, high, -1.0, room)
+            _cardinal(p.rule, crest, room)
             if _dot(room, depth) > 0.0:
-                return _TOUCH, _between(rule, depth, low, crest, 1.0, room)
+                return _TOUCH, _between(p.rule, depth, low, crest, 1.0, room)
     return _NEVER, 1.0
 
 
 @inner_jit
-def _fly(
-    rule: Collocation,
-    table: Array,
-    share: Array,
-    loss: Array,
-    angular: Array,
-    longest: float,
-    damping: float,
-    weight: float,
-    window: float,
-    state: Array,
-    s: Scratch,
-) -> int:
-    """Follow sphere and modes without a force until they meet again or the window is over."""
-    n_times = rule.times.size
+def _fly(p: Problem, state: Array, s: Scratch) -> int:
+    """Follow sphere and modes without a force until they meet again or the window ends."""
+    n_times = p.rule.times.size
     rate, depth, turn = np.empty(n_times), np.empty(n_times), np.empty(n_times)
     s.moments[:] = 0.0
     released = state[_X] > 0.0
     while True:
         for k in range(n_times):
-            rate[k] = state[_Y] + weight * longest * rule.times[k] - s.free[k]
+            rate[k] = state[_Y] + p.weight * p.longest * p.rule.times[k] - s.free[k]
         for k in range(n_times):
-            depth[k] = state[_X] + longest * _dot(rule.flight[k], rate)
-        event, at = _event(rule, depth, rate, damping, released, turn)
-        if event == _TOUCH and state[_T] + at * longest > window:
+            depth[k] = state[_X] + p.longest * _dot(p.rule.flight[k], rate)
+        event, at = _event(p, depth, rate, released, turn)
+        if event == _TOUCH and state[_T] + at * p.longest > p.window:
             return _NEVER
-        _cardinal(rule, at, turn)
+        _cardinal(p.rule, at, turn)
         state[_X] = _dot(turn, depth) if event != _TOUCH else 0.0
-        state[_Y] += weight * at * longest
-        state[_T] += at * longest
-        _advance_modes(table, share, loss, s.moments, turn, event == _NEVER, s.amplitude, s.free)
+        state[_Y] += p.weight * at * p.longest
+        state[_T] += at * p.longest
+        _advance_modes(p, s.moments, turn, event == _NEVER, s)
         if event != _NEVER:
             return event
         released = state[_X] > 0.0
-        left = window - state[_T]
+        left = p.window - state[_T]
         if not released:
             if left <= 0.0:
                 return _NEVER
-            level, most = _level(share, angular, s.amplitude)
+            level, most = _level(p, s)
             sphere = state[_X] + level
-            if max(sphere, sphere + left * (state[_Y] + 0.5 * weight * left)) + most < 0.0:
+            if max(sphere, sphere + left * (state[_Y] + 0.5 * p.weight * left)) + most < 0.0:
                 return _NEVER
 
 
 @inner_jit
-def _book(rule: Collocation, kind: int, h: float, damping: float, state: Array, s: Scratch, result: Array) -> None:
+def _book(p: Problem, kind: int, h: float, state: Array, s: Scratch, result: Array) -> None:
     """Enter a step into the results: work, loss, impulse and the largest values."""
-    measure = rule.measure[kind]
+    measure = p.rule.measure[kind]
     for i in range(s.force.size):
         depth = max(s.depth[i], 0.0)
         result[_IMPULSE] += h * measure[i] * s.force[i]
         result[_WORK] += h * measure[i] * s.force[i] * s.beam[i]
-        result[_LOSS] += h * measure[i] * damping * depth * math.sqrt(depth) * s.rate[i] * s.rate[i]
-    value, place = _crest(s.coefficients, s.force, rule)
+        result[_LOSS] += h * measure[i] * p.damping * depth * math.sqrt(depth) * s.rate[i] * s.rate[i]
+    value, place = _crest(s.coefficients, s.force, p.rule)
     if value > result[_PEAK]:
         result[_PEAK], result[_TIME_OF_PEAK] = value, state[_T] + h * _passed(kind, place)
     for i in range(s.depth.size):
-        s.depths[i] = _dot(rule.legendre[i], s.depth)
-    value, place = _crest(s.depths, s.depth, rule)
+        s.depths[i] = _dot(p.rule.legendre[i], s.depth)
+    value, place = _crest(s.depths, s.depth, p.rule)
     if value > result[_DEPTH]:
         result[_DEPTH], result[_TIME_OF_DEPTH] = value, state[_T] + h * _passed(kind, place)
 
 
 @inner_jit
-def _accept(
-    rule: Collocation,
-    table: Array,
-    share: Array,
-    loss: Array,
-    kind: int,
-    h: float,
-    longest: float,
-    weight: float,
-    state: Array,
-    s: Scratch,
-) -> None:
+def _accept(p: Problem, kind: int, h: float, state: Array, s: Scratch) -> None:
     """Take sphere and modes over the step that was solved."""
     k_times = s.moments.size
     moments, turn = s.moments, s.moments
-    if h != longest:
+    if h != p.longest:
         turn = s.restriction[k_times - 1]
         moments = np.zeros(k_times)
         for j in range(k_times):
             for k in range(k_times):
                 moments[k] += s.moments[j] * s.restriction[j, k]
     state[_X] = 0.0 if kind == TO_SEPARATION else s.ends[0]
-    state[_Y] += h * (weight - _dot(rule.measure[kind], s.force))
+    state[_Y] += h * (p.weight - _dot(p.rule.measure[kind], s.force))
     state[_T] += h
-    _advance_modes(table, share, loss, moments, turn, h == longest, s.amplitude, s.free)
+    _advance_modes(p, moments, turn, h == p.longest, s)
 
 
 @inner_jit
-def _follow(
-    rule: Collocation,
-    table: Array,
-    share: Array,
-    loss: Array,
-    angular: Array,
-    longest: float,
-    damping: float,
-    weight: float,
-    window: float,
-    tolerance: float,
-    course: Array,
-    result: Array,
-    s: Scratch,
-) -> int:
+def _follow(p: Problem, course: Array, result: Array, s: Scratch) -> int:
     """Fill course and result of one impact; return the number of steps."""
     state = np.zeros(_N_STATE)
     state[_Y] = 1.0
@@ -683,37 +622,37 @@ def _follow(
     result[:] = 0.0
     result[_STATUS], result[_CONTACTS] = OUT_OF_REACH, 1.0
     total = 0.0
-    for r in range(share.size):
-        total += share[r]
+    for r in range(p.share.size):
+        total += p.share[r]
         for k in range(s.answer.size):
-            s.answer[k] += share[r] * (table[r, 0, k] - loss[r] * table[r, 1, k])
-    first = _FIRST_STEP * power((1.0 + total) * (1.0 + damping), -0.4)
+            s.answer[k] += p.share[r] * (p.table[r, 0, k] - p.loss[r] * p.table[r, 1, k])
+    first = _FIRST_STEP * power((1.0 + total) * (1.0 + p.damping), -0.4)
     wish, touch = first, 0.0
     for n in range(MOST_STEPS):
-        kind, h, free_after, wish = _step(rule, wish, longest, damping, weight, tolerance, result[_PEAK], state, s)
+        kind, h, free_after, wish = _step(p, wish, result[_PEAK], state, s)
         if h == 0.0:
             return n
         course[n, KIND], course[n, START], course[n, LENGTH] = kind, state[_T], h
-        _book(rule, kind, h, damping, state, s, result)
+        _book(p, kind, h, state, s, result)
         for i in range(s.force.size):
             course[n, COEFFICIENTS + i] = s.coefficients[i]
             course[n, COEFFICIENTS + s.force.size + i] = s.depths[i]
-        _accept(rule, table, share, loss, kind, h, longest, weight, state, s)
+        _accept(p, kind, h, state, s)
         if kind == FROM_TOUCH:
             touch = state[_T] - h
         if not free_after:
-            if weight > 0.0 and state[_T] - touch > _FOR_GOOD:
+            if p.weight > 0.0 and state[_T] - touch > _FOR_GOOD:
                 result[_STATUS] = STAYS
                 return n + 1
             continue
-        level, _ = _level(share, angular, s.amplitude)
+        level, _ = _level(p, s)
         result[_END], result[_RESTITUTION] = state[_T], -state[_Y]
         result[_END_DEPTH], result[_LEVEL] = state[_X], state[_X] + level
-        result[_MODAL] = _energy(share, loss, s.amplitude)
+        result[_MODAL] = _energy(p, s)
         if result[_CONTACTS] == 1.0:
             result[_FIRST] = state[_T]
         result[_LOSS] += 0.4 * state[_X] * _cubed_root(state[_X])  # what is still compressed relaxes without a force
-        event = _fly(rule, table, share, loss, angular, longest, damping, weight, window, state, s)
+        event = _fly(p, state, s)
         if event == _NEVER:
             result[_STATUS] = SEPARATED
             return n + 1
@@ -765,7 +704,7 @@ def follow(
     first_step: Array,
     results: Array,
 ) -> int:
-    """Solve some impacts, in this order, until all are done or the course has no more room; return how many are.
+    """Solve some impacts, in this order, until all are done or the course is full; return how many are done.
 
     decay, angular and loss (modes,) are z w [1/s], w_d [1/s] and z / sqrt(1 - z^2), participation (impacts, modes) is
     in 1/kg, parameters (impacts, 6) are D, gamma, window over T0, mass [kg], T0 [s] and longest step [s]. course
@@ -787,10 +726,8 @@ def follow(
             share[r] = participation[row, r] * mass
             scaled[r] = angular[r] * unit
         first_step[i] = here
-        here += _follow(
-            rule, table, share, loss, scaled, longest / unit, damping, weight, window, tolerance,
-            course[here:], results[row], s,
-        )  # fmt: skip
+        problem = Problem(rule, table, share, loss, scaled, longest / unit, damping, weight, window, tolerance)
+        here += _follow(problem, course[here:], results[row], s)
         first_step[i + 1] = here
     return rows.size
 

@@ -1,6 +1,6 @@
-"""Numba kernels of the tabulated pulses: floats and arrays in, arrays out, no checks, no strings.
+"""Numba kernels of the tabulated pulses; `cgid.family` describes how a pulse is stored.
 
-`cgid.family` says how a pulse is stored. No `fastmath`: the same table gives the same bits on every machine,
+No `fastmath`: the same table gives the same bits on every machine,
 whether or not it fuses multiplication and addition.
 """
 
@@ -39,8 +39,8 @@ def _add_segment(
 ) -> None:
     """Add the force on samples that lie in one segment; square is sigma^2 of the first, step its increment.
 
-    The loop runs over a slice from its start and over a fixed number of powers, which is what lets the compiler
-    take several samples at once. Even and odd powers are two chains, which run side by side in the processor.
+    The loop runs over a slice from its start and over a fixed number of powers, so that the compiler vectorises over
+    samples. Even and odd powers are two independent chains.
     """
     offset = 2.0 * segment + 1.0
     for k in range(samples.size):

@@ -4,7 +4,7 @@ A pole p with state z obeys z' = p z + P. Over a step h in which P is straight, 
 E z + g0 P_n + g1 P_(n+1), E = exp(p h). With z = u + g1 P this is u_(n+1) = E u_n + b P_n, b = g0 + E g1: one input.
 Over the M steps of a sample u moves to E^M u + b sum E^(M-1-j) P_j. As functions of j these powers are smooth, and a
 few polynomials serve all poles: the sum over steps is made once for each polynomial, and each pole adds up polynomials.
-Once P is zero, u rings as exp(p t), which is a table of so many samples, turned on by exp(p) of their number.
+Once P is zero, u rings as exp(p t): a table of a block of samples, multiplied by exp(p) of its length for the next.
 No `fastmath`: loops run over poles or over samples, each of which keeps its own order of sums.
 """
 
@@ -73,13 +73,12 @@ def strike(
     ringing: Array,
     chosen: Array,
 ) -> None:
-    """Add what is heard during contact to frames (n_rows, n_samples), and leave what rings on behind it.
+    """Add the response during contact to frames (n_rows, n_samples), and return the ringing that is left after it.
 
     Pulse i falls on row[i]. force (n, k) holds it on a grid of stride[i] steps a sample that begins on sample first[i]
-    and has count[i] samples, at the end of which there is none; drive is the same made ready for straight lines.
-    polynomials, shares and edge have a leading axis for level[i]; amplitude (n, 2, n_poles); direct (n) is what passes
-    at once.
-    ringing (n, 2, n_poles) becomes amplitude times state at the sample first + count.
+    and has count[i] samples and ends with zeros; drive is the same, corrected for straight lines between steps.
+    polynomials, shares and edge have a leading axis for level[i]; amplitude (n, 2, n_poles); direct (n) is the share
+    that passes without delay. ringing (n, 2, n_poles) becomes amplitude times state at the sample first + count.
     """
     n_samples, n_poles = frames.shape[1], amplitude.shape[2]
     state, moments = np.empty((2, n_poles)), np.empty(polynomials.shape[2])
@@ -100,7 +99,7 @@ def strike(
 def _add_ring(samples: Array, weights: Array, n_alive: int, table: Array, skipped: int) -> None:
     """Add the ringing of some poles to samples; table (2, n_poles, length) holds exp(p t), real and imaginary part.
 
-    One pole after the other over all samples: that is the loop which the compiler turns into vector instructions.
+    The inner loop runs over samples, so that the compiler vectorises it.
     """
     for r in range(n_alive):
         re, im = weights[0, r], weights[1, r]
@@ -122,8 +121,8 @@ def ring(
     """Add free ringing to frames (n_rows, n_samples); return how many samples of poles were computed.
 
     Of row i the pulses order[begin[i]:begin[i + 1]], sorted by start, begin to ring at sample start of the frame.
-    table (2, n_poles, length), hop (2, n_poles) is exp(p length). Poles are sorted by how long they ring: from the end
-    of the list those are left out that together are quieter than silence times the largest sample so far.
+    table (2, n_poles, length), hop (2, n_poles) is exp(p length). Poles are sorted, the longest ringing first: the last
+    ones are left out as long as they are together quieter than silence times the largest sample so far.
     """
     length, n_poles = table.shape[2], table.shape[1]
     kind = table[0, 0, :1]

@@ -1,16 +1,20 @@
-"""Numba kernels of the reference path: one impact, integrated by Taylor series of its own recurrences.
+"""Numba kernels that integrate one impact in time: by Taylor series, and by Runge-Kutta where less accuracy is enough.
 
 The contact (dimensionless: x displacement, y velocity of the sphere, f force)
 
     x' = y - lambda f,  y' = gamma - f,  f = x^(3/2) + (D x^(3/2) + zeta x^(1/2)) x'
 
 is not smooth at touch. With x = w^2 and d tau = w d sigma it becomes polynomial, and passes smoothly through
-w = 0 at both ends of the contact:
+w = 0 at both ends of the contact (the reference path, accurate to rounding):
 
     w' = (y - lambda f) / 2,  y' = w (gamma - f),  tau' = w,  f = w r - lambda c f,  r = w^2 q + zeta y,
 
-with q = 1 + D y (carried as a state of its own: where it decays to nothing, it keeps its digits and its sign)
-and c = D w^3 + zeta w.
+with q = 1 + D y (a state of its own: where it decays to nothing, it keeps its digits and its sign) and
+c = D w^3 + zeta w.
+
+The quick path (`add_stepped`) integrates the same equations in plain time by the classic Runge-Kutta method. Touch and
+separation are not smooth there, so the error falls with the power 5/2 of the number of steps: a few hundred steps
+reach 1e-6 of the peak, at a twentieth of the cost of the reference path.
 """
 
 from __future__ import annotations
@@ -26,13 +30,12 @@ from cgid.compiled import jit
 
 Array = NDArray[Any]
 
-
-#: Order of the series (an argument of every kernel, for as a constant it would be compiled once more), and the share
-#: of their radius of convergence that a step takes: .15^20 is 1e-16.5.
+#: Order of the series (an argument of every kernel: as a constant it would be compiled once more), and the share of
+#: their radius of convergence that a step takes: .15^20 is 1e-16.5.
 ORDER, SHARE = 20, 0.15
-#: Room for the steps of one impact; what needs more is beyond the reach of this path.
+#: Largest number of steps of one impact; beyond it this path gives up.
 MOST_STEPS = 4096
-#: What became of an impact.
+#: Outcomes of an impact.
 SEPARATED, STAYS, OUT_OF_REACH = 0, 1, 2
 #: Rows of a step: w, its rate of displacement u = x', force, time, plate energy, w^2 q + zeta y, sphere velocity.
 _W, _U, _F, _TAU, _PLATE, _R, _Y, _ROWS = 0, 1, 2, 3, 4, 5, 6, 7
@@ -53,7 +56,7 @@ RESULTS = (
     "end_displacement",
     "plate_energy",
 )
-_LEAST_POWER = 1e-30  # below it the force is nothing beside its peak, and the rest is free flight
+_LEAST_POWER = 1e-30  # below it the force is negligible, and the rest is free flight
 
 
 @jit
@@ -81,7 +84,7 @@ def _expand(
     q, square, c, wf = scratch[0], scratch[1], scratch[2], scratch[3]
     q[0] = q0
     for k in range(order + 1):
-        # Each product's coefficient k is a sum over i of a_i b_(k - i). What is known beforehand goes in one loop.
+        # Coefficient k of a product is a sum over i of a_i b_(k - i). The terms known beforehand go in one loop.
         of_square, of_r, of_f, of_wf, of_cube, of_c, of_plate = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
         for i in range(k):
             of_r += square[i] * q[k - i]
@@ -127,7 +130,7 @@ def _inverse_radius(series: Array, row: int, order: int, scale: float) -> float:
 
 @jit
 def _step_length(step: Array, scratch: Array, order: int, share: float) -> float:
-    # The digits of w are wanted beside its largest value; at touch that is still to come, a rate of 1/2 away.
+    # w needs its digits relative to its largest value; at touch that is still to come, at a rate of 1/2.
     inverse = max(_inverse_radius(step, _Y, order, 1.0), _inverse_radius(step, _W, order, max(step[_W, 0], 0.1)))
     if scratch[0, 0] != 1.0:
         inverse = max(inverse, _inverse_radius(scratch, 0, order, scratch[0, 0]))
@@ -192,7 +195,7 @@ def _happen(watched: Array, order: int, h: float, at: Array) -> float:
 
 @jit
 def _stays(step: Array, order: int, h: float, damping: float, zeta: float, weight: float, turned: bool) -> bool:
-    """Tell at the end of a step whether gravity holds the sphere for good."""
+    """Return whether gravity holds the sphere for good, judged at the end of a step."""
     u = _value(step, _U, order, h)
     if abs(u) < 1e-13 or (turned and u > 0.0):
         return True
@@ -347,3 +350,65 @@ def add_to_frames(
             if 0.0 < tau < result[2]:
                 n, s = _march(steps, lengths, count, order, n, s, tau)
                 frames[i, k] += amplitude[i] * _quantity(steps[n], order, s, FORCE)
+
+
+@jit
+def _contact_force(x: float, y: float, damping: float, zeta: float, inelasticity: float) -> float:
+    if x <= 0.0:
+        return 0.0
+    root = math.sqrt(x)
+    loss = damping * x * root + zeta * root
+    return (x * root + loss * y) / (1.0 + inelasticity * loss)
+
+
+@jit
+def _runge_kutta(x: float, y: float, h: float, parameters: Array) -> tuple[float, float]:
+    """Return displacement and velocity of the sphere a step h later."""
+    damping, zeta, inelasticity, weight = parameters[0], parameters[1], parameters[2], parameters[3]
+    f1 = _contact_force(x, y, damping, zeta, inelasticity)
+    u1, a1 = y - inelasticity * f1, weight - f1
+    x2, y2 = x + 0.5 * h * u1, y + 0.5 * h * a1
+    f2 = _contact_force(x2, y2, damping, zeta, inelasticity)
+    u2, a2 = y2 - inelasticity * f2, weight - f2
+    x3, y3 = x + 0.5 * h * u2, y + 0.5 * h * a2
+    f3 = _contact_force(x3, y3, damping, zeta, inelasticity)
+    u3, a3 = y3 - inelasticity * f3, weight - f3
+    x4, y4 = x + h * u3, y + h * a3
+    f4 = _contact_force(x4, y4, damping, zeta, inelasticity)
+    u4, a4 = y4 - inelasticity * f4, weight - f4
+    return x + h * (u1 + 2.0 * (u2 + u3) + u4) / 6.0, y + h * (a1 + 2.0 * (a2 + a3) + a4) / 6.0
+
+
+@jit
+def add_stepped(
+    frames: Array,
+    onset: Array,
+    step: Array,
+    parameters: Array,
+    amplitude: Array,
+    contact_time: Array,
+    n_steps: int,
+    rows: Array,
+) -> None:
+    """Add one force pulse to some rows of frames (n, n_samples); only contact is touched.
+
+    onset [samples] is where touch falls on the sample grid, step is the sampling interval over T0. A contact, which
+    lasts contact_time, takes n_steps or more.
+    """
+    for i in rows:
+        samples, numbers = frames[i], parameters[i]
+        finest = contact_time[i] / n_steps
+        n_samples = float(samples.size)
+        here = int(min(max(math.floor(onset[i]) + 1.0, 0.0), n_samples))
+        end = int(min(max(math.ceil(onset[i] + contact_time[i] / step[i]), 0.0), n_samples))
+        x, y, tau = 0.0, 1.0, 0.0
+        for k in range(here, end):
+            left = (k - onset[i]) * step[i] - tau
+            for m in range(max(math.ceil(left / finest), 1), 0, -1):
+                h = left / m
+                x, y = _runge_kutta(x, y, h, numbers)
+                left -= h
+            tau = (k - onset[i]) * step[i]
+            if tau >= contact_time[i]:
+                break
+            samples[k] += amplitude[i] * max(_contact_force(x, y, numbers[0], numbers[1], numbers[2]), 0.0)

@@ -27,8 +27,8 @@ class Sphere:
     @property
     def mass(self) -> Floats:
         """`4/3 pi R^3 rho` [kg]."""
-        radius = validation.real("radius", self.radius, "m")
-        return 4 / 3 * np.pi * (radius * radius * radius) * validation.real("density", self.material.density, "kg/m^3")
+        radius = np.asarray(self.radius, np.float64)
+        return 4 / 3 * np.pi * (radius * radius * radius) * np.asarray(self.material.density, np.float64)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,9 +43,9 @@ class HalfSpace:
 
 @dataclass(frozen=True, kw_only=True)
 class ThinPlate:
-    """A plate of `material` and `thickness` [m], so wide that no wave comes back from its edges in time.
+    """A plate of `material` and `thickness` [m], so wide that no wave comes back from its edges during contact.
 
-    Where it is hit it gives way at the speed `P / Z`, and flexural waves carry the energy off: Zener (1941),
+    At the point of impact it yields at the speed `P / Z`, and flexural waves carry the energy away: Zener (1941),
     Phys. Rev. 59, 669.
     """
 
@@ -67,12 +67,12 @@ class ThinPlate:
         >>> round(float(ThinPlate(material=STEEL, thickness=0.008).impedance))
         6291
         """
-        return impedance_of_unit_thickness(self.material) * validation.real("thickness", self.thickness, "m") ** 2
+        return impedance_of_unit_thickness(self.material) * np.asarray(self.thickness, np.float64) ** 2
 
 
 def impedance_of_unit_thickness(material: Material) -> Floats:
     """Return Z / h^2 of a thin plate [kg/(s m^2)]."""
-    density = validation.real("density", material.density, "kg/m^3")
+    density = np.asarray(material.density, np.float64)
     return 8 * np.sqrt(density / (12 * material.plane_strain_compliance))
 
 
@@ -88,10 +88,10 @@ Target = HalfSpace | ThinPlate | Sphere | RigidWall
 
 def reduced_radius(sphere: Sphere, target: Target) -> Floats:
     """Return R of the contact [m]: `1/R = 1/R1 + 1/R2`, R1 itself against a flat target (Yang 2018, Eq. 8)."""
-    radius = validation.real("radius", sphere.radius, "m")
+    radius = np.asarray(sphere.radius, np.float64)
     if not isinstance(target, Sphere):
         return radius
-    return 1 / (1 / radius + 1 / validation.real("radius", target.radius, "m"))
+    return 1 / (1 / radius + 1 / np.asarray(target.radius, np.float64))
 
 
 def reduced_modulus(sphere: Sphere, target: Target) -> Floats:

@@ -1,10 +1,10 @@
-"""The constant numbers of a collocation step in which the force meets modes that remember it.
+"""Constant weights of a collocation step for a contact force that acts on modes.
 
 A step covers the time h. In its own variable s from 0 to 1 the time passed is `h m(s)`, and m makes the force
-analytic: m = s within contact, `s^2` from touch on and `s (2 - s)` up to separation, where the force goes like
-the distance in time to the power 3/2. The force is the polynomial through its values at n Gauss nodes of s; what
-modes do freely, and how they answer a unit impulse, are polynomials of time through k Chebyshev nodes, ends among
-them.
+analytic: m = s within contact, `s^2` after touch and `s (2 - s)` before separation, where the force goes like the
+distance in time to the power 3/2. The force is the polynomial through its values at n Gauss nodes of s; the
+free motion of the modes, and their response to a unit impulse, are polynomials of time through k Chebyshev nodes,
+ends included.
 """
 
 from __future__ import annotations
@@ -38,8 +38,8 @@ class Collocation(NamedTuple):
     integral : ndarray, (3, n, n)
         Weights of the integrals from 0 to each Gauss node.
     memory : ndarray, (3, k, n, n)
-        `memory[kind, k, i, j]`: what a unit impulse response of 1 at Chebyshev time k, 0 at the others, gives at
-        Gauss node i by a force of 1 at Gauss node j, 0 at the others.
+        `memory[kind, k, i, j]`: response at Gauss node i to a force of 1 at Gauss node j, 0 at the others, for a unit
+        impulse response of 1 at Chebyshev time k, 0 at the others.
     moment : ndarray, (3, k, n)
         The same at the end of the step.
     cardinal : ndarray, (3, n, k)
@@ -47,7 +47,7 @@ class Collocation(NamedTuple):
     legendre : ndarray, (n, n)
         From values at the Gauss nodes to the coefficients of Legendre polynomials of `2 s - 1`.
     times : ndarray, (k,)
-        The Chebyshev times over h, 0 and 1 among them.
+        The Chebyshev times over h, 0 and 1 included.
     barycentric : ndarray, (k,)
         Their barycentric weights.
     flight : ndarray, (k, k)

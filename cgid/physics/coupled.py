@@ -1,23 +1,33 @@
-"""ModalImpact: a sphere on a structure that is given by its modes, contact and modes solved together."""
+"""ModalImpact: an impact on a structure that is given by its modes, contact and modes solved together."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike, DTypeLike, NDArray
 
 from cgid import validation
 from cgid.counting import count
 from cgid.errors import InvalidValue
 from cgid.physics.bodies import HalfSpace
-from cgid.physics.dissipation import Elastic, HuntCrossley
-from cgid.physics.modal_curves import ModalCurves, solve
-from cgid.physics.pulse import Impact
+from cgid.physics.collocation import collocation
+from cgid.physics.curves import FEW_SAMPLES, Curves, Quantity, in_threads, kernel
+from cgid.physics.impact import Impact
+from cgid.physics.laws import Elastic, HuntCrossley
 from cgid.validation import Floats
 
-#: Times T0 after touch within which new contacts are followed, if nothing is said: some four undamped contacts.
+#: Gauss nodes and Chebyshev times of a step.
+N_NODES, N_TIMES = 16, 32
+#: Phase [rad] of the fastest mode in a step: `J_32(8)` is 1e-16. Duration of a step over T0.
+_LARGEST_PHASE, _LONGEST_STEP = 16.0, 1.2
+#: Modes up to which an impact or two are not worth compiling.
+_FEW_MODES = 256
+#: Steps of an impact for which memory is allocated at first, and the most steps in one piece of memory.
+_USUAL_STEPS, _PIECE = 64, 16384
+#: Default window for new contacts after the first touch [T0]: about four undamped contacts.
 USUAL_WINDOW = 12.0
 
 
@@ -25,10 +35,10 @@ USUAL_WINDOW = 12.0
 class ModalImpact(Impact):
     """A normal impact of a sphere on a structure that moves in its modes; numbers may be arrays, and they broadcast.
 
-    The structure gives way at the point of impact, rings, and may swing back: the sphere can be hit again. No loss is
-    counted twice: rebound, material loss and what the structure was given are together the energy of impact, with what
-    gravity does on the way. It takes the place of an `Impact` on a thin plate where waves come back from the edges,
-    or where the structure is no plate; the two agree on a large plate with enough modes.
+    The structure yields at the point of impact, rings, and may swing back and hit the sphere again. No loss is counted
+    twice: rebound, material loss and energy of the structure add up to the energy of impact and the work of gravity.
+    Use it in place of an `Impact` on a thin plate if waves come back from the edges in time, or if the structure is no
+    plate; the two agree on a large plate with enough modes.
 
     Parameters
     ----------
@@ -39,9 +49,9 @@ class ModalImpact(Impact):
     velocity : array_like
         Normal impact speed [m/s], above 0.
     stiffness : {"hertz", "rigid-sphere", "series"}
-        The theory of the contact stiffness (`cgid.physics.hertz`).
+        The theory of the contact stiffness (`cgid.physics.laws`).
     dissipation : Elastic or HuntCrossley
-        The material's loss alone.
+        Loss in the material alone.
     gravity : array_like
         Pull towards the structure [m/s^2], 0 or more, during contact and between contacts.
     frequency : array_like, (n_modes,)
@@ -49,24 +59,24 @@ class ModalImpact(Impact):
     damping_ratio : array_like, (n_modes,) or one number
         Above 0 and below 1.
     compliance : array_like, (..., n_modes)
-        Square of each mode's shape at the point of impact over its modal mass [1/kg], 0 or more: how lightly the mode
-        is moved there. The axes before the last are those of the impacts.
+        Square of each mode's shape at the point of impact over its modal mass [1/kg], 0 or more. The axes before the
+        last are those of the impacts.
     residual_compliance : array_like
-        Static compliance at the point of impact of the modes that were left out above these [m/N], 0 or more: the sum
-        of `compliance / (2 pi frequency)^2` over them, or `2 / (pi Z w)` of a thin plate of impedance Z, cut at
+        Static compliance at the point of impact of the higher modes that are left out [m/N], 0 or more: the sum of
+        `compliance / (2 pi frequency)^2` over them, or `2 / (pi Z w)` of a thin plate of impedance Z, cut at
         w [rad/s].
     window : array_like, optional
-        Time from the first touch [s] within which a new contact may begin; one that has begun is followed to its end.
-        12 times T0 (some four undamped contacts on a half space) if it is not given.
+        Time from the first touch [s] within which a new contact may begin; it is then followed to its end. By default
+        12 times T0, about four undamped contacts on a half space.
     tolerance : float
-        What the polynomials of the force may leave out over its peak, from 1e-12 to 1e-4. Energies, restitution and
-        the duration of contact come out far better than that.
+        Truncation error of the polynomials of the force over its peak, from 1e-12 to 1e-4. Energies, restitution and
+        the duration of contact are far more accurate.
 
     Raises
     ------
     InvalidValue
         A number breaks its rule, shapes do not broadcast, the sphere does not rebound, or the impact lies outside the
-        reach of double precision.
+        range of double precision.
 
     Warns
     -----
@@ -75,11 +85,11 @@ class ModalImpact(Impact):
 
     Notes
     -----
-    Modes far above the contact take part as well, by giving way: leaving them out makes the structure too stiff, and
-    the error goes like the inverse of the highest frequency. With their residual compliance they are one more mode, as
-    much damped as the last, at sqrt(3) times its frequency: there it stands for the modes of a plate, whose
-    compliances are evenly spread in frequency, to the second order, too. On a wide plate the restitution of the
-    thin-plate theory is then met within .001 by modes up to twice the inverse contact duration (lambda of .13 and .5).
+    Modes far above the contact contribute compliance: leaving them out makes the structure too stiff, with an error
+    like the inverse of the highest frequency. Their residual compliance becomes one more mode, with the damping of the
+    last one, at sqrt(3) times its frequency: for the modes of a plate, whose compliances are spread evenly in
+    frequency, this is right to second order. On a wide plate, modes up to twice the inverse contact duration then give
+    the restitution of the thin-plate theory within .001 (lambda of .13 and .5).
 
     Examples
     --------
@@ -115,17 +125,8 @@ class ModalImpact(Impact):
         frequency = validation.positive("frequency", self.frequency, "Hz")
         if frequency.ndim != 1:
             raise InvalidValue(f"frequency must be a list of modes, got an array of shape {frequency.shape}")
-        falling = np.flatnonzero(np.diff(frequency) < 0)
-        if falling.size:
-            at = falling[0]
-            raise InvalidValue(
-                f"frequency must ascend, got {frequency[at + 1]:g} Hz after {frequency[at]:g} Hz at index {at + 1}; "
-                "sort the modes, with their damping ratios and compliances"
-            )
-        damping = validation.positive("damping_ratio", self.damping_ratio)
-        over = damping >= 1
-        if over.any():
-            raise InvalidValue(f"damping_ratio must lie above 0 and below 1, got {damping[over][0]:g}")
+        validation.ascending("frequency", frequency, "Hz")
+        damping = validation.damping_ratio("damping_ratio", self.damping_ratio)
         compliance = validation.not_negative("compliance", self.compliance, "1/kg")
         n_modes = frequency.size
         if damping.shape not in ((), (n_modes,)) or compliance.shape[-1:] != (n_modes,):
@@ -147,7 +148,7 @@ class ModalImpact(Impact):
 
     @cached_property
     def _given(self) -> dict[str, Floats]:
-        """What the parts come to, broadcast to one shape."""
+        """Numbers of the impact from its parts, broadcast to one shape."""
         given = super()._given
         leading = np.empty(np.shape(self.compliance)[:-1])
         window = np.empty(()) if self.window is None else np.asarray(self.window)
@@ -157,11 +158,11 @@ class ModalImpact(Impact):
         return {name: np.broadcast_to(numbers, shape) for name, numbers in given.items()}
 
     def _modes(self, shape: tuple[int, ...]) -> tuple[Floats, Floats, Floats]:
-        """Return frequencies, damping ratios and compliances (*shape, n_modes), those left out as a mode of its own."""
-        frequency = validation.real("frequency", self.frequency)
-        damping = np.broadcast_to(validation.real("damping_ratio", self.damping_ratio), frequency.shape)
-        compliance = np.broadcast_to(validation.real("compliance", self.compliance), (*shape, frequency.size))
-        residual = np.broadcast_to(validation.real("residual_compliance", self.residual_compliance), shape)
+        """Return frequencies, damping ratios and compliances (*shape, n_modes), the residual one as last mode."""
+        frequency = np.asarray(self.frequency, np.float64)
+        damping = np.broadcast_to(np.asarray(self.damping_ratio, np.float64), frequency.shape)
+        compliance = np.broadcast_to(np.asarray(self.compliance, np.float64), (*shape, frequency.size))
+        residual = np.broadcast_to(np.asarray(self.residual_compliance, np.float64), shape)
         if not residual.any():
             return frequency, damping, compliance
         highest = np.sqrt(3) * frequency[-1]
@@ -179,11 +180,11 @@ class ModalImpact(Impact):
         count("coupled_impacts", size)
         rigid = super().curves
         frequency, damping_ratio, compliance = self._modes(shape)
-        window = USUAL_WINDOW if self.window is None else validation.real("window", self.window) / self.time_scale
-        return solve(
+        window = USUAL_WINDOW if self.window is None else np.asarray(self.window) / self.time_scale
+        return _solve(
             frequency,
             damping_ratio,
-            # A copy, for of an array that is read only the kernel would be compiled once more.
+            # A copy: for a read-only array the kernel would be compiled once more.
             np.array(compliance.reshape(size, frequency.size), order="C"),
             rigid.material_restitution,
             rigid.damping,
@@ -194,10 +195,6 @@ class ModalImpact(Impact):
             float(self.tolerance),
         )
 
-    @property
-    def _unit_of_energy(self) -> Floats:
-        return self.reduced_mass * self._velocity**2
-
     def _result(self, name: str) -> Floats:
         return self._shaped(self.curves.result(name))
 
@@ -205,7 +202,7 @@ class ModalImpact(Impact):
     def restitution(self) -> Floats:
         """Speed away from the structure's place at rest after the last contact, over impact speed.
 
-        Below 0 where the sphere goes on as the structure does, only slower.
+        Negative where the sphere goes on in the direction of the impact.
         """
         return self._result("restitution").copy()
 
@@ -226,26 +223,196 @@ class ModalImpact(Impact):
 
     @property
     def radiated_energy(self) -> Floats:
-        """Energy given to the structure, the work of the force on it over all contacts [J]."""
-        return self._unit_of_energy * self._result("plate_energy")
+        """Energy passed to the structure, the work of the force on it over all contacts [J]."""
+        return self._energy_scale * self._result("plate_energy")
 
     @property
     def modal_energy(self) -> Floats:
-        """What the modes still hold of it at the end of the last contact [J]."""
-        return self._unit_of_energy * self._result("modal_energy")
+        """The part of it still in the modes at the end of the last contact [J]."""
+        return self._energy_scale * self._result("modal_energy")
 
     @property
     def modal_dissipation(self) -> Floats:
-        """What the modes' damping took of it until then [J]."""
+        """The part of it lost in the modes' damping until then [J]."""
         return self.radiated_energy - self.modal_energy
 
     @property
     def dissipated_energy(self) -> Floats:
-        """Energy lost in the material, the work of the damping force [J]; no remainder, but an integral of its own."""
-        return self._unit_of_energy * self._result("material_loss")
+        """Energy lost in the material, the work of the damping force [J]: integrated, not a remainder."""
+        return self._energy_scale * self._result("material_loss")
 
     @property
     def energy_error(self) -> Floats:
-        """Rebound, material loss and structure less the energy of impact and the sphere's fall, over the former."""
+        """Rebound, material loss and structure less the energy of impact and of the fall, over the energy of impact."""
         found = 0.5 * self.restitution**2 + self._result("plate_energy") + self._result("material_loss")
         return np.asarray(2 * (found - 0.5 - self._shaped(self.curves.weight) * self._result("end_level")))
+
+
+@dataclass(frozen=True)
+class ModalCurves(Curves):
+    """The courses of n impacts, in units of L, T0 and `K L^(3/2)`; all of them are integrated.
+
+    Attributes
+    ----------
+    results : ndarray, (n, n_results)
+        Columns `_coupled.RESULTS`.
+    course : ndarray, (n_steps, n_columns)
+        Force and displacement step by step, see `_coupled`.
+    begin, end : ndarray, (n,)
+        First step of each impact, and one past its last.
+    """
+
+    results: Floats
+    course: Floats
+    begin: NDArray[np.intp]
+    end: NDArray[np.intp]
+
+    @cached_property
+    def plain(self) -> NDArray[np.bool_]:
+        """False: no result is a closed form."""
+        return np.zeros(len(self.results), bool)
+
+    @cached_property
+    def _summary(self) -> dict[str, Floats]:
+        from cgid.physics import _coupled
+
+        return dict(zip(_coupled.RESULTS, self.results.T, strict=True))
+
+    def result(self, name: str) -> Floats:
+        """Return a column of the results."""
+        return self._integrated[name]
+
+    @property
+    def impulse(self) -> Floats:
+        """Integral of the force over all contacts."""
+        return self.result("impulse")
+
+    def taken(self, rows: NDArray[np.intp]) -> ModalCurves:
+        """Return the curves of these rows, in this order."""
+        plain = super().taken(rows)
+        numbers = (plain.material_restitution, plain.zeta, plain.inelasticity, plain.weight)
+        return ModalCurves(*numbers, self.results[rows], self.course, self.begin[rows], self.end[rows])
+
+    def require_rebound(self) -> None:
+        """Raise `InvalidValue` where the sphere does not leave again, or not within the reach of double precision."""
+        _ = self._integrated
+
+    def _require_separation(self, rows: NDArray[np.intp], status: Floats) -> None:
+        from cgid.physics import _coupled
+
+        if (status == _coupled.SEPARATED).all():
+            return
+        index = np.flatnonzero(status != _coupled.SEPARATED)[0]
+        row = rows[index]
+        numbers = f"restitution of the material {self.material_restitution[row]:g}, g L / v^2 {self.weight[row]:g}"
+        place = f" at index {row}" if self.weight.size > 1 else ""
+        if status[index] == _coupled.STAYS:
+            raise InvalidValue(
+                f"the sphere must rebound, but its weight holds it on the structure ({numbers}){place}; "
+                "raise the velocity or the restitution, or leave gravity out"
+            )
+        raise InvalidValue(
+            f"an impact must end within {_coupled.MOST_STEPS} steps and {_coupled.MOST_CONTACTS} contacts, "
+            f"got more ({numbers}){place}; raise the restitution, shorten the window, or leave out the fastest modes"
+        )
+
+    def evaluate(
+        self, times: Floats, time_scale: Floats, amplitude: Floats, quantity: Quantity, dtype: DTypeLike, threads: int
+    ) -> NDArray[Any]:
+        """Return force or displacement at times (n, k) [s], shape (n, k), zero outside contact."""
+        from cgid.physics import _coupled
+
+        out = np.empty(times.shape, dtype)
+        numbers = (self.course, self.begin, self.end, time_scale, amplitude, quantity == "displacement", out)
+        run = kernel(_coupled, "at_times", *times.shape)
+        in_threads(run, (times, *numbers), np.arange(len(times)), threads)
+        return out
+
+    def add_to_frames(
+        self,
+        frames: NDArray[Any],
+        onset: Floats,
+        step: Floats,
+        amplitude: Floats,
+        threads: int,
+        tolerance: float = 0.0,
+    ) -> None:
+        """Add the force of all contacts to each of the frames, in place; see `Curves.add_to_frames`."""
+        from cgid.physics import _coupled
+
+        numbers = (frames, onset, step, self.course, self.begin, self.end, amplitude)
+        in_threads(kernel(_coupled, "add_to_frames", *frames.shape), numbers, np.arange(len(frames)), threads)
+
+
+def _solve(
+    frequency: Floats,
+    damping_ratio: Floats,
+    participation: Floats,
+    material_restitution: Floats,
+    damping: Floats,
+    weight: Floats,
+    window: Floats,
+    mass: Floats,
+    time_scale: Floats,
+    tolerance: float,
+) -> ModalCurves:
+    """Solve contact and modes together, impact by impact.
+
+    Parameters
+    ----------
+    frequency, damping_ratio : ndarray, (n_modes,)
+        [Hz], undamped; below 1.
+    participation : ndarray, (n, n_modes)
+        Square of the shape at the point of impact over the modal mass [1/kg].
+    material_restitution, damping : ndarray, (n,)
+        Of the Hunt-Crossley loss.
+    weight : ndarray, (n,)
+        `g L / v^2`.
+    window : ndarray, (n,)
+        Of new contacts, over T0.
+    mass, time_scale : ndarray, (n,)
+        Of the sphere [kg], and T0 [s].
+    tolerance : float
+        Truncation error of the force in a step, over the largest force.
+    """
+    from cgid.physics import _coupled
+
+    angular = 2 * np.pi * frequency
+    root = np.sqrt((1 - damping_ratio) * (1 + damping_ratio))
+    longest = _longest_steps(angular, time_scale)
+    parameters = np.stack([damping, weight, window, mass, time_scale, longest], axis=1)
+    results = np.empty((len(mass), len(_coupled.RESULTS)))
+    # Sorted by the length of their steps: the free motion of the modes is tabulated once for each length.
+    left = np.argsort(longest, kind="stable")
+    bounds = np.zeros((2, len(mass)), np.intp)
+    pieces, total = [], 0
+    # Interpreted, an impact takes a tenth of a second, and a second with some hundred modes.
+    follow = kernel(_coupled, "follow", len(mass), FEW_SAMPLES // _FEW_MODES * angular.size)
+    columns = _coupled.COEFFICIENTS + 2 * N_NODES
+    while left.size:
+        course = np.empty((_coupled.MOST_STEPS + min(_USUAL_STEPS * left.size, _PIECE), columns))
+        first = np.zeros(left.size + 1, np.intp)
+        follow(
+            collocation(N_NODES, N_TIMES), damping_ratio * angular, angular * root, damping_ratio / root,
+            participation, parameters, tolerance, left, course, first, results,
+        )  # fmt: skip
+        done = np.flatnonzero(first).size
+        bounds[:, left[:done]] = total + first[:done], total + first[1 : done + 1]
+        pieces.append(course[: first[done]].copy())
+        total, left = total + first[done], left[done:]
+    nothing = np.zeros(len(mass))
+    return ModalCurves(
+        material_restitution, nothing, nothing, weight, results,
+        np.concatenate(pieces) if pieces else np.empty((0, columns)), *bounds,
+    )  # fmt: skip
+
+
+def _longest_steps(angular: Floats, time_scale: Floats) -> Floats:
+    """Return the longest step of each impact [s], equal for as many impacts as possible."""
+    allowed = _LONGEST_STEP * time_scale
+    if not angular.size:
+        return np.asarray(allowed)
+    resolved = _LARGEST_PHASE / angular[-1]
+    # The least power of two that is not below resolved / allowed, 1 or more.
+    fraction, exponent = np.frexp(np.maximum(resolved / allowed, 1.0))
+    return np.asarray(np.ldexp(resolved, -(exponent - (fraction == 0.5))))

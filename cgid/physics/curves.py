@@ -1,16 +1,18 @@
-"""The dimensionless curves of a batch of impacts, each by the cheapest way that is exact.
+"""Dimensionless curves of a batch of impacts, each by the cheapest exact way; kernels and threads that compute them.
 
-Four numbers say all of an impact: the material's restitution (or Hunt-Crossley damping, its other name), zeta,
-lambda and gamma of `cgid.physics._taylor`. Where the last three are zero the impact is *plain*: its peaks are
-closed forms, and its pulse is in the shipped table (`cgid.family`) unless it is damped beyond it. Everything
-else is integrated. This is where it is decided what runs.
+Four numbers describe an impact: the material's restitution (which determines the Hunt-Crossley damping), zeta, lambda
+and gamma of `cgid.physics._taylor`. Where the last three are zero the impact is *plain*: its peaks are closed forms,
+and its pulse is in the shipped table (`cgid.family`) unless it is damped beyond it. Everything else is integrated.
 """
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property, partial
+from types import FunctionType, ModuleType
 from typing import Any, Literal
 
 import numpy as np
@@ -20,18 +22,22 @@ from cgid import family
 from cgid.counting import count, counting
 from cgid.elementary import power
 from cgid.errors import InvalidValue
-from cgid.physics.closed_forms import peak_displacement, peak_force
-from cgid.physics.dispatch import FEW_SAMPLES, kernel
-from cgid.physics.restitution import damping_number
-from cgid.physics.threads import in_threads
+from cgid.physics.closed_forms import damping_number, peak_displacement, peak_force
 from cgid.validation import Floats
 
 Quantity = Literal["force", "displacement"]
-#: Below it the time scales of braking and of leaving lie too far apart for double precision.
+#: Smallest restitutions: below them the time scales of braking and of leaving lie too far apart for double precision.
 LOWEST_RESTITUTION, LOWEST_ON_A_PLATE = 1e-30, 1e-14
-#: Stepping in time: the smallest error over the peak that it is asked for, how many steps a contact takes for an error
-#: of 1, and up to which D the method is stable with them.
+#: Stepping in time: the smallest error over the peak it serves, the steps of a contact for an error of 1, and the D up
+#: to which the method is stable with them.
 FINEST_STEPPED, _STEPS_FOR_ONE, _MOST_STEPPED_DAMPING = 1e-7, 4.0, 100.0
+#: Samples up to which nothing is compiled: these kernels are interpreted, and numpy evaluates the table.
+FEW_SAMPLES = 4096
+#: Impacts up to which kernels are interpreted, until interpreting has taken this time [s].
+_FEW_IMPACTS, _PATIENCE = 4, 2.0
+_spent = 0.0
+#: Rows below which another thread does not pay, and rows after which Python may react to an interruption.
+_LEAST, _MOST = 200, 1024
 
 
 @dataclass(frozen=True)
@@ -41,7 +47,7 @@ class Curves:
     Attributes
     ----------
     material_restitution : ndarray, (n,)
-        What the material's loss alone would leave: 1 where it is elastic or viscoelastic.
+        Restitution by Hunt-Crossley damping alone: 1 where the material is elastic or viscoelastic.
     zeta : ndarray, (n,)
         `A v / L` of a viscoelastic sphere.
     inelasticity : ndarray, (n,)
@@ -57,17 +63,17 @@ class Curves:
 
     @cached_property
     def plain(self) -> NDArray[np.bool_]:
-        """Where nothing but Hunt-Crossley damping acts."""
+        """Whether nothing but Hunt-Crossley damping acts."""
         return np.asarray((self.zeta == 0) & (self.inelasticity == 0) & (self.weight == 0))
 
     @cached_property
     def tabulated(self) -> NDArray[np.bool_]:
-        """Where the shipped table holds the pulse."""
+        """Whether the shipped table holds the pulse."""
         return self.plain & family.in_table(self.material_restitution)
 
     @cached_property
     def damping(self) -> Floats:
-        """D of the Hunt-Crossley loss; where there is none nothing is solved for."""
+        """D of the Hunt-Crossley loss."""
         damped = self.material_restitution < 1
         count("damping_solves", np.count_nonzero(damped))
         damping = np.zeros(self.material_restitution.shape)
@@ -99,7 +105,7 @@ class Curves:
 
     @cached_property
     def end_displacement(self) -> Floats:
-        """Displacement at separation: zero but for a viscoelastic sphere."""
+        """Displacement at separation: zero except for a viscoelastic sphere."""
         return self._closed_or_integrated(lambda _: np.zeros(()), "end_displacement")
 
     @cached_property
@@ -109,7 +115,7 @@ class Curves:
 
     @property
     def impulse(self) -> Floats:
-        """Integral of the force over the contact: `1 + e`, and with gravity what it pulls in that time."""
+        """Integral of the force over the contact: `1 + e`, and with gravity the weight over that time."""
         pull = self.weight * self.times[0] if self.weight.any() else 0.0
         return np.asarray(1 + self.restitution + pull)
 
@@ -154,7 +160,7 @@ class Curves:
 
     @cached_property
     def _integrated(self) -> dict[str, Floats]:
-        """The same, where every sphere leaves again."""
+        """The same, once every sphere is known to leave again."""
         rows = np.flatnonzero(~self.tabulated)
         self._require_separation(rows, self._summary["status"][rows])
         return self._summary
@@ -164,7 +170,7 @@ class Curves:
         return Curves(self.material_restitution[rows], self.zeta[rows], self.inelasticity[rows], self.weight[rows])
 
     def require_rebound(self) -> None:
-        """Raise `InvalidValue` where the sphere does not leave again, or not within the reach of double precision."""
+        """Raise `InvalidValue` if a sphere does not leave again, or not within the range of double precision."""
         lowest = np.where(self.inelasticity > 0, LOWEST_ON_A_PLATE, LOWEST_RESTITUTION)
         beyond = self.material_restitution < lowest
         if beyond.any():
@@ -246,18 +252,13 @@ class Curves:
             [N].
         threads : int
         tolerance : float
-            Error allowed over the peak for what no table holds, which is then stepped in time; 0 for none.
+            Error over the peak allowed for pulses that are not in the table, which are then stepped in time.
         """
         rows, rest = np.flatnonzero(self.tabulated), np.flatnonzero(~self.tabulated)
         count("table_pulses", rows.size)
         count("integrated_pulses", rest.size)
         if counting():
             count("pulse_samples", _samples_in_contact(onset, onset + self.times[0] / step, frames.shape[1]))
-        if tolerance >= FINEST_STEPPED:
-            steps = int(np.ceil(_STEPS_FOR_ONE * power(tolerance, -0.4)))
-            stepped = rest[self.damping[rest] < _MOST_STEPPED_DAMPING]
-            self._add_stepped(stepped, frames, onset, step, amplitude, threads, steps)
-            rest = np.setdiff1d(rest, stepped)
         if rows.size:
             from cgid.physics import _kernels
 
@@ -267,29 +268,70 @@ class Curves:
         if rest.size:
             from cgid.physics import _taylor
 
+            if tolerance >= FINEST_STEPPED:
+                stepped = self.damping[rest] < _MOST_STEPPED_DAMPING
+                n_steps = int(np.ceil(_STEPS_FOR_ONE * power(tolerance, -0.4)))
+                numbers = (frames, onset, step, self._parameters, amplitude, self.times[0], n_steps)
+                in_threads(kernel(_taylor, "add_stepped", *frames.shape), numbers, rest[stepped], threads)
+                rest = rest[~stepped]
             run = kernel(_taylor, "add_to_frames", *frames.shape)
             in_threads(run, (frames, onset, step, self._parameters, amplitude, _taylor.ORDER), rest, threads)
-
-    def _add_stepped(
-        self,
-        rows: NDArray[np.intp],
-        frames: NDArray[Any],
-        onset: Floats,
-        step: Floats,
-        amplitude: Floats,
-        threads: int,
-        n_steps: int,
-    ) -> None:
-        if not rows.size:
-            return
-        from cgid.physics import _stepped
-
-        run = kernel(_stepped, "add_to_frames", *frames.shape)
-        numbers = (frames, onset, step, self._parameters, amplitude, self.times[0], n_steps)
-        in_threads(run, numbers, rows, threads)
 
 
 def _samples_in_contact(touch: Floats, separation: Floats, n_samples: int) -> int:
     """Return how many samples of frames lie between touch and separation, both in samples."""
     first = np.clip(np.floor(touch) + 1, 0, n_samples)
     return int(np.sum(np.clip(np.ceil(separation), first, n_samples) - first))
+
+
+def kernel(module: ModuleType, name: str, n_impacts: int, n_samples: int = 0) -> Callable[..., None]:
+    """Return a kernel of a module for this much work: compiled, or for an impact or two interpreted.
+
+    Compiling takes seconds, once after installing; interpreted, a pulse takes milliseconds. Both do the same operations
+    in the same order, so they give the same bits. The work is that of the whole batch, not of the rows that need it.
+    """
+    if n_impacts > _FEW_IMPACTS or n_impacts * n_samples > FEW_SAMPLES or _spent > _PATIENCE:
+        compiled: Callable[..., None] = getattr(module, name)
+        return compiled
+    return partial(_interpret, module, name)
+
+
+def _interpret(module: ModuleType, name: str, *arguments: Any) -> None:
+    global _spent
+    start = time.perf_counter()
+    with np.errstate(all="ignore"):
+        _interpreted(module)[name](*arguments)
+    _spent += time.perf_counter() - start
+
+
+@cache
+def _interpreted(module: ModuleType) -> dict[str, Callable[..., None]]:
+    """Return the kernels of a module as plain Python functions, which call each other as such."""
+    names = dict(vars(module))
+    for name, function in vars(module).items():
+        if hasattr(function, "py_func"):
+            names[name] = FunctionType(function.py_func.__code__, names)
+    return names
+
+
+def in_threads(run: Callable[..., None], arguments: tuple[Any, ...], rows: NDArray[np.intp], threads: int) -> None:
+    """Call a kernel, which releases the interpreter's lock, for parts of the rows, in threads if there are several.
+
+    No part takes long, so that Ctrl-C works.
+    """
+    threads = max(min(threads, -(-rows.size // _LEAST)), 1)
+    parts = np.array_split(rows, max(threads, -(-rows.size // _MOST)))
+    in_parts(lambda part: run(*arguments, part), parts, threads)
+
+
+def in_parts(work: Callable[[NDArray[np.intp]], Any], parts: list[NDArray[np.intp]], threads: int) -> list[Any]:
+    """Return what work returns for each part that is not empty, in threads if there are several."""
+    parts = [part for part in parts if part.size]
+    each = _pool(threads).map if min(threads, len(parts)) > 1 else map
+    return list(each(work, parts))
+
+
+@cache
+def _pool(threads: int) -> ThreadPoolExecutor:
+    """Return a pool that is kept: starting threads takes as long as a hundred pulses."""
+    return ThreadPoolExecutor(threads, thread_name_prefix="cgid")

@@ -1,4 +1,4 @@
-"""The force of a blow on a fine grid, and what a sample's worth of it does to a pole: see `cgid.physics._response`."""
+"""Contact forces on fine grids, and their effect on a pole over a sample: see `cgid.physics._response`."""
 
 from __future__ import annotations
 
@@ -10,19 +10,18 @@ import numpy as np
 from numpy.polynomial import legendre
 from numpy.typing import NDArray
 
-from cgid.elementary import complex_exp, complex_product, modulus, power
+from cgid.elementary import Complex, complex_exp, complex_product, modulus, power
 from cgid.errors import InvalidValue
-from cgid.physics.poles import Complex
 from cgid.validation import Floats
 
-#: Steps of a contact, see `steps_for`: so many for an error of 1, at least, and a sample at most.
+#: Steps of a contact for an error of 1 (see `steps_for`), fewest steps of a contact, most steps of a sample.
 _STEPS_FOR_ONE, _LEAST_STEPS, _MOST_STRIDE = 4.0, 32, 1 << 16
-#: Share of the tolerance that the force itself may take.
+#: Share of the tolerance for the force itself.
 _SHARE_OF_FORCE = 0.3
 
 
 class Pulses(Protocol):
-    """What is asked of the blows."""
+    """Contact forces of impacts, computed or given."""
 
     @property
     def contact_duration(self) -> Floats:
@@ -37,17 +36,17 @@ class Pulses(Protocol):
 
 
 def steps_for(tolerance: float) -> int:
-    """Return how many steps a contact takes for this error over the largest sample.
+    """Return the number of steps of a contact for this error over the largest sample.
 
-    The force is taken as straight between steps after a correction by its second difference. What remains comes from
-    touch and separation, where it goes as `t^(3/2)`, and falls with the power 5/2 of their number.
+    The force is linear between steps after a correction by its second difference. The remaining error comes from touch
+    and separation, where the force goes as `t^(3/2)`, and falls with the power 5/2 of the number of steps.
     """
     return max(_LEAST_STEPS, int(np.ceil(_STEPS_FOR_ONE * power(tolerance, -0.4))))
 
 
 @dataclass(frozen=True)
 class DrivenSample:
-    """What a sample of some steps does to all poles: see `Response._driven`."""
+    """Effect of a sample of some steps on all poles: see `Response._driven`."""
 
     polynomials: Floats
     shares: Floats
@@ -55,7 +54,7 @@ class DrivenSample:
 
 
 def driven_sample(poles: Complex, sampling_rate: float, stride: int, n_polynomials: int) -> DrivenSample:
-    """Return what a sample of `stride` steps does to these poles, by polynomials of the number of the step."""
+    """Return the effect of a sample of `stride` steps on these poles, by polynomials of the number of the step."""
     h = 1 / (sampling_rate * stride)
     # g0 = h (phi1 - phi2), g1 = h phi2 with phi1 = (e^x - 1) / x, phi2 = (e^x - 1 - x) / x^2.
     phi1, phi2 = _phi(poles * h)
@@ -82,8 +81,7 @@ def _powers_by_legendre(c: Complex, n_polynomials: int) -> Complex:
 def _bessel(c: Complex, count: int) -> Complex:
     """Return the modified spherical Bessel functions i_0(c), i_1(c), ..., (count, n).
 
-    By the ratios of neighbours, which Miller's backward recurrence finds from any start far enough out, and by
-    `e^c = sum (2 n + 1) i_n(c)`.
+    Miller's backward recurrence gives their ratios, `e^c = sum (2 n + 1) i_n(c)` their scale.
     """
     start = count + int(np.ceil(1.5 * modulus(c).max(initial=0.0))) + 30
     above = np.zeros((start + 2, *c.shape), complex)
@@ -100,7 +98,7 @@ def _bessel(c: Complex, count: int) -> Complex:
 
 @cache
 def polynomials_for(phase: float, tolerance: float) -> int:
-    """Return how many polynomials a pole needs that turns by this phase in a sample [rad]."""
+    """Return the number of polynomials for a pole that turns by this phase in a sample [rad]."""
     n = np.arange(400)
     size = (2 * n + 1) * _bessel(np.array([phase / 2 + 0j]), n.size)[:, 0].real
     quiet = np.flatnonzero(size[2:] < 1e-2 * tolerance)
@@ -122,7 +120,7 @@ def _phi(x: Complex) -> tuple[Complex, Complex]:
 
 @dataclass(frozen=True)
 class Windows:
-    """The forces of n pulses on fine grids of their own, each with so many steps a sample as its contact needs."""
+    """The forces of n pulses, each on its own grid with as many steps per sample as its contact needs."""
 
     first: NDArray[np.int64]
     count: NDArray[np.int64]
@@ -134,7 +132,7 @@ class Windows:
 
 
 def windows_of(pulses: Pulses, onset: Floats, sampling_rate: float, tolerance: float) -> Windows:
-    """Return the forces of pulses that touch at onset [s], as finely as an error over the largest sample asks for."""
+    """Return the forces of pulses that touch at onset [s], on grids fine enough for the tolerance."""
     duration = pulses.contact_duration * sampling_rate
     fraction, exponent = np.frexp(steps_for(tolerance) / duration)
     needed = np.maximum(exponent - (fraction == 0.5), 0).astype(np.int64)  # the logarithm to base 2, rounded up
@@ -147,13 +145,13 @@ def windows_of(pulses: Pulses, onset: Floats, sampling_rate: float, tolerance: f
     stride = np.int64(1) << needed
     place = onset * sampling_rate
     first = np.floor(place).astype(np.int64)
-    # Two steps of no force behind the contact: the last of them still feels it in the correction below.
+    # Two steps without force after the contact: the correction below still changes the last of them.
     length = np.floor(place + pulses.end_of_contact * sampling_rate + 2 / stride).astype(np.int64) + 1 - first
     force = np.zeros((len(onset), int((length * stride).max(initial=0)) + 1))
     pulses.add_to_frames(
         force, sampling_rate * stride, (place - first) / sampling_rate, tolerance=_SHARE_OF_FORCE * tolerance
     )
-    # A straight line between samples of a bent curve cuts its corners by a twelfth of the second difference.
+    # Linear interpolation of a curve errs by a twelfth of its second difference on average.
     drive = force.copy()
     drive[:, 1:-1] -= (force[:, 2:] - 2 * force[:, 1:-1] + force[:, :-2]) / 12
     strides, level = np.unique(stride, return_inverse=True)

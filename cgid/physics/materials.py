@@ -1,9 +1,10 @@
-"""Elastic materials: the paper's spheres and steel, and published ranges, each number with its source."""
+"""Elastic materials: the paper's spheres and steel, and published ranges of rocks with their sources."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
 from numpy.typing import ArrayLike
 
 from cgid import validation
@@ -47,15 +48,15 @@ class Material:
     @property
     def plane_strain_compliance(self) -> validation.Floats:
         """`(1 - nu^2) / E` [1/Pa]."""
-        nu = validation.real("poisson_ratio", self.poisson_ratio)
-        return (1 - nu * nu) / validation.real("youngs_modulus", self.youngs_modulus, "Pa")
+        nu = np.asarray(self.poisson_ratio, np.float64)
+        return (1 - nu * nu) / np.asarray(self.youngs_modulus, np.float64)
 
 
 @dataclass(frozen=True, kw_only=True)
 class MaterialRange:
     """Lowest and highest published values of a rock, and where they were published.
 
-    Real rock lies outside such ranges, too: they are examples of what has been measured, not bounds.
+    They are examples of measurements, not bounds: real rock also lies outside of them.
     """
 
     density: tuple[float, float]

@@ -1,14 +1,13 @@
 """From a contact force to the samples of a recorder, through a tail beam and a chain of sensors.
 
-All of it is linear, so all of it is one sum over poles: those of the beam's modes, and those of what the sensor does
-to the signal (mounting resonance, anti-alias filter). Each pole is a resonator driven by the force. During contact
-the resonators are run on a grid fine enough for the force; once the rock has left, each rings as one exponential, and
-only the recorder's samples are computed. There is no internal rate to filter and decimate from.
+All of it is linear, so all of it is one sum over poles: those of the beam's modes, and those of the sensor (mounting
+resonance, anti-alias filter). Each pole is a resonator driven by the force. During contact the resonators run on a grid
+fine enough for the force (`cgid.physics.driving`); after it each rings as one exponential, and only the recorder's
+samples are computed. There is no internal rate to filter and decimate from.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, Literal, Protocol
@@ -18,26 +17,85 @@ from numpy.typing import ArrayLike, NDArray
 
 from cgid import validation
 from cgid.counting import count
-from cgid.elementary import complex_exp, complex_of, complex_product, matrix_product, modulus
+from cgid.elementary import Complex, complex_exp, complex_of, complex_product, matrix_product, modulus, sincos
 from cgid.errors import InvalidValue
+from cgid.physics.curves import in_parts
 from cgid.physics.driving import DrivenSample, Pulses, driven_sample, polynomials_for, windows_of
-from cgid.physics.poles import Complex, LowPass, Resonance, resonator_poles
-from cgid.physics.threads import pool
 from cgid.validation import Floats
 
-#: What a sensor on a beam feels, and how often it is differentiated in time.
+#: Quantities measured by a sensor on a beam, with the number of time derivatives of the displacement.
 DERIVATIVES = {"displacement": 0, "velocity": 1, "acceleration": 2}
 Quantity = Literal["force", "displacement", "velocity", "acceleration"]
 
-#: A filter's pole nearer to another one than this, over its size, is moved aside by as much: their residues would be
-#: large and cancel. So a mounting resonance may be taken up to .2 % beside its place, if a mode lies right there.
+#: A filter's pole closer to another one than this, over its size, is moved away by as much: their residues would be
+#: large and cancel. So a mounting resonance may be shifted by up to .2 % if a mode has the same frequency.
 _APART = 1e-3
-#: Samples of the table of exponentials: it then stays in the cache with a hundred poles.
+#: Samples of the table of exponentials: with a hundred poles it fits into the cache.
 _TABLE = 256
 
 
+@dataclass(frozen=True, kw_only=True)
+class Resonance:
+    """A resonance of low-pass form, `w^2 / (s^2 + 2 zeta w s + w^2)`: a sensor on its mounting.
+
+    Parameters
+    ----------
+    frequency : float
+        [Hz], above 0.
+    damping_ratio : float
+        Above 0 and below 1.
+    """
+
+    frequency: float
+    damping_ratio: float
+
+    def __post_init__(self) -> None:
+        validation.positive("frequency of the resonance", self.frequency, "Hz")
+        validation.damping_ratio("damping_ratio", self.damping_ratio)
+
+    @property
+    def poles(self) -> Complex:
+        """The pole in the upper half-plane [rad/s], (1,)."""
+        return resonator_poles(np.array([self.frequency]), np.array([self.damping_ratio]))
+
+
+@dataclass(frozen=True, kw_only=True)
+class LowPass:
+    """A Butterworth low-pass, such as an anti-alias filter.
+
+    Parameters
+    ----------
+    frequency : float
+        At which it is 3 dB down [Hz].
+    order : int
+        1 to 12.
+    """
+
+    frequency: float
+    order: int = 8
+
+    def __post_init__(self) -> None:
+        validation.positive("frequency of the low-pass", self.frequency, "Hz")
+        if not 1 <= validation.count("order of the low-pass", self.order) <= 12:
+            raise InvalidValue(f"order of the low-pass must be at most 12, got {self.order}")
+
+    @property
+    def poles(self) -> Complex:
+        """The poles of the upper half-plane and the real axis [rad/s]."""
+        angles = np.pi * (2 * np.arange((self.order + 1) // 2) + self.order + 1) / (2 * self.order)
+        sine, cosine = sincos(angles)
+        radius = 2 * np.pi * self.frequency
+        return complex_of(radius * cosine, radius * np.where(np.abs(sine) < 1e-9, 0.0, sine))
+
+
+def resonator_poles(frequency: Floats, damping_ratio: Floats) -> Complex:
+    """Return `-zeta w + i w sqrt(1 - zeta^2)` [rad/s]."""
+    angular, ratio = 2 * np.pi * np.asarray(frequency), np.asarray(damping_ratio)
+    return complex_of(-angular * ratio, angular * np.sqrt((1 - ratio) * (1 + ratio)))
+
+
 class Resonators(Protocol):
-    """What is asked of the modes of a beam."""
+    """Modes of a beam."""
 
     @property
     def frequency(self) -> Floats:
@@ -57,13 +115,13 @@ class Response:
     sampling_rate : float
         Of the recorder [Hz].
     quantity : {"force", "displacement", "velocity", "acceleration"}
-        What the sensor feels: the contact force itself, or the motion of a beam.
+        Measured by the sensor: the contact force itself, or the motion of a beam.
     modes : object with `frequency` and `damping_ratio`, optional
         Of the beam, (n_modes,); a force has none.
     filters : tuple of Resonance and LowPass
-        What the sensor and the recorder make of it.
+        Of the sensor and the recorder.
     tolerance : float
-        Error allowed, over the largest sample: how fine the contact is cut, and which poles are too quiet to be run.
+        Error allowed over the largest sample. It sets the steps of a contact and which poles are too quiet to matter.
 
     Raises
     ------
@@ -92,7 +150,7 @@ class Response:
 
     @property
     def n_modes(self) -> int:
-        """How many modes the beam has."""
+        """Number of modes of the beam."""
         return 0 if self.modes is None else self.modes.frequency.size
 
     @cached_property
@@ -110,7 +168,7 @@ class Response:
     @cached_property
     def _mode_poles(self) -> Complex:
         assert self.modes is not None
-        # Equal ones (of a square plate) are no trouble: each has a residue of its own.
+        # Equal poles (of a square plate) are harmless: each mode has its own residue.
         return resonator_poles(self.modes.frequency, self.modes.damping_ratio)
 
     @property
@@ -150,10 +208,10 @@ class Response:
 
     @cached_property
     def _loudness(self) -> Floats:
-        """How loud each mode is in the band after a blow, for a participation of 1.
+        """Loudness of each mode after an impact, for a participation of 1.
 
-        The filters' gain is that for a steady tone: at the poles themselves it may be as large as it likes, where one
-        of the filters' own is near.
+        The gain of the filters is that for a steady tone: at the pole itself it has no bound, where a pole of a filter
+        is close.
         """
         assert self.modes is not None
         size, k = modulus(self._mode_poles), DERIVATIVES[self.quantity]
@@ -161,7 +219,7 @@ class Response:
         return np.asarray(gain / size if k == 0 else gain if k == 1 else gain * size)
 
     def amplitudes(self, participation: Floats | None = None) -> tuple[Complex, Floats]:
-        """Return how strongly a force drives each pole, and how much of it passes at once.
+        """Return how strongly a force drives each pole, and which share of it passes without delay.
 
         Parameters
         ----------
@@ -198,12 +256,12 @@ class Response:
         return np.asarray(direct[0] + (half / (s - pole) + other).sum(axis=1))
 
     def audible(self, participation: Floats | None) -> NDArray[np.intp]:
-        """Return the poles that must be run for these pulses, those that ring longest first.
+        """Return the poles that must run for these pulses, the longest ringing first.
 
-        Left out are the quietest ones of the modes, as long as all that is left out together stays below the
-        tolerance, over the loudest one, for every pulse.
+        The quietest modes are left out as long as they are together below the tolerance, over the loudest one, for
+        every pulse.
         """
-        share = np.full(self.poles.size, np.inf)  # the filters' poles carry what all modes leave in the band
+        share = np.full(self.poles.size, np.inf)  # the poles of filters always run
         if participation is not None:
             loudness = np.abs(participation) * self._loudness
             loudest = np.maximum(loudness.max(axis=1, keepdims=True), 1e-300)
@@ -223,7 +281,7 @@ class Response:
         ratio: Floats | None = None,
         threads: int = 1,
     ) -> None:
-        """Add what the recorder hears of some pulses to its frames, in place.
+        """Add the response to some pulses to the frames of the recorder, in place.
 
         Parameters
         ----------
@@ -256,7 +314,7 @@ class Response:
         driven = self._driven(chosen, windows.strides)
         direct = np.ascontiguousarray(np.broadcast_to(direct, (n,)))
         count("modes", int((chosen < self.n_modes).sum()))
-        # Two pulses of one frame must not be added by two threads.
+        # Two threads must not add to the same frame.
         shared = [np.arange(n)] if np.unique(rows).size < n else np.array_split(np.arange(n), threads)
 
         def strike(part: NDArray[np.intp]) -> None:
@@ -265,7 +323,7 @@ class Response:
                 windows.force, windows.drive, parts, direct, ringing, part,
             )  # fmt: skip
 
-        _in_threads(strike, shared)
+        in_parts(strike, shared, threads)
         self._ring(frames, rows, windows.first + windows.count, ringing, chosen, threads)
 
     def _ring(
@@ -292,10 +350,10 @@ class Response:
                 )
             )
 
-        count("mode_samples", sum(_in_threads(run, np.array_split(np.arange(len(frames)), threads))))
+        count("mode_samples", sum(in_parts(run, np.array_split(np.arange(len(frames)), threads), threads)))
 
     def _driven(self, chosen: NDArray[np.intp], strides: NDArray[np.int64]) -> tuple[Floats, Floats, Floats]:
-        """Return what a sample of so many steps does to the poles: polynomials, their shares and g1 of `_response`.
+        """Return the effect of a sample of each stride on the poles: polynomials, their shares and g1 of `_response`.
 
         Shapes (n_levels, largest stride, n_polynomials), (n_levels, 2, n_polynomials, n_poles), (n_levels, 2, n_poles).
         """
@@ -303,7 +361,7 @@ class Response:
         polynomials = np.zeros((strides.size, strides[-1], self._n_polynomials))
         for level, stride in enumerate(strides.tolist()):
             polynomials[level, :stride] = levels[level].polynomials
-        # In one layout, for each of which the kernel would be compiled.
+        # In one memory layout: the kernel is compiled for each.
         shares = np.ascontiguousarray(np.stack([level.shares[:, :, chosen] for level in levels]))
         return polynomials, shares, np.ascontiguousarray(np.stack([level.edge[:, chosen] for level in levels]))
 
@@ -322,7 +380,7 @@ class Response:
         return {}
 
     def _samples_of(self, stride: int) -> DrivenSample:
-        """Return what is the same in all blocks, made when first asked for."""
+        """Return the effect of a sample of this many steps on all poles, cached."""
         if stride not in self._kept:
             self._kept[stride] = driven_sample(self.poles, self.sampling_rate, stride, self._n_polynomials)
         return self._kept[stride]
@@ -331,10 +389,3 @@ class Response:
 def _power(x: Complex, k: int) -> Complex:
     """Return x^k for k of 0, 1 or 2."""
     return np.ones_like(x) if k == 0 else x if k == 1 else complex_product(x, x)
-
-
-def _in_threads(work: Callable[[NDArray[np.intp]], Any], parts: list[NDArray[np.intp]]) -> list[Any]:
-    parts = [part for part in parts if part.size]
-    if len(parts) <= 1:
-        return [work(part) for part in parts]
-    return list(pool(len(parts)).map(work, parts))

@@ -1,4 +1,4 @@
-"""Contact forces that are known at points of time: solved by another program, or measured."""
+"""Contact forces given at points of time: computed by another program, or measured."""
 
 from __future__ import annotations
 
@@ -15,12 +15,10 @@ from cgid.elementary import cos, sin, sincos
 from cgid.errors import InvalidValue
 from cgid.validation import Floats
 
-#: Fewest points of a pulse: a cubic spline through fewer is no curve of its own.
+#: Fewest points of a pulse, those of a cubic spline.
 FEWEST_POINTS = 4
-#: Points in which an interval beside the largest sample is searched for the peak.
-_FINER = 32
-#: Of the splines.
-_CUBIC = 3
+#: Points per interval next to the largest sample in the search for the peak, and the degree of the splines.
+_FINER, _CUBIC = 32, 3
 
 
 def shares_of_contact(n_points: int) -> Floats:
@@ -37,17 +35,16 @@ def shares_of_contact(n_points: int) -> Floats:
 
 
 def smoothed(times: ArrayLike, forces: ArrayLike, contact_duration: float, shares: ArrayLike, knots: int = 8) -> Floats:
-    """Return the force [N] of one rippled course at shares of its contact, drawn through all of its samples.
+    """Return the force [N] of one noisy pulse at shares of its contact, smoothed by least squares.
 
-    The curve is the cubic spline in the angle of `SampledPulses`, with this many knots between touch and separation,
-    that begins and ends at 0 and lies nearest to the samples: least squares, every sample weighing the same. Eight
-    knots follow a damped impact within .3 % of its peak and .1 % on average, and take the steps away that a force makes
-    where a mesh comes into contact node by node.
+    The curve is the cubic spline in the angle of `SampledPulses`, with this many knots between touch and separation and
+    0 at both ends, that is closest to the samples, all of the same weight. Eight knots follow a damped impact within
+    .3 % of its peak and .1 % on average, and remove the steps of a force that come from a mesh in contact node by node.
 
     Parameters
     ----------
     times, forces : array_like, (n_times,)
-        [s] since touch, rising, and [N]; a force outside contact is not looked at.
+        [s] since touch, rising, and [N]; forces outside contact are ignored.
     contact_duration : float
         [s].
     shares : array_like, (n_points,)
@@ -56,8 +53,8 @@ def smoothed(times: ArrayLike, forces: ArrayLike, contact_duration: float, share
     Raises
     ------
     InvalidValue
-        The times do not rise, there is not one force for each, or the course has too few samples within contact for
-        so many knots.
+        The times do not rise, there is not one force for each, or there are too few samples within contact for this
+        number of knots.
     """
     from scipy.interpolate import BSpline
 
@@ -72,9 +69,8 @@ def smoothed(times: ArrayLike, forces: ArrayLike, contact_duration: float, share
         )
     inner = np.linspace(0, np.pi, knots + 2)
     ends = np.concatenate([[0.0] * _CUBIC, inner, [np.pi] * _CUBIC])
-    # A solver's samples come at even steps: with the same weight each, none of the contact counts more than the rest.
     basis = BSpline.design_matrix(_angle(since[inside] / lasts), ends, _CUBIC).toarray()
-    # The first and the last coefficient are the values at touch and separation, and stay 0.
+    # The first and the last coefficient are the values at touch and separation: 0.
     coefficients = np.zeros(basis.shape[1])
     coefficients[1:-1], _, rank, _ = np.linalg.lstsq(basis[:, 1:-1], course[inside])
     if rank < coefficients.size - 2:
@@ -101,16 +97,15 @@ def _require_course(times: Floats, forces: Floats) -> None:
     falls = np.flatnonzero(np.diff(times) <= 0)
     if falls.size:
         row = falls[0]
-        raise InvalidValue(f"times must rise, got {times[row + 1]:g} s behind {times[row]:g} s at index {row + 1}")
+        raise InvalidValue(f"times must rise, got {times[row + 1]:g} s after {times[row]:g} s at index {row + 1}")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SampledPulses:
-    """Pulses given by their forces at the same shares of the contact of each.
+    """Pulses given by their forces at the same shares of each contact.
 
-    Between the points goes a cubic spline in the angle `arccos(1 - 2 share)`. Whether a force begins as the root of
-    time (a viscoelastic sphere) or as its power 3/2, in that angle it is smooth. What a spline would take below zero is
-    zero.
+    A cubic spline in the angle `arccos(1 - 2 share)` interpolates. In that angle a force is smooth, whether it begins
+    as the root of time (a viscoelastic sphere) or as its power 3/2. Negative values of the spline become 0.
 
     Parameters
     ----------
@@ -124,7 +119,7 @@ class SampledPulses:
     Raises
     ------
     InvalidValue
-        Shapes do not fit together, the shares do not rise from 0 to 1, a force is negative, or a pulse has none.
+        Shapes do not match, the shares do not rise from 0 to 1, a force is negative, or a pulse has none.
 
     Examples
     --------
@@ -193,7 +188,7 @@ class SampledPulses:
         return replace(self, forces=self.forces[rows], contact_duration=self.contact_duration[rows])
 
     def stretched(self, force: ArrayLike, time: ArrayLike) -> SampledPulses:
-        """Return the pulses with every force and every time multiplied, each by one number or by its own, (n,)."""
+        """Return the pulses with forces and times multiplied, by one number or by one for each pulse, (n,)."""
         factor = np.broadcast_to(validation.positive("force", force), (len(self),))
         stretch = np.broadcast_to(validation.positive("time", time), (len(self),))
         return replace(
@@ -205,7 +200,7 @@ class SampledPulses:
     def force(self, times: ArrayLike) -> Floats:
         """Return the forces [N] at times since touch [s], (n, n_times); zero outside contact.
 
-        The times are those of all pulses, (n_times,) or one number, or of each its own, (n, n_times).
+        The times hold for all pulses, (n_times,) or one number, or one row for each pulse, (n, n_times).
         """
         since = np.atleast_1d(validation.real("times", times, "s"))
         since = np.broadcast_to(since, (len(self), since.shape[-1]))
@@ -222,7 +217,7 @@ class SampledPulses:
     ) -> None:
         """Add the pulses to frames (n, n_samples) in place, each from its time of touch [s] on.
 
-        Each frame may have a sampling rate of its own. There is nothing to be saved by a tolerance.
+        Each frame may have its own sampling rate. The tolerance is not used.
         """
         count("sampled_pulses", len(frames))
         rate = np.broadcast_to(validation.positive("sampling_rate", sampling_rate, "Hz"), (len(self),))
@@ -240,7 +235,7 @@ class SampledPulses:
 
     @cached_property
     def _coefficients(self) -> Floats:
-        """Of the cubic of each interval, the third power first, (n, 4, n_points - 1)."""
+        """Coefficients of the cubic of each interval, third power first, (n, 4, n_points - 1)."""
         from scipy.interpolate import CubicSpline
 
         spline = CubicSpline(self._angles, self.forces, axis=1)

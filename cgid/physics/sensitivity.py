@@ -1,25 +1,28 @@
-"""How much each parameter of an impact matters for its peak force and for its largest displacement (DCS).
+"""Sensitivity of peak force and displacement to the parameters of an impact, and the loss for a wanted restitution.
 
-Two measures, because they answer different questions. The local one, `d ln P / d ln X`, is the per cent that
-the response changes for a per cent of the parameter, and a property of the impact alone. The influence over
-a range, as in Yang, Zeng & Wan (2018), section 4, moves one parameter through a range and holds the rest: it
-says as much about the range as about the impact.
+There are two measures of sensitivity. The local one, `d ln P / d ln X`, is the per cent that the response changes for a
+per cent of the parameter: a property of the impact alone. The influence over a range, as in Yang, Zeng & Wan (2018),
+section 4, moves one parameter through a range and holds the others: it depends as much on the range as on the impact.
+
+Where restitution is a result, of a viscoelastic sphere or a thin plate, `dissipative_constant` and `plate_thickness`
+invert it. (For Hunt-Crossley damping the inverse is a closed form, `cgid.physics.closed_forms.damping_number`.)
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from cgid import validation
 from cgid.errors import InvalidValue
-from cgid.physics.bodies import HalfSpace, RigidWall, Sphere
-from cgid.physics.dissipation import Elastic, HuntCrossley
+from cgid.physics.bodies import HalfSpace, RigidWall, Sphere, ThinPlate, impedance_of_unit_thickness
+from cgid.physics.curves import Curves
+from cgid.physics.impact import Impact
+from cgid.physics.laws import Elastic, HuntCrossley
 from cgid.physics.materials import Material
-from cgid.physics.pulse import Impact
 from cgid.validation import Floats
 
 #: Parameters of the sphere and of the half space it falls on, with their units.
@@ -32,11 +35,13 @@ PARAMETERS = {
     "target_poisson_ratio": "",
 }
 _OF_TARGET = "target_"
+#: Bounds of zeta and of lambda in the search: from no visible loss to restitutions of 1e-5 and 1e-6.
+_ZETA, _LAMBDA = (1e-17, 1e3), (1e-17, 15.0)
 
 
 @dataclass(frozen=True)
 class Sensitivity:
-    """What each parameter does to both responses of an impact, by parameter name.
+    """Effect of each parameter on both responses of an impact, by parameter name.
 
     Parameters
     ----------
@@ -54,7 +59,7 @@ def local_sensitivity(impact: Impact) -> Sensitivity:
     With the share `s_i = c_i / (c_1 + c_2)` of each body in the compliance, `c_i = (1 - nu_i^2) / E_i`, they follow
     from `P ~ R^2 rho^(3/5) c^(-2/5)` and `delta ~ R rho^(2/5) c^(2/5)` (Yang, Zeng & Wan 2018, Eq. 17-18):
     R: 2 and 1; rho: 3/5 and 2/5; E_i: 2/5 s_i and -2/5 s_i; nu_i: 4/5 s_i nu_i^2 / (1 - nu_i^2) and its negative.
-    The theory of the stiffness, the velocity and the restitution drop out, as long as they are held.
+    Stiffness theory, velocity and restitution cancel as long as they are held.
 
     Parameters
     ----------
@@ -69,18 +74,15 @@ def local_sensitivity(impact: Impact) -> Sensitivity:
     Raises
     ------
     InvalidValue
-        Another dissipation, another target or gravity: there the exponents are others.
+        Another dissipation, another target or gravity, which have other exponents.
 
     Examples
     --------
     >>> from cgid.physics import Elastic, HalfSpace, Impact, Sphere
     >>> from cgid.physics.materials import STEEL, YANG2018_SPHERES
     >>> impact = Impact(
-    ...     sphere=Sphere(material=YANG2018_SPHERES[1], radius=0.025),
-    ...     target=HalfSpace(material=STEEL),
-    ...     velocity=2.0,
-    ...     stiffness="hertz",
-    ...     dissipation=Elastic(),
+    ...     sphere=Sphere(material=YANG2018_SPHERES[1], radius=0.025), target=HalfSpace(material=STEEL),
+    ...     velocity=2.0, stiffness="hertz", dissipation=Elastic(),
     ... )
     >>> for name, value in local_sensitivity(impact).peak_force.items():
     ...     print(f"{name} {value:.4f}")
@@ -106,7 +108,7 @@ def local_sensitivity(impact: Impact) -> Sensitivity:
     displacement: dict[str, ArrayLike] = {"radius": 1.0, "density": 0.4}
     for body, material in materials.items():
         share = material.plane_strain_compliance / total
-        square = np.square(validation.real("poisson_ratio", material.poisson_ratio))
+        square = np.square(np.asarray(material.poisson_ratio, np.float64))
         force[f"{body}youngs_modulus"] = 0.4 * share
         force[f"{body}poisson_ratio"] = 0.8 * share * square / (1 - square)
         for name in (f"{body}youngs_modulus", f"{body}poisson_ratio"):
@@ -139,11 +141,8 @@ def range_influence(impact: Impact, ranges: Mapping[str, ArrayLike]) -> Sensitiv
     >>> from cgid.physics import Elastic, HalfSpace, Impact, Sphere
     >>> from cgid.physics.materials import STEEL, YANG2018_SPHERES
     >>> impact = Impact(
-    ...     sphere=Sphere(material=YANG2018_SPHERES[1], radius=0.025),
-    ...     target=HalfSpace(material=STEEL),
-    ...     velocity=2.0,
-    ...     stiffness="hertz",
-    ...     dissipation=Elastic(),
+    ...     sphere=Sphere(material=YANG2018_SPHERES[1], radius=0.025), target=HalfSpace(material=STEEL),
+    ...     velocity=2.0, stiffness="hertz", dissipation=Elastic(),
     ... )
     >>> found = range_influence(impact, {"radius": [0.02, 0.04], "density": [1000, 3400]})
     >>> print(f"{found.peak_force['radius']:.4f} {found.peak_force['density']:.4f}")
@@ -159,7 +158,7 @@ def range_influence(impact: Impact, ranges: Mapping[str, ArrayLike]) -> Sensitiv
 
 
 def ordering(sensitivity: Mapping[str, ArrayLike]) -> tuple[str, ...]:
-    """Return the names by falling absolute value; equal ones stay in the order given.
+    """Return the names by falling absolute value; equal ones keep their order.
 
     Parameters
     ----------
@@ -169,7 +168,7 @@ def ordering(sensitivity: Mapping[str, ArrayLike]) -> tuple[str, ...]:
     Raises
     ------
     InvalidValue
-        A value is no single number.
+        A value is not a single number.
 
     Examples
     --------
@@ -184,7 +183,7 @@ def ordering(sensitivity: Mapping[str, ArrayLike]) -> tuple[str, ...]:
 
 
 def response_grid(impact: Impact, parameters: Mapping[str, ArrayLike]) -> Impact:
-    """Return the impacts over a grid of parameters: one makes a curve of the responses, two a response surface.
+    """Return the impacts over a grid of parameters: one gives a curve of the responses, two a response surface.
 
     Parameters
     ----------
@@ -201,8 +200,8 @@ def response_grid(impact: Impact, parameters: Mapping[str, ArrayLike]) -> Impact
     Raises
     ------
     InvalidValue
-        The impact is not a single one or its target no half space or rigid wall, a name is unknown or missing
-        in this impact, or a value breaks the rule of its parameter.
+        The impact is not a single one, its target is no half space or rigid wall, a parameter is unknown or missing in
+        this impact, or a value breaks the rule of its parameter.
 
     Warns
     -----
@@ -214,11 +213,8 @@ def response_grid(impact: Impact, parameters: Mapping[str, ArrayLike]) -> Impact
     >>> from cgid.physics import RIGID, Elastic, Impact, Sphere
     >>> from cgid.physics.materials import YANG2018_SPHERES
     >>> impact = Impact(
-    ...     sphere=Sphere(material=YANG2018_SPHERES[1], radius=0.025),
-    ...     target=RIGID,
-    ...     velocity=2.0,
-    ...     stiffness="hertz",
-    ...     dissipation=Elastic(),
+    ...     sphere=Sphere(material=YANG2018_SPHERES[1], radius=0.025), target=RIGID,
+    ...     velocity=2.0, stiffness="hertz", dissipation=Elastic(),
     ... )
     >>> response_grid(impact, {"radius": [0.02, 0.04], "density": [1200, 1800, 2400]}).peak_force.shape
     (2, 3)
@@ -268,7 +264,7 @@ def parameters_of(impact: Impact) -> dict[str, Floats]:
     for body, material in _materials(impact).items():
         values[f"{body}youngs_modulus"] = material.youngs_modulus
         values[f"{body}poisson_ratio"] = material.poisson_ratio
-    return {name: validation.real(name, value, PARAMETERS[name]) for name, value in values.items()}
+    return {name: np.asarray(value, np.float64) for name, value in values.items()}
 
 
 def _changed(impact: Impact, values: Mapping[str, ArrayLike]) -> Impact:
@@ -288,3 +284,116 @@ def _filled(values: Mapping[str, ArrayLike], shape: tuple[int, ...]) -> dict[str
 
 def _spread(response: Floats) -> Floats:
     return np.asarray(response.max() / response.min() - 1)
+
+
+def dissipative_constant(restitution: ArrayLike, impact: Impact) -> Floats:
+    """Return A of a viscoelastic sphere [s] with which an impact has the wanted restitution.
+
+    Parameters
+    ----------
+    restitution : array_like
+        Below 1, below what a thin plate leaves if the target is one, and above about 1e-5.
+    impact : Impact
+        Bodies, velocity and stiffness; its own dissipation is replaced.
+
+    Returns
+    -------
+    ndarray
+        For `Viscoelastic(dissipative_constant=...)`, of the shape of restitution and impact together.
+
+    Raises
+    ------
+    InvalidValue
+        The restitution cannot be reached.
+
+    Examples
+    --------
+    >>> from cgid.physics import Elastic, HalfSpace, Sphere, Viscoelastic
+    >>> from cgid.physics.materials import STEEL, YANG2018_SPHERES
+    >>> impact = Impact(
+    ...     sphere=Sphere(material=YANG2018_SPHERES[1], radius=0.025),
+    ...     target=HalfSpace(material=STEEL), velocity=2.0, stiffness="hertz", dissipation=Elastic(),
+    ... )  # fmt: skip
+    >>> constant = dissipative_constant(0.8, impact)
+    >>> round(float(replace(impact, dissipation=Viscoelastic(dissipative_constant=constant)).restitution), 12)
+    0.8
+    """
+    validation.instance("impact", impact, Impact)
+    elastic = replace(impact, dissipation=Elastic())
+
+    def curves(zeta: Floats, rows: NDArray[np.intp]) -> Curves:
+        return replace(elastic.curves.taken(rows), zeta=zeta)
+
+    zeta = _sought(restitution, elastic, curves, _ZETA)
+    return zeta * elastic.time_scale
+
+
+def plate_thickness(restitution: ArrayLike, impact: Impact) -> Floats:
+    """Return the thickness of a thin plate [m] with which an impact has the wanted restitution.
+
+    Parameters
+    ----------
+    restitution : array_like
+        Below what the material's own loss leaves (1 if it is elastic) and above about 1e-6.
+    impact : Impact
+        Its target is a thin plate, whose own thickness is replaced.
+
+    Returns
+    -------
+    ndarray
+        Of the shape of restitution and impact together.
+
+    Raises
+    ------
+    InvalidValue
+        The target is no thin plate, or the restitution cannot be reached.
+    """
+    validation.instance("impact", impact, Impact)
+    validation.instance("impact.target", impact.target, ThinPlate)
+    assert isinstance(impact.target, ThinPlate)
+    on_half_space = replace(impact, target=HalfSpace(material=impact.target.material))
+
+    def curves(inelasticity: Floats, rows: NDArray[np.intp]) -> Curves:
+        return replace(on_half_space.curves.taken(rows), inelasticity=inelasticity)
+
+    # lambda = m / (Z T0), and Z goes with the square of the thickness.
+    inelasticity = _sought(restitution, on_half_space, curves, _LAMBDA)
+    impedance = on_half_space.reduced_mass / (inelasticity * on_half_space.time_scale)
+    return np.sqrt(impedance / impedance_of_unit_thickness(impact.target.material))
+
+
+def _sought(
+    restitution: ArrayLike,
+    impact: Impact,
+    curves: Callable[[Floats, NDArray[np.intp]], Curves],
+    between: tuple[float, float],
+) -> Floats:
+    """Return the loss parameter, in the shape of restitution and impact, whose curves have the wanted restitution."""
+    from scipy.optimize import elementwise
+
+    wanted, lossless = validation.broadcast(
+        restitution=validation.restitution("restitution", restitution), impact=impact.restitution
+    )
+    rows = np.broadcast_to(np.arange(impact.restitution.size).reshape(impact.restitution.shape), wanted.shape)
+
+    def excess(logarithm: Floats, wanted: Floats, rows: NDArray[np.intp]) -> Floats:
+        return curves(np.exp(logarithm).ravel(), rows.ravel()).rebound.reshape(wanted.shape) - wanted
+
+    low, high = (np.full(wanted.shape, np.log(bound)) for bound in between)
+    least = wanted + excess(high, wanted, rows)
+    unreachable = (wanted >= lossless) | (wanted <= least)
+    if unreachable.any():
+        raise InvalidValue(
+            f"restitution must lie between {least[unreachable][0]:.3g} and {lossless[unreachable][0]:.6g}, which the "
+            f"impact has without this loss, got {wanted[unreachable][0]:g}"
+        )
+    found = np.asarray(elementwise.find_root(excess, (low, high), args=(wanted, rows)).x)
+    # With gravity the restitution drops from some value to nothing: the sphere stays.
+    missed = np.abs(excess(found, wanted, rows)) > 1e-9 * wanted
+    if missed.any():
+        last = wanted + excess(found - 1e-9, wanted, rows)
+        raise InvalidValue(
+            f"restitution must be {last[missed][0]:.3g} or more, for with more loss gravity holds the sphere on the "
+            f"target, got {wanted[missed][0]:g}"
+        )
+    return np.asarray(np.exp(found))

@@ -1,18 +1,293 @@
-"""A long recording with its truth."""
+"""What a recording looks like: waveform, spectrogram and spectrum of its channels, and what was found in it.
+
+A long recording with its truth.
+
+The share of gangue as it goes on, and when to shut the window.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cgid.measure.overview import OverviewStream
-from cgid.plots.figure import colours_of, png, require_matplotlib
-from cgid.plots.overview import Clock, Mark, draw_marks, draw_spectrogram, draw_waveform
+from cgid.measure.overview import Overview, OverviewStream
+from cgid.plots.figure import COLOURS, colours_of, plain, png, require_matplotlib
 from cgid.recordings import Channel
 from cgid.signals import Signal
+from cgid.validation import Floats
+
+if TYPE_CHECKING:
+    from cgid.identification.share import Share, Turn
+
+#: More channels than these in one picture cannot be read.
+MOST_CHANNELS = 8
+#: Signs of a label beside its row.
+_LONGEST_LABEL = 32
+#: Levels further below the highest than this are all drawn alike [dB], and the scale is never shorter than that.
+_DEEPEST, _SHALLOWEST = 90.0, 30.0
+#: Where a channel has at most so many marks, and these leave room, they are drawn through its waveform, too.
+_FEW_MARKS = 150
+#: A mark is at least this part of the time axis wide, to be seen: among few, and among many.
+_NARROWEST_MARK = (3e-3, 1.2e-3)
+#: Shorter recordings have an axis in milliseconds [s].
+_MILLISECONDS_BELOW = 0.5
+#: Inches.
+_WIDTH, _TITLE, _STRIP_ROW, _WAVEFORM, _SPECTROGRAM, _SPECTRUM = 11.0, 0.6, 0.19, 1.5, 1.9, 2.7
+#: So many channels have rows of full size, of more they are this part of it.
+_FULL_SIZE, _SHRUNK = 3, 0.65
+#: Inches that a row needs for what is written between it and the next.
+_ROOM = 0.35
+_WAVEFORM_COLOUR = "#303030"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Mark:
+    """Something that a recording holds.
+
+    Attributes
+    ----------
+    time, end : float
+        When it begins and ends [s].
+    label : str
+        What it is.
+    channel : str or None
+        Name of the channel; None stands for all of them.
+    """
+
+    time: float
+    end: float
+    label: str
+    channel: str | None = None
+
+
+def overview_figure(
+    overview: Overview,
+    channels: Sequence[Channel],
+    *,
+    title: str,
+    facts: str = "",
+    marks: Sequence[Mark] = (),
+    begin: float = 0.0,
+) -> Any:
+    """Return a figure of waveform and spectrogram of each channel and the spectra of all, with marks by label.
+
+    Parameters
+    ----------
+    overview : Overview
+    channels : sequence of Channel
+        Of the overview, in order.
+    title, facts : str
+        Stand above it, in a line each.
+    marks : sequence of Mark
+        Those of each channel lie above its waveform, a row for each label.
+    begin : float
+        Time of the first sample of the overview [s].
+
+    Raises
+    ------
+    MissingExtra
+        matplotlib is not installed.
+    """
+    colours = colours_of(mark.label for mark in marks)
+    strip = [_STRIP_ROW * len(colours)] if colours else []
+    shrunk = 1.0 if len(channels) <= _FULL_SIZE else _SHRUNK
+    heights = [*[*strip, _WAVEFORM * shrunk, _SPECTROGRAM * shrunk] * len(channels), _SPECTRUM]
+    figure = require_matplotlib()(figsize=(_WIDTH, sum(heights) + _ROOM * len(heights) + _TITLE), layout="constrained")
+    figure.suptitle("\n".join(plain(line) for line in (title, facts) if line), parse_math=False, fontsize="medium")
+    grid = figure.add_gridspec(len(heights), 2, height_ratios=heights, width_ratios=(1, 0.016), wspace=0.01)
+    rows, clock, shared = iter(range(len(heights))), Clock(begin, begin + overview.duration), None
+    for k, channel in enumerate(channels):
+        own = [mark for mark in marks if mark.channel in (None, channel.name)]
+        shared = top = waveform = figure.add_subplot(grid[next(rows), 0], sharex=shared)
+        if colours:
+            draw_marks(top, own, colours, clock)
+            waveform = figure.add_subplot(grid[next(rows), 0], sharex=shared)
+        top.set_title(_name(channel, len(channels)), loc="left", fontsize="medium", parse_math=False)
+        draw_waveform(waveform, overview, k, channel, clock)
+        if len(own) <= _FEW_MARKS and sum(mark.end - mark.time for mark in own) <= overview.duration:
+            _shade(waveform, own, colours, clock)
+        row = next(rows)
+        spectrogram, scale = (figure.add_subplot(grid[row, column], sharex=(shared, None)[column]) for column in (0, 1))
+        draw_spectrogram(spectrogram, scale, overview, k, channel, clock)
+        spectrogram.set_xlabel(clock.title)
+        for axes in (top, waveform):
+            axes.tick_params(labelbottom=False)
+    _spectrum(figure.add_subplot(grid[next(rows), 0]), overview, channels)
+    return figure
+
+
+class Clock:
+    """The axis of time from `begin` to `end` [s], in seconds or milliseconds."""
+
+    def __init__(self, begin: float, end: float) -> None:
+        self.begin = begin
+        self.factor, self.title = (1e3, "time [ms]") if end < _MILLISECONDS_BELOW else (1.0, "time [s]")
+        self.limits = (begin * self.factor, end * self.factor)
+
+    def of(self, times: Floats) -> Floats:
+        """Return times since the first sample of the overview as the axis has them."""
+        return np.asarray((times + self.begin) * self.factor)
+
+
+def draw_waveform(axes: Any, overview: Overview, k: int, channel: Channel, clock: Clock) -> None:
+    """Draw lowest and highest sample of each column of channel `k`, or the samples where each is a column."""
+    edges = clock.of(overview.waveform_edges)
+    lowest, highest = overview.lowest[k], overview.highest[k]
+    if overview.waveform_step == 1:
+        axes.plot(edges[:-1], lowest, color=_WAVEFORM_COLOUR, lw=0.8, marker="." if lowest.size < 3 else None)
+    else:
+        # Columns that do not overlap would leave gaps where the waveform is steep.
+        low, high = lowest.copy(), highest.copy()
+        low[1:] = np.minimum(low[1:], highest[:-1])
+        high[1:] = np.maximum(high[1:], lowest[:-1])
+        outline = (np.repeat(each, 2) for each in (low, high))
+        axes.fill_between(np.repeat(edges, 2)[1:-1], *outline, fc=_WAVEFORM_COLOUR, ec=_WAVEFORM_COLOUR, lw=0.6)
+    bottom, top = float(lowest.min()), float(highest.max())
+    room = 0.06 * (top - bottom) or 0.1 * abs(top) or 1.0
+    axes.set(ylabel=_quantity(channel), xlim=clock.limits, ylim=(bottom - room, top + room))
+    axes.grid(alpha=0.25)
+
+
+def draw_spectrogram(axes: Any, scale: Any, overview: Overview, k: int, channel: Channel, clock: Clock) -> None:
+    """Draw the spectrogram of channel `k`, and its scale of levels on axes of their own."""
+    density = overview.spectrogram[k]
+    if not density.size or not density.max() > 0:
+        _nothing(axes, overview, "spectrogram")
+        axes.set_xlim(clock.limits)
+        scale.axis("off")
+        return
+    level = _decibels(density, density.max())
+    bottom, top = _limits(np.quantile(level, [0.05, 0.9995]))
+    edges = clock.of(overview.time_edges)
+    mesh = axes.pcolormesh(
+        edges, overview.band_edges, level, vmin=bottom, vmax=top, cmap="magma", rasterized=True, shading="flat"
+    )
+    axes.set(yscale="log", ylabel="frequency [Hz]", xlim=clock.limits, ylim=overview.band_edges[[0, -1]])
+    axes.set_facecolor("0.85")
+    _write_frequencies(axes.yaxis)
+    axes.figure.colorbar(mesh, cax=scale, extend="both", label=f"dB re 1 {_density(channel.unit)}")
+
+
+def draw_marks(axes: Any, marks: Sequence[Mark], colours: Mapping[str, str], clock: Clock) -> None:
+    """Draw marks, a row for each label, with how many there are of it."""
+    narrowest = _NARROWEST_MARK[len(marks) > _FEW_MARKS] * (clock.limits[1] - clock.limits[0])
+    names = []
+    for row, (label, colour) in enumerate(colours.items()):
+        own = [mark for mark in marks if mark.label == label]
+        spans = [(start, max(width, narrowest)) for start, width in _spans(own, clock)]
+        axes.broken_barh(spans, (row - 0.4, 0.8), facecolors=colour, lw=0)
+        axes.axhline(row + 0.5, color="0.85", lw=0.5)
+        names.append(f"{plain(label, _LONGEST_LABEL)} ({len(own)})")
+    axes.set_yticks(range(len(names)), names, parse_math=False, fontsize="small")
+    axes.set(xlim=clock.limits, ylim=(len(names) - 0.5, -0.5))
+    axes.tick_params(length=0, axis="y")
+
+
+def _spans(marks: Sequence[Mark], clock: Clock) -> list[tuple[float, float]]:
+    """Return begin and length of marks on the axis of time."""
+    return [(mark.time * clock.factor, (mark.end - mark.time) * clock.factor) for mark in marks]
+
+
+def _shade(axes: Any, marks: Sequence[Mark], colours: Mapping[str, str], clock: Clock) -> None:
+    """Shade the time of each mark behind the waveform, and draw a line where it begins."""
+    for label, colour in colours.items():
+        spans = _spans([mark for mark in marks if mark.label == label], clock)
+        across = axes.get_xaxis_transform()
+        axes.broken_barh(spans, (0, 1), transform=across, facecolors=colour, alpha=0.18, lw=0, zorder=0)
+        begins = [start for start, _ in spans]
+        axes.vlines(begins, 0, 1, transform=across, colors=colour, lw=0.8, alpha=0.6, zorder=0.5)
+
+
+def _spectrum(axes: Any, overview: Overview, channels: Sequence[Channel]) -> None:
+    """Draw the spectra of all channels over each other."""
+    highest = float(overview.spectrum[:, 1:].max(initial=0.0))
+    if not highest > 0:
+        _nothing(axes, overview, "spectrum")
+        axes.set(xticks=[])
+        return
+    level = _decibels(overview.spectrum[:, 1:], highest)
+    palette = list(colours_of(map(str, range(len(channels)))).values())
+    for k, channel in enumerate(channels):
+        style = "-" if k < len(COLOURS) else "--"
+        axes.plot(
+            overview.frequency[1:], level[k], style, color=palette[k], lw=1.1, label=plain(channel.name, _LONGEST_LABEL)
+        )
+    units = {channel.unit for channel in channels}
+    unit = _density(units.pop()) if len(units) == 1 else "unit²/Hz of each channel"
+    limits = _limits(np.quantile(level, [0.002, 1]))
+    axes.set(xscale="log", xlim=overview.frequency[[1, -1]], ylim=limits)
+    axes.set(xlabel="frequency [Hz]", ylabel=f"power density\n[dB re 1 {unit}]")
+    axes.set_title(f"mean spectrum (resolution {hertz(overview.frequency[1], 3)})", loc="left", fontsize="medium")
+    axes.grid(alpha=0.3, which="both")
+    _write_frequencies(axes.xaxis)
+    if len(channels) > 1:
+        legend = axes.legend(title="channel", fontsize="small", ncols=2 if len(channels) > 4 else 1)
+        for text in legend.get_texts():
+            text.set_parse_math(False)
+
+
+def _decibels(density: Floats, highest: float) -> Floats:
+    """Return levels [dB]; nothing at all is far below the highest."""
+    return 10 * np.log10(np.maximum(density, highest * 10 ** (-_DEEPEST / 10 - 3)))
+
+
+def _limits(extremes: Floats) -> tuple[float, float]:
+    """Return limits of a scale of levels: multiples of 5 dB, neither too near each other nor too far apart."""
+    top = 5.0 * float(np.ceil(extremes[1] / 5))
+    bottom = 5.0 * float(np.floor(extremes[0] / 5))
+    return min(max(bottom, top - _DEEPEST), top - _SHALLOWEST), top
+
+
+def _write_frequencies(axis: Any) -> None:
+    """Write 200 and 2k, not powers of ten."""
+    from matplotlib.ticker import EngFormatter, LogLocator, NullFormatter
+
+    low, high = axis.get_view_interval()
+    axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if high < 5e3 * low else (1.0,), numticks=20))
+    axis.set_major_formatter(EngFormatter(sep=""))
+    axis.set_minor_formatter(NullFormatter())
+
+
+def _nothing(axes: Any, overview: Overview, what: str) -> None:
+    """Say why there is no spectrum."""
+    why = "all samples are equal" if overview.frequency.size else f"{overview.n_samples} samples are too few"
+    axes.text(0.5, 0.5, f"no {what}: {why}", transform=axes.transAxes, ha="center", va="center", color="0.4")
+    axes.set(yticks=[], ylabel=what)
+
+
+def _name(channel: Channel, n_channels: int) -> str:
+    return f"channel {plain(channel.name)}" if n_channels > 1 or channel.name != "1" else ""
+
+
+def _quantity(channel: Channel) -> str:
+    return f"{channel.quantity or 'signal'} [{written(channel.unit)}]"
+
+
+def hertz(frequency: float, digits: int = 6) -> str:
+    """Return a frequency as it is read best.
+
+    Examples
+    --------
+    >>> hertz(43.06640625, 3), hertz(44100.0)
+    ('43.1 Hz', '44.1 kHz')
+    """
+    return f"{frequency:.{digits}g} Hz" if frequency < 1000 else f"{frequency / 1e3:.{digits}g} kHz"
+
+
+def written(unit: str | None) -> str:
+    """Return a unit as it is written by hand."""
+    if unit is None:
+        return "unit not said"
+    return unit.replace("s**2", "s²").replace("s^2", "s²").replace("s2", "s²").replace("um", "µm").replace("uV", "µV")
+
+
+def _density(unit: str | None) -> str:
+    one = "unit" if unit is None else written(unit)
+    return f"({one})²/Hz" if "/" in one else f"{one}²/Hz"
 
 
 def recording_picture(recording: Signal, truth: Mapping[str, NDArray[Any]]) -> bytes:
@@ -65,3 +340,74 @@ def _shares(
     axes.set(ylim=(0, 1), ylabel=f"share of the arriving rocks\n(within {width * duration:g} s)", xlabel=clock.title)
     axes.grid(alpha=0.3)
     axes.legend(fontsize="small", loc="center left")
+
+
+#: Inches; the panels are as wide as those of the recording.
+_WIDTH_share, _PANEL, _TITLE_share = 11.0, 1.9, 0.5
+_LINE, _LIMIT = COLOURS[0], COLOURS[1]
+
+
+def share_figure(
+    shares: Sequence[Share], turns: Sequence[Turn], duration: float, *, threshold: float | None = None
+) -> Any:
+    """Return a figure of the share of gangue over time with its interval, a panel for each channel.
+
+    Parameters
+    ----------
+    shares : sequence of Share
+        At least one; of the first `MOST_CHANNELS` channels.
+    turns : sequence of Turn
+    duration : float
+        Of the recording [s].
+    threshold : float, optional
+        The share above which going on costs more than it brings.
+
+    Raises
+    ------
+    MissingExtra
+        matplotlib is not installed.
+    """
+    names = list(dict.fromkeys(share.channel for share in shares))[:MOST_CHANNELS]
+    figure = require_matplotlib()(figsize=(_WIDTH_share, _TITLE_share + _PANEL * len(names)), layout="constrained")
+    clock = Clock(0.0, duration)
+    panels = figure.subplots(len(names), 1, sharex=True, squeeze=False)[:, 0]
+    for axes, name in zip(panels, names, strict=True):
+        own = [share for share in shares if share.channel == name]
+        _share(axes, own, clock)
+        if threshold is not None:
+            axes.axhline(
+                threshold, color="0.4", ls="--", lw=1, label=f"above {threshold:.3g} going on costs more than it brings"
+            )
+        for turn in turns:
+            if turn.share.channel == name:
+                _turn(axes, turn, clock)
+        if len(names) > 1:
+            axes.set_title(f"channel {plain(name)}", loc="left", fontsize="medium", parse_math=False)
+        axes.set(ylim=(0, 1), ylabel="share of gangue", xlim=clock.limits)
+        axes.grid(alpha=0.3)
+    panels[0].legend(loc="lower left", bbox_to_anchor=(0.15, 1.0), ncols=3, fontsize="small", frameon=False)
+    panels[-1].set_xlabel(f"{clock.title}, ends of the windows")
+    return figure
+
+
+def _share(axes: Any, shares: Sequence[Share], clock: Clock) -> None:
+    times = clock.of(np.array([share.time for share in shares]))
+    low, mean, high = np.array([(share.low, share.share, share.high) for share in shares]).T
+    axes.fill_between(times, low, high, color=_LINE, alpha=0.2, lw=0, label="95 % interval")
+    axes.plot(times, mean, color=_LINE, marker="o", ms=3, lw=1.4, label="share of gangue")
+
+
+def _turn(axes: Any, turn: Turn, clock: Clock) -> None:
+    (place,) = clock.of(np.array([turn.time]))
+    axes.axvline(place, color=_LIMIT, lw=1.8 if turn.shut else 1.0, ls="-" if turn.shut else ":")
+    axes.annotate(
+        "shut" if turn.shut else "open again",
+        (place, 0.97),
+        xytext=(-4, 0),
+        textcoords="offset points",
+        ha="right",
+        va="top",
+        color=_LIMIT,
+        fontsize="small",
+        fontweight="bold" if turn.shut else "normal",
+    )

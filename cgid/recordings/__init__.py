@@ -16,9 +16,9 @@ from typing import IO, Any
 
 from cgid.errors import BadData, NoInput, WriteFailed
 from cgid.recordings.formats import HDF5_MAGIC, HEAD_SIZE, format_of, is_hdf5
-from cgid.recordings.own import DATASET_CURE
-from cgid.recordings.recording_file import BLOCK_LENGTH, Channel, RecordingFile, told
-from cgid.signals import Signal, quantity_of
+from cgid.recordings.recording import BLOCK_LENGTH, DATASET_CURE, Channel, RecordingFile, told
+from cgid.signals import Signal
+from cgid.units import quantity_of
 from cgid.validation import require_rate
 
 __all__ = ["BLOCK_LENGTH", "Channel", "RecordingFile", "is_dataset", "open_recording", "read_recording"]
@@ -55,8 +55,8 @@ def is_dataset(path: str | Path) -> bool:
                 return False
     except (OSError, ValueError):
         return False
-    from cgid.store.apart import format_said
-    from cgid.store.header import RECORDING_FORMAT
+    from cgid.store.description import RECORDING_FORMAT
+    from cgid.store.sandbox import format_said
 
     said = format_said(Path(path))
     return said is None or (said.startswith("cgid") and said != RECORDING_FORMAT)

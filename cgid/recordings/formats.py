@@ -9,10 +9,9 @@ from importlib import import_module
 from pathlib import Path
 
 from cgid.errors import BadData, InvalidValue
-from cgid.recordings.contents import Contents
 from cgid.recordings.mat.elements import MAT_ORDERS
-from cgid.recordings.own import DATASET_CURE
-from cgid.recordings.sound.riff import WAV_MAGICS
+from cgid.recordings.recording import DATASET_CURE, Contents
+from cgid.recordings.wav import WAV_MAGICS
 
 #: So many bytes tell any format.
 HEAD_SIZE = 1024
@@ -68,16 +67,16 @@ def is_hdf5(head: bytes, suffix: str) -> bool:
 #: The first that matches reads; text is what is left.
 FORMATS: tuple[Format, ...] = (
     Format("NPY", _starts(b"\x93NUMPY"), "arrays:read_npy"),
-    Format("WAV", _starts(*WAV_MAGICS), "sound.wav:read_wav"),
-    Format("NPZ", _starts(b"PK\3\4"), "npz:read_npz", takes_variable=True),
+    Format("WAV", _starts(*WAV_MAGICS), "wav:read_wav"),
+    Format("NPZ", _starts(b"PK\3\4"), "arrays:read_npz", takes_variable=True),
     Format("HDF5", is_hdf5, "hdf5:read_hdf5", takes_variable=True),
     Format("MATLAB", lambda head, suffix: head[124:128] in MAT_ORDERS, "mat.reader:read_mat", takes_variable=True),
     Format("TDMS", _starts(b"TDSm"), "tdms:read_tdms", takes_variable=True),
     Format("UFF", lambda head, suffix: _UFF.match(head) is not None, "uff:read_uff", takes_variable=True),
     Format("Parquet", _starts(b"PAR1"), "parquet:read_parquet"),
-    Format("FLAC or OGG", _starts(b"fLaC", b"OggS"), "sound.audio:read_audio"),
-    Format("LVM", lambda head, suffix: b"LabVIEW Measurement" in head[:32], "lvm.reader:read_lvm", takes_variable=True),
-    Format("text", lambda head, suffix: True, "text.reader:read_text"),
+    Format("FLAC or OGG", _starts(b"fLaC", b"OggS"), "audio:read_audio"),
+    Format("LVM", lambda head, suffix: b"LabVIEW Measurement" in head[:32], "lvm:read_lvm", takes_variable=True),
+    Format("text", lambda head, suffix: True, "text:read_text"),
 )
 
 

@@ -1,21 +1,44 @@
-"""HDF5 that others wrote, MATLAB's v7.3 among it; `cgid.store` reads it."""
+"""Recordings that cgid itself made.
+
+HDF5 that others wrote, MATLAB's v7.3 among it; `cgid.store` reads it.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from contextlib import closing
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from numpy.typing import NDArray
 
 from cgid.errors import BadData, InvalidValue
-from cgid.recordings.contents import Contents
-from cgid.recordings.own import DATASET_CURE, read_own
+from cgid.recordings.recording import DATASET_CURE, Contents
 from cgid.recordings.statements import is_telling
 from cgid.recordings.variables import Variable, contents_of, orientation
 
 if TYPE_CHECKING:
     from cgid.store.foreign import ForeignArray
+
+
+def read_own(path: Path) -> Contents:
+    """Return the one channel of a recording made by `cgid generate`."""
+    from cgid.store.reading import Recording
+
+    recording = Recording(path)
+
+    def blocks(length: int, channels: Sequence[int]) -> Iterator[NDArray[Any]]:
+        with closing(recording.blocks(length)) as rows:
+            for row in rows:
+                yield row[None][list(channels)]
+
+    return Contents(
+        n_channels=1,
+        blocks=blocks,
+        n_samples=recording.n_samples,
+        units=[recording.unit],
+        sampling_rate=recording.sampling_rate,
+    )
 
 
 #: Attributes of packed numbers and what is meant without them: CF conventions 1.11, section 8.1.
@@ -49,9 +72,9 @@ def read_hdf5(path: Path, source: str, variable: str | None) -> Contents:
         The file is damaged, a dataset of cgid, holds no array of numbers or several, or the array lies elsewhere,
         declares more than is stored, or is packed in a way that HDF5 does not know here.
     """
-    from cgid.store.apart import format_said
+    from cgid.store.description import RECORDING_FORMAT
     from cgid.store.foreign import array_blocks, survey
-    from cgid.store.header import RECORDING_FORMAT
+    from cgid.store.sandbox import format_said
 
     said = format_said(path)
     if said == RECORDING_FORMAT:

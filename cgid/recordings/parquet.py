@@ -14,17 +14,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cgid.errors import BadData, CgidError, MissingExtra
-from cgid.recordings.contents import Contents, rates_agree
+from cgid.recordings.recording import Contents, require_one_rate
 from cgid.recordings.statements import (
     Value,
-    known_unit,
     stated_rate,
     stated_start,
+    stated_time_unit,
     stated_units,
 )
-from cgid.recordings.text.header import TIME_UNITS, Column, column_of
-from cgid.recordings.time_vector import rate_of_vector
+from cgid.recordings.text_header import Column, column_of
+from cgid.recordings.times import rate_of_vector
 from cgid.recordings.variables import Variable
+from cgid.units import known_unit, seconds_of
 
 #: Texts in the footer [bytes], its lists [entries].
 _LONGEST_TEXT, _LONGEST_LIST = 16 << 20, 1 << 20
@@ -36,7 +37,6 @@ _LONGEST_VALUE = 200
 _MOST_ROWS_A_BYTE = 1000
 #: What pandas calls the column of an index that has no name.
 _INDEX = "__index_level_"
-_TICKS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 
 
 def read_parquet(path: Path, source: str, variable: str | None) -> Contents:
@@ -89,11 +89,8 @@ def read_parquet(path: Path, source: str, variable: str | None) -> Contents:
     if at is not None and n_samples > 1:
         name, kind, values, _ = columns[at]
         rate, rate_from = _rate_of(file, name, kind, values, source), f"column {name}"
-        if stated is not None and not rates_agree(rate, stated[0]):
-            raise BadData(
-                f"{source}: the sampling rate must be one to 0.1 %, {stated[1]} says {stated[0]:.10g} Hz and column "
-                f"{name} {rate:.10g} Hz; correct one"
-            )
+        if stated is not None:
+            require_one_rate(stated, (rate, rate_from), source)
         start = start or (file.first_time(name) if kind == "timestamp" else None)
     for_all = stated_units(file.said, len(kept))
     units = [
@@ -118,7 +115,7 @@ def read_parquet(path: Path, source: str, variable: str | None) -> Contents:
 
 
 def _is_time(column: Column) -> bool:
-    return column.is_named_time or (not column.name and column.unit in TIME_UNITS)
+    return column.is_named_time or (not column.name and column.has_time_unit)
 
 
 def _rate_of(file: _Parquet, name: str, kind: str, values: dict[str, Value], source: str) -> float:
@@ -127,9 +124,9 @@ def _rate_of(file: _Parquet, name: str, kind: str, values: dict[str, Value], sou
         n_channels=1,
         n_samples=file.n_rows,
         blocks=lambda length, channels: file.blocks([name], length),
-        about=values if kind == "number" else {"unit": "s"},
     )
-    return rate_of_vector(times, f"{source}: column {name}")
+    unit = stated_time_unit(name, values) if kind == "number" else "s"
+    return rate_of_vector(times, unit, f"{source}: column {name}")
 
 
 class _Parquet:
@@ -216,7 +213,7 @@ def _numbers(column: Any, origins: dict[str, int], name: str) -> NDArray[Any]:
             return np.full(len(column), np.nan)
         counts = column.cast(pa.int64()).to_numpy()
         origin = origins.setdefault(name, int(counts[0]) if len(counts) else 0)
-        seconds: NDArray[np.float64] = (counts - origin) * _TICKS[column.type.unit]
+        seconds: NDArray[np.float64] = (counts - origin) * (seconds_of(column.type.unit) or 1.0)
         return seconds
     values: NDArray[Any] = column.to_numpy(zero_copy_only=False)
     return values if values.dtype in (np.float32, np.float64) else values.astype(np.float64)

@@ -1,17 +1,17 @@
-"""What named values of a file say: attributes of HDF5, properties of TDMS, scalars of MATLAB."""
+"""What the named values of a file state: attributes of HDF5, properties of TDMS, scalars of MATLAB."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from datetime import datetime
 
 import numpy as np
 
 from cgid.errors import BadData
-from cgid.recordings.contents import rates_agree
-from cgid.recordings.text.header import TIME_UNITS, column_of
-from cgid.signals import KNOWN_UNITS
+from cgid.recordings.recording import require_one_rate
+from cgid.recordings.text_header import column_of
+from cgid.units import hertz_of, known_unit, plain_unit, seconds_of
 
 #: Values that files attach to names; lists are one value a channel.
 Value = float | str | datetime | list[str]
@@ -28,8 +28,6 @@ _START_NAMES = frozenset(("starttime", "wfstarttime", "startdatetime", "acquisit
 _CHANNEL_NAMES = frozenset(("channelnames", "channelname", "channels", "channellabels", "labels"))
 _NAMES = _RATE_NAMES | _INTERVAL_NAMES | _UNIT_NAMES | _START_NAMES | _CHANNEL_NAMES
 
-_RATE_FACTORS = {"": 1.0, "hz": 1.0, "s/s": 1.0, "sps": 1.0, "khz": 1e3, "mhz": 1e6}
-_TIME_FACTORS = {"": 1.0, "s": 1.0, "sec": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6, "ns": 1e-9}
 _NUMBER = re.compile(r"\s*([+-]?\d+(?:\.\d*)?(?:[eE][+-]?\d+)?)\s*([^\d\s]\S*)?\s*")
 _UNIT_BEHIND = re.compile(r"[\s_([]+(k?hz|mhz|s|sec|ms|us|µs)[\s)\]]*$")
 
@@ -64,9 +62,9 @@ def stated_rate(values: Values, source: str) -> tuple[float, str] | None:
     for name, value in values.items():
         plain, unit = _plain(name)
         if plain in _RATE_NAMES:
-            number = _number(value, unit, _RATE_FACTORS)
+            number = _number(value, unit, hertz_of)
         elif plain in _INTERVAL_NAMES:
-            interval = _number(value, unit, _TIME_FACTORS)
+            interval = _number(value, unit, seconds_of)
             number = None if interval is None else _rate_of(interval)
         else:
             continue
@@ -79,16 +77,12 @@ def stated_rate(values: Values, source: str) -> tuple[float, str] | None:
         return None
     first = found[0]
     for rate, name in found[1:]:
-        if not rates_agree(rate, first[0]):
-            raise BadData(
-                f"{source}: the sampling rate must be one to 0.1 %, {first[1]} says {first[0]:.10g} Hz and {name} says "
-                f"{rate:.10g} Hz; correct one"
-            )
+        require_one_rate(first, (rate, name), source)
     return first
 
 
 def stated_units(values: Values, n_channels: int) -> list[str | None]:
-    """Return the unit of each channel, None where none is stated or it is none of `cgid.signals.UNITS`.
+    """Return the unit of each channel, None where none is stated or it is none of `cgid.units.UNITS`.
 
     Examples
     --------
@@ -103,18 +97,6 @@ def stated_units(values: Values, n_channels: int) -> list[str | None]:
         if isinstance(value, list) and len(value) == n_channels:
             return [known_unit(unit) for unit in value]
     return [None] * n_channels
-
-
-def known_unit(text: str) -> str | None:
-    """Return the unit if it is one of `cgid.signals.UNITS`, else None.
-
-    Examples
-    --------
-    >>> known_unit(" [m/s^2] "), known_unit("counts")
-    ('m/s^2', None)
-    """
-    unit = text.replace("\u03bc", "µ").strip(" \t\0[]()")
-    return unit if unit in KNOWN_UNITS else None
 
 
 def stated_names(values: Values, n_channels: int) -> list[str]:
@@ -150,9 +132,9 @@ def stated_time_unit(name: str, values: Values) -> str:
     """Return the unit of an array of times: the one attached to it, else the one in its name, else ""."""
     for key, value in values.items():
         if _plain(key)[0] in _UNIT_NAMES and isinstance(value, str) and value.strip():
-            return value.replace("\u03bc", "µ").strip(" \t\0[]()")
-    unit = column_of(name.rpartition("/")[2]).unit
-    return unit if unit in TIME_UNITS else ""
+            return plain_unit(value)
+    column = column_of(name.rpartition("/")[2])
+    return column.unit if column.has_time_unit else ""
 
 
 def _plain(name: str) -> tuple[str, str]:
@@ -182,12 +164,14 @@ def _rate_of(interval: float) -> float:
     return float(whole) if whole and 1 / whole == interval else rate
 
 
-def _number(value: Value, unit: str, factors: Mapping[str, float]) -> float | None:
+def _number(value: Value, unit: str, factor_of: Callable[[str], float | None]) -> float | None:
+    """Return a value in the SI unit; its own unit counts before that of its name. None if it is no number."""
     if isinstance(value, str):
         found = _NUMBER.fullmatch(value.replace("\u03bc", "µ"))
         if not found:
             return None
-        value, unit = float(found[1]), (found[2] or unit).lower()
-    if isinstance(value, bool) or not isinstance(value, int | float) or unit not in factors:
+        value, unit = float(found[1]), found[2] or unit
+    factor = factor_of(unit)
+    if isinstance(value, bool) or not isinstance(value, int | float) or factor is None:
         return None
-    return value * factors[unit]
+    return value * factor

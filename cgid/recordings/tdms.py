@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cgid.errors import BadData, CgidError, MissingExtra
-from cgid.recordings.contents import Contents
+from cgid.recordings.recording import Contents
 from cgid.recordings.statements import Value, is_telling
 from cgid.recordings.variables import Variable, contents_of
 

@@ -19,9 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cgid.errors import BadData
-from cgid.recordings.contents import Contents, rates_agree
-from cgid.recordings.statements import known_unit
-from cgid.recordings.text.header import TIME_UNITS
+from cgid.recordings.recording import Contents, rates_agree
+from cgid.units import known_unit, seconds_of
 
 _DELIMITER = re.compile(rb"[ ]{4}-1[ \t]*\r?\n?")
 #: Longer lines are none of text.
@@ -219,7 +218,7 @@ def _header(file: BinaryIO, kind: bytes, number: int, source: str) -> _DataSet:
             f"{code}; export it again"
         )
     clock = _text(lines[7][47:67])
-    if abscissa == _TIME_AXIS and TIME_UNITS.get(clock, 1.0) != 1.0:
+    if abscissa == _TIME_AXIS and seconds_of(clock) not in (None, 1.0):
         raise BadData(
             f"{source}: the abscissa of data set {number} must be in s, as the format has it, its label says {clock}; "
             "correct label or increment"

@@ -1,4 +1,7 @@
-"""Files that hold named arrays: which of them is the recording, and what is said about it."""
+"""Files that hold named arrays: which of them is the recording, and what is said about it.
+
+The sampling rate from an array of times, looked through once by blocks.
+"""
 
 from __future__ import annotations
 
@@ -13,15 +16,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cgid.errors import BadData
-from cgid.recordings.contents import Blocks, Contents, rates_agree
+from cgid.recordings.recording import Blocks, Contents, rates_agree, require_one_rate
 from cgid.recordings.statements import (
     Values,
     stated_names,
     stated_rate,
     stated_start,
+    stated_time_unit,
     stated_units,
 )
-from cgid.recordings.time_vector import rate_of_vector
+from cgid.recordings.times import rate_of_vector
 
 #: Of an array of times; a large T is as often a temperature or a torque.
 _TIME_NAME = re.compile(r"(?i:(?:.*[\s_.-])?(?:time|zeit)(?:[\s_.(\[-].*)?)|t(?:\s*[(\[].*|_(?:m|u|µ)?s)?")
@@ -254,18 +258,15 @@ class _Rates:
             rate = self._measured.get(times.path)
             if rate is not None:
                 found.append((rate, f"array {times.path}"))
-        for rate, name in found[1:]:
-            if not rates_agree(rate, found[0][0]):
-                raise BadData(
-                    f"{self._source}: the sampling rate must be one to 0.1 %, {found[0][1]} says {found[0][0]:.10g} Hz "
-                    f"and {name} {rate:.10g} Hz; correct one"
-                )
+        for other in found[1:]:
+            require_one_rate(found[0], other, self._source)
         return found[0] if found else (None, "header")
 
     def _measure(self, times: Variable, otherwise: str | None) -> float | None:
         try:
             _require_sound(times, self._source)
-            return rate_of_vector(times, f"{self._source}: {times.path}")
+            unit = stated_time_unit(times.name, times.about)
+            return rate_of_vector(times, unit, f"{self._source}: {times.path}")
         except BadData:
             if otherwise is None:
                 raise

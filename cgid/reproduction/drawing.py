@@ -1,4 +1,4 @@
-"""Draws panels of lines and surfaces, and tables, from the data that also goes into the CSV files."""
+"""The reproduced data: columns and their units, figures of panels and tables, and how they are drawn."""
 
 from __future__ import annotations
 
@@ -8,18 +8,136 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
+from cgid.physics import Impact
 from cgid.plots import COLOURS, png, require_matplotlib
-from cgid.reproduction.quantities import QUANTITIES
 
-#: Inches of a panel alone, of one of two, and of one of more beside each other; of a surface.
+
+@dataclass(frozen=True)
+class Quantity:
+    """A numeric column.
+
+    Parameters
+    ----------
+    unit : str
+        In CSV files, SI; "1" for a pure number.
+    label, shown_unit : str
+        On an axis or in a table's head.
+    factor : float
+        From `unit` to `shown_unit`.
+    """
+
+    unit: str
+    label: str
+    shown_unit: str
+    factor: float = 1.0
+
+    @property
+    def title(self) -> str:
+        """What stands at an axis."""
+        return f"{self.label} [{self.shown_unit}]" if self.shown_unit else self.label
+
+
+_GPA, _MPA, _MM, _KN = ("GPa", 1e-9), ("MPa", 1e-6), ("mm", 1e3), ("kN", 1e-3)
+_MICROSECONDS = ("\N{MICRO SIGN}s", 1e6)
+
+QUANTITIES = {
+    "velocity": Quantity("m/s", "impact velocity", "m/s"),
+    "drop_height": Quantity("m", "drop height H", "m"),
+    "time": Quantity("s", "time", *_MICROSECONDS),
+    "force": Quantity("N", "contact force", *_KN),
+    "displacement": Quantity("m", "DCS", *_MM),
+    "peak_force": Quantity("N", "maximum contact force", *_KN),
+    "peak_displacement": Quantity("m", "maximum DCS", *_MM),
+    "restitution": Quantity("1", "restitution", ""),
+    "radius": Quantity("m", "$R$", *_MM),
+    "density": Quantity("kg/m^3", r"$\rho_1$", "kg/m$^3$"),
+    "youngs_modulus": Quantity("Pa", "$E_1$", *_GPA),
+    "poisson_ratio": Quantity("1", r"$\nu_1$", ""),
+    "target_youngs_modulus": Quantity("Pa", "$E_2$", *_GPA),
+    "target_poisson_ratio": Quantity("1", r"$\nu_2$", ""),
+    "reduced_modulus": Quantity("Pa", "$E$ computed", *_GPA),
+    "printed_reduced_modulus": Quantity("Pa", "$E$ printed", *_GPA),
+    "contact_stiffness": Quantity("N/m^(3/2)", "$K$ computed", "N/m$^{3/2}$"),
+    "printed_contact_stiffness": Quantity("N/m^(3/2)", "$K$ printed", "N/m$^{3/2}$"),
+    "length": Quantity("m", "length", *_MM),
+    "width": Quantity("m", "width", *_MM),
+    "thickness": Quantity("m", "thickness", *_MM),
+    "peak_force_influence": Quantity("1", "$P$: largest/smallest - 1", ""),
+    "peak_displacement_influence": Quantity("1", "DCS: largest/smallest - 1", ""),
+}
+#: What theories and finite elements are compared by.
+_COMPARED = {
+    "peak_displacement": Quantity("m", "DCS", *_MM),
+    "peak_force": Quantity("N", "force", *_KN),
+    "peak_pressure": Quantity("Pa", "pressure", *_MPA),
+    "peak_sphere_energy": Quantity("J", "energy of sphere", "J"),
+    "peak_plate_energy": Quantity("J", "energy of plate", "J"),
+    "contact_duration": Quantity("s", "contact time", *_MICROSECONDS),
+}
+QUANTITIES |= {
+    f"{prefix}_{name}": Quantity(found.unit, f"{found.label}, {of}", found.shown_unit, found.factor)
+    for name, found in _COMPARED.items()
+    for prefix, of in (("simulated", "simulated"), ("theoretical", "theory"))
+}
+QUANTITIES |= {
+    "centre_node_force": Quantity("N", "mass x acc. of centre", *_KN),
+    "filtered_force": Quantity("N", "the same below 4/T", *_KN),
+    "penalty_factor": Quantity("1", "penalty factor", ""),
+    "force_over_hard": Quantity("1", "force over hard contact's", ""),
+    "displacement_over_hard": Quantity("1", "DCS over hard contact's", ""),
+    "squared_correlation": Quantity("1", "squared correlation", ""),
+    "printed_squared_correlation": Quantity("1", "squared correlation, printed", ""),
+    "determination": Quantity("1", "1 - SSres/SStot", ""),
+    "error": Quantity("1", "mean error", ""),
+}
+#: Symbols of parameters and theories in the report's text.
+SYMBOLS = {
+    "radius": "R",
+    "density": "ρ1",
+    "youngs_modulus": "E1",
+    "poisson_ratio": "ν1",
+    "target_youngs_modulus": "E2",
+    "target_poisson_ratio": "ν2",
+    "hertz": "K1",
+    "rigid-sphere": "K2",
+    "series": "series theory",
+}
+
+
+def csv_title(column: str) -> str:
+    """Return the head of a CSV column: its name, with the unit if it is a quantity."""
+    return f"{column} [{QUANTITIES[column].unit}]" if column in QUANTITIES else column
+
+
+def frame(columns: Mapping[str, ArrayLike]) -> Any:
+    """Return a data frame of columns broadcast against each other, a row for each element."""
+    import pandas as pd
+
+    arrays = np.broadcast_arrays(*columns.values())
+    return pd.DataFrame({name: array.ravel() for name, array in zip(columns, arrays, strict=True)})
+
+
+def joined(frames: list[Any]) -> Any:
+    """Return data frames below each other."""
+    import pandas as pd
+
+    return pd.concat(frames, ignore_index=True)
+
+
+def highest_strain(*of: Impact) -> float:
+    """Return the largest displacement over radius of these impacts."""
+    return max(float(np.max(impact.peak_displacement / impact.reduced_radius)) for impact in of)
+
+
+#: Inches of a single panel, of one of two and of one of more side by side; of a surface.
 _PANEL_SIZES, _SURFACE_SIZE = ((5.2, 4.0), (4.2, 3.2), (3.4, 2.7)), (4.6, 3.7)
-#: Inches left, right, below and above the axes in a panel of lines, for numbers and titles: one of many, or larger.
+#: Inches left, right, below and above the axes of a panel of lines: one of many, or larger.
 _MARGINS, _LARGER_MARGINS = (0.75, 0.15, 0.55, 0.3), (0.9, 0.15, 0.55, 0.3)
-#: Inches of a row of the legend, of a character, and of the piece of line before it.
-_LEGEND_ROW, _CHARACTER, _LEGEND_LINE = 0.22, 0.085, 0.6
-
-#: What a formula in a head holds that is not seen.
+#: Inches of a row of the legend, of a character, of the piece of line before it, and of the caption above all panels.
+_LEGEND_ROW, _CHARACTER, _LEGEND_LINE, _CAPTION = 0.22, 0.085, 0.6, 0.3
+#: Characters of a formula in a table's head that are not seen.
 _MARKUP = re.compile(r"[${}_^]|\\[a-z]+")
 
 
@@ -84,32 +202,70 @@ class Surface:
 Panel = Lines | Surface
 
 
-def draw(data: Any, panels: Sequence[Panel], columns: int) -> bytes:
-    """Return a PNG picture of panels, `columns` of them beside each other, of a data frame.
+@dataclass(frozen=True, kw_only=True)
+class PaperFigure:
+    """A figure of the paper, computed.
 
-    The panels of one picture are of one kind: all `Lines`, or all `Surface`.
+    Parameters
+    ----------
+    name : str
+        Of its files, without the ending.
+    title : str
+    note : str
+        What was chosen here because the paper does not say it.
+    caption : str
+        Stands in the picture, above all panels.
+    data : pandas.DataFrame
+        Columns named as in `QUANTITIES`, in SI units.
+    panels : tuple of Panel
+        All `Lines`, or all `Surface`.
+    columns : int
+        Panels side by side.
+    highest_strain : float
+        Largest displacement over radius of its impacts; above 0.1 Hertz's theory is out of its range.
+    """
+
+    name: str
+    title: str
+    note: str = ""
+    caption: str = ""
+    data: Any
+    panels: tuple[Panel, ...]
+    columns: int = 1
+    highest_strain: float
+
+
+def draw(drawn: PaperFigure) -> bytes:
+    """Return a figure as a PNG picture.
 
     Raises
     ------
     MissingExtra
         matplotlib is not installed.
     """
-    rows = -(-len(panels) // columns)
-    if isinstance(panels[0], Surface):
+    return png(drawing(drawn))
+
+
+def drawing(drawn: PaperFigure) -> Any:
+    """Return a figure as a figure of matplotlib, which must be installed (MissingExtra)."""
+    columns, rows = drawn.columns, -(-len(drawn.panels) // drawn.columns)
+    if isinstance(drawn.panels[0], Surface):
         width, height = _SURFACE_SIZE
         figure = require_matplotlib()(figsize=(width * columns, height * rows), layout="constrained")
-        for place, panel in enumerate(panels, start=1):
+        for place, panel in enumerate(drawn.panels, start=1):
             assert isinstance(panel, Surface)
-            _surface(figure.add_subplot(rows, columns, place, projection="3d"), _chosen(data, panel), panel)
-        return png(figure)
+            _surface(figure.add_subplot(rows, columns, place, projection="3d"), _chosen(drawn.data, panel), panel)
+        if drawn.caption:
+            figure.suptitle(drawn.caption, fontsize="small")
+        return figure
     width, height = _PANEL_SIZES[min(columns, 3) - 1]
     figure = require_matplotlib()(figsize=(width * columns, height * rows))
     named: dict[str, Any] = {}
-    for place, panel in enumerate(panels, start=1):
+    for place, panel in enumerate(drawn.panels, start=1):
         assert isinstance(panel, Lines)
-        named |= _panel(figure.add_subplot(rows, columns, place), data, panel)
-    _place(figure, rows, columns, _legend(figure, named))
-    return png(figure)
+        named |= _panel(figure.add_subplot(rows, columns, place), drawn.data, panel)
+    _place(figure, rows, columns, _legend(figure, named), drawn.caption)
+    return figure
 
 
 def _legend(figure: Any, named: Mapping[str, Any]) -> float:
@@ -125,20 +281,25 @@ def _legend(figure: Any, named: Mapping[str, Any]) -> float:
     return needed
 
 
-def _place(figure: Any, rows: int, columns: int, legend: float) -> None:
-    """Give every panel the same room above a legend [inches]: to measure what stands around it costs more than to draw.
+def _place(figure: Any, rows: int, columns: int, legend: float, caption: str) -> None:
+    """Give every panel the same room between the legend [inches] below them and the caption above.
 
-    (matplotlib's "constrained" layout makes up for half of the time.)
+    The layout is computed here because matplotlib's "constrained" layout takes half of the time of drawing.
     """
     left, right, below, above = _MARGINS if columns > 2 else _LARGER_MARGINS
     width, height = figure.get_size_inches()
+    heading = _CAPTION if caption else 0.0
+    height += heading
+    figure.set_figheight(height)
+    if caption:
+        figure.text(0.5, 1 - 0.5 * heading / height, caption, ha="center", va="center", fontsize="small")
     figure.subplots_adjust(
         left=left / width,
         right=1 - right / width,
         bottom=(legend + below) / height,
-        top=1 - above / height,
+        top=1 - (heading + above) / height,
         wspace=(left + right) / (width / columns - left - right),
-        hspace=(below + above) / ((height - legend) / rows - below - above),
+        hspace=(below + above) / ((height - heading - legend) / rows - below - above),
     )
 
 

@@ -1,21 +1,34 @@
-"""The theoretical figures of the paper: the data of each, and how it is drawn."""
+"""The theoretical figures of the paper: the data of each, and how it is drawn.
+
+Figures 12 to 15: what each parameter does, as curves and as response surfaces.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from cgid.physics import free_fall_velocity
+from cgid.physics import Impact, free_fall_velocity
 from cgid.physics.materials import YANG2018_SPHERES
-from cgid.reproduction import impacts, paper
-from cgid.reproduction.drawing import Lines
-from cgid.reproduction.impacts import paper_impact
-from cgid.reproduction.paper_figure import PaperFigure, frame, highest_strain, joined
-from cgid.reproduction.parameter_figures import figure_12, figure_13, figure_14, figure_15
+from cgid.physics.sensitivity import parameters_of, response_grid
+from cgid.reproduction import paper
+from cgid.reproduction.drawing import Lines, PaperFigure, Surface, frame, highest_strain, joined
+from cgid.reproduction.paper import (
+    RESTITUTIONS,
+    SECTION_5_RESTITUTION,
+    SECTION_5_VELOCITY,
+    THEORY_LABELS,
+    paper_impact,
+    table_4_impact,
+    table_5_impact,
+)
+from cgid.validation import Floats
 
+#: Stands in every picture that is drawn with the paper's own contact stiffness alone.
+REJECTED = "Paper's series stiffness: rejected by the finite-element reference"
 _POINTS = 201
 _VELOCITIES = np.asarray(paper.VELOCITIES)
 #: Axes of Figures 4 to 7, chosen here: the text of the paper does not give them.
@@ -25,7 +38,7 @@ _HEIGHTS = np.linspace(0.05, 5, 100)
 
 def _theories(*wanted: str) -> tuple[Any, float]:
     """Return peak responses over the impact speed for the three theories, and the largest strain."""
-    made = {theory: paper_impact(1, _SPEEDS, theory) for theory in impacts.THEORY_LABELS}
+    made = {theory: paper_impact(1, _SPEEDS, theory) for theory in THEORY_LABELS}
     frames = []
     for theory, impact in made.items():
         peaks = {"peak_displacement": impact.peak_displacement, "peak_force": impact.peak_force}
@@ -41,7 +54,7 @@ def figure_4_to_6(number: int) -> PaperFigure:
         6: ("peak_displacement", "peak_force", "Maximum contact force over contact displacement"),
     }[number]
     data, strain = _theories(*(name for name in (x, y) if name != "velocity"))
-    lines = Lines(x=x, y=y, by="theory", labels=impacts.THEORY_LABELS)
+    lines = Lines(x=x, y=y, by="theory", labels=THEORY_LABELS)
     note = "Sphere 1 of Table 1. The range of speeds, 0.1 to 10 m/s, is chosen here."
     return PaperFigure(
         name=f"figure_{number:02d}", title=title, note=note, data=data, panels=(lines,), highest_strain=strain
@@ -59,6 +72,7 @@ def figure_7() -> PaperFigure:
         name="figure_07",
         title="Maximum contact force and DCS over drop height",
         note="Sphere 1, series theory, g = 9.8 m/s^2. The range of heights, 0.05 to 5 m, is chosen here.",
+        caption=REJECTED,
         data=data,
         panels=tuple(Lines(x="drop_height", y=y) for y in ("peak_force", "peak_displacement")),
         columns=2,
@@ -104,6 +118,7 @@ def figure_10_pulses() -> PaperFigure:
         name="figure_10_pulses",
         title="Force-time and DCS-time",
         note="Elastic, series theory. The paper's simulated curves are not here: it prints no numbers of them.",
+        caption=REJECTED,
         data=data,
         panels=(*_each_sphere("time", "force"), *_each_sphere("time", "displacement")),
         columns=4,
@@ -126,6 +141,7 @@ def figure_10_peaks() -> PaperFigure:
         name="figure_10_peaks",
         title="Theoretical maxima of force and DCS",
         note="Series theory.",
+        caption=REJECTED,
         data=joined(frames),
         panels=tuple(panels),
         columns=2,
@@ -148,6 +164,7 @@ def figure_11_compression() -> PaperFigure:
         name="figure_11_compression",
         title="Force-displacement, theory of the compression stage",
         note="Elastic, series theory. The five speeds share one curve and differ in where it ends.",
+        caption=REJECTED,
         data=joined(frames),
         panels=tuple(_each_sphere("displacement", "force", marker="end")),
         columns=4,
@@ -157,10 +174,10 @@ def figure_11_compression() -> PaperFigure:
 
 def figure_11_loops() -> PaperFigure:
     """Return hysteresis loops in the manner of Figure 11, of damped impacts."""
-    made = [_courses(_VELOCITIES, restitution) for restitution in impacts.RESTITUTIONS]
+    made = [_courses(_VELOCITIES, restitution) for restitution in RESTITUTIONS]
     panels = [
         panel
-        for restitution in impacts.RESTITUTIONS
+        for restitution in RESTITUTIONS
         for panel in _each_sphere("displacement", "force", restitution=restitution)
     ]
     return PaperFigure(
@@ -168,6 +185,7 @@ def figure_11_loops() -> PaperFigure:
         title="Force-displacement, hysteresis loops",
         note="Hunt-Crossley with the exact damping for the restitution, series theory. Restitutions 0.8 and 0.5 are "
         "chosen here: the paper gives no number for its damping.",
+        caption=REJECTED,
         data=joined([data for data, _ in made]),
         panels=tuple(panels),
         columns=4,
@@ -180,14 +198,94 @@ def figure_16_17(number: int) -> PaperFigure:
     x, title = {16: ("time", "Contact force-time at 10 m/s"), 17: ("displacement", "Contact force-DCS at 10 m/s")}[
         number
     ]
-    data, strain = _courses([impacts.SECTION_5_VELOCITY], impacts.SECTION_5_RESTITUTION)
+    data, strain = _courses([SECTION_5_VELOCITY], SECTION_5_RESTITUTION)
     return PaperFigure(
         name=f"figure_{number}",
         title=title,
-        note=f"Hunt-Crossley, series theory, restitution {impacts.SECTION_5_RESTITUTION:g} chosen here; the paper "
+        note=f"Hunt-Crossley, series theory, restitution {SECTION_5_RESTITUTION:g} chosen here; the paper "
         "shows its simulation.",
+        caption=REJECTED,
         data=data,
         panels=(Lines(x=x, y="force", by="sphere"),),
+        highest_strain=strain,
+    )
+
+
+def _responses(impact: Impact, ranges: Mapping[str, Floats]) -> tuple[Any, float]:
+    """Return the peak responses over a grid, each row with all six parameters, and the largest strain."""
+    grid = response_grid(impact, ranges)
+    columns: dict[str, ArrayLike] = {"varied": " and ".join(ranges), **parameters_of(grid)}
+    data = frame({**columns, "peak_displacement": grid.peak_displacement, "peak_force": grid.peak_force})
+    return data, highest_strain(grid)
+
+
+def _curves(number: int, title: str, names: tuple[str, ...]) -> PaperFigure:
+    made = [_responses(table_4_impact(), {name: paper.TABLE_4[name].values}) for name in names]
+    responses = ("peak_displacement", "peak_force")
+    return PaperFigure(
+        name=f"figure_{number}",
+        title=title,
+        note="Ranges of Table 4, series theory, 2 m/s (not said by the paper; it follows from its constants).",
+        caption=REJECTED,
+        data=joined([data for data, _ in made]),
+        panels=tuple(Lines(x=name, y=y, where={"varied": name}, marker=".") for y in responses for name in names),
+        columns=len(names),
+        highest_strain=max(strain for _, strain in made),
+    )
+
+
+def figure_12() -> PaperFigure:
+    """Return Figure 12: effect of the sphere's density, Young's modulus and Poisson's ratio."""
+    return _curves(
+        12, "Effect of sphere parameters on DCS and contact force", ("density", "youngs_modulus", "poisson_ratio")
+    )
+
+
+def figure_13() -> PaperFigure:
+    """Return Figure 13: effect of the plate's Young's modulus and Poisson's ratio."""
+    return _curves(
+        13,
+        "Effect of metal plate parameters on DCS and contact force",
+        ("target_youngs_modulus", "target_poisson_ratio"),
+    )
+
+
+def figure_14() -> PaperFigure:
+    """Return Figure 14: response surfaces of both moduli and of both Poisson's ratios, equal materials (Table 5)."""
+    pairs = (("youngs_modulus", "target_youngs_modulus"), ("poisson_ratio", "target_poisson_ratio"))
+    made = [
+        _responses(table_5_impact(), {name: paper.TABLE_5[name].values for name in (first, second)})
+        for first, second in pairs
+    ]
+    return PaperFigure(
+        name="figure_14",
+        title="Response surfaces of two bodies with the same properties",
+        note="Ranges of Table 5, series theory, 2 m/s. Which parameters span each surface is our reading of the text.",
+        caption=REJECTED,
+        data=joined([data for data, _ in made]),
+        panels=tuple(
+            Surface(x=first, y=second, z=z, where={"varied": f"{first} and {second}"})
+            for first, second in pairs
+            for z in ("peak_displacement", "peak_force")
+        ),
+        columns=2,
+        highest_strain=max(strain for _, strain in made),
+    )
+
+
+def figure_15() -> PaperFigure:
+    """Return Figure 15: response surfaces of both moduli for a rock-like sphere on the metal plate (Table 4)."""
+    first, second = "youngs_modulus", "target_youngs_modulus"
+    ranges = {name: paper.TABLE_4[name].values for name in (first, second)}
+    data, strain = _responses(table_4_impact(), ranges)
+    return PaperFigure(
+        name="figure_15",
+        title="Response surfaces of both moduli, rock-like sphere on the metal plate",
+        note="Ranges of Table 4, series theory, 2 m/s.",
+        caption=REJECTED,
+        data=data,
+        panels=tuple(Surface(x=first, y=second, z=z) for z in ("peak_displacement", "peak_force")),
+        columns=2,
         highest_strain=strain,
     )
 

@@ -10,21 +10,15 @@ from pathlib import Path
 from typing import Any
 
 from cgid.errors import CannotCreate, InvalidValue
-from cgid.files import looking_at
+from cgid.files import looking_at, write_together
 from cgid.physics import HertzRangeWarning
 from cgid.plots import require_matplotlib
-from cgid.reproduction.drawing import draw, draw_table
+from cgid.reproduction.drawing import PaperFigure, csv_title, draw, draw_table
 from cgid.reproduction.figures import FIGURES
-from cgid.reproduction.finite_element import STUDY_FILE, Study, packed, shipped_study, unpacked
-from cgid.reproduction.finite_element.cases import N_CASES
-from cgid.reproduction.finite_element.figures import SIMULATED_FIGURES
-from cgid.reproduction.finite_element.running import run_study
-from cgid.reproduction.finite_element.table import table_3
-from cgid.reproduction.paper_figure import PaperFigure
-from cgid.reproduction.quantities import csv_title
+from cgid.reproduction.finite_element_figures import SIMULATED_FIGURES
 from cgid.reproduction.report import write_report
-from cgid.reproduction.tables import TABLES, PaperTable
-from cgid.together import write_together
+from cgid.reproduction.study import N_CASES, STUDY_FILE, Study, packed, run_study, shipped_study, unpacked
+from cgid.reproduction.tables import TABLES, PaperTable, table_3
 
 REPORT = "report.md"
 _N_WRITTEN = len(TABLES) + 1 + len(FIGURES) + len(SIMULATED_FIGURES) + 1
@@ -143,7 +137,7 @@ def _contents(study: Study, progress: Callable[[int], object]) -> dict[str, byte
         figure = make_figure()
         figures.append(figure)
         contents[f"{figure.name}.csv"] = _csv(figure.data)
-        contents[f"{figure.name}.png"] = draw(figure.data, figure.panels, figure.columns)
+        contents[f"{figure.name}.png"] = draw(figure)
         progress(1)
     contents[REPORT] = write_report(figures, tables, study).encode()
     progress(1)

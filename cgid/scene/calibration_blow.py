@@ -12,9 +12,10 @@ from cgid import validation
 from cgid.errors import BadData, InvalidValue
 from cgid.physics import Impact
 from cgid.physics.driving import Pulses
-from cgid.physics.poles import LowPass, Resonance
+from cgid.physics.response import LowPass, Resonance
 from cgid.scene.schema import Scene
-from cgid.signals import STANDARD_GRAVITY, Signal
+from cgid.signals import Signal
+from cgid.units import STANDARD_GRAVITY
 from cgid.validation import Floats
 
 #: Samples kept before a blow, and at most after its beginning.

@@ -12,7 +12,8 @@ import numpy as np
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, model_validator
 
 from cgid.elementary import exp, expm1, log, log1p, normal_quantile, normal_share, power
-from cgid.scene.units import DIMENSIONS, LIMITS, Number, parse
+from cgid.scene.units import LIMITS, Number
+from cgid.units import DIMENSIONS, parse
 from cgid.validation import Floats
 
 #: The smallest and largest uniform numbers that are ever drawn (`cgid.scene.draws`).

@@ -1,27 +1,57 @@
-"""From a scene to a dataset on disk."""
+"""From a scene to files: a dataset of signals, or a table of features, closed forms or parameters.
+
+The shards of a dataset are independent of each other: this process makes them, several processes, or those of a
+cluster that share the folder. Packing, hashing and writing a shard do not hold Python's lock for long, so a thread
+makes the next signals meanwhile.
+"""
 
 from __future__ import annotations
 
+import hashlib
 import os
-from collections.abc import Callable
+import platform
+import time
+from collections import deque
+from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import closing
+from contextvars import copy_context
+from dataclasses import dataclass, replace
+from importlib.metadata import version
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal, TypeVar
 
-from cgid import validation
-from cgid.errors import InvalidValue
-from cgid.scene.provenance import attributes_of, shard_plan
+import numpy as np
+
+from cgid import __version__, validation
+from cgid.errors import CannotCreate, InvalidValue
+from cgid.files import require_room
+from cgid.scene.draws import BLOCK, parameter_units
+from cgid.scene.plan import Plan
 from cgid.scene.schema import Scene
-from cgid.scene.synthesis import synthesise
-from cgid.scene.workers import write_shards
-from cgid.store import FORMAT, SCHEMA_VERSION, DatasetWriter, check_output
-from cgid.store.compression import COMPRESSIONS, require
-from cgid.workers import workers
+from cgid.scene.synthesis import columns_of, synthesise
+from cgid.signals import Batch
+from cgid.store import DatasetWriter, Rows, TableHeader, check_output, check_table_output, table_writer
+from cgid.store.compression import COMPRESSIONS, library, require
+from cgid.store.description import DATASET_FILES, FORMAT, JOURNAL, SCHEMA_VERSION, ShardEntry
+from cgid.store.hdf5 import ShardPlan
+from cgid.store.run import is_single_file
+from cgid.workers import Workers, workers
 
 #: Signals of a shard: 32 MiB of 2048 float32 samples, built in memory.
 SHARD_SIGNALS = 4096
-#: More would need a manifest larger than memory.
+#: The manifest of more signals would not fit into memory.
 MOST_SIGNALS = 10**9
+#: A shard written by another machine may appear here this much later [s]: network file systems cache what is missing.
+PATIENCE = 30.0
+#: Signals made ahead take at most this much memory [bytes], or one block, and are at most this many blocks.
+_AHEAD_BYTES, _AHEAD_BLOCKS = 32 << 20, 16
+#: Maximal size of a number in a table [bytes]; in CSV with its comma.
+_BYTES, _BYTES_OF_TEXT = 8, 25
+#: The order in which root attributes are written: the bytes depend on it, and HDF5 does not keep it.
+_ORDER = ("format", "schema_version", "seed", "scene_name", "scene", "scene_sha256", "versions", "background_sha256")
+
+_T = TypeVar("_T")
 
 
 def generate(
@@ -54,18 +84,19 @@ def generate(
     shard_signals : int
         Signals in each shard of a folder; the signals themselves do not depend on it.
     compression : {"none", "gzip", "zstd", "blosc2"}
-        gzip takes two to three times as long and saves a seventh of noisy signals; without noise little is left of
-        them. Everything that reads HDF5 reads it. zstd and blosc2 (lz4) need the extra `compression`, here and wherever
-        the data are read. The bytes depend on the version of what packs, too, which the attribute `versions` names.
+        gzip takes two to three times as long and saves a seventh of noisy signals, and nearly all of signals without
+        noise. Everything that reads HDF5 reads it. zstd and blosc2 (lz4) need the extra `compression`, here and
+        wherever the data are read. The bytes also depend on the version of the library that packs them, which the
+        attribute `versions` names.
     overwrite : bool
         Whether an old dataset may be replaced; it stays whole until the new one is.
     resume : bool
-        Go on with a run that was not finished, to the bytes it would have made; nothing is done where all is there.
+        Complete an unfinished run to the bytes it would have made; a dataset that is whole is kept.
     scheduler : str, optional
         Address of a dask scheduler, such as tcp://192.168.0.7:8786, whose workers make the shards in place of `jobs`;
         the output lies in a folder that all of them share, by the same name.
     progress : callable, optional
-        Called with a number of signals whenever so many more are done.
+        Called with a number of signals whenever this many more are done.
 
     Raises
     ------
@@ -93,8 +124,8 @@ def generate(
             f"got {low:g} to {high:g} Hz; train on the scene itself (cgid train SCENE -o MODEL)"
         )
     require(validation.choice("compression", compression, COMPRESSIONS))
-    path = check_output(output, overwrite or resume)
-    next(synthesise(scene, 1, seed))  # what is wrong with the scene or the seed shows before anything is written
+    path = check_output(output, DATASET_FILES, overwrite or resume)
+    next(synthesise(scene, 1, seed))  # errors of the scene or the seed show before anything is written
     plan = shard_plan(
         scene,
         {"format": FORMAT, "schema_version": SCHEMA_VERSION} | attributes_of(scene, seed, compression),
@@ -106,13 +137,251 @@ def generate(
     writer = DatasetWriter(path, plan, n_signals, shard_signals)
     # More workers than shards or processors only cost memory.
     jobs = min(jobs, len(writer.shards), os.cpu_count() or 1)
-    # A cluster that does not answer is told before anything is written.
+    # The workers come first: a cluster that does not answer is reported before anything is written.
     with workers(jobs, scheduler) as crew, writer.begun(overwrite=overwrite, resume=resume) as run:
-        if progress is not None and run.entries:
-            progress(sum(entry.n_signals for entry in run.entries))
-        with closing(write_shards(writer, scene, seed, dtype, run.missing, crew, progress)) as written:
-            for entry in written:
-                run.add(entry)
+        missing = [writer.shards[number] for number in run.missing]
+        done = n_signals - sum(count for _, _, count in missing)
+        if progress is not None and done:
+            progress(done)
+        work = _Work(writer=writer, scene=scene, seed=seed, dtype=dtype)
+        with closing(_write_shards(work, missing, crew, progress)) as entries:
+            for entry in entries:
+                run.add(vars(entry))
                 if progress is not None and not crew.alone:
                     progress(entry.n_signals)
     return path
+
+
+def attributes_of(scene: Scene, seed: int, compression: str = "none") -> dict[str, Any]:
+    """Return the root attributes of a dataset: the scene, the seed, and the versions that its bytes depend on."""
+    packages = ", ".join(f"{name} {version(name)}" for name in ("numpy", "scipy", "numba", "h5py"))
+    if compression != "none":
+        packages += f", {library(compression)}"
+    found = {
+        "seed": seed,
+        "scene_name": scene.name,
+        "scene": scene.text,
+        "scene_sha256": scene.sha256,
+        "versions": f"cgid {__version__}, Python {platform.python_version()}, {packages}",
+    }
+    if scene.background is not None and scene.background.recorded is not None:
+        # The scene only names the file, and the samples depend on its content.
+        with scene.background.recorded.file(scene.folder).open("rb") as stream:
+            found["background_sha256"] = hashlib.file_digest(stream, "sha256").hexdigest()
+    return found
+
+
+def shard_plan(scene: Scene, attributes: Mapping[str, Any], dtype: str, compression: str) -> ShardPlan:
+    """Return the plan of the shards of a dataset with these root attributes."""
+    return ShardPlan(
+        n_samples=scene.sampling.samples,
+        dtype=dtype,
+        label_width=max(len(label.encode()) for label in scene.labels),
+        parameter_units=parameter_units(scene),
+        attributes=in_order(attributes),
+        compression=compression,
+    )
+
+
+def in_order(attributes: Mapping[str, Any]) -> dict[str, Any]:
+    """Return root attributes in the order in which they are written."""
+    return {name: attributes[name] for name in _ORDER if name in attributes} | dict(attributes)
+
+
+# ---- shards ----------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Work:
+    """What all shards have in common."""
+
+    writer: DatasetWriter
+    scene: Scene
+    seed: int
+    dtype: Literal["float32", "float64"]
+
+
+def _write_shards(
+    work: _Work,
+    shards: list[tuple[int, int, int]],
+    crew: Workers,
+    progress: Callable[[int], object] | None,
+) -> Generator[ShardEntry, None, None]:
+    """Make these shards of a dataset and write them; yield the entry of each in the manifest as it is done.
+
+    Workers of a cluster write into the same folder by the same name, and finish their shard when they are called off.
+    """
+    if crew.alone:
+        yield from _write_in_turn(work, shards, progress)
+        return
+    write = _write_shared if crew.elsewhere else _write_one
+    with closing(crew.each(write, _anywhere(work), shards, ordered=False)) as entries:
+        for entry in entries:
+            if crew.elsewhere:
+                _require_shared(work.writer.folder / entry.file, entry.bytes)
+            yield entry
+
+
+def _anywhere(work: _Work) -> _Work:
+    """Return the same work for processes with another working directory, as those kept from an earlier run."""
+    scene = work.scene.model_copy()
+    scene.__dict__["folder"] = scene.folder.absolute()
+    return replace(work, writer=work.writer.from_anywhere(), scene=scene)
+
+
+def _write_in_turn(
+    work: _Work, shards: Sequence[tuple[int, int, int]], progress: Callable[[int], object] | None = None
+) -> Generator[ShardEntry, None, None]:
+    """Make shards one after another in this process."""
+    made = (
+        batch
+        for _, first, count in shards
+        for batch in synthesise(work.scene, count, work.seed, first=first, dtype=work.dtype)
+    )
+    block = BLOCK * work.scene.sampling.samples * np.dtype(work.dtype).itemsize
+    with closing(ahead(made, min(max(1, _AHEAD_BYTES // block), _AHEAD_BLOCKS))) as batches:
+        for number, first, count in shards:
+            signals = _next_signals(batches, count, progress)
+            yield work.writer.put(work.writer.build_shard(number, first, count, signals))
+
+
+def _write_one(work: _Work, shard: tuple[int, int, int]) -> ShardEntry:
+    (entry,) = _write_in_turn(work, [shard])
+    return entry
+
+
+def _write_shared(work: _Work, shard: tuple[int, int, int]) -> ShardEntry:
+    folder = work.writer.folder
+    if not folder.is_dir() or not (is_single_file(work.writer.output) or (folder / JOURNAL).exists()):
+        raise CannotCreate(
+            f"{folder}: must be a folder that all workers share, {platform.node()} has none; choose one they share, or "
+            "mount it there by the same name"
+        )
+    return _write_one(work, shard)
+
+
+def _require_shared(path: Path, n_bytes: int) -> None:
+    """Raise `CannotCreate` unless a shard that a worker has written appears here, too."""
+    until = time.monotonic() + PATIENCE
+    while (size := path.stat().st_size if path.exists() else None) != n_bytes:
+        if time.monotonic() > until:
+            raise CannotCreate(
+                f"{path}: must be here with the {n_bytes} bytes a worker has written, "
+                f"{'is not' if size is None else f'has {size}'}; choose a folder that all machines share"
+            )
+        time.sleep(0.2)
+        next(path.parent.iterdir(), None)  # makes the system read the folder anew
+
+
+def ahead(items: Iterable[_T], most: int) -> Generator[_T, None, None]:
+    """Yield items that a thread makes in advance, at most `most`; errors of making one are raised in its turn.
+
+    Examples
+    --------
+    >>> list(ahead("abc", 2))
+    ['a', 'b', 'c']
+    """
+    source, context = iter(items), copy_context()  # counters count in the thread, too
+    with ThreadPoolExecutor(max_workers=1) as maker:
+
+        def make() -> _T | None:
+            return next(source, None)
+
+        def ask() -> Future[_T | None]:
+            return maker.submit(context.run, make)
+
+        asked = deque(ask() for _ in range(most))
+        try:
+            while (item := asked.popleft().result()) is not None:
+                asked.append(ask())
+                yield item
+        finally:
+            maker.shutdown(wait=False, cancel_futures=True)
+
+
+def _next_signals(batches: Iterator[Batch], count: int, progress: Callable[[int], object] | None) -> Iterator[Batch]:
+    """Yield the batches of the next `count` signals; no batch extends past the end of a shard."""
+    while count:
+        batch = next(batches)
+        yield batch
+        count -= len(batch)
+        if progress is not None:
+            progress(len(batch))
+
+
+# ---- tables ----------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Tabulated:
+    """What was written.
+
+    Attributes
+    ----------
+    path : Path
+    n_signals : int
+    n_unmeasured : int
+        Rows in which a feature could not be measured and is nan.
+    """
+
+    path: Path
+    n_signals: int
+    n_unmeasured: int
+
+
+def tabulate(
+    asked: Plan,
+    output: str | Path,
+    n_signals: int,
+    seed: int = 0,
+    *,
+    overwrite: bool = False,
+    progress: Callable[[int], object] | None = None,
+) -> Tabulated:
+    """Write what a plan asks for as a table, with labels and specimens, and return what was written.
+
+    Memory stays the same however many signals there are: they come in batches of a thousand.
+
+    Parameters
+    ----------
+    asked : Plan
+        For features, closed forms or parameters; see `cgid.scene.plan.plan`.
+    output : str or Path
+        Ending in .h5, .hdf5, .parquet (with the extra `parquet`) or .csv.
+    n_signals, seed : int
+    overwrite : bool
+        Whether an old file may be replaced.
+    progress : callable, optional
+        Called with a number of signals whenever so many more are done.
+
+    Raises
+    ------
+    CannotCreate
+        The output exists, or cannot be made, or has no room.
+    WriteFailed
+        The disk is full; nothing is left behind.
+    MissingExtra
+        Parquet is asked for, and its library is not installed.
+    InvalidValue
+        A number breaks its rule, or the plan is one for signals.
+    """
+    if not 1 <= n_signals <= MOST_SIGNALS:
+        raise InvalidValue(f"n_signals must lie between 1 and {MOST_SIGNALS}, got {n_signals}")
+    path = check_table_output(output, overwrite)
+    next(iter(columns_of(asked, 1, seed)))  # what is wrong with the plan or the seed shows before anything is written
+    size = n_signals * (2 + len(asked.column_units)) * (_BYTES_OF_TEXT if path.suffix == ".csv" else _BYTES)
+    require_room(path, path.parent, size, "rows", "make room, or fewer signals")
+    header = TableHeader(
+        kind=asked.kind,
+        units=asked.column_units,
+        attributes={"n_signals": n_signals} | attributes_of(asked.scene, seed),
+    )
+    unmeasured = 0
+    width = max(len(label.encode()) for label in asked.scene.labels)
+    with table_writer(path, header, width, overwrite=overwrite) as writer:
+        for columns in columns_of(asked, n_signals, seed):
+            writer.add(Rows(labels=columns.labels, specimen=columns.specimen, columns=columns.values))
+            unmeasured += columns.n_unmeasured
+            if progress is not None:
+                progress(len(columns))
+    return Tabulated(path, n_signals, unmeasured)

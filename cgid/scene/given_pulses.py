@@ -255,7 +255,7 @@ def _require_sound(labels: NDArray[Any], columns: Mapping[str, Floats], made: An
     if labels.dtype.kind != "U":
         raise ValueError(f"labels must be text, got {labels.dtype}")
     if not isinstance(made, dict) or "scene" not in made:
-        raise ValueError("made must be a mapping with the scene in it")
+        raise ValueError("made must be a mapping by name, the scene too")
     for name, column in columns.items():
         if name == "poisson_ratio":
             validation.poisson_ratio(name, column)

@@ -16,9 +16,10 @@ from cgid.errors import InvalidValue
 from cgid.physics import Elastic, HalfSpace, HuntCrossley, Impact, Sphere
 from cgid.physics.coupled import ModalImpact
 from cgid.physics.materials import Material
+from cgid.physics.modes import MeasuredModes, Modes
 from cgid.physics.response import Response
 from cgid.physics.sampled import SampledPulses
-from cgid.physics.tail_beam import MeasuredModes, Modes, TailBeam
+from cgid.physics.tail_beam import TailBeam
 from cgid.scene.draws import PARTICLE, drawn_block
 from cgid.scene.extremes import unwarned, weighed
 from cgid.scene.plan import NEGLIGIBLE_ECHO, RESPONSE_TOLERANCE, STORED, Plan, highest_frequency

@@ -19,8 +19,7 @@ from cgid import validation
 from cgid.elementary import power
 from cgid.errors import InvalidValue
 from cgid.family import LOWEST_RESTITUTION
-from cgid.measure.beginnings import look_at_the_beginning
-from cgid.measure.features import FEATURES, choose, kind_for, kind_of, require_supported, supported
+from cgid.measure.features import FEATURES, allow_truncation, choose, kind_for, kind_of, require_supported, supported
 from cgid.measure.pulses import FAINT
 from cgid.physics import HuntCrossley, ThinPlate
 from cgid.scene.draws import parameter_units
@@ -431,7 +430,7 @@ def _rest_of_frames(asked: Plan) -> Decision:
         return Decision(True, "whole signals are asked for")
     if kind_of(asked.features) != "pulse":
         return Decision(True, "a vibration is measured all through the frame")
-    if not look_at_the_beginning(asked.features):
+    if not allow_truncation(asked.features):
         everywhere = [name for name in asked.features if FEATURES[name].whole_frame]
         return Decision(True, f"{', '.join(everywhere)} looks at samples far from the pulse")
     if sensor.quantity != "force" or sensor.filters:

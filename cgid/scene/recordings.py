@@ -10,23 +10,25 @@ from typing import Any, Literal
 import numpy as np
 
 from cgid import validation
-from cgid.errors import BadData, InvalidValue
-from cgid.files import clear_half_written
+from cgid.errors import InvalidValue
 from cgid.scene.draws import require_seed
+from cgid.scene.generation import attributes_of
 from cgid.scene.noise import background_of
-from cgid.scene.provenance import attributes_of
 from cgid.scene.rocks import arrivals_of
 from cgid.scene.schema import Scene, samples_of
 from cgid.scene.stream import impact_units, joined, parts_of_recording
 from cgid.scene.units import SHORTEST_RECORDING
-from cgid.store import check_output
-from cgid.store.examination import examine_whole
-from cgid.store.header import RECORDING_FORMAT
-from cgid.store.journal import JOURNAL
-from cgid.store.recording import LARGEST_RECORDING, OURS, Recording, RecordingPlan, is_recording, writing
-from cgid.store.run import Goal, Run, begun, file_facts
-from cgid.store.sameness import first_difference, require_same
-from cgid.store.writing import is_single_file
+from cgid.store.description import (
+    JOURNAL,
+    LARGEST_RECORDING,
+    RECORDING_FILES,
+    RECORDING_FORMAT,
+    file_facts,
+)
+from cgid.store.hdf5 import RecordingPlan, writing
+from cgid.store.reading import Recording, is_recording
+from cgid.store.run import Goal, begun, check_output, is_single_file
+from cgid.store.verification import examine_whole
 
 #: The truth of an impact with what is needed to sort and write it [bytes],
 _IMPACT_BYTES = 500
@@ -133,7 +135,7 @@ def generate_recordings(
     require_seed(seed)
     require_capacity(scene, dtype)
     background_of(scene)
-    path = check_output(path, overwrite or resume, ours=OURS)
+    path = check_output(path, RECORDING_FILES, overwrite or resume)
     plan = RecordingPlan(
         n_samples=samples_of(scene),
         dtype=dtype,
@@ -141,38 +143,23 @@ def generate_recordings(
         unit=scene.sensor.unit,
         attributes=attributes_of(scene, seed),
     )
-    if is_single_file(path):
-        clear_half_written(path)
-        if not (resume and path.exists() and _is_made(path, plan, overwrite)):
-            plan.require_room(path.parent)
-            write_recording(path, plan, scene, seed, 0, progress, overwrite=overwrite)
-        return path
     goal = Goal(
         output=path,
-        plan=_content(plan, n_recordings),
-        n_files=n_recordings,
+        description=_description(plan, n_recordings),
+        names=(path.name,) if is_single_file(path) else tuple(f"recording-{k:05d}.h5" for k in range(n_recordings)),
         noun="recordings",
-        ours=OURS,
-        plan_of=_content_of,
+        ours=RECORDING_FILES,
+        description_of=_description_of,
     )
     with begun(goal, overwrite=overwrite, resume=resume) as run:
-        if run is not None:
-            _write_missing(run, n_recordings, plan, scene, seed, progress)
+        if progress is not None and len(run.missing) < n_recordings:
+            progress((n_recordings - len(run.missing)) * plan.n_samples)
+        plan.require_room(run.folder, len(run.missing))
+        for number in run.missing:
+            file = run.folder / goal.names[number]
+            write_recording(file, plan, scene, seed, number, progress, overwrite=overwrite or file != path)
+            run.add(file_facts(file))
     return path
-
-
-def _write_missing(
-    run: Run, n_recordings: int, plan: RecordingPlan, scene: Scene, seed: int, progress: Callable[[int], object] | None
-) -> None:
-    names = [f"recording-{number:05d}.h5" for number in range(n_recordings)]
-    there = {entry["file"] for entry in run.finished}.intersection(names)
-    if progress is not None and there:
-        progress(len(there) * plan.n_samples)
-    plan.require_room(run.folder, n_recordings - len(there))
-    for number, name in enumerate(names):
-        if name not in there:
-            write_recording(run.folder / name, plan, scene, seed, number, progress)
-            run.add(file_facts(run.folder / name))
 
 
 def write_recording(
@@ -198,31 +185,20 @@ def write_recording(
         writer.add_impacts(joined(scene, truth), impact_units(scene))
 
 
-def _content(plan: RecordingPlan, n_recordings: int) -> dict[str, Any]:
+def _description(plan: RecordingPlan, n_recordings: int) -> dict[str, Any]:
     """Return all that the recordings of a folder depend on."""
     return {"format": RECORDING_FORMAT, "n_recordings": n_recordings, **vars(plan)}
 
 
-def _content_of(folder: Path) -> dict[str, Any] | None:
-    """Return what the recordings of a folder have been made of; None where a run has not finished them."""
-    files = sorted(path for path in folder.iterdir() if is_recording(path))
-    if not files or (folder / JOURNAL).exists():
-        return None
-    return _content(_plan_of(files[0]), len(files))
-
-
-def _is_made(path: Path, plan: RecordingPlan, overwrite: bool) -> bool:
-    """Return whether a file holds the first recording that a plan makes; raise `CannotCreate` if not, nor may it go."""
-    try:
+def _description_of(path: Path) -> dict[str, Any] | None:
+    """Return the description of existing recordings; None for a folder that a run has not finished."""
+    if not path.is_dir():
         examine_whole(path, RECORDING_FORMAT)
-    except BadData:
-        if overwrite:
-            return False
-        raise
-    there, asked = _content(_plan_of(path), 1), _content(plan, 1)
-    if not overwrite:
-        require_same(path, there, asked)
-    return first_difference(there, asked) is None
+        return _description(_plan_of(path), 1)
+    files = sorted(file for file in path.iterdir() if is_recording(file))
+    if not files or (path / JOURNAL).exists():
+        return None
+    return _description(_plan_of(files[0]), len(files))
 
 
 def _plan_of(path: Path) -> RecordingPlan:

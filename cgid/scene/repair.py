@@ -1,49 +1,71 @@
-"""What is damaged is made again: everything follows from the scene and the seed that every file says."""
+"""Repair: what is damaged or missing is made again, since every file follows from its description and its number.
+
+A file with a known SHA-256, by the manifest or `SHA256SUMS`, must come out with that sum. A single file has no such
+sum: the same versions must make it, and its undamaged chunks must come out as they are. Otherwise nothing is replaced.
+"""
 
 from __future__ import annotations
 
-import hashlib
+import json
 import re
-import tempfile
+import stat
 import time
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass, replace
+from contextlib import ExitStack, contextmanager, suppress
+from dataclasses import dataclass
+from itertools import accumulate
 from pathlib import Path
 from typing import Any
 
-from cgid.errors import BadData, CannotCreate, CgidError
-from cgid.files import whole_file, write_whole
-from cgid.lock import locked
-from cgid.scene._fourier import LARGEST_FACTOR, transformable
-from cgid.scene.provenance import attributes_of, in_order, plan_of, scene_of, shard_plan, whole_number
-from cgid.scene.recordings import write_recording
-from cgid.scene.relisting import relist
-from cgid.scene.repair_size import Room, require_length, size_made, size_of
-from cgid.scene.schema import Scene, samples_of
-from cgid.scene.synthesis import synthesise
-from cgid.store.examination import compression_of, examine_file
-from cgid.store.export import write_dataset
-from cgid.store.header import FORMAT, LARGEST_SHARD, RECORDING_FORMAT
-from cgid.store.manifest import MANIFEST, Manifest, ShardEntry, read_manifest
-from cgid.store.recording import RECORDING_NAME, RecordingPlan
-from cgid.store.shard import ShardBuilder, ShardPlan
-from cgid.store.verification import Finding, Verified
+import numpy as np
 
-#: Versions of cgid whose numbers differed from processor to processor.
+from cgid.errors import BadData, CannotCreate, CgidError
+from cgid.files import locked, whole_file, write_whole
+from cgid.scene._fourier import LARGEST_FACTOR, transformable
+from cgid.scene.generation import attributes_of, in_order, shard_plan
+from cgid.scene.recordings import write_recording
+from cgid.scene.schema import Scene, parse_scene, samples_of
+from cgid.scene.synthesis import synthesise
+from cgid.store import Dataset
+from cgid.store.dataset import write_dataset
+from cgid.store.description import (
+    FORMAT,
+    LARGEST_SHARD,
+    LINKED,
+    MANIFEST,
+    RECORDING_FORMAT,
+    RECORDING_NAME,
+    SHARD_NAME,
+    SUMS,
+    Manifest,
+    ShardEntry,
+    file_facts,
+    has_sum,
+    read_manifest,
+    read_sums,
+    read_text,
+    sums_of,
+    sums_text,
+)
+from cgid.store.hdf5 import RecordingPlan, ShardBuilder
+from cgid.store.verification import Finding, Verified, compression_of, damaged_rows, examine_file
+
+#: The numbers of these versions of cgid depended on the processor.
 _DEPENDENT = "cgid 0.1."
-#: Datasets that tell whether another version makes the same signals.
-_MAIN = ("signals", "samples")
-#: What was left behind by a run that was stopped does not change for so long [s].
+#: A leftover that was written to within this time may still be in use [s].
 _STILL_WRITTEN = 60.0
+#: This many bytes may be made, and this many more for each byte that exists.
+_ROOM, _ROOM_FOR_EACH = 16 << 20, 100
+#: Stored with each signal besides its samples [bytes], about.
+_ROW = 100
 
 Progress = Callable[[int], object]
-Chunks = Mapping[str, list[tuple[int, int, str]]]
 
 
 @dataclass(frozen=True, kw_only=True)
 class Repair:
-    """What became of a finding.
+    """The result for a finding.
 
     Attributes
     ----------
@@ -61,16 +83,13 @@ class Repair:
 def repair(verified: Verified, scene: Scene | None = None, progress: Progress | None = None) -> Iterator[Repair]:
     """Make again what is damaged or missing, each file whole or not at all, and remove what killed runs have left.
 
-    A shard that a manifest speaks of must come out with the very SHA-256. Where other versions of libraries give other
-    bytes, and in files without a manifest, what is undamaged must be equal to what is made; else nothing is replaced.
-
     Parameters
     ----------
     verified : Verified
     scene : Scene, optional
-        From the file that it was made of; needed where the scene names a recording that is to be read.
+        The scene of the dataset; needed only where it names a recorded background, which is not opened otherwise.
     progress : callable, optional
-        Called with a number of signals or samples whenever so many more are made.
+        Called with a number of signals or samples whenever this many more are made.
 
     Yields
     ------
@@ -80,36 +99,34 @@ def repair(verified: Verified, scene: Scene | None = None, progress: Progress | 
     Raises
     ------
     CannotCreate
-        A run is writing into the folder, or has made another dataset of it since it was verified.
+        A run is writing into the folder, or another dataset has replaced it since it was verified.
     """
-    manifest, room = verified.manifest, Room(verified.path)
-    # The manifest comes last: it is made from the shards.
-    findings = sorted(verified.findings, key=lambda finding: finding.file.name == MANIFEST)
-    with _alone(verified.path):
-        _require_unchanged(verified)
+    room = _Room(verified.path)
+    # Manifest and sums come last: they are made from the other files.
+    findings = sorted(verified.findings, key=lambda finding: (finding.file.name == MANIFEST, finding.file.name == SUMS))
+    left = False
+    with _alone(verified):
         for finding in findings:
             if finding.problem in ("foreign", "pending"):
                 continue
             try:
-                if finding.problem == "leftover":
-                    told = _remove(finding.file)
-                elif finding.problem == "unfinished" or (finding.entry is not None and manifest is None):
-                    raise BadData(f"{finding.file}: belongs to an unfinished run; cgid generate ... --resume mends it")
-                elif finding.file.name == MANIFEST:
-                    told = relist(finding.file)
-                elif finding.entry is not None and manifest is not None:
-                    told, manifest = _mend_shard(finding, finding.entry, verified, manifest, scene, room, progress)
-                else:
-                    told = _mend_file(finding, scene, room, progress)
+                if left and finding.file.name == SUMS:
+                    raise BadData(f"{finding.file}: must list files that are whole; repair the others first")
+                told = _mended(finding, verified, scene, room, progress)
             except (CgidError, OSError) as error:
+                left = left or finding.harmful
                 yield Repair(finding=finding, done=False, told=str(error))
             else:
                 yield Repair(finding=finding, done=True, told=told)
 
 
 @contextmanager
-def _alone(path: Path) -> Iterator[None]:
-    """Keep runs from writing into a folder meanwhile; raises `CannotCreate` if one does."""
+def _alone(verified: Verified) -> Iterator[None]:
+    """Keep runs from writing into a folder meanwhile.
+
+    Raises `CannotCreate` if one does, or if the manifest is not the one that was verified, perhaps hours ago.
+    """
+    path = verified.path
     with ExitStack() as held:
         try:
             if path.is_dir():
@@ -118,224 +135,292 @@ def _alone(path: Path) -> Iterator[None]:
             raise CannotCreate(f"{path}: a run is writing there; wait for it") from None
         except OSError as error:
             raise CannotCreate(f"{path}: cannot be written ({error.strerror})") from None
+        if verified.manifest is not None:
+            try:
+                manifest = read_manifest(path)
+            except BadData:
+                manifest = None
+            if manifest != verified.manifest:
+                raise CannotCreate(f"{path}: has been replaced by another since it was verified; verify it again")
         yield
 
 
-def _require_unchanged(verified: Verified) -> None:
-    """Raise `CannotCreate` if the manifest is not the one that was verified, which may be hours ago."""
-    if verified.manifest is None:
-        return
-    try:
-        manifest = read_manifest(verified.path)
-    except BadData:
-        manifest = None
-    if manifest != verified.manifest:
-        raise CannotCreate(f"{verified.path}: has been replaced by another since it was verified; verify it again")
+def _mended(finding: Finding, verified: Verified, scene: Scene | None, room: _Room, progress: Progress | None) -> str:
+    """Do what a finding needs and return what was done."""
+    file, manifest = finding.file, verified.manifest
+    if finding.problem == "leftover":
+        if time.time() - file.stat().st_mtime < _STILL_WRITTEN:
+            raise CannotCreate(f"{file}: was written to within the last minute; remove it when no run writes there")
+        file.unlink()
+        return "removed"
+    if finding.problem == "unfinished" or (finding.entry is not None and manifest is None):
+        raise BadData(f"{file}: belongs to an unfinished run; cgid generate ... --resume mends it")
+    if file.name == MANIFEST:
+        return _relist(file)
+    if file.name == SUMS:
+        return _sum_again(file, manifest)
+    if finding.entry is not None and manifest is not None:
+        recipe = _recipe_of_shard(finding, finding.entry, manifest, scene)
+    else:
+        recipe = _recipe_of_file(finding, scene)
+    room.take(file, recipe.size)
+    with whole_file(file) as temporary:
+        _make(recipe, temporary, progress)
+        _require_same(recipe, temporary, finding)
+    return "made again, byte for byte" if finding.sha256 else "made again; all that was undamaged is as before"
 
 
-def _remove(file: Path) -> str:
-    """Remove what was left behind, unless somebody may be writing it."""
-    if time.time() - file.stat().st_mtime < _STILL_WRITTEN:
-        raise CannotCreate(f"{file}: was written to within the last minute; remove it when no run writes there")
-    file.unlink()
-    return "removed"
+class _Room:
+    """Limits what a repair may make: a small folder from a stranger must not fill the disk by what it declares."""
+
+    def __init__(self, path: Path) -> None:
+        files = path.iterdir() if path.is_dir() else (path,)
+        # Sparse files declare any size, and the target of a link in a folder does not count.
+        abouts = map(Path.lstat, files) if path.is_dir() else map(Path.stat, files)
+        plain = [about for about in abouts if stat.S_ISREG(about.st_mode)]
+        stored = sum(min(about.st_size, 512 * getattr(about, "st_blocks", about.st_size)) for about in plain)
+        self._left = _ROOM + _ROOM_FOR_EACH * stored
+
+    def take(self, path: Path, size: int) -> None:
+        """Reserve this many bytes for a file; raises `BadData` if they are too many."""
+        if size > self._left:
+            raise BadData(
+                f"{path}: so little of it is left that it is no repair ({size / 1e6:.3g} MB would be made, "
+                f"{self._left / 1e6:.3g} MB may); if you trust it, make it anew by cgid generate"
+            )
+        self._left -= size
 
 
-# ---- a file by itself ------------------------------------------------------------------------------------------------
+# ---- what a file is made of ------------------------------------------------------------------------------------------
 
 
-def _mend_file(finding: Finding, given: Scene | None, room: Room, progress: Progress | None) -> str:
-    path, examined = finding.file, finding.examined
-    if re.fullmatch(RECORDING_NAME, path.name) and (not examined or examined["fault"]):
-        return _mend_lost_recording(path, given, room, progress)
-    kind = examined.get("attributes", {}).get("format")
-    if not examined or examined["fault"]:
-        raise BadData(
-            f"{path}: does not say any more how it was made; if it was made by cgid, make it again by cgid generate "
-            "with --overwrite"
-        )
-    if kind not in (FORMAT, RECORDING_FORMAT):
-        raise BadData(f"{path}: is no file that is made again in part; make it again by the command that made it")
-    attributes = examined["attributes"]
-    scene, seed = scene_of(path, attributes, given), whole_number(path, attributes, "seed")
-    room.take(path, size_made(path, examined, scene))
-    with whole_file(path) as temporary:
-        if kind == RECORDING_FORMAT:
-            _write_recording(temporary, examined, scene, seed, progress)
-        else:
-            _write_dataset(temporary, plan_of(scene, examined), examined, scene, seed, progress)
-        _require_agreement(path, examined, temporary, attributes, scene)
-    return "made again; all that was undamaged is as before"
+@dataclass(frozen=True, kw_only=True)
+class _Recipe:
+    """What the bytes of a file follow from.
+
+    Attributes
+    ----------
+    kind : str
+        `FORMAT` or `RECORDING_FORMAT`.
+    attributes : dict
+        Of the root of the file.
+    scene : Scene
+    seed : int
+    number : int
+        Of the first signal, or of the recording.
+    n_signals : int
+        1 for a recording.
+    dtype, compression : str
+    """
+
+    kind: str
+    attributes: Mapping[str, Any]
+    scene: Scene
+    seed: int
+    number: int
+    n_signals: int
+    dtype: str
+    compression: str
+
+    @property
+    def size(self) -> int:
+        """Of the file [bytes], about."""
+        return self.n_signals * (samples_of(self.scene) * np.dtype(self.dtype).itemsize + _ROW)
 
 
-def _mend_lost_recording(path: Path, given: Scene | None, room: Room, progress: Progress | None) -> str:
-    """Make a recording of which nothing can be read by what another in its folder says."""
-    others = sorted(other for other in path.parent.glob("recording-*.h5") if other != path and not other.is_symlink())
-    said = next((found for found in map(examine_file, others) if not found["fault"]), None)
-    if said is None:
-        raise BadData(f"{path}: no recording beside it says how they were made; generate them again")
-    attributes = {**said["attributes"], "recording": int(path.stem.removeprefix("recording-"))}
-    scene, seed = scene_of(path, attributes, given), whole_number(path, attributes, "seed")
-    here = attributes_of(scene, seed)["versions"]
-    if attributes.get("versions") != here:
-        raise BadData(
-            f"{path}: must be made by the versions that made the others, {attributes.get('versions')}; here {here}"
-        )
-    room.take(path, size_made(path, said, scene))
-    _write_recording(path, {**said, "attributes": attributes}, scene, seed, progress)
-    return "made again"
-
-
-def _write_recording(
-    path: Path, examined: Mapping[str, Any], scene: Scene, seed: int, progress: Progress | None
-) -> None:
-    attributes = examined["attributes"]
-    own = ("format", "schema_version", "n_impacts")
-    plan = RecordingPlan(
-        n_samples=samples_of(scene),
-        dtype=examined["dtype"],
-        sampling_rate=scene.sampling.sampling_rate,
-        unit=scene.sensor.unit,
-        attributes={name: value for name, value in in_order(attributes).items() if name not in own},
-    )
-    write_recording(path, plan, scene, seed, whole_number(path, attributes, "recording"), progress)
-
-
-def _write_dataset(
-    path: Path, plan: ShardPlan, examined: Mapping[str, Any], scene: Scene, seed: int, progress: Progress | None
-) -> None:
-    first = whole_number(path, examined["attributes"], "first_signal")
-    n_signals = examined["chunks"]["signals"][-1][1]
-    if plan.size(n_signals) <= LARGEST_SHARD:
-        path.write_bytes(_shard(plan, first, n_signals, scene, seed, progress))
-        return
-    dtype: Any = plan.dtype
-    write_dataset(path, plan, first, n_signals, synthesise(scene, n_signals, seed, first=first, dtype=dtype), progress)
-
-
-def _shard(
-    plan: ShardPlan, first: int, n_signals: int, scene: Scene, seed: int, progress: Progress | None
-) -> memoryview:
-    """Return the content of a shard; raises `BadData` for one that no honest manifest lists."""
-    size = plan.size(n_signals)
+def _recipe_of_shard(finding: Finding, entry: ShardEntry, manifest: Manifest, given: Scene | None) -> _Recipe:
+    """Return what a shard of a folder is made of; raises `BadData` if it is readable and belongs to another dataset."""
+    path, attributes = finding.file, manifest.attributes
+    manifest.require_own(path, finding.examined.get("attributes", {}))
+    file = path.with_name(MANIFEST)
+    scene = _scene_of(file, attributes, given)
+    about: Mapping[str, Any] = vars(manifest)
+    if manifest.dtype is None:  # of version 1: another shard tells
+        readable = (examine_file(path.with_name(other.file)) for other in manifest.shards)
+        about = next((examined for examined in readable if not examined["fault"]), {})
+        if not about:
+            raise BadData(f"{path.parent}: no shard says any more how its signals are stored; generate it again")
+        about = {**about, "compression": compression_of(about)}
+    _require_length(file, about["n_samples"], scene)
+    size = entry.n_signals * about["n_samples"] * np.dtype(about["dtype"]).itemsize
     if size > LARGEST_SHARD:
         raise BadData(f"a shard must be at most {LARGEST_SHARD >> 30} GiB, got {size / 2**30:.3g} GiB of signals")
-    builder, dtype = ShardBuilder(plan, first, n_signals), plan.dtype
-    kind: Any = dtype
-    for batch in synthesise(scene, n_signals, seed, first=first, dtype=kind):
+    return _Recipe(
+        kind=FORMAT,
+        attributes=attributes,
+        scene=scene,
+        seed=_whole_number(path, attributes, "seed"),
+        number=entry.first_signal,
+        n_signals=entry.n_signals,
+        dtype=about["dtype"],
+        compression=about["compression"],
+    )
+
+
+def _recipe_of_file(finding: Finding, given: Scene | None) -> _Recipe:
+    """Return what a single file or a recording of a folder is made of, by its own attributes or those of another."""
+    path, examined = finding.file, finding.examined
+    attributes = dict(examined.get("attributes", {}))
+    if not examined or examined["fault"]:
+        if not re.fullmatch(RECORDING_NAME, path.name):
+            raise BadData(
+                f"{path}: does not say any more how it was made; if it was made by cgid, make it again by cgid "
+                "generate with --overwrite"
+            )
+        others = sorted(
+            other for other in path.parent.glob("recording-*.h5") if other != path and not other.is_symlink()
+        )
+        readable = (found for found in map(examine_file, others) if not found["fault"])
+        examined = next(readable, {})
+        if not examined:
+            raise BadData(f"{path}: no recording beside it says how they were made; generate them again")
+        attributes = {**examined["attributes"], "recording": int(path.stem.removeprefix("recording-"))}
+    kind = attributes.get("format")
+    if kind not in (FORMAT, RECORDING_FORMAT):
+        raise BadData(f"{path}: is no file that is made again in part; make it again by the command that made it")
+    scene = _scene_of(path, attributes, given)
+    _require_length(path, examined["n_samples"], scene)
+    recipe = _Recipe(
+        kind=kind,
+        attributes=attributes,
+        scene=scene,
+        seed=_whole_number(path, attributes, "seed"),
+        number=_whole_number(path, attributes, "first_signal" if kind == FORMAT else "recording"),
+        n_signals=examined["chunks"]["signals"][-1][1] if kind == FORMAT else 1,
+        dtype=examined["dtype"],
+        compression=compression_of(examined),
+    )
+    here = _versions(recipe)
+    if finding.sha256 is None and attributes.get("versions") != here:
+        raise BadData(
+            f"{path}: must be made again by the versions that made it; nothing was replaced: {_why_other(recipe)}"
+        )
+    return recipe
+
+
+def _scene_of(path: Path, attributes: Mapping[str, Any], given: Scene | None) -> Scene:
+    """Return the scene that a file was made of; `given` comes from the scene's own file.
+
+    Raises `BadData` if the file does not say it, another scene is given, or the scene names a recording to be read and
+    none is given.
+    """
+    if given is not None:
+        if given.sha256 != attributes.get("scene_sha256"):
+            raise BadData(
+                f"{path}: the scene must be the one it was made of, with SHA-256 {attributes.get('scene_sha256')}, got "
+                f"{given.sha256} ({given.name}); give that scene's file"
+            )
+        background = attributes_of(given, 0).get("background_sha256")
+        if background != attributes.get("background_sha256", background):
+            raise BadData(
+                f"{path}: the recorded background must be the one it was made with, with SHA-256 "
+                f"{attributes['background_sha256']}, got {background}; put that file in its place"
+            )
+        return given
+    try:
+        content = json.loads(attributes["scene"])
+    except (KeyError, TypeError, ValueError, RecursionError):
+        content = None
+    if not isinstance(content, dict):
+        raise BadData(f"{path}: does not say of what scene it was made; make it again by cgid generate")
+    scene = parse_scene(content, source=str(path))
+    if scene.background is not None and scene.background.recorded is not None:
+        # A file from a stranger must not have other files opened.
+        raise BadData(
+            f"{path}: was made with the recorded background {scene.background.recorded.path}; give the scene file that "
+            "lies beside it by --scene FILE"
+        )
+    return scene
+
+
+def _whole_number(path: Path, attributes: Mapping[str, Any], name: str) -> int:
+    number = attributes.get(name)
+    if type(number) is not int or number < 0:
+        raise BadData(
+            f"{path}: {name} must be a whole number of 0 or more, got {number!r:.40}; generate the file again"
+        )
+    return number
+
+
+def _require_length(path: Path, n_samples: int, scene: Scene) -> None:
+    """Raise `BadData` unless a scene makes as many samples as a file declares."""
+    if n_samples != samples_of(scene):
+        raise BadData(
+            f"{path}: must hold as many samples as its scene makes, {samples_of(scene)}, it holds {n_samples}; make it "
+            "again by cgid generate"
+        )
+
+
+# ---- making it, and comparing ----------------------------------------------------------------------------------------
+
+
+def _make(recipe: _Recipe, path: Path, progress: Progress | None) -> None:
+    """Write the file anew to an empty file."""
+    scene, seed, number = recipe.scene, recipe.seed, recipe.number
+    if recipe.kind == RECORDING_FORMAT:
+        own = ("format", "schema_version", "n_impacts")
+        attributes = {name: value for name, value in in_order(recipe.attributes).items() if name not in own}
+        recording = RecordingPlan(
+            n_samples=samples_of(scene),
+            dtype=recipe.dtype,
+            sampling_rate=scene.sampling.sampling_rate,
+            unit=scene.sensor.unit,
+            attributes=attributes,
+        )
+        write_recording(path, recording, scene, seed, number, progress)
+        return
+    attributes = {name: value for name, value in recipe.attributes.items() if name != "first_signal"}
+    plan = shard_plan(scene, attributes, recipe.dtype, recipe.compression)
+    dtype: Any = recipe.dtype
+    batches = synthesise(scene, recipe.n_signals, seed, first=number, dtype=dtype)
+    if plan.size(recipe.n_signals) > LARGEST_SHARD:  # an exported dataset
+        write_dataset(path, plan, number, recipe.n_signals, batches, progress)
+        return
+    builder = ShardBuilder(plan, number, recipe.n_signals)
+    for batch in batches:
         builder.add(batch)
         if progress is not None:
             progress(len(batch))
-    return builder.image()
+    path.write_bytes(builder.image())
 
 
-# ---- a shard of a folder ---------------------------------------------------------------------------------------------
-
-
-def _mend_shard(
-    finding: Finding,
-    entry: ShardEntry,
-    verified: Verified,
-    manifest: Manifest,
-    given: Scene | None,
-    room: Room,
-    progress: Progress | None,
-) -> tuple[str, Manifest]:
-    """Make a shard again and return what was done, and the manifest as it is then.
-
-    A shard that can be read and names another seed or scene is not damaged: it is never replaced.
-    """
-    path, attributes = finding.file, manifest.attributes
-    manifest.require_own(path, finding.examined.get("attributes", {}))
-    if manifest.n_samples is not None and manifest.dtype is not None:
-        room.take(path, size_of(entry.n_signals, manifest.n_samples, manifest.dtype))
-    scene, seed = scene_of(verified.path / MANIFEST, attributes, given), whole_number(path, attributes, "seed")
-    plan = _plan_of_folder(verified, manifest, scene)
-    if manifest.n_samples is None:
-        room.take(path, size_of(entry.n_signals, plan.n_samples, plan.dtype))
-    else:
-        require_length(verified.path / MANIFEST, manifest.n_samples, scene)
-    content = _shard(plan, entry.first_signal, entry.n_signals, scene, seed, progress)
-    digest = hashlib.sha256(content).hexdigest()
-    if digest == entry.sha256:
-        write_whole(path, content)
-        return "made again, byte for byte", manifest
-    with whole_file(path) as temporary:
-        temporary.write_bytes(content)
-        if not _agrees_with_another(verified, manifest, plan, scene, seed):
-            _require_agreement(path, finding.examined, temporary, attributes, scene)
-    changed = replace(entry, bytes=len(content), sha256=digest)
-    manifest = replace(
-        manifest,
-        shards=tuple(changed if other == entry else other for other in manifest.shards),
-        # Manifests of version 1 do not say them, and the new one must.
-        shard_signals=manifest.shards[0].n_signals,
-        n_samples=plan.n_samples,
-        dtype=plan.dtype,
-        compression=plan.compression,
-    )
-    write_whole(verified.path / MANIFEST, manifest.to_bytes())
-    return f"made again by other versions than {attributes.get('versions')}: equal numbers in other bytes", manifest
-
-
-def _agrees_with_another(verified: Verified, manifest: Manifest, plan: ShardPlan, scene: Scene, seed: int) -> bool:
-    """Return whether there is an undamaged shard; raises `BadData` if other numbers than its own come out here."""
-    damaged = {finding.file.name for finding in verified.findings}
-    for entry in sorted(manifest.shards, key=lambda entry: entry.n_signals):
-        if entry.file not in damaged:
-            path = verified.path / entry.file
-            with tempfile.TemporaryDirectory() as folder:
-                made = Path(folder) / entry.file
-                made.write_bytes(_shard(plan, entry.first_signal, entry.n_signals, scene, seed, None))
-                _require_agreement(path, examine_file(path), made, manifest.attributes, scene)
-            return True
-    return False
-
-
-def _plan_of_folder(verified: Verified, manifest: Manifest, scene: Scene) -> ShardPlan:
-    """Return what the shards of a folder have in common; what an old manifest does not say, a shard does."""
-    if manifest.dtype is not None and manifest.compression is not None:
-        return shard_plan(scene, manifest.attributes, manifest.dtype, manifest.compression)
-    for entry in manifest.shards:
-        examined = examine_file(verified.path / entry.file)
-        if not examined["fault"]:
-            return shard_plan(scene, manifest.attributes, examined["dtype"], compression_of(examined))
-    raise BadData(f"{verified.path}: no shard says any more how its signals are stored; generate the dataset again")
-
-
-def _require_agreement(
-    path: Path, examined: Mapping[str, Any], made: Path, attributes: Mapping[str, Any], scene: Scene
-) -> None:
-    """Raise `BadData` unless what is undamaged in a file is equal to what was made, and there is enough of it."""
-    old: Chunks = examined.get("chunks", {})
+def _require_same(recipe: _Recipe, made: Path, finding: Finding) -> None:
+    """Raise `BadData` unless a file has come out as it must."""
+    path = finding.file
+    if finding.sha256 is not None:
+        if not has_sum(made, finding.sha256):
+            raise BadData(
+                f"{path}: must come out here with the SHA-256 {finding.sha256}, it does not; nothing was replaced: "
+                f"{_why_other(recipe)}"
+            )
+        return
+    old = finding.examined.get("chunks", {})
     steps = {name: max(chunks[0][1], 1) for name, chunks in old.items() if chunks}
-    new: Chunks = examine_file(made, steps)["chunks"]
+    new = examine_file(made, steps)["chunks"]
     sound = [(name, tuple(chunk)) for name, chunks in old.items() for chunk in chunks if chunk[2]]
     there = {(name, tuple(chunk)) for name, chunks in new.items() for chunk in chunks}
     differing = sum(chunk not in there for chunk in sound)
-    versions, here = attributes.get("versions"), attributes_of(scene, 0, compression_of(examined))["versions"]
     if differing:
         raise BadData(
             f"{path}: what is undamaged must come out here as it is, {differing} of {len(sound)} chunks do not; "
-            f"nothing was replaced: {_why_others(versions, here, scene)}"
-        )
-    # The same numbers come out on every processor; another version may make others.
-    if versions != here and not any(name in _MAIN for name, _ in sound):
-        raise BadData(
-            f"{path}: nothing undamaged is left that tells whether {here} gives the same signals as {versions}; "
-            "nothing was replaced: repair it by those versions, or generate it again"
+            f"nothing was replaced: {_why_other(recipe)}"
         )
 
 
-def _why_others(versions: Any, here: str, scene: Scene) -> str:
+def _versions(recipe: _Recipe) -> str:
+    return str(attributes_of(recipe.scene, 0, recipe.compression)["versions"])
+
+
+def _why_other(recipe: _Recipe) -> str:
     """Return why other numbers come out here than those of a file, and what helps."""
+    versions, here, scene = recipe.attributes.get("versions"), _versions(recipe), recipe.scene
     if str(versions).startswith(_DEPENDENT):
         return (
             f"{versions} made it, and cgid 0.1 took the last digits of its numbers from the processor; repair it by "
             "that version on the kind of machine that made it, or generate it again"
         )
     if versions != here:
-        return f"repair it by the versions that made it, {versions}; here {here}"
+        return f"repair it by the versions that made it, {versions}; here {here}; or generate it again"
     samples = scene.sampling.samples
     if scene.stream is None and scene.sensor.bandwidth is not None and not transformable(samples):
         return (
@@ -343,3 +428,85 @@ def _why_others(versions: Any, here: str, scene: Scene) -> str:
             "to numpy's transform, whose last digits may be the processor's; repair it on the machine that made it"
         )
     return f"the versions are the same, {here}, so its numbers have been changed, or others than its scene's"
+
+
+# ---- manifest and sums -----------------------------------------------------------------------------------------------
+
+
+def _sum_again(file: Path, manifest: Manifest | None) -> str:
+    """Write `SHA256SUMS` anew: from the manifest, or from recordings, which carry checksums of their own."""
+    folder = file.parent
+    if manifest is not None:
+        write_whole(file, sums_text(sums_of(manifest.shards, (folder / MANIFEST).read_bytes())))
+        return "written again from the manifest"
+    names = sorted(path.name for path in folder.iterdir() if re.fullmatch(RECORDING_NAME, path.name))
+    named = set(re.findall(RECORDING_NAME, (read_text(file) or b"").decode("latin-1")))
+    if not named <= set(names):
+        raise BadData(f"{file}: names recordings that are missing, such as {min(named - set(names))}; generate again")
+    for name in names:
+        _require_whole(folder / name, SUMS)
+    write_whole(file, sums_text({name: file_facts(folder / name)["sha256"] for name in names}))
+    return f"written again from the {len(names)} recordings that are there"
+
+
+def _relist(file: Path) -> str:
+    """Write a lost manifest anew from the shards next to it, which must be whole and of one dataset."""
+    folder = file.parent
+    shards = sorted(path for path in folder.iterdir() if re.fullmatch(SHARD_NAME, path.name))
+    # A new manifest would lose sight of missing shards that the sums or the damaged manifest still name.
+    sums: dict[str, str] = {}
+    with suppress(BadData):  # a new one is written from the manifest
+        sums = read_sums(folder) or {}
+    named = set(re.findall(SHARD_NAME, (read_text(file) or b"").decode("latin-1"))) | (sums.keys() - {MANIFEST})
+    if len(named) > len(shards):
+        raise BadData(
+            f"{file}: names {len(named)} shards, {len(shards)} are there, and without a manifest those that are "
+            "missing cannot be made again; generate the dataset again"
+        )
+    entries: list[ShardEntry] = []
+    described: dict[str, Any] = {}
+    attributes: dict[str, Any] = {}
+    for shard in shards:
+        examined = _require_whole(shard, MANIFEST)
+        said = dict(examined["attributes"])
+        labels: Counter[str] = Counter()
+        for batch in Dataset(shard).batches():
+            labels.update(batch.labels.tolist())
+        first = said.pop("first_signal", 0)
+        facts = file_facts(shard)
+        entries.append(
+            ShardEntry(first_signal=first, n_signals=labels.total(), labels=dict(sorted(labels.items())), **facts)
+        )
+        attributes = attributes or said
+        if said != attributes:
+            raise BadData(f"{shard}: is not of the dataset that {shards[0].name} is of; take it away, or generate anew")
+        described = {name: examined[name] for name in ("n_samples", "dtype")}
+        described["compression"] = compression_of(examined)
+    n_signals = sum(entry.n_signals for entry in entries)
+    starts = list(accumulate((entry.n_signals for entry in entries), initial=0))[:-1]
+    if not entries or [entry.first_signal for entry in entries] != starts:
+        raise BadData(f"{folder}: its shards must follow each other from signal 0 on; generate the dataset again")
+    manifest = Manifest(
+        n_signals=n_signals,
+        attributes=in_order(attributes),
+        shards=tuple(entries),
+        shard_signals=entries[0].n_signals,
+        **described,
+    ).to_bytes()
+    if sums and sums != sums_of(entries, manifest):
+        raise BadData(f"{file}: must come out with the sums of {SUMS}, it does not; generate the dataset again")
+    write_whole(file, manifest)
+    return f"made again from the {len(entries)} shards that are there, of {n_signals} signals"
+
+
+def _require_whole(path: Path, listed_in: str) -> dict[str, Any]:
+    """Return what `examine_file` says of a file; raises `BadData` unless it is whole."""
+    if path.is_symlink():
+        raise BadData(f"{path}: {LINKED}")
+    examined = examine_file(path)
+    if examined["fault"] or any(damaged_rows(chunks) for chunks in examined["chunks"].values()):
+        raise BadData(
+            f"{path}: must be whole to make a new {listed_in} from, it is not, and without that it cannot be "
+            "made again; generate the dataset again"
+        )
+    return examined

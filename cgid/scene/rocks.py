@@ -33,7 +33,7 @@ from cgid.scene.draws import (
 )
 from cgid.scene.schema import Scene
 from cgid.scene.stream_section import RateTable, StreamSection
-from cgid.signals import STANDARD_GRAVITY
+from cgid.units import STANDARD_GRAVITY
 from cgid.validation import Floats
 
 #: Most rocks expected in a stretch. As numbers are drawn by the inverse of their distribution at no more than

@@ -23,8 +23,8 @@ from cgid.elementary import sin
 from cgid.family import HIGHEST_RESTITUTION, LOWEST_RESTITUTION
 from cgid.physics import HUNT_CROSSLEY_LAWS, RIGID, HalfSpace, RigidWall, ThinPlate
 from cgid.physics.materials import Material
-from cgid.physics.tail_beam import MeasuredModes, Ribs, TailBeam, read_measured_modes
-from cgid.physics.tail_beam.measured import COLUMNS
+from cgid.physics.modes import COLUMNS, MeasuredModes, read_measured_modes
+from cgid.physics.tail_beam import Ribs, TailBeam
 from cgid.scene.distributions import Distribution, measured, measured_within, within
 from cgid.scene.units import LIMITS, Acceleration, Density, Frequency, Length, Mass, Modulus, Number, Ratio, Whole
 from cgid.validation import Floats

@@ -20,10 +20,11 @@ from cgid.counting import count
 from cgid.elementary import exp, expm1, log
 from cgid.files import require_regular
 from cgid.measure.filters import SENSOR_TAPER, fft_filter, filter_gain
-from cgid.physics.poles import LowPass, Resonance
-from cgid.recordings.recording_file import told
+from cgid.physics.response import LowPass, Resonance
+from cgid.recordings.recording import told
 from cgid.scene.sections import Section
-from cgid.scene.units import Decibel, Frequency, Level, Number, Ratio, Whole, parse
+from cgid.scene.units import Decibel, Frequency, Level, Number, Ratio, Whole
+from cgid.units import parse
 from cgid.validation import Floats
 
 #: The quantity of a sensor -> the dimension of its levels, and its SI unit.

@@ -10,7 +10,8 @@ from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Fie
 
 from cgid.scene.sections import Population, Section
 from cgid.scene.sensor import Sensor
-from cgid.scene.units import Duration, Inclination, Moment, Rate, Ratio, Speed, Whole, parse
+from cgid.scene.units import Duration, Inclination, Moment, Rate, Ratio, Speed, Whole
+from cgid.units import parse
 from cgid.validation import Floats
 
 #: Most rows of a table in a scene file.

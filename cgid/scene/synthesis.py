@@ -11,8 +11,7 @@ from numpy.typing import DTypeLike, NDArray
 
 from cgid.counting import count
 from cgid.errors import InvalidValue
-from cgid.measure.beginnings import measure_beginnings, samples_needed
-from cgid.measure.features import extract_array
+from cgid.measure.features import extract_array, extract_truncated, samples_needed
 from cgid.scene.draws import BLOCK, drawn_block, parameter_units
 from cgid.scene.extremes import unwarned
 from cgid.scene.impacts import Blows, blows_of, impact_of, impacts_by_coupling
@@ -288,7 +287,7 @@ def _features(asked: Plan, seed: int, drawn: list[_Block]) -> Columns:
     if length == sampling.samples:
         table = extract_array(frames, sampling.sampling_rate, names, pre_trigger=sampling.pre_trigger, invalid="nan")
     else:
-        table, certain = measure_beginnings(frames, sampling.sampling_rate, names, sampling.pre_trigger, behind)
+        table, certain = extract_truncated(frames, sampling.sampling_rate, names, sampling.pre_trigger, behind)
         if not certain.all():
             table[~certain] = _from_whole_frames(names, seed, drawn, ~certain)
     values = dict(zip(names, table.T, strict=True))

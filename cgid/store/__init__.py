@@ -6,11 +6,11 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from cgid.store.dataset import Dataset
-    from cgid.store.header import FORMAT, SCHEMA_VERSION
-    from cgid.store.table import Rows, Table, TableHeader, check_table_output, table_writer
-    from cgid.store.table_reading import is_table, read_table
-    from cgid.store.writing import DatasetWriter, check_output
+    from cgid.store.dataset import DatasetWriter
+    from cgid.store.description import FORMAT, SCHEMA_VERSION
+    from cgid.store.reading import Dataset
+    from cgid.store.run import check_output
+    from cgid.store.table import Rows, Table, TableHeader, check_table_output, is_table, read_table, table_writer
 
 __all__ = [
     "FORMAT",
@@ -29,17 +29,17 @@ __all__ = [
 
 #: Where each public name lives.
 _HOMES = {
-    "FORMAT": "header",
-    "SCHEMA_VERSION": "header",
-    "Dataset": "dataset",
-    "DatasetWriter": "writing",
+    "FORMAT": "description",
+    "SCHEMA_VERSION": "description",
+    "Dataset": "reading",
+    "DatasetWriter": "dataset",
     "Rows": "table",
     "Table": "table",
     "TableHeader": "table",
-    "check_output": "writing",
+    "check_output": "run",
     "check_table_output": "table",
-    "is_table": "table_reading",
-    "read_table": "table_reading",
+    "is_table": "table",
+    "read_table": "table",
     "table_writer": "table",
 }
 

@@ -1,208 +1,282 @@
-"""Reading a dataset, whole or by batches; nothing is believed before it is checked."""
+"""Writing a dataset: one file, a folder of shards, or an existing dataset as one plain file for other tools."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import closing
+import copy
+import hashlib
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import h5py
 import numpy as np
-from numpy.typing import NDArray
 
-from cgid.errors import BadData, InvalidValue, NoInput
-from cgid.signals import Batch, Signal, quantity_of
-from cgid.store import apart
-from cgid.store.header import ShardHeader, text_of
-from cgid.store.identity import Identity
-from cgid.store.manifest import LINKED, MANIFEST, Manifest, ShardEntry, read_manifest
+from cgid.errors import BadData, CannotCreate, InvalidValue
+from cgid.files import check_new, clear_half_written, require_room, whole_file, write_whole
+from cgid.signals import Batch
+from cgid.store.description import (
+    DATASET_FILES,
+    FORMAT,
+    LARGEST_SHARD,
+    MANIFEST,
+    Manifest,
+    ShardEntry,
+    is_entry,
+    read_manifest,
+)
+from cgid.store.hdf5 import ShardBuilder, ShardPlan, hdf5_on_disk, lay_out, say_kind
+from cgid.store.reading import Dataset
+from cgid.store.run import SUFFIXES, Goal, Run, begun, is_single_file, taking_part
+from cgid.store.verification import compression_of, examine_whole
 
-#: Signals read at once, and what they may take [bytes].
-_ROWS, _LARGEST_BATCH = 1024, 32 << 20
+#: A manifest of this many shards takes some 100 MB, which readers hold in memory.
+MOST_SHARDS = 300_000
 
 
-class Dataset:
-    """A dataset on disk: a file or a folder of shards.
+@dataclass(frozen=True)
+class BuiltShard:
+    """A shard in memory: the content of its file, and its number of signals by label."""
+
+    number: int
+    first: int
+    n_signals: int
+    content: memoryview
+    labels: dict[str, int]
+
+
+class DatasetWriter:
+    """Divides signals into shards and writes these, in any order and by any process.
 
     Parameters
     ----------
-    path : str or Path
+    output : Path
+        A file ending in .h5 (a single shard), else a folder.
+    plan : ShardPlan
+    n_signals : int
+    shard_signals : int
+        Signals of a shard of a folder.
 
     Raises
     ------
-    NoInput
-        There is nothing.
-    BadData
-        It is no dataset, unfinished (no manifest), damaged, or its shards do not fit together or to the manifest.
+    InvalidValue
+        A shard would be too large to be built in memory, or there would be too many.
     """
 
-    #: What all shards have in common; the counts are those of the first.
-    header: ShardHeader
-
-    def __init__(self, path: str | Path) -> None:
-        self.path = Path(path)
-        try:
-            is_there = self.path.exists()
-        except OSError as error:
-            raise NoInput(f"{path}: cannot be looked at ({error.strerror}); check the name") from None
-        if not is_there:
-            raise NoInput(f"{path}: no such file or folder; give a dataset made by cgid generate")
-        self._identity = Identity(self.path)
-        manifest = read_manifest(self.path) if self.path.is_dir() else None
-        # A file by itself is listed nowhere.
-        self._entries: tuple[ShardEntry | None, ...] = (None,) if manifest is None else manifest.shards
-        self._shards = [self.path if entry is None else self.path / entry.file for entry in self._entries]
-        self._counts: list[int] = []
-        try:
-            for shard, entry in zip(self._shards, self._entries, strict=True):
-                if entry is not None and shard.is_symlink():
-                    raise BadData(f"{shard}: {LINKED}")
-                header = ShardHeader(**apart.call("shard_header", shard))
-                if not self._counts:
-                    self.header = header
-                self._require_fit(shard, header)
-                if manifest is not None and entry is not None:
-                    _require_listed(shard, header, manifest, entry)
-                self._counts.append(header.n_signals)
-        except BadData:
-            self._identity.require()
-            raise
-        self._identity.require()  # shards of an overwriting run have the same names
-
-    def _require_fit(self, shard: Path, header: ShardHeader) -> None:
-        for name in ("n_samples", "sampling_rate", "pre_trigger", "unit", "parameter_units", "label_width"):
-            here, there = getattr(header, name), getattr(self.header, name)
-            if here != there:
-                raise BadData(f"{shard}: {name} must be that of the other shards, {there}, got {here}")
-
-    def __len__(self) -> int:
-        return sum(self._counts)
-
-    @property
-    def sampling_rate(self) -> float:
-        """[Hz]."""
-        return self.header.sampling_rate
-
-    @property
-    def unit(self) -> str:
-        """Unit of the signals."""
-        return self.header.unit
-
-    @property
-    def quantity(self) -> str:
-        """Quantity of the signals."""
-        return quantity_of(self.header.unit)
-
-    @property
-    def pre_trigger(self) -> int:
-        """Samples before touch."""
-        return self.header.pre_trigger
-
-    @property
-    def source(self) -> str:
-        """SHA-256 of the scene that the signals were made from; empty when they were not."""
-        return str(self.header.attributes.get("scene_sha256", ""))
-
-    def __iter__(self) -> Iterator[Batch]:
-        return self.batches()
-
-    def batches(self, n_rows: int | None = None, *, check_sums: bool = False) -> Iterator[Batch]:
-        """Yield the signals in order.
-
-        Parameters
-        ----------
-        n_rows : int, optional
-            Signals at once, at most; without it as many as are read quickly: 1024, fewer of long ones.
-        check_sums : bool
-            Whether each shard of a folder must have the SHA-256 of the manifest. It is checked behind its last batch:
-            damage is named by its rows before, and the system still holds the file in memory.
-
-        Raises
-        ------
-        BadData
-            A checksum does not fit: the file is damaged, or another has its name. A label breaks the rule of
-            `cgid.validation.label`.
-        """
-        for shard, entry, count in zip(self._shards, self._entries, self._counts, strict=True):
-            yield from self._read(shard, 0, count, n_rows)
-            if check_sums and entry is not None and not entry.fits(shard):
-                self._identity.require()
-                raise BadData(
-                    f"{shard}: must have the SHA-256 that {MANIFEST} says, it has not: it is damaged or another file; "
-                    "see cgid verify"
-                )
-
-    def _read(self, shard: Path, first: int, stop: int, n_rows: int | None) -> Iterator[Batch]:
-        row = self.header.n_samples * np.dtype(self.header.dtype).itemsize
-        length = n_rows or max(1, min(_ROWS, _LARGEST_BATCH // row))
-        names = ["signals", "labels", "specimen", *(f"parameters/{name}" for name in self.header.parameter_units)]
-        largest = max(apart.LARGEST_ANSWER, 2 * length * row)
-        with closing(apart.stream("rows", shard, names, first, stop, length, largest=largest)) as parts:
-            for number, part in enumerate(parts):
-                if not number:  # the file is open by now, and stays the one it is
-                    self._identity.require()
-                yield self._batch(part)
-
-    def _batch(self, part: dict[str, NDArray[Any]]) -> Batch:
-        try:
-            return Batch(
-                signals=part["signals"],
-                labels=text_of(part["labels"]),
-                sampling_rate=self.sampling_rate,
-                unit=self.unit,
-                pre_trigger=self.pre_trigger,
-                specimen=part["specimen"].astype(np.uint64),
-                parameters={name: part[f"parameters/{name}"] for name in self.header.parameter_units},
-                source=self.source,
+    def __init__(self, output: Path, plan: ShardPlan, n_signals: int, shard_signals: int) -> None:
+        self.output, self.plan, self.n_signals = output, plan, n_signals
+        self._folder: Path | None = None
+        self._run: str | None = None
+        self._overwrites = False
+        self.shard_signals = n_signals if is_single_file(output) else min(shard_signals, n_signals)
+        size = plan.size(self.shard_signals)
+        if size > LARGEST_SHARD:
+            cure = "give a name that does not end in .h5, for a folder" if is_single_file(output) else "ask for smaller"
+            raise InvalidValue(
+                f"a shard must be at most {LARGEST_SHARD >> 30} GiB, {self.shard_signals} signals make "
+                f"{size / 2**30:.3g} GiB: {cure}"
             )
-        except InvalidValue as error:
-            raise BadData(f"{self.path}: {error}") from None
+        if len(self._starts) > MOST_SHARDS:
+            raise InvalidValue(
+                f"shard_signals must be at least {-(-n_signals // MOST_SHARDS)} for {n_signals} signals, got "
+                f"{self.shard_signals}: a manifest lists {MOST_SHARDS} shards at most"
+            )
 
-    def impact(self, index: int) -> Batch:
-        """Return one signal with all that is stored of it.
+    @property
+    def shards(self) -> list[tuple[int, int, int]]:
+        """Number, first signal and number of signals of each shard."""
+        return [(k, first, min(self.shard_signals, self.n_signals - first)) for k, first in enumerate(self._starts)]
 
-        Raises
-        ------
-        InvalidValue
-            The index is not within 0 and the number of signals.
-        """
-        if not 0 <= index < len(self):
-            raise InvalidValue(f"{self.path}: index must lie between 0 and {len(self) - 1}, got {index}")
-        first = 0
-        for shard, count in zip(self._shards, self._counts, strict=True):
-            if index < first + count:
-                (batch,) = self._read(shard, index - first, index - first + 1, 1)
-                return batch
-            first += count
-        raise AssertionError("unreachable: the index was checked")
+    @property
+    def _starts(self) -> range:
+        return range(0, self.n_signals, self.shard_signals)
 
-    def signal(self, index: int) -> Signal:
-        """Return one signal; raises as `impact`."""
-        return Signal(
-            samples=self.impact(index).signals[0],
-            sampling_rate=self.sampling_rate,
-            unit=self.unit,
-            source=f"{self.path} index {index}",
-            pre_trigger=self.pre_trigger,
+    @property
+    def folder(self) -> Path:
+        """Where files are written; for a folder of shards, within `begun`."""
+        return self.output.parent if self._folder is None else self._folder
+
+    def from_anywhere(self) -> DatasetWriter:
+        """Return the same writer for processes with another working directory."""
+        found = copy.copy(self)
+        found.output = self.output.absolute()
+        found._folder = None if self._folder is None else self._folder.absolute()
+        return found
+
+    @contextmanager
+    def begun(self, *, overwrite: bool = False, resume: bool = False) -> Iterator[Run]:
+        """Yield the run that makes the shards; parameters and errors as `cgid.store.run.begun`."""
+        self._overwrites = overwrite
+        shards = self.shards
+        names = tuple(f"shard-{number:05d}.h5" for number, _, _ in shards)
+        goal = Goal(
+            output=self.output,
+            description=self._manifest(()).description,
+            names=(self.output.name,) if is_single_file(self.output) else names,
+            noun="shards",
+            ours=DATASET_FILES,
+            description_of=_description_of,
+            closing=lambda entries: {MANIFEST: self._manifest(ShardEntry(**entry) for entry in entries).to_bytes()},
+            fits=lambda number, entry: (
+                is_entry(entry) and (entry["first_signal"], entry["n_signals"]) == shards[number][1:]
+            ),
+        )
+        with begun(goal, overwrite=overwrite, resume=resume) as run:
+            if run.token is not None:
+                self._folder, self._run = run.folder, run.token
+                self._require_room(sum(shards[number][2] for number in run.missing))
+            yield run
+
+    def _require_room(self, n_signals: int) -> None:
+        """Raise `CannotCreate` if the disk has less room than this many signals take, unless they are packed."""
+        if self.plan.compression == "none":
+            needed = self.plan.size(n_signals)
+            require_room(self.output, self.output.parent, needed, "signals", "make room, or fewer signals")
+
+    def _manifest(self, shards: Iterable[ShardEntry]) -> Manifest:
+        return Manifest(
+            n_signals=self.n_signals,
+            shard_signals=self.shard_signals,
+            n_samples=self.plan.n_samples,
+            dtype=self.plan.dtype,
+            compression=self.plan.compression,
+            attributes=self.plan.attributes,
+            shards=tuple(shards),
         )
 
+    def build_shard(self, number: int, first: int, n_signals: int, batches: Iterable[Batch]) -> BuiltShard:
+        """Build one shard in memory."""
+        builder = ShardBuilder(self.plan, first, n_signals)
+        labels: Counter[str] = Counter()
+        for batch in batches:
+            builder.add(batch)
+            labels.update(batch.labels.tolist())
+        return BuiltShard(number, first, n_signals, builder.image(), dict(sorted(labels.items())))
 
-def _require_listed(shard: Path, header: ShardHeader, manifest: Manifest, entry: ShardEntry) -> None:
-    """Raise `BadData` unless a shard says of itself what the manifest says of it."""
-    if header.n_signals != entry.n_signals:
-        raise BadData(
-            f"{shard}: must hold as many signals as {MANIFEST} says, {entry.n_signals}, got {header.n_signals}; see "
-            "cgid verify"
-        )
-    manifest.require_own(shard, header.attributes)
-    try:
-        size = shard.stat().st_size
-    except OSError as error:
-        raise BadData(f"{shard}: cannot be looked at ({error.strerror}); read it again") from None
-    first = header.attributes.get("first_signal", 0)
-    for name, wanted, got in (("first_signal", entry.first_signal, first), ("bytes", entry.bytes, size)):
-        if got != wanted:
-            raise BadData(
-                f"{shard}: {name} must be {wanted} as {MANIFEST} says, got {got!s:.80}: the shard has been exchanged "
-                "for another or changed; see cgid verify"
-            )
+    def put(self, shard: BuiltShard) -> ShardEntry:
+        """Write a built shard to the disk, whole, and return its entry in the manifest."""
+        if self._folder is None or self._run is None:
+            path = self.output
+            write_whole(path, shard.content, overwrite=self._overwrites)
+        else:
+            path = self._folder / f"shard-{shard.number:05d}.h5"
+            with taking_part(self._folder, self._run):
+                write_whole(path, shard.content)
+        digest = hashlib.sha256(shard.content).hexdigest()
+        return ShardEntry(path.name, shard.first, shard.n_signals, len(shard.content), digest, shard.labels)
+
+
+def _description_of(path: Path) -> Mapping[str, Any] | None:
+    """Return the description of an existing dataset; None for a folder without a manifest."""
+    if path.is_dir():
+        return read_manifest(path).description if (path / MANIFEST).exists() else None
+    compression = compression_of(examine_whole(path, FORMAT))
+    there = Dataset(path)
+    return {**vars(there.header), "n_signals": len(there), "compression": compression}
+
+
+# ---- export ----------------------------------------------------------------------------------------------------------
+
+
+def export(
+    data: Dataset | str | Path,
+    output: str | Path,
+    *,
+    overwrite: bool = False,
+    progress: Callable[[int], object] | None = None,
+) -> Path:
+    """Write a dataset as one HDF5 file and return its path; memory stays the same however many signals there are.
+
+    Parameters
+    ----------
+    data : Dataset, str or Path
+        A dataset, or where it lies: a folder, or a file of any compression.
+    output : str or Path
+        Ending in .h5 or .hdf5.
+    overwrite : bool
+        Whether an old file may be replaced.
+    progress : callable, optional
+        Called with a number of signals whenever so many more are done.
+
+    Raises
+    ------
+    NoInput, BadData
+        There is no dataset, or it is damaged.
+    CannotCreate
+        The output exists, or cannot be made, or has no room.
+    WriteFailed
+        The disk is full; nothing is left behind, an old file is untouched.
+    """
+    dataset = data if isinstance(data, Dataset) else Dataset(data)
+    path = check_new(Path(output), "an exported dataset", SUFFIXES, overwrite=overwrite)
+    if dataset.path.resolve() in (path.resolve(), path.resolve().parent):
+        raise CannotCreate(f"{path}: must not be part of what it is made from; choose another name")
+    clear_half_written(path)
+    plan = ShardPlan(
+        n_samples=dataset.header.n_samples,
+        dtype=dataset.header.dtype,
+        label_width=dataset.header.label_width,
+        parameter_units=dataset.header.parameter_units,
+        attributes={name: value for name, value in dataset.header.attributes.items() if name != "first_signal"},
+    )
+    first = dataset.header.attributes.get("first_signal", 0)
+    require_room(path, path.parent, plan.size(len(dataset)), "signals", "make room")
+    with whole_file(path, overwrite=overwrite) as temporary:
+        write_dataset(temporary, plan, first, len(dataset), dataset.batches(check_sums=True), progress)
+    return path
+
+
+def write_dataset(
+    path: Path,
+    plan: ShardPlan,
+    first: int,
+    n_signals: int,
+    batches: Iterable[Batch],
+    progress: Callable[[int], object] | None = None,
+) -> None:
+    """Write the signals of a dataset to an empty file, batch by batch; within `cgid.files.whole_file`.
+
+    Parameters
+    ----------
+    path : Path
+        It exists and is empty.
+    plan : ShardPlan
+        Its compression is passed over.
+    first, n_signals : int
+        Number of the first signal, and how many there are.
+    batches : iterable of Batch
+        All of them, in order.
+    progress : callable, optional
+        As of `export`.
+
+    Raises
+    ------
+    OSError
+        The disk is full or broken.
+    BadData
+        The batches hold less than `n_signals`.
+    """
+    done, plain = 0, replace(plan, compression="none")
+    with hdf5_on_disk(path) as output:
+        for batch in batches:
+            with output.step() as file:
+                if not done:
+                    say_kind(lay_out(file, plain, first, n_signals), batch)
+                _put(file, batch, done)
+            done += len(batch)
+            if progress is not None:
+                progress(len(batch))
+        if done != n_signals:
+            raise BadData(f"a dataset of {n_signals} signals was given {done}")
+
+
+def _put(file: h5py.File, batch: Batch, first: int) -> None:
+    """Write the signals of a batch and what is known of them, from row `first` on."""
+    rows = slice(first, first + len(batch))
+    file["signals"][rows] = batch.signals
+    file["labels"][rows] = np.char.encode(batch.labels, "utf-8")
+    file["specimen"][rows] = batch.specimen
+    for name, values in batch.parameters.items():
+        file[f"parameters/{name}"][rows] = values

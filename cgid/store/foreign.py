@@ -15,7 +15,7 @@ from typing import Any
 from numpy.typing import NDArray
 
 from cgid.errors import BadData
-from cgid.store import apart
+from cgid.store import sandbox
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -75,8 +75,8 @@ def survey(path: Path, source: str, wanted: Callable[[str], bool]) -> ForeignFil
     BadData
         The file is no HDF5, cut off, damaged, or of more parts than a recording has.
     """
-    names = [name for name in apart.call("foreign_names", path, source=source) if wanted(name)]
-    about = apart.call("foreign_survey", path, names, source=source)
+    names = [name for name in sandbox.call("foreign_names", path, source=source) if wanted(name)]
+    about = sandbox.call("foreign_survey", path, names, source=source)
     arrays = [ForeignArray(**{**one, "shape": tuple(one["shape"])}) for one in about["arrays"]]
     found = ForeignFile(arrays=arrays, said=about["said"])
     if about["texts"]:
@@ -106,16 +106,16 @@ def array_blocks(
         A checksum or a packed chunk does not fit: the file is damaged.
     """
     # What it declares was held against what is stored; a block has at most eight bytes a sample.
-    largest = max(apart.LARGEST_ANSWER, 8 * length * len(channels))
+    largest = max(sandbox.LARGEST_ANSWER, 8 * length * len(channels))
     arguments = (array.name, array.shape, axes, length, list(channels))
-    with closing(apart.stream("foreign_blocks", path, *arguments, source=source, largest=largest)) as blocks:
+    with closing(sandbox.stream("foreign_blocks", path, *arguments, source=source, largest=largest)) as blocks:
         for block in blocks:
             yield block[""]
 
 
 def _add_texts(found: ForeignFile, path: Path, source: str, asked: Sequence[tuple[str, str]]) -> None:
     try:
-        texts = apart.call("foreign_texts", path, asked, source=source)
+        texts = sandbox.call("foreign_texts", path, asked, source=source)
     except BadData:
         names = ", ".join(sorted({name or place for place, name in asked})[:5])
         found.warnings.append(f"texts of variable length ({names}) could not be read; the file may be damaged")

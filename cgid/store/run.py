@@ -1,37 +1,59 @@
-"""A run that fills a folder with files, one by one, and can go on after a crash at any moment.
+"""A run that makes one file or fills a folder with files, and that `--resume` completes after a crash at any moment.
 
-The folder is locked while the run lasts. Files are made in it if it is new; if there is an older one, they are made in
-a hidden folder beside it (.NAME.unfinished), which changes places with the older one when it is whole:
+The folder is locked while the run lasts. A new folder is filled in place. If an older one has the name, the files are
+made in a hidden folder next to it (.NAME.unfinished), and the older one stays until the new one is whole:
 
-    new run         NAME: journal, files        -> NAME: files, manifest, journal   -> NAME: files, manifest
-    overwriting     NAME: old, .NAME.unfinished: journal, files, manifest           -> the two change names
-                    NAME: new, journal, .NAME.unfinished: old                       -> old files go, journal goes
+    new run         NAME: journal, files    ->  NAME: files, sums, manifest, journal  ->  NAME: files, sums, manifest
+    overwriting     NAME: old, .NAME.unfinished: journal, files, sums, manifest
+                    .NAME.replaced: old, .NAME.unfinished: new, journal
+                    .NAME.replaced: old, NAME: new, journal        ->  old files are removed, then the journal
 
-So a hidden folder with a journal is newer than NAME, one without is what an overwriting run has not yet cleared away.
+A hidden folder with a journal is therefore newer than NAME; one without a journal is what an overwriting run has not
+yet removed.
 """
 
 from __future__ import annotations
 
 import contextlib
 import hashlib
+import os
 import re
+import secrets
+import socket
 import stat
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from types import TracebackType
+from typing import Any, Self
 
 from cgid.errors import BadData, CannotCreate, CgidError, WriteFailed
-from cgid.files import exchange, half_written, sync_folder
-from cgid.lock import locked
-from cgid.store.journal import JOURNAL, Journal, Unfinished, read_journal
-from cgid.store.sameness import first_difference, require_same
+from cgid.files import clear_half_written, half_written, locked, looking_at, sync_folder, write_whole
+from cgid.store.description import (
+    FIRST_LINE,
+    FORMAT,
+    JOURNAL,
+    MANIFEST,
+    SUMS,
+    Unfinished,
+    content_of,
+    file_facts,
+    first_difference,
+    line_of,
+    read_journal,
+    require_same,
+    sums_text,
+)
 
+#: Names that end otherwise are those of folders.
+SUFFIXES = (".h5", ".hdf5")
 #: The journal, and what a killed run leaves of it.
-JOURNAL_FILES = re.compile(f"{re.escape(JOURNAL)}|{half_written(re.escape(JOURNAL))}")
-#: How long workers that have outlived their run may take for the file they are just writing [s].
+_JOURNAL_FILES = re.compile(f"{re.escape(JOURNAL)}|{half_written(re.escape(JOURNAL))}")
+#: How long a worker that has outlived its run may take for the file it is writing [s].
 _PATIENCE = 60.0
+#: A manifest says its format in its first bytes.
+_HEAD = 4096
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -41,106 +63,142 @@ class Goal:
     Attributes
     ----------
     output : Path
-        The folder.
-    plan : dict
-        All that the content of the files depends on; a run goes on only with an equal one.
-    n_files : int
+        A folder, or a single file.
+    description : dict
+        All that the content of the files depends on; a run is resumed only with the same description.
+    names : tuple of str
+        The files of the folder, or the name of the single file.
     noun : str
         What the files are called, in the plural.
     ours : re.Pattern
-        The names that files of such a folder have, with those of half-written ones.
-    plan_of : callable
-        Returns the plan of what lies in a folder if that is whole, else None.
+        Names of files in such a folder, half-written ones included.
+    description_of : callable
+        From an existing folder or file to its description; None for a folder that is not whole. Raises `BadData` for a
+        file that is damaged or of another kind.
+    closing : callable, optional
+        From the entries of all files, in the order of `names`, to the files that complete the folder: name -> content.
+    fits : callable, optional
+        From the number of a file and its entry in a journal to whether the entry can be used.
     """
 
     output: Path
-    plan: Mapping[str, Any]
-    n_files: int
+    description: Mapping[str, Any]
+    names: tuple[str, ...]
     noun: str
     ours: re.Pattern[str]
-    plan_of: Callable[[Path], Mapping[str, Any] | None]
-
-    @property
-    def replaced(self) -> Path:
-        """Where the older folder goes on systems that cannot let two folders change names in one step."""
-        return self.output.with_name(f".{self.output.name}.replaced")
+    description_of: Callable[[Path], Mapping[str, Any] | None]
+    closing: Callable[[list[dict[str, Any]]], dict[str, bytes]] = lambda entries: {}
+    fits: Callable[[int, Mapping[str, Any]], bool] = lambda number, entry: True
 
     @property
     def hidden(self) -> Path:
         """Where files are made while an older folder has the name."""
         return hidden(self.output)
 
+    @property
+    def replaced(self) -> Path:
+        """Where the older folder goes while the new one gets its name."""
+        return self.output.with_name(f".{self.output.name}.replaced")
+
 
 class Run:
-    """A run on its way; see `begun`.
+    """A run in progress; see `begun`.
 
     Attributes
     ----------
     folder : Path
         Where the files are to be written.
-    token : str
-        Which run this is, for `cgid.store.journal.taking_part`.
-    finished : tuple of dict
-        What is said of the files that are there already, each verified by its SHA-256.
+    token : str or None
+        Identifies the run for `taking_part`; None where there is no journal.
+    missing : list of int
+        Numbers of the files that are still to be made.
     """
 
-    def __init__(self, goal: Goal, folder: Path, journal: Journal, finished: tuple[dict[str, Any], ...]) -> None:
-        self.folder, self.finished, self.token = folder, finished, journal.run
-        self._goal, self._journal, self._has_files = goal, journal, bool(finished)
+    def __init__(
+        self, goal: Goal, folder: Path, finished: Mapping[str, dict[str, Any]], journal: Journal | None = None
+    ) -> None:
+        self.folder, self.token = folder, None if journal is None else journal.run
+        self.missing = [number for number, name in enumerate(goal.names) if name not in finished]
+        self._goal, self._journal, self._entries = goal, journal, dict(finished)
 
     def add(self, entry: Mapping[str, Any]) -> None:
-        """Note that a file is finished: its name `file`, its size `bytes`, its `sha256`, and what else is known."""
-        self._has_files = True  # first: Ctrl-C may come while the line is flushed
-        self._journal.add(entry)
+        """Record a finished file: its name `file`, its size `bytes`, its `sha256`, and what else is known."""
+        self._entries[entry["file"]] = dict(entry)  # first: Ctrl-C may come while the line is flushed
+        if self._journal is not None:
+            self._journal.add(entry)
 
     def finish(self) -> None:
-        """Give the whole folder the name asked for. Raises `WriteFailed`; the run can then be resumed."""
+        """Write the sums and what completes the folder, and give it its name. Raises `WriteFailed`."""
         output = self._goal.output
+        entries = [self._entries[name] for name in self._goal.names]
+        closing = self._goal.closing(entries)
+        sums = {entry["file"]: entry["sha256"] for entry in entries}
+        sums |= {name: hashlib.sha256(content).hexdigest() for name, content in closing.items()}
+        write_whole(self.folder / SUMS, sums_text(sums))
+        for name, content in closing.items():
+            write_whole(self.folder / name, content)
+        if self._journal is not None:
+            self._journal.close()
         try:
             if self.folder != output:
-                (output / JOURNAL).unlink(missing_ok=True)  # of an older run, which is not to be taken for this one
-                _change_places(self._goal)
+                (output / JOURNAL).unlink(missing_ok=True)  # that of an older run must not be taken for this one
+                _replace(self._goal)
             (output / JOURNAL).unlink(missing_ok=True)
         except OSError as error:
             raise WriteFailed(f"{output}: cannot be replaced ({error.strerror}); go on with --resume") from None
 
     def abandon(self) -> None:
-        """Remove what is half-written. Finished files stay with the journal, for the run to go on."""
-        _clear(self.folder, self._goal.ours, only_parts=self._has_files)
+        """Remove half-written files. Finished files and the journal stay, for the run to be resumed."""
+        if self._journal is not None:
+            self._journal.close()
+        _clear(self.folder, self._goal.ours, only_parts=bool(self._entries))
         with contextlib.suppress(OSError):
-            self.folder.rmdir()  # only if nothing is in it
+            self.folder.rmdir()  # only if it is empty
 
 
 @contextmanager
-def begun(goal: Goal, *, overwrite: bool = False, resume: bool = False) -> Iterator[Run | None]:
-    """Yield a run that fills a folder, or None where all that was to be resumed is there already.
+def begun(goal: Goal, *, overwrite: bool = False, resume: bool = False) -> Iterator[Run]:
+    """Yield a run that makes what is missing; when this context ends without an error, the output is whole.
 
-    When this context is left without an error, the folder asked for is whole.
+    Parameters
+    ----------
+    goal : Goal
+    overwrite : bool
+        Whether older files may be replaced; they stay until the new ones are whole.
+    resume : bool
+        Whether an unfinished run may be continued; an output that is whole and of the same description is kept, and
+        then nothing is missing.
 
     Raises
     ------
     CannotCreate
-        Something is there already, another run is writing there, or the run to be resumed had other options.
+        The output exists already, another run is writing there, or the run to be resumed had other options.
     BadData
-        The journal of the run to be resumed is damaged.
+        The journal of the run to be resumed, or the existing file, is damaged.
     WriteFailed
-        The disk is full or broken; what was there before is untouched, and the run can be resumed.
+        The disk is full or broken; older files are untouched, and the run can be resumed.
     """
+    output = goal.output
+    if is_single_file(output):
+        clear_half_written(output)
+        done = resume and output.exists() and _is_made(goal, overwrite)
+        yield Run(goal, output.parent, {output.name: {}} if done else {})
+        return
     with ExitStack() as held:
         _hold(goal, held)
         try:
             place = _place(goal, overwrite, resume)
             if place is None:
-                (goal.output / JOURNAL).unlink(missing_ok=True)
-                _clear_away(goal)
-                yield None
+                (output / JOURNAL).unlink(missing_ok=True)
+                _remove_replaced(goal)
+                yield Run(goal, output, {name: {} for name in goal.names})
                 return
-            if place[0] != goal.output and goal.output.samefile("."):
+            if place[0] != output and output.samefile("."):
                 raise CannotCreate(
-                    f"{goal.output}: the current folder cannot be replaced by another; go to the one above it first"
+                    f"{output}: the current folder cannot be replaced by another; go to the one above it first"
                 )
             if not (goal.hidden / JOURNAL).exists():
-                _clear_away(goal)  # what an earlier run could not
+                _remove_replaced(goal)  # what an earlier run could not remove
             run = _started(goal, *place, held)
             try:
                 yield run
@@ -148,21 +206,91 @@ def begun(goal: Goal, *, overwrite: bool = False, resume: bool = False) -> Itera
             except BaseException:
                 run.abandon()
                 raise
-            _clear_away(goal)
+            _remove_replaced(goal)
         finally:
             with contextlib.suppress(OSError):
-                goal.output.rmdir()  # only if nothing is in it
+                output.rmdir()  # only if it is empty
+
+
+# ---- names of outputs ------------------------------------------------------------------------------------------------
+
+
+def is_single_file(output: str | Path) -> bool:
+    """Return whether a name is that of a single file and not of a folder."""
+    return Path(output).suffix.lower() in SUFFIXES
 
 
 def hidden(output: Path) -> Path:
-    """Return where the files of a folder are made while an older one has the name."""
-    real = real_folder(output)
+    """Return where the files of a folder are made while an older folder has its name."""
+    real = _real_folder(output)
     return real.parent / f".{real.name}.unfinished"
 
 
-def real_folder(path: Path) -> Path:
-    """Return a folder by a name that can be given to another one: not that of a link to it, nor `.` or `..`."""
+def _real_folder(path: Path) -> Path:
+    """Return a folder by a name that another folder can get: not that of a link to it, nor `.` or `..`."""
     return path.resolve() if path.is_symlink() or path.name in ("", "..") else path
+
+
+def check_output(output: str | Path, ours: re.Pattern[str], overwrite: bool = False) -> Path:
+    """Return the output as a path if it may be written, before any work is done; a folder by its own name.
+
+    A folder must not hold other files than those whose names match `ours`.
+
+    Raises
+    ------
+    CannotCreate
+        The output exists already, or the folder above is missing.
+    """
+    path = Path(output)
+    with looking_at(path):
+        path = path if is_single_file(path) else _real_folder(path)
+        if not path.parent.is_dir():
+            raise CannotCreate(f"{path}: the folder {path.parent} must exist; make it first")
+        if path.is_dir() and is_single_file(path):
+            raise CannotCreate(f"{path}: is a folder; choose another name for the file")
+        if path.exists() and not path.is_dir() and not is_single_file(path):
+            raise CannotCreate(f"{path}: is a file; choose another name for the folder, or one ending in .h5")
+        content = sorted(entry.name for entry in path.iterdir()) if path.is_dir() else None
+        foreign = [name for name in content or () if not ours.fullmatch(name) and not _JOURNAL_FILES.fullmatch(name)]
+        if (path / MANIFEST).is_file():
+            with (path / MANIFEST).open("rb") as stream:
+                if f'"{FORMAT}"'.encode() not in stream.read(_HEAD):
+                    foreign.append(MANIFEST)
+        if foreign:
+            raise CannotCreate(
+                f"{path}: is a folder with other things in it, such as {foreign[0]}, and is not overwritten; "
+                "choose another name"
+            )
+        if path.exists() and content != [] and not overwrite:
+            raise _exists_already(path)
+    return path
+
+
+def _exists_already(output: Path) -> CannotCreate:
+    for folder in (hidden(output), output):
+        with contextlib.suppress(BadData):
+            found = read_journal(folder)
+            if found is not None:
+                return CannotCreate(
+                    f"{output}: a run that makes it is not finished: {found.progress}, or start again with --overwrite"
+                )
+    return CannotCreate(f"{output}: exists already; choose another name or say --overwrite")
+
+
+# ---- where a run goes on ---------------------------------------------------------------------------------------------
+
+
+def _is_made(goal: Goal, overwrite: bool) -> bool:
+    """Return whether the single file is whole and of this description; raise if not, unless it may be overwritten."""
+    try:
+        there = goal.description_of(goal.output) or {}
+    except BadData:
+        if overwrite:
+            return False
+        raise
+    if not overwrite:
+        require_same(goal.output, there, goal.description)
+    return first_difference(there, goal.description) is None
 
 
 def _hold(goal: Goal, held: ExitStack) -> None:
@@ -170,7 +298,7 @@ def _hold(goal: Goal, held: ExitStack) -> None:
     output, unfinished = goal.output, goal.hidden
     try:
         if not output.exists() and (unfinished / JOURNAL).exists():
-            with locked(unfinished):  # a crash where folders cannot change names in one step
+            with locked(unfinished):  # after a crash between two changes of names
                 unfinished.rename(output)
         output.mkdir(exist_ok=True)
         sync_folder(output.parent)
@@ -191,52 +319,40 @@ def _writer(goal: Goal) -> str:
 
 
 def _place(goal: Goal, overwrite: bool, resume: bool) -> tuple[Path, Unfinished | None] | None:
-    """Return the folder to make the files in, with what is unfinished there; None if all is there already."""
+    """Return the folder to make the files in, and the journal to be continued; None if the output is whole already."""
     output = goal.output
     is_empty = all(_is_part(path, goal.ours) for path in output.iterdir())
-    new = (output if is_empty else goal.hidden), None
     if resume:
-        whole = goal.plan_of(output)
+        whole = goal.description_of(output)
         for folder in (goal.hidden, output) if whole is None else (goal.hidden,):
             unfinished = read_journal(folder)
             if unfinished is not None:
-                require_same(output, unfinished.plan, goal.plan)
+                require_same(output, unfinished.description, goal.description)
                 return folder, unfinished
-        if whole is not None and first_difference(whole, goal.plan) is None:
+        if whole is not None and first_difference(whole, goal.description) is None:
             return None
         if whole is not None and not overwrite:
-            require_same(output, whole, goal.plan)
+            require_same(output, whole, goal.description)
     elif not overwrite and (goal.hidden / JOURNAL).exists():
-        raise exists_already(output)
+        raise _exists_already(output)
     if not is_empty and not overwrite:
-        raise exists_already(output)
-    return new
-
-
-def exists_already(output: Path) -> CannotCreate:
-    """Return what to raise where nothing may be written without a further word."""
-    for folder in (hidden(output), output):
-        with contextlib.suppress(BadData):
-            found = read_journal(folder)
-            if found is not None:
-                return CannotCreate(
-                    f"{output}: a run that makes it is not finished: {found.progress}, or start again with --overwrite"
-                )
-    return CannotCreate(f"{output}: exists already; choose another name or say --overwrite")
+        raise _exists_already(output)
+    return output if is_empty else goal.hidden, None
 
 
 def _started(goal: Goal, folder: Path, unfinished: Unfinished | None, held: ExitStack) -> Run:
-    """Clear a folder of what is not to stay in it, and begin its journal."""
+    """Remove from a folder what must not stay, and begin its journal."""
     try:
         if folder != goal.output:
             folder.mkdir(exist_ok=True)
-            held.enter_context(locked(folder))  # it will have the name that others lock
+            held.enter_context(locked(folder))  # it will get the name that others lock
         with ExitStack() as waiting:
             if (folder / JOURNAL).exists():
                 waiting.enter_context(locked(folder / JOURNAL, patience=_PATIENCE))
             _clear(folder, goal.ours, only_parts=unfinished is not None)
-            finished = () if unfinished is None else tuple(_verified(folder, unfinished, goal.ours))
-            journal = held.enter_context(Journal(folder, goal.plan, goal.n_files, goal.noun, finished))
+            finished = {} if unfinished is None else dict(_verified(folder, unfinished, goal))
+            journal = Journal(folder, goal.description, len(goal.names), goal.noun, finished.values())
+            held.enter_context(journal)
     except BlockingIOError:
         raise CannotCreate(
             f"{goal.output}: a worker of an earlier run is still writing there; wait for it, or end it"
@@ -245,45 +361,40 @@ def _started(goal: Goal, folder: Path, unfinished: Unfinished | None, held: Exit
         raise
     except OSError as error:
         raise CannotCreate(f"{folder}: cannot be written ({error.strerror}); choose another place") from None
-    return Run(goal, folder, journal, finished)
+    return Run(goal, folder, finished, journal)
 
 
-def _verified(folder: Path, unfinished: Unfinished, ours: re.Pattern[str]) -> Iterator[dict[str, Any]]:
-    """Yield what the journal says of the files that are there as it says."""
-    for name, entry in {entry.get("file"): entry for entry in unfinished.entries}.items():
-        if not isinstance(name, str) or not ours.fullmatch(name):
+def _verified(folder: Path, unfinished: Unfinished, goal: Goal) -> Iterator[tuple[str, dict[str, Any]]]:
+    """Yield name and entry of the files of a journal that have the SHA-256 it says."""
+    noted = {entry["file"]: entry for entry in unfinished.entries}
+    for number, name in enumerate(goal.names):
+        entry = noted.get(name)
+        if entry is None or not goal.fits(number, entry):
             continue
         with contextlib.suppress(OSError):
-            if not stat.S_ISREG(
-                (folder / name).lstat().st_mode
-            ):  # a pipe would hold this run up, a link lead elsewhere
+            # A pipe would hold this run up, a link would lead elsewhere.
+            if not stat.S_ISREG((folder / name).lstat().st_mode):
                 continue
             if file_facts(folder / name) == {key: entry.get(key) for key in ("file", "bytes", "sha256")}:
-                yield entry
+                yield name, entry
 
 
-def file_facts(path: Path) -> dict[str, Any]:
-    """Return what the journal says of every file: `file`, `bytes` and `sha256`."""
-    with path.open("rb") as stream:
-        digest = hashlib.file_digest(stream, "sha256").hexdigest()
-        return {"file": path.name, "bytes": stream.tell(), "sha256": digest}
-
-
-def _change_places(goal: Goal) -> None:
-    """Give the hidden folder the name; the older one is then hidden, or out of the way."""
-    if not exchange(goal.hidden, goal.output):
-        _clear(goal.replaced, goal.ours)
-        goal.output.rename(goal.replaced)
-        goal.hidden.rename(goal.output)
+def _replace(goal: Goal) -> None:
+    """Give the hidden folder the name; the older one stays under another name until it is removed."""
+    _clear(goal.replaced, goal.ours)
+    with contextlib.suppress(OSError):
+        goal.replaced.rmdir()
+    goal.output.rename(goal.replaced)
+    goal.hidden.rename(goal.output)
     sync_folder(goal.output.parent)
 
 
-def _clear_away(goal: Goal) -> None:
-    """Remove the folders that have been replaced; what others have put into them meanwhile goes where it was put."""
+def _remove_replaced(goal: Goal) -> None:
+    """Remove replaced folders; files that others have put into them meanwhile are moved to the new one."""
     for folder in (goal.hidden, goal.replaced):
         with contextlib.suppress(OSError):
             if not folder.is_symlink():
-                folder.chmod(stat.S_IRWXU)  # a folder that is read-only can be replaced, but not cleared
+                folder.chmod(stat.S_IRWXU)  # a read-only folder can be replaced, but not emptied
         _clear(folder, goal.ours)
         with contextlib.suppress(OSError):
             for foreign in folder.iterdir():
@@ -292,7 +403,7 @@ def _clear_away(goal: Goal) -> None:
 
 
 def _clear(folder: Path, ours: re.Pattern[str], *, only_parts: bool = False) -> None:
-    """Remove our files, or only the half-written ones, as far as that is possible."""
+    """Remove our files, or only the half-written ones, as far as possible."""
     with contextlib.suppress(OSError):
         for path in folder.iterdir():
             if _is_part(path, ours) or (not only_parts and (ours.fullmatch(path.name) or path.name == JOURNAL)):
@@ -302,4 +413,102 @@ def _clear(folder: Path, ours: re.Pattern[str], *, only_parts: bool = False) -> 
 
 def _is_part(path: Path, ours: re.Pattern[str]) -> bool:
     """Return whether a file is half-written, by its name."""
-    return path.suffix == ".part" and bool(ours.fullmatch(path.name) or JOURNAL_FILES.fullmatch(path.name))
+    return path.suffix == ".part" and bool(ours.fullmatch(path.name) or _JOURNAL_FILES.fullmatch(path.name))
+
+
+# ---- the journal -----------------------------------------------------------------------------------------------------
+
+
+class Journal:
+    """A journal that is being written; a context.
+
+    A line is on the disk before the next file counts as finished.
+
+    Parameters
+    ----------
+    folder : Path
+        In which the files are made.
+    description : dict
+    n_files : int
+    noun : str
+        What the files are called, in the plural.
+    entries : iterable of dict
+        Files that exist already, in a run that is resumed.
+
+    Raises
+    ------
+    CannotCreate, WriteFailed
+        The folder cannot be written to.
+    """
+
+    def __init__(
+        self,
+        folder: Path,
+        description: Mapping[str, Any],
+        n_files: int,
+        noun: str,
+        entries: Iterable[Mapping[str, Any]] = (),
+    ) -> None:
+        self.path, self.run = folder / JOURNAL, secrets.token_hex(16)
+        first = {"run": self.run, "process": f"process {os.getpid()} on {socket.gethostname()}"}
+        second = {"plan": description, "n_files": n_files, "noun": noun}
+        lines = [line_of(first), line_of(second), *(line_of({"entry": entry}) for entry in entries)]
+        # Whole or not at all, and without what a crash may have torn in the one before.
+        write_whole(self.path, b"".join(lines))
+        try:
+            self._stream = self.path.open("ab", buffering=0)
+        except OSError as error:
+            raise CannotCreate(f"{self.path}: cannot be written ({error.strerror}); choose another place") from None
+
+    def add(self, entry: Mapping[str, Any]) -> None:
+        """Record a finished file; returns when the line is on the disk. Raises `WriteFailed`."""
+        line = line_of({"entry": entry})
+        try:
+            if self._stream.write(line) != len(line):
+                raise OSError(None, "the disk is full")
+            os.fsync(self._stream.fileno())
+        except OSError as error:
+            raise WriteFailed(
+                f"{self.path}: writing failed ({error.strerror}); free some space, then go on with --resume"
+            ) from None
+
+    def close(self) -> None:
+        """Close the file; on Windows an open one cannot be removed."""
+        self._stream.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+
+@contextmanager
+def taking_part(folder: Path, run: str) -> Iterator[None]:
+    """Keep other runs from taking a folder over while a file of this run is written into it.
+
+    A worker may outlive the process that started it. A later run waits for the file that the worker is writing; the
+    next one is refused here.
+
+    Raises
+    ------
+    CannotCreate
+        The folder belongs to another run by now.
+    """
+    file, found = folder / JOURNAL, None
+    try:
+        with locked(file, shared=True):
+            # Read by its name, not through the lock: another run replaces the journal by its own.
+            with file.open("rb") as stream:
+                found = content_of(stream.readline(FIRST_LINE)).get("run")
+            if found == run:
+                yield
+    except BlockingIOError:
+        found = None
+    except FileNotFoundError:
+        if found is not None:
+            raise
+    if found != run:
+        raise CannotCreate(f"{folder}: another run has taken this folder over; wait for it, or choose another name")

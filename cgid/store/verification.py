@@ -1,23 +1,128 @@
-"""Whether a dataset, a recording or a table is what was written: which files of it are damaged, and which parts."""
+"""Whether datasets, recordings and tables are what was written: which files are damaged, and which parts of them."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from cgid.errors import BadData, CgidError, NoInput
 from cgid.files import half_written
-from cgid.store.examination import damaged_rows, examine_file
-from cgid.store.header import FORMAT, RECORDING_FORMAT, TABLE_FORMAT
-from cgid.store.journal import JOURNAL, read_journal
-from cgid.store.manifest import LINKED, MANIFEST, SHARD_NAME, Manifest, ShardEntry, is_entry, read_manifest
-from cgid.store.recording import RECORDING_NAME
+from cgid.store import sandbox
+from cgid.store.description import (
+    FORMAT,
+    JOURNAL,
+    LINKED,
+    MANIFEST,
+    RECORDING_FORMAT,
+    RECORDING_NAME,
+    SHARD_NAME,
+    SUMS,
+    TABLE_FORMAT,
+    Manifest,
+    ShardEntry,
+    has_sum,
+    is_entry,
+    read_journal,
+    read_manifest,
+    read_sums,
+    sums_of,
+)
 from cgid.store.run import hidden
-from cgid.store.table import TABLE_SUFFIXES
-from cgid.store.table_reading import read_table
+from cgid.store.table import TABLE_SUFFIXES, read_table
+
+#: By HDF5's numbers of filters; see `cgid.store.compression`.
+_COMPRESSIONS = {1: "gzip", 32015: "zstd", 32026: "blosc2"}
+
+
+def examine_file(path: str | Path, steps: Mapping[str, int] | None = None) -> dict[str, Any]:
+    """Return what can be read of a dataset's file, a recording or a table in HDF5.
+
+    Parameters
+    ----------
+    path : str or Path
+    steps : dict of int, optional
+        How many rows of which dataset are looked at together, to compare with another file; by default its own chunks.
+
+    Returns
+    -------
+    dict
+        fault : str
+            Why it cannot be read, "" if its headers are sound.
+        attributes : dict
+            Those of the root.
+        filters : list of int
+            HDF5's numbers of the filters of the signals or samples.
+        dtype : str
+            Of the signals or samples.
+        n_samples : int
+            Of a signal, or of the recording.
+        chunks : dict
+            Name of each dataset -> list of (first row, row behind the last, SHA-256 of the values; "" where they do not
+            fit their checksum).
+    """
+    found: dict[str, Any] = {"fault": "", "attributes": {}, "filters": [], "dtype": "", "n_samples": 0, "chunks": {}}
+    try:
+        for piece in sandbox.stream("examine", Path(path), dict(steps or {})):
+            if "name" in piece:
+                found["chunks"].setdefault(piece["name"], []).extend(map(tuple, piece["chunks"]))
+            else:
+                found.update(piece)
+    except BadData as error:
+        found["fault"] = str(error)
+    return found
+
+
+def damaged_rows(chunks: Iterable[Sequence[Any]]) -> list[tuple[int, int]]:
+    """Return the rows that cannot be read, as (first, behind the last) of each run of them.
+
+    Parameters
+    ----------
+    chunks : iterable of (int, int, str)
+        As of `examine_file`.
+
+    Examples
+    --------
+    >>> damaged_rows([(0, 4, ""), (4, 8, ""), (8, 12, "5e1f"), (12, 14, "")])
+    [(0, 8), (12, 14)]
+    """
+    runs: list[tuple[int, int]] = []
+    for first, behind, digest in chunks:
+        if digest:
+            continue
+        if runs and runs[-1][1] == first:
+            runs[-1] = (runs[-1][0], behind)
+        else:
+            runs.append((first, behind))
+    return runs
+
+
+def compression_of(examined: Mapping[str, Any]) -> str:
+    """Return how the signals of a file are compressed that `examine_file` has looked at."""
+    return next((_COMPRESSIONS[code] for code in examined["filters"] if code in _COMPRESSIONS), "none")
+
+
+def examine_whole(path: Path, kind: str) -> dict[str, Any]:
+    """Return what `examine_file` does of a file that a run is to leave as it is.
+
+    Raises
+    ------
+    BadData
+        It is not whole, or of another kind than the format `kind`.
+    NoInput
+        It cannot be read.
+    """
+    examined = examine_file(path)
+    if examined["fault"] and not sandbox.is_hdf5(path):
+        raise BadData(f"{path}: is there and is no {kind}; choose another name")
+    if examined["fault"] or any(damaged_rows(chunks) for chunks in examined["chunks"].values()):
+        raise BadData(f"{path}: is there and is not whole; make it again with --overwrite, without --resume")
+    if examined["attributes"].get("format") != kind:
+        raise BadData(f"{path}: is there and is no {kind}; choose another name, or replace it with --overwrite")
+    return examined
+
 
 #: Problems that are no damage.
 _HARMLESS = ("leftover", "pending", "foreign")
@@ -43,7 +148,9 @@ class Finding:
     examined : dict
         What `examine_file` has found; empty where nobody had to look into it.
     entry : ShardEntry or None
-        What the manifest says of it.
+        Its entry in the manifest.
+    sha256 : str or None
+        What it must have, by the manifest or by `SHA256SUMS`.
     """
 
     file: Path
@@ -51,6 +158,7 @@ class Finding:
     what: str
     examined: Mapping[str, Any] = field(default_factory=dict)
     entry: ShardEntry | None = None
+    sha256: str | None = None
 
     @property
     def harmful(self) -> bool:
@@ -89,14 +197,14 @@ class Verified:
 def verify(path: str | Path) -> Verified:
     """Return what is damaged in a dataset, a recording, a folder of recordings, or a table.
 
-    The files of a dataset folder are held against the SHA-256 of their manifest, which finds every change; only where
-    one does not fit, and in files that have no manifest, every chunk is read and held against its checksum. A table in
-    CSV has no checksums: of that only what cannot be read is found.
+    Files in a folder are compared with the SHA-256 of the manifest or of `SHA256SUMS`, which finds every change. Where
+    a sum does not fit, and in files without a known sum, every chunk is read and compared with its checksum. A table in
+    CSV has no checksums: only what makes it unreadable is found.
 
     Raises
     ------
     NoInput
-        There is nothing, or its folder cannot be looked into.
+        There is nothing, or the folder cannot be read.
     """
     path = Path(path)
     try:
@@ -114,7 +222,7 @@ def verify(path: str | Path) -> Verified:
 
 
 def damaged_shards(path: str | Path) -> list[str]:
-    """Return the shards of a dataset whose SHA-256 is not that of the manifest; none of a file, which has no manifest.
+    """Return the shards of a dataset folder whose SHA-256 is not that of the manifest; none of a single file.
 
     Raises
     ------
@@ -124,7 +232,11 @@ def damaged_shards(path: str | Path) -> list[str]:
     folder = Path(path)
     if not folder.is_dir():
         return []
-    return [str(folder / entry.file) for entry in read_manifest(folder).shards if not entry.fits(folder / entry.file)]
+    shards = read_manifest(folder).shards
+    return [str(folder / entry.file) for entry in shards if not has_sum(folder / entry.file, entry.sha256)]
+
+
+# ---- a file ----------------------------------------------------------------------------------------------------------
 
 
 def _verify_file(path: Path) -> Verified:
@@ -151,13 +263,6 @@ def _damage(path: Path, examined: Mapping[str, Any]) -> list[Finding]:
     return [Finding(file=path, problem="damaged", what=what, examined=examined)] if what else []
 
 
-def _damage_within(path: Path) -> list[Finding]:
-    """Return what is wrong with a file of a folder, which must lie there itself."""
-    if path.is_symlink():
-        return [Finding(file=path, problem="damaged", what=LINKED)]
-    return _damage(path, examine_file(path))
-
-
 def damage_in_words(examined: Mapping[str, Any]) -> str:
     """Return which rows of which datasets cannot be read, "" if all can.
 
@@ -178,27 +283,7 @@ def damage_in_words(examined: Mapping[str, Any]) -> str:
     return f"{'; '.join(told)} do not fit their checksum" if told else ""
 
 
-def _verify_recordings(folder: Path) -> Verified:
-    names = _recordings(folder)
-    found = [finding for name in names for finding in _damage_within(folder / name)]
-    found += [*_unfinished(folder), *_pending(folder)]
-    # Only gaps are seen: nothing says how many there were.
-    missing = sorted({f"recording-{k:05d}.h5" for k in range(_number(names[-1]))} - set(names)) if names else []
-    found += [Finding(file=folder / name, problem="missing", what="is not there") for name in missing]
-    found += _leftovers(folder, RECORDING_NAME)
-    found += _strangers(folder, {*names, JOURNAL}, RECORDING_NAME)
-    return Verified(path=folder, kind="recording", n_files=len(names), findings=tuple(found))
-
-
-def _recordings(folder: Path) -> list[str]:
-    """Return the names of the recordings of a folder by their numbers; one far beyond the others is none of them."""
-    names = sorted((name for name in _names(folder) if re.fullmatch(RECORDING_NAME, name)), key=_number)
-    last = _MOST_MISSING + (1 + _MISSING_FOR_EACH) * len(names)
-    return [name for name in names if _number(name) < last]
-
-
-def _number(name: str) -> int:
-    return int(name.removeprefix("recording-").removesuffix(".h5"))
+# ---- folders ---------------------------------------------------------------------------------------------------------
 
 
 def _verify_dataset(folder: Path) -> Verified:
@@ -213,29 +298,90 @@ def _verify_dataset(folder: Path) -> Verified:
             found.append(Finding(file=folder / MANIFEST, problem=problem, what=str(error)))
     entries = manifest.shards if manifest is not None else _finished(folder)
     for entry in entries:
-        found += _verify_shard(folder / entry.file, entry)
+        found += _verify_listed(folder / entry.file, entry.sha256, "the manifest", entry)
     known = {entry.file for entry in entries}
-    if manifest is None:  # in an unfinished run, files that it has not yet noted are its own, too
+    if manifest is None:  # an unfinished run may have made files that its journal does not list yet
         known |= {name for name in _names(folder) if re.fullmatch(SHARD_NAME, name)}
         for name in sorted(known) if not unfinished else ():
-            found += _damage_within(folder / name)
-    found += unfinished if manifest is None else [_left(finding.file) for finding in unfinished]
+            found += _verify_unlisted(folder / name)
+        found += unfinished
+    else:
+        found += [_left(finding.file) for finding in unfinished] or _verify_sums(folder, manifest)
     found += _pending(folder)
-    found += _leftovers(folder, rf"({SHARD_NAME}|{re.escape(MANIFEST)}|{re.escape(JOURNAL)})")
-    found += _strangers(folder, known | {MANIFEST, JOURNAL}, SHARD_NAME)
+    found += _leftovers(folder, rf"({SHARD_NAME}|{SUMS}|{re.escape(MANIFEST)}|{re.escape(JOURNAL)})")
+    found += _strangers(folder, known | {MANIFEST, SUMS, JOURNAL}, SHARD_NAME)
     return Verified(path=folder, kind="dataset", n_files=len(known) + 1, findings=tuple(found), manifest=manifest)
 
 
-def _verify_shard(path: Path, entry: ShardEntry) -> list[Finding]:
+def _verify_sums(folder: Path, manifest: Manifest) -> list[Finding]:
+    """Return `SHA256SUMS` as a finding unless it lists the shards of the manifest; older folders have none."""
+    what = "does not list the SHA-256 of the shards and of the manifest"
+    try:
+        if read_sums(folder) in (None, sums_of(manifest.shards, (folder / MANIFEST).read_bytes())):
+            return []
+    except BadData as error:
+        what = str(error)
+    return [Finding(file=folder / SUMS, problem="damaged", what=what)]
+
+
+def _verify_recordings(folder: Path) -> Verified:
+    names, found = _recordings(folder), []
+    try:
+        sums = read_sums(folder) or {}
+        if not all(re.fullmatch(RECORDING_NAME, name) for name in sums):
+            raise BadData(f"{folder / SUMS}: must list recordings, it lists other names: it is damaged")
+    except BadData as error:
+        sums = {}
+        found = [Finding(file=folder / SUMS, problem="damaged", what=str(error))]
+    for name, digest in sums.items():
+        found += _verify_listed(folder / name, digest, SUMS)
+    for name in names:
+        if name not in sums:
+            found += _verify_unlisted(folder / name)
+    found += [*_unfinished(folder), *_pending(folder)]
+    if not sums:  # without sums only gaps are seen
+        gaps = sorted({f"recording-{k:05d}.h5" for k in range(_number(names[-1]))} - set(names)) if names else []
+        found += [Finding(file=folder / name, problem="missing", what="is not there") for name in gaps]
+    found += _leftovers(folder, f"({RECORDING_NAME}|{SUMS})")
+    found += _strangers(folder, {*names, SUMS, JOURNAL}, RECORDING_NAME)
+    return Verified(path=folder, kind="recording", n_files=len(names), findings=tuple(found))
+
+
+def _recordings(folder: Path) -> list[str]:
+    """Return the names of the recordings in a folder by number, without numbers far beyond the others."""
+    names = sorted((name for name in _names(folder) if re.fullmatch(RECORDING_NAME, name)), key=_number)
+    last = _MOST_MISSING + (1 + _MISSING_FOR_EACH) * len(names)
+    return [name for name in names if _number(name) < last]
+
+
+def _number(name: str) -> int:
+    return int(name.removeprefix("recording-").removesuffix(".h5"))
+
+
+def _verify_listed(path: Path, sha256: str, listed_in: str, entry: ShardEntry | None = None) -> list[Finding]:
+    """Return what is wrong with a file whose SHA-256 is known."""
+
+    def found(problem: str, what: str, examined: Mapping[str, Any] | None = None) -> list[Finding]:
+        return [
+            Finding(file=path, problem=problem, what=what, examined=examined or {}, entry=entry, sha256=sha256),
+        ]
+
     if path.is_symlink():
-        return [Finding(file=path, problem="damaged", what=LINKED, entry=entry)]
+        return found("damaged", LINKED)
     if not path.is_file():
-        return [Finding(file=path, problem="missing", what="is not there", entry=entry)]
-    if entry.fits(path):
+        return found("missing", "is not there")
+    if has_sum(path, sha256):
         return []
     examined = examine_file(path)
-    what = damage_in_words(examined) or "does not fit the SHA-256 of the manifest, though all of it can be read"
-    return [Finding(file=path, problem="damaged", what=what, examined=examined, entry=entry)]
+    what = damage_in_words(examined) or f"does not fit the SHA-256 of {listed_in}, though all of it can be read"
+    return found("damaged", what, examined)
+
+
+def _verify_unlisted(path: Path) -> list[Finding]:
+    """Return what is wrong with a file of a folder whose SHA-256 is not known."""
+    if path.is_symlink():
+        return [Finding(file=path, problem="damaged", what=LINKED)]
+    return _damage(path, examine_file(path))
 
 
 def _unfinished(folder: Path) -> list[Finding]:
@@ -258,7 +404,7 @@ def _pending(folder: Path) -> list[Finding]:
 
 
 def _finished(folder: Path) -> tuple[ShardEntry, ...]:
-    """Return the shards that an unfinished run says it has finished."""
+    """Return the shards that the journal of an unfinished run lists."""
     try:
         journal = read_journal(folder)
     except BadData:
@@ -276,8 +422,8 @@ def _left(file: Path) -> Finding:
 
 
 def _strangers(folder: Path, known: set[str], name: str) -> Iterator[Finding]:
-    """Yield what else lies in a folder of files so named."""
-    leftover = re.compile(half_written(rf"{name}|{re.escape(MANIFEST)}|{re.escape(JOURNAL)}"))
+    """Yield the other files in a folder of files with such names."""
+    leftover = re.compile(half_written(rf"{name}|{SUMS}|{re.escape(MANIFEST)}|{re.escape(JOURNAL)}"))
     for found in _names(folder):
         if found not in known and not leftover.fullmatch(found):
             yield Finding(file=folder / found, problem="foreign", what="does not belong to it")

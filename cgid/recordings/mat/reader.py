@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cgid.errors import BadData
-from cgid.recordings.contents import Contents
 from cgid.recordings.mat.elements import (
     MATRIX,
     NUMBERS,
@@ -28,6 +27,7 @@ from cgid.recordings.mat.elements import (
     integers,
     top_elements,
 )
+from cgid.recordings.recording import Contents
 from cgid.recordings.statements import Value, is_telling
 from cgid.recordings.variables import Variable, contents_of, orientation
 

@@ -1,0 +1,186 @@
+"""The size of the house, and what one command walks through: of this checkout, and of others side by side.
+
+python benchmarks/house.py [FOLDER ...]
+
+A folder is another checkout (`git worktree add ../before 86b87a3`), measured by the same Python and libraries.
+Code lines have neither blank lines, comments nor docstrings. A jump is a pair of files where a function of one has
+called one of the other.
+"""
+
+import argparse
+import ast
+import io
+import json
+import os
+import statistics
+import subprocess
+import sys
+import tempfile
+import tokenize
+from collections import Counter
+from collections.abc import Iterator
+from pathlib import Path
+
+HERE = Path(__file__).resolve().parents[1]
+WALKS = {
+    "predict datasets/sample.csv": ["predict", "datasets/sample.csv"],
+    "generate -n 200": ["generate", "datasets/reference.toml", "-n", "200", "-o", "made"],
+}
+#: Runs in a process of its own, in the checkout to be measured: prints what a command has walked through.
+_WALK = """
+import json, os, sys
+package = os.path.join(os.getcwd(), "cgid") + os.sep
+functions, jumps, depth = set(), set(), [0, 0]
+def follow(frame, event, argument):
+    code = frame.f_code
+    inside = code.co_filename.startswith(package) and code.co_name[0] != "<"
+    if event == "call" and inside:
+        depth[0] += 1
+        depth[1] = max(depth)
+        functions.add((code.co_filename, code.co_qualname))
+        caller = frame.f_back
+        while caller is not None and not caller.f_code.co_filename.startswith(package):
+            caller = caller.f_back
+        if caller is not None and caller.f_code.co_filename != code.co_filename:
+            jumps.add((caller.f_code.co_filename, code.co_filename))
+    elif event == "return" and inside:
+        depth[0] -= 1
+from cgid.cli import main
+sys.argv[1:] = json.loads(sys.argv[1])
+out = os.dup(1)
+os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
+status = 0
+sys.setprofile(follow)
+try:
+    status = main()
+except SystemExit as end:
+    status = end.code
+sys.setprofile(None)
+files = {file for file, _ in functions}
+os.write(out, json.dumps([status or 0, len(functions), len(files), len(jumps), depth[1]]).encode())
+"""
+_IMPORT = (
+    "import time; t = time.process_time(); import cgid.cli, cgid.identification.model; print(time.process_time() - t)"
+)
+
+
+def code_lines(text: str) -> int:
+    """Return how many lines hold code: neither blank, nor a comment, nor a docstring."""
+    prose: set[int] = set()
+    for node in ast.walk(ast.parse(text)):
+        if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant) and isinstance(node.value.value, str):
+            prose.update(range(node.lineno, (node.end_lineno or node.lineno) + 1))
+    silent = {tokenize.COMMENT, tokenize.NL, tokenize.NEWLINE, tokenize.INDENT, tokenize.DEDENT, tokenize.ENDMARKER}
+    lines: set[int] = set()
+    for token in tokenize.generate_tokens(io.StringIO(text).readline):
+        if token.type not in silent:
+            lines.update(range(token.start[0], token.end[0] + 1))
+    return len(lines - prose)
+
+
+def modules(checkout: Path) -> dict[str, ast.Module]:
+    """Return the syntax of every module of the package by its dotted name."""
+    found = {}
+    for path in sorted((checkout / "cgid").rglob("*.py")):
+        name = ".".join(path.relative_to(checkout).with_suffix("").parts).removesuffix(".__init__")
+        found[name] = ast.parse(path.read_text(encoding="utf-8"))
+    return found
+
+
+def imports(tree: ast.AST, known: set[str]) -> set[str]:
+    """Return the modules of the package that are imported below a node, wherever the statement stands."""
+    found = set()
+    for node in ast.walk(tree):
+        if isinstance(node, ast.ImportFrom) and node.module in known:
+            for alias in node.names:
+                below = f"{node.module}.{alias.name}"
+                found.add(below if below in known else node.module)
+        elif isinstance(node, ast.Import):
+            found.update(alias.name for alias in node.names if alias.name in known)
+    return found
+
+
+def at_import(tree: ast.Module) -> Iterator[ast.stmt]:
+    """Yield the statements that run when a module is imported."""
+    for node in tree.body:
+        typing_only = isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING"
+        if not typing_only and not isinstance(node, (ast.FunctionDef, ast.ClassDef)):
+            yield node
+
+
+def longest_chain(graph: dict[str, set[str]]) -> int:
+    """Return how many modules the longest chain of imports has; there are no cycles."""
+    lengths: dict[str, int] = {}
+
+    def length(name: str) -> int:
+        if name not in lengths:
+            lengths[name] = 1  # a package and its own module
+            lengths[name] = 1 + max((length(other) for other in graph[name] if other != name), default=0)
+        return lengths[name]
+
+    return max(length(name) for name in graph)
+
+
+def data_types(tree: ast.Module) -> int:
+    """Return how many classes of a module only hold data: dataclasses, named tuples, typed dictionaries, schemas."""
+    words = ("dataclass", "NamedTuple", "TypedDict", "BaseModel", "Enum", "Section")
+    classes = (node for node in ast.walk(tree) if isinstance(node, ast.ClassDef))
+    said = (" ".join(map(ast.unparse, [*node.decorator_list, *node.bases])) for node in classes)
+    return sum(any(word in text for word in words) for text in said)
+
+
+def figures(checkout: Path) -> dict[str, str]:
+    """Return every figure of one checkout."""
+    trees = modules(checkout)
+    known = set(trees)
+    texts = [path.read_text(encoding="utf-8") for path in sorted((checkout / "cgid").rglob("*.py"))]
+    lengths = [text.count("\n") for text in texts]
+    anywhere = {name: imports(tree, known) - {name} for name, tree in trees.items()}
+    first = {name: set().union(*(imports(node, known) for node in at_import(tree))) for name, tree in trees.items()}
+    importers = Counter(other for others in anywhere.values() for other in others)
+    largest = max(zip(lengths, sorted(known), strict=True))
+    result = {
+        "files of `cgid`": f"{len(trees)}",
+        "lines": f"{sum(lengths):,}",
+        "code lines": f"{sum(map(code_lines, texts)):,}",
+        "median file [lines]": f"{statistics.median(lengths):.0f}",
+        "largest file [lines]": f"{largest[0]}",
+        "modules in the longest chain of imports": f"{longest_chain(first)}",
+        "modules with one importer": f"{sum(count == 1 for count in importers.values())}",
+        "data types": f"{sum(map(data_types, trees.values()))}",
+        "words of README.md": f"{len((checkout / 'README.md').read_text(encoding='utf-8').split()):,}",
+    }
+    environment = {**os.environ, "PYTHONPATH": str(checkout)}
+    for name, arguments in WALKS.items():
+        with tempfile.TemporaryDirectory() as folder:
+            argv = [folder + "/made" if word == "made" else word for word in arguments]
+            printed = subprocess.run(
+                [sys.executable, "-c", _WALK, json.dumps(argv)], cwd=checkout, env=environment, capture_output=True
+            )
+        status, functions, files, jumps, depth = json.loads(printed.stdout or b"[1, 0, 0, 0, 0]")
+        if status:
+            raise SystemExit(f"{checkout}: cgid {name} failed: {printed.stderr.decode()[-500:]}")
+        result[f"`cgid {name}`: functions / files / jumps / calls deep"] = f"{functions} / {files} / {jumps} / {depth}"
+    seconds = [
+        float(
+            subprocess.run([sys.executable, "-c", _IMPORT], cwd=checkout, env=environment, capture_output=True).stdout
+        )
+        for _ in range(7)
+    ]
+    result["import of what predicts [ms of processor time]"] = f"{1e3 * statistics.median(seconds):.0f}"
+    return result
+
+
+def main() -> None:
+    """Measure the checkouts and print Markdown."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("folders", nargs="*", type=Path)
+    checkouts = [*(folder.resolve() for folder in parser.parse_args().folders), HERE]
+    tables = [figures(checkout) for checkout in checkouts]
+    print("| | " + " | ".join(checkout.name for checkout in checkouts) + " |\n|---" * 1 + "|---" * len(checkouts) + "|")
+    for row in tables[-1]:
+        print(f"| {row} | " + " | ".join(table[row] for table in tables) + " |")
+
+
+if __name__ == "__main__":
+    main()

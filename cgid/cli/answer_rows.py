@@ -1,0 +1,305 @@
+"""How answers are printed: one row each, or one JSON object a line, each with its kind.
+
+The answers for a recording as they are printed: impacts or windows, shares, turns, a summary.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Sequence
+from typing import Any
+
+from cgid.cli.answering import Asked
+from cgid.cli.console import say
+from cgid.cli.options import print_json
+
+#: Version of the lines that --json prints of answers: since 2 each says its kind, and there are others than impacts.
+ANSWERS_VERSION = 2
+_ROW = "{:>12}  {:<12} {:>11}  {:>8}  {}"
+_TITLES = _ROW.format("time [s]", "label", "probability", "novelty", "source")
+
+
+class AnswerLines:
+    """Prints what is known of recordings, as it comes.
+
+    Parameters
+    ----------
+    as_json : bool
+    """
+
+    def __init__(self, as_json: bool) -> None:
+        self.as_json = as_json
+        self._titled = False
+
+    def answer(self, source: str, number: int, answer: Any, kind: str = "impact", truth: str | None = None) -> None:
+        """Print the answer for an impact or a window, the how many-th of its channel."""
+        if self.as_json:
+            content = {
+                "kind": kind,
+                "source": source,
+                kind: number,
+                "channel": answer.channel,
+                "time_s": answer.time,
+                "end_s": answer.end,
+                "label": answer.label,
+                "probability": answer.probability,
+                "probabilities": dict(answer.probabilities),
+                "novelty": answer.novelty,
+                "in_training_range": answer.in_training_range,
+                "overlapping": answer.overlapping,
+                "clipped": answer.clipped,
+                "cut_off": answer.cut,
+                "problem": answer.problem or None,
+                "prediction_set": None if answer.prediction_set is None else list(answer.prediction_set),
+            }
+            self._json(content | ({} if truth is None else {"truth": truth}))
+            return
+        if not self._titled:  # once, above the first row
+            say(_TITLES)
+            self._titled = True
+        notes = [*([answer.problem] if answer.problem else []), *marks_of(answer)]
+        note = f"  ({'; '.join(notes)})" if notes else ""
+        note += "" if truth is None else f"  truth: {truth}"
+        probability, novelty = _number(answer.probability), _number(answer.novelty)
+        say(_ROW.format(f"{answer.time:.6f}", answer.label, probability, novelty, source + note))
+
+    def share(self, source: str, share: Any) -> None:
+        """Print the gangue share of a window."""
+        if self.as_json:
+            content = {
+                "kind": "share",
+                "source": source,
+                "channel": share.channel,
+                "from_s": share.start,
+                "to_s": share.time,
+                "gangue_share": share.share,
+                "low": share.low,
+                "high": share.high,
+                "impacts": share.n_impacts,
+                "unknown": share.n_unknown,
+            }
+            self._json(content)
+            return
+        unknown = f", {share.n_unknown} more unknown" if share.n_unknown else ""
+        told = f"{share.share:.2f} ({share.low:.2f} to {share.high:.2f})" if share.n_impacts else "not known"
+        span = f"{share.start:.6g} to {share.time:.6g} s"
+        say(f"# gangue share {told}, {span}, {share.n_impacts} answers{unknown}  {source}")
+
+    def turn(self, source: str, turn: Any, gangue_cost: float) -> None:
+        """Print that going on has begun to cost more than it brings, or less again."""
+        if self.as_json:
+            content = {
+                "kind": "shut" if turn.shut else "open",
+                "source": source,
+                "channel": turn.share.channel,
+                "time_s": turn.time,
+                "cost": turn.cost,
+                "gangue_cost": gangue_cost,
+                "gangue_share": turn.share.share,
+                "low": turn.share.low,
+                "high": turn.share.high,
+            }
+            self._json(content)
+            return
+        word = "SHUT" if turn.shut else "OPEN"
+        says = f"going on costs {turn.cost:.2f} coal an impact" if turn.shut else "going on pays again"
+        share = f"gangue share {turn.share.share:.2f}, {1 / (1 + gangue_cost):.2f} is the limit"
+        say(f"{word} {turn.time:.6g} s: {says} ({share} where a gangue costs {gangue_cost:g} coal)  {source}")
+
+    def summary(self, source: str, tally: RecordingTally, duration: float, start_time: Any = None) -> None:
+        """Print what a recording held."""
+        if self.as_json:
+            self._json({"kind": "summary", "source": source, "duration_s": duration, **tally.content(start_time)})
+            return
+        say(f"# {source}: {tally.text()} in {duration:.6g} s")
+
+    def warning(self, source: str, message: str) -> None:
+        """Say on stderr what is wrong with a recording that is read all the same, and in JSON as well."""
+        say(f"cgid: warning: {message}", err=True)
+        if self.as_json:
+            self._json({"kind": "warning", "source": source, "message": message})
+
+    def delay(self, source: str, behind: float, message: str) -> None:
+        """Say on stderr how far the answers are behind a live stream [s], and in JSON as well."""
+        say(f"cgid: warning: {source}: {behind:.1f} s behind: {message}", err=True)
+        if self.as_json:
+            self._json({"kind": "delay", "source": source, "behind_s": behind, "message": message})
+
+    def _json(self, content: dict[str, Any]) -> None:
+        print_json(content, version=ANSWERS_VERSION)
+
+
+class RecordingTally:
+    """How many answers of a recording were what."""
+
+    def __init__(self, kind: str) -> None:
+        self.kind = kind
+        self.labels: Counter[str] = Counter()
+        self.marks: Counter[str] = Counter()
+        self.n_outside = 0
+
+    def add(self, answers: Iterable[Any]) -> None:
+        """Count some more."""
+        for answer in answers:
+            self.labels[answer.label] += 1
+            self.marks.update(marks_of(answer))
+            self.n_outside += not answer.in_training_range
+
+    @property
+    def total(self) -> int:
+        """All answers."""
+        return self.labels.total()
+
+    def content(self, start_time: Any) -> dict[str, Any]:
+        """Return the figures for JSON."""
+        return {
+            "start_time": None if start_time is None else start_time.isoformat(),
+            f"{self.kind}s": self.total,
+            "labels": dict(sorted(self.labels.items())),
+            "out_of_training_range": self.n_outside,
+            **{name.replace(" ", "_"): self.marks[name] for name in ("overlapping", "clipped", "cut off")},
+        }
+
+    def text(self) -> str:
+        """Return the figures in words."""
+        named = ", ".join(f"{label} {count}" for label, count in self.labels.most_common()) or "none"
+        marks = ", ".join(f"{count} {name}" for name, count in sorted(self.marks.items()))
+        outside = f", {self.n_outside} out of the training's range" if self.n_outside else ""
+        plural = "" if self.total == 1 else "s"
+        return f"{self.total} {self.kind}{plural}: {named}{outside}" + (f", {marks}" if marks else "")
+
+
+def marks_of(answer: Any) -> list[str]:
+    """Return what is special about the frame of an answer, in words."""
+    marked = {"overlapping": answer.overlapping, "clipped": answer.clipped, "cut off": answer.cut}
+    return [name for name, holds in marked.items() if holds]
+
+
+def _number(value: float) -> str:
+    return "-" if value != value else f"{value:.3f}"
+
+
+#: So many rows wait at most for one that can be measured.
+_MOST_HELD = 1000
+#: So many channels without impacts are told one by one.
+_MOST_SILENT = 3
+
+
+class Telling:
+    """Prints the answers for the channels of one recording that one model answers for.
+
+    Parameters
+    ----------
+    source : str
+        The recording's name.
+    model : Model
+    channels : sequence of str
+    sampling_rate : float
+        [Hz].
+    asked : Asked
+    lines : AnswerLines
+    keep : bool
+        Whether answers, shares and turns are kept.
+    always : bool
+        Whether all leaves at once: else rows wait for one that can be measured, and shares for a second row.
+    """
+
+    def __init__(
+        self,
+        source: str,
+        model: Any,
+        channels: Sequence[str],
+        sampling_rate: float,
+        asked: Asked,
+        lines: AnswerLines,
+        *,
+        keep: bool = False,
+        always: bool = False,
+    ) -> None:
+        from cgid.identification.share import CavingWatch, Turn
+        from cgid.identification.stream import answering_channels, independence
+
+        self.source, self.lines = source, lines
+        self.kind = "window" if model.kind == "window" else "impact"
+        asked.require_use(self.kind)
+        self.tally = RecordingTally(self.kind)
+        self.channels = answering_channels(model, channels)
+        self.answers: list[Any] = []
+        self.shares: list[Any] = []
+        self.turns: list[Any] = []
+        self._keep, self._always, self._turn, self._asked = keep, always, Turn, asked
+        self._numbers: Counter[str] = Counter()
+        self._measured = always
+        self._held_answers: list[Any] = []
+        self._held_shares: list[Any] = []
+        self._watch: CavingWatch | None = None
+        self.threshold: float | None = None
+        if asked.shares_asked or asked.settings.serve(model):
+            weight = independence(model, asked.question().vote_time)
+            self._watch = CavingWatch(model, self.channels, asked.settings, weight)
+            self.threshold = self._watch.threshold
+
+    def feed(self, answers: Sequence[Any], until: float) -> None:
+        """Print the next answers, and the shares of windows that end by now [s]."""
+        self.tally.add(answers)
+        if self._keep:
+            self.answers += answers
+        self._measured = self._measured or any(answer.probabilities for answer in answers)
+        self._held_answers += answers
+        if self._measured or len(self._held_answers) > _MOST_HELD:
+            self._print_answers()
+        if self._watch is not None:
+            self._tell(self._watch.feed(answers, until))
+
+    def finish(self, duration: float, silent: Sequence[str] = (), start_time: Any = None) -> None:
+        """Print what is left to tell at the end of a recording of so long [s], and which channels were silent.
+
+        Raises
+        ------
+        BadData
+            There was nothing, or nothing could be measured; never of a live stream.
+        """
+        from cgid.errors import BadData
+
+        if silent and not self.tally.total and not self._always:
+            raise BadData(silent[0])
+        for message in silent[:_MOST_SILENT]:
+            self.lines.warning(self.source, message)
+        if len(silent) > _MOST_SILENT:
+            more = f"{self.source}: and {len(silent) - _MOST_SILENT} more channels without {self.kind}s"
+            self.lines.warning(self.source, more)
+        if not self._measured and self.tally.total:
+            first = self._held_answers[0] if self._held_answers else None
+            more = f" (and so for all {self.tally.total} {self.kind}s)" if self.tally.total > 1 else ""
+            problem = first.problem if first else "nothing in it can be measured"
+            raise BadData(f"{self.name(first.channel) if first else self.source}: {problem}{more}")
+        self._print_answers()
+        if self._watch is not None:
+            self._tell(self._watch.finish(duration))
+        if self.tally.total > 1 or self._always:
+            self.lines.summary(self.source, self.tally, duration, start_time)
+
+    def name(self, channel: str) -> str:
+        """Return source and channel in one word; the first channel has no name in JSON, as ever."""
+        plain = channel == "1" and (self.lines.as_json or len(self.channels) == 1)
+        return self.source if plain else f"{self.source} channel {channel}"
+
+    def _print_answers(self) -> None:
+        for answer in self._held_answers:
+            self._numbers[answer.channel] += 1
+            self.lines.answer(self.name(answer.channel), self._numbers[answer.channel], answer, self.kind)
+        self._held_answers = []
+
+    def _tell(self, told: Iterable[Any]) -> None:
+        """Print shares and turns; a recording of one impact has none unless they were asked for."""
+        self._held_shares += told
+        if not (self._always or self._asked.shares_asked or self.tally.total > 1):
+            return
+        for one in self._held_shares:
+            if self._keep:
+                (self.turns if isinstance(one, self._turn) else self.shares).append(one)
+            if isinstance(one, self._turn):
+                self.lines.turn(self.name(one.share.channel), one, self._asked.settings.gangue_cost)
+            elif one.n_impacts or one.n_unknown or self._always:
+                self.lines.share(self.name(one.channel), one)
+        self._held_shares = []

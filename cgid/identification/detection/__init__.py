@@ -1,1 +1,0 @@
-"""Impacts in long recordings, found block by block: the detector, what is an onset, and the frames around them."""

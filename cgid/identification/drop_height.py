@@ -1,0 +1,80 @@
+"""What may be known of an impact beside its signal, and where it comes from."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from cgid import validation
+from cgid.errors import BadData, InvalidValue, MissingOption
+from cgid.signals import Batch
+from cgid.units import STANDARD_GRAVITY
+from cgid.validation import Floats
+
+#: Everything a model may ask to know, and its unit.
+KNOWN: Mapping[str, str] = {"drop_height": "m"}
+
+
+def drop_heights(batch: Batch) -> Floats | None:
+    """Return how far each rock of a batch fell [m]; None when the batch does not say.
+
+    Where only the velocity is stored, it is the height of a free fall, velocity^2 / (2 g).
+
+    Raises
+    ------
+    BadData
+        The batch says it of some impacts only, or it is not above 0.
+    """
+    unsaid = np.full(len(batch), np.nan)
+    height, velocity = (batch.parameters.get(name, unsaid) for name in ("drop_height", "velocity"))
+    heights = np.where(np.isfinite(height), height, velocity**2 / (2 * STANDARD_GRAVITY))
+    if np.isnan(heights).all():
+        return None
+    good = np.isfinite(heights) & (heights > 0)
+    if not good.all():
+        row = int(np.argmin(good))
+        raise BadData(
+            f"every impact must have a drop height above 0 m or a velocity, impact {row} has {height[row]:g} m and "
+            f"{velocity[row]:g} m/s; make the dataset again"
+        )
+    return heights
+
+
+def known_columns(known: tuple[str, ...], n_impacts: int, drop_height: ArrayLike | None) -> Floats:
+    """Return what is known as columns for the model, (n_impacts, n_known).
+
+    Parameters
+    ----------
+    known : tuple of str
+        What the model needs, out of `KNOWN`.
+    n_impacts : int
+    drop_height : float or array_like, (n_impacts,), optional
+        [m].
+
+    Raises
+    ------
+    MissingOption
+        The model needs it and it is not given.
+    InvalidValue
+        It is given to a model that has no use for it, not above 0, or not one number an impact.
+    """
+    if drop_height is None:
+        if "drop_height" in known:
+            raise MissingOption(
+                "drop_height must be known to this model and is not given; give --drop-height METRES "
+                "(how far the rock fell), or take a model that does without"
+            )
+        return np.empty((n_impacts, 0))
+    if "drop_height" not in known:
+        raise InvalidValue(
+            "drop_height must be left out, this model was trained without it; "
+            "or give a model made by cgid train --drop-height"
+        )
+    heights: NDArray[np.float64] = validation.positive("drop_height", drop_height, KNOWN["drop_height"])
+    if heights.shape not in ((), (n_impacts,)):
+        raise InvalidValue(
+            f"drop_height must be one number or one for each of {n_impacts} impacts, got {heights.shape}"
+        )
+    return np.broadcast_to(heights, (n_impacts,))[:, None]

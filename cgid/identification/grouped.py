@@ -1,0 +1,259 @@
+"""Nested cross-validation by group, for few recordings of many windows each.
+
+In the outer loop each group in turn is left out and only judges. In the inner loop, over the other groups, each group
+in turn is left out to choose a candidate and to calibrate its probabilities. So what judges never took part in a
+choice.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import closing
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from sklearn.model_selection import StratifiedGroupKFold
+from threadpoolctl import threadpool_limits
+
+from cgid.errors import BadData
+from cgid.identification.classifier import ImpactClassifier, best_temperature
+from cgid.identification.families import Neighbourhood, softmax
+from cgid.identification.rows import Rows, Sets, adapted, linear_columns
+from cgid.identification.selection import preferred
+from cgid.validation import Floats
+from cgid.workers import ALONE, Workers
+
+#: Most folds: up to this number groups are left out one by one, more groups are left out in this many folds.
+MOST_FOLDS = 20
+#: A candidate further down the list must be better by this; smaller differences of few recordings mean little.
+MARGIN = 0.01
+Weights = Mapping[str, float] | str | None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Candidate:
+    """One way to make a classifier.
+
+    Attributes
+    ----------
+    name : str
+    features : tuple of str
+        Measured on each channel.
+    family : str
+        Out of `cgid.identification.classifier.FAMILIES`.
+    """
+
+    name: str
+    features: tuple[str, ...]
+    family: str
+
+
+def candidates_for(sets: Sets, measured: Sequence[str], family: str) -> tuple[Candidate, ...]:
+    """Return a candidate for each set of features that were measured, at least some of them."""
+    found = {name: tuple(feature for feature in wanted if feature in measured) for name, wanted in sets.items()}
+    return tuple(Candidate(name=name, features=own, family=family) for name, own in found.items() if own)
+
+
+@dataclass(frozen=True)
+class Choice:
+    """The result of the inner loop.
+
+    Attributes
+    ----------
+    best : int
+    accuracies : tuple of float
+        Of each candidate.
+    temperature : float
+        Of the best.
+    """
+
+    best: int
+    accuracies: tuple[float, ...]
+    temperature: float
+
+
+@dataclass(frozen=True, eq=False)
+class Judged:
+    """The result of the outer loop.
+
+    Attributes
+    ----------
+    probabilities : ndarray, (n_rows, n_labels)
+        Of the recorded rows.
+    chosen : tuple of int
+        The candidate of each fold.
+    """
+
+    probabilities: Floats
+    chosen: tuple[int, ...]
+
+
+def require_groups(labels: NDArray[np.str_], group: NDArray[np.integer]) -> None:
+    """Raise `BadData` unless every label can be trained on and judged by different groups."""
+    different = np.unique(labels)
+    if len(different) < 2:
+        raise BadData(
+            f"recordings must have at least 2 labels to tell apart, got {', '.join(different) or 'none'}; add others"
+        )
+    if len(np.unique(group)) < 2:
+        raise BadData(
+            "recordings must lie in at least 2 groups, one to train and one to judge, got 1; name groups in the "
+            "manifest (recording, day, support), or add recordings"
+        )
+    for label in different.tolist():
+        count = len(np.unique(group[labels == label]))
+        if count < 2:
+            raise BadData(
+                f"label {label} must have recordings in at least 2 groups, one to train and one to judge, got {count}; "
+                "add some, or correct the label"
+            )
+
+
+def leave_groups_out(labels: NDArray[np.str_], group: NDArray[np.integer], seed: int) -> Iterator[NDArray[np.bool_]]:
+    """Yield the rows of each fold: a group, or several groups where there are many."""
+    recorded = np.flatnonzero(group >= 0)
+    groups = np.unique(group[recorded])
+    if len(groups) <= MOST_FOLDS:
+        for one in groups:
+            yield group == one
+        return
+    # No more folds than the rows of a label, which StratifiedGroupKFold spreads over them.
+    n_folds = min(MOST_FOLDS, int(np.unique(labels[recorded], return_counts=True)[1].max()))
+    splitter = StratifiedGroupKFold(n_folds, shuffle=True, random_state=seed)
+    with warnings.catch_warnings():
+        # A rare label may be in some of the folds only.
+        warnings.simplefilter("ignore", UserWarning)
+        folds = list(splitter.split(recorded, labels[recorded], group[recorded]))
+    for _, test in folds:
+        left_out = np.zeros(len(labels), bool)
+        left_out[recorded[test]] = True
+        yield left_out
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Lesson:
+    """The rows to learn from, and the settings."""
+
+    rows: Rows
+    candidates: Sequence[Candidate]
+    weights: Weights
+    seed: int
+
+
+def choose_candidate(lesson: Lesson, crew: Workers = ALONE) -> Choice:
+    """Return the candidate that is best for groups left out, and its temperature (the inner loop)."""
+    rows, weights = lesson.rows, lesson.weights
+    labels, accuracies = np.unique(rows.labels), []
+    truth = np.searchsorted(labels, rows.labels)
+    folds = [fold for fold in leave_groups_out(rows.labels, rows.group, lesson.seed) if _teaches_all(rows.labels, fold)]
+    judged = np.any(folds, axis=0) if folds else np.zeros(len(rows.labels), bool)
+    scores = np.zeros((len(lesson.candidates), len(truth), len(labels)))
+    for fold, answers in zip(folds, crew.each(_scores_of_all, lesson, folds), strict=True):
+        scores[:, fold] = answers
+    for own in scores:
+        hits = np.argmax(own[judged], axis=1) == truth[judged]
+        accuracies.append(
+            float(np.average(hits, weights=_row_weights(rows.labels[judged], weights))) if hits.size else 0.0
+        )
+    best = preferred(accuracies, MARGIN)
+    temperature = 1.0
+    if judged.any():
+        temperature = best_temperature(scores[best][judged], truth[judged], _row_weights(rows.labels[judged], weights))
+    return Choice(best, tuple(accuracies), temperature)
+
+
+def judge(lesson: Lesson, progress: Callable[[int], object] | None = None, crew: Workers = ALONE) -> Judged:
+    """Return the probabilities for each group of what was chosen and trained on the others (the outer loop)."""
+    rows = lesson.rows
+    probabilities, chosen = np.empty((len(rows.labels), len(np.unique(rows.labels)))), []
+    folds = list(leave_groups_out(rows.labels, rows.group, lesson.seed))
+    if not all(_teaches_all(rows.labels, fold) for fold in folds):
+        raise BadData(
+            "groups must leave recordings of every label to train on when one is left out; add recordings, or name "
+            "smaller groups"
+        )
+    with closing(crew.each(_judged, lesson, folds)) as judged:
+        for fold, (best, answers) in zip(folds, judged, strict=True):
+            chosen.append(best)
+            probabilities[fold] = answers
+            if progress is not None:
+                progress(1)
+    return Judged(probabilities[rows.group >= 0], tuple(chosen))
+
+
+def final(lesson: Lesson, choice: Choice, crew: Workers = ALONE) -> ImpactClassifier:
+    """Return the chosen candidate trained on all rows, with a novelty limit that groups left out keep."""
+    rows = lesson.rows
+    only = replace(lesson, candidates=(lesson.candidates[choice.best],))
+    folds = list(leave_groups_out(rows.labels, rows.group, lesson.seed))
+    distances = list(crew.each(_distances, only, folds))
+    with threadpool_limits(1):
+        classifier = _fitted(only.candidates[0], rows, lesson.weights, lesson.seed, rejects=True)
+    limit = float(np.quantile(np.concatenate(distances), Neighbourhood.INSIDE))
+    classifier.temperature_ = choice.temperature
+    classifier.neighbourhood_ = replace(classifier.neighbourhood_, limit=limit)
+    return classifier
+
+
+# -- one fold, in any process -----------------------------------------------------------------------------
+
+
+def _scores_of_all(lesson: Lesson, fold: NDArray[np.bool_]) -> Floats:
+    """Return the scores of a fold by each candidate trained on the other rows, (n_candidates, n_rows, n_labels)."""
+    with threadpool_limits(1):
+        return np.stack([_scores(candidate, lesson, fold) for candidate in lesson.candidates])
+
+
+def _judged(lesson: Lesson, fold: NDArray[np.bool_]) -> tuple[int, Floats]:
+    """Return the candidate chosen on the other rows, and its probabilities for the fold."""
+    with threadpool_limits(1):
+        choice = choose_candidate(replace(lesson, rows=lesson.rows[~fold]))
+        scores = _scores(lesson.candidates[choice.best], lesson, fold)
+        return choice.best, softmax(scores / choice.temperature)
+
+
+def _distances(lesson: Lesson, fold: NDArray[np.bool_]) -> Floats:
+    """Return the distances of the rows of a fold from the other rows, for the only candidate."""
+    (candidate,) = lesson.candidates
+    with threadpool_limits(1):
+        without = _fitted(candidate, lesson.rows[~fold], lesson.weights, lesson.seed, rejects=True)
+        novelty = without.novelty(lesson.rows.inputs(candidate.features)[fold])
+    return novelty * without.neighbourhood_.limit
+
+
+def _teaches_all(labels: NDArray[np.str_], fold: NDArray[np.bool_]) -> bool:
+    return len(np.unique(labels[~fold])) == len(np.unique(labels))
+
+
+def _fitted(
+    candidate: Candidate, rows: Rows, weights: Weights, seed: int, *, rejects: bool = False
+) -> ImpactClassifier:
+    classifier = ImpactClassifier(
+        candidate.family,
+        linear=linear_columns(candidate.features * rows.n_channels),
+        calibration_folds=0,  # calibrated by groups left out
+        class_weight=weights,
+        rejects=rejects,
+        random_state=seed,
+    )
+    return classifier.fit(adapted(rows).inputs(candidate.features), rows.labels)
+
+
+def _scores(candidate: Candidate, lesson: Lesson, fold: NDArray[np.bool_]) -> Floats:
+    """Return the scores of a fold by a candidate trained on the other rows, (n_rows, n_labels)."""
+    fitted = _fitted(candidate, lesson.rows[~fold], lesson.weights, lesson.seed)
+    scores = fitted.decision_function(lesson.rows[fold].inputs(candidate.features))
+    return np.stack([np.zeros(len(scores)), scores], axis=1) if scores.ndim == 1 else scores
+
+
+def _row_weights(labels: NDArray[np.str_], weights: Weights) -> Floats | None:
+    """Return the weight of each row; None where all are 1."""
+    if weights is None:
+        return None
+    different, own, counts = np.unique(labels, return_inverse=True, return_counts=True)
+    if weights == "balanced":
+        return np.asarray(1 / counts[own])
+    assert isinstance(weights, Mapping)
+    return np.array([weights.get(label, 1.0) for label in different.tolist()])[own]

@@ -1,0 +1,478 @@
+"""Rows of labelled recordings: open the files of a manifest, cut them into windows or impacts, and measure these.
+
+Memory holds one block of a recording at a time.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import math
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
+from itertools import groupby
+from typing import Any, NoReturn
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cgid.errors import BadData, CgidError, InvalidValue, MissingOption, NoInput
+from cgid.files import require_regular
+from cgid.identification.detection import ImpactDetector
+from cgid.identification.events import Event
+from cgid.identification.manifest import Annotation, Manifest
+from cgid.identification.reference import Equalisations, MeanSpectrum, equalisations_of
+from cgid.identification.rows import Rows, Slicing, sets_for, union_of
+from cgid.identification.windows import Grid, measure_windows, windows_of
+from cgid.measure.features import FEATURES, choose, extract_array, kind_for, kind_of, require_supported, supported
+from cgid.measure.table import Kind
+from cgid.recordings import LARGEST_STREAM, RecordingFile, open_recording
+from cgid.recordings.recording import told
+from cgid.units import UNITS, quantity_of
+from cgid.validation import Floats
+
+
+@dataclass(frozen=True, kw_only=True)
+class Reading:
+    """How to read recordings: what neither files nor manifest say, and what to do about unreadable files.
+
+    Attributes
+    ----------
+    sampling_rate, unit, channels
+        See `cgid.recordings.open_recording`.
+    strict : bool
+        Whether the first recording that cannot be read is an error; else it is reported, and the others are read.
+    """
+
+    sampling_rate: float | None = None
+    unit: str | None = None
+    channels: tuple[int | str, ...] | None = None
+    strict: bool = False
+
+
+class Failures(list[CgidError]):
+    """The errors of recordings that could not be read."""
+
+    def __init__(self, strict: bool) -> None:
+        super().__init__()
+        self._strict = strict
+
+    def note(self, error: CgidError) -> None:
+        """Keep an error, or raise it when strict."""
+        if self._strict:
+            raise error
+        self.append(error)
+
+
+# -- files ------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, kw_only=True)
+class AnnotatedFile:
+    """An open recording with the annotations of one choice of its channels.
+
+    Attributes
+    ----------
+    annotations : tuple of Annotation
+        By their start; they do not overlap.
+    recording : RecordingFile
+    unit : str
+        Of all of its channels.
+    digest : str
+        SHA-256 of the file.
+    """
+
+    annotations: tuple[Annotation, ...]
+    recording: RecordingFile
+    unit: str
+    digest: str
+
+    def scale(self, annotation: Annotation, unit: str) -> float:
+        """Return the factor from the numbers of the file to a unit, before the recorder's gain."""
+        units = UNITS[quantity_of(unit)]
+        return units[self.unit] / units[unit] / annotation.gain
+
+
+def open_all(
+    manifest: Manifest, reading: Reading, failures: Failures, *, references: bool = False
+) -> list[AnnotatedFile]:
+    """Return the recordings of a manifest that can be opened, all of one quantity and number of channels.
+
+    Parameters
+    ----------
+    manifest : Manifest
+    reading : Reading
+    failures : Failures
+        Receives the errors of the others.
+    references : bool
+        Whether to open the reference runs instead of the labelled recordings.
+
+    Raises
+    ------
+    BadData
+        None can be opened, or two files of different groups have the same content.
+    """
+    files: list[AnnotatedFile] = []
+    for own in _by_channels([one for one in manifest.annotations if one.reference == references]):
+        try:
+            file = _opened(own, reading)
+            _require_alike(file, (files or [file])[0])
+            files.append(file)
+        except CgidError as error:
+            failures.note(error)
+    if not files and not references:
+        raise BadData(
+            f"{manifest.source}: there must be a recording that can be read, there is none"
+            + "".join(f"; {error}" for error in failures[:1])
+        )
+    _refuse_copies(files)
+    return files
+
+
+def annotated_blocks(file: AnnotatedFile, unit: str) -> Iterator[tuple[Annotation, Iterator[NDArray[np.floating]]]]:
+    """Yield each annotation with the blocks of its interval, in a unit and before the recorder's gain.
+
+    The file is read once: take the blocks of one annotation before the next one.
+    """
+    rate = file.recording.sampling_rate
+    bounds = [(round(one.start * rate), one.end * rate) for one in file.annotations]
+    for k, own in groupby(_cut(file.recording.blocks(), bounds), lambda part: part[0]):
+        scale = file.scale(file.annotations[k], unit)
+        yield file.annotations[k], (samples * scale for _, samples in own)
+
+
+def _cut(blocks: Iterator[NDArray[Any]], bounds: Sequence[tuple[int, float]]) -> Iterator[tuple[int, NDArray[Any]]]:
+    """Yield interval number and samples of the parts of blocks in intervals that rise and do not overlap."""
+    start = k = 0
+    for block in blocks:
+        end = start + block.shape[1]
+        while k < len(bounds) and bounds[k][0] < end:
+            first, last = max(bounds[k][0] - start, 0), round(min(bounds[k][1], end)) - start
+            if first < last:
+                yield k, block[:, first:last]
+            if bounds[k][1] > end:
+                break
+            k += 1
+        start = end
+
+
+def _by_channels(annotations: Sequence[Annotation]) -> list[tuple[Annotation, ...]]:
+    """Return the annotations of the same channels of the same file together, by their start."""
+    together: dict[tuple[str, str], list[Annotation]] = {}
+    for one in annotations:
+        together.setdefault((str(one.path), str(one.channels)), []).append(one)
+    return [tuple(sorted(own, key=lambda one: one.start)) for own in together.values()]
+
+
+def _opened(annotations: tuple[Annotation, ...], reading: Reading) -> AnnotatedFile:
+    first = annotations[0]
+    with told(str(first.path)):  # a manifest may name anything, and a pipe would be copied
+        require_regular(first.path, "a recording of a manifest", LARGEST_STREAM)
+    recording = open_recording(
+        first.path,
+        sampling_rate=first.sampling_rate or reading.sampling_rate,
+        unit=first.unit or reading.unit,
+        channel=first.channels or reading.channels,
+        variable=first.variable,
+    )
+    units = {channel.unit for channel in recording.channels}
+    unit = recording.channels[0].unit
+    if unit is None:
+        raise MissingOption(
+            f"{recording.source}: the file does not say the unit; give it with --unit U, such as --unit g"
+        )
+    if len(units) > 1:
+        got = " and ".join(sorted(str(unit) for unit in units))
+        raise BadData(f"{recording.source}: channels must be in one unit, got {got}; choose with --channel")
+    try:
+        with first.path.open("rb") as content:
+            digest = hashlib.file_digest(content, "sha256").hexdigest()
+    except OSError as error:
+        raise NoInput(f"{first.path}: the file cannot be read ({error.strerror}); check it") from None
+    return AnnotatedFile(annotations=annotations, recording=recording, unit=unit, digest=digest)
+
+
+def _require_alike(file: AnnotatedFile, first: AnnotatedFile) -> None:
+    source = file.recording.source
+    if quantity_of(file.unit) != quantity_of(first.unit):
+        raise BadData(
+            f"{source}: recordings must be of one quantity, got {quantity_of(file.unit)} [{file.unit}] after "
+            f"{quantity_of(first.unit)} [{first.unit}]; train apart"
+        )
+    count, wanted = len(file.recording.channels), len(first.recording.channels)
+    if count != wanted:
+        raise BadData(
+            f"{source}: recordings must have as many channels each, got {count} after {wanted}; choose with --channel, "
+            "or channel in the manifest"
+        )
+
+
+def _refuse_copies(files: list[AnnotatedFile]) -> None:
+    """Raise where two files of different groups hold the same: what is trained on would judge."""
+    seen: dict[str, AnnotatedFile] = {}
+    for file in files:
+        first = seen.setdefault(file.digest, file)
+        if first.annotations[0].group != file.annotations[0].group:
+            raise BadData(
+                f"{file.recording.source}: recordings of different groups must differ, it holds the same as "
+                f"{first.recording.source}; take one out, or give both one group"
+            )
+
+
+def reference_spectra(files: Sequence[AnnotatedFile], labelled: AnnotatedFile, window_time: float) -> dict[str, Floats]:
+    """Return the reference spectrum of each sensor, (n_channels, n_bands), from all of its runs.
+
+    Parameters
+    ----------
+    files : sequence of AnnotatedFile
+        The reference runs.
+    labelled : AnnotatedFile
+        One of the labelled recordings; the runs must have its quantity and number of channels.
+    window_time : float
+        Of the windows that are averaged [s].
+
+    Raises
+    ------
+    BadData
+        A run has another quantity, number of channels or sampling rate, or holds no signal.
+    """
+    spectra: dict[str, list[MeanSpectrum]] = {}
+    for file in files:
+        source, n_channels = file.recording.source, len(labelled.recording.channels)
+        if quantity_of(file.unit) != quantity_of(labelled.unit) or len(file.recording.channels) != n_channels:
+            raise BadData(
+                f"{source}: a reference run must be as the recordings, {quantity_of(labelled.unit)} in {n_channels} "
+                f"channels, got {quantity_of(file.unit)} in {len(file.recording.channels)}; record it in the same way"
+            )
+        rate = file.recording.sampling_rate
+        for annotation, blocks in annotated_blocks(file, labelled.unit):
+            own = spectra.setdefault(annotation.sensor, [MeanSpectrum(rate) for _ in range(n_channels)])
+            if own[0].sampling_rate != rate:
+                raise BadData(f"{source}: the reference runs of a sensor must be sampled alike; take one out")
+            for _, windows in windows_of(blocks, rate, window_time, window_time):
+                for channel, spectrum in enumerate(own):
+                    spectrum.feed(windows[:, channel])
+    return {sensor: np.stack([spectrum.levels for spectrum in own]) for sensor, own in spectra.items()}
+
+
+# -- rows -------------------------------------------------------------------------------------------------
+
+
+def record(
+    manifest: Manifest,
+    features: Sequence[str] | None = None,
+    *,
+    slicing: Slicing | None = None,
+    reading: Reading | None = None,
+    level_free: bool = False,
+    progress: Callable[[int], object] | None = None,
+) -> Rows:
+    """Return the rows of annotated recordings: the features of their windows or impacts.
+
+    Parameters
+    ----------
+    manifest : Manifest
+    features : sequence of str, optional
+        By default all of `cgid.identification.rows.sets_for` that can be measured on all recordings.
+    slicing : Slicing, optional
+    reading : Reading, optional
+    level_free : bool
+        Whether the default features are those in which the gain of the sensor cancels.
+    progress : callable, optional
+        Called with the number of rows measured.
+
+    Raises
+    ------
+    CgidError
+        When strict, the error of the first recording that cannot be read.
+    BadData
+        No recording can be read, none has a window or an impact, or two files in different groups are the same.
+    InvalidValue
+        A choice breaks its rule.
+    """
+    slicing, reading = slicing or Slicing(), reading or Reading()
+    failures = Failures(reading.strict)
+    files = open_all(manifest, reading, failures)
+    names = _names(features, files, slicing, level_free)
+    runs = open_all(manifest, reading, Failures(strict=True), references=True)
+    references = reference_spectra(runs, files[0], slicing.window_time)
+    cutting = _Cutting(names, slicing, files[0].unit, equalisations_of(references))
+    measured: list[_FileRows] = []
+    for file in files:
+        try:
+            measured.append(_measured(file, cutting, progress))
+        except CgidError as error:
+            failures.note(error)
+    annotations = [one for rows in measured for one in rows.annotations]
+    if not annotations:
+        said = "".join(f"; {error}" for error in failures[:1])
+        raise BadData(
+            f"{manifest.source}: recordings must hold a {slicing.by} with a label, there is none{said}; "
+            "correct start and end, or what is decided on"
+        )
+    sources, source = _numbered([one.name for one in annotations])
+    groups, group = _numbered([one.group for one in annotations])
+    rates = [rows.file.recording.sampling_rate for rows in measured]
+    return Rows(
+        names=names,
+        features=np.concatenate([part for rows in measured for part in rows.features]),
+        labels=np.array([one.label for one in annotations]),
+        group=group,
+        source=source,
+        sources=sources,
+        groups=groups,
+        digests=tuple(rows.file.digest for rows in measured),
+        unit=files[0].unit,
+        sampling_rates=(min(rates), max(rates)),
+        n_channels=len(files[0].recording.channels),
+        slicing=slicing,
+        time=np.concatenate([part for rows in measured for part in rows.times]),
+        references=references,
+        left_out=sum(rows.left_out for rows in measured),
+        failures=tuple(failures),
+        warnings=tuple(warning for rows in measured for warning in rows.warnings(slicing.by)),
+    )
+
+
+def _numbered(words: list[str]) -> tuple[tuple[str, ...], NDArray[np.intp]]:
+    """Return the different words in their order, and the number of each word."""
+    numbers = {word: number for number, word in enumerate(dict.fromkeys(words))}
+    return tuple(numbers), np.array([numbers[word] for word in words], np.intp)
+
+
+def _names(
+    features: Sequence[str] | None, files: list[AnnotatedFile], slicing: Slicing, level_free: bool
+) -> tuple[str, ...]:
+    """Return the features to measure: the given ones, or all of the sets that can be measured everywhere."""
+    rate = min(file.recording.sampling_rate for file in files)
+    n_channels = len(files[0].recording.channels)
+    if slicing.by == "impact" and n_channels > 1:
+        raise InvalidValue(
+            f"impacts must be those of one channel, got {n_channels}; choose with --channel, or decide on windows"
+        )
+    kind: Kind = "window" if slicing.by == "window" else kind_for(quantity_of(files[0].unit))
+    if features is not None:
+        asked = choose(features)
+        if (kind_of(asked) == "window") != (slicing.by == "window"):
+            raise InvalidValue(
+                f"features must be those of the {slicing.by} that is decided on, got those of a {kind_of(asked)}; "
+                "choose others, or another --by"
+            )
+        require_supported(asked, rate, _length(kind_of(asked), rate, slicing))
+        return asked
+    wanted = union_of(sets_for(kind, level_free=level_free))
+    if not wanted:
+        raise InvalidValue(f"features of a {kind} must be named, there is no set of level-free ones; or allow all")
+    names = supported(wanted, rate, _length(kind, rate, slicing))
+    if not names:
+        _refuse(wanted, rate, slicing)
+    return names
+
+
+def _refuse(wanted: Sequence[str], rate: float, slicing: Slicing) -> NoReturn:
+    """Raise an error that says whether the rate [Hz] or the window is too small for all features."""
+    slowest = min(2 * FEATURES[name].highest_frequency for name in wanted)
+    if rate < slowest:
+        raise BadData(
+            f"recordings must be sampled at {math.ceil(slowest)} Hz at least to have a feature, got {rate:g} Hz; "
+            "sample faster"
+        )
+    shortest = min(FEATURES[name].shortest_frame for name in wanted if 2 * FEATURES[name].highest_frequency <= rate)
+    raise InvalidValue(
+        f"window must last {math.ceil(shortest * rate) / rate:.6g} s at least to have a feature at {rate:g} Hz, got "
+        f"{slicing.window_time:g} s; give a longer --window"
+    )
+
+
+def _length(kind: Kind, rate: float, slicing: Slicing) -> int:
+    """Return the number of samples of a row."""
+    if kind == "window":
+        return Grid.at(rate, slicing.window_time, slicing.hop_time).length
+    return ImpactDetector(rate, kind="pulse" if kind == "pulse" else "vibration").n_samples
+
+
+@dataclass(frozen=True)
+class _Cutting:
+    """How rows are cut from a file and measured."""
+
+    names: tuple[str, ...]
+    slicing: Slicing
+    unit: str
+    equalisations: Equalisations
+
+
+@dataclass
+class _FileRows:
+    """The rows of one file."""
+
+    file: AnnotatedFile
+    features: list[Floats] = field(default_factory=list)
+    times: list[Floats] = field(default_factory=list)
+    annotations: list[Annotation] = field(default_factory=list)
+    left_out: int = 0
+
+    def warnings(self, by: str) -> tuple[str, ...]:
+        """Return the damage of the file, and its annotations without a row."""
+        held = {one.name for one in self.annotations}
+        empty = [one.name for one in self.file.annotations if one.name not in held]
+        said = (f"{name}: there must be {by}s to be measured, there is none; check start and end" for name in empty)
+        return (*self.file.recording.warnings, *said)
+
+
+Measured = Iterator[tuple[Annotation, Floats, Floats]]
+
+
+def _measured(file: AnnotatedFile, cutting: _Cutting, progress: Callable[[int], object] | None) -> _FileRows:
+    rows = _FileRows(file)
+    measure = _windows if cutting.slicing.by == "window" else _impacts
+    for annotation, times, features in measure(file, cutting):
+        complete = np.isfinite(features).all(axis=1)
+        rows.left_out += int((~complete).sum())
+        rows.features.append(features[complete])
+        rows.times.append(times[complete])
+        rows.annotations += [annotation] * int(complete.sum())
+        if progress is not None:
+            progress(len(times))
+    return rows
+
+
+def _windows(file: AnnotatedFile, cutting: _Cutting) -> Measured:
+    """Yield annotation, times and features of the windows that lie completely in annotated intervals."""
+    rate, slicing = file.recording.sampling_rate, cutting.slicing
+    for annotation, blocks in annotated_blocks(file, cutting.unit):
+        equalisation = cutting.equalisations.get(annotation.sensor)
+        for first, windows in windows_of(blocks, rate, slicing.window_time, slicing.hop_time):
+            times = annotation.start + first / rate
+            yield annotation, times, measure_windows(windows, rate, cutting.names, equalisation)
+
+
+def _impacts(file: AnnotatedFile, cutting: _Cutting) -> Measured:
+    """Yield annotation, times and features of the impacts in annotated intervals; the detector gets all samples."""
+    recording = file.recording
+    detector = ImpactDetector(
+        recording.sampling_rate,
+        kind="vibration" if kind_of(cutting.names) == "vibration" else "pulse",
+        dead_time=cutting.slicing.dead_time,
+    )
+    for block in recording.blocks():
+        yield from _measured_events(detector.feed(block), file, cutting)
+    yield from _measured_events(detector.finish(), file, cutting)
+
+
+def _measured_events(events: list[Event], file: AnnotatedFile, cutting: _Cutting) -> Measured:
+    for annotation in file.annotations:
+        own = [event for event in events if annotation.start <= event.time < annotation.end]
+        alike: dict[tuple[int | None, float], list[Event]] = {}
+        for event in own:
+            alike.setdefault((event.pre_trigger, event.detection_limit), []).append(event)
+        for (pre_trigger, detection_limit), some in alike.items():
+            features = extract_array(
+                np.stack([event.samples for event in some]) * file.scale(annotation, cutting.unit),
+                file.recording.sampling_rate,
+                cutting.names,
+                pre_trigger=pre_trigger,
+                invalid="nan",
+                detection_limit=detection_limit,
+                equalisation=cutting.equalisations[annotation.sensor][0] if annotation.sensor else None,
+            )
+            features[[bool(event.problem) for event in some]] = np.nan
+            yield annotation, np.array([event.time for event in some]), features

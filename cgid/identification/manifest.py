@@ -1,0 +1,355 @@
+"""What somebody says of a recording: one row of a manifest, checked.
+
+The manifest of labelled recordings: which file, or which intervals of it, is what, and what must stay together.
+
+A CSV file has one row an interval and any of the columns in `COLUMNS`; a TOML file has one `[[recording]]` a file, by
+the same names, and values at its top level that hold for all. Paths are relative to the manifest.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+from cgid import validation
+from cgid.errors import BadData, CgidError, InvalidValue
+from cgid.files import parse_toml, read_regular
+from cgid.units import quantity_of
+
+#: What may be said of a recording or an interval of it.
+COLUMNS = (
+    *("path", "label", "start", "end", "group", "channel", "gain", "sensor", "reference", "rate", "unit"),
+    "variable",
+)
+#: Longer words are no labels, groups or sensors.
+_LONGEST_WORD = 100
+
+
+@dataclass(frozen=True, kw_only=True)
+class Annotation:
+    """What somebody says of a recording, or of an interval of it.
+
+    Attributes
+    ----------
+    path : Path
+    written : str
+        The path as the manifest has it.
+    label : str
+        Empty for a reference run.
+    group : str
+        What stays together when recordings are split: a recording by itself if not said, a day, a support.
+    start, end : float
+        [s]; `end` is infinite where the recording ends.
+    channels : tuple or None
+        Numbers from 1 or names, looked at together; None for all.
+    gain : float
+        What the samples are divided by.
+    sensor : str
+        Whose reference run makes up for its response; empty for none.
+    reference : bool
+        Whether this is the reference run of the sensor.
+    sampling_rate, unit, variable
+        What the file does not say: see `cgid.recordings.open_recording`.
+    """
+
+    path: Path
+    written: str
+    label: str = ""
+    group: str = ""
+    start: float = 0.0
+    end: float = math.inf
+    channels: tuple[int | str, ...] | None = None
+    gain: float = 1.0
+    sensor: str = ""
+    reference: bool = False
+    sampling_rate: float | None = None
+    unit: str | None = None
+    variable: str | None = None
+
+    @property
+    def name(self) -> str:
+        """The file, the channels where they are chosen, and the interval where it is one: no two have the same."""
+        channels = "" if self.channels is None else f" channel {'+'.join(map(str, self.channels))}"
+        if self.start == 0 and self.end == math.inf:
+            return self.written + channels
+        end = "its end" if self.end == math.inf else f"{self.end:g} s"
+        return f"{self.written}{channels} from {self.start:g} to {end}"
+
+
+def annotation_of(row: Mapping[str, Any], folder: Path, labels: tuple[str, ...] | None) -> Annotation:
+    """Return what a row says; paths are relative to the folder, and `labels` are those allowed, None for any.
+
+    Raises
+    ------
+    InvalidValue
+        Something in it breaks its rule.
+    """
+    path = row.get("path")
+    if not isinstance(path, str) or not path or "\0" in path:
+        raise InvalidValue(f"path must be the name of a file, got {path!r}")
+    reference = _truth("reference", row.get("reference", False))
+    sensor, label = _word("sensor", row.get("sensor", "")), _word("label", row.get("label", ""))
+    if reference:
+        if label or not sensor:
+            raise InvalidValue("a reference run must name its sensor and have no label")
+    elif not label:
+        raise InvalidValue("label must be said of every recording or interval; add it, or take the row out")
+    else:
+        validation.label("label", label)
+        if labels is not None and label not in labels:
+            raise InvalidValue(f"label must be one of {', '.join(map(repr, labels))}, got {label!r}")
+    start, end = _number("start", row.get("start", 0.0), " in s"), _number("end", row.get("end", math.inf), " in s")
+    if not 0 <= start < end:
+        raise InvalidValue(f"start and end must rise from 0 s, got {start:g} and {end:g} s")
+    rate, unit, variable = row.get("rate"), row.get("unit"), row.get("variable")
+    if unit is not None:
+        quantity_of(unit if isinstance(unit, str) else repr(unit))
+    return Annotation(
+        path=folder / path,
+        written=path,
+        label=label,
+        group=_word("group", row.get("group", "")) or str(folder / path),
+        start=start,
+        end=end,
+        channels=_channels(row.get("channel")),
+        gain=_gain(row.get("gain", 1.0)),
+        sensor=sensor,
+        reference=reference,
+        sampling_rate=None if rate is None else _positive("rate", rate, "Hz"),
+        unit=unit,
+        variable=None if variable is None else _word("variable", variable),
+    )
+
+
+def _word(name: str, value: Any) -> str:
+    text = str(value).strip() if isinstance(value, str | int) and not isinstance(value, bool) else None
+    if text is None or len(text) > _LONGEST_WORD or not (text.isprintable()):
+        raise InvalidValue(f"{name} must be a word of at most {_LONGEST_WORD} characters, got {value!r}")
+    return text
+
+
+def _number(name: str, value: Any, what: str) -> float:
+    try:
+        number = math.nan if isinstance(value, bool) else float(value)
+    except (TypeError, ValueError, OverflowError):
+        number = math.nan
+    if math.isnan(number):
+        raise InvalidValue(f"{name} must be a number{what}, got {value!r}")
+    return number
+
+
+def _positive(name: str, value: Any, unit: str) -> float:
+    number = _number(name, value, f" in {unit}")
+    if not 0 < number < math.inf:
+        raise InvalidValue(f"{name} must be above 0 and finite, got {number:g} {unit}")
+    return number
+
+
+def _gain(value: Any) -> float:
+    """Return a gain as a factor; a text may give it in dB."""
+    if isinstance(value, str) and value.lower().endswith("db"):
+        level = _number("gain", value[:-2], " in dB")
+        if not abs(level) <= 400:
+            raise InvalidValue(f"gain must lie between -400 and 400 dB, got {level:g} dB")
+        return float(10.0 ** (level / 20))
+    number = _number("gain", value, ", a factor or with dB behind it")
+    if not 0 < number < math.inf:
+        raise InvalidValue(f"gain must be above 0 and finite, got {number:g}")
+    return number
+
+
+def _truth(name: str, value: Any) -> bool:
+    words = {"yes": True, "true": True, "1": True, "no": False, "false": False, "0": False}
+    found = value if isinstance(value, bool) else words.get(str(value).lower())
+    if found is None:
+        raise InvalidValue(f"{name} must be yes or no, got {value!r}")
+    return found
+
+
+def _channels(value: Any) -> tuple[int | str, ...] | None:
+    """Return the channels asked for: a number or a name, several in a list, or in one text with + between them."""
+    if value is None:
+        return None
+    listed = value.split("+") if isinstance(value, str) else value if isinstance(value, list) else [value]
+    good = all(isinstance(one, int | str) and not isinstance(one, bool) and str(one).strip() for one in listed)
+    channels = tuple(one.strip() if isinstance(one, str) else one for one in listed) if good else ()
+    if not channels or len({str(one) for one in channels}) != len(channels):
+        raise InvalidValue(f"channel must be a name or a number from 1, or different ones (1+2), got {value!r}")
+    return channels
+
+
+def contradictions(annotations: Sequence[Annotation]) -> list[str]:
+    """Return what cannot be true of annotations together."""
+    found = []
+    heard = {one.sensor for one in annotations if one.reference}
+    for sensor in sorted({one.sensor for one in annotations if one.sensor} - heard):
+        found.append(f"sensor {sensor} must have a reference run (reference = yes), there is none; add it")
+    if heard and not all(one.sensor for one in annotations):
+        found.append("sensor must be said of every recording where one has a reference run; add it to the others")
+    by_file: dict[Path, list[Annotation]] = {}
+    for one in annotations:
+        by_file.setdefault(one.path, []).append(one)
+    for path, own in by_file.items():
+        groups = sorted({one.group for one in own if not one.reference})
+        if len(groups) > 1:
+            found.append(f"{path}: a recording must lie in one group as a whole, got {' and '.join(groups[:2])}")
+        own.sort(key=lambda one: (str(one.channels), one.start))
+        for before, after in pairwise(own):
+            if before.channels == after.channels and after.start < before.end:
+                what = f"{before.label or 'a reference run'} and {after.label or 'a reference run'}"
+                found.append(f"{path}: intervals must not overlap, {what} do at {after.start:g} s")
+    return found
+
+
+#: A larger file is no manifest [bytes], nor one of more keys.
+LARGEST_FILE, _MOST_KEYS = 16 << 20, 1_000_000
+#: What may be said once for all recordings of a TOML manifest.
+_SHARED = ("group", "channel", "gain", "sensor", "rate", "unit", "variable")
+#: So many mistakes are said at once.
+_MOST_MISTAKES = 20
+
+
+@dataclass(frozen=True, kw_only=True)
+class Manifest:
+    """Annotated recordings.
+
+    Attributes
+    ----------
+    source : str
+        The manifest's file.
+    annotations : tuple of Annotation
+        In the order of the file, reference runs among them.
+    """
+
+    source: str
+    annotations: tuple[Annotation, ...] = field(default_factory=tuple)
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """Every label once, sorted."""
+        return tuple(sorted({one.label for one in self.annotations if not one.reference}))
+
+
+def is_manifest(path: str | Path) -> bool:
+    """Return whether a file is a manifest by its name and, for TOML, by what it holds: a scene is TOML, too."""
+    path = Path(path)
+    if path.suffix.lower() == ".csv":
+        return True
+    if path.suffix.lower() != ".toml" or not path.is_file():
+        return False
+    try:
+        return "recording" in _toml(path)
+    except CgidError:
+        return False
+
+
+def read_manifest(path: str | Path) -> Manifest:
+    """Return a manifest, checked; whether its recordings can be read shows when they are.
+
+    Raises
+    ------
+    NoInput
+        The file cannot be read.
+    BadData
+        It is no manifest, or contradicts itself; one line a mistake.
+    """
+    path = Path(path)
+    rows, labels = _csv_rows(path) if path.suffix.lower() == ".csv" else _toml_rows(path)
+    annotations, mistakes = [], []
+    for where, row in rows:
+        try:
+            annotations.append(annotation_of(row, path.parent, labels))
+        except InvalidValue as error:
+            mistakes.append(f"{path}: {where}: {error}")
+    mistakes += [f"{path}: {text}" for text in contradictions(annotations)]
+    if not rows:
+        mistakes.append(f"{path}: a manifest must name recordings, there is none; give a path and a label each")
+    if mistakes:
+        more = len(mistakes) - _MOST_MISTAKES
+        raise BadData(*mistakes[:_MOST_MISTAKES], *[f"{path}: and {more} more mistakes"] * (more > 0))
+    return Manifest(source=str(path), annotations=tuple(annotations))
+
+
+# -- the two formats --------------------------------------------------------------------------------------
+
+Row = tuple[str, Mapping[str, Any]]
+
+
+def _text(path: Path) -> str:
+    try:
+        return read_regular(path, "a manifest", LARGEST_FILE).decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise BadData(f"{path}: a manifest must be UTF-8 text, byte {error.start} is not; save it as UTF-8") from None
+
+
+def _csv_rows(path: Path) -> tuple[list[Row], tuple[str, ...] | None]:
+    """Return the rows of a CSV manifest with where they stand; it lists no labels."""
+    lines = [line if line.strip() and not line.lstrip().startswith("#") else "" for line in _text(path).splitlines()]
+    header = next((line for line in lines if line), "")
+    separator = max(",;\t", key=header.count)
+    try:
+        table = list(csv.reader(io.StringIO("\n".join(lines)), delimiter=separator))
+    except csv.Error as error:
+        raise BadData(f"{path}: a manifest must be a CSV table ({error}); save it again") from None
+    names: list[str] = []
+    rows: list[Row] = []
+    for number, cells in enumerate(table, 1):
+        cells = [cell.strip() for cell in cells]
+        if not any(cells):
+            continue
+        if not names:
+            names = [cell.lower() for cell in cells]
+            _check_names(names, COLUMNS, f"{path}: columns", required="path")
+            continue
+        if len(cells) > len(names):
+            raise BadData(f"{path}: row {number}: must have {len(names)} cells as the header, got {len(cells)}")
+        rows.append((f"row {number}", {name: cell for name, cell in zip(names, cells, strict=False) if cell}))
+    return rows, None
+
+
+def _toml(path: Path) -> dict[str, Any]:
+    try:
+        return parse_toml(_text(path), _MOST_KEYS)
+    except CgidError:
+        raise
+    except ValueError as error:
+        raise BadData(f"{path}: a manifest must be TOML: {error}; correct it there") from None
+
+
+def _toml_rows(path: Path) -> tuple[list[Row], tuple[str, ...] | None]:
+    """Return the rows of a TOML manifest with where they stand, and the labels that it allows."""
+    content = _toml(path)
+    recordings = content.get("recording")
+    if not isinstance(recordings, list) or not all(isinstance(one, dict) for one in recordings):
+        raise BadData(f"{path}: a manifest must list its recordings as [[recording]]; see cgid train --help")
+    _check_names(list(content), (*_SHARED, "labels", "recording"), f"{path}: keys")
+    labels = content.get("labels")
+    if labels is not None and not (isinstance(labels, list) and all(isinstance(one, str) for one in labels)):
+        raise BadData(f'{path}: labels must be a list of words, such as ["coal", "gangue"], got {labels!r}')
+    shared = {name: content[name] for name in _SHARED if name in content}
+    rows: list[Row] = []
+    for number, recording in enumerate(recordings, 1):
+        where = f"recording {number}"
+        _check_names(list(recording), (*COLUMNS, "intervals"), f"{path}: {where}: keys", required="path")
+        intervals = recording.pop("intervals", [{}])
+        if not isinstance(intervals, list) or not all(isinstance(one, dict) for one in intervals):
+            raise BadData(f"{path}: {where}: intervals must be a list of {{ start, end, label }}, got {intervals!r}")
+        for interval in intervals:
+            _check_names(list(interval), ("start", "end", "label"), f"{path}: {where}: keys of an interval")
+            rows.append((where, {**shared, **recording, **interval}))
+    return rows, None if labels is None else tuple(labels)
+
+
+def _check_names(names: Sequence[str], allowed: tuple[str, ...], what: str, required: str | None = None) -> None:
+    for name in names:
+        if name not in allowed or names.count(name) > 1:
+            fault = f"got {name!r}" if name not in allowed else f"{name!r} is there twice"
+            raise BadData(f"{what} must be out of {', '.join(allowed)}, {fault}")
+    if required is not None and required not in names:
+        raise BadData(f"{what} must say the {required}, got {', '.join(names) or 'none'}")

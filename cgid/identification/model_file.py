@@ -1,0 +1,381 @@
+"""The model file: an uncompressed .npz archive of a JSON header and arrays of numbers, read without trusting it.
+
+Model files come from strangers. zipfile believes an archive's directory, and NumPy passes the header of an array to
+Python's parser. So here the directory must agree with the content byte by byte, array headers must look exactly as
+`numpy.savez` writes them, and a digest covers header and arrays. Whatever differs is refused.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import json
+import math
+import re
+import struct
+import zipfile
+import zlib
+from collections.abc import Iterator, Mapping
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cgid import validation
+from cgid.errors import BadData
+from cgid.identification.drop_height import KNOWN
+from cgid.identification.families import BY_NAME
+from cgid.identification.reference import equalisations_of
+from cgid.identification.windows import require_times
+from cgid.measure.features import require_known
+from cgid.measure.spectra import MEL_BANDS
+from cgid.units import quantity_of
+
+if TYPE_CHECKING:
+    from cgid.identification.model import Model
+
+# -- the archive ------------------------------------------------------------------------------------------
+
+#: The most arrays a model has, and the longest directory of so many entries [bytes].
+MOST_ENTRIES, _LARGEST_DIRECTORY = 64, 64 * 128
+_NAME = re.compile(r"[a-z0-9_.]{1,64}\.npy")
+#: File type in the upper half of an entry's attributes: none or a regular file, never a link.
+_REGULAR = (0, 0o100000)
+_MOST_AXES = 3
+#: Magic string and header of the array format, version 1.0, as NumPy writes them.
+_MAGIC = b"\x93NUMPY\x01\x00"
+_ARRAY_HEADER = re.compile(
+    rb"\{'descr': '(<f8|<i4|<i8|\|b1|\|u1)', 'fortran_order': (True|False), "
+    rb"'shape': \(((?:\d{1,9}, )*\d{1,9},?)?\), \} *\n"
+)
+
+
+def arrays_of(content: bytes) -> Iterator[tuple[str, NDArray[Any]]]:
+    """Yield name and array of each entry of an archive in its order, as read-only views of the content.
+
+    Raises
+    ------
+    BadData
+        The archive or an array is damaged, or not as `numpy.savez` writes it.
+    """
+    for name, stored in _entries(content):
+        yield name.removesuffix(".npy"), _array(stored, name)
+
+
+def _entries(content: bytes) -> Iterator[tuple[str, memoryview]]:
+    if not content.startswith(b"PK\x03\x04"):
+        raise BadData("it must be an .npz archive of numbers")
+    whole = BadData("its archive must be whole and end with its directory; it is damaged or cut off")
+    directory = struct.unpack_from("<L", content, len(content) - 10)[0] if len(content) > 22 else 0
+    # zipfile would read a directory of a million entries, or one in another place (ZIP64).
+    zip64 = content[-42:-38] == b"PK\x06\x07"
+    if zip64 or content[-22:-18] != b"PK\x05\x06" or not 0 < directory <= _LARGEST_DIRECTORY:
+        raise whole
+    try:
+        archive = zipfile.ZipFile(io.BytesIO(content))
+        entries = archive.infolist()
+        headers = [(entry.FileHeader(False), entry.FileHeader(True)) for entry in entries]
+    except (zipfile.BadZipFile, NotImplementedError, ValueError, struct.error):
+        raise whole from None
+    if len(entries) > MOST_ENTRIES or len({entry.filename for entry in entries}) != len(entries):
+        raise BadData(f"its archive must hold at most {MOST_ENTRIES} arrays, each once")
+    place = 0
+    for entry, possible in zip(entries, headers, strict=True):
+        header = next((one for one in possible if content.startswith(one, place)), b"")
+        start, place = place, place + len(header) + entry.file_size
+        regular = (entry.external_attr >> 16) & 0o170000 in _REGULAR and not (entry.extra or entry.comment)
+        stored = not entry.compress_type and not entry.flag_bits and entry.compress_size == entry.file_size
+        if not _NAME.fullmatch(entry.filename) or not header or entry.header_offset != start or not regular:
+            raise BadData("the entries of its archive must be plain files, one after the other, with short plain names")
+        if not stored:
+            raise BadData(f"array {entry.filename} must be stored uncompressed and not encrypted")
+        held = memoryview(content)[start + len(header) : place]
+        if zlib.crc32(held) != entry.CRC:
+            raise BadData(f"array {entry.filename} must match its checksum, it is damaged")
+        yield entry.filename, held
+    if place != archive.start_dir:
+        raise whole
+
+
+def _array(stored: memoryview, name: str) -> NDArray[Any]:
+    length = int.from_bytes(stored[8:10], "little")
+    header = _ARRAY_HEADER.fullmatch(stored[10 : 10 + length]) if stored[:8] == _MAGIC else None
+    if header is None:
+        raise BadData(f"array {name} must hold numbers as numpy.savez writes them (float64, int32, int64 or bool)")
+    descr, fortran, sides = (part.decode() for part in header.groups(b""))
+    dtype, shape = np.dtype(descr), tuple(int(side) for side in sides.rstrip(",").split(", ") if side)
+    # Python's integers: the product cannot overflow.
+    if math.prod(shape) * dtype.itemsize != len(stored) - 10 - length or 0 in shape or len(shape) > _MOST_AXES:
+        raise BadData(f"array {name} must hold at least one number, and as many as its shape {shape} says")
+    array = np.frombuffer(stored, dtype, offset=10 + length).reshape(shape, order="F" if fortran == "True" else "C")
+    if dtype.kind == "b" and (array.view(np.uint8) > 1).any():
+        raise BadData(f"array {name} must hold truth values, bytes 0 and 1")
+    return array
+
+
+# -- the header -------------------------------------------------------------------------------------------
+
+FORMAT = "cgid-model"
+#: 2: known quantities, guards, prediction sets, networks. 3: windows, several channels, reference spectra of sensors,
+#: linear discriminants. 4: a digest of header and arrays.
+SCHEMA_VERSION = 4
+_OLDEST_SCHEMA = 2
+#: What a header of schema 2 leaves out.
+_SINCE_3 = {"window_time": 0.0, "hop_time": 0.0, "n_channels": 1, "sensors": []}
+#: The longest header [bytes]: a hundred bytes for each of twenty thousand recordings.
+LARGEST_HEADER = 2 << 20
+#: The deepest nesting of lists and objects; ours have seven levels.
+_DEEPEST = 32
+#: The largest absolute value of any number: products of three such numbers are still finite.
+_LARGEST_NUMBER = 1e100
+#: The required fields and their types.
+_FIELDS: dict[str, type] = {
+    "family": str,
+    "labels": list,
+    "features": list,
+    "known": list,
+    "guards": list,
+    "guard_limits": list,
+    "unit": str,
+    "sampling_rates": list,
+    "temperature": float,
+    "neighbourhood_limit": float,
+    "training": dict,
+    "window_time": float,
+    "hop_time": float,
+    "n_channels": int,
+    "sensors": list,
+}
+_LISTS_OF_NUMBERS = ("guard_limits", "sampling_rates")
+#: Further fields: the quantity follows from the unit, the others are checked when they are read.
+_FURTHER_FIELDS = {"format", "schema_version", "quantity", "sha256"}
+
+
+class NewerSchema(BadData):
+    """The file has a later schema than this cgid reads; training the model again would not help."""
+
+
+def read_header(stored: NDArray[Any]) -> dict[str, Any]:
+    """Return the header of a model file once its schema version is a known one.
+
+    Raises
+    ------
+    NewerSchema
+        A later cgid wrote it.
+    BadData
+        It is no JSON, repeats a key, or has another format or an older version.
+    """
+    if stored.size > LARGEST_HEADER:
+        raise BadData(f"its header must be at most {LARGEST_HEADER >> 20} MiB, it is {stored.size / 2**20:.1f} MiB")
+    try:
+        header = json.loads(stored.tobytes(), object_pairs_hook=_unique)
+        depth = _depth(header)
+    except BadData:
+        raise
+    except (ValueError, RecursionError):
+        raise BadData("it must have a header of JSON") from None
+    if not isinstance(header, dict) or header.get("format") != FORMAT:
+        raise BadData(f"format must be {FORMAT!r}")
+    if depth > _DEEPEST:
+        raise BadData(f"its header must not nest deeper than {_DEEPEST}")
+    version = header.get("schema_version")
+    if type(version) is not int or version < _OLDEST_SCHEMA:
+        raise BadData(f"schema_version must be {_OLDEST_SCHEMA} to {SCHEMA_VERSION}, got {repr(version)[:20]}")
+    if version > SCHEMA_VERSION:
+        reads = f"{_OLDEST_SCHEMA} to {SCHEMA_VERSION}"
+        raise NewerSchema(f"schema_version {str(version)[:20]} is newer than this cgid (reads {reads}): upgrade cgid")
+    return header
+
+
+def fields_of(header: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> dict[str, Any]:
+    """Return the fields of a model from a header, lists as tuples.
+
+    Raises
+    ------
+    BadData
+        A field is missing, unknown or of a wrong type; or header and arrays do not match the digest.
+    """
+    version = header["schema_version"]
+    if version >= 4 and header.get("sha256") != digest(header, arrays):
+        raise BadData("header and arrays must match the SHA-256 in the header, they were changed")
+    fields = (_SINCE_3 if version == 2 else {}) | dict(header)
+    if unknown := fields.keys() - _FIELDS.keys() - _FURTHER_FIELDS:
+        raise BadData(f"the header must have the fields of a model only, got {min(unknown)[:40]!r}")
+    for name, kind in _FIELDS.items():
+        good = _is(fields.get(name), kind)
+        if not good or (name in _LISTS_OF_NUMBERS and not all(_is(number, float) for number in fields[name])):
+            raise BadData(f"{name} is missing or of a wrong kind in the header")
+    return {name: tuple(fields[name]) if kind is list else fields[name] for name, kind in _FIELDS.items()}
+
+
+def signed(header: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> bytes:
+    """Return the header as JSON, with the digest of header and arrays in it."""
+    return json.dumps({**header, "sha256": digest(header, arrays)}, sort_keys=True).encode()
+
+
+def digest(header: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> str:
+    """Return the SHA-256 of the header without its digest, and of names, types, shapes and numbers of the arrays.
+
+    It finds accidental changes, such as a flipped bit or features in another order. It is no protection against
+    somebody who computes it anew.
+    """
+    fields = {name: value for name, value in header.items() if name != "sha256"}
+    found = hashlib.sha256(json.dumps(fields, sort_keys=True).encode())
+    for name in sorted(arrays):
+        array = arrays[name]
+        found.update(f"\n{name} {array.dtype.str} {array.shape}\n".encode())
+        found.update(np.ascontiguousarray(array).data)
+    return found.hexdigest()
+
+
+def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    found = dict(pairs)
+    if len(found) != len(pairs):
+        raise BadData("its header must have each key once")
+    return found
+
+
+def _depth(value: Any) -> int:
+    inner = value.values() if isinstance(value, dict) else value if isinstance(value, list) else ()
+    return 1 + max(map(_depth, inner), default=0)
+
+
+def _is(value: Any, kind: type) -> bool:
+    """Return whether a JSON value is of a type; an integer may stand for a float, a bool for neither."""
+    if kind in (int, float):
+        number = type(value) is int or (kind is float and type(value) is float)
+        return number and abs(value) <= _LARGEST_NUMBER  # False for nan
+    return isinstance(value, kind)
+
+
+# -- the model --------------------------------------------------------------------------------------------
+
+MOST_CHANNELS = 64
+#: Arrays of every model, one number for each input: the attributes of the standardiser.
+STANDARDISER = ("logarithmic", "floor", "mean", "scale")
+MOST_LABELS, _MOST_SENSORS = 1000, 1000
+#: Characters of a label or of the name of a sensor.
+_LONGEST_WORD = 100
+#: Families of earlier versions.
+_DROPPED = ("discriminant",)
+
+
+def check_names(model: Model) -> None:
+    """Raise unless family, labels, features, guards and known quantities are valid names without duplicates."""
+    if model.family in _DROPPED:
+        families = ", ".join(map(repr, BY_NAME))
+        raise BadData(f"family must be one of {families}, got {model.family!r}, which cgid 0.2 no longer has")
+    validation.choice("family", model.family, tuple(BY_NAME))
+    for name, values, least in (
+        ("labels", model.labels, 2),
+        ("features", model.features, 1),
+        ("features and guards", model.measured, 1),
+        ("known", model.known, 0),
+        ("sensors", model.sensors, 0),
+    ):
+        if len(values) < least or not all(map(_is_word, values)) or len(set(values)) != len(values):
+            raise BadData(
+                f"{name} must be {least} or more different printable words of 1 to {_LONGEST_WORD} characters"
+            )
+    for label in model.labels:
+        validation.label("labels", label)
+    for name, values, most in (("labels", model.labels, MOST_LABELS), ("sensors", model.sensors, _MOST_SENSORS)):
+        if len(values) > most:
+            raise BadData(f"{name} must be at most {most}, got {len(values)}")
+    for feature in model.measured:
+        require_known(feature)
+    for name in model.known:
+        validation.choice("known", name, dict(KNOWN))
+    quantity_of(model.unit)
+
+
+def check_numbers(model: Model) -> None:
+    """Raise unless the numbers and the arrays that all families share are finite and fit each other."""
+    rates = validation.positive("sampling_rates", model.sampling_rates, "Hz")
+    if rates.shape != (2,) or rates[0] > rates[1]:
+        raise BadData("sampling_rates must be the lowest and the highest")
+    validation.positive("temperature", model.temperature)
+    validation.positive("neighbourhood_limit", model.neighbourhood_limit)
+    if validation.positive("guard_limits", model.guard_limits).shape != (len(model.guards),):
+        raise BadData("guard_limits must be one number for each guard")
+    _check_windows(model)
+    _check_arrays(model)
+    if model.sensors:
+        equalisations_of(model.references)  # checks their gains
+
+
+def check_training(model: Model) -> None:
+    """Raise unless the entries of the training record that answers and reports use are of the right kind."""
+    training, n_labels = model.training, len(model.labels)
+    metrics, recorded = training.get("metrics", {}), training.get("recorded", {})
+    if not isinstance(metrics, Mapping) or not isinstance(recorded, Mapping):
+        raise BadData("metrics and recorded must be objects in the header, where it has them")
+    shapes: dict[str, tuple[int, ...]] = {
+        "accuracy": (),
+        "accuracy_interval_95": (2,),
+        "confusion": (n_labels, n_labels),
+    }
+    for name, shape in shapes.items():
+        if name in metrics:
+            numbers = validation.not_negative(name, metrics[name])
+            if numbers.shape != shape or numbers.max() > _LARGEST_NUMBER:
+                raise BadData(f"{name} must be numbers of shape {shape} up to {_LARGEST_NUMBER:g}")
+    if "confusion" in metrics and np.sum(metrics["confusion"]) < 1:
+        raise BadData("confusion must count at least one impact")
+    for weights in (training.get("class_weights"), recorded.get("class_weights")):
+        if isinstance(weights, Mapping):
+            numbers = validation.positive("class_weights", list(weights.values()))
+            low, high = 1 / _LARGEST_NUMBER, _LARGEST_NUMBER  # products with counts neither vanish nor overflow
+            if numbers.ndim != 1 or (numbers > high).any() or (numbers < low).any():
+                raise BadData(f"class_weights must be one number for each label, {low:g} to {high:g}")
+        elif weights not in (None, "balanced"):
+            raise BadData("class_weights must be 'balanced' or a number for each label")
+
+
+def _is_word(value: object) -> bool:
+    """Return whether a value is a word without control characters, safe to print on a terminal."""
+    return isinstance(value, str) and 0 < len(value) <= _LONGEST_WORD and value.isprintable()
+
+
+def _check_arrays(model: Model) -> None:
+    """Raise unless the arrays are those of the model's family, and all numbers are finite."""
+    arrays, n, n_classes = model.arrays, len(model.inputs), len(model.labels)
+    shapes: dict[str, tuple[tuple[int, ...], ...]] = {
+        **{f"standardiser.{name}": ((n,),) for name in STANDARDISER},
+        "neighbourhood.centres": ((n_classes, n),),
+        "neighbourhood.whitening": ((n_classes, n, n), (1, n, n)),  # one for each class, or one for all
+    }
+    for name, possible in shapes.items():
+        if name not in arrays or arrays[name].shape not in possible:
+            raise BadData(f"array {name} must have shape {possible[0]}")
+    if ("conformal.scores" in arrays) != ("conformal.labels" in arrays):
+        raise BadData("arrays conformal.scores and conformal.labels must both be there, or none")
+    own = {f"family.{name}" for name in BY_NAME[model.family].AXES}
+    for name, array in arrays.items():
+        if name not in own | shapes.keys() | {"conformal.scores", "conformal.labels", "reference.spectra"}:
+            raise BadData(f"array {name!r} must be left out, a model of family {model.family} has no such array")
+        kinds = "b" if name == "standardiser.logarithmic" else "fi"
+        plain = array.dtype.kind in kinds and array.size > 0
+        # Without np.abs, which would copy a large array. False for nan.
+        if not plain or not (array.min() >= -_LARGEST_NUMBER and array.max() <= _LARGEST_NUMBER):
+            raise BadData(f"array {name} must hold finite numbers, got {array.dtype}")
+    if not (arrays["standardiser.scale"] > 0).all() or not (arrays["standardiser.floor"] > 0).all():
+        raise BadData("arrays standardiser.scale and standardiser.floor must be above 0")
+
+
+def _check_windows(model: Model) -> None:
+    """Raise unless windows, channels and the reference spectra of sensors fit each other."""
+    if isinstance(model.n_channels, bool) or not 1 <= model.n_channels <= MOST_CHANNELS:
+        raise BadData(f"n_channels must lie between 1 and {MOST_CHANNELS}, got {model.n_channels}")
+    if model.n_channels > 1 and (model.guards or model.known):
+        raise BadData("guards and known quantities must be left out in a model of several channels")
+    if model.kind == "window":
+        require_times(model.window_time, model.hop_time)
+    elif model.window_time or model.hop_time:
+        raise BadData(f"window_time and hop_time must be 0 for features of a {model.kind}")
+    spectra = model.arrays.get("reference.spectra")
+    if (spectra is not None) != bool(model.sensors):
+        raise BadData("array reference.spectra must be there where sensors are named, and only there")
+    shape = len(model.sensors), model.n_channels, len(MEL_BANDS)
+    if spectra is not None and spectra.shape != shape:
+        raise BadData(f"array reference.spectra must have shape {shape}, got {spectra.shape}")

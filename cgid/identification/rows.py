@@ -1,0 +1,416 @@
+"""Labelled rows: what every training learns from, whether the signals come from scenes, datasets or recordings.
+
+A row holds the features of one impact or of one window of a recording. `measure` makes rows of labelled batches;
+`cgid.identification.labelled_recordings.record` makes them of the recordings of a manifest.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import closing
+from dataclasses import dataclass, field, replace
+from functools import cache
+from itertools import chain
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from threadpoolctl import threadpool_limits
+
+from cgid import validation
+from cgid.errors import BadData, CgidError, InvalidValue
+from cgid.identification.drop_height import KNOWN, drop_heights
+from cgid.identification.windows import WINDOW_TIME, columns_of, require_times
+from cgid.measure.features import FEATURES, choose, extract_array, kind_for, kind_of, supported
+from cgid.measure.spectra import THIRD_OCTAVES
+from cgid.measure.table import Kind
+from cgid.measure.vibration import EARLY_BANDS
+from cgid.signals import Batch
+from cgid.units import UNITS, quantity_of
+from cgid.validation import Floats
+from cgid.workers import ALONE, Workers
+
+#: Guards of a model of pulses: how badly a pulse fits the shape of one. They show strangers, not materials.
+DEFAULT_GUARDS = ("misfit", "overload")
+#: Features of a model of pulses: the fitted pulse, and how certain its shape is.
+DEFAULT_FEATURES = ("fitted_peak", "fitted_width", "shrunken_restitution", "shrunken_restitution_deviation")
+#: Features of a model of vibrations, where sampling rate and frame allow: levels by frequency, over all of the frame
+#: and while the force still acts. They depend on the gain, because the strength of a blow tells most.
+DEFAULT_VIBRATION_FEATURES = (
+    *(f"level_{middle}_hz" for middle in THIRD_OCTAVES),
+    *(f"early_level_{low}_{high}_hz" for low, high in EARLY_BANDS),
+)
+#: Synthetic rows of a label for each recorded one; more would drown what was measured.
+MOST_SYNTHETIC = 10
+
+
+@dataclass(frozen=True, kw_only=True)
+class Slicing:
+    """How recordings become rows.
+
+    Attributes
+    ----------
+    by : {"window", "impact"}
+        What a row is.
+    window_time, hop_time : float
+        Length of a window, and from the start of one to that of the next [s].
+    dead_time : float or None
+        Of impacts [s]: see `cgid.identification.events.ImpactDetector`.
+    """
+
+    by: Literal["window", "impact"] = "window"
+    window_time: float = WINDOW_TIME
+    hop_time: float = WINDOW_TIME / 2
+    dead_time: float | None = None
+
+    def __post_init__(self) -> None:
+        validation.choice("by", self.by, ("window", "impact"))
+        require_times(self.window_time, self.hop_time)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Rows:
+    """Labelled rows of features.
+
+    Attributes
+    ----------
+    names : tuple of str
+        Features, measured on each of `n_channels` channels.
+    features : ndarray, (n_rows, n_channels * n_names)
+        Channel after channel.
+    labels : ndarray of str, (n_rows,)
+    group : ndarray of int, (n_rows,)
+        Rows of one group are never on both sides of a split: the specimen of a synthetic impact, or the number of a
+        group of recordings in `groups`. Below 0: a synthetic row beside recorded ones, which never judges.
+    source : ndarray of int, (n_rows,)
+        The scene, dataset or annotated interval of each row, a number in `sources`.
+    sources, groups : tuple of str
+    digests : tuple of str
+        SHA-256 of scenes, datasets or files.
+    known_names : tuple of str
+        Known quantities, out of `cgid.identification.known.KNOWN`.
+    known : ndarray, (n_rows, n_known)
+    unit : str
+    sampling_rates : tuple of float
+        Lowest and highest [Hz].
+    n_channels : int
+    slicing : Slicing or None
+        None for rows of scenes and datasets.
+    time : ndarray, (n_rows,)
+        Start of a window, or time of an impact, in its recording [s].
+    references : dict of ndarray, each (n_channels, n_bands)
+        Reference spectra of the sensors.
+    left_out : int
+        Rows that could not be measured.
+    failures : tuple of CgidError
+        Recordings that could not be read.
+    warnings : tuple of str
+        Damage in other recordings, and intervals without a row; one line each.
+    """
+
+    names: tuple[str, ...]
+    features: Floats
+    labels: NDArray[np.str_]
+    group: NDArray[np.integer]
+    source: NDArray[np.intp] = field(default_factory=lambda: np.empty(0, np.intp))
+    sources: tuple[str, ...] = ()
+    groups: tuple[str, ...] = ()
+    digests: tuple[str, ...] = ()
+    known_names: tuple[str, ...] = ()
+    known: Floats = field(default_factory=lambda: np.empty((0, 0)))
+    unit: str = ""
+    sampling_rates: tuple[float, float] = (0.0, 0.0)
+    n_channels: int = 1
+    slicing: Slicing | None = None
+    time: Floats = field(default_factory=lambda: np.empty(0))
+    references: Mapping[str, Floats] = field(default_factory=dict)
+    left_out: int = 0
+    failures: tuple[CgidError, ...] = ()
+    warnings: tuple[str, ...] = ()
+
+    @property
+    def kind(self) -> Kind:
+        """What the features are measured on."""
+        return kind_of(self.names)
+
+    def __getitem__(self, chosen: NDArray[np.bool_]) -> Rows:
+        """Return some of the rows."""
+        columns = {name: getattr(self, name) for name in ("features", "labels", "group", "source", "known", "time")}
+        return replace(self, **{name: column[chosen] for name, column in columns.items() if len(column)})
+
+    def only(self, names: tuple[str, ...]) -> Rows:
+        """Return the same rows with some of the features."""
+        return replace(self, names=names, features=self.columns(names))
+
+    def columns(self, names: Sequence[str]) -> Floats:
+        """Return the columns of some features, channel after channel."""
+        return self.features[:, columns_of(self.names, names, self.features.shape[1])]
+
+    def inputs(self, names: Sequence[str]) -> Floats:
+        """Return the inputs of a classifier: the columns of some features, then the known quantities."""
+        return np.hstack([self.columns(names), self.known]) if self.known_names else self.columns(names)
+
+
+# -- choice of features -----------------------------------------------------------------------------------
+
+Sets = Mapping[str, tuple[str, ...]]
+
+
+@cache
+def _sets(kind: Kind) -> Sets:
+    """Return the sets of features of a kind, by name; the first is preferred where none is clearly better.
+
+    In a set whose name ends in "level-free" the gain of the sensor cancels.
+    """
+    if kind == "pulse":
+        return {"fitted pulse": DEFAULT_FEATURES}
+    if kind == "vibration":
+        relative = tuple(f"relative_level_{middle}_hz" for middle in THIRD_OCTAVES)
+        return {"third octaves": DEFAULT_VIBRATION_FEATURES, "third octaves, level-free": relative}
+    own = choose(None, "window")
+
+    def starting(*starts: str) -> set[str]:
+        return {name for name in own if name.startswith(tuple(f"window_{start}_" for start in starts))}
+
+    plain = set(own) - starting("mel", "relative", "even", "level")
+    shape = plain - {"window_level", "window_peak"}  # free of the gain
+    wanted = {
+        # First, because no gain ever stayed the same for long.
+        "even bands and shape, level-free": starting("relative_even", "even_deviation") | shape,
+        "even bands and shape": starting("even") | plain,
+        "mel bands and shape": starting("mel") | plain,
+        "mel bands": starting("mel"),
+        "mel bands and shape, level-free": starting("relative_mel", "mel_deviation") | shape,
+    }
+    return {name: tuple(feature for feature in own if feature in some) for name, some in wanted.items()}
+
+
+def sets_for(kind: Kind, *, level_free: bool = False) -> Sets:
+    """Return the sets of features that a training on recordings chooses from; on request only level-free ones."""
+    own = _sets(kind)
+    return {name: names for name, names in own.items() if name.endswith("level-free")} if level_free else own
+
+
+def union_of(sets: Sets) -> tuple[str, ...]:
+    """Return every feature of some sets once."""
+    return tuple(dict.fromkeys(name for names in sets.values() for name in names))
+
+
+def chosen_for(batches: Iterable[Batch], features: Iterable[str] | None) -> tuple[Iterator[Batch], tuple[str, ...]]:
+    """Return the batches unchanged, and the features to measure on them.
+
+    By default they follow from the quantity, and from what sampling rate and frame of the first batch allow.
+    """
+    batches = iter(batches)
+    if features is not None:
+        return batches, choose(features)
+    first = next(batches, None)
+    if first is None or kind_for(quantity_of(first.unit)) == "pulse":
+        return chain([first] if first is not None else [], batches), DEFAULT_FEATURES
+    names = supported(DEFAULT_VIBRATION_FEATURES, first.sampling_rate, first.signals.shape[1])
+    if not names:
+        raise BadData(
+            f"vibrations must be sampled fast and long enough for a third-octave band, frames of "
+            f"{first.signals.shape[1]} samples at {first.sampling_rate:g} Hz hold none; record longer"
+        )
+    return chain([first], batches), names
+
+
+def default_guards(features: Iterable[str]) -> tuple[str, ...]:
+    """Return the guards of a model with these features; models of vibrations have none."""
+    return DEFAULT_GUARDS if kind_of(features) == "pulse" else ()
+
+
+def linear_columns(features: Sequence[str]) -> tuple[int, ...]:
+    """Return the columns that never get a logarithm: they are logarithms already, or may have either sign."""
+    return tuple(column for column, name in enumerate(features) if FEATURES[name].linear)
+
+
+# -- rows of scenes and datasets --------------------------------------------------------------------------
+
+
+def measure(
+    batches: Iterable[Batch],
+    features: Iterable[str] | None = None,
+    progress: Callable[[int], object] | None = None,
+    *,
+    known: tuple[str, ...] = (),
+    crew: Workers = ALONE,
+) -> Rows:
+    """Return the rows of labelled batches; memory holds one batch of signals, or a few for each worker.
+
+    Raises
+    ------
+    BadData
+        There is no signal, batches differ in their quantity, or they lack a known quantity.
+    InvalidValue
+        A feature or a known quantity does not exist.
+    """
+    batches, names = chosen_for(batches, features)
+    for name in known:
+        validation.choice("known", name, dict(KNOWN))
+    parts: list[tuple[Batch, Floats, Floats]] = []
+    with closing(crew.each(_measured, (names, known), batches)) as measured:
+        for part in measured:
+            unit = part[0].unit
+            if parts and unit != parts[0][0].unit:
+                raise BadData(
+                    f"all signals must be in one unit, got {parts[0][0].unit} and {unit}; convert or train apart"
+                )
+            parts.append(part)
+            if progress is not None:
+                progress(len(part[0]))
+    if not parts:
+        raise BadData("there must be signals to train on; there are none")
+    abouts = [about for about, _, _ in parts]
+    sources = tuple(dict.fromkeys(about.source for about in abouts))
+    rates = [about.sampling_rate for about in abouts]
+    table = np.concatenate([values for _, values, _ in parts])
+    complete = np.isfinite(table).all(axis=1)
+    rows = Rows(
+        names=names,
+        features=table,
+        labels=np.concatenate([about.labels for about in abouts]),
+        group=np.concatenate([about.specimen for about in abouts]),
+        source=np.concatenate([np.full(len(about), sources.index(about.source)) for about in abouts]),
+        sources=sources,
+        digests=sources,
+        known_names=known,
+        known=np.concatenate([heights for _, _, heights in parts]),
+        unit=abouts[0].unit,
+        sampling_rates=(min(rates), max(rates)),
+        left_out=int((~complete).sum()),
+    )
+    return rows[complete]
+
+
+def _measured(settings: tuple[tuple[str, ...], tuple[str, ...]], batch: Batch) -> tuple[Batch, Floats, Floats]:
+    """Return a batch without its signals, its features, and its known quantities."""
+    names, known = settings
+    with threadpool_limits(1):
+        features = extract_array(
+            batch.signals, batch.sampling_rate, names, pre_trigger=batch.pre_trigger or None, invalid="nan"
+        )
+    about = replace(batch, signals=np.empty((len(batch), 0)), parameters={})
+    return about, features, _known_of(batch) if known else np.empty((len(batch), 0))
+
+
+def _known_of(batch: Batch) -> Floats:
+    heights = drop_heights(batch)
+    if heights is None:
+        raise BadData(
+            "the data must hold drop_height or velocity among its parameters, it has "
+            f"{', '.join(batch.parameters) or 'none'}; train without --drop-height"
+        )
+    return heights[:, None]
+
+
+# -- synthetic rows beside recorded ones ------------------------------------------------------------------
+#
+# A scene knows the bodies, but not the gain and the response of somebody's sensor on somebody's support. So the mean
+# of each level, over the labels that both have, is moved onto that of the recordings. These shifts are found on what
+# trains, never on what judges.
+
+
+def is_level(feature: str) -> bool:
+    """Return whether a feature is a level, to which a gain or a response adds a constant.
+
+    Examples
+    --------
+    >>> is_level("level_1000_hz"), is_level("relative_level_1000_hz"), is_level("decay_time")
+    (True, True, False)
+    """
+    return FEATURES[feature].unit.startswith("log10") or "relative_" in feature
+
+
+def in_unit(batches: Iterable[Batch], unit: str, features: Iterable[str]) -> Iterator[Batch]:
+    """Yield synthetic batches in the unit of the recordings.
+
+    Where only levels are measured, the quantity may differ, because `adapted` moves the levels.
+
+    Raises
+    ------
+    InvalidValue
+        The quantity differs, and a feature is not a level and has the unit of the signal.
+    """
+    for batch in batches:
+        factor = 1.0
+        if quantity_of(batch.unit) == quantity_of(unit):
+            units = UNITS[quantity_of(unit)]
+            factor = units[batch.unit] / units[unit]
+        else:
+            fixed = [name for name in features if "U" in FEATURES[name].unit and not is_level(name)]
+            if fixed:
+                raise InvalidValue(
+                    f"feature {', '.join(fixed)} must be left out, it cannot be moved from {quantity_of(batch.unit)} "
+                    f"[{batch.unit}] of the scene to {quantity_of(unit)} [{unit}] of the recordings; name others by "
+                    "--features, or say the recordings' unit by --unit"
+                )
+        yield replace(batch, signals=batch.signals * factor, unit=unit)
+
+
+def mixed(recorded: Rows, synthetic: Rows, seed: int) -> Rows:
+    """Return recorded and synthetic rows together; the groups of synthetic rows are -1.
+
+    Raises
+    ------
+    BadData
+        A synthetic label is not one of the recordings'.
+    """
+    labels = np.unique(recorded.labels)
+    strange = np.setdiff1d(synthetic.labels, labels)
+    if strange.size:
+        raise BadData(
+            f"label {strange[0]} of the scene must be one of the recordings' ({', '.join(labels)}), it is not; name "
+            "them alike in the manifest, or record it"
+        )
+    kept = thinned(synthetic.labels, recorded.labels, seed)
+    return Rows(
+        names=recorded.names,
+        features=np.concatenate([recorded.features, synthetic.features[kept]]),
+        labels=np.concatenate([recorded.labels, synthetic.labels[kept]]),
+        group=np.concatenate([recorded.group, np.full(int(kept.sum()), -1)]),
+        n_channels=recorded.n_channels,
+    )
+
+
+def adapted(rows: Rows) -> Rows:
+    """Return the rows with the levels of synthetic ones moved onto those of the others."""
+    synthetic = rows.group < 0
+    if not synthetic.any():
+        return rows
+    features = rows.features.copy()
+    features[synthetic] += shift(rows.names, features, rows.labels, synthetic)
+    return replace(rows, features=features)
+
+
+def shift(names: tuple[str, ...], features: Floats, labels: NDArray[np.str_], synthetic: NDArray[np.bool_]) -> Floats:
+    """Return what `adapted` adds to synthetic rows, (n_features,): 0 for features that are no level.
+
+    Raises
+    ------
+    BadData
+        Synthetic and recorded rows have no label in common.
+    """
+    both = np.intersect1d(labels[synthetic], labels[~synthetic])
+    if not both.size:
+        raise BadData(
+            f"scenes and recordings must have a label in common, got {', '.join(np.unique(labels[synthetic]))} and "
+            f"{', '.join(np.unique(labels[~synthetic]))}; name them alike in the manifest"
+        )
+    # Label by label, so that another mix of materials is not taken for another response.
+    differences = [
+        features[~synthetic & (labels == label)].mean(axis=0) - features[synthetic & (labels == label)].mean(axis=0)
+        for label in both
+    ]
+    return np.where([is_level(name) for name in names], np.mean(differences, axis=0), 0.0)
+
+
+def thinned(labels: NDArray[np.str_], recorded: NDArray[np.str_], seed: int) -> NDArray[np.bool_]:
+    """Return which synthetic rows are kept: at most `MOST_SYNTHETIC` for each recorded row of their label."""
+    order = np.random.default_rng(seed).permutation(len(labels))
+    kept = np.zeros(len(labels), bool)
+    for label in np.unique(recorded):
+        own = order[labels[order] == label]
+        kept[own[: MOST_SYNTHETIC * int(np.sum(recorded == label))]] = True
+    return kept

@@ -1,0 +1,324 @@
+"""Where blows begin in vibrations that ring on: the sudden rise of the energy in most bands.
+
+A struck beam goes on ringing for longer than the next rock takes to fall, and motors hum all the time, so no level of
+the signal tells a blow. What does is that energy comes within a millisecond in several frequency bands at once, while
+ringing only dies away and noise stays. In each of `BANDS` the energy of the coming 2 ms is divided by what was there
+in the 4 ms before, or by the noise of the band where that is more; the mean of the roots of these ratios, squared, is
+the rise. A root is used so that no single band decides: two modes that beat make one band swell, a blow most of them.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cgid.identification.events import Onset, Read
+from cgid.validation import Floats
+
+#: Sums of some energies need no more digits, and half the memory is nearly half the time.
+Singles = NDArray[np.float32]
+
+#: Energies are of windows of two hops, a hop apart [s]; a hop has so many samples at least,
+HOP_TIME, _SHORTEST_HOP = 0.5e-3, 8
+#: around these frequencies, as multiples of one over the window's length: 0.8 to 8 kHz with windows of 1 ms. Those
+#: above `HIGHEST` of the sampling rate are left out.
+BANDS = (0.8, 1.6, 2.4, 3.2, 4.0, 5.0, 6.0, 8.0)
+HIGHEST = 0.45
+#: A blow is where the rise passes this,
+RISE = 3.0
+#: and the energy is this many times that of the noise. White noise alone does not come there in ten minutes; at
+#: 10 kHz, where windows have few samples, it does two or three times.
+RISE_OVER_NOISE = 3.2
+#: Hops that are looked at from a place on, and before it with one hop between.
+_NOW, _BEFORE = 3, 8
+#: What a blow makes of the rise itself is over after so many hops: another blow within the dead time can be told then.
+_REACH = 8
+#: The noise of a band is the mean energy of windows of so many hops (20 ms, a period of the mains),
+_WINDOW_HOPS = 40
+#: of which every so many make a chunk;
+_CHUNK_WINDOWS = 10
+#: the one that this share of the latest windows (0.4 s) is below, for in most of the others something rings,
+_QUIET_SHARE, _WINDOWS_KEPT = 0.2, 20
+#: times this, what the mean of so many hops of white noise is over its lowest fifth.
+_QUIET_FACTOR = 1.2
+#: The first chunks wait until so many windows tell the noise.
+START_CHUNKS = 2
+#: What is this far below the most that was seen so far is rounding, not vibration.
+_ROUNDING = 1e-10
+#: Samples are kept within this, energies above this.
+_LARGEST, _TINY = np.float32(1e15), np.float32(1e-30)
+#: The event is over when its energy, over that of the noise, has fallen to this share of its highest, or to this.
+END_SHARE, END_OVER_NOISE = 0.01, 2.0
+#: The onset is looked for in differences of the signal at no more than this rate [Hz].
+_ONSET_RATE = 25_600.0
+
+
+class RingingOnsets:
+    """Blows in vibrations, channel by channel or in all together, from chunks of samples.
+
+    Parameters
+    ----------
+    sampling_rate : float
+        [Hz].
+    n_channels : int
+    dead_time : float
+        Of what rises within so long after a blow [s] nothing is a new one; 4 ms at least.
+    joint : bool
+        Whether a blow in one channel is one in all.
+
+    Attributes
+    ----------
+    hop : int
+        Samples from one window to the next.
+    chunk : int
+        Samples that are taken at once, or multiples of it; the first time `START_CHUNKS` at least.
+    lag : int
+        What begins so many samples before the end of what was taken may not be known yet.
+    """
+
+    def __init__(self, sampling_rate: float, n_channels: int, dead_time: float, joint: bool) -> None:
+        self.hop = max(round(HOP_TIME * sampling_rate), _SHORTEST_HOP)
+        self.chunk = _CHUNK_WINDOWS * _WINDOW_HOPS * self.hop
+        self.lag = 8 * self.hop
+        self._sampling_rate = sampling_rate
+        self._atoms = _atoms(self.hop).astype(np.float32)
+        self.n_bands = self._atoms.shape[1] // 4
+        self._dead = max(int(min(dead_time * sampling_rate / self.hop, 2.0**60)), _REACH)
+        self._joint = joint
+        self._n_hops = 0
+        self._offset: Floats | None = None
+        self._scale = np.zeros((n_channels, 1))
+        self._halves = np.zeros((n_channels, 2 * self.n_bands), np.float32)
+        self._energies = np.zeros((n_channels, _NOW + _BEFORE, self.n_bands), np.float32)
+        self._windows = np.zeros((n_channels, 0, self.n_bands), np.float32)
+        self._most = np.zeros((n_channels, 1, self.n_bands), np.float32)
+        self._rises = np.zeros((n_channels, 0), np.float32)
+        self._latest: list[tuple[int, Onset] | None] = [None] * (1 if joint else n_channels)
+
+    # -- energies -------------------------------------------------------------------------------------
+
+    def _scaled(self, samples: Floats) -> Singles:
+        """Return samples (n_channels, n) in single precision, about 1 in size.
+
+        Their zero is the first sample of each channel, their unit the largest of its first chunk that is not silent.
+        """
+        if self._offset is None:
+            self._offset = samples[:, :1].copy()
+        moved = samples - self._offset
+        for channel in np.flatnonzero(self._scale == 0):
+            highest = np.abs(moved[channel]).reshape(-1, self.chunk).max(axis=1)
+            for size in highest[highest > 0][:1]:
+                self._scale[channel] = 2.0 ** -np.clip(np.frexp(size)[1], -500, 500)
+        return _single(moved * self._scale)
+
+    def _energies_of(self, samples: Singles) -> Singles:
+        """Return the energies (n_channels, n_hops, n_bands) of the windows that end with each hop."""
+        n_channels, n_samples = samples.shape
+        # A window is two hops, so every hop is turned into the half of two windows at once. Products are of matrices of
+        # one size, whatever the number of chunks, for the order of sums depends on it.
+        hops = samples.reshape(n_channels, -1, _CHUNK_WINDOWS * _WINDOW_HOPS, self.hop)
+        halves = np.matmul(hops, self._atoms).reshape(n_channels, n_samples // self.hop, 4 * self.n_bands)
+        early, late = halves[..., : 2 * self.n_bands], halves[..., 2 * self.n_bands :]
+        late[:, 1:] += early[:, :-1]
+        late[:, 0] += self._halves
+        self._halves = early[:, -1].copy()
+        late *= late
+        energies: Singles = late[..., : self.n_bands] + late[..., self.n_bands :]
+        if self._n_hops == 0:
+            energies[:, 0] = energies[:, 1]  # there is nothing before the first hop
+        return energies
+
+    def _floors_of(self, energies: Singles, n_known: int) -> tuple[Singles, Singles]:
+        """Return what is noise and what only rounding in each chunk, both (n_channels, n_chunks, n_bands).
+
+        Of the hops only the first n_known are there.
+        """
+        n_channels, _, n_bands = energies.shape
+        means = _window_means(energies)
+        highest = means.reshape(n_channels, -1, _CHUNK_WINDOWS, n_bands).max(axis=2)
+        most = np.maximum.accumulate(np.concatenate([self._most, highest], axis=1), axis=1)
+        self._most = most[:, -1:]
+        n_kept = self._windows.shape[1]
+        means = means[:, : n_known // _WINDOW_HOPS]
+        if not n_kept and means.shape[1] < _CHUNK_WINDOWS:
+            # The recording is over before there are enough: shorter windows.
+            length = max(n_known // (2 * _CHUNK_WINDOWS), 1)
+            shorter = energies[:, : n_known // length * length]
+            means = shorter.reshape(n_channels, -1, length, n_bands).mean(axis=2)
+        windows = np.concatenate([self._windows, means], axis=1)
+        self._windows = windows[:, -_WINDOWS_KEPT:]
+        noise = np.empty_like(highest)
+        for number in range(noise.shape[1]):
+            stop = n_kept + _CHUNK_WINDOWS * (number + 1)
+            if not self._n_hops:
+                stop = max(stop, START_CHUNKS * _CHUNK_WINDOWS)
+            latest = windows[:, max(min(stop, windows.shape[1]) - _WINDOWS_KEPT, 0) : stop]
+            place = int(_QUIET_SHARE * latest.shape[1])
+            noise[:, number] = np.partition(latest, place, axis=1)[:, place]
+        return np.float32(_QUIET_FACTOR) * noise, np.float32(_ROUNDING) * most[:, 1:]
+
+    def _rises_of(self, energies: Singles, noise: Singles, rounding: Singles) -> Singles:
+        """Return the rise at each hop (n_channels, n_hops), three hops late: what is coming must have come."""
+        n_channels, n_hops, n_bands = energies.shape
+        joined = np.concatenate([self._energies, energies], axis=1)
+        self._energies = joined[:, n_hops:]
+        before = joined[:, :-1] + joined[:, 1:]
+        before = before[:, :-2] + before[:, 2:]
+        before = before[:, :n_hops] + before[:, 4 : n_hops + 4]
+        now = joined[:, 9 : n_hops + 9] + joined[:, 10 : n_hops + 10]
+        now += joined[:, 11:]
+        least = np.maximum(np.maximum(np.float32(RISE_OVER_NOISE / RISE) * noise, rounding), _TINY)
+        shape = (n_channels, noise.shape[1], -1, n_bands)
+        before = np.maximum(before.reshape(shape), np.float32(_BEFORE) * least[:, :, None])
+        ratio = now.reshape(shape)
+        ratio /= before
+        np.sqrt(ratio, out=ratio)
+        # Band by band: how numpy splits a sum depends on its shape.
+        rise = ratio[..., 0].copy()
+        for band in range(1, n_bands):
+            rise += ratio[..., band]
+        rise *= np.float32(np.sqrt(_BEFORE / _NOW) / n_bands)
+        rise *= rise
+        return np.asarray(rise.reshape(n_channels, n_hops))
+
+    # -- blows ----------------------------------------------------------------------------------------
+
+    def take(self, samples: Floats, read: Read, n_known: int | None = None) -> list[Onset]:
+        """Take the next chunks and return the blows that begin in them.
+
+        Parameters
+        ----------
+        samples : ndarray, (n_channels, k chunk)
+        read : callable
+            Returns the samples (n_channels, n) between two numbers, as far as they are there.
+        n_known : int, optional
+            With the last chunk: samples that are really there.
+        """
+        n_hops = samples.shape[1] // self.hop
+        known = n_hops if n_known is None else n_known // self.hop
+        if known == 0:
+            return []
+        energies = self._energies_of(self._scaled(samples))
+        noise, rounding = self._floors_of(energies, known)
+        rises = np.concatenate([self._rises, self._rises_of(energies, noise, rounding)], axis=1)
+        first = self._n_hops - self._rises.shape[1]
+        self._n_hops += n_hops
+        # A blow is placed where the rise is highest in three hops.
+        n_decided = rises.shape[1] - 2 if n_known is None else rises.shape[1] - n_hops + known
+        self._rises = rises[:, n_decided:]
+        rows = rises.max(axis=0, keepdims=True) if self._joint else rises
+        found = []
+        there = min(rises.shape[1], n_decided + (2 if n_known is None else 0))
+        for row in range(len(rows)):
+            for place in np.flatnonzero(rows[row, :n_decided] > RISE).tolist():
+                if not self._is_new(row, first + place):
+                    continue
+                top = place + int(np.argmax(rows[row, place : min(place + 3, there)]))
+                channel = int(np.argmax(rises[:, top])) if self._joint else row
+                # The chunk with which the place was decided.
+                chunk = (first + place + 2 - (self._n_hops - n_hops)) // (self.chunk // self.hop)
+                own = noise[channel, min(chunk, noise.shape[1] - 1)]
+                found.append(self._blow(row, channel, first + top, own, read))
+        return found
+
+    def _is_new(self, row: int, place: int) -> bool:
+        latest = self._latest[row]
+        if latest is None or place > latest[0] + self._dead:
+            return True
+        if place >= latest[0] + _REACH:
+            latest[1].again = latest[1].again or place * self.hop
+        return False
+
+    def _blow(self, row: int, channel: int, place: int, noise: Floats, read: Read) -> Onset:
+        start = max((place - 5) * self.hop, 0)
+        samples = read(start, place * self.hop)[channel]
+        sample = start + onset_in(samples, max(round(self._sampling_rate / _ONSET_RATE), 1))
+        latest = self._latest[row]
+        if latest is not None:
+            sample = max(sample, latest[1].sample + 1)
+        blow = Onset(row, channel, sample, noise=noise)
+        self._latest[row] = (place, blow)
+        return blow
+
+    def end_of(self, onset: Onset, samples: Floats) -> int:
+        """Return after how many of these samples (n,) from its onset on an event is over, -1 if it is not."""
+        n_hops = samples.size // self.hop
+        if n_hops < 2:
+            return -1
+        assert self._offset is not None
+        moved = (samples[: n_hops * self.hop] - self._offset[onset.channel]) * self._scale[onset.channel]
+        halves = np.clip(moved, -_LARGEST, _LARGEST).reshape(n_hops, self.hop) @ self._atoms
+        windows = halves[:-1, : 2 * self.n_bands] + halves[1:, 2 * self.n_bands :]
+        windows *= windows
+        energies = windows[:, : self.n_bands] + windows[:, self.n_bands :]
+        floor = np.maximum(onset.noise, np.maximum(_ROUNDING * energies.max(axis=0), _TINY))
+        level = energies @ (1 / floor)
+        smooth = np.convolve(level, np.full(4, 0.25 / self.n_bands))[: level.size]
+        top = int(np.argmax(smooth))
+        over = smooth[top:] < max(END_SHARE * smooth[top], END_OVER_NOISE)
+        place = int(np.argmax(over))
+        return max(top + place, 1) * self.hop if over[place] else -1
+
+
+def _single(samples: Floats) -> Singles:
+    """Return samples in single precision, what has no square there made smaller."""
+    with np.errstate(over="ignore"):
+        return np.clip(samples.astype(np.float32), -_LARGEST, _LARGEST)
+
+
+def _window_means(energies: Singles) -> Singles:
+    """Return the means (n_channels, n_windows, n_bands) of the energies (n_channels, n_hops, n_bands) of windows."""
+    n_channels, n_hops, n_bands = energies.shape
+    # Halves upon each other, which are long rows, until five hops are left: several times faster than numpy's mean.
+    sums = energies.reshape(n_channels, n_hops // _WINDOW_HOPS, _WINDOW_HOPS * n_bands)
+    while sums.shape[2] > 5 * n_bands:
+        half = sums.shape[2] // 2
+        sums = sums[..., :half] + sums[..., half:]
+    return np.asarray(sums.reshape(n_channels, -1, 5, n_bands).sum(axis=2) / np.float32(_WINDOW_HOPS))
+
+
+def _atoms(hop: int) -> Floats:
+    """Return what turns the samples of a hop into its share of the windows that begin and that end with it.
+
+    (hop, 4 n_bands): for a window's first half cosines and sines of all bands, then the same for its second. Constants
+    and slow curves, up to the second degree, have no energy at all.
+    """
+    length = 2 * hop
+    place = np.arange(length)
+    bands = np.array([band for band in BANDS if band <= HIGHEST * length])
+    turns = 2 * np.pi * np.outer(place, bands / length)
+    bell = np.hanning(length + 2)[1:-1, None]
+    waves = np.concatenate([bell * np.cos(turns), bell * np.sin(turns)], axis=1) / np.sqrt(np.sum(bell**2))
+    curves = np.linalg.qr(np.vander(np.linspace(-1, 1, length), 3))[0]
+    waves -= curves @ (curves.T @ waves)
+    return np.ascontiguousarray(np.concatenate([waves[:hop], waves[hop:]], axis=1))
+
+
+def onset_in(samples: Floats, width: int) -> int:
+    """Return where in the samples (n,) a vibration begins: where one variance, before, becomes another.
+
+    The place that makes the differences of the samples most likely as two stretches of noise: Akaike's criterion, after
+    Maeda, "A method for reading and checking phase times in autoprocessing system of seismic wave data", Zisin 38
+    (1985).
+
+    Parameters
+    ----------
+    samples : ndarray, (n,)
+    width : int
+        So many samples are averaged before their difference is taken.
+    """
+    if width > 1:
+        sums = np.append(0.0, np.cumsum(samples - samples[:1]))
+        averages = (sums[width:] - sums[:-width]) / width
+        differences, behind = averages[width:] - averages[:-width], width
+    else:
+        differences, behind = np.diff(samples), 1
+    n = differences.size
+    if n < 8:
+        return 0
+    energy = np.cumsum(differences**2)
+    count = np.arange(2, n - 2)
+    least = max(energy[-1] * _ROUNDING, np.finfo(np.float64).tiny)
+    early = np.maximum(energy[count - 1], least) / count
+    late = np.maximum(energy[-1] - energy[count - 1], least) / (n - count)
+    return int(count[np.argmin(count * np.log(early) + (n - count) * np.log(late))]) + behind

@@ -1,0 +1,384 @@
+"""Features of impacts and windows: their names, whether a signal allows them, and their values.
+
+`FEATURES` is the table of all features by name; `cgid.measure.table` says how to add one. Only the features asked for
+are built and computed, and each measurement that they share is made once.
+"""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Callable, Iterable, Mapping
+from functools import partial
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from cgid import validation
+from cgid.counting import count
+from cgid.errors import BadData, InvalidValue
+from cgid.measure.filters import Equalisation
+from cgid.measure.frames import DETECTION_LIMIT, frames_of
+from cgid.measure.pulses import FAINT, PULSE_FEATURES, PulseBatch
+from cgid.measure.table import Feature, ImpactKind, Kind, Table
+from cgid.measure.vibration import VIBRATION_FEATURES, VibrationBatch
+from cgid.measure.windows import WINDOW_FEATURES, WindowBatch
+from cgid.validation import Floats, require_rate
+
+if TYPE_CHECKING:
+    import pandas
+
+#: Samples, and rows, measured at once: enough to share the overhead of the fit, few enough for flat memory.
+_SAMPLES, _ROWS = 1 << 21, 1024
+#: Samples of windows measured at once: their overlapping frames stay in the processor's cache.
+_WINDOWED_SAMPLES = 1 << 17
+#: How far windows reach after touch, in contact durations and in samples: that of the quantities read off the samples
+#: (the run above 10 % once more), and that of the fit (its coarse window is at least 48 samples long).
+_READ, _FITTED = (2.0, 6), (2.25, 54)
+#: Signals by kind.
+Batches = Mapping[Kind, PulseBatch | VibrationBatch | WindowBatch]
+
+#: Every feature by name, in the order of the columns.
+FEATURES = Table((*PULSE_FEATURES, *VIBRATION_FEATURES, *WINDOW_FEATURES))
+#: Quantities that swing about zero when a structure is struck (a level is that of a sound file); others are pulses.
+SWINGING = ("acceleration", "velocity", "displacement", "pressure", "level")
+
+
+# -- names --------------------------------------------------------------------------------------------
+
+
+def kind_for(quantity: str | None) -> ImpactKind:
+    """Return what an impact looks like in a signal of this quantity, by default."""
+    return "vibration" if quantity in SWINGING else "pulse"
+
+
+def kind_of(features: Iterable[str]) -> Kind:
+    """Return what kind of signal these features are measured on."""
+    kinds = {FEATURES[name].kind for name in features}
+    kind: Kind
+    for kind in ("window", "vibration"):
+        if kind in kinds:
+            return kind
+    return "pulse"
+
+
+def choose(features: Iterable[str] | None, kind: Kind = "pulse") -> tuple[str, ...]:
+    """Return the names of features in their order; for None all of the kind that need no extra.
+
+    The name of a bank, such as `mel_*_hz`, stands for all of its columns.
+
+    Raises
+    ------
+    InvalidValue
+        A name is unknown or given twice, or there is none.
+
+    Examples
+    --------
+    >>> choose(["level_total", "early_level_*_hz"])[:3]
+    ('level_total', 'early_level_0_500_hz', 'early_level_500_1000_hz')
+    """
+    if features is None:
+        return FEATURES.names(kind)
+    given = (features,) if isinstance(features, str) else tuple(features)
+    names = tuple(name for entry in given for name in FEATURES.expand(entry))
+    for name in names:
+        require_known(name)
+    if not names or len(set(names)) != len(names):
+        raise InvalidValue(f"features must be named once each, and at least one, got {', '.join(names) or 'none'}")
+    return names
+
+
+def require_known(name: str) -> None:
+    """Raise `InvalidValue` unless there is such a feature; the message lists similar names."""
+    if not isinstance(name, str) or name not in FEATURES:
+        similar = difflib.get_close_matches(str(name)[:80], FEATURES, n=5, cutoff=0.3)
+        raise InvalidValue(
+            f"feature must be one of the {len(FEATURES)} that `cgid features --list` prints, got {name!r}; most "
+            f"like it are {', '.join(similar) or 'none'}"
+        )
+
+
+def supported(features: Iterable[str], sampling_rate: float, n_samples: int) -> tuple[str, ...]:
+    """Return the features that can be measured at a sampling rate [Hz] on frames of `n_samples` samples."""
+    return tuple(name for name in features if not _lack(FEATURES[name], sampling_rate, n_samples))
+
+
+def require_supported(names: Iterable[str], sampling_rate: float, n_samples: int) -> None:
+    """Raise `InvalidValue` for a feature that needs another sampling rate [Hz] or longer frames."""
+    for name in names:
+        lack = _lack(FEATURES[name], sampling_rate, n_samples)
+        if lack:
+            raise InvalidValue(f"feature {name} {lack}, or leave it out")
+
+
+def _lack(feature: Feature, sampling_rate: float, n_samples: int) -> str:
+    """Return what a feature needs and the signal lacks; empty when it lacks nothing."""
+    if sampling_rate < 2 * feature.highest_frequency:
+        # Rounded up, so that the cure works.
+        needed = np.ceil(2 * feature.highest_frequency)
+        return f"needs a sampling_rate of {needed:.0f} Hz or more, got {sampling_rate:g} Hz: sample faster"
+    if n_samples < feature.shortest_frame * sampling_rate:
+        needed = np.ceil(feature.shortest_frame * sampling_rate)
+        return (
+            f"needs frames of {needed:.0f} samples or more at {sampling_rate:g} Hz to tell its band from the "
+            f"next, got {n_samples}: record longer"
+        )
+    return ""
+
+
+# -- values -------------------------------------------------------------------------------------------
+
+
+def extract(
+    samples: ArrayLike,
+    sampling_rate: float,
+    features: Iterable[str] | None = None,
+    *,
+    pre_trigger: int | None = None,
+    remove_baseline: bool = True,
+    invalid: Literal["raise", "nan"] = "raise",
+) -> pandas.DataFrame:
+    """Return the features of single impacts, one row per signal.
+
+    Parameters
+    ----------
+    samples : array_like, (n_samples,) or (n_signals, n_samples)
+        One positive pulse per row, or one vibration for the features of vibrations.
+    sampling_rate : float
+        [Hz].
+    features : iterable of str, optional
+        Names of features or banks; all features of pulses by default. Only these are computed.
+    pre_trigger : int, optional
+        Samples before touch; baseline and noise are their mean and standard deviation. By default every
+        sample up to the foot of the pulse (1 % of the way from the first samples to the largest).
+    remove_baseline : bool
+        Whether the baseline is subtracted before anything is measured.
+    invalid : {"raise", "nan"}
+        What to do with a signal that cannot be measured; a sample that is not finite is always an error.
+
+    Returns
+    -------
+    pandas.DataFrame, (n_signals, n_features)
+        The units are in `FEATURES`.
+
+    Raises
+    ------
+    BadData
+        A signal has no impact, is cut off, has too few samples on the pulse, or is not finite.
+    InvalidValue
+        A feature is unknown or needs another sampling rate or longer frames, or a number breaks its rule.
+
+    Examples
+    --------
+    >>> t = np.arange(300) / 1e5
+    >>> pulse = 800 * np.sin(np.pi * np.clip((t - 1e-3) / 1e-3, 0, 1)) ** 1.5
+    >>> extract(pulse, 1e5, ["peak_force", "contact_duration"]).round(5).values.tolist()
+    [[800.0, 0.001]]
+    """
+    import pandas
+
+    names = choose(features)
+    values = extract_array(
+        samples, sampling_rate, names, pre_trigger=pre_trigger, remove_baseline=remove_baseline, invalid=invalid
+    )
+    return pandas.DataFrame(values, columns=list(names))
+
+
+def extract_array(
+    samples: ArrayLike,
+    sampling_rate: float,
+    features: Iterable[str] | None = None,
+    *,
+    pre_trigger: int | None = None,
+    remove_baseline: bool = True,
+    invalid: Literal["raise", "nan"] = "raise",
+    detection_limit: float = DETECTION_LIMIT,
+    equalisation: Equalisation | None = None,
+) -> Floats:
+    """Return features as plain numbers, without pandas; as `extract`.
+
+    Parameters
+    ----------
+    samples, sampling_rate, features, pre_trigger, remove_baseline, invalid
+        As in `extract`.
+    detection_limit : float
+        A peak must exceed this many standard deviations of the noise before touch; lower for an impact that was
+        found in a recording by other means.
+    equalisation : Equalisation, optional
+        Correction of the sensor's response, applied before anything is measured.
+
+    Returns
+    -------
+    ndarray, (n_signals, n_features)
+        In the order of `features`.
+    """
+    names = choose(features)
+    frames, rate = frames_of(samples, pre_trigger), require_rate(sampling_rate)
+    validation.choice("invalid", invalid, ("raise", "nan"))
+    require_supported(names, rate, frames.shape[1])
+    if equalisation is not None and kind_of(names) == "pulse":
+        raise InvalidValue("equalisation must be of vibrations or windows, got features of pulses: leave it out")
+    out = np.full((len(frames), len(names)), np.nan)
+    most = _WINDOWED_SAMPLES if kind_of(names) == "window" else _SAMPLES
+    n_rows = max(min(most // frames.shape[1], _ROWS), 1)
+    make = partial(
+        _batches,
+        sampling_rate=rate,
+        names=names,
+        pre_trigger=pre_trigger,
+        remove_baseline=remove_baseline,
+        detection_limit=detection_limit,
+    )
+    for first in range(0, len(frames), n_rows):
+        part = frames[first : first + n_rows]
+        if equalisation is not None:
+            part = equalisation.apply(part, rate)
+        found, sound, batches = _sound(part, names, make)
+        if found and invalid == "raise":
+            _raise_first(found, first, len(part), len(frames))
+        out[first + sound] = _measured(batches, names, sound.size)
+    return out
+
+
+def problems_of(
+    frames: NDArray[np.floating],
+    sampling_rate: float,
+    names: Iterable[str],
+    *,
+    pre_trigger: int | None = None,
+    detection_limit: float = DETECTION_LIMIT,
+) -> dict[int, str]:
+    """Return why rows of frames (n_signals, n_samples) cannot be measured: the broken rule, the value and the cure."""
+    names = tuple(names)
+    return _problems(_batches(frames, sampling_rate, names, pre_trigger, True, detection_limit), names)
+
+
+def _sound(
+    frames: NDArray[np.floating], names: tuple[str, ...], make: Callable[[NDArray[np.floating]], Batches]
+) -> tuple[dict[int, str], NDArray[np.intp], Batches]:
+    """Return the problems of the rows that cannot be measured, the other rows, and the batches of these."""
+    batches = make(frames)
+    found = _problems(batches, names)
+    sound = np.setdiff1d(np.arange(len(frames)), list(found))
+    return found, sound, make(frames[sound]) if found else batches
+
+
+def _measured(batches: Batches, names: tuple[str, ...], n_signals: int) -> Floats:
+    """Return the features of signals that can be measured, (n_signals, n_features)."""
+    count("features", n_signals * len(names))
+    if not n_signals:
+        return np.empty((0, len(names)))
+    features = [FEATURES[name] for name in names]
+    return np.stack([feature.measure(batches[feature.kind]) for feature in features], axis=1)
+
+
+def _batches(
+    frames: NDArray[np.floating],
+    sampling_rate: float,
+    names: Iterable[str],
+    pre_trigger: int | None,
+    remove_baseline: bool,
+    detection_limit: float,
+) -> Batches:
+    how = (frames, sampling_rate, pre_trigger, remove_baseline, detection_limit)
+    batches: dict[Kind, PulseBatch | VibrationBatch | WindowBatch] = {}
+    for kind in {FEATURES[name].kind for name in names}:
+        if kind == "window":  # has no touch
+            batches[kind] = WindowBatch(frames, sampling_rate, remove_baseline)
+        else:
+            batches[kind] = PulseBatch(*how) if kind == "pulse" else VibrationBatch(*how)
+    return batches
+
+
+def _problems(batches: Batches, names: Iterable[str]) -> dict[int, str]:
+    """Return why rows cannot be measured: a fit demands less of a pulse than quantities read off the samples."""
+    found: dict[int, str] = {}
+    fitted = {FEATURES[name].fitted for name in names if FEATURES[name].kind == "pulse"}
+    for batch in batches.values():
+        if isinstance(batch, PulseBatch) and True in fitted:
+            found |= batch.fit_problems()
+        if not isinstance(batch, PulseBatch) or False in fitted:
+            found |= batch.problems()
+    return found
+
+
+def _raise_first(found: dict[int, str], first_row: int, n_rows: int, n_signals: int) -> None:
+    """Raise `BadData` for the first row that cannot be measured; their numbers begin at `first_row`."""
+    row, last_row = min(found), first_row + n_rows - 1
+    where = f"signal {first_row + row}: " if n_signals > 1 else ""
+    more = f" ({len(found)} of signals {first_row} to {last_row} cannot be measured)" if len(found) > 1 else ""
+    raise BadData(f"{where}{found[row]}{more}")
+
+
+# -- truncated frames ---------------------------------------------------------------------------------
+
+
+def allow_truncation(names: Iterable[str]) -> bool:
+    """Return whether none of these features depends on samples far from the pulse."""
+    return not any(FEATURES[name].whole_frame for name in names)
+
+
+def samples_needed(names: Iterable[str], touch: Floats, duration: Floats) -> NDArray[np.intp]:
+    """Return the length of a truncated frame that holds all windows of typical pulses, (n,).
+
+    Parameters
+    ----------
+    names : iterable of str
+        The features.
+    touch, duration : ndarray, (n,)
+        Of the contact [samples].
+    """
+    contacts, more = _FITTED if any(FEATURES[name].fitted for name in names) else _READ
+    return np.ceil(touch + contacts * duration + more).astype(np.intp)
+
+
+def extract_truncated(
+    samples: NDArray[np.floating],
+    sampling_rate: float,
+    names: tuple[str, ...],
+    pre_trigger: int,
+    highest_after: Floats,
+) -> tuple[Floats, NDArray[np.bool_]]:
+    """Return the features of pulses in truncated frames, and where they are certain.
+
+    The peak is the largest sample of the whole frame; all else comes from windows around the pulse. So the features of
+    a truncated frame are those of the whole frame, to the last bit, if no later sample can exceed its peak and no
+    window extends past its end. Both are checked for each signal; elsewhere the whole frame is needed.
+
+    Parameters
+    ----------
+    samples : ndarray, (n_signals, n_truncated)
+    sampling_rate : float
+        [Hz].
+    names : tuple of str
+        Features of pulses.
+    pre_trigger : int
+        Samples before touch.
+    highest_after : ndarray, (n_signals,)
+        Upper bound of the missing samples.
+
+    Returns
+    -------
+    ndarray, (n_signals, n_features)
+        nan where nothing can be measured.
+    ndarray of bool, (n_signals,)
+        Where the whole frame gives the same numbers; False where nothing can be measured.
+    """
+    table, certain = np.full((len(samples), len(names)), np.nan), np.zeros(len(samples), bool)
+    pulses = PulseBatch(samples, sampling_rate, pre_trigger)
+    sound = np.setdiff1d(np.arange(len(samples)), list(_problems({"pulse": pulses}, names)))
+    if sound.size < len(samples):
+        pulses = PulseBatch(samples[sound], sampling_rate, pre_trigger)
+    table[sound] = _measured({"pulse": pulses}, names, sound.size)
+    if sound.size:
+        certain[sound] = _certain(pulses, names, highest_after[sound])
+    return table, certain
+
+
+def _certain(pulses: PulseBatch, names: tuple[str, ...], highest_after: Floats) -> NDArray[np.bool_]:
+    n_samples = pulses.samples.shape[1]
+    certain = (pulses.peak + pulses.offset > highest_after) & (pulses.window_reach < n_samples)
+    if any(FEATURES[name].fitted for name in names):
+        # A faint pulse is searched for in the whole frame.
+        certain &= (pulses.peak >= FAINT * pulses.noise) & (pulses.fit.reach < n_samples)
+    return np.asarray(certain & allow_truncation(names))

@@ -1,0 +1,530 @@
+"""The statistical bound: how well any unbiased estimate can know a pulse's parameters (Rao 1945, Cramer 1946).
+
+The likelihood of a pulse along its shape: what the samples say of e once everything else fits best.
+
+Given the shape, peak, duration and onset are well told and their likelihood is near a Gaussian one; along the shape it
+may be skewed or have two tops. So the shape gets a grid, evenly spaced where the shape is told equally well everywhere,
+and the rest Laplace's approximation at each node.
+
+What is known of a pulse before it is measured: the density of its peak, duration and shape in a population.
+
+With the shape taken out, peak and duration are the scales of an impact, `P0 = K L^(3/2)` and `T0 = L / v`: they follow
+from size, material and speed and know nothing of the loss, so their density and that of the shape are held apart. Both
+are smoothed histograms of draws.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cache
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from cgid import family, validation
+from cgid.errors import InvalidValue
+from cgid.measure.filters import low_pass_response, mixing_matrix
+from cgid.measure.fit import Problem, PulseFit, windows
+from cgid.measure.template import (
+    HIGHEST_SHAPE,
+    LOWEST_SHAPE,
+    PARAMETERS,
+    covariance_of,
+    parameters_of,
+    pulse_and_slopes,
+    relative_times,
+    shape_deviation,
+)
+from cgid.validation import Floats, rates
+
+#: Impacts treated at once, at most, and their samples.
+_ROWS, _SAMPLES = 64, 1 << 20
+#: Most samples of a contact: with more of them the bound only falls with their root.
+MOST_SAMPLES = 1_000_000
+#: The band-limited pulse is followed this many contact durations beyond touch and separation.
+_RINGING = 1.0
+
+
+@dataclass(frozen=True)
+class Bound:
+    """The Cramer-Rao bound.
+
+    Attributes
+    ----------
+    covariance : ndarray, (..., 5, 5)
+        Of ln(peak), ln(contact duration), onset [s], ln(restitution), baseline over peak; zero where known.
+    restitution : ndarray, (...)
+        That of the pulse.
+    """
+
+    covariance: Floats
+    restitution: Floats
+
+    def _deviation(self, name: str) -> Floats:
+        place = PARAMETERS.index(name)
+        return np.sqrt(self.covariance[..., place, place])
+
+    @property
+    def peak_deviation(self) -> Floats:
+        """Smallest standard deviation of the peak, over the peak."""
+        return self._deviation("ln_peak")
+
+    @property
+    def duration_deviation(self) -> Floats:
+        """Smallest standard deviation of the contact duration, over the contact duration."""
+        return self._deviation("ln_duration")
+
+    @property
+    def onset_deviation(self) -> Floats:
+        """Smallest standard deviation of the time of touch [s]."""
+        return self._deviation("onset")
+
+    @property
+    def restitution_deviation(self) -> Floats:
+        """Smallest standard deviation of the restitution."""
+        return np.asarray(self.restitution * self._deviation("shape"))
+
+
+def cramer_rao_bound(
+    contact_duration: ArrayLike,
+    restitution: ArrayLike,
+    noise: ArrayLike,
+    sampling_rate: ArrayLike,
+    *,
+    bandwidth: float | None = None,
+    onset_known: bool = False,
+    fit_baseline: bool = False,
+    onset: ArrayLike = 0.5,
+) -> Bound:
+    """Return the bound of the parameters of a damped-Hertz pulse in white noise.
+
+    Parameters
+    ----------
+    contact_duration : array_like
+        [s].
+    restitution : array_like
+        Within .05 and 20; above 1 a pulse that leans the other way.
+    noise : array_like
+        Standard deviation of a sample over the peak.
+    sampling_rate : array_like
+        [Hz]; `contact_duration * sampling_rate` are the samples in contact, at most `MOST_SAMPLES`.
+    bandwidth : float, optional
+        Edge of the sensor's low-pass [Hz], as in `cgid.scene.Sensor`; the noise comes behind it, white. Then the
+        sampling rate must be one number.
+    onset_known : bool
+        Whether the time of touch is known.
+    fit_baseline : bool
+        Whether a constant beside the pulse is unknown, too; it is judged on the samples in contact alone.
+    onset : array_like
+        Where touch lies between two samples, 0 to 1.
+
+    Returns
+    -------
+    Bound
+        Of the common shape of the parameters. Infinite where there are fewer samples than unknowns.
+
+    Raises
+    ------
+    InvalidValue
+        A number breaks its rule.
+
+    Examples
+    --------
+    30 samples in contact and 2 % noise:
+
+    >>> bound = cramer_rao_bound(150e-6, [0.35, 0.65], 0.02, 200e3)
+    >>> bound.restitution_deviation.round(3).tolist()
+    [0.072, 0.016]
+    """
+    duration, e, level, rate, phase = validation.broadcast(
+        contact_duration=validation.positive("contact_duration", contact_duration, "s"),
+        restitution=validation.positive("restitution", restitution),
+        noise=validation.positive("noise", noise),
+        sampling_rate=rates("sampling_rate", sampling_rate),
+        onset=validation.between("onset", onset, 0, 1),
+    )
+    s = np.log(e).ravel()
+    if not ((s >= LOWEST_SHAPE - 1e-12) & (s <= HIGHEST_SHAPE + 1e-12)).all():
+        low, high = np.exp(LOWEST_SHAPE), np.exp(HIGHEST_SHAPE)
+        raise InvalidValue(f"restitution must lie between {low:g} and {high:g}, got {e.min():g} to {e.max():g}")
+    response = None
+    if bandwidth is not None:
+        if np.ptp(rate) > 0:
+            raise InvalidValue("sampling_rate must be one number when there is a bandwidth; ask for each rate apart")
+        response = low_pass_response(float(rate.flat[0]), bandwidth)
+    samples = (duration * rate).ravel()
+    if (samples > MOST_SAMPLES).any():
+        raise InvalidValue(
+            f"contact_duration must be at most {MOST_SAMPLES} samples, got {samples.max():g} "
+            f"({duration.max():g} s); give it in seconds, or lower the sampling rate"
+        )
+    covariance = np.empty((s.size, 5, 5))
+    order = np.argsort(samples)
+    together = int(np.clip(_SAMPLES / samples.max(initial=1.0), 1, _ROWS))
+    for first in range(0, s.size, together):
+        rows = order[first : first + together]
+        covariance[rows] = _covariance(samples[rows], s[rows], phase.ravel()[rows], response, onset_known, fit_baseline)
+    covariance *= (level.ravel() ** 2)[:, None, None]
+    covariance[:, 2] /= rate.ravel()[:, None]
+    covariance[:, :, 2] /= rate.ravel()[:, None]
+    return Bound(covariance.reshape(*e.shape, 5, 5), e)
+
+
+def _covariance(
+    samples: Floats, shape: Floats, phase: Floats, response: Floats | None, onset_known: bool, fit_baseline: bool
+) -> Floats:
+    """Return the covariance of pulses of peak 1 in noise of deviation 1, times in samples."""
+    width = samples / relative_times(shape)[0]
+    parameters = parameters_of(np.ones_like(shape), width, phase, shape)
+    margin = 1 if response is None else int(_RINGING * samples.max()) + len(response)
+    times = np.arange(-margin, int(samples.max()) + margin + 3, dtype=np.float64)
+    mixing = None if response is None else mixing_matrix(response, times.size)
+    _, slopes = pulse_and_slopes(
+        parameters, np.broadcast_to(times, (len(shape), times.size)), onset_known, fit_baseline
+    )
+    if mixing is not None:
+        slopes = slopes @ mixing
+    if fit_baseline:
+        # Samples in contact alone: how many there are beside it is no matter of the pulse.
+        slopes = slopes * ((times > phase[:, None]) & (times < (phase + samples)[:, None]))[:, None]
+    information = np.matmul(slopes, np.swapaxes(slopes, 1, 2))
+    with np.errstate(all="ignore"):
+        covariance = covariance_of(information, parameters, onset_known, fit_baseline)
+    enough = np.ceil(phase + samples) - np.floor(phase) - 1 >= information.shape[1]
+    return np.where(enough[:, None, None] if response is None else True, covariance, np.inf)
+
+
+#: How far the grid reaches, in standard deviations of the stabilised shape.
+_REACH = 6.5
+_ITERATIONS = 5
+#: Rows treated at once.
+_PROFILED_ROWS = 256
+
+
+@dataclass(frozen=True)
+class Profile:
+    """The likelihood of some pulses on grids of the shape.
+
+    Attributes
+    ----------
+    shape : ndarray, (n, n_nodes)
+        s = ln e at the nodes.
+    log_weight : ndarray, (n, n_nodes)
+        Logarithm of the integral over peak, duration and onset of the likelihood, times the width of the node in s, but
+        for a constant of the row.
+    log_peak, log_duration : ndarray, (n, n_nodes)
+        The most likely ones there; duration in samples.
+    """
+
+    shape: Floats
+    log_weight: Floats
+    log_peak: Floats
+    log_duration: Floats
+
+
+@cache
+def _stabilised() -> tuple[Floats, Floats]:
+    """Return shapes, and the coordinate in which their standard deviation is the same everywhere."""
+    shapes = np.linspace(LOWEST_SHAPE, HIGHEST_SHAPE, 2001)
+    slope = np.exp(-shape_deviation(shapes)[0])
+    return shapes, np.concatenate([[0.0], np.cumsum(0.5 * (slope[1:] + slope[:-1]) * np.diff(shapes))])
+
+
+def profile(
+    samples: NDArray[np.floating],
+    fit: PulseFit,
+    noise: Floats,
+    *,
+    lowest: float = LOWEST_SHAPE,
+    highest: float = HIGHEST_SHAPE,
+    n_nodes: int = 33,
+    offset: Floats | None = None,
+    n_quiet: Floats | None = None,
+    onset: Floats | None = None,
+    onset_between: tuple[float, float] | None = None,
+    clip_level: Floats | None = None,
+    response: Floats | None = None,
+) -> Profile:
+    """Return the likelihood along the shape.
+
+    Parameters
+    ----------
+    samples : ndarray, (n, n_samples)
+    fit : PulseFit
+        Of these samples.
+    noise : ndarray, (n,)
+        Standard deviation, above 0.
+    lowest, highest : float
+        Bounds of the shape: beyond them the prior is zero.
+    n_nodes : int
+    offset, clip_level, response
+        As in `fit_pulses`.
+    n_quiet : ndarray, (n,), optional
+        Of how many samples the offset is the mean: it is uncertain by so much. None where it is certain.
+    onset : ndarray, (n,), optional
+        Time of touch [samples], where it is known.
+    onset_between : tuple of float, optional
+        Between what times [samples] every time of touch is as likely, and no other; everywhere if not given.
+    """
+    shapes = _grid(fit, noise, lowest, highest, n_nodes)
+    out = Profile(shapes, *(np.empty(shapes.shape) for _ in range(3)))
+    for first in range(0, len(samples), _PROFILED_ROWS):
+        block = slice(first, first + _PROFILED_ROWS)
+        guess = parameters_of(fit.peak[block], fit.width[block], fit.onset[block], fit.shape[block])
+        own_offset = None if offset is None else offset[block]
+        own_limit = None if clip_level is None else clip_level[block]
+        # As long as the pulse would be at the lowest shape: a tail that is cut off says nothing against it.
+        longest = guess.copy()
+        longest[:, 3] = shapes[block, 0]
+        for window in windows(samples[block], longest, own_offset, own_limit, averaged=response is None):
+            rows = first + window.rows
+            problem = Problem(window, n_quiet is not None, None if onset is None else onset[rows], response)
+            sigma = noise[rows] / np.sqrt(window.averaged)
+            hold = None if n_quiet is None else n_quiet[rows] / window.averaged
+            for node in range(n_nodes):
+                found = _at(problem, guess[window.rows], shapes[rows, node], sigma, hold, onset_between)
+                for held, value in zip((out.log_weight, out.log_peak, out.log_duration), found, strict=True):
+                    held[rows, node] = value
+    widths = np.gradient(shapes, axis=1) if n_nodes > 1 else np.ones_like(shapes)
+    with np.errstate(divide="ignore"):
+        log_weight = out.log_weight + np.log(np.maximum(widths, 0.0))
+    return Profile(shapes, log_weight, out.log_peak, out.log_duration)
+
+
+def _grid(fit: PulseFit, noise: Floats, lowest: float, highest: float, n_nodes: int) -> Floats:
+    """Return nodes around the fitted shape, evenly spaced in the stabilised coordinate, within the bounds."""
+    shapes, coordinate = _stabilised()
+    middle = np.interp(fit.shape, shapes, coordinate)
+    reach = _REACH * noise / np.abs(fit.peak) / np.sqrt(fit.width)
+    low, high = (np.interp(bound, shapes, coordinate) for bound in (lowest, highest))
+    start = np.clip(middle - reach, low, high)
+    stop = np.clip(middle + reach, low, high)
+    # A shape far beyond the bounds leaves nothing: then the grid lies along the nearer one.
+    short = stop - start < 0.5 * reach
+    start = np.where(short, np.clip(start - reach, low, high), start)
+    stop = np.where(short, np.clip(stop + reach, low, high), stop)
+    share = (np.arange(n_nodes) + 0.5) / n_nodes
+    return np.interp(start[:, None] + (stop - start)[:, None] * share, coordinate, shapes)
+
+
+def _at(
+    problem: Problem,
+    guess: Floats,
+    shape: Floats,
+    sigma: Floats,
+    hold: Floats | None,
+    onset_between: tuple[float, float] | None,
+) -> tuple[Floats, Floats, Floats]:
+    """Return log of the integrated likelihood, ln peak and ln duration at given shapes.
+
+    `hold` are the points that the baseline was the mean of before.
+    """
+    parameters = guess.copy()
+    parameters[:, 3] = shape
+    parameters = problem.tied(parameters)
+    kept = [k for k, column in enumerate(problem.free) if column != 3]
+    columns = [problem.free[k] for k in kept]
+    for iteration in range(_ITERATIONS):
+        residual, slopes = problem.residual(parameters, slice(None))
+        slopes = slopes[:, kept]
+        information = np.matmul(slopes, np.swapaxes(slopes, 1, 2))
+        if hold is not None:
+            information[:, -1, -1] += hold
+        if iteration == _ITERATIONS - 1:
+            break
+        gradient = np.matmul(slopes, residual[..., None])
+        if hold is not None:
+            gradient[:, -1, 0] -= hold * parameters[:, 4]
+        scale = np.sqrt(np.maximum(np.einsum("nii->ni", information), 1e-300))
+        unit = information / (scale[:, :, None] * scale[:, None, :]) + 1e-6 * np.eye(len(kept))
+        step = np.linalg.solve(unit, gradient / scale[..., None])[..., 0] / scale
+        parameters[:, 0] = np.maximum(parameters[:, 0] + step[:, 0], 0.2 * parameters[:, 0])
+        width = np.exp(parameters[:, 1])
+        parameters[:, 1] += np.clip(step[:, 1], -0.4, 0.4)
+        if 2 in columns:
+            parameters[:, 2] += np.clip(step[:, 2], -0.5 * width, 0.5 * width)
+        if hold is not None:
+            parameters[:, 4] += step[:, -1]
+        parameters = problem.tied(parameters)
+    duration, lead, _, _ = relative_times(shape)
+    log_peak = np.log(parameters[:, 0])
+    # In ln(peak), ln(duration) and, at this shape, the place, whose step is that of the onset.
+    sign, determinant = np.linalg.slogdet(information / sigma[:, None, None] ** 2)
+    squared = np.sum(residual**2, axis=1) + (0.0 if hold is None else hold * parameters[:, 4] ** 2)
+    log_likelihood = -0.5 * squared / sigma**2 - 0.5 * (determinant + 2 * log_peak)
+    if onset_between is not None:
+        log_likelihood += _log_inside(parameters, lead, information / sigma[:, None, None] ** 2, onset_between)
+    # Where the samples do not tell all parameters the fit lies beside the pulse.
+    log_likelihood = np.where((sign > 0) & np.isfinite(log_likelihood), log_likelihood, -np.inf)
+    return log_likelihood, log_peak, parameters[:, 1] + np.log(duration)
+
+
+def _log_inside(parameters: Floats, lead: Floats, information: Floats, between: tuple[float, float]) -> Floats:
+    """Return the logarithm of the probability that touch lies between two times, its likelihood being Gaussian."""
+    width = np.exp(parameters[:, 1])
+    onset = parameters[:, 2] - lead * width
+    # Of (peak, ln width, place, ...): touch moves with the width and the place.
+    slope = np.zeros(information.shape[:2])
+    slope[:, 1], slope[:, 2] = -lead * width, 1.0
+    scale = np.sqrt(np.maximum(np.einsum("nii->ni", information), 1e-300))
+    unit = information / (scale[:, :, None] * scale[:, None, :]) + 1e-12 * np.eye(information.shape[1])
+    spread = np.linalg.solve(unit, (slope / scale)[..., None])[..., 0] / scale
+    deviation = np.sqrt(np.maximum(np.sum(slope * spread, axis=1), 1e-300))
+    low, high = ((bound - onset) / deviation for bound in between)
+    return np.asarray(np.log(np.maximum(0.5 * (_erf(high / np.sqrt(2)) - _erf(low / np.sqrt(2))), 1e-300)))
+
+
+_erf = np.vectorize(math.erf, otypes=[np.float64])
+
+
+#: Cells of the histograms, and the standard deviation of the smoothing in cells.
+_CELLS, _SMOOTHING = 240, 1.2
+#: A density below this share of the largest is taken as this: draws are no proof that something is impossible.
+_FLOOR = 1e-9
+
+
+@dataclass(frozen=True)
+class Prior:
+    """Density of the pulses of one population.
+
+    Attributes
+    ----------
+    log_scales : ndarray, (n_cells, n_cells)
+        Logarithm of the density of (ln P0 - 2 ln T0, ln T0): the first is free of the size of the rock.
+    scale_edges : tuple of ndarray
+        First edge and width of the cells, each (2,).
+    log_shape : ndarray, (n_cells,)
+        Logarithm of the density of s = ln e.
+    shape_edges : tuple of float
+        First edge and width of the cells.
+    """
+
+    log_scales: Floats
+    scale_edges: tuple[Floats, Floats]
+    log_shape: Floats
+    shape_edges: tuple[float, float]
+
+    @classmethod
+    def from_draws(cls, log_peak: Floats, log_duration: Floats, restitution: Floats) -> Prior:
+        """Return the density of draws, each (n,); a hundred thousand or more leave little noise.
+
+        The restitution must not depend on the other two within the population.
+        """
+        log_peak, log_duration, restitution = validation.broadcast(
+            log_peak=validation.real("log_peak", log_peak),
+            log_duration=validation.real("log_duration", log_duration),
+            restitution=validation.positive("restitution", restitution),
+        )
+        shape = np.log(restitution)
+        size_free, time = _scales(log_peak, log_duration, shape)
+        points = np.stack([size_free, time], axis=1)
+        low, high = points.min(axis=0), points.max(axis=0)
+        margin = np.maximum(0.03 * (high - low), 1e-3)
+        low, high = low - margin, high + margin
+        counts, _, _ = np.histogram2d(size_free, time, bins=_CELLS, range=list(zip(low, high, strict=True)))
+        width = (high - low) / _CELLS
+        shape_low, shape_high = float(shape.min()), float(shape.max())
+        shape_margin = max(0.02 * (shape_high - shape_low), 1e-3)
+        shape_low, shape_high = shape_low - shape_margin, min(shape_high + shape_margin, 0.0 + shape_margin)
+        shape_counts, _ = np.histogram(shape, bins=_CELLS, range=(shape_low, shape_high))
+        shape_width = (shape_high - shape_low) / _CELLS
+        return cls(
+            _log_density(_smoothed(_smoothed(counts, 0), 1), width.prod()),
+            (low, width),
+            _log_density(_smoothed(shape_counts.astype(np.float64), 0), shape_width),
+            (shape_low, shape_width),
+        )
+
+    @property
+    def shape_bounds(self) -> tuple[float, float]:
+        """Lowest and highest shape with a density above the floor."""
+        held = np.flatnonzero(self.log_shape > self.log_shape.max() + np.log(_FLOOR) + 1)
+        first, width = self.shape_edges
+        return first + width * float(held[0]), first + width * float(held[-1] + 1)
+
+    def log_density(self, log_peak: Floats, log_duration: Floats, shape: Floats) -> Floats:
+        """Return the logarithm of the density of (ln peak, ln duration, s) at points of any common shape."""
+        size_free, time = _scales(log_peak, log_duration, shape)
+        low, width = self.scale_edges
+        first, step = self.shape_edges
+        return _bilinear(self.log_scales, (size_free - low[0]) / width[0], (time - low[1]) / width[1]) + _linear(
+            self.log_shape, (shape - first) / step
+        )
+
+    def evidence(
+        self, along: Profile, log_peak_offset: Floats | float = 0.0, log_time_offset: Floats | float = 0.0
+    ) -> Floats:
+        """Return the logarithm of the probability of each signal, (n,), but for a constant of the signal.
+
+        Parameters
+        ----------
+        along : Profile
+        log_peak_offset, log_time_offset : ndarray, (n, 1), or float
+            Added to the profile's ln(peak) and ln(duration): its duration is in samples, and a known speed
+            shifts both.
+        """
+        return _log_sum(self._joint(along, log_peak_offset, log_time_offset))
+
+    def log_posterior(self, along: Profile, log_time_offset: Floats | float = 0.0) -> Floats:
+        """Return the logarithm of the probability of each node, (n, n_nodes); offset as in `evidence`."""
+        joint = self._joint(along, 0.0, log_time_offset)
+        return np.asarray(joint - _log_sum(joint)[:, None])
+
+    def _joint(self, along: Profile, log_peak_offset: Floats | float, log_time_offset: Floats | float) -> Floats:
+        return along.log_weight + self.log_density(
+            along.log_peak + log_peak_offset, along.log_duration + log_time_offset, along.shape
+        )
+
+
+def _log_sum(terms: Floats) -> Floats:
+    top = terms.max(axis=1)
+    return np.asarray(top + np.log(np.sum(np.exp(terms - top[:, None]), axis=1)))
+
+
+def _scales(log_peak: Floats, log_duration: Floats, shape: Floats) -> tuple[Floats, Floats]:
+    """Return ln P0 - 2 ln T0 and ln T0."""
+    contact, peak = _dimensionless(shape)
+    time = log_duration - contact
+    return log_peak - peak - 2 * time, time
+
+
+def _dimensionless(shape: Floats) -> tuple[Floats, Floats]:
+    """Return the logarithms of contact duration and peak force of the dimensionless pulse."""
+    grid = np.linspace(np.log(family.LOWEST_RESTITUTION), 0.0, 1201)
+    contact, peak_time, _ = family.times(np.exp(grid))
+    peak = family.force(peak_time[:, None], np.exp(grid))[:, 0]
+    return np.interp(shape, grid, np.log(contact)), np.interp(shape, grid, np.log(peak))
+
+
+def _smoothed(counts: Floats, axis: int) -> Floats:
+    offsets = np.arange(-4, 5)
+    kernel = np.exp(-0.5 * (offsets / _SMOOTHING) ** 2)
+    kernel /= kernel.sum()
+    return np.asarray(np.apply_along_axis(lambda row: np.convolve(row, kernel, mode="same"), axis, counts))
+
+
+def _log_density(counts: Floats, cell: float) -> Floats:
+    density = counts / counts.sum() / cell
+    return np.asarray(np.log(np.maximum(density, _FLOOR * density.max())))
+
+
+def _cell(place: Floats) -> tuple[NDArray[np.intp], Floats]:
+    """Return the cell whose middle lies below and the share of the way to the next; constant beyond the ends."""
+    inside = np.clip(place - 0.5, 0.0, _CELLS - 1.000001)
+    cell = inside.astype(np.intp)
+    return cell, inside - cell
+
+
+def _linear(values: Floats, place: Floats) -> Floats:
+    cell, share = _cell(place)
+    beyond = (place < 0) | (place > _CELLS)
+    return np.where(beyond, values.max() + np.log(_FLOOR), values[cell] + share * (values[cell + 1] - values[cell]))
+
+
+def _bilinear(values: Floats, place: Floats, other: Floats) -> Floats:
+    (i, a), (j, b) = _cell(place), _cell(other)
+    near = values[i, j] + b * (values[i, j + 1] - values[i, j])
+    far = values[i + 1, j] + b * (values[i + 1, j + 1] - values[i + 1, j])
+    beyond = (place < 0) | (place > _CELLS) | (other < 0) | (other > _CELLS)
+    return np.where(beyond, values.max() + np.log(_FLOOR), near + a * (far - near))

@@ -1,0 +1,328 @@
+"""Energy spectra and their bands: third octaves, triangular bands (mel or evenly spaced) and wavelet packets."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from cgid.errors import MissingExtra
+from cgid.validation import Floats
+
+#: Nominal mid-band frequencies of the third-octave bands [Hz] (IEC 61260-1:2014), as in their names. The exact ones
+#: are 1000 Hz times 10^(number / 10), counted from the second constant.
+THIRD_OCTAVES = (
+    *("31.5", "40", "50", "63", "80", "100", "125", "160", "200", "250", "315", "400", "500"),
+    *("630", "800", "1000", "1250", "1600", "2000", "2500", "3150", "4000", "5000", "6300", "8000", "10000"),
+)
+_FIRST_THIRD_OCTAVE = -15
+#: Spacing of the mel bands [mel], and their number.
+_MEL_STEP, _MEL_BANDS = 100.0, 39
+#: Spacing of the even bands [Hz], and their number.
+_EVEN_STEP, _EVEN_BANDS = 150.0, 150
+#: Daubechies' wavelet with eight vanishing moments: its bands overlap little, and it is short.
+WAVELET = "db8"
+#: Number of times the band is halved, and the number of packets this makes.
+LEVEL, N_PACKETS = 4, 16
+#: Logarithms of shares of an energy end here: anything smaller is rounding, not vibration.
+LOWEST_SHARE = 1e-12
+
+#: Where the bands come from, for the table of features.
+THIRD_OCTAVE_SOURCE = "IEC 61260-1:2014 (exact mid-band frequencies, base ten, ideal edges)"
+MEL_SOURCE = "Davis & Mermelstein 1980 (mel bands); O'Shaughnessy 1987 (mel)"
+PACKET_SOURCE = (
+    f"Coifman, Meyer & Wickerhauser 1992 (wavelet packets: {WAVELET}, level {LEVEL}, {N_PACKETS} equal bands up to "
+    "half the sampling rate); PyWavelets"
+)
+
+
+def third_octave(number: int) -> tuple[float, float]:
+    """Return the edges of a third-octave band [Hz], counted from the first of `THIRD_OCTAVES`.
+
+    Examples
+    --------
+    >>> [round(edge, 2) for edge in third_octave(15)]
+    [891.25, 1122.02]
+    """
+    middle = 1000.0 * 10 ** ((_FIRST_THIRD_OCTAVE + number) / 10)
+    return middle * 10**-0.05, middle * 10**0.05
+
+
+def mel(frequency: Floats) -> Floats:
+    """Return the mel of frequencies [Hz] (O'Shaughnessy 1987): even steps below 1 kHz, even ratios far above.
+
+    Examples
+    --------
+    >>> float(mel(np.float64(1000.0)).round(2))
+    999.99
+    """
+    return np.asarray(2595.0 * np.log10(1.0 + frequency / 700.0))
+
+
+def frequency_of(mels: Floats) -> Floats:
+    """Return the frequencies [Hz] of mels."""
+    return np.asarray(700.0 * (10.0 ** (mels / 2595.0) - 1.0))
+
+
+@dataclass(frozen=True, eq=False)
+class TriangularBands:
+    """A bank of overlapping triangular bands.
+
+    A band rises from the centre of the one below to its own and falls to the centre of the one above. So energy that
+    leaves one band enters the next: between the first and the last centre the bands add up to the whole.
+
+    Attributes
+    ----------
+    corners : ndarray, (n_bands + 2,)
+        Lowest edge, centres, highest edge [Hz], rising.
+    """
+
+    corners: Floats
+
+    @property
+    def centres(self) -> Floats:
+        """Of the bands [Hz], (n_bands,)."""
+        return self.corners[1:-1]
+
+    @property
+    def labels(self) -> list[str]:
+        """The centres as they stand in the names of features."""
+        return [f"{centre:.0f}" for centre in self.centres]
+
+    def __len__(self) -> int:
+        return len(self.corners) - 2
+
+    def within(self, highest: float) -> TriangularBands:
+        """Return the bands that end at or below a frequency [Hz]."""
+        return TriangularBands(self.corners[: max(int(np.searchsorted(self.corners, highest, side="right")), 2)])
+
+    def sums(self, energy: Floats, spacing: float) -> Floats:
+        """Return the energy in each band.
+
+        Parameters
+        ----------
+        energy : ndarray, (..., n_bins)
+            In each bin; the first is centred at 0 Hz, the last must reach the highest edge.
+        spacing : float
+            Between bins [Hz].
+
+        Returns
+        -------
+        ndarray, (..., n_bands)
+            No row depends on the others (a matrix product would not guarantee that).
+        """
+        first, stop = (int(np.ceil(edge / spacing)) for edge in (self.corners[0], self.corners[-1]))
+        stop = min(stop, energy.shape[-1])
+        frequency = np.arange(first, stop) * spacing
+        # How far each bin is on the way from the corner below to the one above.
+        gap = np.clip(np.searchsorted(self.corners, frequency, side="right") - 1, 0, len(self))
+        rise = (frequency - self.corners[gap]) / np.diff(self.corners)[gap]
+        begin = np.searchsorted(gap, np.arange(len(self) + 1))
+        held = np.flatnonzero(np.diff(np.append(begin, gap.size)))
+        # Bins first: sums over them then run along all rows at once, yet each row is summed by itself.
+        part = np.ascontiguousarray(energy.reshape(-1, energy.shape[-1])[:, first:stop].T)
+        out = np.zeros((len(self) + 2, part.shape[1]))
+        if held.size:
+            whole = np.add.reduceat(part, begin[held], axis=0)
+            part *= rise[:, None]
+            rising = np.add.reduceat(part, begin[held], axis=0)
+            out[held + 1] += rising
+            out[held] += whole - rising
+        return np.ascontiguousarray(out[1:-1].T).reshape(*energy.shape[:-1], len(self))
+
+
+#: 39 bands, 100 mel apart, up to 23.7 kHz.
+MEL_BANDS = TriangularBands(frequency_of(_MEL_STEP * np.arange(_MEL_BANDS + 2, dtype=np.float64)))
+#: 150 bands, 150 Hz apart, up to 22.65 kHz: small bodies ring high, where mel bands are a kilohertz wide.
+EVEN_BANDS = TriangularBands(_EVEN_STEP * np.arange(_EVEN_BANDS + 2, dtype=np.float64))
+
+
+@dataclass(frozen=True, eq=False)
+class EnergySpectrum:
+    """One-sided energy spectra of rows of samples, all at the same frequencies.
+
+    Attributes
+    ----------
+    spacing : float
+        Width of a bin [Hz]; the first is centred at 0 Hz.
+    energy : ndarray, (n_signals, n_bins)
+        In each bin [unit^2 s]; the bins of a row add up to its sum of squares over the sampling rate (Parseval).
+    """
+
+    spacing: float
+    energy: Floats
+
+    @classmethod
+    def of(cls, samples: Floats, sampling_rate: float, finer: int = 1) -> EnergySpectrum:
+        """Return the spectra of rows of samples, zero-padded to a length with small factors.
+
+        Parameters
+        ----------
+        samples : ndarray, (n_signals, n_samples)
+        sampling_rate : float
+            [Hz].
+        finer : int
+            The padded length is at least this many times that of the rows.
+        """
+        length = padded_length(finer * samples.shape[1])
+        transform = np.fft.rfft(samples, n=length, axis=1)
+        energy = transform.real**2 + transform.imag**2
+        energy *= 2 / (length * sampling_rate)
+        # 0 Hz and half the sampling rate have no mirror image.
+        energy[:, 0] *= 0.5
+        energy[:, -1] *= 0.5
+        return cls(sampling_rate / length, np.asarray(energy))
+
+    @property
+    def frequency(self) -> Floats:
+        """Centres of the bins [Hz], (n_bins,)."""
+        return np.arange(self.energy.shape[1], dtype=np.float64) * self.spacing
+
+    @cached_property
+    def _running(self) -> Floats:
+        """Energy below each bin's lower edge, (n_signals, n_bins + 1)."""
+        out = np.zeros((len(self.energy), self.energy.shape[1] + 1))
+        np.cumsum(self.energy, axis=1, out=out[:, 1:])
+        return out
+
+    @property
+    def total(self) -> Floats:
+        """Energy of each row [unit^2 s]."""
+        return np.asarray(self._running[:, -1])
+
+    def between(self, low: float, high: float) -> Floats:
+        """Return the energy between two frequencies [Hz]; the energy of a bin is spread evenly over its width."""
+        return np.asarray(self._below(high) - self._below(low))
+
+    def _below(self, frequency: float) -> Floats:
+        place, last = frequency / self.spacing + 0.5, self.energy.shape[1] - 1
+        whole = min(int(place), last)
+        # The first and the last bin have half a width, above 0 Hz and below half the sampling rate.
+        share = place - whole if 0 < whole < last else 2 * (place - whole) - (whole == 0)
+        before, after = self._running[:, whole], self._running[:, whole + 1]
+        return np.asarray(before + min(share, 1.0) * (after - before))
+
+    # -- shape ----------------------------------------------------------------------------------------
+
+    @cached_property
+    def moments(self) -> tuple[Floats, Floats]:
+        """Mean and standard deviation of the frequency, weighted by energy [Hz]."""
+        total = self.energy.sum(axis=1)
+        mean = np.sum(self.energy * self.frequency, axis=1) / total
+        square = np.sum(self.energy * (self.frequency - mean[:, None]) ** 2, axis=1) / total
+        return mean, np.sqrt(square)
+
+    @cached_property
+    def standardised_moments(self) -> tuple[Floats, Floats]:
+        """Third and fourth moment of the frequency about its mean, in standard deviations.
+
+        They depend on the sampling rate. The energy of a vibration that begins at once falls with the fourth power of
+        the frequency, so the sum over all bins grows with their number: the third moment like the logarithm of the
+        rate, the fourth in proportion to it.
+        """
+        mean, deviation = self.moments
+        # A line within one bin has the width of that bin.
+        place = (self.frequency - mean[:, None]) / np.maximum(deviation, 0.1 * self.spacing)[:, None]
+        share = self.energy / self.energy.sum(axis=1)[:, None]
+        return np.asarray(np.sum(share * place**3, axis=1)), np.asarray(np.sum(share * place**4, axis=1))
+
+    def rolloff(self, share: float) -> Floats:
+        """Return the frequency below which a share of the energy lies [Hz]."""
+        # A bin extends half its width to either side.
+        bins = passage(np.cumsum(self.energy, axis=1), share) - 0.5
+        return np.maximum(bins, 0.5) * self.spacing
+
+    @cached_property
+    def flatness(self) -> Floats:
+        """Logarithm (base 10) of the geometric over the arithmetic mean above 0 Hz: 0 is flat.
+
+        It depends on the sampling rate: the more of the spectrum holds little energy, the lower it is.
+        """
+        above = self.energy[:, 1:]
+        mean = above.mean(axis=1)
+        floor = np.maximum(LOWEST_SHARE * mean, np.finfo(np.float64).tiny)[:, None]
+        return np.asarray(np.log10(np.maximum(above, floor)).mean(axis=1) - np.log10(np.maximum(mean, floor[:, 0])))
+
+    def dominant(self, count: int, apart: float) -> Floats:
+        """Return the frequencies of the strongest maxima [Hz], the strongest first, (n_signals, count).
+
+        Parameters
+        ----------
+        count : int
+        apart : float
+            Smallest distance between them [Hz]. Where there are fewer maxima, the last one is repeated.
+        """
+        energy, rows = self.energy, np.arange(len(self.energy))
+        padded = np.pad(energy, ((0, 0), (1, 1)), constant_values=-1.0)
+        maxima = np.where((energy > padded[:, :-2]) & (energy >= padded[:, 2:]), energy, 0.0)
+        out, reach = np.empty((len(energy), count)), np.arange(energy.shape[1])
+        for place in range(count):
+            top = np.argmax(maxima, axis=1)
+            found = maxima[rows, top] > 0
+            before, peak, after = (padded[rows, top + step] for step in range(3))
+            bend = before - 2 * peak + after
+            # A parabola through three bins; at the ends of the spectrum there are only two.
+            inside = (bend < 0) & (before >= 0) & (after >= 0)
+            shift = np.where(inside, 0.5 * (before - after) / np.where(inside, bend, -1.0), 0.0)
+            last = out[:, place - 1] if place else np.zeros(len(energy))
+            out[:, place] = np.where(found, (top + shift) * self.spacing, last)
+            maxima[np.abs(reach - top[:, None]) * self.spacing < apart] = 0.0
+        return out
+
+
+def padded_length(wanted: int) -> int:
+    """Return a length of at least `wanted` samples with a fast transform: four to eight times a power of two.
+
+    Examples
+    --------
+    >>> padded_length(882), padded_length(1024)
+    (896, 1024)
+    """
+    step = 1 << max(wanted.bit_length() - 3, 1)
+    return -(-wanted // step) * step
+
+
+def passage(running: Floats, share: float) -> Floats:
+    """Return after how many columns each running sum first reaches a share of its end, linear within a column."""
+    level, rows = share * running[:, -1], np.arange(len(running))
+    after = np.argmax(running >= level[:, None], axis=1)
+    high = running[rows, after]
+    low = np.where(after > 0, running[rows, np.maximum(after - 1, 0)], 0.0)
+    step = np.where(high > low, high - low, 1.0)
+    return np.asarray(after + np.clip((level - low) / step, 0.0, 1.0))
+
+
+def packet_energies(samples: Floats) -> Floats:
+    """Return the sum of squares of each wavelet packet, the lowest band first.
+
+    Parameters
+    ----------
+    samples : ndarray, (n_rows, n_samples)
+        Zero-padded to a multiple of 16 samples and taken as periodic, so the energies of a row add up to its own.
+
+    Returns
+    -------
+    ndarray, (n_rows, 16)
+        Of bands of a sixteenth of half the sampling rate each.
+
+    Raises
+    ------
+    MissingExtra
+        PyWavelets is not installed.
+    """
+    try:
+        import pywt
+    except ImportError:
+        raise MissingExtra(
+            "wavelet packets need PyWavelets, which is not installed: pip install 'cgid[wavelets]'"
+        ) from None
+    packets = [np.pad(samples, ((0, 0), (0, -samples.shape[1] % N_PACKETS)))]
+    for _ in range(LEVEL):
+        halves: list[Floats] = []
+        for number, packet in enumerate(packets):
+            low, high = pywt.dwt(packet, WAVELET, "periodization", axis=1)
+            # Decimation reversed the frequencies of every second band.
+            halves += [high, low] if number % 2 else [low, high]
+        packets = halves
+    return np.stack([np.square(packet).sum(axis=1) for packet in packets], axis=1)

@@ -1,0 +1,294 @@
+"""The damped-Hertz pulse as a curve to be fitted: its value and slopes on many samples at once, numpy only.
+
+A pulse of peak 1 is `g(u; s)` at the share u of its contact, with s = ln e. Turned round in time the pulse of e is
+that of 1/e (with `tau -> -tau` damping changes its sign in `x'' = -x^(3/2) (1 + D x')`), so the family goes on smoothly
+beyond e = 1. There it is a shape and no material, but an estimate near 1 may err to either side, and needs not be
+pressed against a wall.
+
+In `w = (1 + sqrt(u) - sqrt(1 - u)) / 2` the curve is smooth up to touch and separation, where it rises as the power
+3/2 of time. It is held on a grid of s and w, with its derivatives, and carried on from the nearest node by its Taylor
+polynomial of order two: within 1e-5 of the peak for e from .2, 5e-5 from .1, 1.2e-4 at .05.
+
+A pulse with its parameters: samples of it, their slopes, and the covariance that these allow.
+
+Inside, a pulse is (peak, ln of its width, time of its peak, s = ln e, baseline), the width being impulse over peak:
+these hardly depend on one another, while contact duration and onset of a damped pulse, which ends in the noise, go
+together with s. What is reported is `PARAMETERS`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cgid import family
+from cgid.validation import Floats
+
+#: Bounds of the shape s = ln e.
+LOWEST_SHAPE, HIGHEST_SHAPE = float(np.log(family.LOWEST_RESTITUTION)), -float(np.log(family.LOWEST_RESTITUTION))
+#: Steps of the grid between the lowest shape and 0, and between touch and separation.
+_SHAPES, _PLACES = 128, 256
+#: Nodes beyond s = 0: enough for central differences there.
+_BEYOND = 3
+#: Nearest to touch and separation that slopes are taken.
+_EDGE = 1e-12
+
+
+@dataclass(frozen=True)
+class _Table:
+    """Nodes and derivatives.
+
+    Attributes
+    ----------
+    curve : tuple of ndarray, (n_nodes,)
+        g, g_w, g_ww, g_s, g_sw, g_ss at the nodes of s and w, flat.
+    times : ndarray, (n_shapes, 2, 3)
+        Contact duration, and the time from touch to the peak, over the width (impulse over peak); with two
+        derivatives in s.
+    """
+
+    curve: tuple[Floats, ...]
+    times: Floats
+
+
+@cache
+def _table() -> _Table:
+    step = -LOWEST_SHAPE / _SHAPES
+    shapes = LOWEST_SHAPE + step * np.arange(_SHAPES + 1)
+    w = np.arange(_PLACES + 1) / _PLACES
+    u = np.sin(np.pi / 4 + np.arcsin((2 * w - 1) / np.sqrt(2))) ** 2  # w is (1 + sin - cos) / 2 of that angle
+    restitution = np.minimum(np.exp(shapes), family.HIGHEST_RESTITUTION)
+    contact, peak_time, _ = family.times(restitution)
+    peak = family.force(peak_time[:, None], restitution)
+    curve = family.force(u * contact[:, None], restitution) / peak
+    # The impulse of m x'' from 1 to -e is 1 + e.
+    times = np.stack([contact, peak_time], axis=1) * (peak / (1 + restitution[:, None]))
+    # Beyond s = 0 the same, turned round.
+    turned = slice(-2, -2 - _BEYOND, -1)
+    curve = np.concatenate([curve, curve[turned, ::-1]])
+    beyond = times[turned]
+    times = np.concatenate([times, np.stack([beyond[:, 0], beyond[:, 0] - beyond[:, 1]], axis=1)])
+    spacing_w = 1 / _PLACES
+    in_w, in_s = _slope(curve, 1) / spacing_w, _slope(curve, 0) / step
+    derivatives = (
+        curve,
+        in_w,
+        _bend(curve, 1) / spacing_w**2,
+        in_s,
+        _slope(in_s, 1) / spacing_w,
+        _bend(curve, 0) / step**2,
+    )
+    held = tuple(np.ascontiguousarray(part[: _SHAPES + 1].ravel()) for part in derivatives)
+    time_derivatives = np.stack([times, _slope(times, 0) / step, _bend(times, 0) / step**2], axis=-1)[: _SHAPES + 1]
+    return _Table(held, time_derivatives)
+
+
+def _slope(values: Floats, axis: int) -> Floats:
+    """Return the first differences of a row of nodes, of order four inside and two at the ends."""
+    v = np.moveaxis(values, axis, 0)
+    out = np.gradient(v, axis=0, edge_order=2)
+    out[2:-2] = (8 * (v[3:-1] - v[1:-3]) - (v[4:] - v[:-4])) / 12
+    return np.moveaxis(out, 0, axis)
+
+
+def _bend(values: Floats, axis: int) -> Floats:
+    """Return the second differences of a row of nodes, of order four inside and one at the ends."""
+    v = np.moveaxis(values, axis, 0)
+    out = np.empty_like(v)
+    out[1:-1] = v[2:] - 2 * v[1:-1] + v[:-2]
+    out[0], out[-1] = out[1], out[-2]
+    out[2:-2] = (16 * (v[3:-1] + v[1:-3]) - (v[4:] + v[:-4]) - 30 * v[2:-2]) / 12
+    return np.moveaxis(out, 0, axis)
+
+
+def relative_times(shape: Floats) -> tuple[Floats, Floats, Floats, Floats]:
+    """Return contact duration and time from touch to peak over the width (impulse over peak), and their slopes in s.
+
+    Parameters
+    ----------
+    shape : ndarray, (n,)
+        s = ln e.
+
+    Returns
+    -------
+    duration, peak_time, duration_slope, peak_time_slope : ndarray, (n,)
+    """
+    node, offset = _nearest(shape)
+    value, slope, bend = np.moveaxis(_table().times[node], -1, 0)
+    at = value + offset[:, None] * (slope + 0.5 * offset[:, None] * bend)
+    slopes = slope + offset[:, None] * bend
+    turned = shape > 0
+    duration, peak_time = at[:, 0], np.where(turned, at[:, 0] - at[:, 1], at[:, 1])
+    sign = np.where(turned, -1.0, 1.0)
+    duration_slope = sign * slopes[:, 0]
+    peak_slope = np.where(turned, duration_slope + slopes[:, 1], slopes[:, 1])
+    return duration, peak_time, duration_slope, peak_slope
+
+
+def curve(share: Floats, shape: Floats) -> tuple[Floats, Floats, Floats]:
+    """Return the pulse and its slopes in the share of the contact and in the shape; zero outside contact.
+
+    Parameters
+    ----------
+    share : ndarray, (n, n_samples)
+        u: 0 at touch, 1 at separation.
+    shape : ndarray, (n,)
+        s = ln e.
+
+    Returns
+    -------
+    value, in_share, in_shape : ndarray, (n, n_samples)
+        With the peak as unit.
+    """
+    node, offset = _nearest(shape)
+    turned = shape > 0
+    u = share
+    if turned.any():
+        u = np.where(turned[:, None], 1 - share, share)
+    inside = (u > 0) & (u < 1)
+    u = np.clip(u, _EDGE, 1 - _EDGE)
+    root, other = np.sqrt(u), np.sqrt(1 - u)
+    place = (root - other + 1) * (0.5 * _PLACES)
+    column = np.rint(place)
+    dw = (place - column) * (1 / _PLACES)
+    index = column.astype(np.intp) + (node * (_PLACES + 1))[:, None]
+    g, g_w, g_ww, g_s, g_sw, g_ss = (np.take(held, index) for held in _table().curve)
+    ds = offset[:, None]
+    in_shape = (g_s + ds * g_ss + dw * g_sw) * inside
+    g_w += ds * g_sw
+    value = (g + ds * (g_s + (0.5 * ds) * g_ss) + dw * (g_w + 0.5 * dw * g_ww)) * inside
+    in_share = (g_w + dw * g_ww) * (0.25 / root + 0.25 / other) * inside
+    if turned.any():
+        in_share[turned] *= -1.0
+        in_shape[turned] *= -1.0
+    return value, in_share, in_shape
+
+
+def _nearest(shape: Floats) -> tuple[NDArray[np.intp], Floats]:
+    """Return the nearest node of s (of -s beyond 0) and the way from it."""
+    place = (-np.abs(shape) - LOWEST_SHAPE) * (_SHAPES / -LOWEST_SHAPE)
+    node = np.clip(np.rint(place), 0, _SHAPES).astype(np.intp)
+    return node, (place - node) * (-LOWEST_SHAPE / _SHAPES)
+
+
+#: Order of a reported covariance.
+PARAMETERS = ("ln_peak", "ln_duration", "onset", "shape", "baseline")
+#: Shapes, and points of time, at which the information of a densely sampled pulse is worked out.
+_GRID, _POINTS = 241, 300
+
+
+def free_parameters(onset_known: bool, fit_baseline: bool) -> list[int]:
+    """Return the columns of (peak, ln width, place, shape, baseline) that are sought."""
+    return [0, 1, *([] if onset_known else [2]), 3, *([4] if fit_baseline else [])]
+
+
+def pulse_and_slopes(
+    parameters: Floats, times: Floats, onset_known: bool = False, fit_baseline: bool = False
+) -> tuple[Floats, Floats]:
+    """Return pulses (without baseline) and their slopes in the free parameters.
+
+    Parameters
+    ----------
+    parameters : ndarray, (n, 5)
+    times : ndarray, (n, n_samples)
+    onset_known : bool
+        Then the place moves with width and shape.
+    fit_baseline : bool
+
+    Returns
+    -------
+    pulse : ndarray, (n, n_samples)
+    slopes : ndarray, (n, n_free, n_samples)
+    """
+    peak, log_width, place, shape, _ = parameters.T
+    width = np.exp(log_width)[:, None]
+    duration, lead, duration_slope, lead_slope = (a[:, None] for a in relative_times(shape))
+    z = (times - place[:, None]) / width
+    share = (z + lead) / duration
+    value, in_share, in_shape = curve(share, shape)
+    steep = peak[:, None] * in_share / duration
+    slopes = np.empty((len(parameters), len(free_parameters(onset_known, fit_baseline)), times.shape[1]))
+    slopes[:, 0] = value
+    if onset_known:
+        slopes[:, 1] = -steep * (z + lead)
+        slopes[:, 2] = peak[:, None] * in_shape - steep * share * duration_slope
+    else:
+        slopes[:, 1] = -steep * z
+        slopes[:, 2] = -steep / width
+        slopes[:, 3] = peak[:, None] * in_shape + steep * (lead_slope - share * duration_slope)
+    if fit_baseline:
+        slopes[:, -1] = 1.0
+    return peak[:, None] * value, slopes
+
+
+def covariance_of(
+    information: Floats, parameters: Floats, onset_known: bool = False, fit_baseline: bool = False
+) -> Floats:
+    """Return the covariance of `PARAMETERS`, (n, 5, 5), for noise of variance 1; zero where a parameter is known.
+
+    Parameters
+    ----------
+    information : ndarray, (n, n_free, n_free)
+        Sums of products of the slopes.
+    parameters : ndarray, (n, 5)
+    onset_known, fit_baseline : bool
+    """
+    peak, log_width, _, shape, _ = parameters.T
+    width = np.exp(log_width)
+    duration, lead, duration_slope, lead_slope = relative_times(shape)
+    turn = np.zeros((len(peak), 5, 5))
+    turn[:, 0, 0] = 1 / peak
+    turn[:, 1, 1], turn[:, 1, 3] = 1.0, duration_slope / duration
+    if not onset_known:
+        turn[:, 2, 1], turn[:, 2, 2], turn[:, 2, 3] = -lead * width, 1.0, -lead_slope * width
+    turn[:, 3, 3] = turn[:, 4, 4] = 1.0
+    turn = turn[:, :, free_parameters(onset_known, fit_baseline)]
+    # Scaled to ones on the diagonal: peaks are newtons, shapes are ratios.
+    scale = np.sqrt(np.maximum(np.einsum("nii->ni", information), 1e-300))
+    unit = information / (scale[:, :, None] * scale[:, None, :]) + 1e-12 * np.eye(information.shape[1])
+    inverse = np.linalg.inv(unit) / (scale[:, :, None] * scale[:, None, :])
+    return np.asarray(turn @ inverse @ np.swapaxes(turn, 1, 2))
+
+
+@cache
+def _shape_deviation() -> tuple[Floats, Floats]:
+    """Return shapes s, and ln(standard deviation of s) there with two derivatives, for densely sampled pulses."""
+    shapes = np.linspace(LOWEST_SHAPE, HIGHEST_SHAPE, _GRID)
+    duration, lead, _, _ = relative_times(shapes)
+    ones, zeros = np.ones(_GRID), np.zeros(_GRID)
+    parameters = np.stack([ones, zeros, lead, shapes, zeros], axis=1)
+    times = duration[:, None] * (np.arange(_POINTS) + 0.5) / _POINTS
+    _, slopes = pulse_and_slopes(parameters, times)
+    information = np.matmul(slopes, np.swapaxes(slopes, 1, 2)) * (duration / _POINTS)[:, None, None]
+    deviation = np.log(covariance_of(information, parameters)[:, 3, 3]) / 2
+    step = shapes[1] - shapes[0]
+    slope = np.gradient(deviation, step)
+    return shapes, np.stack([deviation, slope, np.gradient(slope, step)])
+
+
+def shape_deviation(shape: Floats) -> Floats:
+    """Return ln(standard deviation of s) of densely sampled pulses but for a constant, and two derivatives, (3, n)."""
+    grid, held = _shape_deviation()
+    place = (shape - LOWEST_SHAPE) / (grid[1] - grid[0])
+    node = np.clip(place.astype(np.intp), 0, _GRID - 2)
+    return np.asarray(held[:, node] + (place - node) * (held[:, node + 1] - held[:, node]))
+
+
+def shape_penalty(shape: Floats) -> tuple[Floats, Floats, Floats]:
+    """Return the logarithm of Jeffreys' prior of the shape, its slope and its curvature (never above 0).
+
+    The likelihood alone is biased at first order, for where e is small the shape is hardly told and estimates stray to
+    ever smaller ones. Multiplied by Jeffreys' prior, one over the standard deviation of the shape, it is not (Firth
+    1993, Biometrika 80).
+    """
+    value, slope, curvature = shape_deviation(shape)
+    return -value, -slope, np.minimum(-curvature, 0.0)
+
+
+def parameters_of(peak: Floats, width: Floats, onset: Floats, shape: Floats) -> Floats:
+    """Return (peak, ln width, place, shape, baseline 0), (n, 5), of pulses given by their onset."""
+    _, lead, _, _ = relative_times(shape)
+    return np.stack([peak, np.log(width), onset + lead * width, shape, np.zeros_like(peak)], axis=1)

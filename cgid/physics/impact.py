@@ -1,0 +1,458 @@
+"""Impact: a single impact or an array of them, each scaled from its dimensionless curve."""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, DTypeLike, NDArray
+
+from cgid import validation
+from cgid.elementary import power
+from cgid.errors import InvalidValue
+from cgid.physics import bodies
+from cgid.physics.bodies import HalfSpace, RigidWall, Sphere, Target, ThinPlate
+from cgid.physics.curves import Curves, Quantity
+from cgid.physics.laws import Dissipation, Elastic, HuntCrossley, Viscoelastic, contact_stiffness
+from cgid.validation import Floats
+
+#: A weight g L / v^2 below this, times e^0.6, is neglected: over the contact it changes the speed by 3e-12 of it.
+NEGLIGIBLE_WEIGHT = 1e-12
+#: Displacement over radius up to which Hertz's small-strain contact holds.
+HERTZ_LIMIT = 0.1
+#: Lambda up to which Zener's thin plate agrees with finer models.
+INELASTICITY_LIMIT = 1.5
+#: What happens beyond it, and what to do.
+BEYOND_THIN_PLATE = (
+    "the plate takes nearly all of the speed, the contact outlasts its waves' way to the edges, and force and rebound "
+    "are not to be trusted; use a thicker plate, or couple the impact through the modes of the beam"
+)
+
+
+class HertzRangeWarning(UserWarning):
+    """The displacement is too large a part of the radius for Hertz's theory."""
+
+
+class ThinPlateWarning(UserWarning):
+    """The impact is too heavy for Zener's thin plate."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Impact:
+    """A normal impact of a sphere on a target; every number may be an array, and they broadcast.
+
+    Parameters
+    ----------
+    sphere : Sphere
+        What falls.
+    target : HalfSpace, ThinPlate, Sphere or RIGID
+        What it falls on, at rest.
+    velocity : array_like
+        Normal impact speed [m/s], above 0 (relative speed for two spheres).
+    stiffness : {"hertz", "rigid-sphere", "series"}
+        The theory of the contact stiffness (`cgid.physics.laws`); it has no default.
+    dissipation : Elastic, HuntCrossley or Viscoelastic
+        Loss in the material; the loss to a thin plate comes on top of it.
+    gravity : array_like
+        Pull towards the target during contact [m/s^2], 0 or more. It is neglected where it would change the speed
+        by no more than 3e-12 of the impact speed.
+
+    Raises
+    ------
+    InvalidValue
+        A number breaks its rule, a theory is unknown, shapes do not broadcast, the sphere does not rebound, or
+        the impact lies outside the range of double precision.
+
+    Warns
+    -----
+    HertzRangeWarning
+        If the displacement passes a tenth of the radius.
+    ThinPlateWarning
+        If Zener's lambda of a thin plate passes 1.5.
+
+    Examples
+    --------
+    The constants under Eq. 18 of Yang, Zeng & Wan (2018) belong to 2 m/s:
+
+    >>> from cgid.physics import Elastic, HalfSpace, Impact, Sphere
+    >>> from cgid.physics.materials import STEEL, YANG2018_SPHERES
+    >>> impact = Impact(
+    ...     sphere=Sphere(material=YANG2018_SPHERES[1], radius=0.025),
+    ...     target=HalfSpace(material=STEEL),
+    ...     velocity=2.0,
+    ...     stiffness="series",
+    ...     dissipation=Elastic(),
+    ... )
+    >>> round(float(impact.peak_displacement) / 0.025, 12)
+    0.01337310606
+    """
+
+    sphere: Sphere
+    target: Target
+    velocity: ArrayLike
+    stiffness: str
+    dissipation: Dissipation
+    gravity: ArrayLike = 0.0
+
+    def __post_init__(self) -> None:
+        validation.instance("sphere", self.sphere, Sphere)
+        validation.instance("target", self.target, HalfSpace, ThinPlate, Sphere, RigidWall)
+        validation.instance("dissipation", self.dissipation, Elastic, HuntCrossley, Viscoelastic)
+        validation.positive("velocity", self.velocity, "m/s")
+        validation.not_negative("gravity", self.gravity, "m/s^2")
+        validation.hold(self, "velocity", "gravity")
+        self._require_reach()
+        self.curves.require_rebound()
+        self._warn_of_range()
+
+    def _require_reach(self) -> None:
+        with np.errstate(all="ignore"):
+            scales = {
+                "mass": (self.reduced_mass, "kg"),
+                "contact stiffness": (self.contact_stiffness, "N/m^(3/2)"),
+                "displacement": (self.length_scale, "m"),
+                "duration": (self.time_scale, "s"),
+                "force": (self.force_scale, "N"),
+                "energy": (self._energy_scale, "J"),
+                "square of the velocity": (self._velocity**2, "m^2/s^2"),
+                "weight": (1 + self._weight, "times the force"),  # it may be 0
+            }
+            if isinstance(self.dissipation, Viscoelastic):
+                scales["dissipative constant"] = (self._given["dissipative_constant"], "s")
+            if isinstance(self.target, ThinPlate):
+                scales["plate impedance"] = (self.target.impedance, "kg/s")
+        for name, (scale, unit) in scales.items():
+            held = (scale > 1e-290) & (scale < 1e290)
+            if not held.all():
+                raise InvalidValue(
+                    f"the {name} of the impact must lie between 1e-290 and 1e290 {unit} for double precision to hold "
+                    f"it, got {scale[~held].ravel()[0]:g} {unit}; check radius, material, velocity and loss"
+                )
+
+    def _warn_of_range(self) -> None:
+        # An elastic impact without weight is the deepest, and its depth needs no damping number.
+        if np.any(self.curves.weight) or (1.1 * self.length_scale > HERTZ_LIMIT * self.reduced_radius).any():
+            strain = (self.peak_displacement / self.reduced_radius).max(initial=0.0)
+            if strain > HERTZ_LIMIT:
+                message = f"displacement / radius reaches {strain:.3g}; Hertz's theory holds up to {HERTZ_LIMIT:g}"
+                warnings.warn(message, HertzRangeWarning, stacklevel=4)
+        largest = self.inelasticity.max(initial=0.0)
+        if largest > INELASTICITY_LIMIT:
+            message = (
+                f"lambda of the thin plate reaches {largest:.3g}; Zener's theory holds to {INELASTICITY_LIMIT:g}: "
+                f"{BEYOND_THIN_PLATE}"
+            )
+            warnings.warn(message, ThinPlateWarning, stacklevel=4)
+
+    @cached_property
+    def _given(self) -> dict[str, Floats]:
+        """Numbers of the impact from its parts, broadcast to one shape."""
+        restitution, dissipative_constant = self.dissipation.loss(self.sphere, self.target)
+        named = {
+            "radius": bodies.reduced_radius(self.sphere, self.target),
+            "mass": bodies.reduced_mass(self.sphere, self.target),
+            "modulus": bodies.reduced_modulus(self.sphere, self.target),
+            "velocity": np.asarray(self.velocity, dtype=np.float64),
+            "gravity": np.asarray(self.gravity, dtype=np.float64),
+            "restitution": restitution,
+            "dissipative_constant": dissipative_constant,
+            "thickness": np.asarray(self.target.thickness if isinstance(self.target, ThinPlate) else 0.0),
+        }
+        return dict(zip(named, validation.broadcast(**named), strict=True))
+
+    @property
+    def _velocity(self) -> Floats:
+        return self._given["velocity"]
+
+    @property
+    def _energy_scale(self) -> Floats:
+        """`m v^2` [J], the unit of energy."""
+        return self.reduced_mass * self._velocity**2
+
+    @cached_property
+    def _weight(self) -> Floats:
+        """The weight `g L / v^2` [1]."""
+        return self._given["gravity"] * self.length_scale / self._velocity**2
+
+    @property
+    def reduced_radius(self) -> Floats:
+        """R of the contact [m]."""
+        return self._given["radius"]
+
+    @property
+    def reduced_modulus(self) -> Floats:
+        """E of the contact [Pa]."""
+        return self._given["modulus"]
+
+    @property
+    def reduced_mass(self) -> Floats:
+        """Mass of the relative motion [kg]."""
+        return self._given["mass"]
+
+    @cached_property
+    def contact_stiffness(self) -> Floats:
+        """K of `P = K delta^(3/2)` [N/m^(3/2)]."""
+        return _fixed(contact_stiffness(self.reduced_radius, self.reduced_modulus, self.stiffness))
+
+    @cached_property
+    def length_scale(self) -> Floats:
+        """`L = (m v^2 / K)^(2/5)` [m], the unit of displacement."""
+        return _fixed(power(self.reduced_mass * self._velocity**2 / self.contact_stiffness, 0.4))
+
+    @cached_property
+    def time_scale(self) -> Floats:
+        """`T0 = L / v` [s], the unit of time."""
+        return _fixed(self.length_scale / self._velocity)
+
+    @cached_property
+    def force_scale(self) -> Floats:
+        """`K L^(3/2)` [N], the unit of force."""
+        return _fixed(self.contact_stiffness * self.length_scale * np.sqrt(self.length_scale))
+
+    @cached_property
+    def inelasticity(self) -> Floats:
+        """Zener's `lambda = m / (Z T0)` of a thin plate; 0 for any other target."""
+        if not isinstance(self.target, ThinPlate):
+            return _fixed(np.zeros(self.reduced_mass.shape))
+        return _fixed(self.reduced_mass / (self.target.impedance * self.time_scale))
+
+    @cached_property
+    def curves(self) -> Curves:
+        """The dimensionless curves, one row for each impact in C order."""
+        restitution, constant = self._given["restitution"], self._given["dissipative_constant"]
+        # The stronger the damping, the longer the contact: about e^-0.6 in units of T0. A weight is neglected only
+        # where the table then holds the pulse.
+        plain = (constant == 0) & (self.inelasticity == 0)
+        weight = np.where(plain & (self._weight < NEGLIGIBLE_WEIGHT * power(restitution, 0.6)), 0.0, self._weight)
+        return Curves(
+            restitution.ravel(), (constant / self.time_scale).ravel(), np.ravel(self.inelasticity), weight.ravel()
+        )
+
+    def _shaped(self, values: Floats) -> Floats:
+        return np.asarray(values.reshape(self.reduced_mass.shape))
+
+    @property
+    def restitution(self) -> Floats:
+        """Rebound speed over impact speed, as delivered by material and plate together."""
+        return self._shaped(self.curves.restitution).copy()
+
+    @property
+    def peak_displacement(self) -> Floats:
+        """Largest displacement, the approach of sphere and target [m].
+
+        Except on a thin plate, which yields, it is the displacement of the sphere's centre. Without any other loss than
+        Hunt-Crossley damping it is a closed form, `L (5/2 G(1))^(2/5)`.
+        """
+        return self.length_scale * self._shaped(self.curves.peak_displacement)
+
+    @property
+    def peak_force(self) -> Floats:
+        """Largest contact force [N]; with damping it comes before the largest displacement."""
+        return self.force_scale * self._shaped(self.curves.peak_force)
+
+    @property
+    def contact_duration(self) -> Floats:
+        """Time from touch to separation [s]."""
+        return self.time_scale * self._shaped(self.curves.times[0])
+
+    @property
+    def end_of_contact(self) -> Floats:
+        """Time from first touch to last separation [s]; a structure that swings back may hit the sphere again."""
+        return self.contact_duration
+
+    @property
+    def time_of_peak(self) -> Floats:
+        """Time from touch to the largest force [s]."""
+        return self.time_scale * self._shaped(self.curves.times[1])
+
+    @property
+    def compression_time(self) -> Floats:
+        """Time from touch to the largest displacement [s]."""
+        return self.time_scale * self._shaped(self.curves.times[2])
+
+    @property
+    def end_displacement(self) -> Floats:
+        """Approach at separation [m]: 0, except for a viscoelastic sphere, which leaves flattened."""
+        return self.length_scale * self._shaped(self.curves.end_displacement)
+
+    @property
+    def rebound_velocity(self) -> Floats:
+        """Speed of separation, `e v` [m/s]."""
+        return self.restitution * self._velocity
+
+    @property
+    def impulse(self) -> Floats:
+        """Integral of the force over the contact, `(1 + e) m v` and the weight over the contact [N s]."""
+        return self._shaped(self.curves.impulse) * self.reduced_mass * self._velocity
+
+    @property
+    def radiated_energy(self) -> Floats:
+        """Energy that a thin plate carries off, the integral of `P^2 / Z` [J]; 0 for any other target."""
+        return self._energy_scale * self._shaped(self.curves.plate_energy)
+
+    @property
+    def dissipated_energy(self) -> Floats:
+        """Energy lost in the material, `1/2 m v^2 (1 - e^2)` without a plate [J].
+
+        It is the energy of impact less rebound and plate, and with gravity the fall of the sphere during contact: the
+        sphere ends lower by its own displacement and by that of a plate.
+        """
+        e = self.restitution
+        lost = 0.5 * self._energy_scale * (1 - e) * (1 + e) - self.radiated_energy
+        if np.any(self.curves.weight):
+            way = self.curves.end_displacement + self.curves.inelasticity * self.curves.impulse
+            lost = lost + self._energy_scale * self._shaped(self.curves.weight * way)
+        return np.asarray(lost)
+
+    def force(self, times: ArrayLike, *, dtype: DTypeLike = "float64", threads: int = 1) -> NDArray[Any]:
+        """Return the contact force over time.
+
+        Parameters
+        ----------
+        times : array_like, (..., n_times)
+            Time since touch [s], along the last axis.
+        dtype : {"float64", "float32"}
+            Of the result.
+        threads : int
+            How many threads share the impacts.
+
+        Returns
+        -------
+        ndarray
+            [N], zero outside contact, never attractive. Shape of `times` for a single impact, else the
+            impacts' shape broadcast against the leading axes of `times`, then n_times.
+        """
+        return self._over_time(times, "force", self.force_scale, dtype, threads)
+
+    def displacement(self, times: ArrayLike, *, dtype: DTypeLike = "float64", threads: int = 1) -> NDArray[Any]:
+        """Return the displacement, the approach of sphere and target [m], over time; as `force`."""
+        return self._over_time(times, "displacement", self.length_scale, dtype, threads)
+
+    def _over_time(
+        self, times: ArrayLike, quantity: Quantity, amplitude: Floats, dtype: DTypeLike, threads: int
+    ) -> NDArray[Any]:
+        dtype = _output(dtype, amplitude)
+        threads = validation.count("threads", threads)
+        given = validation.real("times", times, "s")
+        row = np.atleast_1d(given)
+        leading, index = self._broadcast_with(times=np.empty(row.shape[:-1]))
+        shape = (*leading, row.shape[-1])
+        rows = np.ascontiguousarray(np.broadcast_to(row, shape)).reshape(index.size, row.shape[-1])
+        unit, height = self.time_scale.ravel()[index], amplitude.ravel()[index]
+        curves = self._curves_of(leading, index)
+        out = curves.evaluate(rows, unit, height, quantity, dtype, threads).reshape(shape)
+        return out[..., 0] if given.ndim == 0 else out
+
+    def force_frames(
+        self,
+        sampling_rate: float,
+        n_samples: int,
+        onset: ArrayLike = 0.0,
+        *,
+        dtype: DTypeLike = "float64",
+        threads: int = 1,
+    ) -> NDArray[Any]:
+        """Return the contact force on the even grid of a recorder, one frame for each impact.
+
+        Only the samples in contact are computed. Values agree with `force` to rounding.
+
+        Parameters
+        ----------
+        sampling_rate : float
+            [Hz].
+        n_samples : int
+            Length of a frame.
+        onset : array_like
+            Time of touch within the frame [s]; it may lie outside of the frame.
+        dtype : {"float64", "float32"}
+        threads : int
+            How many threads share the impacts.
+
+        Returns
+        -------
+        ndarray, (*shape of the impacts and onset, n_samples)
+            [N].
+        """
+        dtype = _output(dtype, self.force_scale)
+        n_samples = validation.count("n_samples", n_samples)
+        touch = validation.real("onset", onset, "s")
+        frames = np.zeros((*self._broadcast_with(onset=touch)[0], n_samples), dtype)
+        if np.ndim(sampling_rate):
+            raise InvalidValue(f"sampling_rate must be one number, got an array of shape {np.shape(sampling_rate)}")
+        self.add_to_frames(frames, sampling_rate, touch, threads=threads)
+        return frames
+
+    def add_to_frames(
+        self,
+        frames: NDArray[Any],
+        sampling_rate: ArrayLike,
+        onset: ArrayLike,
+        *,
+        threads: int = 1,
+        tolerance: float = 0.0,
+    ) -> None:
+        """Add the contact force to frames in place; `force_frames` describes their shape.
+
+        Each frame may have its own sampling rate. `tolerance` is an error allowed over the peak: pulses that are not in
+        the table are then stepped in time, twenty times faster.
+
+        Raises
+        ------
+        InvalidValue
+            The frames have another shape, no float samples, or are not contiguous.
+        """
+        rate = validation.positive("sampling_rate", sampling_rate, "Hz")
+        threads = validation.count("threads", threads)
+        touch = validation.real("onset", onset, "s")
+        leading, index = self._broadcast_with(onset=touch, sampling_rate=rate)
+        _require_frames(frames, leading)
+        _output(frames.dtype, self.force_scale)
+        with np.errstate(over="ignore", divide="ignore"):  # touch or separation may lie beyond all samples
+            place = np.broadcast_to(touch * rate, leading).ravel()
+            step = 1 / (np.broadcast_to(rate, leading).ravel() * self.time_scale.ravel()[index])
+        rows, height = frames.reshape(index.size, frames.shape[-1]), self.force_scale.ravel()[index]
+        self._curves_of(leading, index).add_to_frames(rows, place, step, height, threads, tolerance)
+
+    def _broadcast_with(self, **other: Floats) -> tuple[tuple[int, ...], NDArray[np.intp]]:
+        """Return the shape of the impacts and another array together, and which impact stands at each place."""
+        leading = validation.broadcast(impacts=self.reduced_mass, **other)[0].shape
+        numbers = np.arange(self.reduced_mass.size).reshape(self.reduced_mass.shape)
+        return leading, np.broadcast_to(numbers, leading).ravel()
+
+    def _curves_of(self, leading: tuple[int, ...], index: NDArray[np.intp]) -> Curves:
+        return self.curves if leading == self.reduced_mass.shape else self.curves.taken(index)
+
+
+def _fixed(values: Floats) -> Floats:
+    """Return a cached result as a read-only array."""
+    fixed = np.asarray(values)
+    fixed.setflags(write=False)
+    return fixed
+
+
+def _require_frames(frames: NDArray[Any], leading: tuple[int, ...]) -> None:
+    validation.instance("frames", frames, np.ndarray)
+    usable = frames.dtype in (np.float32, np.float64) and frames.flags.c_contiguous and frames.flags.writeable
+    if frames.shape[:-1] != leading or not frames.ndim or not usable:
+        shape = ", ".join(map(str, (*leading, "n_samples")))
+        raise InvalidValue(
+            f"frames must be writeable C-contiguous float32 or float64 samples of shape ({shape}), "
+            f"got {frames.dtype} of shape {frames.shape}"
+        )
+
+
+def _output(dtype: DTypeLike, amplitude: Floats) -> np.dtype[Any]:
+    """Return the requested type of samples, or raise if it cannot hold samples of this amplitude."""
+    try:
+        wanted = np.dtype(dtype)
+    except TypeError:
+        wanted = np.dtype(object)
+    if wanted not in (np.float32, np.float64):
+        raise InvalidValue(f"dtype must be float32 or float64, got {dtype!r}")
+    # With these laws no dimensionless peak passes a thousand times its scale.
+    if wanted == np.float32 and (amplitude > 1e-3 * np.finfo(np.float32).max).any():
+        raise InvalidValue(f"float32 must hold the samples, got some near {amplitude.max():.3g}; use float64")
+    return wanted

@@ -1,0 +1,220 @@
+"""Contact laws: the stiffness of the contact, and the loss in the material.
+
+Every stiffness theory has the form `P = K delta^(3/2)`. Hertz's reduced modulus already holds the compliance of both
+bodies, so the paper's own series theory counts it twice, and an independent finite-element run agrees with `"hertz"`.
+All three are kept, and none is the default.
+
+The damping factors of a Hunt-Crossley contact, `P = K delta^(3/2) (1 + chi delta')`, differ in the damping number
+`D = chi v` that they assign to a restitution e. All but the exact one are approximations, good near e = 1:
+`HuntCrossley.delivered_restitution` is what an impact really has. A new factor is one more entry of the table.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from cgid import validation
+from cgid.counting import count
+from cgid.elementary import exp
+from cgid.errors import InvalidValue
+from cgid.physics.bodies import Sphere, Target, sphere_share
+from cgid.physics.closed_forms import damping_number, delivered_restitution
+from cgid.units import STANDARD_GRAVITY
+from cgid.validation import Floats
+
+#: K over Hertz's `K1 = 4/3 sqrt(R) E`; Yang, Zeng & Wan (2018), Eq. 5-6, 7-8 and 9-13.
+STIFFNESS_THEORIES = {
+    "hertz": 1.0,
+    "rigid-sphere": 8 * np.sqrt(3) / 9,
+    "series": 1 / (1.75 * math.sqrt(1.75)),
+}
+
+
+def contact_stiffness(reduced_radius: ArrayLike, reduced_modulus: ArrayLike, theory: str) -> Floats:
+    """Return K of `P = K delta^(3/2)`.
+
+    Parameters
+    ----------
+    reduced_radius : array_like
+        [m].
+    reduced_modulus : array_like
+        [Pa].
+    theory : {"hertz", "rigid-sphere", "series"}
+        `K1 = 4/3 sqrt(R) E`; `K2 = 8 sqrt(3)/9 K1`; both springs in series, `K1 / 1.75^(3/2)`.
+
+    Returns
+    -------
+    ndarray
+        [N/m^(3/2)].
+
+    Examples
+    --------
+    >>> f"{contact_stiffness(0.025, 2.4265e9, 'hertz'):.4e}"  # Yang 2018, Table 1
+    '5.1155e+08'
+    """
+    factor = STIFFNESS_THEORIES[validation.choice("stiffness", theory, STIFFNESS_THEORIES)]
+    radius = validation.positive("reduced_radius", reduced_radius, "m")
+    modulus = validation.positive("reduced_modulus", reduced_modulus, "Pa")
+    return np.asarray(factor * 4 / 3 * np.sqrt(radius) * modulus)
+
+
+def free_fall_velocity(height: ArrayLike, gravity: float = STANDARD_GRAVITY) -> Floats:
+    """Return the speed after a free fall, `sqrt(2 g H)` [m/s] (Yang 2018, Eq. 15).
+
+    Examples
+    --------
+    >>> round(float(free_fall_velocity(1.0)), 4)
+    4.4287
+    """
+    pull = validation.not_negative("gravity", gravity, "m/s^2")
+    return np.asarray(np.sqrt(2 * pull * validation.not_negative("height", height, "m")))
+
+
+#: Damping number D = chi v of the requested restitution e, by the name of the law. Only "exact" delivers e.
+HUNT_CROSSLEY_LAWS: dict[str, Callable[[Floats], Floats]] = {
+    "exact": damping_number,
+    # Hunt & Crossley (1975), J. Appl. Mech. 42, 440.
+    "hunt-crossley": lambda e: 1.5 * (1 - e),
+    # Herbert & McWhannell (1977), J. Eng. Ind. 99, 663.
+    "herbert-mcwhannell": lambda e: 6 * (1 - e) / ((2 * e - 1) * (2 * e - 1) + 3),
+    # Lee & Wang (1983), J. Mech. Transm. Autom. Des. 105, 534.
+    "lee-wang": lambda e: 0.75 * (1 - e),
+    # Lankarani & Nikravesh (1990), J. Mech. Des. 112, 369.
+    "lankarani-nikravesh": lambda e: 0.75 * (1 - e) * (1 + e),
+    # Gonthier, McPhee, Lange & Piedboeuf (2004), Multibody Syst. Dyn. 11, 209: their approximation.
+    "gonthier": lambda e: (1 - e) * (1 + e) / e,
+    # Zhang Zhiying & Lu Qishao (2006).
+    "zhiying-qishao": lambda e: 0.75 * (1 - e) * (1 + e) * exp(2 * (1 - e)),
+    # Flores, Machado, Silva & Martins (2011), Multibody Syst. Dyn. 25, 357.
+    "flores": lambda e: 1.6 * (1 - e) / e,
+    # Hu & Guo (2015), Multibody Syst. Dyn. 35, 131.
+    "hu-guo": lambda e: 1.5 * (1 - e) / e,
+}
+#: An impact with more damping would lie outside the range of double precision anyway.
+_MOST_DAMPING = 1e100
+
+
+@dataclass(frozen=True)
+class Elastic:
+    """No loss in the material: except on a thin plate, the sphere leaves as fast as it came."""
+
+    @property
+    def damping_number(self) -> Floats:
+        """D = 0."""
+        return np.zeros(())
+
+    @property
+    def delivered_restitution(self) -> Floats:
+        """Exactly 1."""
+        return np.ones(())
+
+    def loss(self, sphere: Sphere, target: Target) -> tuple[Floats, Floats]:
+        """Return the restitution by Hunt-Crossley damping and the dissipative constant A [s], as for every law."""
+        return np.ones(()), np.zeros(())
+
+
+@dataclass(frozen=True, kw_only=True)
+class HuntCrossley:
+    """Hysteretic damping, `P = K delta^(3/2) (1 + chi delta')` (Hunt & Crossley 1975).
+
+    Parameters
+    ----------
+    restitution : array_like
+        Requested rebound speed over impact speed, in (0, 1].
+    law : str
+        How chi follows from the restitution: "exact", which delivers it, or one of the published factors
+        "hunt-crossley", "herbert-mcwhannell", "lee-wang", "lankarani-nikravesh", "gonthier", "zhiying-qishao",
+        "flores", "hu-guo".
+
+    Raises
+    ------
+    InvalidValue
+        A restitution outside (0, 1], or an unknown law.
+
+    Examples
+    --------
+    >>> round(float(HuntCrossley(restitution=0.5, law="lankarani-nikravesh").delivered_restitution), 3)
+    0.725
+    """
+
+    restitution: ArrayLike
+    law: str = "exact"
+
+    def __post_init__(self) -> None:
+        validation.restitution("restitution", self.restitution)
+        validation.choice("law", self.law, HUNT_CROSSLEY_LAWS)
+        validation.hold(self, "restitution")
+
+    @property
+    def damping_number(self) -> Floats:
+        """D = chi v, for this law."""
+        restitution = np.asarray(self.restitution, np.float64)
+        with np.errstate(over="ignore"):
+            damping = np.asarray(HUNT_CROSSLEY_LAWS[self.law](restitution))
+        if not (damping < _MOST_DAMPING).all():
+            raise InvalidValue(
+                f"restitution must leave a damping number that double precision holds, got {restitution.min():g}"
+            )
+        return damping
+
+    @property
+    def delivered_restitution(self) -> Floats:
+        """The restitution that this damping really gives on a target that takes no energy."""
+        if self.law == "exact":
+            return np.asarray(self.restitution, np.float64)
+        damping = self.damping_number
+        count("damping_solves", damping.size)
+        return delivered_restitution(damping)
+
+    def loss(self, sphere: Sphere, target: Target) -> tuple[Floats, Floats]:
+        """As `Elastic.loss`."""
+        return self.delivered_restitution, np.zeros(())
+
+
+@dataclass(frozen=True, kw_only=True)
+class Viscoelastic:
+    """A viscoelastic sphere, `P = K (delta^(3/2) + A delta^(1/2) delta')` (Kuwabara & Kono 1987).
+
+    Restitution is a result: it falls with speed. Contact ends where the force has fallen to zero, while the
+    sphere is still flattened; there is no attraction. Give one of the two numbers.
+
+    Parameters
+    ----------
+    dissipative_constant : array_like, optional
+        A [s] as written above. (Brilliantov et al. 1996, Phys. Rev. E 53, 5382, write `3/2 A` for it.)
+    time_constant : array_like, optional
+        b [s] of a Kelvin-Voigt sphere, whose stress is that of the strain plus b times its rate. Then
+        `A = 3/2 b s`, where s is the sphere's share in the compliance of both bodies. The target is elastic, even if it
+        is a second sphere: for two viscoelastic spheres give the dissipative constant of their contact.
+
+    Raises
+    ------
+    InvalidValue
+        Neither or both are given, or a number is not above 0.
+    """
+
+    dissipative_constant: ArrayLike | None = None
+    time_constant: ArrayLike | None = None
+
+    def __post_init__(self) -> None:
+        if (self.dissipative_constant is None) == (self.time_constant is None):
+            raise InvalidValue("Viscoelastic needs one of dissipative_constant [s] and time_constant [s], not both")
+        for name in ("dissipative_constant", "time_constant"):
+            if getattr(self, name) is not None:
+                validation.positive(name, getattr(self, name), "s")
+        validation.hold(self, "dissipative_constant", "time_constant")
+
+    def loss(self, sphere: Sphere, target: Target) -> tuple[Floats, Floats]:
+        """As `Elastic.loss`."""
+        if self.time_constant is None:
+            return np.ones(()), np.asarray(self.dissipative_constant, np.float64)
+        time_constant = np.asarray(self.time_constant, np.float64)
+        return np.ones(()), np.asarray(1.5 * time_constant * sphere_share(sphere, target))
+
+
+Dissipation = Elastic | HuntCrossley | Viscoelastic

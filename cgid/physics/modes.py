@@ -1,0 +1,318 @@
+"""Modes of a tail beam, computed or measured by a tap test, and their frequency response."""
+
+from __future__ import annotations
+
+import csv
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from cgid import validation
+from cgid.errors import BadData, InvalidValue
+from cgid.files import read_regular
+from cgid.physics.plates import Shapes
+from cgid.physics.response import DERIVATIVES
+from cgid.validation import Floats
+
+Point = tuple[ArrayLike, ArrayLike]
+
+#: Columns of a table of measured modes, with their units.
+COLUMNS = {"frequency": "Hz", "damping_ratio": "1", "modal_mass": "kg", "shape_impact": "1", "shape_sensor": "1"}
+#: Largest table of modes [bytes].
+_LARGEST_FILE = 8 << 20
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Modes:
+    """Natural modes of a rectangular panel, as `TailBeam.modes` returns them.
+
+    Mode r obeys `q_r'' + 2 zeta_r omega_r q_r' + omega_r^2 q_r = shape_r(impact) P / m_r`, and a point of
+    the panel moves by the sum of `shape_r(point) q_r`.
+
+    Parameters
+    ----------
+    frequency : ndarray, (n_modes,)
+        Natural frequencies without damping [Hz], ascending.
+    damping_ratio : ndarray, (n_modes,)
+    modal_mass : ndarray, (n_modes,)
+        Integral of mass per area times shape squared [kg].
+    length, width : float
+        Of the panel [m].
+    shapes : SineShapes or PolynomialShapes
+        Over the unit square; the mean square of each is 1/4.
+    """
+
+    frequency: Floats
+    damping_ratio: Floats
+    modal_mass: Floats
+    length: float
+    width: float
+    shapes: Shapes
+
+    def __post_init__(self) -> None:
+        validation.hold(self, "frequency", "damping_ratio", "modal_mass")
+
+    def shape(self, x: ArrayLike, y: ArrayLike) -> Floats:
+        """Return the shapes of all modes at points of the panel, dimensionless.
+
+        Parameters
+        ----------
+        x, y : array_like
+            From the held edge along the length and from one side over the width [m]; they broadcast.
+
+        Returns
+        -------
+        ndarray, (*points, n_modes)
+
+        Raises
+        ------
+        InvalidValue
+            A point does not lie on the panel.
+        """
+        along, across = validation.broadcast(x=on_panel("x", x, self.length), y=on_panel("y", y, self.width))
+        values = self.shapes.at(along.ravel(), across.ravel())
+        return values.reshape(*along.shape, self.frequency.size)
+
+    def participation(self, impact: Point, sensor: Point) -> Floats:
+        """Return the participation of each mode between two points, `shape(impact) shape(sensor) / modal_mass`.
+
+        Parameters
+        ----------
+        impact, sensor : tuple of array_like
+            x and y [m] of the force and of the measured motion.
+
+        Returns
+        -------
+        ndarray, (*points, n_modes)
+            [1/kg].
+        """
+        return self.shape(*impact) * self.shape(*sensor) / self.modal_mass
+
+    def up_to(self, frequency: float) -> Modes:
+        """Return only the modes up to a frequency [Hz]; evaluating their shapes then costs less, too."""
+        return self.taken(np.flatnonzero(self.frequency <= validation.not_negative("frequency", frequency, "Hz")))
+
+    def taken(self, modes: NDArray[np.intp]) -> Modes:
+        """Return only the modes with these indices, ascending."""
+        return replace(
+            self,
+            frequency=self.frequency[modes],
+            damping_ratio=self.damping_ratio[modes],
+            modal_mass=self.modal_mass[modes],
+            shapes=self.shapes.taken(modes),
+        )
+
+
+def on_panel(name: str, value: ArrayLike, extent: float) -> Floats:
+    """Return positions on the panel as a share of its side, or raise."""
+    place = validation.real(name, value, "m")
+    off = np.flatnonzero((place < 0) | (place > extent))
+    if off.size:
+        index = f" at index {off[0]}" if place.ndim else ""
+        raise InvalidValue(
+            f"{name} must lie on the beam, from 0 to {extent:g} m, got {place.ravel()[off[0]]:g} m{index}"
+        )
+    return place / extent
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class MeasuredModes:
+    """Modes from a tap test, for one point of impact and one sensor.
+
+    Parameters
+    ----------
+    frequency : array_like, (n_modes,)
+        [Hz], above 0, ascending.
+    damping_ratio : array_like, (n_modes,)
+        Above 0, below 1.
+    modal_mass : array_like, (n_modes,)
+        [kg], above 0, in the scale of the shapes.
+    shape_impact, shape_sensor : array_like, (n_modes,)
+        Dimensionless, at the two places.
+
+    Raises
+    ------
+    InvalidValue
+        A value breaks its rule, or the columns are not equally long.
+    """
+
+    frequency: ArrayLike
+    damping_ratio: ArrayLike
+    modal_mass: ArrayLike
+    shape_impact: ArrayLike
+    shape_sensor: ArrayLike
+
+    def __post_init__(self) -> None:
+        columns = {name: _require_rule(name, getattr(self, name)) for name in COLUMNS}
+        lengths = {name: column.shape for name, column in columns.items()}
+        if len(set(lengths.values())) > 1 or columns["frequency"].ndim != 1 or not columns["frequency"].size:
+            shapes = ", ".join(f"{name} {shape}" for name, shape in lengths.items())
+            raise InvalidValue(f"measured modes must be equally long rows of at least one number, got {shapes}")
+        validation.ascending("frequency", columns["frequency"], "Hz")
+        for name, column in columns.items():
+            object.__setattr__(self, name, column)
+        validation.hold(self, *COLUMNS)
+
+    def participation(self) -> Floats:
+        """Return the participation of each mode, `shape_impact shape_sensor / modal_mass` [1/kg], (n_modes,)."""
+        impact, sensor, mass = (
+            np.asarray(getattr(self, name)) for name in ("shape_impact", "shape_sensor", "modal_mass")
+        )
+        return np.asarray(impact * sensor / mass)
+
+    def up_to(self, frequency: float) -> MeasuredModes:
+        """Return only the modes up to a frequency [Hz]; there must be at least one."""
+        highest, natural = validation.positive("frequency", frequency, "Hz"), np.asarray(self.frequency)
+        if natural[0] > highest:
+            raise InvalidValue(
+                f"frequency must reach the lowest measured mode at {natural[0]:g} Hz, got {highest:g} Hz; "
+                "raise it or measure lower modes"
+            )
+        return MeasuredModes(**{name: np.asarray(getattr(self, name))[natural <= highest] for name in COLUMNS})
+
+
+def read_measured_modes(path: str | Path) -> MeasuredModes:
+    r"""Read a table of modes from a comma-separated file.
+
+    Parameters
+    ----------
+    path : str or Path
+        UTF-8 text. The first line names the columns, in any order, each with its unit: `frequency [Hz]`,
+        `damping_ratio [1]`, `modal_mass [kg]`, `shape_impact [1]`, `shape_sensor [1]`; other columns are ignored. One
+        line per mode follows; empty lines and lines that begin with # are ignored.
+
+    Raises
+    ------
+    NoInput
+        The file cannot be opened.
+    BadData
+        The file is not a regular one or too large, a column or a number is missing, the rows are not sorted, or a
+        number breaks its rule; the message names the line.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     file = Path(folder) / "tap.csv"
+    ...     _ = file.write_text(
+    ...         "frequency [Hz],damping_ratio [1],modal_mass [kg],shape_impact [1],shape_sensor [1]\n"
+    ...         "118.5,0.012,210,0.9,0.4\n"
+    ...         "187.0,0.010,180,0.3,-0.7\n"
+    ...     )
+    ...     modes = read_measured_modes(file)
+    >>> modes.participation().round(6).tolist()
+    [0.001714, -0.001167]
+    """
+    try:
+        text = read_regular(path, "the table of modes", _LARGEST_FILE).decode("utf-8-sig")
+    except UnicodeDecodeError:
+        raise BadData(f"{path}: a table of modes must be UTF-8 text; save it as CSV in UTF-8") from None
+    lines = [
+        (number, next(csv.reader([line], skipinitialspace=True)))
+        for number, line in enumerate(text.splitlines(), start=1)
+        if line.strip(" ,\t") and not line.lstrip().startswith("#")
+    ]
+    if len(lines) < 2:
+        raise BadData(f"{path}: a table of modes must have a line of column names and a line a mode, got {len(lines)}")
+    places = _places(path, [title.strip() for title in lines[0][1]])
+    rows = [_row(f"{path}, line {number}", cells, places) for number, cells in lines[1:]]
+    for (number, _), before, row in zip(lines[2:], rows[:-1], rows[1:], strict=True):
+        if row["frequency"] < before["frequency"]:
+            raise BadData(
+                f"{path}, line {number}: frequency must ascend from line to line, got {row['frequency']:g} Hz after "
+                f"{before['frequency']:g} Hz; sort the modes"
+            )
+    return MeasuredModes(**{name: np.array([row[name] for row in rows]) for name in COLUMNS})
+
+
+def _places(path: str | Path, titles: list[str]) -> dict[str, int]:
+    """Return the cell of a line in which each column is."""
+    wanted = {name: f"{name} [{unit}]" for name, unit in COLUMNS.items()}
+    for name, title in wanted.items():
+        if titles.count(title) != 1:
+            # A scene may name any file of its reader: only a table of modes is quoted.
+            is_table = any(other in titles for other in wanted.values())
+            others = f"only {', '.join(map(repr, titles))}" if is_table else "none of the columns of a table of modes"
+            found = "twice" if title in titles else others
+            raise BadData(f"{path}: the column {title!r} must be there once, got {found}; {name} needs its unit, too")
+    return {name: titles.index(title) for name, title in wanted.items()}
+
+
+def _row(place: str, cells: list[str], places: dict[str, int]) -> dict[str, float]:
+    """Return the numbers of one mode, or raise `BadData` with the place."""
+    row = {}
+    for name, index in places.items():
+        cell = cells[index].strip() if index < len(cells) else ""
+        try:
+            row[name] = float(cell)
+        except ValueError:
+            raise BadData(f"{place}: {name} must be a number, got {cell!r}") from None
+        try:
+            _require_rule(name, row[name])
+        except InvalidValue as error:
+            raise BadData(f"{place}: {error}") from None
+    return row
+
+
+def _require_rule(name: str, value: ArrayLike) -> Floats:
+    """Return a column or a cell as numbers, or raise `InvalidValue`."""
+    if name.startswith("shape"):
+        return validation.real(name, value)
+    if name == "damping_ratio":
+        return validation.damping_ratio(name, value)
+    return validation.positive(name, value, COLUMNS[name])
+
+
+def frequency_response(
+    frequency: ArrayLike, modes: Modes | MeasuredModes, participation: Floats, *, quantity: str
+) -> NDArray[np.complex128]:
+    """Return motion over force at given frequencies, `exp(+j omega t)`.
+
+    `sum participation (j omega)^n / (omega_r^2 - omega^2 + 2 j zeta_r omega_r omega)`, n = 0, 1, 2 for receptance,
+    mobility and accelerance: Ewins (2000), Modal Testing, section 2. Modes above the highest are missing,
+    which shows as a stiffness below them.
+
+    Parameters
+    ----------
+    frequency : array_like, (n_frequencies,)
+        [Hz], 0 or more.
+    modes : Modes or MeasuredModes
+    participation : ndarray, (*points, n_modes)
+        `modes.participation(...)` [1/kg].
+    quantity : {"acceleration", "velocity", "displacement"}
+
+    Returns
+    -------
+    ndarray of complex, (*points, n_frequencies)
+        [m/s^2/N], [m/s/N] or [m/N].
+
+    Raises
+    ------
+    InvalidValue
+        A frequency is negative, the quantity unknown, or the participation is that of other modes.
+
+    Examples
+    --------
+    At its resonance one mode moves as the damping allows, a quarter period behind the force:
+
+    >>> modes = MeasuredModes(
+    ...     frequency=[100.0], damping_ratio=[0.01], modal_mass=[50.0], shape_impact=[1.0], shape_sensor=[1.0]
+    ... )
+    >>> response = frequency_response([100.0], modes, modes.participation(), quantity="acceleration")
+    >>> complex(response[0].round(9))
+    1j
+    """
+    validation.choice("quantity", quantity, DERIVATIVES)
+    asked = np.atleast_1d(validation.not_negative("frequency", frequency, "Hz"))
+    natural, damping = (np.asarray(part, dtype=np.float64) for part in (modes.frequency, modes.damping_ratio))
+    if participation.shape[-1:] != natural.shape:
+        raise InvalidValue(
+            f"participation must have one number for each of the {natural.size} modes in its last axis, got shape "
+            f"{participation.shape}"
+        )
+    omega, natural = 2 * np.pi * asked[:, None], 2 * np.pi * natural
+    each = (1j * omega) ** DERIVATIVES[quantity] / (natural**2 - omega**2 + 2j * damping * natural * omega)
+    # Not a matrix product, whose last bits depend on the library and its threads.
+    return np.asarray(np.einsum("...m,fm->...f", participation, each))

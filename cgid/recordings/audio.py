@@ -1,0 +1,209 @@
+"""The pages of an Ogg file (RFC 3533): whether all of them are there, which decoders do not tell.
+
+FLAC and OGG files by blocks, decoded by libsndfile; what it passes over silently is checked here.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cgid.errors import BadData, MissingExtra
+from cgid.recordings.recording import Contents
+
+#: Bytes of a page before its table of segments.
+_HEAD_SIZE = 27
+
+_LAST_PAGE = 4
+
+
+@dataclass(frozen=True, kw_only=True)
+class OggPages:
+    """What the pages of a file say.
+
+    Attributes
+    ----------
+    is_whole : bool
+        The last page is marked as such, and none is missing before.
+    n_samples : int or None
+        Of each channel, by the position of the last page; None where it does not count samples.
+    """
+
+    is_whole: bool
+    n_samples: int | None
+
+
+def ogg_pages(path: Path) -> OggPages | None:
+    """Return what the pages of a file say; None if it is no Ogg file."""
+    position, flags, number = 0, 0, -1
+    is_vorbis = False
+    with path.open("rb") as file:
+        size = os.fstat(file.fileno()).st_size
+        at = 0
+        while len(head := file.read(_HEAD_SIZE)) == _HEAD_SIZE and head.startswith(b"OggS"):
+            table = file.read(head[26])
+            end = at + _HEAD_SIZE + head[26] + sum(table)
+            if end > size or int.from_bytes(head[18:22], "little") != number + 1:
+                break
+            if not at:
+                is_vorbis = file.read(7) == b"\x01vorbis"
+            number, flags, at = number + 1, head[5], end
+            position = int.from_bytes(head[6:14], "little", signed=True)
+            file.seek(at)
+        if not at and not head.startswith(b"OggS"):
+            return None
+    return OggPages(is_whole=at == size and bool(flags & _LAST_PAGE), n_samples=position if is_vorbis else None)
+
+
+#: Samples of each channel that are decoded at once; what lies before damage is read to so many.
+_DECODED = 1024
+
+#: Samples of a channel that one byte of a file can hold at most: a FLAC frame of 65535 equal ones takes some 12.
+_BEST_PACKING = 1 << 13
+
+
+def read_audio(path: Path, source: str, variable: str | None) -> Contents:
+    """Return the channels of a FLAC or OGG file.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    source : str
+        Its name in messages.
+    variable : str or None
+        Not used: such a file holds one recording.
+
+    Returns
+    -------
+    Contents
+        With a full scale of 1.0, in "FS" if nobody says otherwise. Of a file that is damaged or cut off what comes
+        before, and a warning.
+
+    Raises
+    ------
+    BadData
+        The head of the file is damaged.
+    MissingExtra
+        The library soundfile is not installed.
+    """
+    try:
+        import soundfile
+    except (ImportError, OSError):
+        raise MissingExtra(
+            f"{source}: FLAC and OGG need the library soundfile; install it with pip install 'cgid[formats]'"
+        ) from None
+    sound = _Sound(path=path, source=source, library=soundfile)
+    with sound.opened() as file:
+        n_channels, rate, n_samples = int(file.channels), float(file.samplerate), int(file.frames)
+    return Contents(
+        n_channels=n_channels,
+        blocks=sound.blocks,
+        # A header may declare what no file of this size can hold.
+        n_samples=n_samples if 0 <= n_samples <= _BEST_PACKING * path.stat().st_size else None,
+        sampling_rate=rate,
+        rate_from="header of the audio file",
+        fallback_unit="FS",
+        warnings=sound.warnings,
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Sound:
+    path: Path
+    source: str
+    library: Any
+    warnings: list[str] = field(default_factory=list)
+
+    def opened(self) -> Any:
+        # By way of Python's own opening, so that a missing file is told as such.
+        self.path.open("rb").close()
+        try:
+            return self.library.SoundFile(str(self.path))
+        except (self.library.LibsndfileError, ValueError) as error:
+            raise BadData(
+                f"{self.source}: the audio file cannot be decoded ({_reason(error)}); copy or export it again"
+            ) from None
+
+    def blocks(self, length: int, channels: Sequence[int]) -> Iterator[NDArray[Any]]:
+        """Yield the samples of channels, and at the end warn of what is missing."""
+        picked, count = list(channels), 0
+        checksum = _Checksum.of(self.path)
+        pages = ogg_pages(self.path)
+        with self.opened() as file:
+            most = min(length, _DECODED)
+            declared = file.frames
+            while True:
+                try:
+                    frames = file.read(most, dtype="int32" if checksum else "float64", always_2d=True)
+                except self.library.LibsndfileError as error:
+                    self._stopped(count, declared, _reason(error))
+                    return
+                if not len(frames):
+                    break
+                if checksum:
+                    checksum.feed(frames)
+                    frames = frames / 2.0**31
+                count += len(frames)
+                yield np.ascontiguousarray(frames.T[picked])
+        if count < declared:
+            self._stopped(count, declared, "it ends there")
+        elif checksum and not checksum.holds:
+            self.warnings.append("the samples are not those of the checksum in the header; some are damaged or missing")
+        if pages:
+            self._compare(pages, count)
+
+    def _stopped(self, count: int, declared: int, reason: str) -> None:
+        if not count:
+            raise BadData(f"{self.source}: no sample can be decoded ({reason}); copy or export the file again")
+        self.warnings.append(
+            f"the header declares {declared} samples and {count} can be decoded ({reason}); the file looks cut off or "
+            "damaged, what comes before was read"
+        )
+
+    def _compare(self, pages: OggPages, count: int) -> None:
+        if not pages.is_whole:
+            self.warnings.append(f"the file has no end; it looks cut off, the {count} samples before were read")
+        elif pages.n_samples not in (None, count):
+            raise BadData(
+                f"{self.source}: the file must hold {pages.n_samples} samples and {count} can be decoded; some of its "
+                "pages are damaged, copy or export it again"
+            )
+
+
+class _Checksum:
+    """MD5 of the samples of a FLAC file, to be compared with that in its header (RFC 9639, 8.2)."""
+
+    def __init__(self, bits: int, expected: bytes) -> None:
+        self._bits, self._expected, self._found = bits, expected, hashlib.md5(usedforsecurity=False)
+
+    @classmethod
+    def of(cls, path: Path) -> _Checksum | None:
+        """Return a checksum to be fed; None if the file has none."""
+        with path.open("rb") as file:
+            head = file.read(42)
+        if not head.startswith(b"fLaC") or len(head) < 42 or not any(head[26:42]):
+            return None
+        return cls(bits=((head[20] & 1) << 4 | head[21] >> 4) + 1, expected=head[26:42])
+
+    def feed(self, frames: NDArray[np.int32]) -> None:
+        """Take samples (n, n_channels) at the top of 32 bits."""
+        numbers = np.ascontiguousarray(frames >> (32 - self._bits), "<i4")
+        self._found.update(numbers.view(np.uint8).reshape(-1, 4)[:, : -(-self._bits // 8)].tobytes())
+
+    @property
+    def holds(self) -> bool:
+        """Whether what was fed is what was written."""
+        return self._found.digest() == self._expected
+
+
+def _reason(error: Exception) -> str:
+    # Without the name of the file, which the message begins with already.
+    return " ".join(str(error).rpartition("':")[2].split()).rstrip(".")[:120]

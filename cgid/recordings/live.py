@@ -1,0 +1,244 @@
+"""A stream of samples as it comes: raw numbers or a WAV of unknown length on the standard input."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
+from typing import Any, BinaryIO
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cgid import validation
+from cgid.errors import BadData, InvalidValue, MissingOption
+from cgid.recordings.recording import MAX_CHANNELS, rates_agree
+from cgid.recordings.wav import ENDLESS, WAV_MAGICS, Coding, read_wave_head
+from cgid.units import quantity_of
+from cgid.validation import require_rate
+
+#: Numbers that are taken from the stream at once at most.
+_MOST_NUMBERS = 1 << 16
+#: What files begin with that have their numbers in order only as a whole.
+_FILES = {
+    b"\x93NUM": "an NPY file",
+    b"PK\3\4": "an archive",
+    b"\x89HDF": "an HDF5 file",
+    b"TDSm": "a TDMS file",
+    b"PAR1": "a Parquet file",
+    b"fLaC": "FLAC",
+    b"OggS": "OGG",
+}
+
+
+@dataclass(kw_only=True)
+class LiveStream:
+    """Samples that come while they are recorded; made by `live_stream`, read once by iterating over it.
+
+    Attributes
+    ----------
+    file : binary file
+    coding : Coding
+        How a number is written.
+    n_channels : int
+    sampling_rate : float
+        [Hz].
+    unit : str or None
+        Of all channels; "FS" where integers are scaled to full scale, or a WAV comes, and nobody says otherwise.
+    source : str
+        Its name in messages.
+    n_samples : int
+        Of each channel, that have come so far.
+    warnings : list of str
+        What was left out, one line each; complete when the stream has ended.
+    head : bytes
+        What has been read of the samples already.
+    size : int or None
+        Bytes of sound that are to come; None if the stream goes on until it ends.
+    """
+
+    file: BinaryIO
+    coding: Coding
+    n_channels: int
+    sampling_rate: float
+    unit: str | None = None
+    source: str = "stdin"
+    n_samples: int = 0
+    warnings: list[str] = field(default_factory=list)
+    head: bytes = b""
+    size: int | None = None
+
+    def __iter__(self) -> Iterator[NDArray[Any]]:
+        """Yield what has come, (n_channels, n), as soon as there is one whole sample; never waits for a full block.
+
+        Raises
+        ------
+        BadData
+            A float is not finite: the sample is named, and what came before it has been yielded. Or nothing came.
+        """
+        frame_size = self.n_channels * self.coding.width
+        pending, left = self.head, self.size
+        while True:
+            whole = len(pending) - len(pending) % frame_size
+            if whole:
+                yield from self._blocks(pending[:whole])
+                pending = pending[whole:]
+            most = max(1, _MOST_NUMBERS // self.n_channels) * frame_size
+            raw = _available(self.file, most if left is None else min(most, left))
+            if left is not None:
+                left -= len(raw)
+            if not raw:
+                break
+            pending += raw
+        if left:
+            self.warnings.append(f"the header declares {left} more bytes of sound than came; the stream was cut off")
+        if pending:
+            self.warnings.append(
+                f"the stream ended within a sample of {frame_size} bytes; the last {len(pending)} were left out"
+            )
+        if not self.n_samples:
+            raise BadData(f"{self.source}: a stream must hold samples, it ended before the first; check what writes it")
+
+    def _blocks(self, raw: bytes) -> Iterator[NDArray[Any]]:
+        """Yield the samples up to the first that is not finite, where there is one; then raise."""
+        samples = self.coding.decoded(raw).reshape(-1, self.n_channels)
+        broken = np.argwhere(~np.isfinite(samples))
+        good = len(samples) if not len(broken) else int(broken[0, 0])
+        if good:
+            self.n_samples += good
+            yield np.ascontiguousarray(samples[:good].T)
+        if len(broken):
+            sample, channel = broken[0]
+            raise BadData(
+                f"{self.source}: samples must be finite, sample {self.n_samples} of channel {channel + 1} is "
+                f"{samples[sample, channel]}; check the sample format and the number of channels"
+            )
+
+
+def live_stream(
+    file: BinaryIO,
+    *,
+    sampling_rate: float | None = None,
+    n_channels: int | None = None,
+    sample_format: str | None = None,
+    unit: str | None = None,
+    source: str = "stdin",
+) -> LiveStream:
+    """Return a stream of samples; a WAV is known by its header, anything else is raw numbers, channels interleaved.
+
+    Parameters
+    ----------
+    file : binary file
+        Such as ``sys.stdin.buffer``.
+    sampling_rate : float, optional
+        [Hz]; needed of raw numbers.
+    n_channels : int, optional
+        Needed of raw numbers.
+    sample_format : str, optional
+        Such as "s16le", "s24le", "s32le", "f32le", "u8"; needed of raw numbers.
+    unit : str, optional
+        What the numbers are in: floats as they are, integers scaled to a full scale of 1.0.
+    source : str, optional
+        Name of the stream in messages.
+
+    Returns
+    -------
+    LiveStream
+
+    Raises
+    ------
+    MissingOption
+        Neither the stream nor the options say how to read it.
+    InvalidValue
+        An option breaks its rule or contradicts the WAV header.
+    BadData
+        The stream is empty, or its WAV header is damaged.
+
+    Examples
+    --------
+    >>> import io
+    >>> stream = live_stream(io.BytesIO(bytes([0, 64, 0, 192])), sampling_rate=8, n_channels=2, sample_format="s16le")
+    >>> [block.tolist() for block in stream]
+    [[[0.5], [-0.5]]]
+    """
+    if unit is not None:
+        quantity_of(unit)
+    given = None if sampling_rate is None else require_rate(sampling_rate)
+    if n_channels is not None and validation.count("n_channels", n_channels) > MAX_CHANNELS:
+        raise InvalidValue(f"n_channels must be at most {MAX_CHANNELS}, got {n_channels}")
+    coding = None if sample_format is None else Coding.of_name(sample_format)
+    start = file.read(4)
+    if not start:
+        raise BadData(f"{source}: a stream must hold samples, it is empty; check what writes to it")
+    if start.startswith(WAV_MAGICS):
+        stream = _wave_stream(start, file, source)
+        _require_agreement(stream, given, n_channels, coding)
+        return replace(stream, sampling_rate=given or stream.sampling_rate, unit=unit or "FS")
+    for magic, name in _FILES.items():
+        if start == magic:
+            raise BadData(f"{source}: a stream must be raw numbers or WAV, this is {name}; give it to cgid predict -")
+    for missing, what, option in (
+        (coding is None, "how numbers are written", "--sample-format NAME, such as s16le"),
+        (given is None, "the sampling rate", "--rate HZ"),
+        (n_channels is None, "the number of channels", "--channels N"),
+    ):
+        if missing:
+            raise MissingOption(f"{source}: a raw stream does not say {what}; give it with {option}")
+    assert coding is not None and given is not None and n_channels is not None
+    return LiveStream(
+        file=file,
+        coding=coding,
+        n_channels=n_channels,
+        sampling_rate=given,
+        unit=unit or (None if coding.kind == "f" else "FS"),
+        source=source,
+        head=start,
+    )
+
+
+def _wave_stream(start: bytes, file: BinaryIO, source: str) -> LiveStream:
+    head = read_wave_head(file, lambda size: _skip(file, size), source, start)
+    if not 0 < head.n_channels <= MAX_CHANNELS:
+        raise BadData(f"{source}: a stream must be of 1 to {MAX_CHANNELS} channels, got {head.n_channels}")
+    return LiveStream(
+        file=file,
+        coding=head.coding,
+        n_channels=head.n_channels,
+        sampling_rate=require_rate(head.sampling_rate),
+        source=source,
+        size=head.data_size if 0 < head.data_size < ENDLESS else None,
+        warnings=list(head.warnings),
+    )
+
+
+def _require_agreement(
+    stream: LiveStream, sampling_rate: float | None, n_channels: int | None, coding: Coding | None
+) -> None:
+    if sampling_rate is not None and not rates_agree(sampling_rate, stream.sampling_rate):
+        raise InvalidValue(
+            f"{stream.source}: sampling_rate must agree with the stream to 0.1 %, got {sampling_rate:.10g} Hz where "
+            f"the WAV header says {stream.sampling_rate:.10g} Hz; leave out --rate or correct it"
+        )
+    if n_channels not in (None, stream.n_channels):
+        raise InvalidValue(
+            f"{stream.source}: n_channels must agree with the stream, got {n_channels} where the WAV header says "
+            f"{stream.n_channels}; leave out --channels or correct it"
+        )
+    if coding not in (None, stream.coding):
+        raise InvalidValue(
+            f"{stream.source}: sample_format must agree with the stream, the WAV header says another; leave out "
+            "--sample-format"
+        )
+
+
+def _skip(file: BinaryIO, size: int) -> None:
+    while size > 0 and (passed := len(file.read(min(size, 1 << 16)))):
+        size -= passed
+
+
+def _available(file: BinaryIO, most: int) -> bytes:
+    """Return what has come, at least one byte unless the stream has ended."""
+    if not most:
+        return b""
+    # A buffered file would wait until all has come; a raw one returns what there is.
+    read = getattr(file, "read1", file.read)
+    return read(most) or b""

@@ -1,0 +1,370 @@
+"""What a file says about itself, before the options have spoken.
+
+A recording on disk, ready to be read by blocks: the file has spoken, and so have the options.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from datetime import datetime
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cgid.errors import BadData, CgidError, InvalidValue, MissingOption, NoInput
+from cgid.signals import Signal
+from cgid.units import UNITS, quantity_of
+from cgid.validation import require_rate
+
+#: What to do with a dataset where a recording is wanted.
+DATASET_CURE = "read it with cgid.store, or pick one of its signals with --index"
+
+#: A block holds at most this many numbers, however many channels there are.
+MOST_NUMBERS = 1 << 22
+
+#: More channels than this are samples written along the wrong axis.
+MAX_CHANNELS = 4096
+
+#: Two statements of one sampling rate may differ by this part; clocks are that good, typing errors are not.
+RATE_TOLERANCE = 1e-3
+
+#: From a length and channels to blocks of (len(channels), at most length), from the first sample on.
+Blocks = Callable[[int, Sequence[int]], Iterator[NDArray[Any]]]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Contents:
+    """The channels of a file and what the file itself says about them.
+
+    Parameters
+    ----------
+    n_channels : int
+    blocks : callable
+        `blocks(length, channels)` yields the samples of these channels (numbers from 0) in order, as float32 or
+        float64 of shape (len(channels), at most length). Every call begins anew with the first sample.
+    n_samples : int or None
+        Of each channel; None where only reading tells.
+    names : sequence of str
+        One a channel, "" where the file gives none.
+    units : sequence of str or None
+        One a channel, None where the file gives none that is known.
+    sampling_rate : float or None
+        [Hz], as the file says.
+    rate_from : str
+        Where in the file the sampling rate is said.
+    fallback_unit : str or None
+        The unit if neither the file nor the user gives one.
+    start_time : datetime or None
+        When the first sample was taken, as the file says.
+    warnings : list of str
+        What is damaged and was left out, one line each; may grow while blocks are read.
+    """
+
+    n_channels: int
+    blocks: Blocks
+    n_samples: int | None = None
+    names: Sequence[str] = ()
+    units: Sequence[str | None] = ()
+    sampling_rate: float | None = None
+    rate_from: str = "header"
+    fallback_unit: str | None = None
+    start_time: datetime | None = None
+    warnings: list[str] = field(default_factory=list)
+
+    @classmethod
+    def of_array(cls, samples: NDArray[Any], **about: Any) -> Contents:
+        """Return the contents of a file that had to be read whole, (n_channels, n_samples)."""
+
+        def blocks(length: int, channels: Sequence[int]) -> Iterator[NDArray[Any]]:
+            for first in range(0, samples.shape[1], length):
+                yield samples[list(channels), first : first + length]
+
+        return cls(n_channels=samples.shape[0], blocks=blocks, n_samples=samples.shape[1], **about)
+
+    def require_channels(self, source: str) -> None:
+        """Raise `BadData` if there is nothing, or rows and columns are exchanged."""
+        if not self.n_channels or self.n_samples == 0:
+            raise BadData(f"{source}: a recording must hold at least one sample, there is none; record it again")
+        if self.n_channels > MAX_CHANNELS:
+            raise BadData(
+                f"{source}: at most {MAX_CHANNELS} channels, got {self.n_channels} of {self.n_samples or 'some'} "
+                "samples; transpose it if each row is one channel in full"
+            )
+
+    def name(self, index: int) -> str:
+        """Return the name of a channel, "" without one."""
+        return self.names[index] if index < len(self.names) else ""
+
+    def label(self, index: int) -> str:
+        """Return what a channel is called: its name, else its number from 1; both where several have the name."""
+        # A single channel needs no name to be told apart.
+        if self.n_channels == 1 or not self.name(index):
+            return str(index + 1)
+        name = self.name(index)
+        return name if self.names.count(name) == 1 else _numbered(index, name)
+
+    def selected(self, channel: int | str, source: str) -> list[int]:
+        """Return the indices of the channels that are meant: a number (from 1) or name, or several, as in 1+2."""
+        if not (isinstance(channel, str) and "+" in channel):
+            return [self._index(channel, source)]
+        try:  # a name may hold the sign
+            return [self._index(channel, source)]
+        except InvalidValue:
+            return [self._index(part.strip(), source) for part in channel.split("+")]
+
+    def _index(self, channel: int | str, source: str) -> int:
+        """Return the index of the channel of this number or name, or of both as `label` has them."""
+        names = [self.name(index) for index in range(self.n_channels)]
+        if isinstance(channel, str) and channel and names.count(channel) == 1:
+            return names.index(channel)
+        labels = [_numbered(index, name) for index, name in enumerate(names)]
+        if channel in labels:
+            return labels.index(str(channel))
+        wanted = str(channel)
+        # By way of its text, as True would otherwise quietly be the first channel.
+        if wanted.isascii() and wanted.isdigit() and len(wanted) < 9:
+            number = int(wanted)
+            if 1 <= number <= len(names):
+                return number - 1
+        listed, more = ", ".join(labels[:20]), ", ..." if len(names) > 20 else ""
+        fault = "is the name of several" if wanted and names.count(wanted) > 1 else "is none of them"
+        raise InvalidValue(f"{source}: channel {channel!r} {fault}; choose one of {listed}{more} by --channel")
+
+    def rate(self, given: float | None, source: str) -> float:
+        """Return the sampling rate [Hz] that file and user agree on."""
+        stated = self.sampling_rate
+        if stated is not None and not (np.isfinite(stated) and stated > 0):
+            raise BadData(
+                f"{source}: sampling rate must be above 0 and finite, the {self.rate_from} says {stated:g} Hz; "
+                "correct it"
+            )
+        if stated is None:
+            if given is None:
+                raise MissingOption(f"{source}: the file does not say the sampling rate; give it with --rate HZ")
+            return given
+        if given is None:
+            return stated
+        if not rates_agree(given, stated):
+            raise InvalidValue(
+                f"{source}: sampling_rate must agree with the file to 0.1 %, got {given:.10g} Hz where the "
+                f"{self.rate_from} says {stated:.10g} Hz; leave out --rate or correct it"
+            )
+        return given
+
+    def unit(self, index: int, given: str | None, source: str) -> str | None:
+        """Return the unit of a channel that file and user agree on."""
+        stated = self.units[index] if index < len(self.units) else None
+        if given is None or stated is None:
+            return given or stated or self.fallback_unit
+        if _meaning(given) == _meaning(stated):
+            return stated
+        raise BadData(
+            f"{source}: channel {self.label(index)} must be in one unit, its header says {stated} "
+            f"({quantity_of(stated)}) and --unit says {given} ({quantity_of(given)}); leave out --unit or correct the "
+            "header, or pick another channel with --channel"
+        )
+
+
+def _numbered(index: int, name: str) -> str:
+    return f"{index + 1} ({name})" if name else str(index + 1)
+
+
+def rates_agree(first: float, second: float) -> bool:
+    """Return whether two statements of one sampling rate [Hz] agree to 0.1 %.
+
+    Examples
+    --------
+    >>> rates_agree(50_000.0, 49_993.05), rates_agree(50_000.0, 51_200.0)
+    (True, False)
+    """
+    return abs(first - second) <= RATE_TOLERANCE * min(first, second)
+
+
+def require_one_rate(first: tuple[float, str], second: tuple[float, str], source: str) -> None:
+    """Raise `BadData` unless two sampling rates [Hz] of one recording agree; each comes with what states it."""
+    if not rates_agree(first[0], second[0]):
+        other = "" if first[1] == second[1] else f"{second[1]} says "
+        raise BadData(
+            f"{source}: the sampling rate must be one to 0.1 %, {first[1]} says {first[0]:.10g} Hz and "
+            f"{other}{second[0]:.10g} Hz; correct one"
+        )
+
+
+def _meaning(unit: str) -> tuple[str, float]:
+    quantity = quantity_of(unit)
+    return quantity, UNITS[quantity][unit]
+
+
+#: Samples of a channel that are read at once if nobody says otherwise.
+BLOCK_LENGTH = 1 << 16
+
+
+@dataclass(frozen=True, kw_only=True)
+class Channel:
+    """One channel of a recording.
+
+    Attributes
+    ----------
+    name : str
+        As the file says, else its number from 1.
+    unit : str or None
+        None where nobody said.
+    """
+
+    name: str
+    unit: str | None = None
+
+    @property
+    def quantity(self) -> str | None:
+        """The physical quantity of the unit; None when the unit is unknown."""
+        return None if self.unit is None else quantity_of(self.unit)
+
+
+class RecordingFile:
+    """A recording that is read by blocks, so that it may be longer than memory; made by `open_recording`.
+
+    Attributes
+    ----------
+    source : str
+        The file's name.
+    format : str
+        Such as "WAV".
+    sampling_rate : float
+        [Hz].
+    channels : tuple of Channel
+        Those asked for.
+    n_samples : int or None
+        Of each channel, as the file says; None where only reading tells.
+    start_time : datetime or None
+        When the first sample was taken, where the file says it.
+    """
+
+    def __init__(
+        self,
+        contents: Contents,
+        *,
+        source: str,
+        format: str,
+        sampling_rate: float | None,
+        unit: str | None,
+        channel: int | str | Sequence[int | str] | None,
+    ) -> None:
+        contents.require_channels(source)
+        self._contents = contents
+        self._selected = _selected(contents, channel, source)
+        self.source, self.format = source, format
+        self.sampling_rate = require_rate(contents.rate(sampling_rate, source))
+        self.channels = tuple(
+            Channel(name=contents.label(index), unit=contents.unit(index, unit, source)) for index in self._selected
+        )
+        self.n_samples, self.start_time = contents.n_samples, contents.start_time
+
+    @property
+    def duration(self) -> float | None:
+        """Length of the recording [s]; None where only reading tells."""
+        return None if self.n_samples is None else self.n_samples / self.sampling_rate
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What is damaged and was left out, one line each; complete once all blocks have been read."""
+        return tuple(f"{self.source}: {warning}" for warning in dict.fromkeys(self._contents.warnings))
+
+    def blocks(self, length: int = BLOCK_LENGTH) -> Iterator[NDArray[Any]]:
+        """Yield the samples in order, (n_channels, at most `length`), float32 or float64.
+
+        Raises
+        ------
+        BadData
+            A number is not finite (channel and sample are named), or the file is damaged where nothing can be left
+            out.
+        NoInput
+            The file is gone or its rights have changed.
+        """
+        first = 0
+        for block in self._blocks(length):
+            finite = np.isfinite(block)
+            if not finite.all():
+                row, column = np.argwhere(~finite)[0]
+                raise BadData(
+                    f"{self._name(row)}: samples must be finite, sample {first + column} is {block[row, column]}; "
+                    "cut or repair the recording there"
+                )
+            first += block.shape[1]
+            yield block
+
+    def signals(self) -> list[Signal]:
+        """Return one `Signal` a channel, all of it in memory.
+
+        Raises
+        ------
+        BadData
+            As `blocks`, or the recording does not fit in memory.
+        """
+        try:
+            samples = self._whole()
+        except MemoryError:
+            raise BadData(f"{self.source}: the recording must fit in memory and does not; cut it into parts") from None
+        return [
+            Signal(
+                samples=row,
+                sampling_rate=self.sampling_rate,
+                unit=channel.unit,
+                source=self.source,
+                channel=channel.name,
+                start_time=self.start_time,
+                warnings=self.warnings,
+            )
+            for row, channel in zip(samples, self.channels, strict=True)
+        ]
+
+    def _blocks(self, length: int) -> Iterator[NDArray[Any]]:
+        count = 0
+        # Memory does not grow with the number of channels either.
+        length = min(length, max(MOST_NUMBERS // self._contents.n_channels, 1))
+        with told(self.source):
+            for block in self._contents.blocks(length, self._selected):
+                count += block.shape[1]
+                yield block
+        if not count:
+            raise BadData(f"{self.source}: a recording must hold at least one sample, there is none; record it again")
+
+    def _whole(self) -> NDArray[Any]:
+        if self.n_samples is None:
+            return np.concatenate(list(self._blocks(BLOCK_LENGTH)), axis=1)
+        out, filled = np.empty((len(self._selected), 0)), 0
+        for block in self._blocks(BLOCK_LENGTH):
+            if not filled:
+                out = np.empty((len(block), self.n_samples), block.dtype)
+            out[:, filled : filled + block.shape[1]] = block
+            filled += block.shape[1]
+        return out[:, :filled]
+
+    def _name(self, row: int) -> str:
+        channel = self.channels[row].name
+        return self.source if channel == "1" else f"{self.source} channel {channel}"
+
+
+def _selected(contents: Contents, channel: int | str | Sequence[int | str] | None, source: str) -> tuple[int, ...]:
+    if channel is None:
+        return tuple(range(contents.n_channels))
+    asked = [channel] if isinstance(channel, int | str) else list(channel)
+    return tuple(dict.fromkeys(index for one in asked for index in contents.selected(one, source)))
+
+
+@contextmanager
+def told(source: str) -> Iterator[None]:
+    """Say why a file cannot be opened or read, in one line."""
+    try:
+        yield
+    except CgidError:
+        raise
+    except FileNotFoundError:
+        raise NoInput(f"{source}: the file must exist and does not; check the name") from None
+    except PermissionError:
+        raise NoInput(f"{source}: the file must be readable, permission is denied; check its rights") from None
+    except OSError as error:
+        reason = error.strerror or str(error)
+        raise NoInput(f"{source!r}: the file cannot be opened ({reason}); check the name") from None

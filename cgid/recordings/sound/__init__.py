@@ -1,1 +1,0 @@
-"""WAV, FLAC and OGG files, and live streams of samples."""

@@ -1,0 +1,481 @@
+"""Text files (CSV, TXT, ...): the first piece shows header and layout, numpy's parser reads the rows piece by piece.
+
+Only where numpy's parser fails are the rows read line by line, to name the damaged one.
+"""
+
+from __future__ import annotations
+
+import io
+import math
+import re
+from collections import deque
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cgid.errors import BadData
+from cgid.recordings.recording import MAX_CHANNELS, Contents, rates_agree, require_one_rate
+from cgid.recordings.text_header import Column, Header, read_header
+from cgid.recordings.text_layout import (
+    MIXED,
+    SNIFFED,
+    Layout,
+    encoding_of,
+    is_comment,
+    layout_of,
+    stamped_layout_of,
+    stamped_moment,
+    with_seconds,
+)
+from cgid.recordings.times import EvenTimes, Floats, rate_of, refined_rate, runs_evenly, seconds
+
+#: Characters that are read at once; the header must end within the first piece.
+PIECE = 1 << 20
+
+#: A longer line [characters] is no row: it would have more channels than a recording may have.
+_LONGEST_LINE = 1 << 18
+
+#: DOS ends a text with this character.
+_END_MARK = "\x1a"
+
+#: A comma in a row, before any comment.
+_COMMA = re.compile(r"^[^#%/\n]*,", re.MULTILINE)
+
+#: Names of a column that only numbers the rows.
+_NAMES_OF_COUNTERS = ("", "index", "no", "nr", "n", "i", "sample", "samples", "sample no", "point", "row", "序号")
+
+
+def read_text(path: Path, source: str, variable: str | None) -> Contents:
+    r"""Return the channels of a text file, with what its header and its time column say.
+
+    Layout and sampling rate are those of the first `PIECE` characters; every further piece is checked as it comes.
+
+    Parameters
+    ----------
+    path : Path
+    source : str
+        Name of the file in messages.
+    variable : str or None
+        Not used: a text holds one recording.
+
+    Raises
+    ------
+    BadData
+        The file is no text or holds no numbers; a row is uneven, cut off, or has a field that is no finite number
+        (the message names sample and line); the time column is not even or contradicts the stated sampling rate.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     file = Path(folder) / "hit.csv"
+    ...     _ = file.write_text("t [ms];force (N)\n0,0;1,5\n0,5;2,5\n")
+    ...     contents = read_text(file, "hit.csv", None)
+    >>> contents.n_samples, contents.units, contents.sampling_rate
+    (2, ['N'], 2000.0)
+    """
+    with path.open("rb") as file:
+        encoding = encoding_of(file.read(SNIFFED), source)
+    header, body = _header_and_body(path, encoding, source)
+    if body.layout.n_columns > MAX_CHANNELS:
+        raise BadData(
+            f"{source}: at most {MAX_CHANNELS} columns, line {body.first_line} has {body.layout.n_columns}; "
+            "transpose it: one sample a row, one channel a column"
+        )
+    return _assembled(header, body)
+
+
+# ---- rows ------------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, kw_only=True)
+class Body:
+    """The rows of a text file: where they begin and how they are divided.
+
+    Parameters
+    ----------
+    path : Path
+    encoding : str
+    start : int
+        Characters above the first row.
+    first_line : int
+        Number of the line of the first row, from 1.
+    layout : Layout
+    source : str
+        Name of the file in messages.
+    """
+
+    path: Path
+    encoding: str
+    start: int
+    first_line: int
+    layout: Layout
+    source: str
+
+    def pieces(self, needed: Sequence[int]) -> Iterator[tuple[Floats, bool]]:
+        """Yield rows (n, n_columns) in order, and whether they are the last ones.
+
+        Parameters
+        ----------
+        needed : sequence of int
+            Columns whose fields must be finite numbers; in other columns a field that is no number becomes nan.
+
+        Raises
+        ------
+        BadData
+            A row has more or fewer fields than the first, a needed field is no finite number, or a comment or an
+            empty line stands among the rows, where a sample may be missing; the message names sample and line.
+        """
+        wanted = list(needed)
+        layout, sample, line = self.layout, 0, self.first_line
+        points, comment = False, None
+        for written, is_last in whole_lines(self.path, self.encoding, self.source, self.start):
+            # Comments are fine after the last row; among the rows they may stand for samples.
+            held = _without_end(written)
+            if held and comment is not None:
+                raise _among_rows(*comment, sample, self.source)
+            if comment is None and len(held) < len(written):
+                comment = line + held.count("\n"), written[len(held) :].partition("\n")[0]
+            text = with_seconds(held, layout)
+            if not points:
+                # As long as all numbers are whole, the decimal mark is unknown.
+                layout = with_decimal_mark(layout, text)
+            points = points or "." in text
+            rows = _parsed_at_once(text, layout) if text else np.empty((0, layout.n_columns))
+            if rows is None or len(rows) < _n_lines(text) or not np.isfinite(rows[:, wanted]).all():
+                # Reading line by line either finds the fault or leaves out what made numpy's parser fail.
+                checked = list(_checked_rows(text, layout, wanted, sample, line, self.source))
+                rows = np.loadtxt(checked, comments=None, ndmin=2) if checked else np.empty((0, layout.n_columns))
+            yield rows, is_last
+            sample += len(rows)
+            line += written.count("\n")
+
+    def last_row(self) -> Floats | None:
+        """Return the last row, (n_columns,), None if the end of the file does not show it."""
+        with self.path.open("rb") as file:
+            mark = file.read(2)
+            size = file.seek(0, io.SEEK_END)
+            # An even distance keeps the two bytes of a character of UTF-16 together.
+            file.seek(max(0, size - 2 * _LONGEST_LINE) // 2 * 2)
+            raw = file.read()
+        encoding = self.encoding
+        if encoding == "utf-16":
+            encoding = "utf-16-le" if mark == b"\xff\xfe" else "utf-16-be"
+        text = raw.decode(encoding, "replace")
+        for line in reversed(text.replace("\r", "\n").rstrip(_END_MARK).split("\n")):
+            if not is_comment(line):
+                fields = self.layout.fields(with_seconds(line.partition("#")[0], self.layout))
+                values = [self.layout.number(field) for field in fields]
+                complete = len(values) == self.layout.n_columns and None not in values
+                return np.array([float(value or "nan") for value in values]) if complete else None
+        return None
+
+
+def whole_lines(path: Path, encoding: str, source: str, start: int = 0) -> Iterator[tuple[str, bool]]:
+    """Yield whole lines of a text file, about `PIECE` characters at a time, and whether they are the last ones.
+
+    Reading begins with the character `start`. Lines end with a line feed; only the very last line may lack it.
+
+    Raises
+    ------
+    BadData
+        A line is longer than any row.
+    """
+    with path.open(encoding=encoding, errors="replace") as file:
+        rest, following = "", file.read(start + PIECE)[start:]
+        while following:
+            text, following = rest + following, file.read(PIECE)
+            if not following:
+                yield text.rstrip(_END_MARK), True
+                return
+            end = text.rfind("\n") + 1
+            rest = text[end:]
+            if len(rest) > _LONGEST_LINE:
+                raise BadData(
+                    f"{source}: a line must be of at most {_LONGEST_LINE} characters, one is longer; "
+                    "transpose it: one sample a row, one channel a column"
+                )
+            yield text[:end], False
+
+
+def with_decimal_mark(layout: Layout, text: str) -> Layout:
+    """Return the layout with a decimal comma if rows hold commas that do not divide columns."""
+    divided = layout.delimiter not in (",", MIXED) and (layout.n_columns > 1 or layout.trailing)
+    is_decimal = divided and "," in text and _COMMA.search(text) is not None
+    return replace(layout, decimal_comma=True) if is_decimal else layout
+
+
+def _parsed_at_once(text: str, layout: Layout) -> Floats | None:
+    if layout.decimal_comma and "." in text:
+        return None
+    delimiter, replacements = layout.parser()
+    parsed = text
+    for old, new in replacements.items():
+        parsed = parsed.replace(old, new)
+    try:
+        rows = np.loadtxt(io.StringIO(parsed), delimiter=delimiter, comments="#" if "#" in text else None, ndmin=2)
+    except ValueError:
+        return None
+    if rows.shape[1] != layout.n_columns:
+        return None
+    # Where blanks replace the delimiter, an empty field leaves no other trace than its delimiter.
+    lost = delimiter is None and layout.trailing
+    if lost and text.count(layout.delimiter or "") != rows.size:
+        return None
+    return rows
+
+
+def _checked_rows(
+    text: str, layout: Layout, needed: Sequence[int], sample: int, first_line: int, source: str
+) -> Iterator[str]:
+    # Only the very last line may lack its line feed.
+    unended = first_line + text.count("\n")
+    for number, line in enumerate(text.removesuffix("\n").split("\n"), first_line):
+        if is_comment(line):
+            raise _among_rows(number, line, sample, source)
+        fields = layout.fields(line.partition("#")[0])
+        cut = "; the file looks cut off" if number == unended else ""
+        if len(fields) != layout.n_columns:
+            ending = cut if len(fields) < layout.n_columns else ""
+            raise BadData(
+                f"{source}: every row must have {layout.n_columns} fields as the first one has, sample {sample} "
+                f"(line {number}) has {len(fields)}{ending}; repair or cut the recording there"
+            )
+        values = [layout.number(field) for field in fields]
+        for column in needed:
+            value = values[column]
+            if value is None or not math.isfinite(float(value)):
+                raise no_number(sample, number, column, fields[column], source, cut if value is None else "")
+        yield " ".join(value or "nan" for value in values)
+        sample += 1
+
+
+def no_number(sample: int, line: int, column: int, field: str, source: str, cut: str = "") -> BadData:
+    """Return the error of a field that is no finite number."""
+    shown = repr(field[:40]) if field else "empty"
+    return BadData(
+        f"{source}: every field must be a finite number, sample {sample} (line {line}) column {column + 1} is "
+        f"{shown}{cut}; repair or cut the recording there"
+    )
+
+
+def _among_rows(number: int, line: str, sample: int, source: str) -> BadData:
+    shown = repr(line.strip()[:40]) if line.strip() else "empty"
+    return BadData(
+        f"{source}: every line among the numbers must be a row, or a sample may be missing, line {number} before "
+        f"sample {sample} is {shown}; repair or cut the recording there, or take the line out"
+    )
+
+
+def _without_end(text: str) -> str:
+    """Return lines without the comments and empty lines after the last row."""
+    end = len(text)
+    while end and is_comment(text[(start := text.rfind("\n", 0, end - 1) + 1) : end]):
+        end = start
+    return text[:end]
+
+
+def _n_lines(text: str) -> int:
+    return text.removesuffix("\n").count("\n") + 1 if text else 0
+
+
+# ---- the first piece -------------------------------------------------------------------------------------------------
+
+
+def _header_and_body(path: Path, encoding: str, source: str) -> tuple[Header, Body]:
+    with path.open(encoding=encoding, errors="replace") as file:
+        piece = file.read(PIECE)
+        if file.read(1):
+            # The last line of the piece may go on.
+            piece = piece[: piece.rfind("\n") + 1] or piece
+    above: deque[str] = deque()
+    start, layout = 0, None
+    lines = _lines(piece)
+    line = next(lines, "")
+    while line:
+        following = next(lines, "")
+        layout = None if is_comment(line) else layout_of(line) or stamped_layout_of(line, following)
+        if layout is not None:
+            break
+        above.append(line)
+        start += len(line)
+        line = following
+    if layout is None:
+        raise BadData(f"{source}: a recording must hold numbers, no line of the text does; export it again")
+    moment = None if layout.stamp is None else stamped_moment(line)
+    layout = _corrected(layout, following or line, above)
+    layout = with_decimal_mark(layout, with_seconds(piece[start:], layout))
+    while above and _is_damaged_row(above[-1], layout):
+        start -= len(above.pop())
+    body = Body(path=path, encoding=encoding, start=start, first_line=len(above) + 1, layout=layout, source=source)
+    header = read_header(above, layout)
+    if moment is not None:
+        header = replace(header, start_time=moment)
+    _refuse_doubtful_comma(body, header, line, above)
+    return header, body
+
+
+def _lines(piece: str) -> Iterator[str]:
+    # `str.splitlines` also divides at other characters, and the lines would be counted differently from the rows.
+    start = 0
+    while start < len(piece):
+        end = piece.find("\n", start) + 1 or len(piece)
+        yield piece[start:end]
+        start = end
+
+
+def _corrected(layout: Layout, second: str, above: deque[str]) -> Layout:
+    """Return the layout of the first row, corrected by what the other lines show."""
+    if layout.trailing:
+        wider = replace(layout, n_columns=layout.n_columns + 1, trailing=False)
+        named = read_header(above, wider).columns
+        # An empty last field is a missing number if other rows have one there or the header names it.
+        if (named and named[-1].name) or wider.fields(second)[-1]:
+            layout = wider
+    return layout
+
+
+def _is_damaged_row(line: str, layout: Layout) -> bool:
+    """Return whether a line above the first row begins with a number as a row does, and breaks off into text."""
+    fields = layout.fields(line)
+    # "2000 samples" above two columns of blanks is a comment.
+    least = 3 if layout.delimiter is None else 2
+    is_row = len(fields) == layout.n_columns >= least and not is_comment(line)
+    return is_row and layout.number(fields[0]) is not None
+
+
+def _refuse_doubtful_comma(body: Body, header: Header, first: str, above: deque[str]) -> None:
+    if body.layout.delimiter != "," or body.layout.n_columns != 2 or header.columns:
+        return
+    whole, part = body.layout.fields(first)
+    single = read_header(above, replace(body.layout, delimiter=None, n_columns=1)).columns
+    names_one = bool(single) and single[0].known_unit is not None
+    if whole.lstrip("+-").isdigit() and part.isdigit() and (names_one or (len(part) > 1 and part.startswith("0"))):
+        raise BadData(
+            f"{body.source}: the comma of {first.strip()[:40]!r} may divide columns or decimals; "
+            "write decimal points, or name both columns in a header"
+        )
+
+
+# ---- header, rows and time together ----------------------------------------------------------------------------------
+
+
+def _assembled(header: Header, body: Body) -> Contents:
+    columns, source = header.columns, body.source
+    rows, is_whole = next(body.pieces(()))
+    times = time_columns(columns, rows) if body.layout.stamp is None else [body.layout.stamp]
+    kept = [index for index in range(rows.shape[1]) if index not in times and not _counts(columns, rows, index)]
+    if not kept:
+        raise BadData(f"{source}: a recording must hold a channel beside time, there is none; export it again")
+    # Gaps in a channel matter only to those who ask for it, but times must be whole.
+    finite: NDArray[np.bool_] = np.all(np.isfinite(rows), axis=0)
+    if not finite[times].all():
+        next(body.pieces(times))
+    measured = None
+    if times and len(rows) > 1:
+        measured = _measured_rate(columns, times, rows, None if is_whole else body.last_row(), body)
+    rate = _agreed_rate(header.sampling_rates, measured, source)
+    if rate is None or not finite[kept].any():
+        next(body.pieces(kept))
+    named = [columns[index] for index in kept] if columns else []
+    units = [column.known_unit or (None if column.unit else header.unit) for column in named]
+    about: dict[str, Any] = {
+        "names": [column.name for column in named],
+        "units": units or [header.unit] * len(kept),
+        "sampling_rate": rate,
+        "rate_from": "header" if measured is None else "time column",
+        "start_time": header.start_time,
+    }
+    if is_whole and finite.all():
+        return Contents.of_array(np.ascontiguousarray(rows.T[kept]), **about)
+
+    def blocks(length: int, channels: Sequence[int]) -> Iterator[NDArray[Any]]:
+        picked = [kept[channel] for channel in channels]
+        clock = None if measured is None else EvenTimes(measured, source)
+        factor = _factor(columns, times[0], body) if times else 1.0
+        for piece, _ in body.pieces([*times, *picked]):
+            if clock is not None:
+                clock.feed(piece[:, times[0]] * factor)
+            samples = np.ascontiguousarray(piece.T[picked])
+            for first in range(0, len(piece), length):
+                yield samples[:, first : first + length]
+
+    return Contents(n_channels=len(kept), blocks=blocks, **about)
+
+
+def time_columns(columns: tuple[Column, ...], rows: Floats) -> list[int]:
+    """Return the indices of the columns of time, of which the first one counts.
+
+    Parameters
+    ----------
+    columns : tuple of Column
+        From the header; empty without one.
+    rows : ndarray, (n_samples, n_columns)
+
+    Returns
+    -------
+    list of int
+        The first column with a name for time, else the first in a unit of time. Without a header, the first of
+        several columns if it increases in even steps. Then all other columns named time that increase in even steps:
+        some programs give each channel a time column of its own.
+    """
+    if len(columns) == 1 and " " in columns[0].name:
+        # Above a single column any comment looks like its name, even "time of day unknown".
+        return []
+    named = [index for index, column in enumerate(columns) if column.is_named_time and column.known_unit in (None, "m")]
+    if named:
+        return named[:1] + [index for index in named[1:] if runs_evenly(rows[:, index])]
+    for index, column in enumerate(columns):
+        if column.has_time_unit:
+            return [index]
+    return [0] if not columns and rows.shape[1] > 1 and runs_evenly(rows[:, 0]) else []
+
+
+def _counts(columns: tuple[Column, ...], rows: Floats, index: int) -> bool:
+    """Return whether a column only numbers the rows: its name says so, and it grows by one."""
+    is_named = bool(columns) and columns[index].name.lower().strip(" .:#") in _NAMES_OF_COUNTERS
+    with np.errstate(all="ignore"):
+        return is_named and len(rows) > 1 and bool((np.diff(rows[:, index]) == 1).all())
+
+
+def _factor(columns: tuple[Column, ...], at: int, body: Body) -> float:
+    """Return the factor from a time column to seconds; stamps are in seconds already."""
+    return 1.0 if at == body.layout.stamp or not columns else seconds(columns[at].unit, body.source)
+
+
+def _measured_rate(
+    columns: tuple[Column, ...], times: Sequence[int], rows: Floats, last: Floats | None, body: Body
+) -> float:
+    """Return the sampling rate [Hz] of the time columns, which must agree."""
+    rates = []
+    for at in times:
+        factor = _factor(columns, at, body)
+        rate = rate_of(rows[:, at] * factor, body.source)
+        rates.append(rate if last is None else refined_rate(rate, rows[0, at] * factor, last[at] * factor))
+    for (earlier, a), (later, b) in pairwise(zip(times, rates, strict=True)):
+        if not rates_agree(a, b):
+            raise BadData(
+                f"{body.source}: the sampling rate must be one to 0.1 %, time column {columns[earlier].name!r} gives "
+                f"{a:.10g} Hz and {columns[later].name!r} {b:.10g} Hz; export the channels of one rate only"
+            )
+    return rates[0]
+
+
+def _agreed_rate(stated: Sequence[float], measured: float | None, source: str) -> float | None:
+    """Return the rate [Hz] of the time column, else that of the header; the two must agree."""
+    if not stated:
+        return measured
+    if measured is None:
+        for rate in stated[1:]:
+            if min(rate, stated[0]) > 0:
+                require_one_rate((stated[0], "the header"), (rate, "the header"), source)
+        return stated[0]
+    # Of several statements, such as those before and after decimation, the one that agrees with the times counts.
+    if min(stated) > 0 and not any(rates_agree(measured, rate) for rate in stated):
+        require_one_rate((stated[0], "the header"), (measured, "the time column"), source)
+    return measured

@@ -1,0 +1,304 @@
+"""In which characters a text file is written; none says so but by its bytes.
+
+How the rows of a text file are divided into numbers.
+
+Times of day, with or without a date, as the time of each row of a text; they become seconds before anything else.
+"""
+
+from __future__ import annotations
+
+import codecs
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from datetime import date, datetime, timedelta
+
+from cgid.errors import BadData
+
+#: Bytes that are looked at: all of the header.
+SNIFFED = 1 << 18
+
+# Characters that no text holds: all controls but tab, line and page breaks, and the end mark of DOS.
+_CONTROL = re.compile("[\0-\x08\x0e-\x19\x1b-\x1f\x7f]")
+
+_HIGH = re.compile(rb"[\x80-\xff]")
+
+#: Chinese characters in everyday use and full-width marks: GB 2312 rows 1 to 9 and its first level, rows 16 to 55.
+_COMMON_CHINESE = re.compile(rb"[\xa1-\xa9\xb0-\xd7][\xa1-\xfe]")
+
+
+def encoding_of(start: bytes, source: str) -> str:
+    r"""Return the encoding of a text that begins with these bytes.
+
+    Parameters
+    ----------
+    start : bytes
+        The first `SNIFFED`; the last character may be incomplete.
+    source : str
+        Name of the file in messages.
+
+    Returns
+    -------
+    str
+        "utf-8-sig" and "utf-16" by their marks, "utf-8" where the bytes are such, "gb18030" where most of what is
+        not ASCII are common Chinese characters (LabVIEW writes in the code page of the system), else "latin-1".
+
+    Raises
+    ------
+    BadData
+        The bytes are no text.
+
+    Examples
+    --------
+    >>> [encoding_of("t (s);a (m/s²), µ".encode(name), "") for name in ("utf-8", "utf-16", "latin-1")]
+    ['utf-8', 'utf-16', 'latin-1']
+    >>> encoding_of("时间(s),加速度(g)".encode("gbk"), ""), encoding_of("Größe (°C)".encode("latin-1"), "")
+    ('gb18030', 'latin-1')
+    """
+    encoding = _marked(start) or _guessed(start)
+    text = start.decode(encoding, "replace")
+    # What is left undecoded of UTF-16 holds zeros.
+    if _CONTROL.search(text):
+        raise BadData(
+            f"{source}: the file is neither text nor of another format that is known; export it as text, WAV or HDF5"
+        )
+    return encoding
+
+
+def _marked(start: bytes) -> str | None:
+    if start.startswith(codecs.BOM_UTF8):
+        return "utf-8-sig"
+    return "utf-16" if start.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)) else None
+
+
+def _guessed(start: bytes) -> str:
+    if start.isascii() or _decodes(start, "utf-8"):
+        return "utf-8"
+    # In western texts nearly every character beyond ASCII stands beside letters of ASCII; two in a row that happen to
+    # be a common Chinese character are rare. Chinese texts hardly hold anything else.
+    common = sum(map(len, _COMMON_CHINESE.findall(start)))
+    chinese = common > 0.7 * len(_HIGH.findall(start)) and _decodes(start, "gb18030")
+    return "gb18030" if chinese else "latin-1"
+
+
+def _decodes(start: bytes, encoding: str) -> bool:
+    try:
+        # The last character may be incomplete, as the bytes are only the first ones.
+        codecs.getincrementaldecoder(encoding)().decode(start)
+    except UnicodeDecodeError:
+        return False
+    return True
+
+
+#: What the parsers of C and of Python both take for a number; no underscores, no other scripts' digits.
+NUMBER = re.compile(r"[+-]?(?:\d+(?:\.\d*)?|\.\d+)(?:e[+-]?\d+)?|[+-]?(?:nan|inf|infinity)", re.ASCII | re.IGNORECASE)
+
+#: The delimiter of columns that are divided by commas here and by blanks there.
+MIXED = ", "
+
+_COMMENT = ("#", "%", "//")
+_QUOTES = str.maketrans("\"'", "  ")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Layout:
+    """The division of a row.
+
+    Parameters
+    ----------
+    delimiter : str or None
+        One character, `MIXED`, or None for any run of blanks.
+    n_columns : int
+        Without the empty one behind a trailing delimiter.
+    decimal_comma : bool
+        The decimal mark is a comma.
+    trailing : bool
+        Each row ends in a delimiter.
+    stamp : int or None
+        The column that holds times of day, which are turned into seconds before a row is divided.
+    """
+
+    delimiter: str | None
+    n_columns: int
+    decimal_comma: bool = False
+    trailing: bool = False
+    stamp: int | None = None
+
+    def fields(self, line: str) -> list[str]:
+        """Return the fields of a row, without quotes and blanks around them.
+
+        Examples
+        --------
+        >>> Layout(delimiter=";", n_columns=2).fields(' "1,5"; 2 ')
+        ['1,5', '2']
+        """
+        line = line.translate(_QUOTES)
+        if self.delimiter is None:
+            return line.split()
+        if self.delimiter == MIXED:
+            return re.split(r"[,\s]+", line.strip(" \t\r\n,"))
+        fields = [field.strip() for field in line.split(self.delimiter)]
+        return fields[:-1] if self.trailing and not fields[-1] else fields
+
+    def number(self, field: str) -> str | None:
+        """Return a field in the notation of Python, None if it is no number.
+
+        Examples
+        --------
+        >>> Layout(delimiter=";", n_columns=2, decimal_comma=True).number("1,5")
+        '1.5'
+        """
+        if self.decimal_comma:
+            # A point beside a decimal comma would divide thousands, or the comma does.
+            field = "" if "." in field else field.replace(",", ".")
+        return field if NUMBER.fullmatch(field) else None
+
+    def parser(self) -> tuple[str | None, dict[str, str]]:
+        """Return the delimiter for `numpy.loadtxt` and the characters to be exchanged before it."""
+        exchange = {'"': " ", "'": " "}
+        if self.decimal_comma:
+            exchange[","] = "."
+        if self.delimiter == MIXED or (self.trailing and self.delimiter is not None):
+            exchange[self.delimiter[0]] = " "
+            return None, exchange
+        return self.delimiter, exchange
+
+
+def is_comment(line: str) -> bool:
+    """Return whether a line is blank or a comment: #, %, //, or ; without any number behind it.
+
+    Examples
+    --------
+    >>> is_comment("; measured by hand"), is_comment(";1.5")
+    (True, False)
+    """
+    line = line.strip()
+    if line.startswith(";"):
+        return not any(character.isdigit() for character in line)
+    return not line or line.startswith(_COMMENT)
+
+
+def layout_of(line: str) -> Layout | None:
+    """Return how `line` is divided if it is a row of numbers, else None.
+
+    A field may be empty as long as one is a number: such a row is a damaged one, not a header.
+
+    Examples
+    --------
+    >>> layout_of("0,001;3,5")
+    Layout(delimiter=';', n_columns=2, decimal_comma=True, trailing=False, stamp=None)
+    >>> layout_of("time;force") is None
+    True
+    """
+    for layout in _candidates(line.translate(_QUOTES)):
+        fields = layout.fields(line)
+        if any(fields) and all(layout.number(field) for field in fields if field):
+            trailing = len(fields) > 1 and not fields[-1]
+            return replace(layout, n_columns=len(fields) - trailing, trailing=trailing)
+    return None
+
+
+def _candidates(line: str) -> Iterator[Layout]:
+    for mark in ";|":
+        if mark in line:
+            yield Layout(delimiter=mark, n_columns=0, decimal_comma="," in line and "." not in line)
+            return
+    if "," not in line:
+        tabbed = line.rstrip(" \r\n").split("\t")
+        # Blanks used beside tabs, or several tabs in a row, align columns; they do not divide them.
+        by_tab = len(tabbed) > 1 and all(len(field.split()) == 1 for field in tabbed)
+        yield Layout(delimiter="\t" if by_tab else None, n_columns=0)
+        return
+    # A comma that touches a blank ends a field; one between two digits of a line with blanks is a decimal comma.
+    if len(line.split()) > 1 and not re.search(r",\s|\s,", line.strip()):
+        yield Layout(delimiter=None, n_columns=0, decimal_comma=True)
+    yield Layout(delimiter=",", n_columns=0)
+    yield Layout(delimiter=MIXED, n_columns=0)
+
+
+#: Days are counted from here, so that seconds keep their digits: 2^-23 s in our century.
+_FIRST_DAY = date(2000, 1, 1)
+
+_STAMP = re.compile(
+    r"(?<![\d.:])(?:(\d{4})[-/.](\d\d?)[-/.](\d\d?)[ T])?(\d\d?):(\d\d):(\d\d)(?:[.,](\d+))?Z?(?![\d.:])", re.ASCII
+)
+_STAMP_BEFORE_COMMA = re.compile(_STAMP.pattern.replace("[.,](", "[.]("), re.ASCII)
+
+
+def stamped_layout_of(line: str, following: str) -> Layout | None:
+    """Return how `line` is divided if it is a row with one stamp, as is the next one; else None.
+
+    Examples
+    --------
+    >>> stamped_layout_of("10:00:00.001;1,5", "10:00:00.002;1,6")
+    Layout(delimiter=';', n_columns=2, decimal_comma=True, trailing=False, stamp=0)
+    >>> stamped_layout_of("2026-03-04 10:00:00", "time;force") is None
+    True
+    """
+    layouts = [_layout(each) for each in (line, following)]
+    first, second = layouts
+    alike = (
+        first is not None and second is not None and (first.n_columns, first.stamp) == (second.n_columns, second.stamp)
+    )
+    return first if alike else None
+
+
+def with_seconds(text: str, layout: Layout) -> str:
+    """Return text whose stamps are seconds.
+
+    Examples
+    --------
+    >>> with_seconds("2000-01-02 00:00:01.25,7", Layout(delimiter=",", n_columns=2, stamp=0))
+    '86401.25,7'
+    """
+    if layout.stamp is None:
+        return text
+    mark = "," if layout.decimal_comma else "."
+    pattern = _STAMP_BEFORE_COMMA if layout.delimiter == "," else _STAMP
+    return pattern.sub(lambda found: _seconds(found, mark), text)
+
+
+def stamped_moment(line: str) -> datetime | None:
+    """Return the moment of a row's stamp; None if it has no date.
+
+    Examples
+    --------
+    >>> stamped_moment("7;2026-03-04T10:11:12,5;8")
+    datetime.datetime(2026, 3, 4, 10, 11, 12, 500000)
+    """
+    found = _STAMP.search(line)
+    if found is None or found[1] is None:
+        return None
+    try:
+        day = datetime(int(found[1]), int(found[2]), int(found[3]))
+    except ValueError:
+        return None
+    parts = (int(found[4]), int(found[5]), int(found[6]), int((found[7] or "0")[:6].ljust(6, "0")))
+    return day + timedelta(hours=parts[0], minutes=parts[1], seconds=parts[2], microseconds=parts[3])
+
+
+def _layout(line: str) -> Layout | None:
+    """Return the layout of a row with one stamp and one number at least."""
+    for pattern in (_STAMP_BEFORE_COMMA, _STAMP):
+        # As a whole number the stamp says nothing of the decimal mark, which the other columns show.
+        layout = layout_of(pattern.sub("0", line)) if len(pattern.findall(line)) == 1 else None
+        if (
+            layout is not None
+            and layout.n_columns > 1
+            and (pattern is _STAMP_BEFORE_COMMA) == (layout.delimiter == ",")
+        ):
+            fields = layout.fields(pattern.sub("!", line))
+            return replace(layout, stamp=fields.index("!")) if "!" in fields else None
+    return None
+
+
+def _seconds(found: re.Match[str], mark: str) -> str:
+    try:
+        days = (date(int(found[1]), int(found[2]), int(found[3])) - _FIRST_DAY).days if found[1] else 0
+    except ValueError:
+        # No such day: left as it is, it is told as a field that is no number.
+        return found[0]
+    whole = 86400 * days + 3600 * int(found[4]) + 60 * int(found[5]) + int(found[6])
+    if whole < 0:
+        return found[0]
+    return f"{whole}{mark}{found[7]}" if found[7] else str(whole)

@@ -1,0 +1,229 @@
+"""The sampling rate from the times of samples: in a column of a table, or in an array next to the samples."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cgid.errors import BadData
+from cgid.units import seconds_of
+
+if TYPE_CHECKING:
+    from cgid.recordings.variables import Variable
+
+Floats = NDArray[np.float64]
+
+#: Two steps may differ by this part of a step.
+EVENNESS = 0.01
+
+#: Uneven steps count as even times that were rounded only if a step is at least this many printed digits long.
+_COARSEST_STEP = 1.5
+
+_BLOCK_LENGTH = 1 << 18
+
+
+def seconds(unit: str, source: str) -> float:
+    """Return the factor from the unit of a time column to seconds, 1 without a unit; raises `BadData` otherwise."""
+    factor = seconds_of(unit)
+    if factor is None:
+        raise BadData(f"{source}: the time column must be in s, ms or us, its header says {unit!r}; convert it")
+    return factor
+
+
+def rate_of(times: Floats, source: str) -> float:
+    """Return the sampling rate [Hz] of even times [s], (n - 1) / (last - first).
+
+    Parameters
+    ----------
+    times : ndarray, (n_samples,)
+        [s], two or more.
+    source : str
+        Name of the file in messages.
+
+    Raises
+    ------
+    BadData
+        The times do not increase, or their steps differ by more than 1 % beyond the rounding of the printed
+        digits; the message names the sample.
+
+    Examples
+    --------
+    >>> rate_of(np.array([0.0, 0.5, 1.0]), "example")
+    2.0
+    """
+    require_even(times, source)
+    with np.errstate(all="ignore"):
+        rate = float((len(times) - 1) / (times[-1] - times[0]))
+    if not (np.isfinite(rate) and rate > 0):
+        raise BadData(f"{source}: the time column gives a sampling rate of {rate:g} Hz; check its unit")
+    return rate
+
+
+def require_even(times: Floats, source: str, *, first: int = 0, step: float | None = None) -> None:
+    """Raise `BadData` as `rate_of` does; for a piece of a recording, give its `first` sample and the usual step [s].
+
+    Examples
+    --------
+    >>> require_even(np.array([2.5, 3.0, 3.5]), "example", first=5, step=0.5)
+    """
+    with np.errstate(all="ignore"):
+        steps = np.diff(times)
+    rising = steps > 0
+    if not rising.all():
+        at = int(np.argmin(rising)) + 1
+        raise BadData(
+            f"{source}: the time column must increase, sample {first + at} is at {times[at]:.9g} s after "
+            f"{times[at - 1]:.9g} s; print more digits, or sort and cut the recording there"
+        )
+    if not np.isfinite(steps).all():
+        raise BadData(
+            f"{source}: the time column must span a finite time, it goes from {times[0]:g} to {times[-1]:g} s; "
+            "correct it"
+        )
+    typical = _typical_if_uneven(times, steps, step)
+    if typical is not None:
+        at = int(np.argmax(np.abs(steps - typical))) + 1
+        raise BadData(
+            f"{source}: the time column must have even steps to 1 %, sample {first + at} at {times[at]:.9g} s comes "
+            f"{steps[at - 1]:.6g} s after the one before, the usual step is {typical:.6g} s; resample the recording"
+        )
+
+
+def runs_evenly(times: Floats) -> bool:
+    """Return whether a column of numbers could be times: three or more in even steps."""
+    # Two rows have one step, which is always even.
+    if len(times) < 3:
+        return False
+    with np.errstate(all="ignore"):
+        steps = np.diff(times)
+    return bool(np.isfinite(steps).all() and (steps > 0).all() and _typical_if_uneven(times, steps) is None)
+
+
+def is_resolved(times: Floats, step: float) -> bool:
+    """Return whether times have enough printed digits to show whether their steps [s] are even."""
+    return bool(np.isfinite(times).all() and np.any(times)) and _COARSEST_STEP * _printed_digit(times) <= step
+
+
+class EvenTimes:
+    """A check of the times of a recording, piece by piece.
+
+    Parameters
+    ----------
+    sampling_rate : float
+        [Hz], of the whole recording.
+    source : str
+        Name of the file in messages.
+    """
+
+    def __init__(self, sampling_rate: float, source: str) -> None:
+        self._step, self._source = 1 / sampling_rate, source
+        self._count, self._last = 0, np.empty(0)
+
+    def feed(self, times: Floats) -> None:
+        """Take the times [s] of the next samples; raises as `require_even`."""
+        joined = np.concatenate([self._last, times])
+        if len(joined) > 1:
+            require_even(joined, self._source, first=self._count - len(self._last), step=self._step)
+        self._count += len(times)
+        self._last = joined[-1:]
+
+
+def refined_rate(rate: float, first: float, last: float) -> float:
+    """Return the sampling rate [Hz] from the first and last time [s] of a recording, near the `rate` of its beginning.
+
+    The times of a recording lie a whole number of steps apart. The printed digits of n samples give the rate to
+    1 / n at worst, and the refined rate is never worse than that.
+
+    Examples
+    --------
+    >>> refined_rate(1000.01, 0.0, 20.0)
+    1000.0
+    """
+    span = last - first
+    if not (np.isfinite(span) and span * rate > 1):
+        return rate
+    return round(span * rate) / span
+
+
+def rate_of_vector(times: Variable, unit: str, source: str) -> float:
+    """Return the sampling rate [Hz] of an array of even times, read once by blocks.
+
+    Parameters
+    ----------
+    times : Variable
+        One channel of two samples or more. An array stored as float32 may be as uneven as its rounding makes it.
+    unit : str
+        Of the times, "" for seconds.
+    source : str
+        Name of the times in messages.
+
+    Raises
+    ------
+    BadData
+        The times do not increase in even steps of 1 %, or are rounded too coarsely to show it.
+    """
+    factor = seconds(unit, source)
+    first = last = step = 0.0
+    count = 0
+    for (block,) in times.blocks(_BLOCK_LENGTH, (0,)):
+        part = factor * block.astype(np.float64)
+        if count:
+            part = np.concatenate([[last], part])
+        else:
+            first = float(part[0])
+        if not np.isfinite(part).all():
+            raise BadData(f"{source}: times must be finite, one of the first {count + len(block)} is not; correct it")
+        if len(part) > 1:
+            step = step or float(part[1:65537][-1] - part[0]) / (len(part[1:65537]))
+            if not _is_even(part, step, float(np.finfo(block.dtype).eps)):
+                # Times rounded to printed digits may still be even; otherwise this names the sample.
+                rate_of(part, source)
+        last = float(part[-1])
+        count += len(block)
+    if not last > first:
+        raise BadData(f"{source}: times must increase, they go from {first:g} to {last:g} s; correct them")
+    return (count - 1) / (last - first)
+
+
+def _is_even(times: Floats, step: float, precision: float) -> bool:
+    """Return whether all steps are equal within the rounding of the times."""
+    rounding = 2 * precision * float(np.abs(times).max())
+    # Where the rounding is as large as a step, a missing sample would not show.
+    return step > 2 * rounding and bool(np.abs(np.diff(times) - step).max() <= EVENNESS * step + rounding)
+
+
+@np.errstate(all="ignore")
+def _typical_if_uneven(times: Floats, steps: Floats, typical: float | None = None) -> float | None:
+    """Return None if the steps are even, else the typical step."""
+    shortest, longest = float(steps.min()), float(steps.max())
+    typical = typical or float(np.median(steps))
+    if longest - typical <= EVENNESS * typical and typical - shortest <= EVENNESS * typical:
+        return None
+    # Even times rounded to a digit q have steps of two neighbouring multiples of q and no third one. If a step is
+    # only one q long, a gap looks the same, so such times count as uneven.
+    digit = _printed_digit(times)
+    if shortest >= _COARSEST_STEP * digit and longest - shortest <= digit + EVENNESS * typical:
+        return None
+    return typical
+
+
+def _printed_digit(times: Floats) -> float:
+    """Return the last decimal place to which the latest times are printed, such as 1e-5."""
+    sizes = np.abs(times)
+    largest = float(sizes.max())
+    # Times printed to a fixed number of significant digits lose one at each power of ten. The few after the last
+    # power may all end in zeros by chance, so they count for one place only.
+    last_power = 10.0 ** math.floor(math.log10(largest))
+    return min(_last_digit(sizes[sizes >= last_power]), 10 * _last_digit(sizes[sizes >= largest / 2]))
+
+
+def _last_digit(sizes: Floats) -> float:
+    places = math.floor(math.log10(float(sizes.max())))
+    for place in range(places, max(places - 17, -300), -1):
+        in_digits = sizes * 10.0**-place
+        if (np.abs(in_digits - np.rint(in_digits)) <= 4e-16 * in_digits).all():
+            return float(10.0**place)
+    return 0.0

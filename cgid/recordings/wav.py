@@ -1,0 +1,360 @@
+"""How samples are written as bytes: integers and floats of WAV files and of raw streams.
+
+The head of a WAV file or stream: its chunks up to the sound.
+
+WAV files by blocks: what is whole is read, and what is not is said.
+"""
+
+from __future__ import annotations
+
+import os
+import struct
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field
+from datetime import datetime
+from pathlib import Path
+from typing import Any, BinaryIO, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cgid.errors import BadData, InvalidValue
+from cgid.recordings.recording import MOST_NUMBERS, Contents
+
+_FLOAT_WIDTHS = (4, 8)
+_INTEGER_WIDTHS = (1, 2, 3, 4, 8)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Coding:
+    """One number as bytes.
+
+    Parameters
+    ----------
+    kind : str
+        "u": unsigned integers around the middle of their range; "i": signed integers; "f": floats.
+    width : int
+        Bytes of a number: 1, 2, 3, 4 or 8; 4 or 8 of a float.
+    big_endian : bool
+    """
+
+    kind: Literal["u", "i", "f"]
+    width: int
+    big_endian: bool = False
+
+    @classmethod
+    def of_name(cls, name: str) -> Coding:
+        """Return the coding of a name such as "u8", "s16le", "s24be", "f32le"; the order is little unless said.
+
+        Raises
+        ------
+        InvalidValue
+            It is none of the known names; the message lists them.
+
+        Examples
+        --------
+        >>> Coding.of_name("s24le")
+        Coding(kind='i', width=3, big_endian=False)
+        """
+        found = _NAMED.get(str(name).lower())
+        if found is None:
+            listed = ", ".join(known for known in _NAMED if known == "u8" or known.endswith("e"))
+            raise InvalidValue(f"sample_format must be one of {listed}, got {name!r}")
+        return found
+
+    @property
+    def is_known(self) -> bool:
+        """Whether there are numbers of this width."""
+        return self.width in (_FLOAT_WIDTHS if self.kind == "f" else _INTEGER_WIDTHS)
+
+    def decoded(self, raw: bytes) -> NDArray[Any]:
+        """Return the numbers of whole samples, (len(raw) // width,).
+
+        Integers come as float64 with a full scale of 1.0, floats as they are.
+
+        Examples
+        --------
+        >>> Coding(kind="i", width=2).decoded(bytes([0, 128, 0, 64])).tolist()
+        [-1.0, 0.5]
+        """
+        order = ">" if self.big_endian else "<"
+        if self.kind == "f":
+            numbers = np.frombuffer(raw, f"{order}f{self.width}")
+            return numbers.astype(numbers.dtype.newbyteorder("="))
+        if self.width == 3:
+            return _of_three_bytes(raw, self.big_endian).astype(np.float64) / 2.0**31
+        half = 2.0 ** (8 * self.width - 1)
+        scaled = np.frombuffer(raw, f"{order}{self.kind}{self.width}").astype(np.float64)
+        if self.kind == "u":
+            scaled -= half
+        scaled /= half
+        return scaled
+
+
+def _named(kind: Literal["i", "f"], letter: str, widths: tuple[int, ...]) -> dict[str, Coding]:
+    return {
+        f"{letter}{8 * width}{ending}": Coding(kind=kind, width=width, big_endian=ending == "be")
+        for width in widths
+        for ending in ("le", "be", "")
+    }
+
+
+_NAMED = {"u8": Coding(kind="u", width=1), **_named("i", "s", (2, 3, 4)), **_named("f", "f", _FLOAT_WIDTHS)}
+
+
+def _of_three_bytes(raw: bytes, big_endian: bool) -> NDArray[np.int32]:
+    """Return numbers of 24 bits at the top of 32, so that they keep their sign."""
+    three = np.frombuffer(raw, np.uint8).reshape(-1, 3)
+    four = np.zeros((len(three), 4), np.uint8)
+    little = sys.byteorder == "little"
+    four[:, slice(1, 4) if little else slice(0, 3)] = three[:, ::-1] if big_endian == little else three
+    return four.view(np.int32)[:, 0]
+
+
+#: How WAV files begin: little-endian, big-endian, and two with sizes of 64 bits.
+WAV_MAGICS = (b"RIFF", b"RIFX", b"RF64", b"BW64")
+
+#: From here on a size means "until the end": 0xFFFFFFFF by the standards; other programs write to pipes what their
+#: signed 32 bits hold, rounded down.
+ENDLESS = 0x7FFF0000
+
+#: Bytes to be read of the chunks that matter; the rest of them is passed over (EBU Tech 3285, 3306; RFC 2361).
+_READ = {b"fmt ": 40, b"ds64": 28, b"fact": 4, b"bext": 338}
+
+#: More chunks than any program writes before the sound; files from strangers could hold millions of empty ones.
+_MOST_CHUNKS = 1000
+
+_PCM, _FLOAT, _EXTENSIBLE = 1, 3, 0xFFFE
+_OTHER_CODINGS = {2: "ADPCM", 6: "A-law (ALAW)", 7: "mu-law (MULAW)", 0x11: "IMA ADPCM", 0x55: "MP3"}
+
+
+@dataclass(frozen=True, kw_only=True)
+class WaveHead:
+    """What stands before the sound.
+
+    Attributes
+    ----------
+    n_channels : int
+    sampling_rate : float
+        [Hz].
+    coding : Coding
+    outer_size, data_size : int
+        [bytes] as declared, of all that follows the first 8 bytes and of the sound.
+    n_frames : int or None
+        Samples of a channel according to the chunk "fact".
+    start_time : datetime or None
+        Where a broadcast chunk says it.
+    warnings : list of str
+        What in the head contradicts itself.
+    """
+
+    n_channels: int
+    sampling_rate: float
+    coding: Coding
+    outer_size: int
+    data_size: int
+    n_frames: int | None = None
+    start_time: datetime | None = None
+    warnings: list[str] = field(default_factory=list)
+
+    @property
+    def frame_size(self) -> int:
+        """Bytes of one sample of all channels."""
+        return self.n_channels * self.coding.width
+
+
+def read_wave_head(file: BinaryIO, skip: Callable[[int], object], source: str, start: bytes = b"") -> WaveHead:
+    """Read up to the first byte of sound.
+
+    Parameters
+    ----------
+    file : binary file
+        At the first byte behind `start`.
+    skip : callable
+        Passes over so many bytes of `file`: by seeking where that is possible, else by reading.
+    source : str
+        Its name in messages.
+    start : bytes
+        At most 12 that have been read already.
+
+    Raises
+    ------
+    BadData
+        It is no WAV, is cut off before the sound, or its sound is neither PCM nor float of a known width.
+    """
+    start += file.read(12 - len(start))
+    order = ">" if start.startswith(b"RIFX") else "<"
+    if len(start) < 12 or start[8:] != b"WAVE":
+        kind = f", it says {start[8:]!r}" if len(start) == 12 else "; the file looks cut off"
+        raise BadData(f"{source}: a WAV file must begin with RIFF and WAVE{kind}; export it again")
+    chunks: dict[bytes, bytes] = {}
+    for _ in range(_MOST_CHUNKS):
+        head = file.read(8)
+        if len(head) < 8:
+            break
+        name, size = head[:4], int(struct.unpack(order + "I", head[4:])[0])
+        if name == b"data":
+            return _head(chunks, order, int(struct.unpack(order + "I", start[4:8])[0]), size, source)
+        wanted = min(_READ.get(name, 0), size)
+        # Some programs write notes twice; the first one counts.
+        chunks.setdefault(name, file.read(wanted) if wanted else b"")
+        skip(size - wanted + size % 2)
+    raise BadData(
+        f"{source}: a WAV file must hold a chunk of sound (data), none was found; the file looks cut off or damaged, "
+        "copy it again"
+    )
+
+
+def _head(chunks: dict[bytes, bytes], order: str, outer_size: int, data_size: int, source: str) -> WaveHead:
+    form = chunks.get(b"fmt ", b"")
+    if len(form) < 16:
+        raise BadData(f"{source}: a WAV file must say its format before the sound; export it again")
+    tag, n_channels, rate, byte_rate, align, bits = struct.unpack(order + "HHIIHH", form[:16])
+    if tag == _EXTENSIBLE and len(form) >= 26:
+        # The format proper is in the first two bytes of a GUID.
+        tag = int(struct.unpack(order + "H", form[24:26])[0])
+    width = align // n_channels if n_channels and align % n_channels == 0 else 0
+    coding = Coding(kind="f" if tag == _FLOAT else "u" if width == 1 else "i", width=width, big_endian=order == ">")
+    if tag not in (_PCM, _FLOAT) or not coding.is_known or not 0 < bits <= 8 * width:
+        raise BadData(
+            f"{source}: WAV must be PCM of 8 to 64 bits or float of 32 or 64, it is "
+            f"{_OTHER_CODINGS.get(tag, f'of type {tag}')}, {n_channels} channels, {align} bytes a frame, {bits} bits; "
+            "export it again"
+        )
+    warnings = []
+    if byte_rate != rate * align:
+        warnings.append(
+            f"the header contradicts itself: {rate} Hz of {align} bytes each are not {byte_rate} bytes/s; check the "
+            "sampling rate"
+        )
+    if -(-bits // 8) != width:
+        warnings.append(
+            f"the header contradicts itself: {bits} bits do not take {width} bytes each; check the number of channels"
+        )
+    if b"ds64" in chunks and len(chunks[b"ds64"]) >= 24:
+        # The sizes proper of RF64, which do not fit into 32 bits.
+        outer_size, data_size = struct.unpack("<QQ", chunks[b"ds64"][:16])
+    return WaveHead(
+        n_channels=n_channels,
+        sampling_rate=float(rate),
+        coding=coding,
+        outer_size=outer_size,
+        data_size=data_size,
+        n_frames=struct.unpack(order + "I", chunks[b"fact"])[0] if len(chunks.get(b"fact", b"")) == 4 else None,
+        start_time=_start_time(chunks.get(b"bext", b"")),
+        warnings=warnings,
+    )
+
+
+def _start_time(broadcast: bytes) -> datetime | None:
+    """Return date and time of origin of a broadcast chunk: 10 characters at byte 320, 8 at byte 330."""
+    with suppress(ValueError):
+        # Any of several characters may stand between the digits.
+        digits = [character if character.isdigit() else " " for character in broadcast[320:338].decode("ascii")]
+        return datetime.strptime("".join(digits), "%Y %m %d%H %M %S")
+    return None
+
+
+def read_wav(path: Path, source: str, variable: str | None) -> Contents:
+    """Return the channels of a WAV file.
+
+    Parameters
+    ----------
+    path : Path
+        RIFF, RIFX or RF64 with integers of 8, 16, 24, 32 or 64 bits or floats of 32 or 64.
+    source : str
+        Its name in messages.
+    variable : str or None
+        Not used: such a file holds one recording.
+
+    Returns
+    -------
+    Contents
+        Integers scaled to a full scale of 1.0, floats as they are; both in "FS" if nobody says otherwise. Of a file
+        that is cut off, or was never closed, the samples that are whole, and a warning.
+
+    Raises
+    ------
+    BadData
+        The file is cut off before the sound, is no WAV, or its encoding is none of the above.
+    """
+    with path.open("rb") as file:
+        held = os.fstat(file.fileno()).st_size
+        head = read_wave_head(file, lambda size: file.seek(size, os.SEEK_CUR), source)
+        start = file.tell()
+        warnings = list(head.warnings)
+        size = _size_of_sound(file, head, start, held, warnings)
+
+    def blocks(length: int, channels: Sequence[int]) -> Iterator[NDArray[Any]]:
+        most = min(length, max(1, MOST_NUMBERS // head.n_channels)) * head.frame_size
+        picked = list(channels)
+        with path.open("rb") as file:
+            file.seek(start)
+            for first in range(0, size, most):
+                raw = file.read(min(most, size - first))
+                whole = len(raw) - len(raw) % head.frame_size
+                yield np.ascontiguousarray(head.coding.decoded(raw[:whole]).reshape(-1, head.n_channels).T[picked])
+                if len(raw) < min(most, size - first):
+                    warnings.append("the file became shorter while it was read; what is whole was read")
+                    return
+
+    return Contents(
+        n_channels=head.n_channels,
+        blocks=blocks,
+        n_samples=size // head.frame_size,
+        sampling_rate=head.sampling_rate,
+        rate_from="header of the WAV file",
+        fallback_unit="FS",
+        start_time=head.start_time,
+        warnings=warnings,
+    )
+
+
+def _size_of_sound(file: BinaryIO, head: WaveHead, start: int, held: int, warnings: list[str]) -> int:
+    """Return the bytes of whole frames that are there; say where the sizes in the file are not true."""
+    declared, follows = head.data_size, held - start
+    # A recorder that was switched off, or a program that wrote to a pipe, never came back to fill in the size.
+    never_closed = declared == 0 and follows > 0 and not _is_chunk(file, head, start, held)
+    if never_closed or (declared >= ENDLESS and declared > follows):
+        warnings.append(f"the file was not closed and does not say its length; all {follows} bytes of sound were read")
+    elif declared > follows:
+        warnings.append(
+            f"the header declares {declared} bytes of sound and {follows} follow; the file looks cut off, what is "
+            "whole was read"
+        )
+    else:
+        follows = declared
+        _check_end(file, head, start, held, warnings)
+    return follows - follows % head.frame_size
+
+
+def _check_end(file: BinaryIO, head: WaveHead, start: int, held: int, warnings: list[str]) -> None:
+    """Say what contradicts the size of the sound, where the file holds all of it."""
+    n_frames, left = divmod(head.data_size, head.frame_size)
+    if left:
+        warnings.append(
+            f"{head.data_size} bytes of sound are not whole frames of {head.frame_size}; the last {left} were left out"
+        )
+    # Some programs count the numbers of all channels there.
+    counted = head.n_frames or n_frames
+    if counted not in (n_frames, n_frames * head.n_channels) and counted < ENDLESS:
+        warnings.append(f"the header says {counted} samples a channel and there are {n_frames}; check the file")
+    end = start + head.data_size
+    # Sound of an odd size is followed by a zero, which some programs forget.
+    if end + end % 2 < held and not any(_is_chunk(file, head, at, held) for at in (end, end + 1)):
+        warnings.append(
+            f"{held - end} bytes behind the declared sound are no part of a WAV file and were left out; check the file"
+        )
+    elif 0 < head.outer_size < ENDLESS and not 0 <= held - 8 - head.outer_size <= 1:
+        warnings.append(
+            f"the file must be of {head.outer_size + 8} bytes by its header and is of {held}; check whether it is whole"
+        )
+
+
+def _is_chunk(file: BinaryIO, head: WaveHead, at: int, held: int) -> bool:
+    """Return whether a chunk that ends within the file begins at a byte."""
+    file.seek(at)
+    name, size = file.read(4), int.from_bytes(file.read(4), "big" if head.coding.big_endian else "little")
+    return len(name) == 4 and all(32 <= byte < 127 for byte in name) and at + 8 + size <= held + 1

@@ -1,0 +1,400 @@
+"""What a report is made of, and how recordings and models are described in it.
+
+The page of a report: one HTML file with all that it shows, which asks nothing of any network.
+
+Reports: what a recording is, what was found in it, with pictures, as one page that needs nothing else.
+"""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from html import escape
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+from cgid import __version__
+from cgid.files import check_new, write_whole
+from cgid.identification.answers import Answer
+from cgid.identification.model import Model
+from cgid.identification.share import Share, Turn
+from cgid.measure.overview import Overview
+from cgid.plots import COLOURS, Mark, colours_of, hertz, overview_figure, picture, share_figure, written
+from cgid.plots.figure import NEUTRAL
+from cgid.recordings import Channel, RecordingFile
+from cgid.terminal import printable
+from cgid.validation import UNKNOWN
+
+#: More names than these are not all listed.
+_MOST_NAMES = 8
+
+
+@dataclass(frozen=True, kw_only=True)
+class Report:
+    """What is told of one recording.
+
+    Attributes
+    ----------
+    source : str
+        Name of the recording.
+    recording, model : dict of str
+        Facts, in the order in which they are told: `recording_facts`, `model_facts`.
+    overview : Overview
+        Of the first channels.
+    channels : sequence of Channel
+        Those of the overview.
+    answers : sequence of Answer
+        In order of time.
+    shares : sequence of Share
+    turns : sequence of Turn
+    threshold : float or None
+        The share above which going on costs more than it brings.
+    warnings : sequence of str
+    unit_of_decision : {"impact", "window"}
+        What an answer is about.
+    """
+
+    source: str
+    recording: Mapping[str, str]
+    model: Mapping[str, str]
+    overview: Overview
+    channels: Sequence[Channel]
+    answers: Sequence[Answer]
+    shares: Sequence[Share] = ()
+    turns: Sequence[Turn] = ()
+    threshold: float | None = None
+    warnings: Sequence[str] = field(default_factory=tuple)
+    unit_of_decision: str = "impact"
+
+    @property
+    def labels(self) -> list[str]:
+        """The labels of the answers in the order of the alphabet, "unknown" last."""
+        return sorted({answer.label for answer in self.answers}, key=lambda label: (label == UNKNOWN, label))
+
+    def tiles(self) -> Iterator[tuple[str, str]]:
+        """Yield the summary: figures, and what they count."""
+        n = len(self.answers)
+        yield f"{n}", self.unit_of_decision + ("" if n == 1 else "s")
+        counts = Counter(answer.label for answer in self.answers)
+        for label in self.labels:
+            yield f"{counts[label]}", f"{label} ({counts[label] / n:.0%})"
+        outside = sum(not answer.in_training_range for answer in self.answers)
+        yield f"{outside}", "outside of the training"
+        overlapping = sum(answer.overlapping for answer in self.answers)
+        if overlapping:
+            yield f"{overlapping}", "overlapping another"
+        last = {share.channel: share for share in self.shares}
+        for channel, share in last.items():
+            where = f", channel {channel}" if len(last) > 1 else ""
+            interval = f"{share.low:.0%} to {share.high:.0%}" if share.n_impacts else "not known"
+            yield f"{share.share:.0%}" if share.n_impacts else "-", f"gangue at the end ({interval}{where})"
+
+    @property
+    def has_course(self) -> bool:
+        """Whether the share of some channel is known at two times at least, so that it can be seen to change."""
+        known = Counter(share.channel for share in self.shares if share.n_impacts)
+        return max(known.values(), default=0) > 1
+
+
+def recording_facts(recording: RecordingFile, overview: Overview, channels: Sequence[Channel]) -> dict[str, str]:
+    """Return what a recording is, in words.
+
+    Parameters
+    ----------
+    recording : RecordingFile
+    overview : Overview
+        Of all its length.
+    channels : sequence of Channel
+        Those of the overview.
+    """
+    facts = {
+        "file": recording.source,
+        "format": recording.format,
+        "sampling rate": hertz(recording.sampling_rate),
+        "length": f"{overview.duration:.6g} s ({overview.n_samples} samples a channel)",
+    }
+    if recording.start_time is not None:
+        facts["started"] = recording.start_time.isoformat(sep=" ")
+    if len(channels) < len(recording.channels):
+        facts["channels"] = f"{len(recording.channels)}, of which {len(channels)} are drawn here"
+    for k, channel in enumerate(channels):
+        facts[f"channel {channel.name}"] = (
+            f"{channel.quantity or 'signal'} [{written(channel.unit)}], from {overview.lowest[k].min():.4g} to "
+            f"{overview.highest[k].max():.4g}, mean {overview.mean[k]:.3g}, deviation {overview.deviation[k]:.3g}"
+        )
+    return facts
+
+
+def model_facts(model: Model, name: str) -> dict[str, str]:
+    """Return what a model is, in words.
+
+    Parameters
+    ----------
+    model : Model
+    name : str
+        Of its file.
+    """
+    low, high = min(model.sampling_rates), max(model.sampling_rates)
+    rates = hertz(low) if low == high else f"{hertz(low, 3)} to {hertz(high, 3)}"
+    facts = {
+        "model": name,
+        "tells apart": ", ".join(model.labels),
+        "from": f"{model.quantity} [{written(model.unit)}], {model.kind}s, trained at {rates}",
+        "family": model.family,
+        "features": _listed(model.features),
+    }
+    metrics = model.training.get("metrics", {})
+    if metrics.keys() >= {"accuracy", "accuracy_interval_95"}:
+        low, high = metrics["accuracy_interval_95"]
+        facts["accuracy in its test"] = f"{metrics['accuracy']:.3f} (95 % interval {low:.3f} to {high:.3f})"
+    return facts
+
+
+def _listed(names: Sequence[str]) -> str:
+    """Return names, or some of them where they are many."""
+    if len(names) <= _MOST_NAMES:
+        return ", ".join(names)
+    return f"{', '.join(names[: _MOST_NAMES // 2])} and {len(names) - _MOST_NAMES // 2} others"
+
+
+#: What the name of a report may end in.
+ENDINGS = (".html", ".htm")
+#: A table holds at most so many answers: browsers are slow with more.
+MOST_ROWS = 20_000
+_DPI = 130
+
+
+def write_report(path: str | Path, reports: Sequence[Report], *, title: str = "", overwrite: bool = False) -> None:
+    """Write one page about some recordings.
+
+    Parameters
+    ----------
+    path : str or Path
+        Ends in .html or .htm.
+    reports : sequence of Report
+    title : str, optional
+        Of the page.
+    overwrite : bool
+        Whether an old file may be replaced.
+
+    Raises
+    ------
+    CannotCreate
+        The name ends otherwise, the folder is missing or not writable, or there is something already.
+    MissingExtra
+        matplotlib is not installed.
+    WriteFailed
+        The disk is full.
+    """
+    path = check_new(Path(path), "a report", ENDINGS, overwrite=overwrite)
+    write_whole(path, report_page(reports, title=title).encode(), overwrite=overwrite)
+
+
+def report_page(reports: Sequence[Report], *, title: str = "") -> str:
+    """Return the page that `write_report` writes; equal reports give equal pages."""
+    title = title or _title([Path(report.source).name for report in reports])
+    style, script = _resource("report.css") + _swatches(), _resource("report.js")
+    allowed = f"default-src 'none'; img-src data:; style-src '{_hash(style)}'; script-src '{_hash(script)}'"
+    return "\n".join(
+        [
+            "<!DOCTYPE html>",
+            '<html lang="en">',
+            "<head>",
+            '<meta charset="utf-8">',
+            # Whatever a stranger's file may have smuggled in: nothing runs and nothing is fetched but what is here.
+            f'<meta http-equiv="Content-Security-Policy" content="{allowed}">',
+            '<meta name="viewport" content="width=device-width, initial-scale=1">',
+            f"<title>{_text(title)}</title>",
+            f"<style>{style}</style>",
+            "</head>",
+            "<body>",
+            f"<h1>{_text(title)}</h1>",
+            f'<p class="faint">Report of cgid {__version__}</p>',
+            *(line for report in reports for line in _section(report)),
+            f"<script>{script}</script>",
+            "</body>",
+            "</html>",
+            "",
+        ]
+    )
+
+
+def _title(names: Sequence[str]) -> str:
+    """Return the names of recordings, or of one of many."""
+    different = list(dict.fromkeys(names))
+    return ", ".join(different) if len(different) < 4 else f"{different[0]} and {len(different) - 1} other recordings"
+
+
+def _section(report: Report) -> Iterator[str]:
+    yield "<section>"
+    yield f"<h2>{_text(Path(report.source).name)}</h2>"
+    if report.warnings:
+        yield '<div class="warnings"><strong>Warnings</strong><ul>'
+        yield from (f"<li>{_text(warning)}</li>" for warning in report.warnings)
+        yield "</ul></div>"
+    yield '<ul class="tiles">'
+    yield from (f"<li><strong>{_text(figure)}</strong> {_text(what)}</li>" for figure, what in report.tiles())
+    yield "</ul>"
+    yield from _turns(report)
+    yield '<div class="facts">'
+    yield from _facts("Recording", report.recording)
+    yield from _facts("Model", report.model)
+    yield "</div>"
+    yield from _pictures(report)
+    yield from _table(report)
+    yield "</section>"
+
+
+def _turns(report: Report) -> Iterator[str]:
+    many = len({share.channel for share in report.shares}) > 1
+    for turn in report.turns:
+        where = f", channel {turn.share.channel}" if many else ""
+        what = "Shut the window" if turn.shut else "Going on pays again"
+        told = (
+            f"{what} at {turn.time:.2f} s{where}: share of gangue {turn.share.share:.0%} "
+            f"({turn.share.low:.0%} to {turn.share.high:.0%}), going on costs {turn.cost:+.2g} coal an impact"
+        )
+        yield f'<p class="turn">{_text(told)}</p>'
+
+
+def _facts(title: str, facts: Mapping[str, str]) -> Iterator[str]:
+    yield f"<div><h3>{title}</h3><dl>"
+    yield from (f"<dt>{_text(name)}</dt><dd>{_text(value)}</dd>" for name, value in facts.items())
+    yield "</dl></div>"
+
+
+def _pictures(report: Report) -> Iterator[str]:
+    figure = overview_figure(report.overview, report.channels, title="", marks=list(_marks(report)))
+    what = f"Each {report.unit_of_decision} by its label, waveform, spectrogram and mean spectrum"
+    yield _figure(figure, f"{what} of each channel." if len(report.channels) > 1 else f"{what}.")
+    if report.has_course:
+        shares = share_figure(report.shares, report.turns, report.overview.duration, threshold=report.threshold)
+        yield _figure(shares, "Share of gangue over a sliding window, with its interval.")
+
+
+def _marks(report: Report) -> Iterator[Mark]:
+    """Yield a mark for each answer about a channel that is drawn, or about all of them together."""
+    names = [channel.name for channel in report.channels]
+    together = "+".join(names)
+    for answer in report.answers:
+        of_all = answer.channel == together or answer.channel.startswith(f"{together}+")
+        if not (of_all or answer.channel in names):
+            continue
+        # Where nobody looked for the end, the mark is as narrow as it may be.
+        end = answer.end if answer.end >= answer.time else answer.time
+        yield Mark(time=answer.time, end=end, label=answer.label, channel=None if of_all else answer.channel)
+
+
+def _figure(figure: Any, caption: str) -> str:
+    data = base64.b64encode(picture(figure, ".png", dpi=_DPI)).decode()
+    image = f'<img alt="{_text(caption)}" src="data:image/png;base64,{data}">'
+    return f"<figure>{image}<figcaption>{_text(caption)}</figcaption></figure>"
+
+
+def _table(report: Report) -> Iterator[str]:
+    """Yield the table of answers, with what only some recordings have in columns of its own."""
+    answers = report.answers[:MOST_ROWS]
+    columns = {
+        "time [s]": "number",
+        "label": "",
+        "probability": "number",
+        "novelty": "number",
+        "range": "",
+        "note": "long",
+    }
+    if any(answer.end == answer.end for answer in answers):
+        columns = _with(columns, "length [ms]", "number", after="time [s]")
+    if len({answer.channel for answer in answers}) > 1:
+        columns = _with(columns, "channel", "", after="time [s]")
+    if any(answer.prediction_set is not None for answer in answers):
+        columns = _with(columns, "cannot be ruled out", "long", after="probability")
+    columns = {"number": "number"} | columns
+    yield f'<div class="impacts"><h3>{report.unit_of_decision.capitalize()}s</h3>'
+    if len(answers) < len(report.answers):
+        yield f"<p>The first {len(answers)} of {len(report.answers)}; cgid predict --json lists them all.</p>"
+    yield from _choices(answers, list(columns))
+    yield '<div class="table"><table class="answers"><thead><tr>'
+    yield "".join(f'<th scope="col" class="{kind}">{_text(name)}</th>' for name, kind in columns.items())
+    yield "</tr></thead><tbody>"
+    swatches = {label: _swatch(colour) for label, colour in colours_of(report.labels).items()}
+    for number, answer in enumerate(answers, start=1):
+        cells = _cells(number, answer)
+        yield "<tr>" + "".join(_cell(name, kind, cells[name], swatches) for name, kind in columns.items()) + "</tr>"
+    yield "</tbody></table></div></div>"
+
+
+def _with(columns: dict[str, str], name: str, kind: str, *, after: str) -> dict[str, str]:
+    """Return columns with another one after one of them."""
+    out = {}
+    for one, its_kind in columns.items():
+        out[one] = its_kind
+        if one == after:
+            out[name] = kind
+    return out
+
+
+def _choices(answers: Sequence[Answer], columns: Sequence[str]) -> Iterator[str]:
+    """Yield what chooses the rows that are shown; it appears where the script runs."""
+    yield '<p class="choose" hidden>Show '
+    for name in ("label", "channel"):
+        if name in columns:
+            values = sorted({getattr(answer, name) for answer in answers})
+            options = "".join(f"<option>{_text(value)}</option>" for value in values)
+            yield f'<label>{name} <select data-column="{columns.index(name)}"><option value="">all</option>'
+            yield f"{options}</select></label> "
+    yield '<output class="faint"></output></p>'
+
+
+def _cells(number: int, answer: Answer) -> dict[str, str]:
+    marks = [name for name in ("overlapping", "clipped", "cut") if getattr(answer, name)]
+    return {
+        "number": str(number),
+        "time [s]": f"{answer.time:.4f}",
+        "length [ms]": _number(1e3 * (answer.end - answer.time), ".3g"),
+        "channel": answer.channel,
+        "label": answer.label,
+        "probability": _number(answer.probability, ".3f"),
+        "cannot be ruled out": ", ".join(answer.prediction_set or ()),
+        "novelty": _number(answer.novelty, ".3g"),
+        "range": "in" if answer.in_training_range else "out",
+        "note": "; ".join([*marks, *([answer.problem] if answer.problem else [])]),
+    }
+
+
+def _cell(name: str, kind: str, value: str, swatches: Mapping[str, str]) -> str:
+    swatch = f'<span class="swatch {swatches[value]}"></span>' if name == "label" else ""
+    return f'<td class="{kind}">{swatch}{_text(value)}</td>'
+
+
+def _number(value: float, form: str) -> str:
+    return "-" if value != value else format(value, form)
+
+
+def _text(value: str) -> str:
+    """Return text of anybody as HTML shows it; what no page may hold stands as its escape."""
+    return escape(printable(value))
+
+
+def _swatches() -> str:
+    """Return the style of the coloured squares: labels have the colours that they have in the pictures."""
+    return "".join(f".{_swatch(colour)} {{ background: {colour}; }}\n" for colour in (*COLOURS, NEUTRAL))
+
+
+def _swatch(colour: str) -> str:
+    return f"colour-{colour[1:]}"
+
+
+def _resource(name: str) -> str:
+    return (resources.files("cgid") / name).read_text(encoding="utf-8")
+
+
+def _hash(text: str) -> str:
+    """Return by what a page allows a style or script of its own, and no other."""
+    return "sha256-" + base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()
+
+
+__all__ = ["ENDINGS", "Report", "model_facts", "recording_facts", "report_page", "write_report"]

@@ -1,0 +1,301 @@
+"""Figures 9 to 11, 16 and 17 by finite elements, and what a soft contact does to them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import replace
+from typing import Any, Literal
+
+import numpy as np
+
+from cgid.physics.materials import YANG2018_RADIUS, YANG2018_SPHERES
+from cgid.reproduction import paper
+from cgid.reproduction.drawing import Lines, PaperFigure, frame, joined
+from cgid.reproduction.paper import SECTION_5_VELOCITY, THEORY_NAMES, paper_impact
+from cgid.reproduction.study import (
+    DAMPED,
+    ELEMENT_SIZES,
+    ELEMENTS,
+    FACTOR_SPHERES,
+    FACTOR_VELOCITY,
+    FACTORS,
+    PENALTY_FACTOR,
+    RESTITUTION,
+    SOFT_BY_FACTOR,
+    UNDAMPED,
+    Run,
+    Study,
+)
+from cgid.reproduction.theories import QUANTITIES_COMPARED, READINGS, SHARED, predicted
+
+#: The value of `kind` in simulated rows; in the others it is the theory.
+SIMULATED = "simulation"
+#: Label and style of the theories that are drawn. K2 is not: it lies beyond K1, on the other side of the simulation.
+THEORY_STYLES = {"hertz": (THEORY_NAMES["hertz"], "-"), "series": (THEORY_NAMES["series"], "--")}
+#: In the notes of damped figures.
+_DAMPING = (
+    "The damped sphere is a Kelvin-Voigt body; its retardation time is chosen for each impact so that "
+    f"Kuwabara-Kono's restitution is {RESTITUTION:g}. (The paper has damping during the contact, which is "
+    "another one, and gives no number.)"
+)
+#: What a hysteresis loop consists of.
+_LOOP = ("force", "displacement")
+#: Points of a theory's line.
+_POINTS = 101
+
+
+def courses(run: Run, *names: str, until: Literal["deepest", "parted", "end"] = "parted") -> Any:
+    """Return rows of one simulated impact over time, from touch to the largest DCS, to separation or to the end."""
+    last = {
+        "deepest": int(np.argmax(run.courses["displacement"])),
+        "parted": int(np.searchsorted(run.times, run.numbers["contact_duration"])),
+        "end": run.times.size,
+    }[until]
+    case, rows = run.case, slice(last + 1)
+    columns: dict[str, Any] = {"kind": SIMULATED, "group": case.group, "sphere": case.sphere, "velocity": case.velocity}
+    return frame({**columns, "time": run.times[rows], **{name: run.courses[name][rows] for name in names}})
+
+
+def compression() -> list[Any]:
+    """Return rows of force over DCS of the theories while the sphere is pressed in, up to the highest speed."""
+    frames = []
+    for theory in THEORY_STYLES:
+        for sphere in YANG2018_SPHERES:
+            impact = paper_impact(sphere, max(paper.VELOCITIES), theory)
+            displacement = impact.peak_displacement * np.linspace(0, 1, _POINTS)
+            force = impact.contact_stiffness * displacement**1.5
+            frames.append(frame({"kind": theory, "sphere": sphere, "displacement": displacement, "force": force}))
+    return frames
+
+
+def each_sphere(x: str, y: str, marker: str = "", more: str = "", **where: object) -> list[Lines]:
+    """Return a panel for each sphere: the five speeds as simulated, and the theories over them."""
+    return [
+        Lines(
+            x=x, y=y, by="velocity", where={"kind": SIMULATED, "sphere": sphere, **where},
+            title=f"sphere {sphere}{more}",
+            over=tuple(
+                Lines(x=x, y=y, where={"kind": theory, "sphere": sphere}, colour="black", style=style, label=label,
+                      marker=marker)
+                for theory, (label, style) in THEORY_STYLES.items()
+            ),
+        )
+        for sphere in YANG2018_SPHERES
+    ]  # fmt: skip
+
+
+def strain_of(runs: Iterable[Run]) -> float:
+    """Return the largest displacement over radius of these impacts."""
+    return max(run.numbers["peak_displacement"] for run in runs) / YANG2018_RADIUS
+
+
+def figure_9(study: Study) -> PaperFigure:
+    """Return Figure 9: simulated over theoretical maxima."""
+    frames = []
+    for reading in READINGS:
+        for sphere in YANG2018_SPHERES:
+            runs = [run for run in study.of(UNDAMPED) if run.case.sphere == sphere]
+            velocities = tuple(run.case.velocity for run in runs)
+            columns: dict[str, Any] = {"sphere": sphere, "theory": reading, "velocity": velocities}
+            found = predicted(reading, sphere, velocities)
+            for name in QUANTITIES_COMPARED:
+                # The other reading of K1 differs in energy alone, and would hide K1 elsewhere.
+                differs = reading != SHARED or name.endswith("energy")
+                columns[f"theoretical_{name}"] = found[name] if differs else np.nan
+                columns[f"simulated_{name}"] = [run.numbers[name] for run in runs]
+            frames.append(frame(columns))
+    panels = tuple(
+        Lines(
+            x=f"theoretical_{name}", y=f"simulated_{name}", by="theory", where={"sphere": 1}, labels=READINGS,
+            marker="o", diagonal=True,
+        )
+        for name in QUANTITIES_COMPARED
+    )  # fmt: skip
+    return PaperFigure(
+        name="figure_09",
+        title="Simulated over theoretical maxima",
+        note="Sphere 1, undamped, 2 to 10 m/s (the data hold all four spheres). Where theory and simulation are equal "
+        "stands the grey line: a theory that is wrong by a factor lies on another straight line.",
+        data=joined(frames),
+        panels=panels,
+        columns=3,
+        highest_strain=strain_of(study.of(UNDAMPED)),
+    )
+
+
+def figure_10_simulated(study: Study) -> PaperFigure:
+    """Return Figure 10: contact force and DCS over time, with the theories' maxima."""
+    runs = study.of(UNDAMPED)
+    frames = [courses(run, "force", "displacement") for run in runs]
+    for theory in THEORY_STYLES:
+        for sphere in YANG2018_SPHERES:
+            found = predicted(theory, sphere, paper.VELOCITIES)
+            frames.append(
+                frame({
+                    "kind": theory, "sphere": sphere, "velocity": paper.VELOCITIES,
+                    "time": found["contact_duration"] / 2, "force": found["peak_force"],
+                    "displacement": found["peak_displacement"],
+                })
+            )  # fmt: skip
+    return PaperFigure(
+        name="figure_10_simulated",
+        title="Force-time and DCS-time, simulated",
+        note="Undamped finite elements at the five speeds. Black: the maxima of the theories at these speeds.",
+        data=joined(frames),
+        panels=(*each_sphere("time", "force", "."), *each_sphere("time", "displacement", ".")),
+        columns=4,
+        highest_strain=strain_of(runs),
+    )
+
+
+def figure_10_waves(study: Study) -> PaperFigure:
+    """Return the waves of Figure 10: mass x acceleration of the centre node, raw and filtered, and contact force."""
+    runs = study.of(UNDAMPED)
+    highest = max(paper.VELOCITIES)
+    raw = (
+        Lines(
+            x="time", y="centre_node_force", where={"sphere": sphere, "velocity": highest},
+            title=f"sphere {sphere}, {highest:g} m/s", label="unfiltered", colour="0.6", width=0.9,
+            over=(_contact_force(sphere, highest),),
+        )
+        for sphere in YANG2018_SPHERES
+    )  # fmt: skip
+    filtered = (
+        Lines(
+            x="time", y="filtered_force", by="velocity", where={"sphere": sphere}, title=f"sphere {sphere}",
+            over=tuple(_contact_force(sphere, velocity) for velocity in paper.VELOCITIES),
+        )
+        for sphere in YANG2018_SPHERES
+    )  # fmt: skip
+    return PaperFigure(
+        name="figure_10_waves",
+        title="Mass x acceleration of the sphere's centre, raw and behind the FFT filter",
+        note="Undamped. Above: the sphere's mass x acceleration of the node at its centre, at 10 m/s (200 points: the "
+        "quickest waves are not resolved). Below: the same behind a low-pass at 4/T, all speeds. Black: the contact "
+        "force, which needs no filter.",
+        data=joined([courses(run, "centre_node_force", "filtered_force", "force", until="end") for run in runs]),
+        panels=(*raw, *filtered),
+        columns=4,
+        highest_strain=strain_of(runs),
+    )
+
+
+def _contact_force(sphere: int, velocity: float) -> Lines:
+    return Lines(
+        x="time", y="force", where={"sphere": sphere, "velocity": velocity}, label="contact force", colour="black",
+        style="--", width=1.0,
+    )  # fmt: skip
+
+
+def figure_11_simulated(study: Study) -> PaperFigure:
+    """Return Figure 11: lines of the theories over hysteresis loops."""
+    runs = study.of(DAMPED)
+    return PaperFigure(
+        name="figure_11_simulated",
+        title="Force-displacement, simulated hysteresis loops, and the theories of the compression stage",
+        note=f"Finite elements. {_DAMPING} Black: the elastic theories up to 10 m/s.",
+        data=joined([*(courses(run, "displacement", "force") for run in runs), *compression()]),
+        panels=tuple(each_sphere("displacement", "force")),
+        columns=4,
+        highest_strain=strain_of(runs),
+    )
+
+
+def figure_16_17_simulated(study: Study, number: int) -> PaperFigure:
+    """Return Figure 16 (force over time) or 17 (force over DCS): the four spheres at 10 m/s, simulated."""
+    x, title = {
+        16: ("time", "Simulated contact force-time at 10 m/s"),
+        17: ("displacement", "Simulated contact force-DCS at 10 m/s"),
+    }[number]
+    runs = [run for group in (DAMPED, UNDAMPED) for run in study.of(group) if run.case.velocity == SECTION_5_VELOCITY]
+    titles = {DAMPED: f"damped, restitution {RESTITUTION:g}", UNDAMPED: "undamped"}
+    return PaperFigure(
+        name=f"figure_{number}_simulated",
+        title=title,
+        note=f"Finite elements. {_DAMPING}",
+        data=joined([courses(run, "displacement", "force") for run in runs]),
+        panels=tuple(
+            Lines(x=x, y="force", by="sphere", where={"group": group}, title=text) for group, text in titles.items()
+        ),
+        columns=2,
+        highest_strain=strain_of(runs),
+    )
+
+
+def penalty_loops(study: Study) -> PaperFigure:
+    """Return force over DCS with a soft contact, beside the theories."""
+    runs = [run for group in ELEMENT_SIZES for run in study.of(group)]
+    return PaperFigure(
+        name="penalty_loops",
+        title="Force-displacement with a soft contact",
+        note="Undamped finite elements whose surfaces may enter each other: pressure = "
+        f"{PENALTY_FACTOR:g} x bulk modulus / element size x depth, up to the largest DCS. The mesh is ours; "
+        "the contact is as soft as that of elements of the size above the panel. The five speeds share "
+        "one curve and differ in where it ends. Black: the elastic theories up to 10 m/s.",
+        data=joined([*(courses(run, "displacement", "force", until="deepest") for run in runs), *compression()]),
+        panels=tuple(
+            replace(panel, marker="end")
+            for group, size in ELEMENT_SIZES.items()
+            for panel in each_sphere("displacement", "force", more=f", as soft as {size * 1e3:g} mm", group=group)
+        ),
+        columns=4,
+        highest_strain=strain_of(runs),
+    )
+
+
+def penalty_factor(study: Study) -> PaperFigure:
+    """Return what the stiffness of a soft contact does to force and DCS."""
+    hard = {(run.case.sphere, run.case.velocity): run.numbers for run in study.of(UNDAMPED)}
+    frames, runs = [], study.of(SOFT_BY_FACTOR)
+
+    def add(kind: str, sphere: int, factor: Any, found: Mapping[str, Any]) -> None:
+        of_hard = hard[sphere, FACTOR_VELOCITY]
+        over = {f"{name}_over_hard": found[f"peak_{name}"] / of_hard[f"peak_{name}"] for name in _LOOP}
+        frames.append(
+            frame({"kind": kind, "sphere": sphere, "velocity": FACTOR_VELOCITY, "penalty_factor": factor, **over})
+        )
+
+    for run in runs:
+        add(SIMULATED, run.case.sphere, run.case.penalty_factor, run.numbers)
+    for theory in THEORY_STYLES:
+        for sphere in FACTOR_SPHERES:
+            add(
+                f"{theory} {sphere}",
+                sphere,
+                [min(FACTORS), max(FACTORS)],
+                predicted(theory, sphere, (FACTOR_VELOCITY,)),
+            )
+    panels = tuple(
+        Lines(
+            x="penalty_factor", y=y, by="sphere", where={"kind": SIMULATED}, marker="o", logarithmic=True,
+            over=tuple(
+                Lines(x="penalty_factor", y=y, where={"kind": f"{theory} {FACTOR_SPHERES[0]}"}, colour="black",
+                      style=style, label=label, width=1.0)
+                for theory, (label, style) in THEORY_STYLES.items()
+            ),
+        )
+        for y in (f"{name}_over_hard" for name in _LOOP)
+    )  # fmt: skip
+    return PaperFigure(
+        name="penalty_factor",
+        title="Force and DCS by the stiffness of a soft contact",
+        note=f"Spheres 1 and 3 at {FACTOR_VELOCITY:g} m/s, undamped, {ELEMENTS} elements over the contact "
+        "radius. Black: the theories for sphere 1.",
+        data=joined(frames),
+        panels=panels,
+        columns=2,
+        highest_strain=strain_of(runs),
+    )
+
+
+#: How to make each figure of a study, by the name of its files.
+SIMULATED_FIGURES: dict[str, Callable[[Study], PaperFigure]] = {
+    "figure_09": figure_9,
+    "figure_10_simulated": figure_10_simulated,
+    "figure_10_waves": figure_10_waves,
+    "figure_11_simulated": figure_11_simulated,
+    "figure_16_simulated": lambda study: figure_16_17_simulated(study, 16),
+    "figure_17_simulated": lambda study: figure_16_17_simulated(study, 17),
+    "penalty_loops": penalty_loops,
+    "penalty_factor": penalty_factor,
+}

@@ -1,0 +1,425 @@
+"""The finite-element study of the paper's impacts: its cases, its results, how it is computed, and its data file.
+
+The shipped file is made by `cgid reproduce --finite-element -o paper` and copied from there:
+`cp paper/finite_element.npz cgid/reproduction/`.
+"""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Callable, Mapping
+from contextlib import closing
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from cgid.errors import BadData, NoInput
+from cgid.measure.filters import fft_filter
+from cgid.physics.bodies import sphere_share
+from cgid.physics.materials import STEEL, YANG2018_RADIUS, YANG2018_SPHERES
+from cgid.physics.sensitivity import dissipative_constant
+from cgid.reproduction import paper
+from cgid.reproduction.paper import paper_impact
+from cgid.validation import Floats
+from cgid.workers import workers
+
+if TYPE_CHECKING:
+    from cgid.finite_element import History
+
+# ---- cases ----------------------------------------------------------------------------------------------------------
+
+#: Elements over Hertz's contact radius.
+ELEMENTS = 14
+#: Restitution of the damped impacts, chosen here: the paper gives no number for its damping. (The paper's acts during
+#: the contact; here the sphere is a Kelvin-Voigt body.)
+RESTITUTION = 0.8
+#: Radius of the round plate [m]: half the length of the paper's rectangular one.
+PLATE_RADIUS = paper.PLATE_SIZE[0] / 2
+#: Stiffness of a soft contact per area, times element size over bulk modulus: the default of LS-DYNA.
+PENALTY_FACTOR = 0.1
+#: Factors of a soft contact tried on two spheres at one speed [m/s].
+FACTORS, FACTOR_SPHERES, FACTOR_VELOCITY = (0.01, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0), (1, 3), 6.0
+
+#: Groups of cases. Each of the first five holds the paper's twenty impacts: with hard contact, elastic and damped;
+#: elastic with a contact as soft as our elements make it, and as soft as that of larger elements (on our mesh). The
+#: last holds two of the impacts with every factor.
+UNDAMPED, DAMPED, SOFT, SOFT_BY_FACTOR = "undamped", "damped", "soft", "soft_by_factor"
+SOFT_1_MM, SOFT_2_MM = "soft_1_mm", "soft_2_mm"
+GROUPS = (UNDAMPED, DAMPED, SOFT, SOFT_1_MM, SOFT_2_MM, SOFT_BY_FACTOR)
+#: Size of those larger elements [m]: that of the paper's sphere (section 3.1), and half of it because the paper's mesh
+#: is finer at the contact.
+ELEMENT_SIZES = {SOFT_1_MM: 0.001, SOFT_2_MM: 0.002}
+
+#: Sphere and speed of the paper's twenty impacts.
+_TWENTY = [(sphere, velocity) for sphere in YANG2018_SPHERES for velocity in paper.VELOCITIES]
+#: Impacts of the study.
+N_CASES = (3 + len(ELEMENT_SIZES)) * len(_TWENTY) + len(FACTOR_SPHERES) * len(FACTORS)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Case:
+    """One impact of the study, of a sphere of Table 2 on the plate.
+
+    Parameters
+    ----------
+    group : str
+    sphere : int
+        Number in Table 2.
+    velocity : float
+        [m/s].
+    retardation_time : float
+        Of the sphere as a Kelvin-Voigt body [s].
+    penalty_factor : float
+        Of a soft contact; 0 for a hard one.
+    """
+
+    group: str
+    sphere: int
+    velocity: float
+    retardation_time: float = 0.0
+    penalty_factor: float = 0.0
+
+
+def all_cases() -> list[Case]:
+    """Return every case, group by group."""
+    times = [time for sphere in YANG2018_SPHERES for time in retardation_times(sphere)]
+    cases = [Case(group=UNDAMPED, sphere=sphere, velocity=velocity) for sphere, velocity in _TWENTY]
+    cases += [
+        Case(group=DAMPED, sphere=sphere, velocity=velocity, retardation_time=time)
+        for (sphere, velocity), time in zip(_TWENTY, times, strict=True)
+    ]
+    cases += [
+        Case(group=SOFT, sphere=sphere, velocity=velocity, penalty_factor=PENALTY_FACTOR)
+        for sphere, velocity in _TWENTY
+    ]
+    for group, size in ELEMENT_SIZES.items():
+        # The factor with which our elements press as softly as elements of this size do.
+        factors = [PENALTY_FACTOR * own / size for own in element_sizes()]
+        cases += [
+            Case(group=group, sphere=sphere, velocity=velocity, penalty_factor=factor)
+            for (sphere, velocity), factor in zip(_TWENTY, factors, strict=True)
+        ]
+    cases += [
+        Case(group=SOFT_BY_FACTOR, sphere=sphere, velocity=FACTOR_VELOCITY, penalty_factor=factor)
+        for sphere in FACTOR_SPHERES
+        for factor in FACTORS
+    ]
+    return cases
+
+
+def retardation_times(sphere: int) -> list[float]:
+    """Return the retardation time b [s] that gives a Kelvin-Voigt sphere the chosen restitution at each speed.
+
+    By Kuwabara and Kono's `A = 3/2 b s`, the contact law of such a sphere, where s is its share in the compliance of
+    both bodies. Nothing is fitted: the restitution that the finite elements then have is a result.
+    """
+    impact = paper_impact(sphere, paper.VELOCITIES, "hertz")
+    share = sphere_share(impact.sphere, impact.target)
+    return [float(time) for time in dissipative_constant(RESTITUTION, impact) / (1.5 * share)]
+
+
+def element_sizes() -> list[float]:
+    """Return the size of our elements at the contact [m], a part of Hertz's contact radius, for each of the twenty."""
+    impacts = [paper_impact(sphere, velocity, "hertz") for sphere, velocity in _TWENTY]
+    return [float(np.sqrt(impact.reduced_radius * impact.peak_displacement)) / ELEMENTS for impact in impacts]
+
+
+# ---- results --------------------------------------------------------------------------------------------------------
+
+#: Numbers of each impact that the solver gives [SI units].
+_OF_HISTORY = (
+    "peak_force",
+    "peak_displacement",
+    "contact_duration",
+    "peak_pressure",
+    "peak_sphere_energy",
+    "peak_plate_energy",
+    "restitution",
+    "energy_error",
+    "momentum_error",
+)
+#: Edges of the low-pass for the force of the centre node, over the inverse of the contact's duration.
+_EDGES = (4, 5)
+#: All numbers of each impact.
+NUMBERS = (*_OF_HISTORY, *(f"filtered_at_{edge}" for edge in _EDGES))
+#: Courses over time, by the name of the solver.
+_COURSE_OF_HISTORY = {
+    "force": "contact_force",
+    "displacement": "centre_displacement",
+    "pressure": "contact_pressure",
+    "sphere_energy": "sphere_energy",
+    "plate_energy": "plate_energy",
+    "centre_node_force": "centre_node_force",
+}
+#: All courses that an impact may have.
+COURSES = (*_COURSE_OF_HISTORY, "filtered_force")
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Run:
+    """One computed impact.
+
+    Parameters
+    ----------
+    case : Case
+    numbers : mapping of str to float
+        Each of `NUMBERS`. `filtered_at_4` and `filtered_at_5` are the peaks of the centre node's mass x acceleration
+        behind a low-pass at 4/T and 5/T [N]; `energy_error` is nan where damping takes energy away.
+    duration : float
+        Of the courses [s]; they end some time after the contact.
+    courses : mapping of str to ndarray, (n_points,)
+        Some of `COURSES`, or none, at even intervals from first touch on.
+    """
+
+    case: Case
+    numbers: Mapping[str, float]
+    duration: float
+    courses: Mapping[str, Floats]
+
+    @property
+    def times(self) -> Floats:
+        """Time of each point of the courses since first touch [s]; empty without courses."""
+        n_points = next((course.size for course in self.courses.values()), 0)
+        return np.linspace(0, self.duration, n_points)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Study:
+    """Every impact of the study.
+
+    Parameters
+    ----------
+    runs : tuple of Run
+    made : str
+        How, in words.
+    """
+
+    runs: tuple[Run, ...]
+    made: str
+
+    def of(self, group: str) -> tuple[Run, ...]:
+        """Return the impacts of a group."""
+        return tuple(run for run in self.runs if run.case.group == group)
+
+    def values(self, group: str, name: str) -> Floats:
+        """Return one of `NUMBERS` for each impact of a group."""
+        return np.array([run.numbers[name] for run in self.of(group)])
+
+
+# ---- computing ------------------------------------------------------------------------------------------------------
+
+#: Points in time that are kept of a course.
+N_POINTS = 200
+#: Courses that are kept, by group; the other groups keep none.
+_KEPT = {UNDAMPED: COURSES, DAMPED: COURSES, **dict.fromkeys(ELEMENT_SIZES, ("force", "displacement"))}
+
+
+def run_study(jobs: int | None = None, progress: Callable[[int], object] | None = None) -> Study:
+    """Compute every impact of the study.
+
+    Parameters
+    ----------
+    jobs : int, optional
+        Processes; by default as many as there are cores.
+    progress : callable, optional
+        Called with 1 after each impact.
+    """
+    if jobs is None:
+        import joblib
+
+        jobs = int(joblib.cpu_count())
+    runs = []
+    with workers(jobs) as crew, closing(crew.each(computed, N_POINTS, all_cases())) as found:
+        for run in found:
+            runs.append(run)
+            if progress is not None:
+                progress(1)
+    return Study(runs=tuple(runs), made=made())
+
+
+def made() -> str:
+    """Return how the study was made, in words."""
+    return (
+        "axisymmetric linear elasticity (small strains), sphere and plate meshed, "
+        f"{ELEMENTS} elements over Hertz's contact radius, contact of nodes that cannot pass through each other; "
+        f"round plate {paper.PLATE_SIZE[2] * 1e3:g} mm thick with a radius of {PLATE_RADIUS * 1e3:g} mm, its lower "
+        "face fixed as in the paper, its edge free; no gravity"
+    )
+
+
+def computed(n_points: int, case: Case) -> Run:
+    """Return the run of a case, with this many points a course."""
+    # Imported here: reading the shipped results needs neither the solver nor its compiler.
+    from cgid.finite_element import ElasticPlate, FiniteElementImpact, PenaltyContact
+    from cgid.physics import Sphere
+
+    soft = PenaltyContact(factor=case.penalty_factor) if case.penalty_factor else None
+    history = FiniteElementImpact(
+        sphere=Sphere(material=YANG2018_SPHERES[case.sphere], radius=YANG2018_RADIUS),
+        plate=ElasticPlate(material=STEEL, thickness=paper.PLATE_SIZE[2], radius=PLATE_RADIUS, lower_face="fixed"),
+        velocity=case.velocity,
+        retardation_time=case.retardation_time,
+        elements=ELEMENTS,
+        penalty=soft,
+        method="auto",
+    ).run()
+    return shortened(case, history, n_points)
+
+
+def shortened(case: Case, history: History, n_points: int) -> Run:
+    """Return what is kept of a history."""
+    waving = history.centre_node_force
+    filtered = [low_passed(waving.samples, waving.sampling_rate, edge / history.contact_duration) for edge in _EDGES]
+    # Damped impacts have no balance of energy.
+    numbers = {name: float(np.nan if (value := getattr(history, name)) is None else value) for name in _OF_HISTORY}
+    numbers |= {f"filtered_at_{edge}": float(course.max()) for edge, course in zip(_EDGES, filtered, strict=True)}
+    courses = {name: getattr(history, of).samples for name, of in _COURSE_OF_HISTORY.items()}
+    courses["filtered_force"] = filtered[0]
+    times = history.times
+    wanted = np.linspace(0, times[-1], n_points)
+    kept = {name: np.interp(wanted, times, courses[name]) for name in _KEPT.get(case.group, ())}
+    return Run(case=case, numbers=numbers, duration=float(times[-1]), courses=kept)
+
+
+def low_passed(samples: Floats, sampling_rate: float, edge: float) -> Floats:
+    """Return a course behind the paper's FFT filter, a brick wall at an edge [Hz]."""
+    # The filter is circular; zeros before the touch keep the end of the course away from its beginning.
+    whole = np.concatenate((np.zeros(samples.size), samples))
+    return np.asarray(fft_filter(whole, sampling_rate, high=edge)[samples.size :], np.float64)
+
+
+# ---- the data file --------------------------------------------------------------------------------------------------
+
+#: The shipped file; `cgid reproduce --finite-element` makes it anew.
+STUDY_FILE = "finite_element.npz"
+#: Columns that describe a case, and numpy's kinds of their values.
+_CASE = {"group": "U", "sphere": "i", "velocity": "f", "retardation_time": "f", "penalty_factor": "f"}
+#: The same for every column that has one value an impact.
+_COLUMNS = {**_CASE, **dict.fromkeys((*NUMBERS, "duration"), "f")}
+_KINDS = {"U": "text", "i": "whole numbers", "f": "numbers in floating point"}
+
+
+def packed(study: Study) -> bytes:
+    """Return the content of the data file: numbers in float64, courses in float32."""
+    arrays: dict[str, Any] = {"made": np.array(study.made)}
+    arrays |= {name: np.array([getattr(run.case, name) for run in study.runs]) for name in _CASE}
+    arrays |= {name: np.array([run.numbers[name] for run in study.runs]) for name in NUMBERS}
+    arrays["duration"] = np.array([run.duration for run in study.runs])
+    for name in COURSES:
+        places = [place for place, run in enumerate(study.runs) if name in run.courses]
+        courses = [study.runs[place].courses[name] for place in places]
+        arrays[f"course_{name}"] = np.array(courses, np.float32).reshape(len(courses), -1 if courses else 0)
+        arrays[f"runs_{name}"] = np.array(places, np.int64)
+    stream = io.BytesIO()
+    np.savez_compressed(stream, **arrays)
+    return stream.getvalue()
+
+
+def read_study(path: Path) -> Study:
+    """Return the study that a data file holds.
+
+    Raises
+    ------
+    NoInput
+        There is no such file.
+    BadData
+        It holds no study, or is damaged.
+    """
+    try:
+        content = path.read_bytes()
+    except FileNotFoundError:
+        raise NoInput(f"{path}: must be there and is missing; make it with cgid reproduce --finite-element") from None
+    except OSError as error:
+        raise _bad(str(path), error.strerror or "it cannot be opened") from None
+    return unpacked(content, str(path))
+
+
+def unpacked(content: bytes, source: str = STUDY_FILE) -> Study:
+    """Return the study that is the content of a data file.
+
+    Raises
+    ------
+    BadData
+        It holds no study, or is damaged; `source` is its name in the message.
+    """
+    try:
+        stored = np.load(io.BytesIO(content), allow_pickle=False)
+        if not isinstance(stored, np.lib.npyio.NpzFile):
+            raise ValueError("it is a single array")
+        with stored:
+            arrays = {name: stored[name] for name in stored.files}
+    # Archives, packed members and headers (read by Python's own parser) fail in many ways.
+    except Exception as error:
+        raise _bad(source, " ".join(str(error).split())[:120] or "it ends too early") from None
+    if fault := _fault(arrays):
+        raise _bad(source, fault)
+    return _study(arrays)
+
+
+def _bad(source: str, fault: str) -> BadData:
+    return BadData(
+        f"{source}: must hold a finite-element study, and cannot be read ({fault}); make it anew with cgid reproduce "
+        "--finite-element"
+    )
+
+
+def _fault(arrays: Mapping[str, Any]) -> str:
+    """Return what is wrong with the arrays of a file; an empty text if they are a study."""
+    wanted = ("made", *_COLUMNS, *(f"{part}_{name}" for name in COURSES for part in ("course", "runs")))
+    if missing := [name for name in wanted if name not in arrays]:
+        return f"{missing[0]} is missing"
+    if arrays["made"].dtype.kind != "U" or arrays["made"].ndim:
+        return "made must be one text"
+    n_runs = arrays["group"].size
+    faults = [_column_fault(name, arrays[name], kind, n_runs) for name, kind in _COLUMNS.items()]
+    faults += [_course_fault(name, arrays[f"course_{name}"], arrays[f"runs_{name}"], n_runs) for name in COURSES]
+    if found := [fault for fault in faults if fault]:
+        return found[0]
+    if unknown := sorted(set(arrays["group"].tolist()) - set(GROUPS)):
+        return f"group must be one of {', '.join(GROUPS)}, got {unknown[0][:40]}"
+    if strange := sorted(set(arrays["sphere"].tolist()) - set(YANG2018_SPHERES)):
+        return f"sphere must be a number of Table 2, got {strange[0]}"
+    lengths = {arrays[f"course_{name}"].shape[1] for name in COURSES if arrays[f"runs_{name}"].size}
+    return f"courses must have one number of points, got {sorted(lengths)}" if len(lengths) > 1 else ""
+
+
+def _column_fault(name: str, column: Any, kind: str, n_runs: int) -> str:
+    if column.shape != (n_runs,) or column.dtype.kind != kind:
+        return f"{name} must be {n_runs} {_KINDS[kind]}, got {column.dtype} {column.shape}"
+    finite = kind != "f" or name == "energy_error" or np.isfinite(column).all()
+    return "" if finite else f"{name} must be finite everywhere"
+
+
+def _course_fault(name: str, courses: Any, runs: Any, n_runs: int) -> str:
+    if runs.ndim != 1 or runs.dtype.kind != "i" or len(set(runs.tolist()) & set(range(n_runs))) != runs.size:
+        return f"runs_{name} must be places among {n_runs} impacts, each once, got {runs.dtype} {runs.shape}"
+    if courses.ndim != 2 or courses.dtype.kind != "f" or len(courses) != runs.size:
+        return f"course_{name} must be {runs.size} courses, got {courses.dtype} {courses.shape}"
+    return "" if np.isfinite(courses).all() else f"course_{name} must be finite everywhere"
+
+
+def _study(arrays: Mapping[str, Any]) -> Study:
+    n_runs = arrays["group"].size
+    courses: list[dict[str, Floats]] = [{} for _ in range(n_runs)]
+    for name in COURSES:
+        for place, course in zip(arrays[f"runs_{name}"].tolist(), arrays[f"course_{name}"], strict=True):
+            courses[place][name] = course.astype(np.float64)
+    runs = (
+        Run(
+            case=Case(**{name: arrays[name][place].item() for name in _CASE}),
+            numbers={name: arrays[name][place].item() for name in NUMBERS},
+            duration=arrays["duration"][place].item(),
+            courses=courses[place],
+        )
+        for place in range(n_runs)
+    )
+    return Study(runs=tuple(runs), made=str(arrays["made"]))
+
+
+@cache
+def shipped_study() -> Study:
+    """Return the shipped study (read once)."""
+    return read_study(Path(__file__).with_name(STUDY_FILE))

@@ -1,0 +1,144 @@
+"""What each theory predicts for the impacts of the study, and how far that is from the finite elements.
+
+The paper's formulas give force and displacement; pressure and energy follow from them. The largest pressure is Hertz's,
+`3 P / (2 pi a^2)`, with the contact radius of each theory's own displacement, `a^2 = R delta`. At the largest
+displacement all energy, `m v^2 / 2`, is elastic, and in the springs that a theory takes to be elastic: all of it in the
+sphere (K1), all in the plate (K2), or shared like their displacements under one force, `1 : (K1/K2)^(2/3)`, which is
+4/7 and 3/7 (series). This is the paper's reading. But the E in K1 holds the compliance of both bodies. Read as Hertz
+meant it, the same pressure works on both bodies, and displacement and energy of each go with its `(1 - nu^2) / E`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from functools import cache
+
+import numpy as np
+
+from cgid.physics import STIFFNESS_THEORIES
+from cgid.physics.bodies import sphere_share
+from cgid.reproduction.paper import THEORY_LABELS, paper_impact
+from cgid.reproduction.study import UNDAMPED, Run, Study, low_passed
+from cgid.validation import Floats
+
+#: The quantities of Figure 9 and Table 3, and the contact duration, which the paper does not compare.
+QUANTITIES_COMPARED = (
+    "peak_displacement",
+    "peak_force",
+    "peak_pressure",
+    "peak_sphere_energy",
+    "peak_plate_energy",
+    "contact_duration",
+)
+#: The paper's threshold for a high squared correlation, section 3.2.
+HIGH_CORRELATION = 0.96
+#: A course has waves if its ripple, its largest distance from its own low-pass at 10/T over its peak, exceeds this.
+WAVES = 0.05
+_RIPPLE_EDGE = 10
+#: A filtered peak agrees with that of the contact force within this part of it.
+FILTERED = 0.015
+#: K1 with the energy shared by compliance; all other quantities are those of K1.
+SHARED = "hertz-shared"
+#: What is compared: the paper's three theories, and Hertz's reading of the first.
+READINGS = {**THEORY_LABELS, SHARED: "K1, energy shared by compliance"}
+
+
+@dataclass(frozen=True)
+class Agreement:
+    """How well a theory agrees with the finite elements in one quantity.
+
+    Parameters
+    ----------
+    error : float
+        Mean of theory over finite elements - 1.
+    squared_correlation : float
+        The paper's yardstick, which is blind to a constant factor; nan where the theory has one value for all impacts.
+    determination : float
+        `1 - SSres / SStot`, which sees a wrong factor and may be negative.
+    """
+
+    error: float
+    squared_correlation: float
+    determination: float
+
+
+@cache
+def predicted(reading: str, sphere: int, velocities: tuple[float, ...]) -> dict[str, Floats]:
+    """Return each of `QUANTITIES_COMPARED` for the elastic impacts of a sphere, (n_velocities,)."""
+    theory = "hertz" if reading == SHARED else reading
+    impact = paper_impact(sphere, np.asarray(velocities), theory)
+    energy = 0.5 * impact.reduced_mass * np.square(impact.velocity)
+    in_sphere = sphere_part(reading, sphere)
+    contact_area = np.pi * impact.reduced_radius * impact.peak_displacement
+    return {
+        "peak_displacement": impact.peak_displacement,
+        "peak_force": impact.peak_force,
+        "peak_pressure": 1.5 * impact.peak_force / contact_area,
+        "peak_sphere_energy": in_sphere * energy,
+        "peak_plate_energy": (1 - in_sphere) * energy,
+        "contact_duration": impact.contact_duration,
+    }
+
+
+def sphere_part(reading: str, sphere: int) -> float:
+    """Return the part of the elastic energy that is in the sphere."""
+    if reading == SHARED:
+        impact = paper_impact(sphere, 1.0, "hertz")
+        return float(sphere_share(impact.sphere, impact.target))
+    if reading == "series":
+        plate_over_sphere = (STIFFNESS_THEORIES["hertz"] / STIFFNESS_THEORIES["rigid-sphere"]) ** (2 / 3)
+        return float(1 / (1 + plate_over_sphere))
+    return {"hertz": 1.0, "rigid-sphere": 0.0}[reading]
+
+
+def of_theory(study: Study, reading: str, name: str, group: str = UNDAMPED, sphere: int | None = None) -> Floats:
+    """Return what a reading predicts for the impacts of a group, of all spheres or of one."""
+    return np.array([
+        predicted(reading, run.case.sphere, (run.case.velocity,))[name][0]
+        for run in study.of(group)
+        if sphere in (None, run.case.sphere)
+    ])  # fmt: skip
+
+
+def of_simulation(study: Study, name: str, group: str = UNDAMPED, sphere: int | None = None) -> Floats:
+    """Return what the finite elements give for the impacts of a group, of all spheres or of one."""
+    return np.array([run.numbers[name] for run in study.of(group) if sphere in (None, run.case.sphere)])
+
+
+def agreement(study: Study, reading: str, name: str, group: str = UNDAMPED, sphere: int | None = None) -> Agreement:
+    """Return how well a reading agrees with the finite elements in one quantity."""
+    found = of_theory(study, reading, name, group, sphere)
+    wanted = of_simulation(study, name, group, sphere)
+    residual, total = np.sum((found - wanted) ** 2), np.sum((wanted - wanted.mean()) ** 2)
+    constant = np.ptp(found) == 0
+    return Agreement(
+        float(np.mean(found / wanted - 1)),
+        float("nan") if constant else float(np.corrcoef(found, wanted)[0, 1] ** 2),
+        float(1 - residual / total),
+    )
+
+
+def size_of_errors(study: Study, theory: str, names: Iterable[str], group: str = UNDAMPED) -> float:
+    """Return the mean size of a theory's errors in some quantities against the finite elements of a group."""
+    errors = [of_theory(study, theory, name, group) / of_simulation(study, name, group) - 1 for name in names]
+    return float(np.mean(np.abs(errors)))
+
+
+def ripple(run: Run, name: str) -> float:
+    """Return the largest distance of a course from its own low-pass at 10/T during the contact, over its peak."""
+    course = run.courses[name]
+    rate = (course.size - 1) / run.duration
+    smooth = low_passed(course, rate, _RIPPLE_EDGE / run.numbers["contact_duration"])
+    touching = run.times <= run.numbers["contact_duration"]
+    return float(np.abs(course - smooth)[touching].max() / course.max())
+
+
+def ripples(study: Study, name: str) -> Floats:
+    """Return the ripple of a course for each undamped impact."""
+    return np.array([ripple(run, name) for run in study.of(UNDAMPED)])
+
+
+def filtered_errors(study: Study, edge: int) -> Floats:
+    """Return the peak of the centre node's force behind a low-pass at edge/T over that of the contact force - 1."""
+    return study.values(UNDAMPED, f"filtered_at_{edge}") / study.values(UNDAMPED, "peak_force") - 1

@@ -1,0 +1,269 @@
+"""Whether the chunks of a dataset can be unpacked, by what the file says of them.
+
+HDF5 believes the index of chunks: one of no bytes crashes its checksum (2.0.0, `H5Zfletcher32`), one of too few leaves
+another's numbers. So every entry is held against the file before anything is read.
+
+What of an HDF5 file may be opened: plain arrays that lie in this very file and that its bytes bear out.
+
+Only the reading process opens files; see `apart`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import Any
+
+import h5py
+
+from cgid.errors import BadData, CgidError, MissingExtra, NoInput
+
+#: What h5py raises on damaged files.
+DAMAGE = (OSError, RuntimeError, LookupError, ValueError, TypeError, ArithmeticError)
+#: HDF5 unpacks whole chunks; no sound writer makes larger ones [bytes].
+LARGEST_CHUNK = 64 << 20
+#: deflate packs no better, and what others pack better is no recording.
+BEST_RATIO = 1100
+#: But silence, which long frames without noise mostly are, by Zstandard and Blosc2: 512 KiB to some 30 bytes.
+BEST_RATIO_OF_SILENCE = 1 << 15
+#: Chunks that are kept, so that none is unpacked for every block anew: at least and at most so many bytes.
+_LEAST_CACHE, _LARGEST_CACHE = 1 << 20, 128 << 20
+_DEFLATE, _CHECKSUM = 1, 3
+#: What is unpacked: deflate, shuffle, checksum, LZF; and with hdf5plugin Zstandard and Blosc2. Others, such as n-bit
+#: and scale-offset, believe parameters that lie in the file.
+_UNPACKED, _WITH_PLUGIN = (_DEFLATE, 2, _CHECKSUM, 32000), {32015: "Zstandard", 32026: "Blosc2"}
+
+
+def storage_fault(item: h5py.Dataset, file_size: int, best_ratio: float = BEST_RATIO) -> str:
+    """Return why the samples of a dataset must not or cannot be read, "" if they can.
+
+    Raises
+    ------
+    MissingExtra
+        They are packed by Zstandard or Blosc2, and the library is not installed.
+    """
+    # HDF5 would go through them all to say what is stored; each that is there takes a byte.
+    if (n_chunks := _chunks_declared(item)) > file_size:
+        return f"declares {n_chunks} chunks in a file of {file_size} bytes"
+    declared, stored = item.size * item.dtype.itemsize, item.id.get_storage_size()
+    if declared > best_ratio * stored or stored > file_size:
+        return f"declares {declared} bytes and holds {min(stored, file_size)}"
+    if item.chunks is None:
+        return ""
+    if chunk_bytes(item) > LARGEST_CHUNK:
+        return f"has chunks of more than {LARGEST_CHUNK >> 20} MiB"
+    filters = _filters(item)
+    for code, _, _, label in filters:
+        if not _is_unpacked(code):
+            return f"is packed by filter {code} ({label.decode(errors='replace')}), which is not unpacked here"
+    try:
+        return _index_fault(item, file_size, [code for code, *_ in filters])
+    except DAMAGE:
+        return "has a damaged index of chunks"
+
+
+def packs_silence(item: h5py.Dataset) -> bool:
+    """Return whether one of its filters may reach `BEST_RATIO_OF_SILENCE`."""
+    return any(code in _WITH_PLUGIN for code, *_ in _filters(item))
+
+
+def _filters(item: h5py.Dataset) -> list[Any]:
+    creation = item.id.get_create_plist()
+    return [creation.get_filter(index) for index in range(creation.get_nfilters())]
+
+
+def missing_chunks(item: h5py.Dataset) -> str:
+    """Return how many chunks were never written, "" if all were."""
+    if item.chunks is None:
+        return ""
+    expected = _chunks_declared(item)
+    with suppress(*DAMAGE):
+        there = item.id.get_num_chunks()
+        if there < expected:
+            return f"{expected - there} of {expected} chunks were never written; the fill value stands there"
+    return ""
+
+
+def cache_size(shape: tuple[int, ...], chunks: tuple[int, ...] | None, itemsize: int, across: int | None) -> int:
+    """Return what the chunks take that hold one moment of all channels [bytes]; `across` is the channels' axis."""
+    if chunks is None:
+        return _LEAST_CACHE
+    side_by_side = 1 if across is None else -(-shape[across] // chunks[across])
+    return min(max(_LEAST_CACHE, side_by_side * _chunk_size(chunks, itemsize)), _LARGEST_CACHE)
+
+
+def chunk_bytes(item: h5py.Dataset) -> int:
+    """Return what a chunk takes, unpacked; nothing where there are none."""
+    return _chunk_size(item.chunks, item.dtype.itemsize) if item.chunks else 0
+
+
+def _chunk_size(chunks: tuple[int, ...], itemsize: int) -> int:
+    return math.prod(chunks) * itemsize
+
+
+def _chunks_declared(item: h5py.Dataset) -> int:
+    return math.prod(
+        -(-length // chunk) for length, chunk in zip(item.shape, item.chunks or item.shape, strict=True) if chunk
+    )
+
+
+def _is_unpacked(code: int) -> bool:
+    if code in _WITH_PLUGIN:
+        try:
+            import hdf5plugin  # noqa: F401
+        except ImportError:
+            raise MissingExtra(
+                f"files packed by {_WITH_PLUGIN[code]} need hdf5plugin, which is not installed: pip install "
+                "'cgid[compression]'"
+            ) from None
+    return (code in _UNPACKED or code in _WITH_PLUGIN) and bool(h5py.h5z.filter_avail(code))
+
+
+def _index_fault(item: h5py.Dataset, file_size: int, filters: list[int]) -> str:
+    size = _chunk_size(item.chunks, item.dtype.itemsize)
+    # The checksum of four bytes comes on top; without any filter a chunk is as long as its numbers.
+    checksum = 4 if _CHECKSUM in filters else 0
+    packed = any(code != _CHECKSUM for code in filters)
+    best = size // BEST_RATIO if _DEFLATE in filters else 0
+    least, most = (checksum + 1 + best, 2 * size + 4096) if packed else (size + checksum, size + checksum)
+    # Of datasets that can grow HDF5 2.0.0 says other offsets than those it reads from.
+    can_grow = None in item.maxshape
+    places: set[tuple[int, ...]] = set()
+    starts: set[int] = set()
+    checked = sum(1 << index for index, code in enumerate(filters) if code == _CHECKSUM)
+
+    def is_unsound(info: Any) -> bool | None:
+        """Return True, which ends the walk through the index, or None."""
+        places.add(info.chunk_offset)
+        starts.add(info.byte_offset)
+        whole = info.filter_mask == 0 and least <= info.size <= most
+        # A filter that found nothing to gain is passed over for this chunk.
+        whole = whole or (info.filter_mask != 0 and not info.filter_mask & checked and checksum < info.size <= most)
+        aligned = all(
+            first % chunk == 0 and (first < length or can_grow)
+            for first, chunk, length in zip(info.chunk_offset, item.chunks, item.shape, strict=True)
+        )
+        inside = 0 < info.byte_offset <= info.byte_offset + info.size <= file_size
+        return None if whole and aligned and inside else True
+
+    # Two chunks in one place would be the numbers of one of them twice.
+    if item.id.chunk_iter(is_unsound) or not len(places) == len(starts) == item.id.get_num_chunks():
+        return "has a damaged index of chunks"
+    return ""
+
+
+#: What we write has a few dozen [objects of a group], [attributes of an object], [bytes of these].
+MOST_MEMBERS, _MOST_ATTRIBUTES, _LARGEST_ATTRIBUTES = 4096, 256, 8 << 20
+#: Datasets whose index of chunks has been gone through, as long as their file stays as it was.
+_found_sound: set[tuple[Any, ...]] = set()
+
+
+@contextmanager
+def opened(path: str, source: str, **options: Any) -> Iterator[h5py.File]:
+    """Yield an HDF5 file open for reading; what h5py raises on a damaged one becomes `BadData`."""
+    if not Path(path).exists():
+        raise BadData(f"{source}: this shard of the dataset is missing; generate the dataset again")
+    if not Path(path).is_file():
+        raise BadData(f"{source}: must be a regular file; copy it to one first")
+    try:
+        # A lock would keep writers out, and fails on some network file systems; files are replaced, never changed.
+        file = h5py.File(path, "r", locking=False, **options)
+    except PermissionError:
+        raise NoInput(f"{source}: cannot be read (Permission denied); see to its permissions") from None
+    except DAMAGE:
+        raise BadData(
+            f"{source}: must be a readable HDF5 file, it is empty, truncated or no HDF5 file; copy it again, or "
+            "generate it anew"
+        ) from None
+    try:
+        yield file
+    except CgidError:
+        raise
+    except DAMAGE as error:
+        reason = " ".join(str(error).split())
+        raise BadData(f"{source}: is damaged ({reason}); copy it again, or generate it anew") from None
+    finally:
+        file.close()
+
+
+def plain_dataset(file: h5py.File, name: str, source: str, best_ratio: float = BEST_RATIO) -> h5py.Dataset:
+    """Return a dataset that lies in this very file, as large as it says; links elsewhere could read other files.
+
+    Parameters
+    ----------
+    file : h5py.File
+    name : str
+    source : str
+        The file's name in messages.
+    best_ratio : float
+        Declared bytes over stored ones, at most.
+    """
+    for part in (name.split("/")[0], name):
+        if not is_inside(file, part):
+            raise BadData(f"{source}: {part} must be part of the file itself; it is missing or a link")
+    dataset = file[name]
+    if not isinstance(dataset, h5py.Dataset) or dataset.external or dataset.is_virtual or dataset.dtype.hasobject:
+        raise BadData(f"{source}: {name} must be a plain dataset inside the file")
+    _require_borne_out(file, dataset, source, best_ratio)
+    return dataset
+
+
+def _require_borne_out(file: h5py.File, dataset: h5py.Dataset, source: str, best_ratio: float) -> None:
+    """Raise `BadData` unless the stored bytes are enough for what is declared, and all there."""
+    if dataset.shape is None:
+        return
+    about = Path(file.filename).stat()
+    key = (file.filename, about.st_ino, about.st_size, about.st_mtime_ns, about.st_ctime_ns, dataset.name, best_ratio)
+    if key in _found_sound:
+        return
+    # Own files are read by batches, whatever they declare.
+    best_ratio = max(best_ratio, BEST_RATIO_OF_SILENCE) if packs_silence(dataset) else best_ratio
+    fault = storage_fault(dataset, about.st_size, best_ratio) or missing_chunks(dataset)
+    if fault:
+        raise BadData(f"{source}: {dataset.name[1:]} {fault}; the file is damaged or hostile, generate it again")
+    if len(_found_sound) >= MOST_MEMBERS:
+        _found_sound.clear()
+    _found_sound.add(key)
+
+
+def is_inside(file: h5py.File, name: str) -> bool:
+    """Return whether this name is there and no soft or external link, without following it."""
+    links = file.id.links
+    return bool(links.exists(name.encode()) and links.get_info(name.encode()).type == h5py.h5l.TYPE_HARD)
+
+
+def members(file: h5py.File, name: str, source: str) -> list[str]:
+    """Return the names in a group of the file itself."""
+    if not is_inside(file, name) or not isinstance(file[name], h5py.Group):
+        raise BadData(f"{source}: {name} must be a group of the file itself; it is missing, a link or a dataset")
+    group = file[name]
+    if len(group) > MOST_MEMBERS:
+        raise BadData(f"{source}: {name} must hold at most {MOST_MEMBERS} columns, it has {len(group)}")
+    return list(group)
+
+
+def attributes_of(item: h5py.HLObject, source: str) -> dict[str, Any]:
+    """Return the attributes that are one number or one string of fixed length; no others are written, or even read."""
+    found: dict[str, Any] = {}
+    room = _LARGEST_ATTRIBUTES
+    if len(item.attrs) > _MOST_ATTRIBUTES:
+        raise BadData(f"{source}: {item.name} must have at most {_MOST_ATTRIBUTES} attributes, got {len(item.attrs)}")
+    for name in item.attrs:
+        stored = item.attrs.get_id(name)
+        room -= stored.dtype.itemsize + len(name)
+        if room < 0:
+            raise BadData(f"{source}: attributes of {item.name} must take at most {_LARGEST_ATTRIBUTES >> 20} MiB")
+        # Python has no number for those of more than eight bytes.
+        if stored.shape == () and (
+            stored.dtype.kind == "S" or (stored.dtype.kind in "biuf" and stored.dtype.itemsize <= 8)
+        ):
+            value = item.attrs[name]
+            found[name] = value.decode(errors="replace") if isinstance(value, bytes) else value.item()
+    return found
+
+
+def bytes_of(dataset: h5py.Dataset) -> int:
+    """Return what a row takes."""
+    return int(math.prod(dataset.shape[1:])) * int(dataset.dtype.itemsize)

@@ -1,0 +1,366 @@
+"""Which file or folder has a name: what is asked of it twice may have been replaced in between.
+
+Reading a dataset, whole or by batches; nothing is believed before it is checked.
+
+A long recording with the truth of its impacts: one HDF5 file, written in parts and whole or not at all.
+
+    /samples            (n_samples,), checksummed chunks; attributes sampling_rate, start, unit, quantity
+    /impacts/<column>   (n_impacts,), one row for each impact; attribute unit
+    root attributes     format, schema_version, n_impacts, and how the recording was made
+
+Unlike a shard, which is built in memory, it is written to the disk as it comes: an hour may be larger than memory.
+It lies beside its name until it is finished and flushed, and only then bears it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Generator, Iterator
+from contextlib import closing
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cgid.errors import BadData, InvalidValue, NoInput
+from cgid.signals import Batch, Signal
+from cgid.store import sandbox
+from cgid.store.description import (
+    LINKED,
+    MANIFEST,
+    RECORDING_FORMAT,
+    Manifest,
+    ShardEntry,
+    ShardHeader,
+    has_sum,
+    read_manifest,
+    text_of,
+)
+from cgid.units import quantity_of
+
+
+class Identity:
+    """What has a name now.
+
+    Parameters
+    ----------
+    path : Path
+
+    Raises
+    ------
+    BadData
+        It cannot be looked at.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._found = self._look()
+
+    def require(self) -> None:
+        """Raise `BadData` if something else has the name by now, as after an overwriting run."""
+        if self._look() != self._found:
+            raise BadData(f"{self._path}: has been replaced by another while it was read; read it again")
+
+    def _look(self) -> tuple[int, int]:
+        try:
+            found = self._path.stat()
+        except OSError as error:
+            raise BadData(f"{self._path}: cannot be looked at ({error.strerror}); read it again") from None
+        return found.st_dev, found.st_ino
+
+
+#: Signals read at once, and what they may take [bytes].
+_ROWS, _LARGEST_BATCH = 1024, 32 << 20
+
+
+class Dataset:
+    """A dataset on disk: a file or a folder of shards.
+
+    Parameters
+    ----------
+    path : str or Path
+
+    Raises
+    ------
+    NoInput
+        There is nothing.
+    BadData
+        It is no dataset, unfinished (no manifest), damaged, or its shards do not fit together or to the manifest.
+    """
+
+    #: What all shards have in common; the counts are those of the first.
+    header: ShardHeader
+
+    def __init__(self, path: str | Path) -> None:
+        self.path = Path(path)
+        try:
+            is_there = self.path.exists()
+        except OSError as error:
+            raise NoInput(f"{path}: cannot be looked at ({error.strerror}); check the name") from None
+        if not is_there:
+            raise NoInput(f"{path}: no such file or folder; give a dataset made by cgid generate")
+        self._identity = Identity(self.path)
+        manifest = read_manifest(self.path) if self.path.is_dir() else None
+        # A file by itself is listed nowhere.
+        self._entries: tuple[ShardEntry | None, ...] = (None,) if manifest is None else manifest.shards
+        self._shards = [self.path if entry is None else self.path / entry.file for entry in self._entries]
+        self._counts: list[int] = []
+        try:
+            for shard, entry in zip(self._shards, self._entries, strict=True):
+                if entry is not None and shard.is_symlink():
+                    raise BadData(f"{shard}: {LINKED}")
+                header = ShardHeader(**sandbox.call("shard_header", shard))
+                if not self._counts:
+                    self.header = header
+                self._require_fit(shard, header)
+                if manifest is not None and entry is not None:
+                    _require_listed(shard, header, manifest, entry)
+                self._counts.append(header.n_signals)
+        except BadData:
+            self._identity.require()
+            raise
+        self._identity.require()  # shards of an overwriting run have the same names
+
+    def _require_fit(self, shard: Path, header: ShardHeader) -> None:
+        for name in ("n_samples", "sampling_rate", "pre_trigger", "unit", "parameter_units", "label_width"):
+            here, there = getattr(header, name), getattr(self.header, name)
+            if here != there:
+                raise BadData(f"{shard}: {name} must be that of the other shards, {there}, got {here}")
+
+    def __len__(self) -> int:
+        return sum(self._counts)
+
+    @property
+    def sampling_rate(self) -> float:
+        """[Hz]."""
+        return self.header.sampling_rate
+
+    @property
+    def unit(self) -> str:
+        """Unit of the signals."""
+        return self.header.unit
+
+    @property
+    def quantity(self) -> str:
+        """Quantity of the signals."""
+        return quantity_of(self.header.unit)
+
+    @property
+    def pre_trigger(self) -> int:
+        """Samples before touch."""
+        return self.header.pre_trigger
+
+    @property
+    def source(self) -> str:
+        """SHA-256 of the scene that the signals were made from; empty when they were not."""
+        return str(self.header.attributes.get("scene_sha256", ""))
+
+    def __iter__(self) -> Iterator[Batch]:
+        return self.batches()
+
+    def batches(self, n_rows: int | None = None, *, check_sums: bool = False) -> Iterator[Batch]:
+        """Yield the signals in order.
+
+        Parameters
+        ----------
+        n_rows : int, optional
+            Signals at once, at most; without it as many as are read quickly: 1024, fewer of long ones.
+        check_sums : bool
+            Whether each shard of a folder must have the SHA-256 of the manifest. It is checked behind its last batch:
+            damage is named by its rows before, and the system still holds the file in memory.
+
+        Raises
+        ------
+        BadData
+            A checksum does not fit: the file is damaged, or another has its name. A label breaks the rule of
+            `cgid.validation.label`.
+        """
+        for shard, entry, count in zip(self._shards, self._entries, self._counts, strict=True):
+            yield from self._read(shard, 0, count, n_rows)
+            if check_sums and entry is not None and not has_sum(shard, entry.sha256):
+                self._identity.require()
+                raise BadData(
+                    f"{shard}: must have the SHA-256 that {MANIFEST} says, it has not: it is damaged or another file; "
+                    "see cgid verify"
+                )
+
+    def _read(self, shard: Path, first: int, stop: int, n_rows: int | None) -> Iterator[Batch]:
+        row = self.header.n_samples * np.dtype(self.header.dtype).itemsize
+        length = n_rows or max(1, min(_ROWS, _LARGEST_BATCH // row))
+        names = ["signals", "labels", "specimen", *(f"parameters/{name}" for name in self.header.parameter_units)]
+        largest = max(sandbox.LARGEST_ANSWER, 2 * length * row)
+        with closing(sandbox.stream("rows", shard, names, first, stop, length, largest=largest)) as parts:
+            for number, part in enumerate(parts):
+                if not number:  # the file is open by now, and stays the one it is
+                    self._identity.require()
+                yield self._batch(part)
+
+    def _batch(self, part: dict[str, NDArray[Any]]) -> Batch:
+        try:
+            return Batch(
+                signals=part["signals"],
+                labels=text_of(part["labels"]),
+                sampling_rate=self.sampling_rate,
+                unit=self.unit,
+                pre_trigger=self.pre_trigger,
+                specimen=part["specimen"].astype(np.uint64),
+                parameters={name: part[f"parameters/{name}"] for name in self.header.parameter_units},
+                source=self.source,
+            )
+        except InvalidValue as error:
+            raise BadData(f"{self.path}: {error}") from None
+
+    def impact(self, index: int) -> Batch:
+        """Return one signal with all that is stored of it.
+
+        Raises
+        ------
+        InvalidValue
+            The index is not within 0 and the number of signals.
+        """
+        if not 0 <= index < len(self):
+            raise InvalidValue(f"{self.path}: index must lie between 0 and {len(self) - 1}, got {index}")
+        first = 0
+        for shard, count in zip(self._shards, self._counts, strict=True):
+            if index < first + count:
+                (batch,) = self._read(shard, index - first, index - first + 1, 1)
+                return batch
+            first += count
+        raise AssertionError("unreachable: the index was checked")
+
+    def signal(self, index: int) -> Signal:
+        """Return one signal; raises as `impact`."""
+        return Signal(
+            samples=self.impact(index).signals[0],
+            sampling_rate=self.sampling_rate,
+            unit=self.unit,
+            source=f"{self.path} index {index}",
+            pre_trigger=self.pre_trigger,
+        )
+
+
+def _require_listed(shard: Path, header: ShardHeader, manifest: Manifest, entry: ShardEntry) -> None:
+    """Raise `BadData` unless a shard says of itself what the manifest says of it."""
+    if header.n_signals != entry.n_signals:
+        raise BadData(
+            f"{shard}: must hold as many signals as {MANIFEST} says, {entry.n_signals}, got {header.n_signals}; see "
+            "cgid verify"
+        )
+    manifest.require_own(shard, header.attributes)
+    try:
+        size = shard.stat().st_size
+    except OSError as error:
+        raise BadData(f"{shard}: cannot be looked at ({error.strerror}); read it again") from None
+    first = header.attributes.get("first_signal", 0)
+    for name, wanted, got in (("first_signal", entry.first_signal, first), ("bytes", entry.bytes, size)):
+        if got != wanted:
+            raise BadData(
+                f"{shard}: {name} must be {wanted} as {MANIFEST} says, got {got!s:.80}: the shard has been exchanged "
+                "for another or changed; see cgid verify"
+            )
+
+
+#: Samples, and impacts, that are read at once.
+_BLOCK, _IMPACTS = 1 << 20, 1 << 16
+
+
+def is_recording(path: str | Path) -> bool:
+    """Return whether this is an HDF5 file that says it is a recording; False for what cannot be read."""
+    return sandbox.format_said(Path(path)) == RECORDING_FORMAT
+
+
+class Recording:
+    """A recording on disk, with the truth of its impacts.
+
+    Parameters
+    ----------
+    path : str or Path
+
+    Attributes
+    ----------
+    n_samples : int
+    dtype : str
+        Of the samples.
+    n_impacts : int
+    sampling_rate : float
+        [Hz].
+    start : float
+        Time of the first sample [s]; times of impacts count from the first sample.
+    unit : str
+        Of the samples.
+    impact_units : dict of str
+        The columns of the truth and their units, "" for text.
+    attributes : dict
+        How it was made.
+
+    Raises
+    ------
+    NoInput
+        There is nothing.
+    BadData
+        It is no recording, or damaged.
+    """
+
+    def __init__(self, path: str | Path) -> None:
+        self.path = Path(path)
+        if not self.path.exists():
+            raise NoInput(f"{path}: no such file; give a recording made by cgid generate")
+        self._identity = Identity(self.path)
+        about = sandbox.call("recording_header", self.path)
+        self.attributes: dict[str, Any] = about["attributes"]
+        self.n_samples: int = about["n_samples"]
+        self.dtype: str = about["dtype"]
+        self.n_impacts: int = about["n_impacts"]
+        self.sampling_rate: float = about["sampling_rate"]
+        self.start: float = about["start"]
+        self.unit: str = about["unit"]
+        self.impact_units: dict[str, str] = about["impact_units"]
+
+    def samples(self, first: int = 0, stop: int | None = None) -> NDArray[Any]:
+        """Return the samples from number `first` up to, without, `stop`.
+
+        Raises
+        ------
+        InvalidValue
+            The range is not one of the recording.
+        BadData
+            A checksum does not fit: the file is damaged. Or another has its name by now.
+        """
+        stop = self._checked_stop(first, stop)
+        found = np.empty(stop - first, self.dtype)
+        place = 0
+        for block in self.blocks(_BLOCK, first, stop):
+            found[place : place + block.size] = block
+            place += block.size
+        return found
+
+    def blocks(self, length: int, first: int = 0, stop: int | None = None) -> Generator[NDArray[Any], None, None]:
+        """Yield samples in order, at most `length` at once; `first`, `stop` and errors as those of `samples`."""
+        last = self._checked_stop(first, stop)
+        size = np.dtype(self.dtype).itemsize * length
+        largest = max(sandbox.LARGEST_ANSWER, size)
+        with closing(sandbox.stream("rows", self.path, ["samples"], first, last, length, largest=largest)) as parts:
+            for number, part in enumerate(parts):
+                if not number:  # the file is open by now, and stays the one it is
+                    self._identity.require()
+                yield part["samples"]
+
+    def _checked_stop(self, first: int, stop: int | None) -> int:
+        stop = self.n_samples if stop is None else stop
+        if not 0 <= first <= stop <= self.n_samples:
+            raise InvalidValue(
+                f"{self.path}: samples must be asked for between 0 and {self.n_samples}, got {first} to {stop}"
+            )
+        return stop
+
+    def impacts(self) -> dict[str, NDArray[Any]]:
+        """Return the truth of all impacts, one column for each of `impact_units`; raises `BadData` where damaged."""
+        names = {name: f"impacts/{name}" for name in self.impact_units}
+        found = list(sandbox.stream("rows", self.path, list(names.values()), 0, self.n_impacts, _IMPACTS))
+        self._identity.require()
+        columns = {name: np.concatenate([part[stored] for part in found]) for name, stored in names.items()}
+        return {name: text_of(column) if column.dtype.kind == "S" else column for name, column in columns.items()}
+
+    def signal(self) -> Signal:
+        """Return the whole recording as a signal."""
+        return Signal(samples=self.samples(), sampling_rate=self.sampling_rate, unit=self.unit, source=str(self.path))

@@ -1,0 +1,197 @@
+"""The units that users write: of samples, in the headers of files, in scene files and in options.
+
+Inside the package every number is in the SI unit of its quantity.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Mapping
+from typing import Any
+
+from cgid.errors import InvalidValue
+from cgid.validation import shown
+
+#: Standard gravity [m/s^2], the factor from g.
+STANDARD_GRAVITY = 9.80665
+
+#: What samples may measure: quantity -> its units -> factor to the SI unit, which comes first.
+UNITS: Mapping[str, Mapping[str, float]] = {
+    "force": {"N": 1.0, "kN": 1e3, "MN": 1e6, "mN": 1e-3, "lbf": 4.4482216152605},
+    "acceleration": {
+        "m/s^2": 1.0,
+        "m/s2": 1.0,
+        "m/s²": 1.0,
+        "m/s**2": 1.0,
+        "mm/s^2": 1e-3,
+        "g": STANDARD_GRAVITY,
+        "mg": 1e-3 * STANDARD_GRAVITY,
+    },
+    "velocity": {"m/s": 1.0, "cm/s": 1e-2, "mm/s": 1e-3, "km/h": 1 / 3.6},
+    "displacement": {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "µm": 1e-6},
+    "pressure": {"Pa": 1.0, "kPa": 1e3, "MPa": 1e6, "GPa": 1e9},
+    "voltage": {"V": 1.0, "mV": 1e-3, "uV": 1e-6, "µV": 1e-6},
+    "energy": {"J": 1.0, "kJ": 1e3, "mJ": 1e-3},
+    "strain": {"m/m": 1.0, "um/m": 1e-6, "µm/m": 1e-6},
+    "level": {"FS": 1.0},
+}
+
+#: Every unit that samples may be in.
+KNOWN_UNITS = frozenset(unit for units in UNITS.values() for unit in units)
+
+_TIME = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0}
+_FREQUENCY = {"Hz": 1.0, "kHz": 1e3, "MHz": 1e6, "GHz": 1e9}
+
+#: What a scene file may state: dimension -> unit -> factor to the SI unit, which comes first.
+DIMENSIONS: dict[str, Mapping[str, float]] = {
+    "density": {"kg/m^3": 1.0, "kg/m3": 1.0, "g/cm^3": 1e3, "g/cm3": 1e3, "t/m^3": 1e3},
+    "modulus": UNITS["pressure"],
+    "length": UNITS["displacement"],
+    "speed": UNITS["velocity"],
+    "frequency": _FREQUENCY,
+    "force": UNITS["force"],
+    "time": _TIME,
+    "ratio": {"": 1.0, "%": 1e-2},
+    "mass": {"kg": 1.0, "g": 1e-3, "t": 1e3},
+    "acceleration": UNITS["acceleration"],
+    "angle": {"rad": 1.0, "deg": math.pi / 180},
+    "decibel": {"dB": 1.0},
+}
+# A sensor has a noise density and a drift in units of what it measures.
+for _quantity in ("force", "acceleration", "speed", "length"):
+    DIMENSIONS[f"{_quantity} noise density"] = {
+        f"{unit}/sqrt(Hz)": factor for unit, factor in DIMENSIONS[_quantity].items()
+    }
+    DIMENSIONS[f"{_quantity} per time"] = {f"{unit}/s": factor for unit, factor in DIMENSIONS[_quantity].items()}
+DIMENSIONS["acceleration noise density"] = {
+    **DIMENSIONS["acceleration noise density"],
+    "ug/sqrt(Hz)": 1e-6 * STANDARD_GRAVITY,
+}
+
+#: Units that programs write out or abbreviate in their own way, in small letters.
+_WRITTEN_OUT = {
+    **dict.fromkeys(("sec", "second", "seconds", "sekunden"), "s"),
+    **dict.fromkeys(("msec", "milliseconds"), "ms"),
+    **dict.fromkeys(("usec", "µsec", "microseconds"), "us"),
+    "nsec": "ns",
+    **dict.fromkeys(("s/s", "sps"), "Hz"),
+    **dict.fromkeys(("volt", "volts"), "V"),
+    "millivolts": "mV",
+    **dict.fromkeys(("newton", "newtons"), "N"),
+    **dict.fromkeys(("pascal", "pascals"), "Pa"),
+    **dict.fromkeys(("meters", "metres"), "m"),
+    "strain": "m/m",
+    "gs": "g",
+}
+
+_NUMBER = re.compile(r"([-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+))(?:[eE]([-+]?[0-9]{1,9}))?\s*(.*)")
+
+
+def quantity_of(unit: str) -> str:
+    """Return the quantity that a unit of samples belongs to.
+
+    Raises
+    ------
+    InvalidValue
+        The unit is unknown; the message lists the known ones.
+
+    Examples
+    --------
+    >>> quantity_of("kN"), quantity_of("g")
+    ('force', 'acceleration')
+    """
+    for quantity, units in UNITS.items():
+        if unit in units:
+            return quantity
+    known = "; ".join(f"{quantity}: {', '.join(units)}" for quantity, units in UNITS.items())
+    raise InvalidValue(f"unit must be one of the known ones, got {unit!r} ({known})")
+
+
+def plain_unit(text: str) -> str:
+    """Return a unit as a file writes it without brackets and blanks around it, with the micro sign for a Greek mu.
+
+    Examples
+    --------
+    >>> plain_unit(" [m/s^2] ")
+    'm/s^2'
+    """
+    return text.replace("\u03bc", "µ").strip(" \t\0[]()")
+
+
+def known_unit(text: str) -> str | None:
+    """Return the unit of samples that a text stands for, None if there is none.
+
+    Examples
+    --------
+    >>> known_unit("[kN]"), known_unit("Volts"), known_unit("counts")
+    ('kN', 'V', None)
+    """
+    unit = plain_unit(text)
+    unit = unit if unit in KNOWN_UNITS else _WRITTEN_OUT.get(unit.lower(), "")
+    return unit if unit in KNOWN_UNITS else None
+
+
+def seconds_of(unit: str) -> float | None:
+    """Return the factor from a unit of sample times to seconds, 1 without a unit, None if it is no such unit.
+
+    Minutes and hours are none: as the label of a column "min" and "h" are more often a minimum and a height.
+
+    Examples
+    --------
+    >>> seconds_of("msec"), seconds_of(""), seconds_of("h")
+    (0.001, 1.0, None)
+    """
+    factor = _TIME.get(_WRITTEN_OUT.get(unit.lower(), unit)) if unit else 1.0
+    return factor if factor is not None and factor <= 1 else None
+
+
+def hertz_of(unit: str) -> float | None:
+    """Return the factor from a unit of frequency, in any case, to Hz, 1 without a unit, None if it is another unit.
+
+    Examples
+    --------
+    >>> hertz_of("khz"), hertz_of("S/s"), hertz_of("s")
+    (1000.0, 1.0, None)
+    """
+    name = plain_unit(unit).lower()
+    name = _WRITTEN_OUT.get(name, name or "Hz").lower()
+    return next((factor for unit, factor in _FREQUENCY.items() if unit.lower() == name), None)
+
+
+def parse(value: Any, dimension: str) -> float:
+    """Return a number, or a string with a unit such as "3.1 GPa", in the SI unit of its dimension.
+
+    Raises
+    ------
+    ValueError
+        No finite number, or a unit of another dimension.
+
+    Examples
+    --------
+    >>> parse("3.1 GPa", "modulus"), parse(20, "length"), parse("2 %", "ratio")
+    (3100000000.0, 20.0, 0.02)
+    """
+    units = DIMENSIONS[dimension]
+    if isinstance(value, str):
+        match = _NUMBER.fullmatch(value.strip())
+        if match is None:
+            raise ValueError(f"must be a number with a unit such as '1 {next(iter(units))}', got {shown(value)}")
+        unit = match[3]
+        if unit not in units:
+            known = ", ".join(name or "no unit" for name in units)
+            article = "an" if dimension[0] in "aeiou" else "a"
+            raise ValueError(f"must be {article} {dimension} in {known}, got {shown(value)}")
+        # A power of ten goes into the exponent: "136.51 GPa" is the very number 136.51e9, without a second rounding.
+        factor, exponent = units[unit], int(match[2] or 0)
+        power = round(math.log10(factor))
+        if factor == float(f"1e{power}"):
+            exponent, factor = exponent + power, 1.0
+        value = float(f"{match[1]}e{exponent}") * factor
+    try:
+        number = math.nan if isinstance(value, bool) or not isinstance(value, int | float) else float(value)
+    except OverflowError:
+        number = math.inf
+    if not math.isfinite(number):
+        raise ValueError(f"must be a finite number [{next(iter(units)) or '1'}], got {shown(value)}")
+    return number

@@ -1,0 +1,81 @@
+"""The table of features: lookup by name, banks, and how a feature is added."""
+
+import numpy as np
+import pytest
+
+from cgid.errors import InvalidValue
+from cgid.measure import features
+from cgid.measure.features import FEATURES, choose, extract, extract_array
+from cgid.measure.spectra import MEL_BANDS
+from cgid.measure.table import Bank, Feature, Table
+from tests.ringing import PRE_TRIGGER, RATE, ringing_batch
+
+
+def half_sine(amplitude=700.0):
+    return amplitude * np.sin(np.pi * np.clip((np.arange(400) - 100) / 100, 0, 1))
+
+
+def test_a_feature_is_added_by_one_line(monkeypatch):
+    """As the docstring of the table says: one line among the features of pulses."""
+    line = Feature(
+        "form_factor",
+        "1",
+        "peak_force times contact_duration over impulse",
+        "cgid",
+        lambda p: p.peak * p.duration / p.moments[0],
+        positive=True,
+    )
+    monkeypatch.setattr(features, "FEATURES", Table((line, *FEATURES.entries)))
+    assert choose(None)[0] == "form_factor"
+    assert extract(half_sine(), 1e5, ["form_factor"]).iloc[0, 0] == pytest.approx(np.pi / 2, rel=0.02)
+
+
+def test_a_bank_is_added_by_one_line(monkeypatch):
+    shares = (0.2, 0.8)
+    line = Bank(
+        "width_at_*",
+        "s",
+        "width at * of the peak",
+        "cgid",
+        lambda p, n: p.width(shares[n]),
+        [f"{share:g}" for share in shares],
+    )
+    monkeypatch.setattr(features, "FEATURES", Table((*FEATURES.entries, line)))
+    assert choose(["width_at_*"]) == ("width_at_0.2", "width_at_0.8")
+    low, high = extract_array(half_sine(), 1e5, ["width_at_*"])[0]
+    expected = [(1 - 2 * np.arcsin(share) / np.pi) * 1e-3 for share in shares]
+    assert [low, high] == pytest.approx(expected, rel=1e-3)
+
+
+def test_names_build_no_column(monkeypatch):
+    def fail(bank, name):
+        raise AssertionError(f"{name} of {bank.name} is built")
+
+    monkeypatch.setattr(Bank, "column", fail)
+    assert len(Table(FEATURES.entries)) == len(list(FEATURES)) == len(set(FEATURES)) > 900
+    assert len(choose(None, "window")) > 500
+    assert choose(None, "pulse") == tuple(name for name in FEATURES if name in choose(None, "pulse"))
+
+
+def test_every_name_leads_to_its_own_feature():
+    assert all(FEATURES[name].name == name for name in FEATURES)
+    assert {entry.name for entry in FEATURES.entries}.isdisjoint(name for name in FEATURES if "*" in name)
+
+
+@pytest.mark.parametrize("name", ["mel_*_hz", "mel_1001_hz", "mel__hz", "level_1000_hz ", "", "mel_delay_hz"])
+def test_other_names_are_unknown(name):
+    assert name not in FEATURES
+    with pytest.raises(InvalidValue, match="feature must be one of the"):
+        features.require_known(name)
+
+
+def test_a_bank_stands_for_its_columns():
+    names = choose(["decay_time", "mel_*_hz"])
+    assert names == ("decay_time", *(f"mel_{centre:.0f}_hz" for centre in MEL_BANDS.centres))
+    frames = ringing_batch(3, seed=4).signals
+    whole = extract_array(frames, RATE, names[:20], pre_trigger=PRE_TRIGGER)
+    for column, name in enumerate(names[:20]):
+        alone = extract_array(frames, RATE, [name], pre_trigger=PRE_TRIGGER)[:, 0]
+        np.testing.assert_array_equal(alone, whole[:, column])
+    with pytest.raises(InvalidValue, match="once each"):
+        choose(["mel_*_hz", names[1]])
