@@ -142,10 +142,10 @@ class KernelCache(NullCache):
 def kernel_folder() -> Path | None:
     """Return the folder of this version's compiled kernels, created if needed; None if none can be trusted."""
     try:
-        asked, usual = getattr(numba.config, "CACHE_DIR", ""), Path(AppDirs("cgid", False).user_cache_dir)
-        if not asked and not usual.is_absolute():  # there is no home folder
+        wanted, usual = getattr(numba.config, "CACHE_DIR", ""), Path(AppDirs("cgid", False).user_cache_dir)
+        if not wanted and not usual.is_absolute():  # there is no home folder
             return None
-        folder = (Path(asked).absolute() if asked else usual) / f"kernels-{digest(Path(__file__).parent)}"
+        folder = (Path(wanted).absolute() if wanted else usual) / f"kernels-{digest(Path(__file__).parent)}"
         if not folder.exists():
             folder.mkdir(mode=0o700, parents=True, exist_ok=True)
             _clear_forgotten(folder)

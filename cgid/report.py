@@ -1,9 +1,4 @@
-"""What a report is made of, and how recordings and models are described in it.
-
-The page of a report: one HTML file with all that it shows, which asks nothing of any network.
-
-Reports: what a recording is, what was found in it, with pictures, as one page that needs nothing else.
-"""
+"""A report on recordings as one HTML page with pictures and a table, which loads nothing from any network."""
 
 from __future__ import annotations
 
@@ -29,20 +24,20 @@ from cgid.recordings import Channel, RecordingFile
 from cgid.terminal import printable
 from cgid.validation import UNKNOWN
 
-#: More names than these are not all listed.
+#: Longer lists of names are shortened.
 _MOST_NAMES = 8
 
 
 @dataclass(frozen=True, kw_only=True)
 class Report:
-    """What is told of one recording.
+    """What a page says about one recording.
 
     Attributes
     ----------
     source : str
         Name of the recording.
     recording, model : dict of str
-        Facts, in the order in which they are told: `recording_facts`, `model_facts`.
+        Facts in their order on the page: `recording_facts`, `model_facts`.
     overview : Overview
         Of the first channels.
     channels : sequence of Channel
@@ -52,7 +47,7 @@ class Report:
     shares : sequence of Share
     turns : sequence of Turn
     threshold : float or None
-        The share above which going on costs more than it brings.
+        Share of gangue above which further caving costs more than it brings.
     warnings : sequence of str
     unit_of_decision : {"impact", "window"}
         What an answer is about.
@@ -72,11 +67,11 @@ class Report:
 
     @property
     def labels(self) -> list[str]:
-        """The labels of the answers in the order of the alphabet, "unknown" last."""
+        """The labels of the answers in alphabetical order, "unknown" last."""
         return sorted({answer.label for answer in self.answers}, key=lambda label: (label == UNKNOWN, label))
 
     def tiles(self) -> Iterator[tuple[str, str]]:
-        """Yield the summary: figures, and what they count."""
+        """Yield the numbers of the summary, and what they count."""
         n = len(self.answers)
         yield f"{n}", self.unit_of_decision + ("" if n == 1 else "s")
         counts = Counter(answer.label for answer in self.answers)
@@ -95,19 +90,19 @@ class Report:
 
     @property
     def has_course(self) -> bool:
-        """Whether the share of some channel is known at two times at least, so that it can be seen to change."""
+        """Whether the share of some channel is known at two times or more."""
         known = Counter(share.channel for share in self.shares if share.n_impacts)
         return max(known.values(), default=0) > 1
 
 
 def recording_facts(recording: RecordingFile, overview: Overview, channels: Sequence[Channel]) -> dict[str, str]:
-    """Return what a recording is, in words.
+    """Return the facts about a recording, in words.
 
     Parameters
     ----------
     recording : RecordingFile
     overview : Overview
-        Of all its length.
+        Of the whole recording.
     channels : sequence of Channel
         Those of the overview.
     """
@@ -130,7 +125,7 @@ def recording_facts(recording: RecordingFile, overview: Overview, channels: Sequ
 
 
 def model_facts(model: Model, name: str) -> dict[str, str]:
-    """Return what a model is, in words.
+    """Return the facts about a model, in words.
 
     Parameters
     ----------
@@ -155,15 +150,15 @@ def model_facts(model: Model, name: str) -> dict[str, str]:
 
 
 def _listed(names: Sequence[str]) -> str:
-    """Return names, or some of them where they are many."""
+    """Return the names, or some of them if there are many."""
     if len(names) <= _MOST_NAMES:
         return ", ".join(names)
     return f"{', '.join(names[: _MOST_NAMES // 2])} and {len(names) - _MOST_NAMES // 2} others"
 
 
-#: What the name of a report may end in.
+#: File name endings of a report.
 ENDINGS = (".html", ".htm")
-#: A table holds at most so many answers: browsers are slow with more.
+#: Rows of a table at most: browsers are slow with more.
 MOST_ROWS = 20_000
 _DPI = 130
 
@@ -179,12 +174,12 @@ def write_report(path: str | Path, reports: Sequence[Report], *, title: str = ""
     title : str, optional
         Of the page.
     overwrite : bool
-        Whether an old file may be replaced.
+        Whether an existing file may be replaced.
 
     Raises
     ------
     CannotCreate
-        The name ends otherwise, the folder is missing or not writable, or there is something already.
+        The name has another ending, the folder is missing or not writable, or the file exists.
     MissingExtra
         matplotlib is not installed.
     WriteFailed
@@ -205,7 +200,7 @@ def report_page(reports: Sequence[Report], *, title: str = "") -> str:
             '<html lang="en">',
             "<head>",
             '<meta charset="utf-8">',
-            # Whatever a stranger's file may have smuggled in: nothing runs and nothing is fetched but what is here.
+            # Whatever an untrusted file contains: only the style and script of this page apply, and nothing is fetched.
             f'<meta http-equiv="Content-Security-Policy" content="{allowed}">',
             '<meta name="viewport" content="width=device-width, initial-scale=1">',
             f"<title>{_text(title)}</title>",
@@ -224,7 +219,7 @@ def report_page(reports: Sequence[Report], *, title: str = "") -> str:
 
 
 def _title(names: Sequence[str]) -> str:
-    """Return the names of recordings, or of one of many."""
+    """Return the names of the recordings, or of the first and the number of the others."""
     different = list(dict.fromkeys(names))
     return ", ".join(different) if len(different) < 4 else f"{different[0]} and {len(different) - 1} other recordings"
 
@@ -277,14 +272,14 @@ def _pictures(report: Report) -> Iterator[str]:
 
 
 def _marks(report: Report) -> Iterator[Mark]:
-    """Yield a mark for each answer about a channel that is drawn, or about all of them together."""
+    """Yield a mark for each answer about a drawn channel, or about all of them together."""
     names = [channel.name for channel in report.channels]
     together = "+".join(names)
     for answer in report.answers:
         of_all = answer.channel == together or answer.channel.startswith(f"{together}+")
         if not (of_all or answer.channel in names):
             continue
-        # Where nobody looked for the end, the mark is as narrow as it may be.
+        # An unknown end is nan.
         end = answer.end if answer.end >= answer.time else answer.time
         yield Mark(time=answer.time, end=end, label=answer.label, channel=None if of_all else answer.channel)
 
@@ -296,23 +291,23 @@ def _figure(figure: Any, caption: str) -> str:
 
 
 def _table(report: Report) -> Iterator[str]:
-    """Yield the table of answers, with what only some recordings have in columns of its own."""
+    """Yield the table of answers; columns that only some recordings have are left out of the others."""
     answers = report.answers[:MOST_ROWS]
-    columns = {
-        "time [s]": "number",
-        "label": "",
-        "probability": "number",
-        "novelty": "number",
-        "range": "",
-        "note": "long",
-    }
-    if any(answer.end == answer.end for answer in answers):
-        columns = _with(columns, "length [ms]", "number", after="time [s]")
-    if len({answer.channel for answer in answers}) > 1:
-        columns = _with(columns, "channel", "", after="time [s]")
-    if any(answer.prediction_set is not None for answer in answers):
-        columns = _with(columns, "cannot be ruled out", "long", after="probability")
-    columns = {"number": "number"} | columns
+    has_ends = any(answer.end == answer.end for answer in answers)
+    has_sets = any(answer.prediction_set is not None for answer in answers)
+    kinds = (
+        ("number", "number", True),
+        ("time [s]", "number", True),
+        ("channel", "", len({answer.channel for answer in answers}) > 1),
+        ("length [ms]", "number", has_ends),
+        ("label", "", True),
+        ("probability", "number", True),
+        ("cannot be ruled out", "long", has_sets),
+        ("novelty", "number", True),
+        ("range", "", True),
+        ("note", "long", True),
+    )
+    columns = {name: kind for name, kind, shown in kinds if shown}
     yield f'<div class="impacts"><h3>{report.unit_of_decision.capitalize()}s</h3>'
     if len(answers) < len(report.answers):
         yield f"<p>The first {len(answers)} of {len(report.answers)}; cgid predict --json lists them all.</p>"
@@ -327,18 +322,8 @@ def _table(report: Report) -> Iterator[str]:
     yield "</tbody></table></div></div>"
 
 
-def _with(columns: dict[str, str], name: str, kind: str, *, after: str) -> dict[str, str]:
-    """Return columns with another one after one of them."""
-    out = {}
-    for one, its_kind in columns.items():
-        out[one] = its_kind
-        if one == after:
-            out[name] = kind
-    return out
-
-
 def _choices(answers: Sequence[Answer], columns: Sequence[str]) -> Iterator[str]:
-    """Yield what chooses the rows that are shown; it appears where the script runs."""
+    """Yield the controls that choose rows; the script shows them."""
     yield '<p class="choose" hidden>Show '
     for name in ("label", "channel"):
         if name in columns:
@@ -375,12 +360,12 @@ def _number(value: float, form: str) -> str:
 
 
 def _text(value: str) -> str:
-    """Return text of anybody as HTML shows it; what no page may hold stands as its escape."""
+    """Return untrusted text as HTML; unprintable characters become their escapes."""
     return escape(printable(value))
 
 
 def _swatches() -> str:
-    """Return the style of the coloured squares: labels have the colours that they have in the pictures."""
+    """Return the style of the coloured squares: a label has the same colour as in the pictures."""
     return "".join(f".{_swatch(colour)} {{ background: {colour}; }}\n" for colour in (*COLOURS, NEUTRAL))
 
 
@@ -393,7 +378,7 @@ def _resource(name: str) -> str:
 
 
 def _hash(text: str) -> str:
-    """Return by what a page allows a style or script of its own, and no other."""
+    """Return the hash by which the page's policy allows its own style or script."""
     return "sha256-" + base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()
 
 

@@ -164,4 +164,4 @@ def test_what_is_no_number_is_null_however_deep(capsys):
 def test_everything_that_a_command_says_goes_through_one_door():
     commands = Path(sys.modules["cgid.cli.main"].__file__).parent
     doors = {path.name for path in commands.glob("*.py") if re.search(r"click\.s?echo|\bprint\(", path.read_text())}
-    assert doors == {"console.py"}
+    assert doors == {"output.py"}

@@ -260,7 +260,7 @@ WORKERS = {
         (curves, "peak_displacement"),
         (curves.family, "times"),
         (_taylor, "summaries"),
-        (coupled, "_solve"),
+        (coupled, "solve"),
     ],
     "gravity": [(impacts, "weighed")],
     "coupling": [(impacts, "ModalImpact")],

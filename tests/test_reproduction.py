@@ -20,6 +20,7 @@ from cgid.reproduction.drawing import drawing
 from cgid.reproduction.figures import FIGURES, REJECTED
 from cgid.reproduction.report import write_report
 from cgid.reproduction.study import shipped_study
+from tests.impacts_by_hand import FACTORS, SPHERES
 
 NAMES = {
     "figure_04",
@@ -45,9 +46,6 @@ SIMULATED = {
     "figure_09", "figure_10_simulated", "figure_10_waves", "figure_11_simulated", "figure_16_simulated",
     "figure_17_simulated", "penalty_factor", "penalty_loops", "table_3",
 }  # fmt: skip
-# rho, E, nu of Table 2, written again.
-SPHERES = {1: (1380, 2.26e9, 0.28), 2: (1550.6, 4.3e9, 0.30), 3: (2412, 21.64e9, 0.30), 4: (2400, 3.906e9, 0.28)}
-K_FACTORS = {"hertz": 1.0, "rigid-sphere": 8 * 3**0.5 / 9, "series": 1.75**-1.5}
 
 
 @pytest.fixture(scope="module")
@@ -93,7 +91,7 @@ def read(folder: Path, name: str) -> pd.DataFrame:
 def peaks(velocity, density=1380, modulus=2.26e9, nu=0.28, modulus_2=210e9, nu_2=0.3, radius=0.025, theory="series"):
     """Return peak force and DCS of an elastic impact on a half space."""
     mass = 4 / 3 * np.pi * radius**3 * density
-    stiffness = K_FACTORS[theory] * 4 / 3 * radius**0.5 / ((1 - nu**2) / modulus + (1 - nu_2**2) / modulus_2)
+    stiffness = FACTORS[theory] * 4 / 3 * radius**0.5 / ((1 - nu**2) / modulus + (1 - nu_2**2) / modulus_2)
     displacement = (5 * mass * velocity**2 / (4 * stiffness)) ** 0.4
     return stiffness * displacement**1.5, displacement
 
@@ -148,7 +146,7 @@ def test_columns_of_numbers_name_their_unit(folder, name):
 def test_figures_4_to_6(folder):
     for name in ("figure_04", "figure_05", "figure_06"):
         data = read(folder, name)
-        assert set(data["theory"]) == set(K_FACTORS)
+        assert set(data["theory"]) == set(FACTORS)
         for theory, rows in data.groupby("theory"):
             force, displacement = peaks(rows["velocity"], theory=theory)
             if name != "figure_04":

@@ -1,4 +1,4 @@
-"""The command line: parse, call, print. The only place where the wings of the house are joined."""
+"""The command line: parse, call, print. Only here do the two wings of the package meet."""
 
 from cgid.cli.main import cli, main
 

@@ -10,8 +10,8 @@ from collections.abc import Iterable, Sequence
 from typing import Any
 
 from cgid.cli.answering import Asked
-from cgid.cli.console import say
 from cgid.cli.options import print_json
+from cgid.cli.output import say
 
 #: Version of the lines that --json prints of answers: since 2 each says its kind, and there are others than impacts.
 ANSWERS_VERSION = 2

@@ -13,8 +13,8 @@ from typing import Any, TypeVar
 
 import click
 
-from cgid.cli.console import say
 from cgid.cli.options import PATH
+from cgid.cli.output import say
 
 
 class Models:

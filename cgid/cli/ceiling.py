@@ -7,8 +7,8 @@ from typing import Any
 
 import click
 
-from cgid.cli.console import say
 from cgid.cli.options import PATH, print_json, progress_bar
+from cgid.cli.output import say
 
 #: Signals at each point of the survey.
 _SURVEYED = 2000

@@ -6,8 +6,8 @@ from typing import Any
 
 import click
 
-from cgid.cli.console import say
 from cgid.cli.options import PATH, print_json
+from cgid.cli.output import say
 
 #: Blocks of 256 impacts that are drawn for the preview.
 _BLOCKS = 16

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import click
 
-from cgid.cli.console import say
 from cgid.cli.options import PATH, progress_bar
+from cgid.cli.output import say
 
 
 @click.command(short_help="Write a dataset as one plain HDF5 file.")

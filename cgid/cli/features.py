@@ -6,7 +6,6 @@ from typing import Any
 
 import click
 
-from cgid.cli.console import say
 from cgid.cli.options import (
     PATH,
     asks_for_whole_dataset,
@@ -16,6 +15,7 @@ from cgid.cli.options import (
     read_signals,
     recording_options,
 )
+from cgid.cli.output import say
 
 #: Most impacts, or channels, that cannot be measured and are reported one by one.
 _MOST_REPORTED = 3
@@ -71,12 +71,18 @@ def features(
         if len(errors) == len(signals):
             raise errors[0]
         # A channel without impacts does not hide the others.
-        for left_out in errors[:_MOST_REPORTED]:
-            say(f"cgid: warning: {left_out}", err=True)
-        if len(errors) > _MOST_REPORTED:
-            say(f"cgid: warning: {path}: and {len(errors) - _MOST_REPORTED} more channels cannot be measured", err=True)
+        _warn([str(error) for error in errors], path, "channels")
 
     return each_file(files, treat, strict=strict)
+
+
+def _warn(problems: list[str], source: str, what: str) -> None:
+    """Print the first problems, and how many more impacts or channels have one."""
+    for problem in problems[:_MOST_REPORTED]:
+        say(f"cgid: warning: {problem}", err=True)
+    more = len(problems) - _MOST_REPORTED
+    if more > 0:
+        say(f"cgid: warning: {source}: and {more} more {what} cannot be measured", err=True)
 
 
 def _print_table() -> None:
@@ -129,13 +135,7 @@ def _print(
             problems.append(f"impact {number} at {event.time:.6f} s: {problem}")
         about = {"sampling_rate_hz": signal.sampling_rate, "baseline_removed": remove_baseline, "problem": problem}
         columns.row(signal.name, number, event.time, values, about)
-    for problem in problems[:_MOST_REPORTED]:
-        say(f"cgid: warning: {signal.name}: {problem}", err=True)
-    if len(problems) > _MOST_REPORTED:
-        say(
-            f"cgid: warning: {signal.name}: and {len(problems) - _MOST_REPORTED} more impacts cannot be measured",
-            err=True,
-        )
+    _warn([f"{signal.name}: {problem}" for problem in problems], signal.name, "impacts")
     if len(problems) == len(events):
         raise BadData(f"{signal.name}: none of its {len(events)} impacts can be measured; the first: {problems[0]}")
 

@@ -8,8 +8,8 @@ from typing import Any
 
 import click
 
-from cgid.cli.console import say
 from cgid.cli.options import PATH, crew_options, print_json, progress_bar, require_one_crew
+from cgid.cli.output import say
 
 #: Options that leave signals out, with what they ask for and the option that says which of it.
 _ONLY = {"features_only": "features", "closed_form_only": "closed-form", "parameters_only": "parameters"}

@@ -6,8 +6,8 @@ from typing import Any
 
 import click
 
-from cgid.cli.console import say
 from cgid.cli.options import PATH, print_json
+from cgid.cli.output import say
 
 #: Samples of all channels that are held in memory; longer recordings are read block by block.
 _MOST_HELD = 1 << 24

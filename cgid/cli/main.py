@@ -1,4 +1,4 @@
-"""The group of commands, and what becomes of errors: one line on stderr and an exit code, never a traceback."""
+"""The commands, and how errors end: with one line on stderr and an exit code, never with a traceback."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ import click
 from cgid import __version__
 from cgid.cli.ceiling import ceiling
 from cgid.cli.check import check
-from cgid.cli.console import drop, heard, open_missing, say
 from cgid.cli.export import export
 from cgid.cli.features import features
 from cgid.cli.generate import generate
 from cgid.cli.info import info
 from cgid.cli.monitor import monitor
 from cgid.cli.options import say_error
+from cgid.cli.output import drop, heard, open_missing, say
 from cgid.cli.plot import plot
 from cgid.cli.predict import predict
 from cgid.cli.reproduce import reproduce
@@ -29,10 +29,10 @@ from cgid.cli.train import train
 from cgid.cli.verify import verify
 from cgid.errors import CgidError, MissingExtra
 
-#: How many threads numba may take; it refuses to be loaded for less than one.
+#: Number of threads for numba, which cannot be imported if it is below 1.
 _THREADS = "NUMBA_NUM_THREADS"
 _INTERRUPTED, _INTERNAL, _OUTPUT_FAILED, _NO_INPUT, _BAD_DATA = 130, 70, 74, 66, 65
-#: What loaders, threads, C++ and HDF5 say where memory runs short.
+#: Messages of loaders, threads, C++ and HDF5 when memory runs short.
 _MEMORY_SHORT = (
     "failed to map segment",
     "cannot allocate memory",
@@ -65,7 +65,7 @@ def run(arguments: list[str] | None = None) -> int:
     try:
         with heard():
             code = cli.main(args=arguments, prog_name="cgid", standalone_mode=False)
-        if sys.stdout is not None:  # as it is where whoever called has closed it
+        if sys.stdout is not None:  # the caller may have closed it
             sys.stdout.flush()
         return code if isinstance(code, int) else 0
     except click.ClickException as error:
@@ -74,7 +74,7 @@ def run(arguments: list[str] | None = None) -> int:
         say(f"cgid: error: {' '.join(error.format_message().split()).rstrip('.')}{cure}", err=True)
         return error.exit_code
     except CgidError as error:
-        if isinstance(error, MissingExtra) and _memory_is_short(error):  # its library is there, and cannot be loaded
+        if isinstance(error, MissingExtra) and _memory_is_short(error):  # the library is installed
             return _say_memory(error)
         say_error(error)
         return error.exit_code
@@ -82,8 +82,7 @@ def run(arguments: list[str] | None = None) -> int:
         say("cgid: interrupted; nothing half-written is left", err=True)
         return _INTERRUPTED
     except (BrokenPipeError, SystemExit):
-        # Whoever read our output has seen enough (click turns that into SystemExit). Python would complain
-        # again when it closes stdout.
+        # The reader of our output has closed it (click turns that into SystemExit).
         drop(sys.stdout)
         return 0
     except OSError as error:
@@ -92,7 +91,7 @@ def run(arguments: list[str] | None = None) -> int:
         if _is_adrift():
             say("cgid: error: the current folder must exist, it has been removed; go to another one", err=True)
             return _NO_INPUT
-        # Our own files raise errors of ours: what is left is the standard output, or the machine.
+        # Files of ours raise a CgidError, so this is the standard output.
         with contextlib.suppress(OSError, AttributeError):
             sys.stdout.flush()
         drop(sys.stdout)
@@ -115,7 +114,7 @@ def run(arguments: list[str] | None = None) -> int:
 
 
 def _memory_is_short(error: BaseException | None) -> bool:
-    """Return whether a failure, or one that led to it, is a lack of memory; libraries say so in many ways."""
+    """Return whether an error, or one that led to it, is a lack of memory, which libraries report in many ways."""
     while error is not None:
         if isinstance(error, MemoryError) or getattr(error, "errno", None) == errno.ENOMEM:
             return True
@@ -139,11 +138,11 @@ def _asks_for_no_threads() -> bool:
     try:
         return int(os.environ.get(_THREADS, "1")) < 1
     except ValueError:
-        return False  # numba passes over it
+        return False  # numba ignores it
 
 
 def _is_adrift() -> bool:
-    """Return whether the current folder is gone, without which some libraries cannot be loaded."""
+    """Return whether the current folder is gone; some libraries cannot be imported then."""
     try:
         Path.cwd()
     except OSError:

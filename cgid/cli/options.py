@@ -1,4 +1,4 @@
-"""Options that several commands share, and the way inputs become signals."""
+"""What several commands share: options, reading of inputs, errors one file at a time, JSON lines, progress."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
-from cgid.cli.console import say, stop_if_asked
+from cgid.cli.output import say, stop_if_asked
 from cgid.errors import CgidError, InvalidValue
 from cgid.signals import Signal
 
@@ -21,12 +21,12 @@ if TYPE_CHECKING:
 F = TypeVar("F", bound=Callable[..., Any])
 #: Version of the lines that --json prints.
 JSON_VERSION = 1
-#: No struck body rings for longer [ms].
+#: Longest dead time [ms]: no struck body rings for longer.
 LONGEST_DEAD_TIME = 1e4
 
 
 class PathName(click.types.StringParamType):
-    """The name of a file or folder; an empty one, such as that of an unset variable of a shell, means none of them."""
+    """The name of a file or folder; an empty one, as from an unset variable of the shell, is an error."""
 
     name = "path"
 
@@ -40,56 +40,51 @@ class PathName(click.types.StringParamType):
 PATH = PathName()
 
 
-def recording_options(command: F) -> F:
-    """Add the options of a command that reads recordings and prints what is in them."""
-    options: list[Callable[[Any], Any]] = [
-        reading_options,
-        click.option("--json", "as_json", is_flag=True, help="One JSON object a line."),
-        click.option("--strict", is_flag=True, help="Stop at the first file that fails."),
-    ]
-    for option in reversed(options):
-        command = option(command)
-    return command
+def _options(*options: Callable[[Any], Any]) -> Callable[[F], F]:
+    """Return a decorator that adds options to a command."""
+
+    def add(command: F) -> F:
+        for option in reversed(options):
+            command = option(command)
+        return command
+
+    return add
 
 
-def reading_options(command: F) -> F:
-    """Add the options that say how to read a recording."""
-    options: list[Callable[[Any], Any]] = [
-        click.option("--rate", "sampling_rate", type=float, help="Sampling rate [Hz], where the file does not say it."),
-        click.option("--unit", help="Unit of the samples (N, kN, g, m/s^2, ...), where the file does not say it."),
-        click.option(
-            "--channel", multiple=True, help="Only this channel: its name or number from 1; several as 1+2, or again."
-        ),
-        click.option("--variable", help="Which array, table or group of the file, where it holds several."),
-        click.option("--index", type=int, help="Only this signal of a dataset, from 0; else all of them."),
-        click.option("--invert", is_flag=True, help="Turn the signal over: impacts must point upwards."),
-        click.option("--dead-time", type=float, help="Ringing after a blow [ms]; 2 for pulses, 5 for vibrations."),
-    ]
-    for option in reversed(options):
-        command = option(command)
-    return command
-
-
-def crew_options(command: F) -> F:
-    """Add the options that say who does the work; `require_one_crew` refuses both."""
-    options: list[Callable[[Any], Any]] = [
-        click.option("--jobs", type=int, default=1, show_default=True, help="Worker processes."),
-        click.option("--scheduler", help="Of a dask cluster, such as tcp://192.168.0.7:8786: its workers do the work."),
-    ]
-    for option in reversed(options):
-        command = option(command)
-    return command
+#: The options for reading a recording.
+reading_options = _options(
+    click.option("--rate", "sampling_rate", type=float, help="Sampling rate [Hz], where the file does not say it."),
+    click.option("--unit", help="Unit of the samples (N, kN, g, m/s^2, ...), where the file does not say it."),
+    click.option(
+        "--channel", multiple=True, help="Only this channel: its name or number from 1; several as 1+2, or again."
+    ),
+    click.option("--variable", help="Which array, table or group of the file, where it holds several."),
+    click.option("--index", type=int, help="Only this signal of a dataset, from 0; else all of them."),
+    click.option("--invert", is_flag=True, help="Turn the signal over: impacts must point upwards."),
+    click.option("--dead-time", type=float, help="Ringing after a blow [ms]; 2 for pulses, 5 for vibrations."),
+)
+#: The options of a command that reads recordings and prints their contents.
+recording_options = _options(
+    reading_options,
+    click.option("--json", "as_json", is_flag=True, help="One JSON object a line."),
+    click.option("--strict", is_flag=True, help="Stop at the first file that fails."),
+)
+#: The options for worker processes and clusters; `require_one_crew` refuses both at once.
+crew_options = _options(
+    click.option("--jobs", type=int, default=1, show_default=True, help="Worker processes."),
+    click.option("--scheduler", help="Of a dask cluster, such as tcp://192.168.0.7:8786: its workers do the work."),
+)
 
 
 def require_one_crew(context: click.Context) -> None:
-    """Raise a usage error where worker processes and a cluster are asked for at once."""
+    """Raise a usage error if both worker processes and a cluster are given."""
     given = context.get_parameter_source("jobs") is click.core.ParameterSource.COMMANDLINE
     if given and context.params["scheduler"] is not None:
         raise click.UsageError("--jobs is for this machine, --scheduler for a cluster; give one of them", context)
 
 
 def read_signals(path: str, *, index: int | None, invert: bool, **reading: Any) -> list[Signal]:
-    """Return the signals of a recording, or the one signal of a dataset that was asked for."""
+    """Return the signals of a recording, or the chosen signal of a dataset."""
     from cgid.recordings import is_dataset
 
     if is_dataset(path):
@@ -110,7 +105,7 @@ def open_file(
     variable: str | None,
     index: int | None = None,
 ) -> RecordingFile:
-    """Return the recording of a file, opened as the options say."""
+    """Return the recording of a file, opened with these options."""
     from cgid.recordings import open_recording
 
     if index is not None:
@@ -119,9 +114,9 @@ def open_file(
 
 
 def asks_for_whole_dataset(path: str, *, index: int | None, **given: Any) -> bool:
-    """Return whether this is a dataset of which no single signal is asked for.
+    """Return whether this is a dataset and no single signal of it is chosen.
 
-    Refuses options that say how to read a recording: a dataset says all of that itself.
+    Refuses the options for reading a recording, because a dataset describes itself.
     """
     from cgid.recordings import is_dataset
 
@@ -135,7 +130,7 @@ def asks_for_whole_dataset(path: str, *, index: int | None, **given: Any) -> boo
 
 
 def dead_time_in_seconds(milliseconds: float | None) -> float | None:
-    """Return the dead time asked for [s]; refuse one that is no time."""
+    """Return the dead time [s]; refuse one outside the valid range."""
     if milliseconds is None:
         return None
     if not 0 <= milliseconds <= LONGEST_DEAD_TIME:
@@ -144,7 +139,7 @@ def dead_time_in_seconds(milliseconds: float | None) -> float | None:
 
 
 def each_file(files: Iterable[str], treat: Callable[[str], None], *, strict: bool = False) -> int:
-    """Treat every file; say what is wrong with one and go on, or stop if `strict`.
+    """Treat every file; report the error of one and go on, or stop if `strict`.
 
     Return the exit code of the first that failed.
     """
@@ -161,14 +156,14 @@ def each_file(files: Iterable[str], treat: Callable[[str], None], *, strict: boo
 
 
 def say_error(error: CgidError) -> None:
-    """Say what is wrong on stderr, a line for each mistake."""
+    """Print an error on stderr, with a line for each mistake."""
     for mistake in error.args:
         say(f"cgid: error: {mistake}", err=True)
 
 
 def print_json(content: dict[str, Any], version: int = JSON_VERSION) -> None:
-    """Print one object on a line of its own; what is not a number becomes null."""
-    # JSON escapes every sign that is not ASCII, and of the others all that a terminal obeys, but for one.
+    """Print one object as a line of JSON; values that are not finite become null."""
+    # JSON escapes all characters that are not ASCII and all control characters but this one.
     say(json.dumps({"version": version, **_finite(content)}).replace("\x7f", "\\u007f"))
 
 
@@ -182,7 +177,7 @@ def _finite(value: Any) -> Any:
 
 @contextmanager
 def progress_bar(total: int | None, what: str) -> Iterator[Callable[[int], object]]:
-    """Yield a function that moves a progress bar on stderr; there is none where stderr is no terminal."""
+    """Yield a function that moves a progress bar; the bar appears only if stderr is a terminal."""
     from tqdm import tqdm
 
     with tqdm(total=total, unit=f" {what}", disable=None, file=sys.stderr, unit_scale=True) as bar:

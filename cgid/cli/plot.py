@@ -1,4 +1,4 @@
-"""`cgid plot`: what a recording looks like, and where its impacts are."""
+"""`cgid plot`: a picture of a recording and its impacts."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from cgid.cli.console import say
 from cgid.cli.options import PATH, dead_time_in_seconds, open_file, print_json, read_signals, reading_options
+from cgid.cli.output import say
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -102,7 +102,7 @@ def plot(
 
 
 class _Finder:
-    """Finds impacts in channels, each by itself and in the way of its quantity.
+    """Finds the impacts of each channel, as pulses or vibrations depending on its quantity.
 
     Parameters
     ----------
@@ -110,7 +110,7 @@ class _Finder:
         [Hz].
     channels : sequence of Channel
     kind : {"pulse", "vibration"} or None
-        None: that of each channel's quantity.
+        None: depends on the quantity of each channel.
     dead_time : float or None
         [s].
     begin : float
@@ -175,7 +175,7 @@ class _Finder:
 
 
 def _opened(file: str, *, index: int | None, **reading: Any) -> RecordingFile:
-    """Return the recording of a file, or the one signal of a dataset that was asked for."""
+    """Return the recording of a file, or the chosen signal of a dataset."""
     from cgid.recordings import is_dataset
 
     if index is None or not is_dataset(file):
@@ -198,12 +198,12 @@ def _require_order(begin: float, end: float | None) -> None:
 
 
 def _between(recording: RecordingFile, begin: float, end: float | None) -> Iterator[NDArray[Any]]:
-    """Yield the blocks of a part of a recording.
+    """Yield the blocks of the recording between two times [s].
 
     Raises
     ------
     InvalidValue
-        The recording ends before the part begins, or there is no sample in it.
+        The recording ends before `begin`, or there is no sample between the two.
     """
     from cgid.errors import InvalidValue
 
@@ -230,7 +230,7 @@ def _between(recording: RecordingFile, begin: float, end: float | None) -> Itera
 
 
 def _facts(recording: RecordingFile, duration: float, marks: Sequence[Mark] | None) -> str:
-    """Return what stands below the title."""
+    """Return the line below the title."""
     from cgid.plots import hertz
 
     facts = [recording.format, hertz(recording.sampling_rate), f"{duration:.4g} s"]

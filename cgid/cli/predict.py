@@ -19,7 +19,6 @@ import click
 
 from cgid.cli.answer_rows import AnswerLines, Telling
 from cgid.cli.answering import Asked, Models, answering_options, asked_of, warn_of_rate
-from cgid.cli.console import say
 from cgid.cli.options import (
     PATH,
     asks_for_whole_dataset,
@@ -29,6 +28,7 @@ from cgid.cli.options import (
     read_signals,
     recording_options,
 )
+from cgid.cli.output import say
 from cgid.errors import CgidError
 
 

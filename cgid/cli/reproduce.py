@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import click
 
-from cgid.cli.console import say
 from cgid.cli.options import PATH, progress_bar
+from cgid.cli.output import say
 
 
 @click.command(short_help="Compute the paper's figures and tables, and a report.")

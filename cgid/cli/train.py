@@ -9,8 +9,8 @@ from typing import Any
 import click
 
 from cgid import validation
-from cgid.cli.console import say
 from cgid.cli.options import PATH, crew_options, print_json, progress_bar, require_one_crew, say_error
+from cgid.cli.output import say
 from cgid.errors import CgidError, InvalidValue
 
 #: Options that belong to the recordings of a manifest, and those that do not.

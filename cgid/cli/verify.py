@@ -7,8 +7,8 @@ from typing import Any
 
 import click
 
-from cgid.cli.console import say
 from cgid.cli.options import PATH, each_file, print_json, progress_bar
+from cgid.cli.output import say
 
 #: Problems that are told, and left as they are.
 _KEPT = ("pending", "foreign")

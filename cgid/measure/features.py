@@ -6,7 +6,6 @@ are built and computed, and each measurement that they share is made once.
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Callable, Iterable, Mapping
 from functools import partial
 from typing import TYPE_CHECKING, Literal
@@ -91,9 +90,12 @@ def choose(features: Iterable[str] | None, kind: Kind = "pulse") -> tuple[str, .
 def require_known(name: str) -> None:
     """Raise `InvalidValue` unless there is such a feature; the message lists similar names."""
     if not isinstance(name, str) or name not in FEATURES:
-        similar = difflib.get_close_matches(str(name)[:80], FEATURES, n=5, cutoff=0.3)
+        import difflib
+
+        known = [*FEATURES, *(entry.name for entry in FEATURES.entries if "*" in entry.name)]
+        similar = difflib.get_close_matches(str(name)[:80], known, n=5, cutoff=0.3)
         raise InvalidValue(
-            f"feature must be one of the {len(FEATURES)} that `cgid features --list` prints, got {name!r}; most "
+            f"feature must be one of the {len(FEATURES)} that `cgid features --list` describes, got {name!r}; most "
             f"like it are {', '.join(similar) or 'none'}"
         )
 

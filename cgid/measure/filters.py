@@ -1,6 +1,7 @@
-"""The FFT filter: zero phase, brick wall or tapered edge.
+"""Filters: the FFT low-pass of a sensor, its impulse response, and the equalisation of one sensor to another.
 
-What a low-pass does to a clean damped-Hertz pulse of duration T (`tests/test_filters.py` measures it):
+The FFT filter has zero phase and a brick wall or a tapered edge. A low-pass changes a clean damped-Hertz pulse of
+duration T as follows (`tests/test_filters.py` measures it):
 
 | edge | taper | peak, restitution 1 / .5 | ringing T/10 before touch | ringing T before touch |
 |---|---|---|---|---|
@@ -9,10 +10,8 @@ What a low-pass does to a clean damped-Hertz pulse of duration T (`tests/test_fi
 | 2/T | 0 | +1.3 % / -6.8 % | 2.0 % / 7.9 % | 0.4 % / 2.0 % |
 | 2/T | 0.5 | +1.1 % / -7.3 % | 1.9 % / 7.3 % | 0.1 % / 0.3 % |
 
-So the taper saves nothing of the peak and rings hardly less beside the pulse, but its ringing dies out sooner.
-At restitution .3 an edge at 2/T costs 22 % of the peak, at 4/T about 1 %.
-
-Making up for a sensor whose response differs from that of another: a gain for each band, applied to the samples.
+The taper hardly helps the peak or the ringing near the pulse, but its ringing decays sooner. At restitution .3 an edge
+at 2/T costs 22 % of the peak, at 4/T about 1 %.
 """
 
 from __future__ import annotations
@@ -29,17 +28,20 @@ from cgid.errors import InvalidValue
 from cgid.measure.spectra import MEL_BANDS, mel, padded_length
 from cgid.validation import Floats, require_rate
 
-#: Rows transformed at once: so many spectra stay in the processor's cache.
+#: Rows transformed at once: this many spectra stay in the processor's cache.
 _ROWS = 32
 #: Width of the edge of a scene's sensor over its frequency.
 SENSOR_TAPER = 0.5
-#: Lowest edge over the sampling rate of which an impulse response is asked for: what rings on for longer than a million
-#: samples is no sensor.
+#: Lowest edge of an impulse response, over the sampling rate: no sensor rings for more than a million samples.
 _LOWEST_EDGE = 2.0**-14
-#: Most samples through which a matrix mixes: it takes 2 GiB.
+#: Most samples of a mixing matrix: it takes 2 GiB.
 _MOST_MIXED = 1 << 14
 #: An impulse response is followed for this many periods of its edge, and down to this share of its largest value.
 _RESPONSE_PERIODS, _RESPONSE_FLOOR = 64, 1e-5
+#: Largest gain of an equalisation [dB]: what a sensor does not record cannot be restored.
+LARGEST_GAIN = 40.0
+#: The response of an equalisation has decayed after this [s]: its narrowest band is 70 Hz wide.
+_TAIL = 30e-3
 
 
 def fft_filter(
@@ -61,19 +63,19 @@ def fft_filter(
         Edges of the pass band [Hz]; None leaves that side open. `high` alone is a low-pass.
     taper : float
         Width of each edge over its frequency, in [0, 1]. 0 is the brick wall of Yang, Zeng & Wan (2018);
-        else the gain falls like a raised cosine, and is 1/2 at the edge.
+        otherwise the gain falls like a raised cosine and is 1/2 at the edge.
 
     Returns
     -------
     ndarray, (..., n_samples)
-        Zero phase: nothing moves in time. The transform is circular: what rings past one end of the
-        frame comes in at the other.
+        Zero phase: nothing moves in time. The transform is circular: ringing that leaves one end of the frame enters
+        at the other.
 
     Raises
     ------
     InvalidValue
-        Edges are not in order or above the Nyquist frequency, samples are masked or not finite, taper is not in
-        [0, 1].
+        The edges are not in order or above the Nyquist frequency, samples are masked or not finite, or the taper is
+        not in [0, 1].
 
     Examples
     --------
@@ -135,7 +137,7 @@ def low_pass_response(sampling_rate: float, edge: float, taper: float = SENSOR_T
     sampling_rate, edge : float
         [Hz].
     taper : float
-        That of a scene's sensor if not given.
+        By default that of a scene's sensor.
 
     Raises
     ------
@@ -153,7 +155,7 @@ def low_pass_response(sampling_rate: float, edge: float, taper: float = SENSOR_T
     n = int(2 ** np.ceil(np.log2(_RESPONSE_PERIODS * sampling_rate / edge)))
     gain = filter_gain(np.asarray(np.fft.rfftfreq(n, 1 / sampling_rate), np.float64), sampling_rate, None, edge, taper)
     response = np.fft.irfft(gain, n=n)[: n // 2]
-    # What rings on below a hundred thousandth of the gain is left out.
+    # Ringing below a hundred thousandth of the largest value is left out.
     kept = np.flatnonzero(np.abs(response) > _RESPONSE_FLOOR * response[0])
     return np.asarray(response[: kept[-1] + 1])
 
@@ -164,7 +166,7 @@ def mixing_matrix(response: Floats, n_samples: int) -> Floats:
     Raises
     ------
     InvalidValue
-        There are more samples than a matrix can be made for.
+        There are too many samples for a matrix.
     """
     if n_samples > _MOST_MIXED:
         raise InvalidValue(
@@ -177,18 +179,12 @@ def mixing_matrix(response: Floats, n_samples: int) -> Floats:
     return np.ascontiguousarray(np.lib.stride_tricks.sliding_window_view(lags, n_samples)[::-1])
 
 
-#: No band is raised or lowered by more [dB]: what a sensor does not hear cannot be had back.
-LARGEST_GAIN = 40.0
-#: What the filter makes of a blow has died away after this [s]: its narrowest band is 70 Hz wide.
-_TAIL = 30e-3
-
-
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Equalisation:
-    """Gains of the mel bands.
+    """A gain for each mel band that makes the signals of one sensor like those of another.
 
-    Between the centres of the mel bands the gain is straight in dB over mel, beyond them it stays. The filter
-    is of minimum phase: nothing comes before its cause, and the resonance of a sensor's mount is undone in time, too.
+    Between the centres of the mel bands the gain is linear in dB over mel, beyond them it is constant. The filter has
+    minimum phase: nothing comes before its cause, and the resonance of a sensor's mount is removed in time, too.
 
     Parameters
     ----------
@@ -198,7 +194,7 @@ class Equalisation:
     Raises
     ------
     InvalidValue
-        The gains are not one finite number a band, or one is too large.
+        The gains are not one finite number per band, or one is too large.
     """
 
     gains: Floats
@@ -216,12 +212,12 @@ class Equalisation:
 
     @classmethod
     def between(cls, heard: ArrayLike, meant: ArrayLike) -> Equalisation:
-        """Return what makes a sensor like another.
+        """Return the equalisation of a sensor to another one.
 
         Parameters
         ----------
         heard, meant : array_like, (n_bands,)
-            Mean spectra of the reference runs of either, log10 of the mean square in each band.
+            Mean spectra of the reference runs of this sensor and of the other, log10 of the mean square per band.
 
         Examples
         --------
@@ -238,7 +234,7 @@ class Equalisation:
         return np.asarray(np.interp(mel(frequency), mel(MEL_BANDS.centres), self.gains))
 
     def apply(self, samples: NDArray[np.floating], sampling_rate: float) -> Floats:
-        """Return rows of samples (n_rows, n_samples) as the other sensor would have them; their means stay."""
+        """Return rows of samples (n_rows, n_samples) as the other sensor would record them; their means stay."""
         n_samples = samples.shape[1]
         length = padded_length(n_samples + round(_TAIL * sampling_rate))
         mean = samples.mean(axis=1, keepdims=True, dtype=np.float64)
@@ -249,8 +245,8 @@ class Equalisation:
     def _response(self, length: int, sampling_rate: float) -> NDArray[np.complex128]:
         """Return the complex gain at the bins of a transform, of minimum phase by the cepstrum.
 
-        Oppenheim & Schafer, Discrete-Time Signal Processing: of the logarithm of the gain, what is before time 0 is
-        folded behind it.
+        Oppenheim & Schafer, Discrete-Time Signal Processing: the part of the cepstrum before time 0 is folded onto the
+        part after it.
         """
         level = self.gain(np.asarray(np.fft.rfftfreq(length, 1 / sampling_rate), np.float64)) * (np.log(10.0) / 20.0)
         cepstrum = np.fft.irfft(level, n=length)

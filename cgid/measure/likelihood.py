@@ -1,16 +1,14 @@
-"""The statistical bound: how well any unbiased estimate can know a pulse's parameters (Rao 1945, Cramer 1946).
+"""What samples say about a pulse: the Cramer-Rao bound, the likelihood along its shape, and priors of populations.
 
-The likelihood of a pulse along its shape: what the samples say of e once everything else fits best.
+The bound (Rao 1945, Cramer 1946) is how well any unbiased estimate can know the parameters of a pulse.
 
-Given the shape, peak, duration and onset are well told and their likelihood is near a Gaussian one; along the shape it
-may be skewed or have two tops. So the shape gets a grid, evenly spaced where the shape is told equally well everywhere,
-and the rest Laplace's approximation at each node.
+The profile is the likelihood of the shape s = ln e. At a given shape, peak, duration and onset are well determined and
+their likelihood is nearly Gaussian, so they are integrated by Laplace's approximation. Along the shape the likelihood
+may be skewed or have two maxima; it is computed on a grid on which the standard deviation is the same everywhere.
 
-What is known of a pulse before it is measured: the density of its peak, duration and shape in a population.
-
-With the shape taken out, peak and duration are the scales of an impact, `P0 = K L^(3/2)` and `T0 = L / v`: they follow
-from size, material and speed and know nothing of the loss, so their density and that of the shape are held apart. Both
-are smoothed histograms of draws.
+A prior is the density of peak, duration and shape in a population. Without the shape, peak and duration are the scales
+of an impact, `P0 = K L^(3/2)` and `T0 = L / v`. They follow from size, material and speed and do not depend on the
+loss, so their density and that of the shape are kept separately, as smoothed histograms of draws.
 """
 
 from __future__ import annotations
@@ -25,7 +23,7 @@ from numpy.typing import ArrayLike, NDArray
 from cgid import family, validation
 from cgid.errors import InvalidValue
 from cgid.measure.filters import low_pass_response, mixing_matrix
-from cgid.measure.fit import Problem, PulseFit, windows
+from cgid.measure.fit import Problem, PulseFit, normal_equations, rows_of, windows
 from cgid.measure.template import (
     HIGHEST_SHAPE,
     LOWEST_SHAPE,
@@ -35,18 +33,30 @@ from cgid.measure.template import (
     pulse_and_slopes,
     relative_times,
     shape_deviation,
+    solve_scaled,
 )
 from cgid.validation import Floats, rates
 
-#: Impacts treated at once, at most, and their samples.
+#: Impacts of the bound computed at once, at most, and their samples.
 _ROWS, _SAMPLES = 64, 1 << 20
-#: Most samples of a contact: with more of them the bound only falls with their root.
+#: Most samples of a contact: with more of them the bound only falls with their square root.
 MOST_SAMPLES = 1_000_000
 #: The band-limited pulse is followed this many contact durations beyond touch and separation.
 _RINGING = 1.0
+#: The grid of a profile extends this many standard deviations of the shape to either side.
+_REACH = 6.5
+#: Steps of the fit at each node of a profile, and rows of profiles computed at once.
+_ITERATIONS, _PROFILED_ROWS = 5, 256
+#: Cells of the histograms of a prior, and the standard deviation of the smoothing in cells.
+_CELLS, _SMOOTHING = 240, 1.2
+#: Lowest density over the largest: draws do not prove that something is impossible.
+_FLOOR = 1e-9
 
 
-@dataclass(frozen=True)
+# -- the bound ----------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
 class Bound:
     """The Cramer-Rao bound.
 
@@ -110,12 +120,12 @@ def cramer_rao_bound(
     sampling_rate : array_like
         [Hz]; `contact_duration * sampling_rate` are the samples in contact, at most `MOST_SAMPLES`.
     bandwidth : float, optional
-        Edge of the sensor's low-pass [Hz], as in `cgid.scene.Sensor`; the noise comes behind it, white. Then the
+        Edge of the sensor's low-pass [Hz], as in `cgid.scene.Sensor`; the white noise is added after it. Then the
         sampling rate must be one number.
     onset_known : bool
         Whether the time of touch is known.
     fit_baseline : bool
-        Whether a constant beside the pulse is unknown, too; it is judged on the samples in contact alone.
+        Whether a constant is unknown, too; only the samples in contact count for it.
     onset : array_like
         Where touch lies between two samples, 0 to 1.
 
@@ -151,7 +161,9 @@ def cramer_rao_bound(
     response = None
     if bandwidth is not None:
         if np.ptp(rate) > 0:
-            raise InvalidValue("sampling_rate must be one number when there is a bandwidth; ask for each rate apart")
+            raise InvalidValue(
+                "sampling_rate must be one number when there is a bandwidth; compute each rate separately"
+            )
         response = low_pass_response(float(rate.flat[0]), bandwidth)
     samples = (duration * rate).ravel()
     if (samples > MOST_SAMPLES).any():
@@ -186,7 +198,7 @@ def _covariance(
     if mixing is not None:
         slopes = slopes @ mixing
     if fit_baseline:
-        # Samples in contact alone: how many there are beside it is no matter of the pulse.
+        # Only the samples in contact: how many others there are is not a property of the pulse.
         slopes = slopes * ((times > phase[:, None]) & (times < (phase + samples)[:, None]))[:, None]
     information = np.matmul(slopes, np.swapaxes(slopes, 1, 2))
     with np.errstate(all="ignore"):
@@ -195,14 +207,10 @@ def _covariance(
     return np.where(enough[:, None, None] if response is None else True, covariance, np.inf)
 
 
-#: How far the grid reaches, in standard deviations of the stabilised shape.
-_REACH = 6.5
-_ITERATIONS = 5
-#: Rows treated at once.
-_PROFILED_ROWS = 256
+# -- the profile --------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Profile:
     """The likelihood of some pulses on grids of the shape.
 
@@ -211,8 +219,8 @@ class Profile:
     shape : ndarray, (n, n_nodes)
         s = ln e at the nodes.
     log_weight : ndarray, (n, n_nodes)
-        Logarithm of the integral over peak, duration and onset of the likelihood, times the width of the node in s, but
-        for a constant of the row.
+        Logarithm of the likelihood integrated over peak, duration and onset, times the width of the node in s, plus a
+        constant for each row.
     log_peak, log_duration : ndarray, (n, n_nodes)
         The most likely ones there; duration in samples.
     """
@@ -261,25 +269,24 @@ def profile(
     offset, clip_level, response
         As in `fit_pulses`.
     n_quiet : ndarray, (n,), optional
-        Of how many samples the offset is the mean: it is uncertain by so much. None where it is certain.
+        The offset is the mean of this many samples, and as uncertain. None where it is certain.
     onset : ndarray, (n,), optional
         Time of touch [samples], where it is known.
     onset_between : tuple of float, optional
-        Between what times [samples] every time of touch is as likely, and no other; everywhere if not given.
+        Touch is equally likely at any time between these [samples], and impossible elsewhere; anywhere by default.
     """
     shapes = _grid(fit, noise, lowest, highest, n_nodes)
     out = Profile(shapes, *(np.empty(shapes.shape) for _ in range(3)))
     for first in range(0, len(samples), _PROFILED_ROWS):
         block = slice(first, first + _PROFILED_ROWS)
         guess = parameters_of(fit.peak[block], fit.width[block], fit.onset[block], fit.shape[block])
-        own_offset = None if offset is None else offset[block]
-        own_limit = None if clip_level is None else clip_level[block]
-        # As long as the pulse would be at the lowest shape: a tail that is cut off says nothing against it.
+        own = (0.0 if offset is None else offset[block], np.inf if clip_level is None else clip_level[block])
+        # As long as the pulse would be at the lowest shape: a window without its tail could not speak against it.
         longest = guess.copy()
         longest[:, 3] = shapes[block, 0]
-        for window in windows(samples[block], longest, own_offset, own_limit, averaged=response is None):
+        for window in windows(samples[block], longest, *own, averaged=response is None):
             rows = first + window.rows
-            problem = Problem(window, n_quiet is not None, None if onset is None else onset[rows], response)
+            problem = Problem(window, n_quiet is not None, rows_of(onset, rows), response)
             sigma = noise[rows] / np.sqrt(window.averaged)
             hold = None if n_quiet is None else n_quiet[rows] / window.averaged
             for node in range(n_nodes):
@@ -300,7 +307,7 @@ def _grid(fit: PulseFit, noise: Floats, lowest: float, highest: float, n_nodes: 
     low, high = (np.interp(bound, shapes, coordinate) for bound in (lowest, highest))
     start = np.clip(middle - reach, low, high)
     stop = np.clip(middle + reach, low, high)
-    # A shape far beyond the bounds leaves nothing: then the grid lies along the nearer one.
+    # For a shape far beyond the bounds nothing is left: then the grid lies along the nearer bound.
     short = stop - start < 0.5 * reach
     start = np.where(short, np.clip(start - reach, low, high), start)
     stop = np.where(short, np.clip(stop + reach, low, high), stop)
@@ -318,7 +325,7 @@ def _at(
 ) -> tuple[Floats, Floats, Floats]:
     """Return log of the integrated likelihood, ln peak and ln duration at given shapes.
 
-    `hold` are the points that the baseline was the mean of before.
+    `hold` is the number of points of which the baseline is the mean.
     """
     parameters = guess.copy()
     parameters[:, 3] = shape
@@ -327,18 +334,14 @@ def _at(
     columns = [problem.free[k] for k in kept]
     for iteration in range(_ITERATIONS):
         residual, slopes = problem.residual(parameters, slice(None))
-        slopes = slopes[:, kept]
-        information = np.matmul(slopes, np.swapaxes(slopes, 1, 2))
+        squared, information, gradient = normal_equations(residual, slopes[:, kept])
         if hold is not None:
             information[:, -1, -1] += hold
+            gradient[:, -1] -= hold * parameters[:, 4]
+            squared += hold * parameters[:, 4] ** 2
         if iteration == _ITERATIONS - 1:
             break
-        gradient = np.matmul(slopes, residual[..., None])
-        if hold is not None:
-            gradient[:, -1, 0] -= hold * parameters[:, 4]
-        scale = np.sqrt(np.maximum(np.einsum("nii->ni", information), 1e-300))
-        unit = information / (scale[:, :, None] * scale[:, None, :]) + 1e-6 * np.eye(len(kept))
-        step = np.linalg.solve(unit, gradient / scale[..., None])[..., 0] / scale
+        step = solve_scaled(information, gradient, 1e-6)
         parameters[:, 0] = np.maximum(parameters[:, 0] + step[:, 0], 0.2 * parameters[:, 0])
         width = np.exp(parameters[:, 1])
         parameters[:, 1] += np.clip(step[:, 1], -0.4, 0.4)
@@ -351,25 +354,22 @@ def _at(
     log_peak = np.log(parameters[:, 0])
     # In ln(peak), ln(duration) and, at this shape, the place, whose step is that of the onset.
     sign, determinant = np.linalg.slogdet(information / sigma[:, None, None] ** 2)
-    squared = np.sum(residual**2, axis=1) + (0.0 if hold is None else hold * parameters[:, 4] ** 2)
     log_likelihood = -0.5 * squared / sigma**2 - 0.5 * (determinant + 2 * log_peak)
     if onset_between is not None:
         log_likelihood += _log_inside(parameters, lead, information / sigma[:, None, None] ** 2, onset_between)
-    # Where the samples do not tell all parameters the fit lies beside the pulse.
+    # Where the samples do not determine all parameters, the fit has missed the pulse.
     log_likelihood = np.where((sign > 0) & np.isfinite(log_likelihood), log_likelihood, -np.inf)
     return log_likelihood, log_peak, parameters[:, 1] + np.log(duration)
 
 
 def _log_inside(parameters: Floats, lead: Floats, information: Floats, between: tuple[float, float]) -> Floats:
-    """Return the logarithm of the probability that touch lies between two times, its likelihood being Gaussian."""
+    """Return the logarithm of the probability of touch between two times, for a Gaussian likelihood."""
     width = np.exp(parameters[:, 1])
     onset = parameters[:, 2] - lead * width
     # Of (peak, ln width, place, ...): touch moves with the width and the place.
     slope = np.zeros(information.shape[:2])
     slope[:, 1], slope[:, 2] = -lead * width, 1.0
-    scale = np.sqrt(np.maximum(np.einsum("nii->ni", information), 1e-300))
-    unit = information / (scale[:, :, None] * scale[:, None, :]) + 1e-12 * np.eye(information.shape[1])
-    spread = np.linalg.solve(unit, (slope / scale)[..., None])[..., 0] / scale
+    spread = solve_scaled(information, slope, 1e-12)
     deviation = np.sqrt(np.maximum(np.sum(slope * spread, axis=1), 1e-300))
     low, high = ((bound - onset) / deviation for bound in between)
     return np.asarray(np.log(np.maximum(0.5 * (_erf(high / np.sqrt(2)) - _erf(low / np.sqrt(2))), 1e-300)))
@@ -378,13 +378,10 @@ def _log_inside(parameters: Floats, lead: Floats, information: Floats, between: 
 _erf = np.vectorize(math.erf, otypes=[np.float64])
 
 
-#: Cells of the histograms, and the standard deviation of the smoothing in cells.
-_CELLS, _SMOOTHING = 240, 1.2
-#: A density below this share of the largest is taken as this: draws are no proof that something is impossible.
-_FLOOR = 1e-9
+# -- the prior ----------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Prior:
     """Density of the pulses of one population.
 
@@ -455,14 +452,14 @@ class Prior:
     def evidence(
         self, along: Profile, log_peak_offset: Floats | float = 0.0, log_time_offset: Floats | float = 0.0
     ) -> Floats:
-        """Return the logarithm of the probability of each signal, (n,), but for a constant of the signal.
+        """Return the logarithm of the probability of each signal, (n,), plus a constant of the signal.
 
         Parameters
         ----------
         along : Profile
         log_peak_offset, log_time_offset : ndarray, (n, 1), or float
-            Added to the profile's ln(peak) and ln(duration): its duration is in samples, and a known speed
-            shifts both.
+            Added to the profile's ln(peak) and ln(duration): its duration is in samples, and a known speed shifts
+            both.
         """
         return _log_sum(self._joint(along, log_peak_offset, log_time_offset))
 

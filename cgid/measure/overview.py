@@ -1,4 +1,4 @@
-"""A recording of any length in a few thousand numbers: what a picture of it shows, made while it passes by."""
+"""The overview of a recording for a picture: a few thousand numbers for any length, computed block by block."""
 
 from __future__ import annotations
 
@@ -13,27 +13,27 @@ from cgid import validation
 from cgid.errors import BadData, InvalidValue
 from cgid.validation import Floats, require_rate
 
-#: A waveform has at most so many columns, and at least half of them once it has that many samples;
+#: Most columns of a waveform; it has at least half of them if the recording has that many samples.
 WAVEFORM_COLUMNS = 4096
-#: a spectrogram has at most so many, and about so many bands, evenly spaced in the logarithm of frequency.
+#: Most columns of a spectrogram, and its approximate number of bands, evenly spaced in the logarithm of frequency.
 SPECTROGRAM_COLUMNS, SPECTROGRAM_BANDS = 1024, 200
-#: Segments of spectra are powers of two: no longer than this [s],
+#: Segments of spectra are powers of two: at most this long [s],
 LONGEST_SEGMENT_TIME = 0.2
-#: between these numbers of samples where the recording has so many,
+#: between these numbers of samples if the recording is long enough,
 SEGMENTS = (64, 8192)
 #: and this many times shorter than the recording.
 _SEGMENTS_IN_RECORDING = 64
-#: Less has no spectrum worth the name [samples].
+#: Shortest segment with a useful spectrum [samples].
 _SHORTEST_SEGMENT = 16
-#: Samples a channel, and segments, that are treated at once: bounds the memory whatever the blocks are.
+#: Samples per channel, and segments, treated at once: bounds the memory whatever the size of the blocks.
 _SAMPLES_AT_ONCE, _SEGMENTS_AT_ONCE = 65536, 64
-#: What is larger is no measurement, and the power of many such samples no number.
+#: Larger samples are not measurements, and their power overflows.
 _LARGEST = 1e140
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Overview:
-    """What a picture of a recording shows; its size hardly depends on the length of the recording.
+    """The content of a picture of a recording; its size hardly depends on the length of the recording.
 
     Attributes
     ----------
@@ -42,11 +42,11 @@ class Overview:
     n_samples : int
         Of each channel.
     waveform_step : int
-        Samples that a column of the waveform stands for; the last one may stand for fewer.
+        Samples per column of the waveform; the last column may have fewer.
     lowest, highest : ndarray, (n_channels, n_columns)
         Smallest and largest sample of each column.
     mean, deviation : ndarray, (n_channels,)
-        Of all samples; the deviation is the root of their mean squared distance from the mean.
+        Of all samples; the deviation is the root of the mean squared distance from the mean.
     frequency : ndarray, (n_bins,)
         [Hz]; empty where the recording is too short for a spectrum.
     spectrum : ndarray, (n_channels, n_bins)
@@ -54,7 +54,7 @@ class Overview:
     band_edges : ndarray, (n_bands + 1,)
         Of the spectrogram [Hz]; a band is one bin or several. 0 Hz is left out.
     time_edges : ndarray, (n_times + 1,)
-        Of the spectrogram [s]; a column stands for the same number of segments, but for the last.
+        Of the spectrogram [s]; all columns but the last have the same number of segments.
     spectrogram : ndarray, (n_channels, n_bands, n_times)
         Mean power density of each band and column [unit^2/Hz].
     """
@@ -79,24 +79,24 @@ class Overview:
 
     @property
     def waveform_edges(self) -> Floats:
-        """Where the columns of the waveform begin and end [s], (n_columns + 1,)."""
+        """Edges of the columns of the waveform [s], (n_columns + 1,)."""
         samples = np.arange(self.lowest.shape[1] + 1, dtype=np.float64) * self.waveform_step
         return np.asarray(np.minimum(samples, self.n_samples) / self.sampling_rate)
 
 
 class OverviewStream:
-    """Makes the overview of a recording that comes in blocks; memory does not grow with it.
+    """Computes the overview of a recording that comes in blocks, in constant memory.
 
-    How it is cut into blocks changes nothing but the last digits of means and spectra.
+    The size of the blocks changes only the last digits of means and spectra.
 
     Parameters
     ----------
     sampling_rate : float
         [Hz], above 0.
     n_channels : int
-        1 or more; each takes some 10 MB.
+        1 or more; each takes about 10 MB.
     source : str
-        What messages call the recording.
+        Name of the recording in messages.
 
     Raises
     ------
@@ -120,7 +120,7 @@ class OverviewStream:
         self._lowest = _Columns(np.minimum, (n_channels,), WAVEFORM_COLUMNS)
         self._highest = _Columns(np.maximum, (n_channels,), WAVEFORM_COLUMNS)
         self._mean, self._squares = np.zeros(n_channels), np.zeros(n_channels)
-        # The first samples wait until it is known whether the recording is a short one, of shorter segments.
+        # The first samples wait until it is known whether the recording is short and needs shorter segments.
         self._waiting: list[Floats] = []
         self._spectra: _Spectra | None = None
 
@@ -130,14 +130,14 @@ class OverviewStream:
         Parameters
         ----------
         block : ndarray, (n_channels, n_samples)
-            Finite numbers; any number of samples, none as well.
+            Finite numbers; any number of samples, also none.
 
         Raises
         ------
         InvalidValue
             The block has another number of channels.
         BadData
-            A sample is so large that the power of the recording is no number.
+            A sample is so large that the power of the recording overflows.
         """
         block = validation.plain("block", block)
         if block.ndim != 2 or len(block) != self._n_channels:
@@ -146,7 +146,7 @@ class OverviewStream:
             self._take(block[:, start : start + _SAMPLES_AT_ONCE].astype(np.float64))
 
     def overview(self) -> Overview:
-        """Return the overview of what has been fed so far; more may be fed afterwards.
+        """Return the overview of the samples so far; more may follow.
 
         Raises
         ------
@@ -199,23 +199,23 @@ class OverviewStream:
             self._spectra.feed(samples)
 
     def _add_moments(self, samples: Floats) -> None:
-        """Add samples to mean and sum of squared distances from it, without the difference of two large sums."""
+        """Update the mean and the sum of squared distances from it, without the difference of two large sums."""
         before, n = self._lowest.taken, samples.shape[1]
         mean = samples.mean(axis=1)
-        apart = mean - self._mean
-        self._squares += ((samples - mean[:, np.newaxis]) ** 2).sum(axis=1) + apart**2 * (before * n / (before + n))
-        self._mean += apart * (n / (before + n))
+        shift = mean - self._mean
+        self._squares += ((samples - mean[:, np.newaxis]) ** 2).sum(axis=1) + shift**2 * (before * n / (before + n))
+        self._mean += shift * (n / (before + n))
 
 
 def segment_length(sampling_rate: float, n_samples: int | None) -> int:
-    """Return how many samples a segment of the spectra has; 0 where so few samples have no spectrum.
+    """Return the number of samples in a segment of the spectra; 0 if the recording is too short for a spectrum.
 
     Parameters
     ----------
     sampling_rate : float
         [Hz].
     n_samples : int or None
-        Of the recording; None if it is a long one.
+        Of the recording; None if it is long.
 
     Examples
     --------
@@ -236,16 +236,16 @@ def _power_of_two(number: float) -> int:
 
 
 class _Columns:
-    """A row of values without end in few columns, each of which joins equally many; when all are full, pairs join.
+    """An endless row of values in few columns, each of equally many values; when all are full, pairs are joined.
 
     Parameters
     ----------
     join : numpy.ufunc
-        np.minimum, np.maximum, np.add: what joins values.
+        np.minimum, np.maximum or np.add.
     shape : tuple of int
-        Of the values that come at once; they come along one more axis, the last.
+        Of a value; values come along one more axis, the last.
     most : int
-        Columns at most; even.
+        Largest number of columns, even.
     """
 
     def __init__(self, join: np.ufunc, shape: tuple[int, ...], most: int) -> None:
@@ -269,7 +269,7 @@ class _Columns:
         return self._held[..., : -(-self.taken // self.step)].copy()
 
     def counts(self) -> NDArray[np.int64]:
-        """Return how many values each column joins, (n_columns,)."""
+        """Return the number of values in each column, (n_columns,)."""
         return np.diff(np.append(np.arange(0, self.taken, self.step), self.taken))
 
     def _put(self, values: Floats) -> None:
@@ -284,16 +284,16 @@ class _Columns:
 
 
 class _Spectra:
-    """Spectra of segments that overlap by half: their sum, and the sums in bands of those that are close in time."""
+    """Spectra of half-overlapping segments: their sum, and their sums in bands and columns of time."""
 
     def __init__(self, sampling_rate: float, n_channels: int, segment: int) -> None:
         self._rate, self._segment, self._hop = sampling_rate, segment, segment // 2
         n_bins = segment // 2 + 1 if segment else 0
-        # Hann, periodic as spectra want it: the 0 that would end it begins the next segment.
+        # A periodic Hann window, without the 0 at its end.
         self._window = np.sin(np.pi * np.arange(segment) / max(segment, 1)) ** 2
         self.frequency = np.arange(n_bins, dtype=np.float64) * (sampling_rate / max(segment, 1))
         self._sum = np.zeros((n_channels, n_bins))
-        # Bands end between bins; low ones would be narrower than a bin and become one.
+        # Bands end between bins; low bands are at least one bin wide.
         self._edges = np.unique(np.rint(np.geomspace(1, max(n_bins, 1), SPECTROGRAM_BANDS + 1)).astype(int))
         n_bands = len(self._edges) - 1
         highest = sampling_rate / 2
@@ -322,7 +322,7 @@ class _Spectra:
         return self._columns.values() / self._columns.counts()
 
     def time_edges(self) -> Floats:
-        """Return where the columns begin and end [s]: each segment stands for the hop in its middle."""
+        """Return the edges of the columns [s]: each segment covers the hop in its middle."""
         segments = np.append(0, np.cumsum(self._columns.counts()))
         return np.asarray((segments + 0.5) * (self._hop / self._rate))
 

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from cgid.counting import count
 from cgid.measure.fit import PulseFit, Start, fit_pulses, strongest_run
 from cgid.measure.frames import Frames, constant_signal
+from cgid.measure.spectra import PulseSpectrum
 from cgid.measure.table import Bank, Feature
 from cgid.validation import Floats
 
@@ -63,21 +64,10 @@ def without_impact(samples: NDArray[np.floating], fit: PulseFit) -> dict[int, st
 
 
 class PulseBatch(Frames):
-    """Single pulses in frames; each quantity is computed when it is first needed.
+    """Single positive pulses in frames; each quantity is computed when it is first needed.
 
-    Parameters
-    ----------
-    samples : ndarray, (n_signals, n_samples)
-        One positive pulse per row.
-    sampling_rate : float
-        [Hz].
-    pre_trigger : int or None
-        Samples before touch. None: each row's own number, up to where it is last below 1 % of the way from its
-        first samples to its largest.
-    remove_baseline : bool
-        Whether the mean before touch is subtracted.
-    detection_limit : float
-        A peak must exceed this many standard deviations of the noise before touch.
+    Parameters are those of `Frames`. Without `pre_trigger`, each row is quiet up to where it is last below 1 % of the
+    way from its first samples to its largest.
     """
 
     # -- before touch ---------------------------------------------------------------------------------
@@ -335,89 +325,29 @@ class PulseBatch(Frames):
     # -- the spectrum ---------------------------------------------------------------------------------
 
     @cached_property
-    def _transform_lengths(self) -> NDArray[np.intp]:
-        touch, separation = self.contact
-        wanted = np.maximum(_ZERO_PADDING * np.ceil(separation - touch + 1), 64)
-        return np.asarray(2 ** np.ceil(np.log2(wanted)).astype(np.intp))
+    def spectrum(self) -> PulseSpectrum:
+        """Of the contact alone, up to `SPECTRUM_LIMIT / duration`.
 
-    @cached_property
-    def n_bins(self) -> NDArray[np.intp]:
-        """Number of bins of each row's spectrum; padding follows."""
-        top = np.minimum(SPECTRUM_LIMIT / self.duration, self.sampling_rate / 2)
-        return np.asarray(np.floor(top * self._transform_lengths / self.sampling_rate).astype(np.intp) + 1)
-
-    @cached_property
-    def spectrum(self) -> tuple[Floats, Floats]:
-        """Frequencies [Hz] and power, each (n_signals, n_bins), of the contact alone.
-
-        The transform is zero-padded to a power of two that is at least `_ZERO_PADDING` times the row's own contact.
-        The spectrum ends at `SPECTRUM_LIMIT / duration`; zero power follows, so a row does not depend on the others.
+        The transform is zero-padded to a power of two that is at least `_ZERO_PADDING` times the row's own contact, so
+        a row does not depend on the others.
         """
         touch, separation = self.contact
-        lengths, bins = self._transform_lengths, self.n_bins
-        count("spectra", len(lengths))
-        power = np.zeros((len(lengths), int(bins.max())))
+        count("spectra", len(touch))
+        wanted = np.maximum(_ZERO_PADDING * np.ceil(separation - touch + 1), 64)
+        lengths = np.asarray(2 ** np.ceil(np.log2(wanted)).astype(np.intp))
+        top = np.minimum(SPECTRUM_LIMIT / self.duration, self.sampling_rate / 2)
+        n_bins = np.floor(top * lengths / self.sampling_rate).astype(np.intp) + 1
+        power = np.zeros((len(lengths), int(n_bins.max())))
         first = np.maximum(np.ceil(touch).astype(np.intp), 0)
         for length in np.unique(lengths):
             rows = np.flatnonzero(lengths == length)
-            span = int(np.ceil((separation - touch)[rows].max())) + 1
-            columns = np.minimum(first[rows, None] + np.arange(span), self._window[0].shape[1] - 1)
-            last_once = first[rows, None] + np.arange(span) < self._window[0].shape[1]
-            force = np.where(last_once, self._during_contact[rows[:, None], columns], 0.0)
-            kept = int(bins[rows].max())
+            columns = first[rows, None] + np.arange(int(np.ceil((separation - touch)[rows].max())) + 1)
+            last = self._window[0].shape[1] - 1
+            force = np.where(columns <= last, self._during_contact[rows[:, None], np.minimum(columns, last)], 0.0)
+            kept = int(n_bins[rows].max())
             power[rows, :kept] = np.abs(np.fft.rfft(force, n=int(length)))[:, :kept] ** 2
-        power[np.arange(power.shape[1]) >= bins[:, None]] = 0.0
-        return np.arange(power.shape[1]) * (self.sampling_rate / lengths)[:, None], power
-
-    @cached_property
-    def cumulative_energy(self) -> Floats:
-        """Share of the spectrum's energy up to each frequency, (n_signals, n_bins), by the trapezoid rule."""
-        _, power = self.spectrum
-        steps = 0.5 * (power[:, 1:] + power[:, :-1])
-        # No step from a row's last bin to its padding.
-        steps[np.arange(1, power.shape[1]) >= self.n_bins[:, None]] = 0.0
-        total = np.cumsum(steps, axis=1)
-        return np.concatenate([np.zeros((len(power), 1)), total / total[:, -1:]], axis=1)
-
-    def power_mean(self, values: Floats) -> Floats:
-        """Return the mean over the spectrum by the trapezoid rule: the bin at 0 Hz has half a bin's width."""
-        power = self.spectrum[1].copy()
-        power[:, 0] *= 0.5
-        return np.asarray(np.sum(values * power, axis=1) / power.sum(axis=1))
-
-    @cached_property
-    def spectral_moments(self) -> tuple[Floats, Floats]:
-        """Mean and standard deviation of the frequency, weighted by power [Hz]."""
-        frequency = self.spectrum[0]
-        mean = self.power_mean(frequency)
-        return mean, np.sqrt(self.power_mean((frequency - mean[:, None]) ** 2))
-
-    @cached_property
-    def rolloff(self) -> Floats:
-        """Frequency below which 85 % of the energy lie [Hz]."""
-        return _frequency_where(self.spectrum[0], self.cumulative_energy, self.cumulative_energy >= 0.85, 0.85)
-
-    @cached_property
-    def cutoff(self) -> Floats:
-        """Frequency where the spectrum first is 10 dB below its value at 0 Hz, or its last frequency [Hz]."""
-        frequency, power = self.spectrum
-        decibel = 10 * np.log10(np.maximum(power, 1e-30 * power[:, :1]) / power[:, :1])
-        last = self.n_bins - 1
-        reached = (decibel <= -10.0) & (np.arange(decibel.shape[1]) <= last[:, None])
-        found = _frequency_where(frequency, decibel, reached, -10.0)
-        return np.where(reached.any(axis=1), found, frequency[np.arange(len(decibel)), last])
-
-    def energy_between(self, low: float, high: float) -> Floats:
-        """Return the share of the spectrum's energy between two frequencies [Hz]."""
-        return self._energy_below(high) - self._energy_below(low)
-
-    def _energy_below(self, limit: float) -> Floats:
-        frequency, energy = self.spectrum[0], self.cumulative_energy
-        place = limit / frequency[:, 1]
-        before = np.minimum(place.astype(np.intp), energy.shape[1] - 1)
-        after = np.minimum(before + 1, energy.shape[1] - 1)
-        low, high = (energy[np.arange(len(energy)), column] for column in (before, after))
-        return np.asarray(low + (place - before).clip(0, 1) * (high - low))
+        power[np.arange(power.shape[1]) >= n_bins[:, None]] = 0.0
+        return PulseSpectrum(np.arange(power.shape[1]) * (self.sampling_rate / lengths)[:, None], power, n_bins)
 
     # -- rows that cannot be measured -----------------------------------------------------------------
 
@@ -450,15 +380,6 @@ class PulseBatch(Frames):
                 f"use {WANTED_SAMPLES / span:.3g} Hz or more",
             )
         return found
-
-
-def _frequency_where(frequency: Floats, curve: Floats, reached: NDArray[np.bool_], level: float) -> Floats:
-    """Return the frequency at which a curve first reaches a level, linear between two bins."""
-    rows = np.arange(len(curve))
-    after = np.maximum(np.argmax(reached, axis=1), 1)
-    low, high = curve[rows, after - 1], curve[rows, after]
-    share = np.clip((level - low) / np.where(high == low, 1.0, high - low), 0.0, 1.0)
-    return np.asarray(frequency[rows, after - 1] + share * (frequency[rows, after] - frequency[rows, after - 1]))
 
 
 # -- features -----------------------------------------------------------------------------------------
@@ -521,23 +442,23 @@ PULSE_FEATURES = (
         "Hertz scaling",
         lambda p: p.peak / p.duration**2,
     ),
-    _spectral("spectral_centroid", "Hz", "mean frequency, weighted by power", measure=lambda p: p.spectral_moments[0]),
+    _spectral("spectral_centroid", "Hz", "mean frequency, weighted by power", measure=lambda p: p.spectrum.moments[0]),
     _spectral(
-        "spectral_bandwidth", "Hz", "standard deviation about the centroid", measure=lambda p: p.spectral_moments[1]
+        "spectral_bandwidth", "Hz", "standard deviation about the centroid", measure=lambda p: p.spectrum.moments[1]
     ),
-    _spectral("spectral_rolloff", "Hz", "85 % of the energy lies below", measure=lambda p: p.rolloff),
+    _spectral("spectral_rolloff", "Hz", "85 % of the energy lies below", measure=lambda p: p.spectrum.rolloff),
     _spectral(
         "cutoff_10db",
         "Hz",
         "where the spectrum first is 10 dB below its value at 0 Hz",
-        measure=lambda p: p.cutoff,
+        measure=lambda p: p.spectrum.cutoff,
     ),
     Bank(
         "band_energy_*_hz",
         "1",
         "share of the spectrum's energy between the two frequencies of the name",
         _PEETERS,
-        lambda p, n: p.energy_between(*_BANDS[n]),
+        lambda p, n: p.spectrum.between(*_BANDS[n]),
         [f"{low}_{high}" for low, high in _BANDS],
         spectral=True,
     ),

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cgid.errors import MissingExtra
 from cgid.validation import Floats
@@ -269,6 +270,104 @@ class EnergySpectrum:
             out[:, place] = np.where(found, (top + shift) * self.spacing, last)
             maxima[np.abs(reach - top[:, None]) * self.spacing < apart] = 0.0
         return out
+
+
+@dataclass(frozen=True, eq=False)
+class PulseSpectrum:
+    """Power spectra of pulses, each at frequencies of its own.
+
+    Attributes
+    ----------
+    frequency, power : ndarray, (n_signals, n_bins)
+        The first bin is at 0 Hz [Hz].
+    n_bins : ndarray of int, (n_signals,)
+        Number of bins of each row; zero power follows.
+    """
+
+    frequency: Floats
+    power: Floats
+    n_bins: NDArray[np.intp]
+
+    @cached_property
+    def cumulative(self) -> Floats:
+        """Share of the energy up to each frequency, (n_signals, n_bins), by the trapezoid rule."""
+        steps = 0.5 * (self.power[:, 1:] + self.power[:, :-1])
+        # No step from a row's last bin to its padding.
+        steps[np.arange(1, self.power.shape[1]) >= self.n_bins[:, None]] = 0.0
+        total = np.cumsum(steps, axis=1)
+        return np.concatenate([np.zeros((len(total), 1)), total / total[:, -1:]], axis=1)
+
+    @cached_property
+    def moments(self) -> tuple[Floats, Floats]:
+        """Mean and standard deviation of the frequency, weighted by power [Hz]."""
+        mean = self._mean(self.frequency)
+        return mean, np.sqrt(self._mean((self.frequency - mean[:, None]) ** 2))
+
+    def _mean(self, values: Floats) -> Floats:
+        """Return the mean weighted by power, by the trapezoid rule: the bin at 0 Hz has half a bin's width."""
+        weight = self.power.copy()
+        weight[:, 0] *= 0.5
+        return np.asarray(np.sum(values * weight, axis=1) / weight.sum(axis=1))
+
+    @property
+    def rolloff(self) -> Floats:
+        """Frequency below which 85 % of the energy lie [Hz]."""
+        return self._where(self.cumulative, self.cumulative >= 0.85, 0.85)
+
+    @property
+    def cutoff(self) -> Floats:
+        """Frequency where the spectrum first is 10 dB below its value at 0 Hz, or its last frequency [Hz]."""
+        decibel = 10 * np.log10(np.maximum(self.power, 1e-30 * self.power[:, :1]) / self.power[:, :1])
+        reached = (decibel <= -10.0) & (np.arange(decibel.shape[1]) < self.n_bins[:, None])
+        last = self.frequency[np.arange(len(decibel)), self.n_bins - 1]
+        return np.where(reached.any(axis=1), self._where(decibel, reached, -10.0), last)
+
+    def _where(self, curve: Floats, reached: NDArray[np.bool_], level: float) -> Floats:
+        """Return the frequency at which a curve first reaches a level, linear between two bins."""
+        rows, after = np.arange(len(curve)), np.maximum(np.argmax(reached, axis=1), 1)
+        low, high = curve[rows, after - 1], curve[rows, after]
+        share = np.clip((level - low) / np.where(high == low, 1.0, high - low), 0.0, 1.0)
+        before = self.frequency[rows, after - 1]
+        return np.asarray(before + share * (self.frequency[rows, after] - before))
+
+    def between(self, low: float, high: float) -> Floats:
+        """Return the share of the energy between two frequencies [Hz]."""
+        return self._below(high) - self._below(low)
+
+    def _below(self, limit: float) -> Floats:
+        place, last = limit / self.frequency[:, 1], self.power.shape[1] - 1
+        before = np.minimum(place.astype(np.intp), last)
+        rows, after = np.arange(len(before)), np.minimum(before + 1, last)
+        low, high = self.cumulative[rows, before], self.cumulative[rows, after]
+        return np.asarray(low + (place - before).clip(0, 1) * (high - low))
+
+
+def hann(length: int) -> Floats:
+    """Return one period of the Hann bell, sampled so that it is never zero."""
+    return np.asarray(np.sin(np.pi * (np.arange(length) + 0.5) / length) ** 2)
+
+
+def frame_spectra(samples: Floats, length: int, sampling_rate: float) -> tuple[float, Floats]:
+    """Return the energy spectra of half-overlapping frames under Hann bells.
+
+    Parameters
+    ----------
+    samples : ndarray, (n_rows, n_samples)
+    length : int
+        Of a frame [samples].
+    sampling_rate : float
+        [Hz].
+
+    Returns
+    -------
+    spacing : float
+        Width of a bin [Hz], at most half the resolution of a frame.
+    energy : ndarray, (n_rows, n_frames, n_bins)
+        [unit^2 s].
+    """
+    frames = np.lib.stride_tricks.sliding_window_view(samples, length, axis=1)[:, :: max(length // 2, 1)]
+    spectrum = EnergySpectrum.of((frames * hann(length)).reshape(-1, length), sampling_rate, finer=2)
+    return spectrum.spacing, spectrum.energy.reshape(len(samples), frames.shape[1], -1)
 
 
 def padded_length(wanted: int) -> int:

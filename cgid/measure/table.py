@@ -33,7 +33,7 @@ LEAST_BANDWIDTH = 1000.0
 OF_THE_RATE = "taken up to half the sampling rate, on which it depends: compare at one rate"
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Feature:
     """One feature.
 
@@ -93,7 +93,7 @@ class Feature:
         return self.unit.startswith("log10") or (self.unit == "1" and not self.positive)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Bank:
     """Features that differ only in a band, a packet or a lag: one entry, a column for each label.
 

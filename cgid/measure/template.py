@@ -1,24 +1,20 @@
-"""The damped-Hertz pulse as a curve to be fitted: its value and slopes on many samples at once, numpy only.
+"""The damped-Hertz pulse as a curve to be fitted: its values, its slopes, and the covariance of its parameters.
 
-A pulse of peak 1 is `g(u; s)` at the share u of its contact, with s = ln e. Turned round in time the pulse of e is
-that of 1/e (with `tau -> -tau` damping changes its sign in `x'' = -x^(3/2) (1 + D x')`), so the family goes on smoothly
-beyond e = 1. There it is a shape and no material, but an estimate near 1 may err to either side, and needs not be
-pressed against a wall.
+A pulse of peak 1 is `g(u; s)` at the share u of its contact, with s = ln e. Reversed in time, the pulse of e is that of
+1/e (with `tau -> -tau` damping changes its sign in `x'' = -x^(3/2) (1 + D x')`), so the family continues smoothly
+beyond e = 1. There it is a shape and no material, but estimates near 1 may err to either side.
 
 In `w = (1 + sqrt(u) - sqrt(1 - u)) / 2` the curve is smooth up to touch and separation, where it rises as the power
-3/2 of time. It is held on a grid of s and w, with its derivatives, and carried on from the nearest node by its Taylor
-polynomial of order two: within 1e-5 of the peak for e from .2, 5e-5 from .1, 1.2e-4 at .05.
+3/2 of time. It is tabulated on a grid of s and w with its derivatives, and extrapolated from the nearest node by its
+Taylor polynomial of order two: within 1e-5 of the peak for e from .2, 5e-5 from .1, 1.2e-4 at .05.
 
-A pulse with its parameters: samples of it, their slopes, and the covariance that these allow.
-
-Inside, a pulse is (peak, ln of its width, time of its peak, s = ln e, baseline), the width being impulse over peak:
-these hardly depend on one another, while contact duration and onset of a damped pulse, which ends in the noise, go
-together with s. What is reported is `PARAMETERS`.
+The parameters of a fit are (peak, ln of its width, time of its peak, s = ln e, baseline), the width being impulse over
+peak: these are nearly independent, while contact duration and onset of a damped pulse, which ends in the noise, are
+strongly correlated with s. The reported parameters are `PARAMETERS`.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
@@ -33,29 +29,22 @@ LOWEST_SHAPE, HIGHEST_SHAPE = float(np.log(family.LOWEST_RESTITUTION)), -float(n
 _SHAPES, _PLACES = 128, 256
 #: Nodes beyond s = 0: enough for central differences there.
 _BEYOND = 3
-#: Nearest to touch and separation that slopes are taken.
+#: Slopes are evaluated at least this far from touch and separation.
 _EDGE = 1e-12
 
 
-@dataclass(frozen=True)
-class _Table:
-    """Nodes and derivatives.
+@cache
+def _table() -> tuple[tuple[Floats, ...], Floats]:
+    """Return the curve and the times at the nodes, with derivatives.
 
-    Attributes
-    ----------
+    Returns
+    -------
     curve : tuple of ndarray, (n_nodes,)
         g, g_w, g_ww, g_s, g_sw, g_ss at the nodes of s and w, flat.
     times : ndarray, (n_shapes, 2, 3)
-        Contact duration, and the time from touch to the peak, over the width (impulse over peak); with two
+        Contact duration, and the time from touch to the peak, over the width (impulse over peak), with two
         derivatives in s.
     """
-
-    curve: tuple[Floats, ...]
-    times: Floats
-
-
-@cache
-def _table() -> _Table:
     step = -LOWEST_SHAPE / _SHAPES
     shapes = LOWEST_SHAPE + step * np.arange(_SHAPES + 1)
     w = np.arange(_PLACES + 1) / _PLACES
@@ -66,7 +55,7 @@ def _table() -> _Table:
     curve = family.force(u * contact[:, None], restitution) / peak
     # The impulse of m x'' from 1 to -e is 1 + e.
     times = np.stack([contact, peak_time], axis=1) * (peak / (1 + restitution[:, None]))
-    # Beyond s = 0 the same, turned round.
+    # Beyond s = 0 the same, reversed.
     turned = slice(-2, -2 - _BEYOND, -1)
     curve = np.concatenate([curve, curve[turned, ::-1]])
     beyond = times[turned]
@@ -83,11 +72,11 @@ def _table() -> _Table:
     )
     held = tuple(np.ascontiguousarray(part[: _SHAPES + 1].ravel()) for part in derivatives)
     time_derivatives = np.stack([times, _slope(times, 0) / step, _bend(times, 0) / step**2], axis=-1)[: _SHAPES + 1]
-    return _Table(held, time_derivatives)
+    return held, time_derivatives
 
 
 def _slope(values: Floats, axis: int) -> Floats:
-    """Return the first differences of a row of nodes, of order four inside and two at the ends."""
+    """Return first differences between nodes, of order four inside and two at the ends."""
     v = np.moveaxis(values, axis, 0)
     out = np.gradient(v, axis=0, edge_order=2)
     out[2:-2] = (8 * (v[3:-1] - v[1:-3]) - (v[4:] - v[:-4])) / 12
@@ -95,7 +84,7 @@ def _slope(values: Floats, axis: int) -> Floats:
 
 
 def _bend(values: Floats, axis: int) -> Floats:
-    """Return the second differences of a row of nodes, of order four inside and one at the ends."""
+    """Return second differences between nodes, of order four inside and one at the ends."""
     v = np.moveaxis(values, axis, 0)
     out = np.empty_like(v)
     out[1:-1] = v[2:] - 2 * v[1:-1] + v[:-2]
@@ -117,7 +106,7 @@ def relative_times(shape: Floats) -> tuple[Floats, Floats, Floats, Floats]:
     duration, peak_time, duration_slope, peak_time_slope : ndarray, (n,)
     """
     node, offset = _nearest(shape)
-    value, slope, bend = np.moveaxis(_table().times[node], -1, 0)
+    value, slope, bend = np.moveaxis(_table()[1][node], -1, 0)
     at = value + offset[:, None] * (slope + 0.5 * offset[:, None] * bend)
     slopes = slope + offset[:, None] * bend
     turned = shape > 0
@@ -141,7 +130,7 @@ def curve(share: Floats, shape: Floats) -> tuple[Floats, Floats, Floats]:
     Returns
     -------
     value, in_share, in_shape : ndarray, (n, n_samples)
-        With the peak as unit.
+        Over the peak.
     """
     node, offset = _nearest(shape)
     turned = shape > 0
@@ -155,7 +144,7 @@ def curve(share: Floats, shape: Floats) -> tuple[Floats, Floats, Floats]:
     column = np.rint(place)
     dw = (place - column) * (1 / _PLACES)
     index = column.astype(np.intp) + (node * (_PLACES + 1))[:, None]
-    g, g_w, g_ww, g_s, g_sw, g_ss = (np.take(held, index) for held in _table().curve)
+    g, g_w, g_ww, g_s, g_sw, g_ss = (np.take(held, index) for held in _table()[0])
     ds = offset[:, None]
     in_shape = (g_s + ds * g_ss + dw * g_sw) * inside
     g_w += ds * g_sw
@@ -168,7 +157,7 @@ def curve(share: Floats, shape: Floats) -> tuple[Floats, Floats, Floats]:
 
 
 def _nearest(shape: Floats) -> tuple[NDArray[np.intp], Floats]:
-    """Return the nearest node of s (of -s beyond 0) and the way from it."""
+    """Return the nearest node of s (of -s beyond 0) and the distance from it."""
     place = (-np.abs(shape) - LOWEST_SHAPE) * (_SHAPES / -LOWEST_SHAPE)
     node = np.clip(np.rint(place), 0, _SHAPES).astype(np.intp)
     return node, (place - node) * (-LOWEST_SHAPE / _SHAPES)
@@ -176,12 +165,12 @@ def _nearest(shape: Floats) -> tuple[NDArray[np.intp], Floats]:
 
 #: Order of a reported covariance.
 PARAMETERS = ("ln_peak", "ln_duration", "onset", "shape", "baseline")
-#: Shapes, and points of time, at which the information of a densely sampled pulse is worked out.
+#: Shapes, and points in time, of the information of a densely sampled pulse.
 _GRID, _POINTS = 241, 300
 
 
 def free_parameters(onset_known: bool, fit_baseline: bool) -> list[int]:
-    """Return the columns of (peak, ln width, place, shape, baseline) that are sought."""
+    """Return the columns of (peak, ln width, place, shape, baseline) that are fitted."""
     return [0, 1, *([] if onset_known else [2]), 3, *([4] if fit_baseline else [])]
 
 
@@ -195,7 +184,7 @@ def pulse_and_slopes(
     parameters : ndarray, (n, 5)
     times : ndarray, (n, n_samples)
     onset_known : bool
-        Then the place moves with width and shape.
+        Then the place follows from width and shape.
     fit_baseline : bool
 
     Returns
@@ -246,11 +235,22 @@ def covariance_of(
         turn[:, 2, 1], turn[:, 2, 2], turn[:, 2, 3] = -lead * width, 1.0, -lead_slope * width
     turn[:, 3, 3] = turn[:, 4, 4] = 1.0
     turn = turn[:, :, free_parameters(onset_known, fit_baseline)]
-    # Scaled to ones on the diagonal: peaks are newtons, shapes are ratios.
-    scale = np.sqrt(np.maximum(np.einsum("nii->ni", information), 1e-300))
-    unit = information / (scale[:, :, None] * scale[:, None, :]) + 1e-12 * np.eye(information.shape[1])
+    scale, unit = _scaled(information, 1e-12)
     inverse = np.linalg.inv(unit) / (scale[:, :, None] * scale[:, None, :])
     return np.asarray(turn @ inverse @ np.swapaxes(turn, 1, 2))
+
+
+def solve_scaled(information: Floats, right: Floats, ridge: Floats | float) -> Floats:
+    """Return the solutions (n, n_free) of `information @ x = right`, with a ridge in scaled parameters."""
+    scale, unit = _scaled(information, ridge)
+    return np.asarray(np.linalg.solve(unit, (right / scale)[..., None])[..., 0] / scale)
+
+
+def _scaled(information: Floats, ridge: Floats | float) -> tuple[Floats, Floats]:
+    """Return scales, and the information with ones on the diagonal, for peaks are newtons and shapes are ratios."""
+    scale = np.sqrt(np.maximum(np.einsum("nii->ni", information), 1e-300))
+    unit = information / (scale[:, :, None] * scale[:, None, :])
+    return scale, unit + ridge * np.eye(information.shape[1])
 
 
 @cache
@@ -270,7 +270,7 @@ def _shape_deviation() -> tuple[Floats, Floats]:
 
 
 def shape_deviation(shape: Floats) -> Floats:
-    """Return ln(standard deviation of s) of densely sampled pulses but for a constant, and two derivatives, (3, n)."""
+    """Return ln(standard deviation of s) of densely sampled pulses plus a constant, and two derivatives, (3, n)."""
     grid, held = _shape_deviation()
     place = (shape - LOWEST_SHAPE) / (grid[1] - grid[0])
     node = np.clip(place.astype(np.intp), 0, _GRID - 2)
@@ -280,9 +280,9 @@ def shape_deviation(shape: Floats) -> Floats:
 def shape_penalty(shape: Floats) -> tuple[Floats, Floats, Floats]:
     """Return the logarithm of Jeffreys' prior of the shape, its slope and its curvature (never above 0).
 
-    The likelihood alone is biased at first order, for where e is small the shape is hardly told and estimates stray to
-    ever smaller ones. Multiplied by Jeffreys' prior, one over the standard deviation of the shape, it is not (Firth
-    1993, Biometrika 80).
+    The maximum of the likelihood is biased at first order: where e is small the shape is hardly determined, and
+    estimates drift to ever smaller values. Jeffreys' prior, one over the standard deviation of the shape, removes the
+    bias (Firth 1993, Biometrika 80).
     """
     value, slope, curvature = shape_deviation(shape)
     return -value, -slope, np.minimum(-curvature, 0.0)

@@ -26,6 +26,7 @@ from cgid.measure.spectra import (
     THIRD_OCTAVE_SOURCE,
     THIRD_OCTAVES,
     EnergySpectrum,
+    frame_spectra,
     packet_energies,
     passage,
     third_octave,
@@ -63,20 +64,8 @@ EARLY_BANDS = ((0, 500), (500, 1000), (1000, 2000), (2000, 4000), (4000, 8000))
 class VibrationBatch(Frames):
     """Vibrations in frames, one impact each; each quantity is computed when it is first needed.
 
-    No row depends on the other rows of the batch.
-
-    Parameters
-    ----------
-    samples : ndarray, (n_signals, n_samples)
-        One impact's vibration per row.
-    sampling_rate : float
-        [Hz].
-    pre_trigger : int or None
-        Samples before touch. None: each row's own number, up to well before it first leaves its initial level.
-    remove_baseline : bool
-        Whether the mean before touch is subtracted.
-    detection_limit : float
-        The largest deviation must exceed this many standard deviations of the noise before touch.
+    Parameters are those of `Frames`. Without `pre_trigger`, each row is quiet up to well before it first leaves its
+    initial level. No row depends on the other rows of the batch.
     """
 
     # -- before touch ---------------------------------------------------------------------------------
@@ -321,14 +310,10 @@ class VibrationBatch(Frames):
         From the windowed event in frames of `DELAY_FRAME` under Hann bells, the first centred at the onset.
         """
         length = 2 * max(round(0.5 * DELAY_FRAME * self.sampling_rate), 1)
-        bell = np.sin(np.pi * (np.arange(length) + 0.5) / length) ** 2
         padded = np.pad(self.event * self._window, ((0, 0), (length // 2, length // 2)))
-        cut = np.lib.stride_tricks.sliding_window_view(padded, length, axis=1)[:, :: length // 2]
-        spectrum = EnergySpectrum.of((cut * bell).reshape(-1, length), self.sampling_rate, finer=2)
-        energy = MEL_BANDS.within(0.5 * self.sampling_rate).sums(
-            spectrum.energy.reshape(*cut.shape[:2], -1), spectrum.spacing
-        )
-        time = np.arange(cut.shape[1]) * (length // 2 / self.sampling_rate)
+        spacing, energy = frame_spectra(padded, length, self.sampling_rate)
+        energy = MEL_BANDS.within(0.5 * self.sampling_rate).sums(energy, spacing)
+        time = np.arange(energy.shape[1]) * (length // 2 / self.sampling_rate)
         total = np.maximum(energy.sum(axis=1), np.finfo(np.float64).tiny)
         return np.asarray((energy * time[:, None]).sum(axis=1) / total)
 
@@ -493,10 +478,7 @@ VIBRATION_FEATURES = (
         measure=lambda v: v.clean_spectrum.moments[1],
     ),
     _spectral(
-        "vibration_rolloff",
-        "Hz",
-        "85 % of the same energy lie below",
-        measure=lambda v: v.clean_spectrum.rolloff(0.85),
+        "vibration_rolloff", "Hz", "85 % of the same energy lie below", measure=lambda v: v.clean_spectrum.rolloff(0.85)
     ),
     _vibration(
         "time_to_first_maximum",

@@ -27,6 +27,8 @@ from cgid.measure.spectra import (
     THIRD_OCTAVES,
     EnergySpectrum,
     TriangularBands,
+    frame_spectra,
+    hann,
     packet_energies,
     third_octave,
 )
@@ -166,15 +168,10 @@ class WindowBatch:
     @cached_property
     def _frames(self) -> tuple[float, Floats]:
         """Width of a bin [Hz], and the mean square in each bin of each frame, (n_windows, n_frames, n_bins)."""
-        n_windows, n_samples = self.swing.shape
-        length = min(max(round(FRAME_TIME * self.sampling_rate), 2), n_samples)
-        bell = _hann(length)
-        cut = np.lib.stride_tricks.sliding_window_view(self.swing, length, axis=1)[:, :: max(length // 2, 1)]
-        # Zero-padded to twice the length: bins no wider than half the resolution of a frame.
-        spectrum = EnergySpectrum.of((cut * bell).reshape(-1, length), self.sampling_rate, finer=2)
-        power = spectrum.energy.reshape(n_windows, cut.shape[1], -1)
-        power *= self.sampling_rate / np.sum(bell**2)
-        return spectrum.spacing, power
+        length = min(max(round(FRAME_TIME * self.sampling_rate), 2), self.swing.shape[1])
+        spacing, power = frame_spectra(self.swing, length, self.sampling_rate)
+        power *= self.sampling_rate / np.sum(hann(length) ** 2)
+        return spacing, power
 
     @cached_property
     def spectrum(self) -> EnergySpectrum:
@@ -190,7 +187,7 @@ class WindowBatch:
     @cached_property
     def _fine_spectrum(self) -> EnergySpectrum:
         """Mean square in the narrow bins of the whole window [unit^2], without frames."""
-        bell = _hann(self.swing.shape[1])
+        bell = hann(self.swing.shape[1])
         spectrum = EnergySpectrum.of(self.swing * bell, self.sampling_rate)
         return EnergySpectrum(spectrum.spacing, spectrum.energy * (self.sampling_rate / np.sum(bell**2)))
 
@@ -250,11 +247,6 @@ class WindowBatch:
                 "cable"
             )
         return found
-
-
-def _hann(length: int) -> Floats:
-    """Return one period of the bell; it is never zero."""
-    return np.asarray(np.sin(np.pi * (np.arange(length) + 0.5) / length) ** 2)
 
 
 def _over_frames(levels: Floats) -> tuple[Floats, Floats]:

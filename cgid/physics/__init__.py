@@ -1,4 +1,4 @@
-"""One impact: its pulse, its peaks, its rebound, and how they hang on the material."""
+"""Physics of an impact: pulse, peaks and rebound, from materials and geometry."""
 
 from cgid.physics.bodies import RIGID, HalfSpace, RigidWall, Sphere, ThinPlate
 from cgid.physics.closed_forms import damping_number, delivered_restitution

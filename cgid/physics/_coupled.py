@@ -415,7 +415,7 @@ def _pressed(s: Scratch) -> bool:
 
 @inner_jit
 def _guess(p: Problem, kind: int, h: float, state: Array, s: Scratch) -> None:
-    """Start Newton from a sphere that is braked by the force of this moment, on a beam that goes on as it does."""
+    """Fill s.force with a start for Newton: the sphere braked by the present force, the beam at constant velocity."""
     rate = state[_Y] - s.free[0]
     start = _cubed_root(state[_X]) * (1.0 + p.damping * rate)
     for i in range(s.force.size):

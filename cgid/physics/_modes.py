@@ -65,8 +65,8 @@ def standard_form(factor: Array, mass: Array, out: Array) -> None:
 
 
 @jit
-def tridiagonalise(matrix: Array, diagonal: Array, beside: Array, factors: Array) -> None:
-    """Reduce a symmetric matrix (n, n) to a tridiagonal one: diagonal (n,) and off-diagonal `beside` (n - 1,).
+def tridiagonalise(matrix: Array, diagonal: Array, off_diagonal: Array, factors: Array) -> None:
+    """Reduce a symmetric matrix (n, n) to a tridiagonal one: diagonal (n,) and off-diagonal (n - 1,).
 
     Row k of the matrix then holds the vector v of reflection k from entry k + 1 on, `I - factor v v'`, factors (n,).
     """
@@ -80,11 +80,11 @@ def tridiagonalise(matrix: Array, diagonal: Array, beside: Array, factors: Array
         for i in range(1, v.size):
             square += v[i] * v[i]
         if square == 0.0:
-            beside[k] = v[0]
+            off_diagonal[k] = v[0]
             continue
         length = math.sqrt(v[0] * v[0] + square)
-        beside[k] = -length if v[0] > 0.0 else length
-        v[0] -= beside[k]
+        off_diagonal[k] = -length if v[0] > 0.0 else length
+        v[0] -= off_diagonal[k]
         factor = 2.0 / (v[0] * v[0] + square)
         factors[k] = factor
         p = product[: v.size]
@@ -121,13 +121,13 @@ def _count_above(diagonal: Array, squares: Array, value: float, least: float) ->
 
 
 @jit
-def largest(diagonal: Array, beside: Array, lowest: float, out: Array) -> int:
+def largest(diagonal: Array, off_diagonal: Array, lowest: float, out: Array) -> int:
     """Fill out (n,) with the eigenvalues above the lowest, falling; return how many there are."""
-    squares = beside * beside
+    squares = off_diagonal * off_diagonal
     high, low = diagonal[0], diagonal[0]
     for k in range(diagonal.size):  # Gershgorin's circles
-        reach = abs(beside[k - 1]) if k > 0 else 0.0
-        reach += abs(beside[k]) if k < beside.size else 0.0
+        reach = abs(off_diagonal[k - 1]) if k > 0 else 0.0
+        reach += abs(off_diagonal[k]) if k < off_diagonal.size else 0.0
         high, low = max(high, diagonal[k] + reach), min(low, diagonal[k] - reach)
     lowest = max(lowest, low - 1e-12 * (abs(high) + abs(low)) - 1e-290)
     high += 1e-12 * (abs(high) + abs(low)) + 1e-290
@@ -146,14 +146,16 @@ def largest(diagonal: Array, beside: Array, lowest: float, out: Array) -> int:
 
 
 @jit
-def _solve_shifted(diagonal: Array, beside: Array, shift: float, least: float, room: Array, x: Array) -> None:
-    """Solve (T - shift I) x = x in place by elimination with row exchanges; room is (3, n)."""
+def _solve_shifted(
+    diagonal: Array, off_diagonal: Array, shift: float, least: float, workspace: Array, x: Array
+) -> None:
+    """Solve (T - shift I) x = x in place by elimination with row exchanges; workspace is (3, n)."""
     n = diagonal.size
-    pivot, next_to, behind = room[0], room[1], room[2]
-    pivot[0], next_to[0], behind[:] = diagonal[0] - shift, beside[0] if n > 1 else 0.0, 0.0
+    pivot, next_to, behind = workspace[0], workspace[1], workspace[2]
+    pivot[0], next_to[0], behind[:] = diagonal[0] - shift, off_diagonal[0] if n > 1 else 0.0, 0.0
     for k in range(n - 1):
-        below, own = beside[k], diagonal[k + 1] - shift
-        after = beside[k + 1] if k + 1 < n - 1 else 0.0
+        below, own = off_diagonal[k], diagonal[k + 1] - shift
+        after = off_diagonal[k + 1] if k + 1 < n - 1 else 0.0
         if abs(pivot[k]) >= abs(below):
             if abs(pivot[k]) < least:
                 pivot[k] = least
@@ -178,10 +180,10 @@ def _solve_shifted(diagonal: Array, beside: Array, shift: float, least: float, r
 
 
 @jit
-def vectors(diagonal: Array, beside: Array, values: Array, out: Array) -> None:
+def vectors(diagonal: Array, off_diagonal: Array, values: Array, out: Array) -> None:
     """Fill out (n_values, n) with the unit vectors of the tridiagonal matrix that belong to falling eigenvalues."""
     n = diagonal.size
-    room = np.empty((3, n))
+    workspace = np.empty((3, n))
     scale = max(abs(values[0]), abs(values[-1])) if values.size else 0.0
     least = 1e-300 + 1e-16 * scale
     first, shift = 0, 0.0
@@ -194,7 +196,7 @@ def vectors(diagonal: Array, beside: Array, values: Array, out: Array) -> None:
         for i in range(n):
             x[i] = 0.5 + ((i * 40503 + number * 30011) % 65536) / 65536.0
         for _ in range(_ITERATIONS):
-            _solve_shifted(diagonal, beside, shift, least, room, x)
+            _solve_shifted(diagonal, off_diagonal, shift, least, workspace, x)
             size = 0.0
             for i in range(n):
                 size = max(size, abs(x[i]))

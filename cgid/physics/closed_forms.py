@@ -228,6 +228,6 @@ def peak_force(damping: ArrayLike) -> Floats:
 
 
 def _over_square(values: Floats, damping: Floats, limit: float) -> Floats:
-    """Return values / D^2, its limit where D is so small that it is reached; neither square over- nor underflows."""
+    """Return values / D^2, and its limit for the smallest D; the square neither over- nor underflows."""
     safe = np.maximum(damping, 1e-150)
     return np.asarray(np.where(damping > 1e-150, values / safe / safe, limit))

@@ -181,7 +181,7 @@ class ModalImpact(Impact):
         rigid = super().curves
         frequency, damping_ratio, compliance = self._modes(shape)
         window = USUAL_WINDOW if self.window is None else np.asarray(self.window) / self.time_scale
-        return _solve(
+        return solve(
             frequency,
             damping_ratio,
             # A copy: for a read-only array the kernel would be compiled once more.
@@ -344,7 +344,7 @@ class ModalCurves(Curves):
         in_threads(kernel(_coupled, "add_to_frames", *frames.shape), numbers, np.arange(len(frames)), threads)
 
 
-def _solve(
+def solve(
     frequency: Floats,
     damping_ratio: Floats,
     participation: Floats,

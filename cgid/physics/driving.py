@@ -32,7 +32,7 @@ class Pulses(Protocol):
         """From the first touch to the last separation [s], (n,)."""
 
     def add_to_frames(self, frames: NDArray[Any], sampling_rate: Any, onset: Any, *, tolerance: float) -> None:
-        """Add the forces to frames (n, n_samples), each at a sampling rate of its own, to an error over the peak."""
+        """Add the forces to frames (n, n_samples), each at its own sampling rate, within an error over the peak."""
 
 
 def steps_for(tolerance: float) -> int:
@@ -46,7 +46,7 @@ def steps_for(tolerance: float) -> int:
 
 @dataclass(frozen=True)
 class DrivenSample:
-    """Effect of a sample of some steps on all poles: see `Response._driven`."""
+    """Effect of a sample of some steps on all poles; `Response._driven` describes the arrays."""
 
     polynomials: Floats
     shares: Floats
@@ -120,7 +120,21 @@ def _phi(x: Complex) -> tuple[Complex, Complex]:
 
 @dataclass(frozen=True)
 class Windows:
-    """The forces of n pulses, each on its own grid with as many steps per sample as its contact needs."""
+    """The forces of n pulses, each on its own grid with as many steps per sample as its contact needs.
+
+    Attributes
+    ----------
+    first, count : ndarray of int, (n,)
+        First sample of each grid, and its samples.
+    stride : ndarray of int, (n,)
+        Steps per sample, a power of 2.
+    strides : ndarray of int, (n_levels,)
+        The different strides, ascending.
+    level : ndarray of int, (n,)
+        Index of each stride among them.
+    force, drive : ndarray, (n, n_steps)
+        Force [N], and the force corrected for linear interpolation.
+    """
 
     first: NDArray[np.int64]
     count: NDArray[np.int64]
@@ -139,7 +153,7 @@ def windows_of(pulses: Pulses, onset: Floats, sampling_rate: float, tolerance: f
     if (needed >= 31).any() or (1 << needed.max(initial=0)) > _MOST_STRIDE:
         shortest = float(pulses.contact_duration.min())
         raise InvalidValue(
-            f"sampling_rate must give a contact a {_MOST_STRIDE}th of a sample at least, got {sampling_rate:g} Hz for "
+            f"sampling_rate must give a contact at least a {_MOST_STRIDE}th of a sample, got {sampling_rate:g} Hz for "
             f"one of {shortest:.3g} s; raise it"
         )
     stride = np.int64(1) << needed

@@ -5,7 +5,7 @@ from __future__ import annotations
 import warnings
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, DTypeLike, NDArray
@@ -14,9 +14,9 @@ from cgid import validation
 from cgid.elementary import power
 from cgid.errors import InvalidValue
 from cgid.physics import bodies
-from cgid.physics.bodies import HalfSpace, RigidWall, Sphere, Target, ThinPlate
+from cgid.physics.bodies import Sphere, Target, ThinPlate
 from cgid.physics.curves import Curves, Quantity
-from cgid.physics.laws import Dissipation, Elastic, HuntCrossley, Viscoelastic, contact_stiffness
+from cgid.physics.laws import Dissipation, Viscoelastic, contact_stiffness
 from cgid.validation import Floats
 
 #: A weight g L / v^2 below this, times e^0.6, is neglected: over the contact it changes the speed by 3e-12 of it.
@@ -99,8 +99,8 @@ class Impact:
 
     def __post_init__(self) -> None:
         validation.instance("sphere", self.sphere, Sphere)
-        validation.instance("target", self.target, HalfSpace, ThinPlate, Sphere, RigidWall)
-        validation.instance("dissipation", self.dissipation, Elastic, HuntCrossley, Viscoelastic)
+        validation.instance("target", self.target, *get_args(Target))
+        validation.instance("dissipation", self.dissipation, *get_args(Dissipation))
         validation.positive("velocity", self.velocity, "m/s")
         validation.not_negative("gravity", self.gravity, "m/s^2")
         validation.hold(self, "velocity", "gravity")
@@ -317,7 +317,7 @@ class Impact:
         dtype : {"float64", "float32"}
             Of the result.
         threads : int
-            How many threads share the impacts.
+            Threads that share the impacts.
 
         Returns
         -------
@@ -369,7 +369,7 @@ class Impact:
             Time of touch within the frame [s]; it may lie outside of the frame.
         dtype : {"float64", "float32"}
         threads : int
-            How many threads share the impacts.
+            Threads that share the impacts.
 
         Returns
         -------
@@ -417,7 +417,7 @@ class Impact:
         self._curves_of(leading, index).add_to_frames(rows, place, step, height, threads, tolerance)
 
     def _broadcast_with(self, **other: Floats) -> tuple[tuple[int, ...], NDArray[np.intp]]:
-        """Return the shape of the impacts and another array together, and which impact stands at each place."""
+        """Return the shape of the impacts and another array together, and the impact at each place."""
         leading = validation.broadcast(impacts=self.reduced_mass, **other)[0].shape
         numbers = np.arange(self.reduced_mass.size).reshape(self.reduced_mass.shape)
         return leading, np.broadcast_to(numbers, leading).ravel()

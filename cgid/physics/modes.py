@@ -305,14 +305,14 @@ def frequency_response(
     1j
     """
     validation.choice("quantity", quantity, DERIVATIVES)
-    asked = np.atleast_1d(validation.not_negative("frequency", frequency, "Hz"))
+    omega = 2 * np.pi * np.atleast_1d(validation.not_negative("frequency", frequency, "Hz"))[:, None]
     natural, damping = (np.asarray(part, dtype=np.float64) for part in (modes.frequency, modes.damping_ratio))
     if participation.shape[-1:] != natural.shape:
         raise InvalidValue(
             f"participation must have one number for each of the {natural.size} modes in its last axis, got shape "
             f"{participation.shape}"
         )
-    omega, natural = 2 * np.pi * asked[:, None], 2 * np.pi * natural
+    natural = 2 * np.pi * natural
     each = (1j * omega) ** DERIVATIVES[quantity] / (natural**2 - omega**2 + 2j * damping * natural * omega)
     # Not a matrix product, whose last bits depend on the library and its threads.
     return np.asarray(np.einsum("...m,fm->...f", participation, each))

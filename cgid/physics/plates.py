@@ -357,9 +357,9 @@ def eigenvalues(matrix: Floats, lowest: float = -np.inf) -> Floats:
 
 def eigenpairs(matrix: Floats, lowest: float = -np.inf) -> tuple[Floats, Floats]:
     """Return the same and their unit vectors, (n, n_values)."""
-    diagonal, beside, values, factors = _tridiagonal(matrix, lowest)
+    diagonal, off_diagonal, values, factors = _tridiagonal(matrix, lowest)
     rows = np.empty((values.size, len(matrix)))
-    _modes.vectors(diagonal, beside, values, rows)
+    _modes.vectors(diagonal, off_diagonal, values, rows)
     columns = np.ascontiguousarray(rows.T)
     _modes.turned_back(matrix, factors, columns)
     return values, columns
@@ -367,9 +367,9 @@ def eigenpairs(matrix: Floats, lowest: float = -np.inf) -> tuple[Floats, Floats]
 
 def _tridiagonal(matrix: Floats, lowest: float) -> tuple[Floats, Floats, Floats, Floats]:
     n = len(matrix)
-    diagonal, beside, factors, values = np.empty(n), np.empty(n - 1), np.empty(n), np.empty(n)
-    _modes.tridiagonalise(matrix, diagonal, beside, factors)
-    return diagonal, beside, values[: _modes.largest(diagonal, beside, lowest, values)], factors
+    diagonal, off_diagonal, factors, values = np.empty(n), np.empty(n - 1), np.empty(n), np.empty(n)
+    _modes.tridiagonalise(matrix, diagonal, off_diagonal, factors)
+    return diagonal, off_diagonal, values[: _modes.largest(diagonal, off_diagonal, lowest, values)], factors
 
 
 def _settled(coarse: Floats, fine: Floats) -> bool:

@@ -294,9 +294,9 @@ class Response:
         rows : ndarray of int, (n,), optional
             The frame of each pulse; the pulses in order by default. A frame may have any number of them.
         ratio : ndarray, (n,), optional
-            What each force is multiplied by.
+            Factor of each force.
         threads : int
-            How many threads share the frames.
+            Threads that share the frames.
         """
         from cgid.physics import _response
 

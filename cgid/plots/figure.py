@@ -1,11 +1,4 @@
-"""Figures: matplotlib without a screen, colours that everybody can tell apart, text of strangers, bytes of a file.
-
-How a model did, in pictures.
-
-Frequency responses.
-
-The ceiling of a scene against what could be improved.
-"""
+"""Matplotlib without a screen, colours and file formats; pictures of models, responses and ceilings."""
 
 from __future__ import annotations
 
@@ -20,20 +13,20 @@ from numpy.typing import NDArray
 from cgid.errors import MissingExtra
 from cgid.validation import Floats
 
-#: Blue, vermilion, green, purple, sky, orange of Okabe and Ito (jfly.uni-koeln.de/color, 2008): told apart by people of
-#: every colour vision.
+#: Blue, vermilion, green, purple, sky, orange of Okabe and Ito (jfly.uni-koeln.de/color, 2008), which people with every
+#: kind of colour vision can tell apart.
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#e69f00")
-#: What is no label of a model.
+#: Colour of everything that is no label of a model.
 NEUTRAL = "#555555"
-#: Kinds of pictures by the ending of a file's name, and what is left out so that equal figures give equal bytes.
+#: Formats by the ending of a file's name, with the metadata to leave out so that equal figures give equal bytes.
 FORMATS: dict[str, dict[str, None]] = {
     ".png": {"Software": None},
     ".svg": {"Date": None},
     ".pdf": {"CreationDate": None},
 }
-#: Families that also write Chinese, which matplotlib's own does not; the first that is installed helps out.
-_CHINESE = ("Noto Sans CJK SC", "Source Han Sans SC", "WenQuanYi Zen Hei", "WenQuanYi Micro Hei", "Microsoft YaHei")
-_CHINESE_TOO = ("SimHei", "PingFang SC", "Heiti SC", "Arial Unicode MS", "Droid Sans Fallback")
+#: Fonts with Chinese characters, which matplotlib's own font lacks; the first installed one is the fallback.
+_CHINESE = ("Noto Sans CJK SC", "Source Han Sans SC", "WenQuanYi Zen Hei", "WenQuanYi Micro Hei", "Microsoft YaHei",
+            "SimHei", "PingFang SC", "Heiti SC", "Arial Unicode MS", "Droid Sans Fallback")  # fmt: skip
 
 
 def require_matplotlib() -> Any:
@@ -60,13 +53,13 @@ def picture(figure: Any, suffix: str, dpi: float = 120) -> bytes:
     suffix : str
         One of `FORMATS`.
     dpi : float
-        Dots an inch, of a PNG picture and of what is dots in the others.
+        Dots per inch of a PNG picture, and of rasterized parts in the other formats.
     """
     from matplotlib import rc_context
 
     stream = io.BytesIO()
     with rc_context({"svg.hashsalt": "cgid", "font.family": _families()}), warnings.catch_warnings():
-        # A sign that no font has is drawn as a box, which says enough.
+        # A character that no font has is drawn as a box.
         warnings.filterwarnings("ignore", message=r"Glyph \d+")
         figure.savefig(stream, format=suffix[1:], dpi=dpi, metadata=FORMATS[suffix])
     return stream.getvalue()
@@ -78,7 +71,7 @@ def png(figure: Any) -> bytes:
 
 
 def colours_of(labels: Iterable[str]) -> dict[str, str]:
-    """Return a colour for each label, in the order of the alphabet; "unknown" is grey.
+    """Return a colour for each label, in alphabetical order; "unknown" is grey.
 
     Examples
     --------
@@ -92,14 +85,14 @@ def colours_of(labels: Iterable[str]) -> dict[str, str]:
 
 
 def plain(text: str, longest: int = 80) -> str:
-    r"""Return text of a stranger as one line of at most so many signs.
+    r"""Return untrusted text as one printable line of at most `longest` characters.
 
     Examples
     --------
     >>> plain("a\x00 file\n"), plain("a rather long name.wav", 11)
     ('a file', 'a rat….wav')
     """
-    line = " ".join("".join(sign if sign.isprintable() else " " for sign in text).split())
+    line = " ".join("".join(character if character.isprintable() else " " for character in text).split())
     half = longest // 2
     return line if len(line) <= longest else f"{line[:half]}…{line[1 - half :]}"
 
@@ -108,18 +101,18 @@ def _families() -> list[str]:
     from matplotlib import font_manager, rcParams
 
     installed = {font.name for font in font_manager.fontManager.ttflist}
-    return [*rcParams["font.family"], *(name for name in (*_CHINESE, *_CHINESE_TOO) if name in installed)][:2]
+    return [*rcParams["font.family"], *(name for name in _CHINESE if name in installed)][:2]
 
 
 def judgement_pictures(
     labels: NDArray[np.str_], probabilities: Floats, classes: tuple[str, ...], metrics: dict[str, Any]
 ) -> dict[str, bytes]:
-    """Return PNG pictures of how a model did: "confusion", "reliability" and "roc".
+    """Return PNG pictures of a model's test: "confusion", "reliability" and "roc".
 
     Parameters
     ----------
     labels : ndarray of str, (n_impacts,)
-        The truth.
+        True labels.
     probabilities : ndarray, (n_impacts, n_classes)
     classes : tuple of str
     metrics : dict
@@ -178,18 +171,18 @@ def frequency_response_picture(frequency: Floats, responses: Mapping[str, NDArra
     frequency : ndarray, (n_frequencies,)
         [Hz], above 0.
     responses : dict of ndarray of complex, (n_frequencies,)
-        By the name that the picture gives them.
+        By their names in the legend.
     unit : str
-        Of the responses, as "m/s^2/N"; 0 dB is one of it.
+        Of the responses, such as "m/s^2/N"; 0 dB is one unit.
     """
     figure = require_matplotlib()(figsize=(7.2, 5.0), layout="constrained")
     level, phase = figure.subplots(2, 1, sharex=True, height_ratios=(2, 1))
     for name, response in responses.items():
-        # A node is no response at all; the picture leaves it out.
+        # At a node of a mode the response is 0 and has no level.
         height = np.where(response == 0, np.nan, np.abs(response))
         level.plot(frequency, 20 * np.log10(height), lw=1, label=name)
         degrees = np.degrees(np.angle(response))
-        # Broken where it jumps from one end of the circle to the other.
+        # The line is broken where the phase wraps around.
         degrees[1:][np.abs(np.diff(degrees)) > 180] = np.nan
         phase.plot(frequency, degrees, lw=1)
     level.set(ylabel=f"dB re 1 {unit}", xscale="log", xlim=(frequency[0], frequency[-1]))
@@ -207,11 +200,11 @@ def survey_picture(points: Mapping[str, Sequence[Any]], present: Mapping[str, fl
     Parameters
     ----------
     points : dict
-        Of the axes "snr", "sampling_rate", "size_spread" the points (`cgid.ceiling.survey.Point`).
+        Points (`cgid.ceiling.survey.Point`) of the axes "snr", "sampling_rate" and "size_spread".
     present : dict of float
-        Where the scene stands on each axis.
+        Value of the scene on each axis.
     here : Point
-        The scene as it is.
+        Ceiling of the scene as it is.
     """
     titles = {
         "snr": "peak over noise [dB]",

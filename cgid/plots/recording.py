@@ -1,9 +1,4 @@
-"""What a recording looks like: waveform, spectrogram and spectrum of its channels, and what was found in it.
-
-A long recording with its truth.
-
-The share of gangue as it goes on, and when to shut the window.
-"""
+"""Pictures of recordings: waveform, spectrogram and spectrum with impacts marked, and the share of gangue over time."""
 
 from __future__ import annotations
 
@@ -23,39 +18,38 @@ from cgid.validation import Floats
 if TYPE_CHECKING:
     from cgid.identification.share import Share, Turn
 
-#: More channels than these in one picture cannot be read.
+#: A picture with more channels is illegible.
 MOST_CHANNELS = 8
-#: Signs of a label beside its row.
+#: Characters of a channel's name in a legend.
 _LONGEST_LABEL = 32
-#: Levels further below the highest than this are all drawn alike [dB], and the scale is never shorter than that.
+#: Longest and shortest scale of levels [dB].
 _DEEPEST, _SHALLOWEST = 90.0, 30.0
-#: Where a channel has at most so many marks, and these leave room, they are drawn through its waveform, too.
+#: Up to this many marks, if they leave room, are also drawn through the waveform of a channel.
 _FEW_MARKS = 150
-#: A mark is at least this part of the time axis wide, to be seen: among few, and among many.
+#: Smallest width of a mark, as a part of the time axis: with few marks, and with many.
 _NARROWEST_MARK = (3e-3, 1.2e-3)
-#: Shorter recordings have an axis in milliseconds [s].
+#: The time axis of shorter recordings is in milliseconds [s].
 _MILLISECONDS_BELOW = 0.5
-#: Inches.
+#: Sizes [inches].
 _WIDTH, _TITLE, _STRIP_ROW, _WAVEFORM, _SPECTROGRAM, _SPECTRUM = 11.0, 0.6, 0.19, 1.5, 1.9, 2.7
-#: So many channels have rows of full size, of more they are this part of it.
+#: Up to this many channels have rows of full size; the rows of more are reduced by this factor.
 _FULL_SIZE, _SHRUNK = 3, 0.65
-#: Inches that a row needs for what is written between it and the next.
+#: Room for text between two rows [inches].
 _ROOM = 0.35
 _WAVEFORM_COLOUR = "#303030"
 
 
 @dataclass(frozen=True, kw_only=True)
 class Mark:
-    """Something that a recording holds.
+    """A labelled interval of a recording, such as an impact.
 
     Attributes
     ----------
     time, end : float
-        When it begins and ends [s].
+        [s].
     label : str
-        What it is.
     channel : str or None
-        Name of the channel; None stands for all of them.
+        Name of the channel; None for all channels.
     """
 
     time: float
@@ -81,9 +75,9 @@ def overview_figure(
     channels : sequence of Channel
         Of the overview, in order.
     title, facts : str
-        Stand above it, in a line each.
+        Two lines above the figure.
     marks : sequence of Mark
-        Those of each channel lie above its waveform, a row for each label.
+        Drawn above the waveform of their channel, with a row for each label.
     begin : float
         Time of the first sample of the overview [s].
 
@@ -129,18 +123,18 @@ class Clock:
         self.limits = (begin * self.factor, end * self.factor)
 
     def of(self, times: Floats) -> Floats:
-        """Return times since the first sample of the overview as the axis has them."""
+        """Return times since the first sample of the overview in the unit of the axis."""
         return np.asarray((times + self.begin) * self.factor)
 
 
 def draw_waveform(axes: Any, overview: Overview, k: int, channel: Channel, clock: Clock) -> None:
-    """Draw lowest and highest sample of each column of channel `k`, or the samples where each is a column."""
+    """Draw the lowest and highest sample of each column of channel `k`, or single samples if they fit."""
     edges = clock.of(overview.waveform_edges)
     lowest, highest = overview.lowest[k], overview.highest[k]
     if overview.waveform_step == 1:
         axes.plot(edges[:-1], lowest, color=_WAVEFORM_COLOUR, lw=0.8, marker="." if lowest.size < 3 else None)
     else:
-        # Columns that do not overlap would leave gaps where the waveform is steep.
+        # Neighbouring columns must overlap, or a steep waveform would have gaps.
         low, high = lowest.copy(), highest.copy()
         low[1:] = np.minimum(low[1:], highest[:-1])
         high[1:] = np.maximum(high[1:], lowest[:-1])
@@ -153,7 +147,7 @@ def draw_waveform(axes: Any, overview: Overview, k: int, channel: Channel, clock
 
 
 def draw_spectrogram(axes: Any, scale: Any, overview: Overview, k: int, channel: Channel, clock: Clock) -> None:
-    """Draw the spectrogram of channel `k`, and its scale of levels on axes of their own."""
+    """Draw the spectrogram of channel `k`, and its colour scale on other axes."""
     density = overview.spectrogram[k]
     if not density.size or not density.max() > 0:
         _nothing(axes, overview, "spectrogram")
@@ -173,7 +167,7 @@ def draw_spectrogram(axes: Any, scale: Any, overview: Overview, k: int, channel:
 
 
 def draw_marks(axes: Any, marks: Sequence[Mark], colours: Mapping[str, str], clock: Clock) -> None:
-    """Draw marks, a row for each label, with how many there are of it."""
+    """Draw marks, with a row and their number for each label."""
     narrowest = _NARROWEST_MARK[len(marks) > _FEW_MARKS] * (clock.limits[1] - clock.limits[0])
     names = []
     for row, (label, colour) in enumerate(colours.items()):
@@ -231,19 +225,19 @@ def _spectrum(axes: Any, overview: Overview, channels: Sequence[Channel]) -> Non
 
 
 def _decibels(density: Floats, highest: float) -> Floats:
-    """Return levels [dB]; nothing at all is far below the highest."""
+    """Return levels [dB], with a finite one for a density of 0."""
     return 10 * np.log10(np.maximum(density, highest * 10 ** (-_DEEPEST / 10 - 3)))
 
 
 def _limits(extremes: Floats) -> tuple[float, float]:
-    """Return limits of a scale of levels: multiples of 5 dB, neither too near each other nor too far apart."""
+    """Return the limits of a scale of levels: multiples of 5 dB, within the shortest and the longest scale."""
     top = 5.0 * float(np.ceil(extremes[1] / 5))
     bottom = 5.0 * float(np.floor(extremes[0] / 5))
     return min(max(bottom, top - _DEEPEST), top - _SHALLOWEST), top
 
 
 def _write_frequencies(axis: Any) -> None:
-    """Write 200 and 2k, not powers of ten."""
+    """Label an axis with 200 and 2k instead of powers of ten."""
     from matplotlib.ticker import EngFormatter, LogLocator, NullFormatter
 
     low, high = axis.get_view_interval()
@@ -268,7 +262,7 @@ def _quantity(channel: Channel) -> str:
 
 
 def hertz(frequency: float, digits: int = 6) -> str:
-    """Return a frequency as it is read best.
+    """Return a frequency with its unit, Hz or kHz.
 
     Examples
     --------
@@ -279,7 +273,7 @@ def hertz(frequency: float, digits: int = 6) -> str:
 
 
 def written(unit: str | None) -> str:
-    """Return a unit as it is written by hand."""
+    """Return a unit with the usual symbols."""
     if unit is None:
         return "unit not said"
     return unit.replace("s**2", "s²").replace("s^2", "s²").replace("s2", "s²").replace("um", "µm").replace("uV", "µV")
@@ -291,13 +285,13 @@ def _density(unit: str | None) -> str:
 
 
 def recording_picture(recording: Signal, truth: Mapping[str, NDArray[Any]]) -> bytes:
-    """Return a PNG picture of a long recording: its impacts, waveform, spectrogram, shares of the labels.
+    """Return a PNG picture of a generated recording: impacts, waveform, spectrogram and shares of the labels.
 
     Parameters
     ----------
     recording : Signal
     truth : dict of ndarray, each (n_impacts,)
-        time [s], bounce and label of every impact, as a recording of `cgid generate` holds them.
+        time [s], bounce and label of every impact, as stored by `cgid generate`.
     """
     stream = OverviewStream(recording.sampling_rate)
     stream.feed(recording.samples[np.newaxis])
@@ -342,8 +336,8 @@ def _shares(
     axes.legend(fontsize="small", loc="center left")
 
 
-#: Inches; the panels are as wide as those of the recording.
-_WIDTH_share, _PANEL, _TITLE_share = 11.0, 1.9, 0.5
+#: Height of a panel of shares and of the title above [inches].
+_SHARE_PANEL, _SHARE_TITLE = 1.9, 0.5
 _LINE, _LIMIT = COLOURS[0], COLOURS[1]
 
 
@@ -360,7 +354,7 @@ def share_figure(
     duration : float
         Of the recording [s].
     threshold : float, optional
-        The share above which going on costs more than it brings.
+        Share above which further caving costs more than it brings.
 
     Raises
     ------
@@ -368,7 +362,7 @@ def share_figure(
         matplotlib is not installed.
     """
     names = list(dict.fromkeys(share.channel for share in shares))[:MOST_CHANNELS]
-    figure = require_matplotlib()(figsize=(_WIDTH_share, _TITLE_share + _PANEL * len(names)), layout="constrained")
+    figure = require_matplotlib()(figsize=(_WIDTH, _SHARE_TITLE + _SHARE_PANEL * len(names)), layout="constrained")
     clock = Clock(0.0, duration)
     panels = figure.subplots(len(names), 1, sharex=True, squeeze=False)[:, 0]
     for axes, name in zip(panels, names, strict=True):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -35,7 +35,7 @@ class Quantity:
 
     @property
     def title(self) -> str:
-        """What stands at an axis."""
+        """Label of an axis."""
         return f"{self.label} [{self.shown_unit}]" if self.shown_unit else self.label
 
 
@@ -119,7 +119,7 @@ def frame(columns: Mapping[str, ArrayLike]) -> Any:
     return pd.DataFrame({name: array.ravel() for name, array in zip(columns, arrays, strict=True)})
 
 
-def joined(frames: list[Any]) -> Any:
+def joined(frames: Iterable[Any]) -> Any:
     """Return data frames below each other."""
     import pandas as pd
 
@@ -143,33 +143,32 @@ _MARKUP = re.compile(r"[${}_^]|\\[a-z]+")
 
 @dataclass(frozen=True, kw_only=True)
 class Lines:
-    """A panel of one line for each value of the column `by` (one line if it is empty), of the rows `where` holds.
+    """A panel of lines, one for each value of the column `by`, or a single line if `by` is empty.
 
     Parameters
     ----------
     x, y : str
         Columns.
     by : str
-        Column that tells the lines apart.
     where : mapping of str to object
-        Columns and the value that the rows of this panel have there.
+        Values that the rows of this panel have in some columns.
     title : str
     labels : mapping
-        From a value of `by` to what the legend says.
+        From a value of `by` to its text in the legend.
     marker : str
-        "." or "o" marks every point; "end" the last of a line, the first lines lying on top.
+        "." or "o" marks every point; "end" the last point of each line, with the first lines on top.
     label : str
-        What the legend says of a line that is alone (`by` is empty); nothing if it is empty, too.
+        Text in the legend of a single line; none if empty.
     colour, style : str
-        Of matplotlib; without a colour each line of a panel has its own.
+        Of matplotlib; by default each line of a panel has its own colour.
     width : float
         [points].
     over : tuple of Lines
         More lines for this panel, drawn on top.
     diagonal : bool
-        Whether a grey line shows where both axes are equal.
+        Draw a grey line where both axes are equal.
     logarithmic : bool
-        Whether the x axis is.
+        Make the x axis logarithmic.
     """
 
     x: str
@@ -190,7 +189,7 @@ class Lines:
 
 @dataclass(frozen=True, kw_only=True)
 class Surface:
-    """A response surface `z(x, y)` over the full grid of the rows `where` holds."""
+    """A response surface `z(x, y)`, from rows (see `Lines.where`) that form a full grid."""
 
     x: str
     y: str
@@ -235,6 +234,32 @@ class PaperFigure:
     highest_strain: float
 
 
+#: Data, panels, and the largest displacement over radius of a figure.
+Drawn = tuple[Any, Sequence[Panel], float]
+
+
+class Figures(dict[str, Callable[..., PaperFigure]]):
+    """How to make figures, by the name of their files."""
+
+    def add(
+        self, name: str, title: str, note: str = "", caption: str = "", *, columns: int = 1, **arguments: Any
+    ) -> Callable[[Callable[..., Drawn]], Callable[..., Drawn]]:
+        """Return a decorator that adds the figure that a function draws if called with these arguments."""
+
+        def register(function: Callable[..., Drawn]) -> Callable[..., Drawn]:
+            def make(*of: Any) -> PaperFigure:
+                data, panels, strain = function(*of, **arguments)
+                return PaperFigure(
+                    name=name, title=title, note=note, caption=caption, data=data, panels=tuple(panels),
+                    columns=columns, highest_strain=strain,
+                )  # fmt: skip
+
+            self[name] = make
+            return function
+
+        return register
+
+
 def draw(drawn: PaperFigure) -> bytes:
     """Return a figure as a PNG picture.
 
@@ -269,7 +294,7 @@ def drawing(drawn: PaperFigure) -> Any:
 
 
 def _legend(figure: Any, named: Mapping[str, Any]) -> float:
-    """Put one legend below all panels, which have the same lines, and return its height [inches]."""
+    """Put one legend of these lines below all panels, and return its height [inches]."""
     if not named:
         return 0.0
     width, height = figure.get_size_inches()
@@ -310,7 +335,7 @@ def _chosen(data: Any, panel: Panel) -> Any:
 
 
 def _panel(axes: Any, data: Any, panel: Lines) -> dict[str, Any]:
-    """Draw a panel of lines, and what lies over them, and return what the legend names."""
+    """Draw a panel of lines and those over them, and return the lines of the legend by name."""
     named: dict[str, Any] = {}
     for level, lines in enumerate((panel, *panel.over)):
         named |= _lines(axes, _chosen(data, lines), lines, zorder=2.0 + level)
@@ -319,14 +344,14 @@ def _panel(axes: Any, data: Any, panel: Lines) -> dict[str, Any]:
     if panel.logarithmic:
         axes.set_xscale("log")
     axes.set(xlabel=QUANTITIES[panel.x].title, ylabel=QUANTITIES[panel.y].title)
-    # Its height is said, or matplotlib would look for room above the axes, which takes long.
+    # With a given height matplotlib does not search for room above the axes, which takes long.
     axes.set_title(panel.title, fontsize="medium", y=1.0)
     axes.grid(alpha=0.3)
     return named
 
 
 def _lines(axes: Any, data: Any, lines: Lines, zorder: float) -> dict[str, Any]:
-    """Draw lines and return what the legend names."""
+    """Draw lines and return those of the legend by name."""
     x, y = QUANTITIES[lines.x], QUANTITIES[lines.y]
     groups = list(data.groupby(lines.by, sort=False)) if lines.by else [("", data)]
     named = {}
@@ -356,7 +381,7 @@ def _surface(axes: Any, data: Any, panel: Surface) -> None:
     axes.plot_surface(xs, ys, grid.to_numpy() * z.factor, cmap="viridis", rstride=1, cstride=1, linewidth=0)
     axes.set(xlabel=x.title, ylabel=y.title, zlabel=z.title)
     axes.set_title(panel.title, fontsize="medium")
-    # The back corner is the lowest of a surface that falls along both axes, the front one of a rising surface.
+    # Seen from the lowest corner, no part of a monotonic surface is hidden.
     axes.view_init(elev=24, azim=-125 if grid.iloc[0, 0] < grid.iloc[-1, -1] else 40)
     axes.xaxis.labelpad = axes.yaxis.labelpad = 7
     axes.zaxis.labelpad = 9

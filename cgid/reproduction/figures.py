@@ -1,11 +1,8 @@
-"""The theoretical figures of the paper: the data of each, and how it is drawn.
-
-Figures 12 to 15: what each parameter does, as curves and as response surfaces.
-"""
+"""The theoretical figures of the paper: the data of each, and how it is drawn."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -15,7 +12,7 @@ from cgid.physics import Impact, free_fall_velocity
 from cgid.physics.materials import YANG2018_SPHERES
 from cgid.physics.sensitivity import parameters_of, response_grid
 from cgid.reproduction import paper
-from cgid.reproduction.drawing import Lines, PaperFigure, Surface, frame, highest_strain, joined
+from cgid.reproduction.drawing import Drawn, Figures, Lines, Surface, frame, highest_strain, joined
 from cgid.reproduction.paper import (
     RESTITUTIONS,
     SECTION_5_RESTITUTION,
@@ -27,6 +24,9 @@ from cgid.reproduction.paper import (
 )
 from cgid.validation import Floats
 
+#: How to make each figure, by the name of its files.
+FIGURES = Figures()
+
 #: Stands in every picture that is drawn with the paper's own contact stiffness alone.
 REJECTED = "Paper's series stiffness: rejected by the finite-element reference"
 _POINTS = 201
@@ -34,50 +34,43 @@ _VELOCITIES = np.asarray(paper.VELOCITIES)
 #: Axes of Figures 4 to 7, chosen here: the text of the paper does not give them.
 _SPEEDS = np.linspace(0.1, 10, 100)
 _HEIGHTS = np.linspace(0.05, 5, 100)
+_PEAKS = ("peak_force", "peak_displacement")
+
+_NOTE_4_TO_6 = "Sphere 1 of Table 1. The range of speeds, 0.1 to 10 m/s, is chosen here."
 
 
-def _theories(*wanted: str) -> tuple[Any, float]:
-    """Return peak responses over the impact speed for the three theories, and the largest strain."""
+@FIGURES.add("figure_04", "Displacement of centre of sphere", _NOTE_4_TO_6, x="velocity", y="peak_displacement")
+@FIGURES.add("figure_05", "Maximum contact force", _NOTE_4_TO_6, x="velocity", y="peak_force")
+@FIGURES.add(
+    "figure_06",
+    "Maximum contact force over contact displacement",
+    _NOTE_4_TO_6,
+    x="peak_displacement",
+    y="peak_force",
+)
+def figure_4_to_6(x: str, y: str) -> Drawn:
+    """Return peak responses of the three theories over the impact speed, or over each other."""
     made = {theory: paper_impact(1, _SPEEDS, theory) for theory in THEORY_LABELS}
-    frames = []
-    for theory, impact in made.items():
-        peaks = {"peak_displacement": impact.peak_displacement, "peak_force": impact.peak_force}
-        frames.append(frame({"theory": theory, "velocity": _SPEEDS, **{name: peaks[name] for name in wanted}}))
-    return joined(frames), highest_strain(*made.values())
+    frames = [
+        frame({"theory": theory, "velocity": _SPEEDS, x: getattr(impact, x), y: getattr(impact, y)})
+        for theory, impact in made.items()
+    ]
+    return joined(frames), [Lines(x=x, y=y, by="theory", labels=THEORY_LABELS)], highest_strain(*made.values())
 
 
-def figure_4_to_6(number: int) -> PaperFigure:
-    """Return Figure 4 (DCS over speed), 5 (maximum force over speed) or 6 (maximum force over DCS)."""
-    x, y, title = {
-        4: ("velocity", "peak_displacement", "Displacement of centre of sphere"),
-        5: ("velocity", "peak_force", "Maximum contact force"),
-        6: ("peak_displacement", "peak_force", "Maximum contact force over contact displacement"),
-    }[number]
-    data, strain = _theories(*(name for name in (x, y) if name != "velocity"))
-    lines = Lines(x=x, y=y, by="theory", labels=THEORY_LABELS)
-    note = "Sphere 1 of Table 1. The range of speeds, 0.1 to 10 m/s, is chosen here."
-    return PaperFigure(
-        name=f"figure_{number:02d}", title=title, note=note, data=data, panels=(lines,), highest_strain=strain
-    )
-
-
-def figure_7() -> PaperFigure:
-    """Return Figure 7: maximum contact force and displacement over the drop height."""
+@FIGURES.add(
+    "figure_07",
+    "Maximum contact force and DCS over drop height",
+    "Sphere 1, series theory, g = 9.8 m/s^2. The range of heights, 0.05 to 5 m, is chosen here.",
+    REJECTED,
+    columns=2,
+)
+def figure_7() -> Drawn:
+    """Return maximum contact force and displacement over the drop height."""
     impact = paper_impact(1, free_fall_velocity(_HEIGHTS, paper.GRAVITY))
-    data = frame({
-        "drop_height": _HEIGHTS, "velocity": impact.velocity,
-        "peak_force": impact.peak_force, "peak_displacement": impact.peak_displacement,
-    })  # fmt: skip
-    return PaperFigure(
-        name="figure_07",
-        title="Maximum contact force and DCS over drop height",
-        note="Sphere 1, series theory, g = 9.8 m/s^2. The range of heights, 0.05 to 5 m, is chosen here.",
-        caption=REJECTED,
-        data=data,
-        panels=tuple(Lines(x="drop_height", y=y) for y in ("peak_force", "peak_displacement")),
-        columns=2,
-        highest_strain=highest_strain(impact),
-    )
+    peaks = {name: getattr(impact, name) for name in _PEAKS}
+    data = frame({"drop_height": _HEIGHTS, "velocity": impact.velocity, **peaks})
+    return data, [Lines(x="drop_height", y=y) for y in _PEAKS], highest_strain(impact)
 
 
 def _courses(velocities: ArrayLike, restitution: float | None = None) -> tuple[Any, float]:
@@ -100,115 +93,72 @@ def _courses(velocities: ArrayLike, restitution: float | None = None) -> tuple[A
 
 
 def _each_sphere(x: str, y: str, marker: str = "", **where: object) -> list[Lines]:
-    """Return a panel of the speeds for each sphere."""
-    kind = ", ".join(f"{name} {value}" for name, value in where.items())
+    """Return a panel for each sphere, with a line for each speed."""
+    kind = "".join(f", {name} {value}" for name, value in where.items())
     return [
-        Lines(
-            x=x, y=y, by="velocity", where={"sphere": number, **where}, marker=marker,
-            title=f"sphere {number}" + (f", {kind}" if kind else ""),
-        )
+        Lines(x=x, y=y, by="velocity", where={"sphere": number, **where}, marker=marker, title=f"sphere {number}{kind}")
         for number in YANG2018_SPHERES
-    ]  # fmt: skip
+    ]
 
 
-def figure_10_pulses() -> PaperFigure:
-    """Return Figure 10 over time: force and DCS of elastic impacts of the four spheres at five speeds."""
+@FIGURES.add(
+    "figure_10_pulses",
+    "Force-time and DCS-time",
+    "Elastic, series theory. The paper's simulated curves are not here: it prints no numbers of them.",
+    REJECTED,
+    columns=4,
+)
+def figure_10_pulses() -> Drawn:
+    """Return force and DCS over time of elastic impacts of the four spheres at five speeds."""
     data, strain = _courses(_VELOCITIES)
-    return PaperFigure(
-        name="figure_10_pulses",
-        title="Force-time and DCS-time",
-        note="Elastic, series theory. The paper's simulated curves are not here: it prints no numbers of them.",
-        caption=REJECTED,
-        data=data,
-        panels=(*_each_sphere("time", "force"), *_each_sphere("time", "displacement")),
-        columns=4,
-        highest_strain=strain,
-    )
+    return data, [*_each_sphere("time", "force"), *_each_sphere("time", "displacement")], strain
 
 
-def figure_10_peaks() -> PaperFigure:
+@FIGURES.add("figure_10_peaks", "Theoretical maxima of force and DCS", "Series theory.", REJECTED, columns=2)
+def figure_10_peaks() -> Drawn:
     """Return the theoretical maxima of Figure 10 over the speed."""
     made = {number: paper_impact(number, _VELOCITIES) for number in YANG2018_SPHERES}
     frames = [
-        frame({
-            "sphere": number, "velocity": _VELOCITIES,
-            "peak_force": impact.peak_force, "peak_displacement": impact.peak_displacement,
-        })
+        frame({"sphere": number, "velocity": _VELOCITIES, **{name: getattr(impact, name) for name in _PEAKS}})
         for number, impact in made.items()
-    ]  # fmt: skip
-    panels = (Lines(x="velocity", y=y, by="sphere", marker="o") for y in ("peak_force", "peak_displacement"))
-    return PaperFigure(
-        name="figure_10_peaks",
-        title="Theoretical maxima of force and DCS",
-        note="Series theory.",
-        caption=REJECTED,
-        data=joined(frames),
-        panels=tuple(panels),
-        columns=2,
-        highest_strain=highest_strain(*made.values()),
-    )
+    ]
+    panels = [Lines(x="velocity", y=y, by="sphere", marker="o") for y in _PEAKS]
+    return joined(frames), panels, highest_strain(*made.values())
 
 
-def figure_11_compression() -> PaperFigure:
-    """Return the theoretical lines of Figure 11: force over DCS while the sphere is pressed in."""
-    frames, strain = [], 0.0
-    for number in YANG2018_SPHERES:
-        impact = paper_impact(number, _VELOCITIES)
+@FIGURES.add(
+    "figure_11_compression",
+    "Force-displacement, theory of the compression stage",
+    "Elastic, series theory. The five speeds share one curve and differ in where it ends.",
+    REJECTED,
+    columns=4,
+)
+def figure_11_compression() -> Drawn:
+    """Return the theoretical lines of Figure 11: force over DCS during compression."""
+    made = {number: paper_impact(number, _VELOCITIES) for number in YANG2018_SPHERES}
+    frames = []
+    for number, impact in made.items():
         displacement = impact.peak_displacement[:, None] * np.linspace(0, 1, _POINTS)
         force = impact.contact_stiffness[:, None] * displacement**1.5
         frames.append(
             frame({"sphere": number, "velocity": _VELOCITIES[:, None], "displacement": displacement, "force": force})
         )
-        strain = max(strain, highest_strain(impact))
-    return PaperFigure(
-        name="figure_11_compression",
-        title="Force-displacement, theory of the compression stage",
-        note="Elastic, series theory. The five speeds share one curve and differ in where it ends.",
-        caption=REJECTED,
-        data=joined(frames),
-        panels=tuple(_each_sphere("displacement", "force", marker="end")),
-        columns=4,
-        highest_strain=strain,
-    )
+    return joined(frames), _each_sphere("displacement", "force", marker="end"), highest_strain(*made.values())
 
 
-def figure_11_loops() -> PaperFigure:
-    """Return hysteresis loops in the manner of Figure 11, of damped impacts."""
-    made = [_courses(_VELOCITIES, restitution) for restitution in RESTITUTIONS]
-    panels = [
-        panel
-        for restitution in RESTITUTIONS
-        for panel in _each_sphere("displacement", "force", restitution=restitution)
-    ]
-    return PaperFigure(
-        name="figure_11_loops",
-        title="Force-displacement, hysteresis loops",
-        note="Hunt-Crossley with the exact damping for the restitution, series theory. Restitutions 0.8 and 0.5 are "
-        "chosen here: the paper gives no number for its damping.",
-        caption=REJECTED,
-        data=joined([data for data, _ in made]),
-        panels=tuple(panels),
-        columns=4,
-        highest_strain=max(strain for _, strain in made),
-    )
-
-
-def figure_16_17(number: int) -> PaperFigure:
-    """Return Figure 16 (force over time) or 17 (force over DCS): damped impacts of the four spheres at 10 m/s."""
-    x, title = {16: ("time", "Contact force-time at 10 m/s"), 17: ("displacement", "Contact force-DCS at 10 m/s")}[
-        number
-    ]
-    data, strain = _courses([SECTION_5_VELOCITY], SECTION_5_RESTITUTION)
-    return PaperFigure(
-        name=f"figure_{number}",
-        title=title,
-        note=f"Hunt-Crossley, series theory, restitution {SECTION_5_RESTITUTION:g} chosen here; the paper "
-        "shows its simulation.",
-        caption=REJECTED,
-        data=data,
-        panels=(Lines(x=x, y="force", by="sphere"),),
-        highest_strain=strain,
-    )
+@FIGURES.add(
+    "figure_11_loops",
+    "Force-displacement, hysteresis loops",
+    "Hunt-Crossley with the exact damping for the restitution, series theory. Restitutions 0.8 and 0.5 are "
+    "chosen here: the paper gives no number for its damping.",
+    REJECTED,
+    columns=4,
+)
+def figure_11_loops() -> Drawn:
+    """Return hysteresis loops of damped impacts, as in Figure 11."""
+    data, strains = zip(*(_courses(_VELOCITIES, restitution) for restitution in RESTITUTIONS), strict=True)
+    panels = [panel for e in RESTITUTIONS for panel in _each_sphere("displacement", "force", restitution=e)]
+    return joined(data), panels, max(strains)
 
 
 def _responses(impact: Impact, ranges: Mapping[str, Floats]) -> tuple[Any, float]:
@@ -219,91 +169,67 @@ def _responses(impact: Impact, ranges: Mapping[str, Floats]) -> tuple[Any, float
     return data, highest_strain(grid)
 
 
-def _curves(number: int, title: str, names: tuple[str, ...]) -> PaperFigure:
+_NOTE_12_13 = "Ranges of Table 4, series theory, 2 m/s (not said by the paper; it follows from its constants)."
+
+
+@FIGURES.add(
+    "figure_12", "Effect of sphere parameters on DCS and contact force", _NOTE_12_13, REJECTED, columns=3,
+    names=("density", "youngs_modulus", "poisson_ratio"),
+)  # fmt: skip
+@FIGURES.add(
+    "figure_13", "Effect of metal plate parameters on DCS and contact force", _NOTE_12_13, REJECTED, columns=2,
+    names=("target_youngs_modulus", "target_poisson_ratio"),
+)  # fmt: skip
+def figure_12_13(names: tuple[str, ...]) -> Drawn:
+    """Return curves of both responses over each parameter."""
     made = [_responses(table_4_impact(), {name: paper.TABLE_4[name].values}) for name in names]
-    responses = ("peak_displacement", "peak_force")
-    return PaperFigure(
-        name=f"figure_{number}",
-        title=title,
-        note="Ranges of Table 4, series theory, 2 m/s (not said by the paper; it follows from its constants).",
-        caption=REJECTED,
-        data=joined([data for data, _ in made]),
-        panels=tuple(Lines(x=name, y=y, where={"varied": name}, marker=".") for y in responses for name in names),
-        columns=len(names),
-        highest_strain=max(strain for _, strain in made),
-    )
+    data, strains = zip(*made, strict=True)
+    panels = [Lines(x=name, y=y, where={"varied": name}, marker=".") for y in reversed(_PEAKS) for name in names]
+    return joined(data), panels, max(strains)
 
 
-def figure_12() -> PaperFigure:
-    """Return Figure 12: effect of the sphere's density, Young's modulus and Poisson's ratio."""
-    return _curves(
-        12, "Effect of sphere parameters on DCS and contact force", ("density", "youngs_modulus", "poisson_ratio")
-    )
+_MODULI, _RATIOS = ("youngs_modulus", "target_youngs_modulus"), ("poisson_ratio", "target_poisson_ratio")
 
 
-def figure_13() -> PaperFigure:
-    """Return Figure 13: effect of the plate's Young's modulus and Poisson's ratio."""
-    return _curves(
-        13,
-        "Effect of metal plate parameters on DCS and contact force",
-        ("target_youngs_modulus", "target_poisson_ratio"),
-    )
-
-
-def figure_14() -> PaperFigure:
-    """Return Figure 14: response surfaces of both moduli and of both Poisson's ratios, equal materials (Table 5)."""
-    pairs = (("youngs_modulus", "target_youngs_modulus"), ("poisson_ratio", "target_poisson_ratio"))
-    made = [
-        _responses(table_5_impact(), {name: paper.TABLE_5[name].values for name in (first, second)})
+@FIGURES.add(
+    "figure_14",
+    "Response surfaces of two bodies with the same properties",
+    "Ranges of Table 5, series theory, 2 m/s. Which parameters span each surface is our reading of the text.",
+    REJECTED,
+    columns=2,
+    table=5,
+    pairs=(_MODULI, _RATIOS),
+)
+@FIGURES.add(
+    "figure_15",
+    "Response surfaces of both moduli, rock-like sphere on the metal plate",
+    "Ranges of Table 4, series theory, 2 m/s.",
+    REJECTED,
+    columns=2,
+    table=4,
+    pairs=(_MODULI,),
+)
+def figure_14_15(table: int, pairs: tuple[tuple[str, str], ...]) -> Drawn:
+    """Return response surfaces over pairs of parameters."""
+    impact, ranges = {4: (table_4_impact(), paper.TABLE_4), 5: (table_5_impact(), paper.TABLE_5)}[table]
+    made = [_responses(impact, {name: ranges[name].values for name in pair}) for pair in pairs]
+    data, strains = zip(*made, strict=True)
+    panels = [
+        Surface(x=first, y=second, z=z, where={"varied": f"{first} and {second}"})
         for first, second in pairs
+        for z in reversed(_PEAKS)
     ]
-    return PaperFigure(
-        name="figure_14",
-        title="Response surfaces of two bodies with the same properties",
-        note="Ranges of Table 5, series theory, 2 m/s. Which parameters span each surface is our reading of the text.",
-        caption=REJECTED,
-        data=joined([data for data, _ in made]),
-        panels=tuple(
-            Surface(x=first, y=second, z=z, where={"varied": f"{first} and {second}"})
-            for first, second in pairs
-            for z in ("peak_displacement", "peak_force")
-        ),
-        columns=2,
-        highest_strain=max(strain for _, strain in made),
-    )
+    return joined(data), panels, max(strains)
 
 
-def figure_15() -> PaperFigure:
-    """Return Figure 15: response surfaces of both moduli for a rock-like sphere on the metal plate (Table 4)."""
-    first, second = "youngs_modulus", "target_youngs_modulus"
-    ranges = {name: paper.TABLE_4[name].values for name in (first, second)}
-    data, strain = _responses(table_4_impact(), ranges)
-    return PaperFigure(
-        name="figure_15",
-        title="Response surfaces of both moduli, rock-like sphere on the metal plate",
-        note="Ranges of Table 4, series theory, 2 m/s.",
-        caption=REJECTED,
-        data=data,
-        panels=tuple(Surface(x=first, y=second, z=z) for z in ("peak_displacement", "peak_force")),
-        columns=2,
-        highest_strain=strain,
-    )
+_NOTE_16_17 = (
+    f"Hunt-Crossley, series theory, restitution {SECTION_5_RESTITUTION:g} chosen here; the paper shows its simulation."
+)
 
 
-#: How to make each figure, by the name of its files.
-FIGURES: dict[str, Callable[[], PaperFigure]] = {
-    "figure_04": lambda: figure_4_to_6(4),
-    "figure_05": lambda: figure_4_to_6(5),
-    "figure_06": lambda: figure_4_to_6(6),
-    "figure_07": figure_7,
-    "figure_10_pulses": figure_10_pulses,
-    "figure_10_peaks": figure_10_peaks,
-    "figure_11_compression": figure_11_compression,
-    "figure_11_loops": figure_11_loops,
-    "figure_12": figure_12,
-    "figure_13": figure_13,
-    "figure_14": figure_14,
-    "figure_15": figure_15,
-    "figure_16": lambda: figure_16_17(16),
-    "figure_17": lambda: figure_16_17(17),
-}
+@FIGURES.add("figure_16", "Contact force-time at 10 m/s", _NOTE_16_17, REJECTED, x="time")
+@FIGURES.add("figure_17", "Contact force-DCS at 10 m/s", _NOTE_16_17, REJECTED, x="displacement")
+def figure_16_17(x: str) -> Drawn:
+    """Return the contact force of damped impacts of the four spheres at 10 m/s."""
+    data, strain = _courses([SECTION_5_VELOCITY], SECTION_5_RESTITUTION)
+    return data, [Lines(x=x, y="force", by="sphere")], strain

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from typing import Any, Literal
 
@@ -10,7 +10,7 @@ import numpy as np
 
 from cgid.physics.materials import YANG2018_RADIUS, YANG2018_SPHERES
 from cgid.reproduction import paper
-from cgid.reproduction.drawing import Lines, PaperFigure, frame, joined
+from cgid.reproduction.drawing import Drawn, Figures, Lines, frame, joined
 from cgid.reproduction.paper import SECTION_5_VELOCITY, THEORY_NAMES, paper_impact
 from cgid.reproduction.study import (
     DAMPED,
@@ -27,6 +27,9 @@ from cgid.reproduction.study import (
     Study,
 )
 from cgid.reproduction.theories import QUANTITIES_COMPARED, READINGS, SHARED, predicted
+
+#: How to make each figure of a study, by the name of its files.
+SIMULATED_FIGURES = Figures()
 
 #: The value of `kind` in simulated rows; in the others it is the theory.
 SIMULATED = "simulation"
@@ -89,8 +92,15 @@ def strain_of(runs: Iterable[Run]) -> float:
     return max(run.numbers["peak_displacement"] for run in runs) / YANG2018_RADIUS
 
 
-def figure_9(study: Study) -> PaperFigure:
-    """Return Figure 9: simulated over theoretical maxima."""
+@SIMULATED_FIGURES.add(
+    "figure_09",
+    "Simulated over theoretical maxima",
+    "Sphere 1, undamped, 2 to 10 m/s (the data hold all four spheres). Where theory and simulation are equal "
+    "stands the grey line: a theory that is wrong by a factor lies on another straight line.",
+    columns=3,
+)
+def figure_9(study: Study) -> Drawn:
+    """Return simulated over theoretical maxima."""
     frames = []
     for reading in READINGS:
         for sphere in YANG2018_SPHERES:
@@ -104,29 +114,26 @@ def figure_9(study: Study) -> PaperFigure:
                 columns[f"theoretical_{name}"] = found[name] if differs else np.nan
                 columns[f"simulated_{name}"] = [run.numbers[name] for run in runs]
             frames.append(frame(columns))
-    panels = tuple(
+    panels = [
         Lines(
             x=f"theoretical_{name}", y=f"simulated_{name}", by="theory", where={"sphere": 1}, labels=READINGS,
             marker="o", diagonal=True,
         )
         for name in QUANTITIES_COMPARED
-    )  # fmt: skip
-    return PaperFigure(
-        name="figure_09",
-        title="Simulated over theoretical maxima",
-        note="Sphere 1, undamped, 2 to 10 m/s (the data hold all four spheres). Where theory and simulation are equal "
-        "stands the grey line: a theory that is wrong by a factor lies on another straight line.",
-        data=joined(frames),
-        panels=panels,
-        columns=3,
-        highest_strain=strain_of(study.of(UNDAMPED)),
-    )
+    ]  # fmt: skip
+    return joined(frames), panels, strain_of(study.of(UNDAMPED))
 
 
-def figure_10_simulated(study: Study) -> PaperFigure:
-    """Return Figure 10: contact force and DCS over time, with the theories' maxima."""
+@SIMULATED_FIGURES.add(
+    "figure_10_simulated",
+    "Force-time and DCS-time, simulated",
+    "Undamped finite elements at the five speeds. Black: the maxima of the theories at these speeds.",
+    columns=4,
+)
+def figure_10_simulated(study: Study) -> Drawn:
+    """Return contact force and DCS over time, with the theories' maxima."""
     runs = study.of(UNDAMPED)
-    frames = [courses(run, "force", "displacement") for run in runs]
+    frames = [courses(run, *_LOOP) for run in runs]
     for theory in THEORY_STYLES:
         for sphere in YANG2018_SPHERES:
             found = predicted(theory, sphere, paper.VELOCITIES)
@@ -137,47 +144,39 @@ def figure_10_simulated(study: Study) -> PaperFigure:
                     "displacement": found["peak_displacement"],
                 })
             )  # fmt: skip
-    return PaperFigure(
-        name="figure_10_simulated",
-        title="Force-time and DCS-time, simulated",
-        note="Undamped finite elements at the five speeds. Black: the maxima of the theories at these speeds.",
-        data=joined(frames),
-        panels=(*each_sphere("time", "force", "."), *each_sphere("time", "displacement", ".")),
-        columns=4,
-        highest_strain=strain_of(runs),
-    )
+    panels = [panel for name in _LOOP for panel in each_sphere("time", name, ".")]
+    return joined(frames), panels, strain_of(runs)
 
 
-def figure_10_waves(study: Study) -> PaperFigure:
+@SIMULATED_FIGURES.add(
+    "figure_10_waves",
+    "Mass x acceleration of the sphere's centre, raw and behind the FFT filter",
+    "Undamped. Above: the sphere's mass x acceleration of the node at its centre, at 10 m/s (200 points: the "
+    "quickest waves are not resolved). Below: the same behind a low-pass at 4/T, all speeds. Black: the contact "
+    "force, which needs no filter.",
+    columns=4,
+)
+def figure_10_waves(study: Study) -> Drawn:
     """Return the waves of Figure 10: mass x acceleration of the centre node, raw and filtered, and contact force."""
     runs = study.of(UNDAMPED)
     highest = max(paper.VELOCITIES)
-    raw = (
+    raw = [
         Lines(
             x="time", y="centre_node_force", where={"sphere": sphere, "velocity": highest},
             title=f"sphere {sphere}, {highest:g} m/s", label="unfiltered", colour="0.6", width=0.9,
             over=(_contact_force(sphere, highest),),
         )
         for sphere in YANG2018_SPHERES
-    )  # fmt: skip
-    filtered = (
+    ]  # fmt: skip
+    filtered = [
         Lines(
             x="time", y="filtered_force", by="velocity", where={"sphere": sphere}, title=f"sphere {sphere}",
             over=tuple(_contact_force(sphere, velocity) for velocity in paper.VELOCITIES),
         )
         for sphere in YANG2018_SPHERES
-    )  # fmt: skip
-    return PaperFigure(
-        name="figure_10_waves",
-        title="Mass x acceleration of the sphere's centre, raw and behind the FFT filter",
-        note="Undamped. Above: the sphere's mass x acceleration of the node at its centre, at 10 m/s (200 points: the "
-        "quickest waves are not resolved). Below: the same behind a low-pass at 4/T, all speeds. Black: the contact "
-        "force, which needs no filter.",
-        data=joined([courses(run, "centre_node_force", "filtered_force", "force", until="end") for run in runs]),
-        panels=(*raw, *filtered),
-        columns=4,
-        highest_strain=strain_of(runs),
-    )
+    ]  # fmt: skip
+    frames = [courses(run, "centre_node_force", "filtered_force", "force", until="end") for run in runs]
+    return joined(frames), [*raw, *filtered], strain_of(runs)
 
 
 def _contact_force(sphere: int, velocity: float) -> Lines:
@@ -187,64 +186,65 @@ def _contact_force(sphere: int, velocity: float) -> Lines:
     )  # fmt: skip
 
 
-def figure_11_simulated(study: Study) -> PaperFigure:
-    """Return Figure 11: lines of the theories over hysteresis loops."""
+@SIMULATED_FIGURES.add(
+    "figure_11_simulated",
+    "Force-displacement, simulated hysteresis loops, and the theories of the compression stage",
+    f"Finite elements. {_DAMPING} Black: the elastic theories up to 10 m/s.",
+    columns=4,
+)
+def figure_11_simulated(study: Study) -> Drawn:
+    """Return hysteresis loops, with the lines of the theories."""
     runs = study.of(DAMPED)
-    return PaperFigure(
-        name="figure_11_simulated",
-        title="Force-displacement, simulated hysteresis loops, and the theories of the compression stage",
-        note=f"Finite elements. {_DAMPING} Black: the elastic theories up to 10 m/s.",
-        data=joined([*(courses(run, "displacement", "force") for run in runs), *compression()]),
-        panels=tuple(each_sphere("displacement", "force")),
-        columns=4,
-        highest_strain=strain_of(runs),
-    )
+    frames = [*(courses(run, "displacement", "force") for run in runs), *compression()]
+    return joined(frames), each_sphere("displacement", "force"), strain_of(runs)
 
 
-def figure_16_17_simulated(study: Study, number: int) -> PaperFigure:
-    """Return Figure 16 (force over time) or 17 (force over DCS): the four spheres at 10 m/s, simulated."""
-    x, title = {
-        16: ("time", "Simulated contact force-time at 10 m/s"),
-        17: ("displacement", "Simulated contact force-DCS at 10 m/s"),
-    }[number]
+@SIMULATED_FIGURES.add(
+    "figure_16_simulated", "Simulated contact force-time at 10 m/s", f"Finite elements. {_DAMPING}", columns=2,
+    x="time",
+)  # fmt: skip
+@SIMULATED_FIGURES.add(
+    "figure_17_simulated", "Simulated contact force-DCS at 10 m/s", f"Finite elements. {_DAMPING}", columns=2,
+    x="displacement",
+)  # fmt: skip
+def figure_16_17_simulated(study: Study, x: str) -> Drawn:
+    """Return the contact force of the four spheres at 10 m/s."""
     runs = [run for group in (DAMPED, UNDAMPED) for run in study.of(group) if run.case.velocity == SECTION_5_VELOCITY]
     titles = {DAMPED: f"damped, restitution {RESTITUTION:g}", UNDAMPED: "undamped"}
-    return PaperFigure(
-        name=f"figure_{number}_simulated",
-        title=title,
-        note=f"Finite elements. {_DAMPING}",
-        data=joined([courses(run, "displacement", "force") for run in runs]),
-        panels=tuple(
-            Lines(x=x, y="force", by="sphere", where={"group": group}, title=text) for group, text in titles.items()
-        ),
-        columns=2,
-        highest_strain=strain_of(runs),
-    )
+    panels = [Lines(x=x, y="force", by="sphere", where={"group": group}, title=text) for group, text in titles.items()]
+    return joined([courses(run, "displacement", "force") for run in runs]), panels, strain_of(runs)
 
 
-def penalty_loops(study: Study) -> PaperFigure:
-    """Return force over DCS with a soft contact, beside the theories."""
+@SIMULATED_FIGURES.add(
+    "penalty_loops",
+    "Force-displacement with a soft contact",
+    "Undamped finite elements whose surfaces may enter each other: pressure = "
+    f"{PENALTY_FACTOR:g} x bulk modulus / element size x depth, up to the largest DCS. The mesh is ours; "
+    "the contact is as soft as that of elements of the size above the panel. The five speeds share "
+    "one curve and differ in where it ends. Black: the elastic theories up to 10 m/s.",
+    columns=4,
+)
+def penalty_loops(study: Study) -> Drawn:
+    """Return force over DCS with a soft contact, with the lines of the theories."""
     runs = [run for group in ELEMENT_SIZES for run in study.of(group)]
-    return PaperFigure(
-        name="penalty_loops",
-        title="Force-displacement with a soft contact",
-        note="Undamped finite elements whose surfaces may enter each other: pressure = "
-        f"{PENALTY_FACTOR:g} x bulk modulus / element size x depth, up to the largest DCS. The mesh is ours; "
-        "the contact is as soft as that of elements of the size above the panel. The five speeds share "
-        "one curve and differ in where it ends. Black: the elastic theories up to 10 m/s.",
-        data=joined([*(courses(run, "displacement", "force", until="deepest") for run in runs), *compression()]),
-        panels=tuple(
-            replace(panel, marker="end")
-            for group, size in ELEMENT_SIZES.items()
-            for panel in each_sphere("displacement", "force", more=f", as soft as {size * 1e3:g} mm", group=group)
-        ),
-        columns=4,
-        highest_strain=strain_of(runs),
-    )
+    frames = [*(courses(run, "displacement", "force", until="deepest") for run in runs), *compression()]
+    panels = [
+        replace(panel, marker="end")
+        for group, size in ELEMENT_SIZES.items()
+        for panel in each_sphere("displacement", "force", more=f", as soft as {size * 1e3:g} mm", group=group)
+    ]
+    return joined(frames), panels, strain_of(runs)
 
 
-def penalty_factor(study: Study) -> PaperFigure:
-    """Return what the stiffness of a soft contact does to force and DCS."""
+@SIMULATED_FIGURES.add(
+    "penalty_factor",
+    "Force and DCS by the stiffness of a soft contact",
+    f"Spheres 1 and 3 at {FACTOR_VELOCITY:g} m/s, undamped, {ELEMENTS} elements over the contact "
+    "radius. Black: the theories for sphere 1.",
+    columns=2,
+)
+def penalty_factor(study: Study) -> Drawn:
+    """Return force and DCS over those of a hard contact, over the stiffness of a soft one."""
     hard = {(run.case.sphere, run.case.velocity): run.numbers for run in study.of(UNDAMPED)}
     frames, runs = [], study.of(SOFT_BY_FACTOR)
 
@@ -265,7 +265,7 @@ def penalty_factor(study: Study) -> PaperFigure:
                 [min(FACTORS), max(FACTORS)],
                 predicted(theory, sphere, (FACTOR_VELOCITY,)),
             )
-    panels = tuple(
+    panels = [
         Lines(
             x="penalty_factor", y=y, by="sphere", where={"kind": SIMULATED}, marker="o", logarithmic=True,
             over=tuple(
@@ -275,27 +275,5 @@ def penalty_factor(study: Study) -> PaperFigure:
             ),
         )
         for y in (f"{name}_over_hard" for name in _LOOP)
-    )  # fmt: skip
-    return PaperFigure(
-        name="penalty_factor",
-        title="Force and DCS by the stiffness of a soft contact",
-        note=f"Spheres 1 and 3 at {FACTOR_VELOCITY:g} m/s, undamped, {ELEMENTS} elements over the contact "
-        "radius. Black: the theories for sphere 1.",
-        data=joined(frames),
-        panels=panels,
-        columns=2,
-        highest_strain=strain_of(runs),
-    )
-
-
-#: How to make each figure of a study, by the name of its files.
-SIMULATED_FIGURES: dict[str, Callable[[Study], PaperFigure]] = {
-    "figure_09": figure_9,
-    "figure_10_simulated": figure_10_simulated,
-    "figure_10_waves": figure_10_waves,
-    "figure_11_simulated": figure_11_simulated,
-    "figure_16_simulated": lambda study: figure_16_17_simulated(study, 16),
-    "figure_17_simulated": lambda study: figure_16_17_simulated(study, 17),
-    "penalty_loops": penalty_loops,
-    "penalty_factor": penalty_factor,
-}
+    ]  # fmt: skip
+    return joined(frames), panels, strain_of(runs)

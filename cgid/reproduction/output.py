@@ -1,11 +1,10 @@
-"""Writes every figure and table, as PNG and CSV, and the report into a folder."""
+"""Write every figure and table as PNG and CSV, and the report, into a folder."""
 
 from __future__ import annotations
 
 import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -13,15 +12,15 @@ from cgid.errors import CannotCreate, InvalidValue
 from cgid.files import looking_at, write_together
 from cgid.physics import HertzRangeWarning
 from cgid.plots import require_matplotlib
-from cgid.reproduction.drawing import PaperFigure, csv_title, draw, draw_table
+from cgid.reproduction.drawing import csv_title, draw, draw_table
 from cgid.reproduction.figures import FIGURES
 from cgid.reproduction.finite_element_figures import SIMULATED_FIGURES
 from cgid.reproduction.report import write_report
 from cgid.reproduction.study import N_CASES, STUDY_FILE, Study, packed, run_study, shipped_study, unpacked
-from cgid.reproduction.tables import TABLES, PaperTable, table_3
+from cgid.reproduction.tables import TABLES
 
 REPORT = "report.md"
-_N_WRITTEN = len(TABLES) + 1 + len(FIGURES) + len(SIMULATED_FIGURES) + 1
+_N_WRITTEN = len(TABLES) + len(FIGURES) + len(SIMULATED_FIGURES) + 1
 
 
 def n_steps(*, finite_element: bool = False) -> int:
@@ -39,18 +38,18 @@ def reproduce(
 ) -> list[Path]:
     """Write the paper's figures and tables and a report on them.
 
-    What the paper simulated comes from finite elements: the results that are shipped, or computed anew.
+    Simulated results come from the shipped finite-element study, or from one computed anew.
 
     Parameters
     ----------
     folder : str or Path
-        Where to write; made if it is not there, but not the folder above it.
+        Made if it does not exist; its parent must exist.
     overwrite : bool, optional
-        Replace files of these names in a folder that is not empty; other files stay.
+        Replace files of these names in a folder that is not empty; others stay.
     finite_element : bool, optional
-        Compute the finite-element study anew, which takes minutes, and write its data file, too.
+        Compute the finite-element study anew, which takes minutes, and also write its data file.
     jobs : int, optional
-        Processes that do so; as many as there are cores if not given.
+        Processes for the study; by default as many as there are cores.
     progress : callable, optional
         Called with 1 after each of `n_steps` steps.
 
@@ -64,7 +63,7 @@ def reproduce(
     CannotCreate
         The folder is not empty and `overwrite` is not given, or it cannot be made.
     InvalidValue
-        `jobs` is below 1, or given for nothing.
+        `jobs` is below 1, or given without `finite_element`.
     MissingExtra
         matplotlib is not installed. Nothing is written then.
     WriteFailed
@@ -78,10 +77,10 @@ def reproduce(
     path = _checked(Path(folder), overwrite)
     progress = progress or (lambda _: None)
     data = packed(run_study(jobs, progress)) if finite_element else None
-    # Read back from the file, which is rounded: its copy in the package repeats every figure byte for byte.
+    # Courses are rounded in the file. Read back, they give the same bytes as the copy of the file in the package.
     study = shipped_study() if data is None else unpacked(data)
     with warnings.catch_warnings():
-        # The report says which figures leave Hertz's range.
+        # The report names the figures beyond Hertz's range.
         warnings.simplefilter("ignore", HertzRangeWarning)
         contents = _contents(study, progress)
     if data is not None:
@@ -94,7 +93,7 @@ def reproduce(
 
 @contextmanager
 def _folder(path: Path) -> Iterator[None]:
-    """Make a folder if it is not there; one that was made goes again if what it is for fails."""
+    """Make a folder if there is none, and remove it again if writing into it fails."""
     is_new = not path.is_dir()
     try:
         try:
@@ -121,20 +120,16 @@ def _checked(path: Path, overwrite: bool) -> Path:
 
 
 def _contents(study: Study, progress: Callable[[int], object]) -> dict[str, bytes]:
-    """Return every file by name; all is made before anything is written."""
+    """Return the content of every file by name; everything is made before anything is written."""
     contents, tables, figures = {}, [], []
-    made_tables: dict[str, Callable[[], PaperTable]] = {**TABLES, "table_3": lambda: table_3(study)}
-    for _, make_table in sorted(made_tables.items()):
-        table = make_table()
+    for make_table in TABLES.values():
+        table = make_table(study)
         tables.append(table)
         contents[f"{table.name}.csv"] = _csv(table.data)
         contents[f"{table.name}.png"] = draw_table(table.heads, table.cells)
         progress(1)
-    simulated: dict[str, Callable[[], PaperFigure]] = {
-        name: partial(make, study) for name, make in SIMULATED_FIGURES.items()
-    }
-    for _, make_figure in sorted({**FIGURES, **simulated}.items()):
-        figure = make_figure()
+    for name in sorted([*FIGURES, *SIMULATED_FIGURES]):
+        figure = FIGURES[name]() if name in FIGURES else SIMULATED_FIGURES[name](study)
         figures.append(figure)
         contents[f"{figure.name}.csv"] = _csv(figure.data)
         contents[f"{figure.name}.png"] = draw(figure)

@@ -1,8 +1,6 @@
-"""What is printed in Yang, Zeng & Wan (2018), Shock and Vibration, as data: tables, constants, orderings.
+"""The printed numbers of Yang, Zeng & Wan (2018), Shock and Vibration, and the impacts that they belong to.
 
-Inputs of Tables 1 and 2 are in `cgid.physics.materials`; here is what the paper gets from them, and what it says.
-
-The paper's impacts, as `cgid.physics` has them.
+The inputs of Tables 1 and 2 are in `cgid.physics.materials`; here are the results: tables, constants, orderings.
 """
 
 from __future__ import annotations
@@ -92,7 +90,7 @@ class ParameterRange:
 
 
 class PoissonRange(ParameterRange):
-    """A range of Poisson's ratio; where it ends at 0.5, the incompressible limit, the float below stands for it."""
+    """A range of Poisson's ratio; instead of 0.5, the incompressible limit, it ends at the largest float below."""
 
     @property
     def values(self) -> Floats:
@@ -139,7 +137,7 @@ CONSTANTS = (
 
 @dataclass(frozen=True)
 class Ordering:
-    """Things by falling size; between each and the next stands ">>", ">" or "="."""
+    """Names by falling size, and the relation ">>", ">" or "=" between neighbours."""
 
     names: tuple[str, ...]
     relations: tuple[str, ...]
@@ -176,17 +174,17 @@ THEORIES_BY_DISPLACEMENT = Ordering.of("series > hertz > rigid-sphere")
 THEORIES_BY_FORCE = Ordering.of("rigid-sphere > hertz > series")
 
 
-#: The paper's own theory, behind every figure but 4 to 6.
+#: The paper's own theory, used in every theoretical figure except 4 to 6.
 OWN_THEORY = "series"
-#: What each theory takes to be elastic, in the paper's words.
+#: The bodies that each theory takes to be elastic, in the paper's words.
 THEORY_LABELS = {
     "hertz": "K1: elastic sphere, rigid surface (Hertz)",
     "rigid-sphere": "K2: rigid sphere, elastic half space",
     "series": "series: elastic sphere, elastic half space",
 }
-#: The theories in a few words.
+#: Short names of the theories.
 THEORY_NAMES = {"hertz": "K1 (Hertz)", "rigid-sphere": "K2", "series": "series (the paper's own)"}
-#: Speed that belongs to the constants under Eq. 18 [m/s]; the paper does not say it.
+#: Speed that follows from the constants under Eq. 18 [m/s]; the paper does not state it.
 SECTION_4_VELOCITY = 2.0
 #: Restitutions chosen here for damped impacts: the paper gives no number for its damping.
 RESTITUTIONS = (0.8, 0.5)

@@ -1,9 +1,4 @@
-"""Markdown for the report.
-
-The report in Markdown: what agrees with the paper and what does not, and every picture.
-
-The report's section on the finite elements: which theory they support, and what a soft contact does.
-"""
+"""The report in Markdown: which claims of the paper hold, what finite elements tell of its theories, and pictures."""
 
 from __future__ import annotations
 
@@ -45,20 +40,29 @@ from cgid.reproduction.theories import (
 )
 from cgid.validation import Floats
 
-
-def table(heads: Sequence[str], rows: Iterable[Sequence[str]]) -> list[str]:
-    """Return the lines of a table in Markdown."""
-    return [f"| {' | '.join(heads)} |", "|---" * len(heads) + "|", *(f"| {' | '.join(row)} |" for row in rows), ""]
-
-
 _SOURCE = (
     "Yang, Zeng & Wan (2018), *Contact Response Analysis of Vertical Impact between Elastic Sphere and Elastic Half "
     "Space*, Shock and Vibration"
 )
+#: Quantities of the section, with factor, digits and head of their column.
+_RESPONSES = (
+    ("peak_force", 1e-3, ".2f", "force [kN]"),
+    ("peak_displacement", 1e3, ".3f", "DCS [mm]"),
+    ("contact_duration", 1e6, ".0f", "contact time [µs]"),
+)
+_NAMES = [name for name, *_ in _RESPONSES]
+#: An error grows if it does so by more than this from speed to speed.
+_GROWTH = 0.001
+_HEAD = "force / DCS / contact time"
+_SHOWN_GROUP = {
+    UNDAMPED: "hard",
+    SOFT: f"soft, {PENALTY_FACTOR:g} x bulk modulus / our elements",
+    **{group: f"as soft as that of elements of {size * 1e3:g} mm" for group, size in ELEMENT_SIZES.items()},
+}
 
 
 def write_report(figures: Sequence[PaperFigure], tables: Sequence[PaperTable], study: Study) -> str:
-    """Return the report; its verdicts are computed anew."""
+    """Return the report; every verdict and sentence follows from the numbers."""
     claims = all_claims(study)
     failing = [claim for claim in claims if not claim.holds]
     holding = [claim for claim in claims if claim.holds]
@@ -121,7 +125,7 @@ def _sensitivities() -> list[str]:
         "smallest - 1 while one parameter runs through its range and the others are held (Table 5 has no range of R "
         "and ρ1, so there Table 4's are used).",
         "",
-        *table(
+        *_table(
             (
                 "parameter",
                 "on steel, locally",
@@ -156,21 +160,12 @@ def _entry(name: str, title: str, note: str) -> list[str]:
     return [heading, "", f"{note} ([data]({name}.csv))".strip(), "", f"![{title}]({name}.png)", ""]
 
 
-#: Columns: quantity, its factor and digits, its head.
-_RESPONSES = (
-    ("peak_force", 1e-3, ".2f", "force [kN]"),
-    ("peak_displacement", 1e3, ".3f", "DCS [mm]"),
-    ("contact_duration", 1e6, ".0f", "contact time [µs]"),
-)
-_NAMES = [name for name, *_ in _RESPONSES]
-#: An error that grows by more than this from speed to speed grows.
-_GROWTH = 0.001
-_HEAD = "force / DCS / contact time"
-_SHOWN_GROUP = {
-    UNDAMPED: "hard",
-    SOFT: f"soft, {PENALTY_FACTOR:g} x bulk modulus / our elements",
-    **{group: f"as soft as that of elements of {size * 1e3:g} mm" for group, size in ELEMENT_SIZES.items()},
-}
+def _table(heads: Sequence[str], rows: Iterable[Sequence[str]]) -> list[str]:
+    """Return the lines of a table in Markdown."""
+    return [f"| {' | '.join(heads)} |", "|---" * len(heads) + "|", *(f"| {' | '.join(row)} |" for row in rows), ""]
+
+
+# ---- what finite elements tell of the three theories ----------------------------------------------------------------
 
 
 def finite_element_section(study: Study) -> list[str]:
@@ -245,7 +240,7 @@ def _impacts(study: Study) -> list[str]:
             for name, factor, digits, _ in _RESPONSES
         ]
         rows.append([f"{run.case.sphere}, {run.case.velocity:g} m/s", *cells])
-    return table(("sphere, speed", *(f"{head} FE / K1 / K2 / series" for *_, head in _RESPONSES)), rows)
+    return _table(("sphere, speed", *(f"{head} FE / K1 / K2 / series" for *_, head in _RESPONSES)), rows)
 
 
 def _yardsticks(study: Study) -> str:
@@ -272,7 +267,7 @@ def _errors(study: Study) -> list[str]:
             " / ".join(f"{value.determination:.3f}" for value in found),
         ])  # fmt: skip
     heads = ("theory", "mean error", "against the damped", "squared correlation", "1 - SSres/SStot")
-    return table(heads, rows)
+    return _table(heads, rows)
 
 
 def _excess(study: Study) -> str:
@@ -342,7 +337,7 @@ def _soft(study: Study) -> list[str]:
         f"elements of {' or '.join(f'{size * 1e3:g}' for size in ELEMENT_SIZES.values())} mm; the mesh is ours. "
         f"What it does to the {len(study.of(SOFT))} impacts, and where the theories then stand ({_HEAD}):",
         "",
-        *table(
+        *_table(
             (
                 "contact",
                 "against the hard one",

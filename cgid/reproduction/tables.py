@@ -1,7 +1,4 @@
-"""Tables 1, 2, 4 and 5 of the paper: inputs as printed, beside what follows from them (Table 3 is simulated).
-
-Table 3: how well theory and simulation agree, by the paper's yardstick and by one that sees a wrong factor.
-"""
+"""The tables of the paper: its inputs with what follows from them, and how well theory and simulation agree."""
 
 from __future__ import annotations
 
@@ -18,7 +15,7 @@ from cgid.reproduction import paper
 from cgid.reproduction.drawing import QUANTITIES, SYMBOLS
 from cgid.reproduction.paper import SECTION_4_VELOCITY, paper_impact, table_4_impact, table_5_impact
 from cgid.reproduction.study import Study
-from cgid.reproduction.theories import READINGS, SHARED, agreement
+from cgid.reproduction.theories import READINGS, SHARED, Agreement, agreement
 
 #: Columns that the paper prints with five digits.
 _FIVE_DIGITS = ("reduced_modulus", "printed_reduced_modulus", "contact_stiffness", "printed_contact_stiffness")
@@ -36,7 +33,7 @@ class PaperTable:
     note : str
         What was chosen here because the paper does not say it.
     data : pandas.DataFrame
-        Columns named as in `quantities`, in SI units.
+        Columns named as in `QUANTITIES`, in SI units.
     heads, cells : list
         What the picture shows, in the paper's units.
     """
@@ -93,7 +90,7 @@ def _cell(column: str, value: Any) -> str:
     return f"{value * QUANTITIES[column].factor:{'#' if column in _FIVE_DIGITS else ''}.5g}"
 
 
-def table_1() -> PaperTable:
+def table_1(_: Study) -> PaperTable:
     """Return Table 1: sphere 1 and the plate."""
     contact = _contact(paper.TABLE_1, 1)
     rows = [
@@ -103,7 +100,7 @@ def table_1() -> PaperTable:
     return _contact_table("table_1", "Parameters of the contact model", rows)
 
 
-def table_2() -> PaperTable:
+def table_2(_: Study) -> PaperTable:
     """Return Table 2: the four spheres, and the plate with its size."""
     rows = [
         _body(f"sphere {number}", sphere, YANG2018_RADIUS) | _contact(paper.TABLE_2[number], number)
@@ -146,7 +143,7 @@ def _range_table(
     return PaperTable(name=name, title=title, note=note, data=pd.DataFrame(rows), heads=heads, cells=cells)
 
 
-def table_4() -> PaperTable:
+def table_4(_: Study) -> PaperTable:
     """Return Table 4: ranges for sphere 1 on the metal plate, and what each does to the responses."""
     return _range_table(
         "table_4",
@@ -157,7 +154,7 @@ def table_4() -> PaperTable:
     )
 
 
-def table_5() -> PaperTable:
+def table_5(_: Study) -> PaperTable:
     """Return Table 5: ranges for two bodies of equal properties, and what each does to the responses."""
     return _range_table(
         "table_5",
@@ -168,16 +165,7 @@ def table_5() -> PaperTable:
     )
 
 
-#: How to make each table, by the name of its files.
-TABLES: dict[str, Callable[[], PaperTable]] = {
-    "table_1": table_1,
-    "table_2": table_2,
-    "table_4": table_4,
-    "table_5": table_5,
-}
-
-
-#: Columns of the table as printed.
+#: Columns of Table 3 and their heads.
 _SHOWN = {
     "peak_displacement": r"$\delta$",
     "peak_force": "$F$",
@@ -188,7 +176,7 @@ _SHOWN = {
 
 
 def table_3(study: Study) -> PaperTable:
-    """Return Table 3 for the three theories, beside what the paper prints for its own."""
+    """Return Table 3 for the three theories, and what the paper prints for its own."""
     import pandas as pd
 
     rows, cells = [], []
@@ -208,13 +196,9 @@ def table_3(study: Study) -> PaperTable:
                 }
                 for name, value in found.items()
             ]
-            shown = [
-                # All but energy is K1's, and stands above.
-                ""
-                if reading == SHARED and not name.endswith("energy")
-                else _cell_table(value.squared_correlation, value.determination)
-                for name, value in found.items()
-            ]
+            # Both readings of K1 differ only in energy.
+            own = [name for name in _SHOWN if reading != SHARED or name.endswith("energy")]
+            shown = [_agreement_cell(found[name]) if name in own else "" for name in _SHOWN]
             cells.append(["", SYMBOLS.get(reading, "K1, shared"), *shown])
     return PaperTable(
         name="table_3",
@@ -228,6 +212,16 @@ def table_3(study: Study) -> PaperTable:
     )  # fmt: skip
 
 
-def _cell_table(squared_correlation: float, determination: float) -> str:
-    first = "\N{EM DASH}" if np.isnan(squared_correlation) else f"{squared_correlation:.5f}"
-    return f"{first} / {determination:.{3 if abs(determination) < 100 else 0}f}"
+def _agreement_cell(found: Agreement) -> str:
+    first = "\N{EM DASH}" if np.isnan(found.squared_correlation) else f"{found.squared_correlation:.5f}"
+    return f"{first} / {found.determination:.{3 if abs(found.determination) < 100 else 0}f}"
+
+
+#: How to make each table from the finite-element study, by the name of its files.
+TABLES: dict[str, Callable[[Study], PaperTable]] = {
+    "table_1": table_1,
+    "table_2": table_2,
+    "table_3": table_3,
+    "table_4": table_4,
+    "table_5": table_5,
+}

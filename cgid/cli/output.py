@@ -1,11 +1,9 @@
-"""The standard streams, where whoever called has closed them or they cannot be written.
+"""The standard streams and interruptions of a command.
 
-Everything that a command says goes through here, so that no file's text can command the terminal.
+Everything that a command prints goes through `say`, so that no text of a file can control the terminal.
 
-An interruption (Ctrl-C) that is never lost.
-
-Python raises KeyboardInterrupt wherever it stands, and swallows it where nothing can be raised: in the callbacks of
-weak references, of which h5py has many. So the wish is noted as well, and long work asks for it.
+Python raises KeyboardInterrupt wherever it happens to be, and loses it where nothing can be raised, such as in the
+callbacks of weak references, of which h5py has many. So an interruption is noted as well, and long work asks for it.
 """
 
 from __future__ import annotations
@@ -24,23 +22,25 @@ import click
 
 from cgid.terminal import printable
 
+_noted = threading.Event()
+
 
 def open_missing() -> None:
-    """Put an empty device where a standard stream is closed.
+    """Open the null device for every standard stream that is closed.
 
-    Else the next file that is opened, a dataset perhaps, becomes the standard output of every library in C.
+    Otherwise the next file that is opened, such as a dataset, becomes the standard output of every C library.
     """
     for descriptor in range(3):
         try:
             os.fstat(descriptor)
         except OSError:
-            os.open(os.devnull, os.O_RDWR)  # the lowest that is free: this one
+            os.open(os.devnull, os.O_RDWR)  # takes the lowest free descriptor, which is this one
     if sys.stderr is None:
         sys.stderr = open(os.devnull, "w", encoding="utf-8")  # noqa: PTH123, SIM115 - until the process ends
 
 
 def drop(stream: TextIO | None) -> None:
-    """Send what still waits in a stream to nowhere: Python would complain again when it ends."""
+    """Discard what a stream still buffers; otherwise Python would fail again when it closes the stream."""
     if stream is not None:
         with contextlib.suppress(OSError, ValueError):
             nowhere = os.open(os.devnull, os.O_WRONLY)
@@ -49,9 +49,9 @@ def drop(stream: TextIO | None) -> None:
 
 
 def say(text: str, *, err: bool = False) -> None:
-    """Print one line on stdout, or on stderr; what a terminal would obey stands as its escape.
+    """Print one line on stdout or stderr, with the escapes of characters that would control a terminal.
 
-    What cannot be said on stderr, where the disk that it goes to is full, is no reason to fail otherwise.
+    A stderr that cannot be written, on a full disk for example, is ignored.
     """
     try:
         click.echo(printable(text), err=err)
@@ -63,12 +63,9 @@ def say(text: str, *, err: bool = False) -> None:
         drop(sys.stderr)
 
 
-_noted = threading.Event()
-
-
 @contextmanager
 def heard() -> Iterator[None]:
-    """Note interruptions within this context; does nothing outside of the main thread."""
+    """Note interruptions within this context; has no effect outside of the main thread."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
@@ -83,7 +80,7 @@ def heard() -> Iterator[None]:
 
 
 def stop_if_asked() -> None:
-    """Raise KeyboardInterrupt if somebody has asked for it since, however long ago."""
+    """Raise KeyboardInterrupt if an interruption was noted and possibly lost."""
     if _noted.is_set():
         raise KeyboardInterrupt
 
