@@ -40,7 +40,7 @@ from cgid.physics.materials import Material
 from cgid.physics.response import Response
 from cgid.scene import Scene, load_scene, synthesise
 from cgid.scene.draws import BLOCK
-from cgid.scene.impacts import blows_of, hearing
+from cgid.scene.impacts import blows_of, recorder_of
 from cgid.scene.plan import RESPONSE_TOLERANCE as TOLERANCE
 from cgid.scene.plan import plan
 from cgid.validation import Floats
@@ -113,7 +113,7 @@ class Blows:
 def blows(scene: Scene, n: int, n_modes: int) -> Blows:
     """Return n impacts of a scene on so many modes of its beam, evenly out of those below half the sampling rate."""
     asked = plan(scene)
-    drawn, heard = blows_of(asked, 0, 0), hearing(asked)
+    drawn, heard = blows_of(asked, 0, 0), recorder_of(asked)
     below = int(np.searchsorted(heard.modes.frequency, scene.sampling.sampling_rate / 2))
     if not 1 <= n_modes <= below:
         raise SystemExit(f"--modes must be at least 1 and at most {below}, got {n_modes}")
@@ -294,7 +294,7 @@ def with_coupling(scene: Scene, coupling: str) -> Scene:
 def accuracy(scene: Scene) -> None:
     """Print the error behind the sensor chain at the scene's tolerance."""
     asked = plan(scene)
-    drawn, heard = blows_of(asked, 1, 0), hearing(asked)
+    drawn, heard = blows_of(asked, 1, 0), recorder_of(asked)
     close, exact = np.zeros((2, BLOCK, scene.sampling.samples))
     true = replace(heard.response, tolerance=TRUTH)
     for strike in drawn.strikes:

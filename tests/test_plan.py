@@ -801,7 +801,7 @@ def test_explain_tells_of_a_recording(capsys: pytest.CaptureFixture[str]) -> Non
     assert all(stages[name]["runs"] for name in running)
     assert not any(stages[name]["runs"] for name in ("gravity", "taps", "second hits", "features", "bandwidth"))
     assert run(["generate", "caving", "--explain"]) == 0
-    assert "1 recordings: 6144000 bytes each" in capsys.readouterr().out
+    assert "1 recording: 6144000 bytes each" in capsys.readouterr().out
     for option in ("--features-only", "--parameters-only"):
         assert run(["generate", "caving", "--explain", option]) == 2
         assert "no tables" in capsys.readouterr().err

@@ -154,8 +154,6 @@ _NOT_STORED = {
     "physics/tabulation.py": "made the table of the family once",
     "physics/modes.py: frequency_response": "a picture",
     "scene/calibration": "from a recording to a scene",
-    "scene/costs.py": "an estimate of time",
-    "scene/stream/expected.py": "an estimate of how much there is",
     "scene/units.py": "words of a message",
 }
 _FUNCTIONS = {

@@ -13,13 +13,13 @@ from cgid.physics.materials import Material
 from cgid.scene import parse_scene, rocks, synthesise, varied
 from cgid.scene import stream as synthesis
 from cgid.scene.draws import BLOCK, generator
-from cgid.scene.impacts import hearing, impact_of, impacts_by_coupling
+from cgid.scene.impacts import impact_of, impacts_by_coupling, recorder_of
 from cgid.scene.plan import plan
 from cgid.scene.recordings import most_impacts, require_capacity
 from cgid.scene.rocks import PoissonTimes, arrivals_of, population_shares
 from cgid.scene.schema import samples_of
-from cgid.scene.sections import RateTable
 from cgid.scene.stream import record
+from cgid.scene.stream_section import RateTable
 
 GRAVITY = 9.80665
 RATE = 25_600.0
@@ -381,7 +381,7 @@ def test_the_ringing_of_every_impact_goes_on_through_the_recording(sensor):
     signal, found = record(scene, dtype="float64")
     assert signal.unit == scene.sensor.unit and len(set(found["time"] // (128 / 60))) == 3
     planned = plan(scene, ["recordings"])
-    heard = hearing(planned)
+    heard = recorder_of(planned)
     # All at once, in one frame as long as the recording. What was asked is more than what the beam has left.
     asked = {**found, "restitution": np.full(found["time"].size, 0.5)}
     impact = impact_of(planned, asked, np.arange(found["time"].size))

@@ -1,4 +1,4 @@
-"""`cgid check`: whether a scene is sound, and what it would make."""
+"""`cgid check`: validate a scene and preview what it would make."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def check(scene: str, seed: int, as_json: bool) -> None:
     from cgid.scene.noise import background_of
 
     loaded = load_scene(shipped.scene_path(scene))
-    background_of(loaded)  # a recording that cannot be read shows here
+    background_of(loaded)  # reports a recording that cannot be read
     preview = _preview(loaded, seed)
     if loaded.stream is not None:
         preview |= _stream(loaded)
@@ -53,15 +53,12 @@ def check(scene: str, seed: int, as_json: bool) -> None:
 
 
 def _preview(scene: Any, seed: int) -> dict[str, Any]:
-
     import numpy as np
 
     from cgid.scene.draws import BLOCK, parameter_units
-    from cgid.scene.extremes import unwarned
     from cgid.scene.impacts import draw
 
-    with unwarned():
-        draws = [draw(scene, seed, block) for block in range(_BLOCKS)]
+    draws = [draw(scene, seed, block) for block in range(_BLOCKS)]
     units = parameter_units(scene)
     if scene.stream is not None:
         del units["onset"]  # of a frame
@@ -87,7 +84,7 @@ def _preview(scene: Any, seed: int) -> dict[str, Any]:
 
 
 def _tail_beam(scene: Any) -> dict[str, float]:
-    """Return what is to be known of a scene's tail beam; nothing if it has none."""
+    """Return the facts about a scene's tail beam; nothing if it has none."""
     from cgid.scene.impacts import beam_modes
 
     if scene.tail_beam is None:
@@ -111,7 +108,7 @@ def _randomised(scene: Any) -> dict[str, tuple[float, float]]:
 
 
 def _shares(draws: list[Any], values: dict[str, Any], sampling_rate: Any, scene: Any) -> dict[str, float]:
-    """Return the share of the pulses that something is to be said of, by what it is."""
+    """Return the share of the pulses that each warning concerns."""
     import numpy as np
 
     from cgid.measure.pulses import WANTED_SAMPLES
@@ -144,7 +141,7 @@ def _shares(draws: list[Any], values: dict[str, Any], sampling_rate: Any, scene:
 def _stream(scene: Any) -> dict[str, Any]:
     """Return what a scene with a stream makes, and the shares of its labels over the recording.
 
-    Raises what `generate` would raise of a recording that is too long or a background that cannot be read.
+    Raises the errors of `generate` for a recording that is too long or a background that cannot be read.
     """
     import numpy as np
 
@@ -156,7 +153,7 @@ def _stream(scene: Any) -> dict[str, Any]:
     require_capacity(scene, "float32")
     background, duration = background_of(scene), scene.stream.duration
     noise = scene.sensor.noise_level(np.zeros(()), scene.sampling.sampling_rate)
-    # The mixture at every time, weighed by how many rocks come then.
+    # The mixture at every time, weighted by the rocks that arrive then.
     times = (np.arange(1000) + 0.5) / 1000 * duration
     expected = arrivals_of(scene.stream).expected(np.linspace(0, duration, 1001))
     shares = population_shares(scene, times) @ np.diff(expected) / max(expected[-1], 1e-300)

@@ -173,13 +173,11 @@ def _warn_of_plate(scene: Any, seed: int) -> None:
     """Warn once if rocks of the first block exceed the range of the thin plate; blocks do not warn."""
     from cgid.physics import ThinPlate
     from cgid.physics.impact import BEYOND_THIN_PLATE, INELASTICITY_LIMIT
-    from cgid.scene.extremes import unwarned
     from cgid.scene.impacts import draw
 
     if not isinstance(scene.body, ThinPlate):
         return
-    with unwarned():
-        largest = draw(scene, seed, 0).inelasticity.max(initial=0.0)
+    largest = draw(scene, seed, 0).inelasticity.max(initial=0.0)
     if largest > INELASTICITY_LIMIT:
         say(
             f"cgid: warning: {scene.name}: lambda of the thin plate reaches {largest:.3g}, Zener's theory holds to "
@@ -231,7 +229,8 @@ def _explain(asked: Any, n_signals: int, as_json: bool) -> None:
     say(f"{'stage':<23}{'':<9}{'error':>9}  why")
     for name, decision in asked.decisions.items():
         say(f"{name:<23}{'run' if decision.runs else 'skipped':<9}{decision.error_bound:>9.2g}  {decision.why}")
-    say(f"{n_signals} {noun}s: {size} bytes each, {size * n_signals / 1e6:.4g} MB")
+    many = "s" * (n_signals > 1)
+    say(f"{n_signals} {noun}{many}: {size} bytes each, {size * n_signals / 1e6:.4g} MB")
 
 
 def _require_recordings(scene: Any, options: dict[str, Any]) -> None:

@@ -1,7 +1,7 @@
 """Many impacts and what senses them: a scene file, its populations, its signals."""
 
-from cgid.scene.blow import Blow
 from cgid.scene.calibration import Calibration, calibrated
+from cgid.scene.calibration_blow import Blow
 from cgid.scene.generation import generate
 from cgid.scene.given_pulses import synthesise_given
 from cgid.scene.recordings import generate_recordings

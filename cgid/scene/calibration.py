@@ -1,4 +1,4 @@
-"""A scene as blows on the real beam say it is."""
+"""On-site calibration: a tap test or a few drops of known mass set the gain or the modes of a scene."""
 
 from __future__ import annotations
 
@@ -8,28 +8,27 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from cgid import validation
 from cgid.errors import BadData, InvalidValue
 from cgid.physics.response import Resonators
-from cgid.scene.blow import Blow, Struck, made_ready
+from cgid.scene.calibration_blow import Blow, PreparedBlow, prepared
+from cgid.scene.calibration_fit import MOST_MODES, NOTHING_LEFT, Fit, Ringing, aligned, columns, refined, ringing_modes
 from cgid.scene.impacts import beam_modes
-from cgid.scene.modal_fit import MOST_MODES, NOTHING_LEFT, Fit, Ringing, aligned, columns, refined, ringing_modes
 from cgid.scene.schema import Scene, parse_scene
 from cgid.scene.sections import TailBeamSection
 from cgid.validation import Floats
 
-#: Without an anti-alias filter or a bandwidth modes are looked for up to this share of the sampling rate.
+#: Without an anti-alias filter or a bandwidth modes are sought up to this share of the sampling rate.
 _HEARD = 0.45
-#: Samples of free ringing for each mode, and in any case.
+#: Fewest samples of free ringing for each mode, and in any case.
 _SAMPLES_A_MODE, _LEAST_SAMPLES = 8, 64
-#: More modes than asked for, so that one which stands for two others takes no mode's place.
+#: Modes sought beyond those asked for, so that one which stands for two others displaces none.
 _SPARE = 2
-#: What is left is looked at so often, for so many modes more each time.
+#: Searches of the residual, and modes more that each may find.
 _ROUNDS, _MODES_A_ROUND = 3, 2
-#: A blow that is explained less than this has been made by something else.
+#: If a blow explains less of the motion, something else has caused it.
 _LEAST_EXPLAINED = 0.02
 
 
@@ -46,7 +45,7 @@ class Calibration:
     explained : ndarray, (n_blows,)
         Share of each recording's energy about its mean that the scene explains.
     delays : ndarray, (n_blows,)
-        [s] For a hammer by how much the motion's channel is behind the force's; for a drop the time of touch in the
+        [s] For a hammer the delay of the motion's channel to the force's; for a drop the time of touch in the
         recording.
     """
 
@@ -61,33 +60,32 @@ def calibrated(
 ) -> Calibration:
     """Return a scene whose gain or modes are those of recorded blows: a tap test, or drops of known mass.
 
-    With neither `modes` nor `band` the beam of the scene stays as it is, and `sensor.gain` becomes the factor between
-    recordings and what the scene makes of the same blows, by least squares over all samples. Every recording counts
-    the same, over its largest sample; its own offset and delay are found and left out. Noise in a hammer's channel
-    goes into the gain: some .7 % a blow where it is 1 % of the peak of a contact of 5 to 10 samples.
+    With neither `modes` nor `band` the beam stays as it is, and `sensor.gain` becomes the factor between the recordings
+    and what the scene makes of the same blows, by least squares over all samples. Every recording has the same weight,
+    over its largest sample; offsets and delays are fitted as well. Noise in a hammer's channel goes into the gain: some
+    0.7 % a blow where it is 1 % of the peak of a contact of 5 to 10 samples.
 
     With `modes` or `band` the beam is measured. Poles come from the free ringing of all blows together, then
-    frequencies, damping ratios, delays and real participations from least squares over the whole recordings, contact
-    and sensor chain included. All blows must fall on one place.
+    frequencies, damping ratios, delays and real participations from least squares over the whole recordings, including
+    contact and sensor chain. All blows must fall on one place.
 
-    Participation is `shape_impact shape_sensor / modal_mass`, and all that such blows can say. It is written with
-    `shape_impact` 1, `shape_sensor` 1 or -1 and `modal_mass` one over its size, so that signals of taps do not hang on
-    how it is split. How far the beam gives way under a rock does: by `shape_impact^2 / modal_mass`, which is then the
-    size of the participation. That is right for blows beside the sensor itself. Elsewhere it takes the beam to be as
-    yielding there as at the sensor, on average over modes as good a guess as any; where a mode has a node near the
-    sensor it is too stiff. Who has blows at both places takes the masses of those at the impact point, and keeps the
-    participation by `shape_sensor`. A recorder whose scale is off shifts the masses with it.
+    Such blows determine only the participation `shape_impact shape_sensor / modal_mass`. It is written with
+    `shape_impact` 1, `shape_sensor` 1 or -1 and `modal_mass` one over its size; signals of taps do not depend on this
+    split. How far the beam gives way under a rock does: by `shape_impact^2 / modal_mass`, which then equals the size of
+    the participation. That is right for blows next to the sensor. Elsewhere it assumes that the beam is as compliant
+    there as at the sensor, on average over modes as good a guess as any; for a mode with a node near the sensor it is
+    too stiff. With blows at both places, take the masses of those at the impact point and keep the participation by
+    `shape_sensor`. A recorder with a wrong scale shifts the masses by its factor.
 
     Parameters
     ----------
     scene : Scene
-        Of a motion, with a beam: its sensor is that of the recordings but for the gain.
+        Of a motion, with a beam: its sensor is that of the recordings except for the gain.
     blows : sequence of Blow
     modes : int, optional
-        How many modes to look for, the loudest ones. Too few leave the others in the recordings, which shifts those
-        that are near to them.
+        How many modes to find, the loudest ones. Modes that are left out shift those near to them.
     band : tuple of float, optional
-        Modes from here to there are kept [Hz]; without `modes` all that stand out of the noise.
+        Lowest and highest frequency of the modes that are kept [Hz]; without `modes` all that stand out of the noise.
 
     Returns
     -------
@@ -96,14 +94,13 @@ def calibrated(
     Raises
     ------
     InvalidValue
-        No blows, blows on several places for modes, a quantity, rate or band that is not the scene's.
+        No blows, blows on several places for modes, or a quantity, rate or band that does not fit the scene.
     BadData
-        A recording is too short or too noisy, clipped or begins too late; the blows do not explain what was recorded.
+        A recording is too short, too noisy or clipped, or begins too late, or the blows do not explain it.
 
     Examples
     --------
-    A tap test with an instrumented hammer. Here the scene of a beam with two modes is the beam itself, and its
-    sensor of force the hammer:
+    A tap test with an instrumented hammer. Here a scene with two modes plays the beam, and its force the hammer:
 
     >>> from cgid.scene import Blow, calibrated, parse_scene, synthesise, varied
     >>> from cgid.signals import Signal
@@ -136,8 +133,8 @@ def calibrated(
     if modes is not None:
         validation.count("modes", modes)
     _require_band(scene, band)
-    struck = [made_ready(scene, blow) for blow in blows]
-    # Many small matrices: threads would wait for each other longer than they work.
+    struck = [prepared(scene, blow) for blow in blows]
+    # Many small matrices: threads would spend their time waiting for each other.
     with threadpool_limits(1):
         if modes is None and band is None:
             return _with_gain(scene, blows, struck)
@@ -179,7 +176,7 @@ def _require_band(scene: Scene, band: tuple[float, float] | None) -> None:
         )
 
 
-def _with_gain(scene: Scene, blows: list[Blow], struck: list[Struck]) -> Calibration:
+def _with_gain(scene: Scene, blows: list[Blow], struck: list[PreparedBlow]) -> Calibration:
     assert scene.tail_beam is not None
     points = np.array([_point(scene.tail_beam, blow) for blow in blows])
     heard = beam_modes(scene)
@@ -190,14 +187,16 @@ def _with_gain(scene: Scene, blows: list[Blow], struck: list[Struck]) -> Calibra
     return _calibration(found, gain, blows, struck, fit.delays, fit.remains)
 
 
-def _fit(scene: Scene, struck: list[Struck], modes: Resonators, participation: list[Floats], *, free: bool) -> Fit:
+def _fit(
+    scene: Scene, struck: list[PreparedBlow], modes: Resonators, participation: list[Floats], *, free: bool
+) -> Fit:
     sensor, rate = scene.sensor, scene.sampling.sampling_rate
     delays = aligned(struck, sensor, rate, modes, participation)
     return refined(struck, sensor, rate, modes, participation, delays, free=free)
 
 
 def _point(beam: TailBeamSection, blow: Blow) -> tuple[float, float]:
-    """Return where a blow fell; measured modes have but one place."""
+    """Return where a blow fell; measured modes have only one place."""
     if blow.impact_point is not None:
         place = blow.impact_point
         for axis, at, size in (("x", place[0], beam.length), ("y", place[1], beam.width)):
@@ -215,12 +214,12 @@ def _point(beam: TailBeamSection, blow: Blow) -> tuple[float, float]:
 
 
 def _with_modes(
-    scene: Scene, blows: list[Blow], struck: list[Struck], n_modes: int | None, band: tuple[float, float] | None
+    scene: Scene, blows: list[Blow], struck: list[PreparedBlow], n_modes: int | None, band: tuple[float, float] | None
 ) -> Calibration:
     if len({blow.impact_point for blow in blows}) > 1:
         raise InvalidValue("impact_point must be the same for all blows where modes are measured; calibrate each place")
     rate, sensor = scene.sampling.sampling_rate, scene.sensor
-    # With a band those beside it are found, too, so that they do not stay in the recordings.
+    # With a band, modes outside it are fitted as well, so that they do not disturb those inside.
     fit = _identified(scene, struck, n_modes if band is None else None)
     kept = _kept(fit, n_modes, band)
     each = np.eye(fit.amounts.size)
@@ -241,10 +240,10 @@ def _with_modes(
     return _calibration(_changed(scene, {"gain": None}, rows), 1.0, blows, struck, fit.delays, remains)
 
 
-def _identified(scene: Scene, struck: list[Struck], n_modes: int | None) -> Fit:
-    """Return the least squares by so many modes, or by all that stand out of the noise.
+def _identified(scene: Scene, struck: list[PreparedBlow], n_modes: int | None) -> Fit:
+    """Return the least squares by this many modes, or by all that stand out of the noise.
 
-    Modes that lie close together ring as one at first: what the others leave is looked at again.
+    Close modes ring as one at first, so the residual is searched again.
     """
     _require_length(scene, struck, n_modes)
     most = MOST_MODES if n_modes is None else n_modes + _SPARE
@@ -254,52 +253,42 @@ def _identified(scene: Scene, struck: list[Struck], n_modes: int | None) -> Fit:
     fit = _fit(scene, struck, first, [np.eye(first.frequency.size)] * len(struck), free=True)
     before = sum(float((blow.samples**2).sum()) for blow in struck)
     for _ in range(_ROUNDS):
-        known = _only(fit, fit.significant)
+        known = fit.only(fit.significant)
         missing = most - known.frequency.size
         if not missing or fit.energy < NOTHING_LEFT * before:
             break
         more = _ringing(scene, struck, fit.remains, min(missing, _MODES_A_ROUND))
         if not more.frequency.size:
             break
-        fit = _refitted(scene, struck, fit, _joined(known, more))
-    return fit if fit.significant.all() else _refitted(scene, struck, fit, _only(fit, fit.significant))
+        fit = _refitted(scene, struck, fit, known.joined(more))
+    return fit if fit.significant.all() else _refitted(scene, struck, fit, fit.only(fit.significant))
 
 
-def _require_length(scene: Scene, struck: list[Struck], n_modes: int | None) -> None:
+def _require_length(scene: Scene, struck: list[PreparedBlow], n_modes: int | None) -> None:
     shortest = min(blow.samples.size - blow.decay for blow in struck)
     needed = max(_LEAST_SAMPLES, _SAMPLES_A_MODE * (n_modes or 1))
     if shortest < needed:
         raise BadData(
             f"recordings must ring freely for {needed} samples after the blow, "
-            f"{1e3 * needed / scene.sampling.sampling_rate:.3g} ms, for so many modes, got {max(shortest, 0)}; record "
-            "longer, or ask for fewer modes"
+            f"{1e3 * needed / scene.sampling.sampling_rate:.3g} ms, for this many modes, got {max(shortest, 0)}; "
+            "record longer, or ask for fewer modes"
         )
 
 
-def _ringing(scene: Scene, struck: list[Struck], samples: list[Floats], most: int) -> Ringing:
-    """Return a guess of the modes that ring in what was recorded, or in what is left of it."""
+def _ringing(scene: Scene, struck: list[PreparedBlow], samples: list[Floats], most: int) -> Ringing:
+    """Return a guess of the modes that ring in recordings or residuals."""
     decays = [part[blow.decay :] for part, blow in zip(samples, struck, strict=True)]
     filters = np.concatenate([np.empty(0, complex), *(part.poles for part in scene.sensor.filters)])
     return ringing_modes(decays, scene.sampling.sampling_rate, most, _highest(scene), filters)
 
 
-def _refitted(scene: Scene, struck: list[Struck], fit: Fit, modes: Ringing) -> Fit:
+def _refitted(scene: Scene, struck: list[PreparedBlow], fit: Fit, modes: Ringing) -> Fit:
     each = [np.eye(modes.frequency.size)] * len(struck)
     return refined(struck, scene.sensor, scene.sampling.sampling_rate, modes, each, fit.delays, free=True)
 
 
-def _only(fit: Fit, which: NDArray[np.bool_]) -> Ringing:
-    return Ringing(fit.modes.frequency[which], fit.modes.damping_ratio[which])
-
-
-def _joined(one: Ringing, other: Ringing) -> Ringing:
-    return Ringing(
-        np.concatenate([one.frequency, other.frequency]), np.concatenate([one.damping_ratio, other.damping_ratio])
-    )
-
-
 def _kept(fit: Fit, n_modes: int | None, band: tuple[float, float] | None) -> list[int]:
-    """Return which modes are kept, by frequency: those without which most would be left."""
+    """Return which modes are kept, in order of frequency: those that explain most."""
     low, high = band or (0.0, np.inf)
     frequency = fit.modes.frequency
     inside = np.flatnonzero((frequency >= low) & (frequency <= high) & (fit.amounts != 0))
@@ -323,7 +312,7 @@ def _changed(scene: Scene, sensor: dict[str, Any], modes: list[dict[str, float]]
 
 
 def _calibration(
-    scene: Scene, gain: float, blows: list[Blow], struck: list[Struck], delays: Floats, remains: list[Floats]
+    scene: Scene, gain: float, blows: list[Blow], struck: list[PreparedBlow], delays: Floats, remains: list[Floats]
 ) -> Calibration:
     energies = [
         (float((rest**2).sum()), float((blow.samples**2).sum())) for rest, blow in zip(remains, struck, strict=True)

@@ -1,6 +1,6 @@
 """Distributions of the numbers of a population, all drawn by the inverse of their distribution function.
 
-One uniform number gives one value, so what is drawn does not depend on how many are drawn at once.
+One uniform number gives one value, so values do not depend on how many are drawn at once.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ class _Distribution(BaseModel):
     @property
     def extremes(self) -> tuple[float, float]:
         """The smallest and the largest value that can ever be drawn."""
-        with np.errstate(all="ignore"):  # what overflows is infinite, and out of every bounds
+        with np.errstate(all="ignore"):  # an overflow is infinite, and beyond all bounds
             low, high = self.quantile(np.array([SMALLEST_UNIFORM, LARGEST_UNIFORM]))
         return float(low), float(high)
 
@@ -87,7 +87,7 @@ class _Bounded(_Distribution):
 
 
 class Uniform(_Bounded):
-    """Every value between two bounds alike."""
+    """Every value between two bounds has the same probability."""
 
     distribution: Literal["uniform"]
 
@@ -115,7 +115,7 @@ class LogUniform(_Bounded):
 
 
 class _Truncatable(_Distribution):
-    """A distribution without bounds of its own, which may be given some: draws between them only."""
+    """A distribution that may be truncated: it draws only between its bounds."""
 
     lowest: float | None = None
     highest: float | None = None
@@ -240,7 +240,7 @@ Distribution = Annotated[
     Constant | Choice | Uniform | LogUniform | Normal | Lognormal | RosinRammler,
     Field(discriminator="distribution"),
 ]
-#: The names a scene file may use, to be left out of the paths of errors.
+#: The names that a scene file may use; the paths of errors leave them out.
 DISTRIBUTION_NAMES = (
     "constant",
     "choice",

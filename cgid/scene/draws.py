@@ -154,20 +154,9 @@ def quantities_of(
 ) -> dict[str, Floats]:
     """Return what rocks and taps draw: the one place where uniform numbers become quantities.
 
-    Parameters
-    ----------
-    sources : sequence of Population and Tap
-    which : ndarray of int, (n,)
-        The source of each.
-    numbers : dict of ndarray, each (n,)
-        Uniform numbers by the name of the quantity; a velocity takes the number of the drop height.
-    names : iterable of str
-        Of the quantities to return, velocity among them.
-
-    Returns
-    -------
-    dict of ndarray, each (n,)
-        In SI units, nan where a source has no such quantity. A drop height comes with its velocity.
+    which is the source of each rock or tap, (n,). numbers holds uniform numbers by the name of the quantity, each (n,);
+    a velocity takes the number of the drop height. The named quantities are in SI units, nan where a source has none;
+    a drop height comes with its velocity.
     """
     values = {name: np.full(which.size, np.nan) for name in names}
     for index, source in enumerate(sources):

@@ -83,20 +83,20 @@ def synthesise_given(
     """Yield the signals of given pulses in batches of at most 256, as `synthesise` does for those of a scene.
 
     Frames, beam, sensor, noise and background are those of the scene, and so is every number drawn for them: signal k
-    touches where signal k of `synthesise` with the same seed does, and has its noise. The pulses are taken as they
-    are: a second hit of the scene does not come, and a beam is driven by them and does not give way again.
+    has the onset and the noise of signal k of `synthesise` with the same seed. The pulses are used unchanged: there are
+    no second hits, and a beam is driven by the pulses but does not change them.
 
     Parameters
     ----------
     scene : Scene
-        Its populations only say which parameters are stored.
+        Its populations determine only which parameters are stored.
     pulses : SampledPulses
         n of them, in newtons.
     labels : array_like of str, (n,)
     parameters : dict of array_like, each (n,), optional
-        What is known of each impact, by the names and in the units of `cgid.scene.draws.parameter_units`; nan
-        where it is not. Onset and points of impact are drawn as the scene does where they are nan or left out. Peak and
-        duration are those of the pulses, levels of the sensor those of the scene.
+        What is known of each impact, by the names and in the units of `cgid.scene.draws.parameter_units`, else nan.
+        Onsets and points of impact are drawn by the scene where they are nan or left out. Peak and duration are those
+        of the pulses, levels of the sensor those of the scene.
     seed : int
         Between 0 and 2^63 - 1.
     dtype : {"float32", "float64"}
@@ -105,8 +105,8 @@ def synthesise_given(
     Raises
     ------
     InvalidValue
-        There is no pulse, labels or parameters are of another number, a parameter is none of the scene's, may not be
-        said or is impossible, or the scene makes recordings.
+        There is no pulse, the number of labels or parameters differs, the scene has no such parameter, a parameter may
+        not be given or is impossible, or the scene makes recordings.
     """
     validation.choice("dtype", dtype, ("float32", "float64"))
     require_frames(scene)
@@ -117,11 +117,11 @@ def synthesise_given(
     known = _known(parameters or {}, scene, n)
     asked = plan(scene, dtype=dtype)
     for first in range(0, n, BLOCK):
-        # A block is drawn whole: rows behind the last pulse repeat it, and are left out of the batch.
+        # A block is drawn whole: rows after the last pulse repeat it and are left out of the batch.
         rows = np.minimum(np.arange(first, first + BLOCK), n - 1)
         part = {name: values[rows] for name, values in known.items()}
         blows = _blows(asked, pulses.taken(rows), names[rows], part, seed, first // BLOCK)
-        yield batch_of(blows, seed, first // BLOCK, slice(0, min(n - first, BLOCK)))
+        yield batch_of(scene, blows, seed, first // BLOCK, slice(0, min(n - first, BLOCK)))
 
 
 def _known(parameters: Mapping[str, ArrayLike], scene: Scene, n: int) -> dict[str, Floats]:
@@ -136,8 +136,8 @@ def _known(parameters: Mapping[str, ArrayLike], scene: Scene, n: int) -> dict[st
         if column.shape != (n,) or column.dtype.kind not in "fiu":
             raise InvalidValue(f"{name} must be one number for each of {n} pulses, got shape {column.shape}")
         known[name] = column.astype(np.float64)
-        said = np.where(np.isnan(known[name]), _ALLOWED, known[name])
-        _RULES.get(name, validation.real)(name, said, *([units[name]] if units[name] != "1" else []))
+        checked = np.where(np.isnan(known[name]), _ALLOWED, known[name])
+        _RULES.get(name, validation.real)(name, checked, *([units[name]] if units[name] != "1" else []))
     _require_on_panel(known, scene)
     return known
 
@@ -146,8 +146,8 @@ def _require_on_panel(known: Mapping[str, Floats], scene: Scene) -> None:
     if scene.tail_beam is None:
         return
     for name, size in zip(POINT_UNITS, (scene.tail_beam.length, scene.tail_beam.width), strict=True):
-        if name in known and size is not None and (beside := known[name] > size).any():
-            row = np.flatnonzero(beside)[0]
+        if name in known and size is not None and (outside := known[name] > size).any():
+            row = np.flatnonzero(outside)[0]
             raise InvalidValue(
                 f"{name} must lie on the beam, between 0 and {size:g} m, got {known[name][row]:g} m at index {row}"
             )
@@ -162,7 +162,7 @@ def _blows(
     values |= {"peak_force": pulses.peak_force, "contact_duration": pulses.contact_duration, **known}
     values |= {name: np.where(np.isnan(values[name]), own, values[name]) for name, own in drawn.items()}
     values |= levels_of(here, values)
-    # Where nobody said what fell, each is something else.
+    # Where the particle is not known, each counts as another specimen.
     particle = [known.get(name, np.full(BLOCK, np.nan)) for name in PARTICLE]
     stranger = np.isnan(np.sum(particle, axis=0))
     number = block * BLOCK + np.arange(BLOCK, dtype=np.uint64)
@@ -181,10 +181,10 @@ class SolvedImpacts:
         n of them: forces [N] and durations [s] of spheres of 1 m.
     labels : ndarray of str, (n,)
     columns : dict of ndarray, each (n,)
-        `PARAMETERS`, in SI units, restitution as it came out; and `MAKING`: the one asked for, and the retardation
+        `PARAMETERS` in SI units, restitution as solved; and `MAKING`: the restitution asked for and the retardation
         time of the sphere's material [s].
     made : dict
-        How: scene, seed, mesh, steps.
+        Scene, seed, mesh and steps of the solution.
     """
 
     pulses: SampledPulses
@@ -203,7 +203,7 @@ class SolvedImpacts:
     def signals(self, scene: Scene, seed: int = 0) -> Iterator[Batch]:
         """Yield the signals of a scene with these pulses in batches of at most 256; another seed gives other sizes.
 
-        Radii are drawn as the scene draws them, onsets and noise as `synthesise_given` says.
+        Radii are drawn as the scene draws them, onsets and noise as in `synthesise_given`.
         """
         radius = radii(scene, self.labels, seed)
         known = {name: self.columns[name] for name in PARAMETERS} | {"radius": radius}
@@ -255,7 +255,7 @@ def _require_sound(labels: NDArray[Any], columns: Mapping[str, Floats], made: An
     if labels.dtype.kind != "U":
         raise ValueError(f"labels must be text, got {labels.dtype}")
     if not isinstance(made, dict) or "scene" not in made:
-        raise ValueError("how they were made must be told by name, the scene too")
+        raise ValueError("made must be a mapping by name, the scene too")
     for name, column in columns.items():
         if name == "poisson_ratio":
             validation.poisson_ratio(name, column)

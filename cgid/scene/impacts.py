@@ -1,4 +1,4 @@
-"""From drawn numbers to pulses: impacts on a target or a beam that swings back, taps, and what a recorder hears."""
+"""From drawn numbers to pulses, impacts on a target or a vibrating beam and taps, and what a recorder shows of them."""
 
 from __future__ import annotations
 
@@ -32,16 +32,10 @@ from cgid.validation import Floats
 
 @dataclass(frozen=True)
 class BeamModes:
-    """The modes of a scene's tail beam, with their shapes at the sensor.
-
-    Attributes
-    ----------
-    modes : Modes or MeasuredModes
-    at_sensor : ndarray, (n_modes,)
-    """
+    """The modes of a scene's tail beam, with their shapes at the sensor."""
 
     modes: Modes | MeasuredModes
-    at_sensor: Floats
+    at_sensor: Floats  # (n_modes,)
 
     @property
     def frequency(self) -> Floats:
@@ -71,7 +65,7 @@ class BeamModes:
 
 
 def beam_modes(scene: Scene) -> BeamModes:
-    """Return the modes of a scene's tail beam as far as its recorder can hear them; they are found only once.
+    """Return the modes of a scene's tail beam as far as its recorder passes them; they are found only once.
 
     Raises
     ------
@@ -104,7 +98,7 @@ def _beam_modes(section: TailBeamSection, panel: TailBeam | None, highest: float
 
 
 @dataclass(frozen=True)
-class Hearing:
+class Recorder:
     """The response of a scene's recorder; `modes` is None for a force, which has no gain either."""
 
     response: Response
@@ -119,17 +113,17 @@ class Hearing:
         return participation if self.gain is None else self.gain * participation
 
 
-def hearing(asked: Plan) -> Hearing | None:
+def recorder_of(asked: Plan) -> Recorder | None:
     """Return what responds to the forces: beam and sensor; None where the forces themselves are recorded."""
     if not asked.responds:
         return None
     chain = asked.runs("sensor chain")
     count("sensor_filters", len(asked.scene.sensor.filters) * chain)
-    return _hearing(asked.scene, asked.runs("tail beam"), chain)
+    return _recorder(asked.scene, asked.runs("tail beam"), chain)
 
 
 @lru_cache(maxsize=16)
-def _hearing(scene: Scene, beam: bool, chain: bool) -> Hearing:
+def _recorder(scene: Scene, beam: bool, chain: bool) -> Recorder:
     sensor = scene.sensor
     modes = beam_modes(scene) if beam else None
     response = Response(
@@ -139,7 +133,7 @@ def _hearing(scene: Scene, beam: bool, chain: bool) -> Hearing:
         filters=sensor.filters if chain else (),
         tolerance=RESPONSE_TOLERANCE,
     )
-    return Hearing(response, modes, sensor.gain)
+    return Recorder(response, modes, sensor.gain)
 
 
 # -- impacts ----------------------------------------------------------------------------------------------
@@ -179,8 +173,9 @@ def _through_modes(
     if not asked.runs("coupling"):
         return np.zeros(rows.size, bool)
     assert scene.tail_beam is not None
-    if scene.panel is None or scene.tail_beam.couples_always:
+    if scene.tail_beam.couples_always:
         return np.ones(rows.size, bool)
+    assert scene.panel is not None
     lasts = impact.contact_duration
     echo = scene.panel.echo_time(values["impact_x"][rows], values["impact_y"][rows], 1 / lasts)
     return np.asarray((echo < lasts) & (impact.inelasticity > NEGLIGIBLE_ECHO))
@@ -230,21 +225,11 @@ def _collision(scene: Scene, values: Mapping[str, Floats], rows: NDArray[np.intp
 
 @dataclass(frozen=True)
 class TapPulses:
-    """Pulses of prescribed shapes, one for each row: a hammer, a calibration, a fault.
+    """Pulses of prescribed shapes, one for each row: a hammer, a calibration, a fault."""
 
-    Attributes
-    ----------
-    shape : ndarray of int, (n,)
-        Number of the shape in `SHAPES`.
-    peak_force : ndarray, (n,)
-        [N].
-    contact_duration : ndarray, (n,)
-        [s].
-    """
-
-    shape: NDArray[np.intp]
-    peak_force: Floats
-    contact_duration: Floats
+    shape: NDArray[np.intp]  # number of the shape in `SHAPES`, (n,)
+    peak_force: Floats  # [N], (n,)
+    contact_duration: Floats  # [s], (n,)
 
     @property
     def end_of_contact(self) -> Floats:
@@ -264,7 +249,7 @@ class TapPulses:
         for row, frame in enumerate(frames):
             samples = np.arange(first[row], behind[row])
             share = (samples - place[row]) / length[row]
-            # Where a sample falls on the end, rounding may put it a hair behind.
+            # Where a sample falls on the end, rounding may put it just behind.
             force = np.where(share < 1, shapes[self.shape[row]](share), 0.0)
             frame[first[row] : behind[row]] += self.peak_force[row] * force
 
@@ -274,24 +259,12 @@ Pulses = Impact | ModalImpact | TapPulses | SampledPulses
 
 @dataclass(frozen=True)
 class Strike:
-    """Pulses of one kind, each with its place in a block.
+    """Pulses of one kind, each with its place in a block."""
 
-    Attributes
-    ----------
-    rows : ndarray of int, (n,)
-        Signals of the block that they belong to.
-    pulses : Impact, ModalImpact, TapPulses or SampledPulses
-        n of them.
-    onset : ndarray, (n,)
-        Time of touch in the frame [s].
-    ratio : ndarray, (n,), optional
-        What each is multiplied by.
-    """
-
-    rows: NDArray[np.intp]
+    rows: NDArray[np.intp]  # the signals of the block that they belong to, (n,)
     pulses: Pulses
-    onset: Floats
-    ratio: Floats | None = None
+    onset: Floats  # time of touch in the frame [s], (n,)
+    ratio: Floats | None = None  # the factor of each, (n,)
 
     def add_to_frames(self, frames: NDArray[Any], sampling_rate: float) -> None:
         """Add the pulses to the frames of the block, in place."""
@@ -304,17 +277,17 @@ class Strike:
             own *= self.ratio.astype(frames.dtype)[:, None]
         frames[self.rows] += own
 
-    def add_response(self, frames: NDArray[Any], heard: Hearing, parameters: Mapping[str, Floats]) -> None:
-        """Add what a recorder hears of the pulses to the frames of the block, in place."""
+    def add_response(self, frames: NDArray[Any], recorder: Recorder, parameters: Mapping[str, Floats]) -> None:
+        """Add what a recorder shows of the pulses to the frames of the block, in place."""
         own = {name: values[self.rows] for name, values in parameters.items()}
-        heard.response.add_to_frames(
-            frames, self.pulses, self.onset, heard.participation(own), rows=self.rows, ratio=self.ratio
+        recorder.response.add_to_frames(
+            frames, self.pulses, self.onset, recorder.participation(own), rows=self.rows, ratio=self.ratio
         )
 
 
 @dataclass(frozen=True)
 class Blows:
-    """All that is heard in one block of signals.
+    """All pulses of one block of signals.
 
     Attributes
     ----------
@@ -328,6 +301,8 @@ class Blows:
         What the frames are made of: impacts, taps, second hits.
     plan : Plan
         Of this block.
+    impact : Impact, optional
+        All impacts that a scene has drawn, as if a beam had no edges.
     """
 
     labels: NDArray[np.str_]
@@ -335,6 +310,7 @@ class Blows:
     specimen: NDArray[np.uint64]
     strikes: tuple[Strike, ...]
     plan: Plan
+    impact: Impact | None = None
 
     @property
     def scene(self) -> Scene:
@@ -343,25 +319,12 @@ class Blows:
 
     def add_to_frames(self, frames: NDArray[Any]) -> None:
         """Add to each frame what the plan asks for, in place: the forces, or what beam and sensor make of them."""
-        heard = hearing(self.plan)
+        recorder = recorder_of(self.plan)
         for strike in self.strikes:
-            if heard is None:
+            if recorder is None:
                 strike.add_to_frames(frames, self.scene.sampling.sampling_rate)
             else:
-                strike.add_response(frames, heard, self.parameters)
-
-
-@dataclass(frozen=True)
-class DrawnBlows(Blows):
-    """The pulses of one block as a scene draws them; their parameters are those of `parameter_units`.
-
-    Attributes
-    ----------
-    impact : Impact
-        All impacts of the block, as if a beam had no edges.
-    """
-
-    impact: Impact
+                strike.add_response(frames, recorder, self.parameters)
 
     @property
     def inelasticity(self) -> Floats:
@@ -370,28 +333,28 @@ class DrawnBlows(Blows):
         return np.concatenate([np.empty(0), *(p.inelasticity for p in first if isinstance(p, Impact))])
 
 
-def draw(scene: Scene, seed: int, block: int) -> DrawnBlows:
+def draw(scene: Scene, seed: int, block: int) -> Blows:
     """Return the true pulses of one block of 256, as `blows_of`; of a stream as if its rocks fell into frames."""
     return blows_of(Plan(scene=scene, outputs=frozenset(("pulses",))), seed, block)
 
 
-def blows_of(asked: Plan, seed: int, block: int) -> DrawnBlows:
-    """Return the pulses of one block of 256; no range of a theory is warned of, `cgid check` says how often it ends."""
+def blows_of(asked: Plan, seed: int, block: int) -> Blows:
+    """Return the pulses of one block of 256, silently where they pass the range of a theory (see `cgid check`)."""
     drawn = drawn_block(asked.scene, seed, block)
     here, values = asked.for_block(drawn.scene), drawn.values
     strikes: list[Strike] = []
     with unwarned():
         impact = impact_of(here, values, drawn.fallen)
         impacts = impacts_by_coupling(here, impact, values, drawn.fallen) if here.runs("pulses") else ()
-        for rows, pulses, alike in impacts:
-            strikes += _strikes(here, pulses, alike, rows, values)
+        for rows, pulses, pulses_of in impacts:
+            strikes += _strikes(here, pulses, pulses_of, rows, values)
             # What a law delivers is what the pulse shows, and what was asked may differ from it.
             for name in STORED:
                 values[name][rows] = getattr(pulses, name)
         if here.runs("taps"):
             tapped = partial(_taps, drawn.shapes, values)
             strikes += _strikes(here, tapped(drawn.tapped), tapped, drawn.tapped, values)
-    return DrawnBlows(drawn.labels, values, drawn.specimen, tuple(strikes), here, impact)
+    return Blows(drawn.labels, values, drawn.specimen, tuple(strikes), here, impact)
 
 
 def _strikes(

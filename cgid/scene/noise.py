@@ -38,10 +38,9 @@ def add_noise(
 ) -> None:
     """Add white Gaussian noise to frames, in place.
 
-    The noise of a sample depends on the seed, the purpose, the block, the row and the number of the sample only: a
-    window of a signal, or a long recording piece by piece, has the noise that the whole would have. It is drawn in
-    tiles of 512 samples, in float32 whatever the frames hold; its tails end at 6.7 standard deviations. Python's lock
-    is free meanwhile.
+    The noise of a sample depends only on seed, purpose, block, row and number of the sample: a window of a signal, or a
+    long recording piece by piece, has the noise that the whole would have. It is drawn in tiles of 512 samples, always
+    in float32; its tails end at 6.7 standard deviations. Python's lock is released meanwhile.
 
     Parameters
     ----------
@@ -56,7 +55,7 @@ def add_noise(
     first_sample : int
         Where the window begins within its signals.
     purpose : int
-        What the noise is for, a number of `cgid.scene.draws`; another purpose is other noise.
+        A number of `cgid.scene.draws`; each purpose has its own noise.
 
     Raises
     ------
@@ -89,38 +88,25 @@ def add_noise(
 
 #: Samples of a recording that share one address.
 CHUNK = 1 << 16
-#: No closer fraction is sought for the ratio of two sampling rates.
+#: Largest denominator of the fraction that stands for the ratio of two sampling rates.
 _LARGEST_TERM = 10_000
 #: Half width of the filter that changes a sampling rate, in periods of the lower one, and shape of its window.
 _HALF_PERIODS, _KAISER = 10, 5.0
-#: Blocks of 256 rocks that tell a scene's median peak.
+#: Blocks of 256 rocks from which the median peak of a scene is taken.
 _REFERENCE_BLOCKS = 4
-#: In so many samples a blow has passed its peak.
+#: A blow has passed its peak within this many samples.
 _REFERENCE_SAMPLES = 2048
 
 
 @dataclass(frozen=True)
 class Background:
-    """The background of a scene at one sampling rate.
-
-    Attributes
-    ----------
-    section : BackgroundSection
-    quantity : str
-        What the sensor measures.
-    sampling_rate : float
-        [Hz].
-    recorded : ndarray, (n,), optional
-        The recording that is mixed in, at this rate, with mean 0 and root mean square 1,
-    recorded_level : float
-        and what it is multiplied by.
-    """
+    """The background of a scene at one sampling rate."""
 
     section: BackgroundSection
-    quantity: str
-    sampling_rate: float
-    recorded: Floats | None
-    recorded_level: float = 0.0
+    quantity: str  # of the sensor
+    sampling_rate: float  # [Hz]
+    recorded: Floats | None  # the recording that is mixed in, at this rate, with mean 0 and root mean square 1
+    recorded_level: float = 0.0  # its factor
 
     def in_frames(self, seed: int, block: int, n_samples: int) -> Floats:
         """Return the background of the frames of one block, (`BLOCK`, n_samples), each with its own."""
@@ -130,7 +116,7 @@ class Background:
             turns = line.frequency * np.arange(n_samples) / self.sampling_rate
             out += amplitude * _wave(turns + phases[:, None])
         if self.section.coloured is not None:
-            # Of a period twice as long as the frame, or more, whose ends then have nothing to do with each other.
+            # Of a period at least twice as long as the frame, so that the ends of the frame are independent.
             length = 1 << (2 * n_samples - 1).bit_length()
             out += self._coloured(seed, block, 0, BLOCK, length)[:, :n_samples]
         if self.recorded is not None:
@@ -164,13 +150,13 @@ class Background:
     def _segment(self, seed: int, recording: int, number: int) -> Floats:
         """Return one of the segments that make up a recording's coloured noise, (2 `CHUNK`,).
 
-        Each reaches over two chunks, and two overlap in every chunk. They are faded by a sine, whose squares
-        add up to 1, so that the power is the same everywhere.
+        Each spans two chunks, and two overlap in every chunk. They are faded by a sine, whose squares add up to 1, so
+        the power is the same everywhere.
         """
         return _faded_segment(self.section, self.quantity, self.sampling_rate, seed, recording, number)
 
     def _coloured(self, seed: int, block: int, number: int, rows: int, length: int) -> Floats:
-        """Return periodic Gaussian noise of the asked density, (rows, length), a power of 2: one of many by number."""
+        """Return periodic Gaussian noise of the section's density, (rows, length); the length is a power of 2."""
         from cgid.scene._fourier import from_spectrum
 
         assert self.section.coloured is not None
@@ -178,8 +164,8 @@ class Background:
         power = self.section.coloured.at(frequency, self.quantity)
         parts = np.zeros((rows, 2 * frequency.size))
         add_noise(parts, np.ones(rows), seed, block, first_sample=number * parts.shape[1], purpose=COLOURED)
-        # A line of the periodogram 2 |X|^2 / (rate n) then has the asked density as its mean. The mean of a signal
-        # belongs to no frequency, and the line at half the rate is real and counts once.
+        # The mean of a line of the periodogram 2 |X|^2 / (rate n) is then the density. The mean of a signal belongs to
+        # no frequency, and the line at half the rate is real and counts once.
         height = np.sqrt(power * self.sampling_rate * length / 4)
         height[0] = 0.0
         height[-1] *= 2.0
@@ -187,7 +173,7 @@ class Background:
 
 
 def _wave(turns: Floats) -> Floats:
-    """Return the sine of so many turns."""
+    """Return the sine of an angle in turns."""
     return sin(2 * np.pi * (turns - np.rint(turns)))
 
 
@@ -204,8 +190,7 @@ def _faded_segment(
 def reference_peak(scene: Scene) -> float:
     """Return the median peak of the first hits of a scene's rocks, drawn by the weights of their populations.
 
-    What the level of a recorded background is measured by, in the SI unit of what the sensor feels. It is a number of
-    the scene, and so the same for all its signals.
+    It sets the level of a recorded background, in the SI unit of the sensor, the same for all signals of a scene.
     """
     asked = Plan(scene=scene, outputs=frozenset(("frames",)))
     peaks = [_peaks(blows_of(asked, 0, block)) for block in range(_REFERENCE_BLOCKS)]
@@ -248,11 +233,11 @@ def _age(path: Path) -> int:
     try:
         return path.stat().st_mtime_ns
     except OSError:
-        return 0  # reading it will say what is wrong
+        return 0  # reading it reports what is wrong
 
 
 def _resampling_filter(factor: int) -> Floats:
-    """Return the low-pass that keeps what both sampling rates hold: a sinc in Kaiser's window, as scipy would take."""
+    """Return the low-pass that keeps the band of both sampling rates: a sinc in a Kaiser window, as scipy's default."""
     half = _HALF_PERIODS * factor
     place = np.arange(-half, half + 1.0)
     angle = np.pi * place / factor
@@ -262,7 +247,7 @@ def _resampling_filter(factor: int) -> Floats:
 
 
 def _bessel_i0(x: Floats) -> Floats:
-    """Return the modified Bessel function of order 0 by its series, up to x of some 10."""
+    """Return the modified Bessel function of order 0 by its series, for x up to about 10."""
     term, total = np.ones_like(x), np.ones_like(x)
     for k in range(1, 40):
         term = term * (x / (2 * k)) * (x / (2 * k))
@@ -276,7 +261,7 @@ def _unit_recording(
 ) -> NDArray[Any]:
     """Return a recording at another sampling rate, with mean 0 and root mean square 1.
 
-    The age of the file tells its versions apart.
+    The age of the file distinguishes its versions in the cache.
     """
     signals = read_recording(path, sampling_rate=given_rate, channel=channel)
     if len(signals) > 1:

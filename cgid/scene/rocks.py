@@ -32,38 +32,26 @@ from cgid.scene.draws import (
     uniforms,
 )
 from cgid.scene.schema import Scene
-from cgid.scene.sections import RateTable, StreamSection
+from cgid.scene.stream_section import RateTable, StreamSection
 from cgid.units import STANDARD_GRAVITY
 from cgid.validation import Floats
 
-#: Rocks expected in a stretch at most. As numbers are drawn by the inverse of their distribution at no more than
+#: Most rocks expected in a stretch. As numbers are drawn by the inverse of their distribution at no more than
 #: 1 - 2^-53, a stretch then never holds more than a block of 256.
 EXPECTED_ROCKS = 128.0
-#: A stretch is no longer [s]: its samples are held in memory.
+#: Longest stretch [s]: its samples are held in memory.
 LONGEST_STRETCH = 16.0
 
 
 @dataclass(frozen=True)
 class Stretch:
-    """A part of the time axis and the rocks that arrive in it.
+    """A part of the time axis and the rocks that arrive in it."""
 
-    Attributes
-    ----------
-    start, stop : float
-        [s].
-    times : ndarray, (n,)
-        Of the arrivals [s], in order.
-    block : int
-        Where the numbers of these rocks are drawn,
-    rows : ndarray of int, (n,)
-        and which rows of the block are theirs.
-    """
-
-    start: float
+    start: float  # [s]
     stop: float
-    times: Floats
-    block: int
-    rows: NDArray[np.intp]
+    times: Floats  # of the arrivals [s], in order, (n,)
+    block: int  # the address of the numbers of these rocks
+    rows: NDArray[np.intp]  # their rows in the block, (n,)
 
 
 @dataclass(frozen=True)
@@ -82,14 +70,14 @@ class PoissonTimes:
         return times, values, np.append(0.0, np.cumsum(steps))
 
     def expected(self, times: Any) -> Floats:
-        """Return the number of arrivals to be expected before these times [s]."""
+        """Return the expected number of arrivals before these times [s]."""
         knots, values, before = self._knots
         at = np.asarray(times, np.float64)
         piece = np.searchsorted(knots, at, side="right") - 1
         return np.asarray(before[piece] + (at - knots[piece]) * (values[piece] + np.interp(at, knots, values)) / 2)
 
     def time_of(self, expected: Floats) -> Floats:
-        """Return when so many arrivals are to be expected: the inverse of `expected`."""
+        """Return when this many arrivals are expected: the inverse of `expected`."""
         knots, values, before = self._knots
         slopes = np.append(np.diff(values) / np.diff(knots), 0.0)
         piece = np.clip(np.searchsorted(before, expected, side="right") - 1, 0, knots.size - 1)
@@ -110,7 +98,7 @@ class PoissonTimes:
             first, last = self.expected([start, stop])
             counting, placing = uniforms(seed, block, 2, ARRIVALS, recording)
             number = int(np.searchsorted(_poisson_shares(float(last - first)), counting[0]))
-            # Given their number, the arrivals of a Poisson process lie independently of each other.
+            # Given their number, the arrivals of a Poisson process are independent of each other.
             times = np.clip(self.time_of(first + (last - first) * np.sort(placing[:number])), start, stop)
             yield Stretch(start, stop, times, block, np.arange(number))
 
@@ -132,7 +120,7 @@ class GivenTimes:
         return np.asarray(np.searchsorted(self.times, times, side="left"), np.float64)
 
     def stretches(self, duration: float, seed: int, recording: int) -> Iterator[Stretch]:
-        """Yield the stretches of a recording in order: at most a block of arrivals, and not too long."""
+        """Yield the stretches of a recording in order: at most a block of arrivals, and at most `LONGEST_STRETCH`."""
         listed = np.array(self.times)
         start, next_row = 0.0, 0
         while start < duration:
@@ -146,7 +134,7 @@ class GivenTimes:
 
 
 def arrivals_of(stream: StreamSection) -> PoissonTimes | GivenTimes:
-    """Return what says when the rocks of a stream arrive."""
+    """Return when the rocks of a stream arrive."""
     arrivals = stream.arrivals
     if arrivals.times is not None:
         return GivenTimes(arrivals.times)
@@ -155,21 +143,10 @@ def arrivals_of(stream: StreamSection) -> PoissonTimes | GivenTimes:
 
 
 def populations_of(scene: Scene, times: Floats, uniform: Floats) -> NDArray[np.intp]:
-    """Return the number of the population of each arriving rock.
+    """Return the number of the population of rocks that arrive at these times [s], (n,).
 
-    Parameters
-    ----------
-    scene : Scene
-        Of a stream.
-    times : ndarray, (n,)
-        Of the arrivals [s].
-    uniform : ndarray, (n,)
-        Between 0 and 1.
-
-    Returns
-    -------
-    ndarray of int, (n,)
-        By the mixture at that time, by weight within a label.
+    uniform holds a number between 0 and 1 for each. Labels follow the mixture at that time, populations within a label
+    their weights.
     """
     shares = population_shares(scene, times)
     edges = np.cumsum(shares, axis=0)
@@ -205,11 +182,11 @@ def on_beam(scene: Scene, x: Floats, y: Floats) -> NDArray[np.bool_]:
     return np.asarray((x >= 0) & (x <= scene.panel.length) & (y >= 0) & (y <= scene.panel.width))
 
 
-#: What is known of a rock before an impact, beside what it is made of.
+#: What is known of a rock before an impact.
 COLUMNS = {
     "time": np.float64,  # of touch [s]
     "rock": np.int64,  # its number in the recording
-    "bounce": np.int64,  # how many impacts it has behind it
+    "bounce": np.int64,  # number of its earlier impacts
     "population": np.int64,
     "specimen": np.uint64,
     **dict.fromkeys((*PARTICLE, "restitution", "drop_height", "velocity"), np.float64),
@@ -221,13 +198,10 @@ COLUMNS = {
 
 @dataclass(frozen=True)
 class Rocks:
-    """Rocks before an impact.
+    """Rocks before an impact, by the names of `COLUMNS`, each (n,).
 
-    Attributes
-    ----------
-    columns : dict of ndarray, each (n,)
-        `COLUMNS`. The restitution is the one asked for, the velocity the normal one, drop_height is nan but for
-        a first fall from a height, impact_x and impact_y are nan where a beam has no points.
+    The restitution is the one asked for, the velocity the normal one. drop_height is nan except for a first fall from a
+    height, impact_x and impact_y are nan where a beam has no points.
     """
 
     columns: Mapping[str, NDArray[Any]]
@@ -244,7 +218,7 @@ class Rocks:
 
     @classmethod
     def joined(cls, parts: Iterable[Rocks]) -> Self:
-        """Return the rocks of several batches in one; of none, no rocks."""
+        """Return the rocks of several batches, or no rocks, in one."""
         listed = list(parts)
         return cls(
             {
@@ -282,27 +256,12 @@ def arriving(scene: Scene, stretch: Stretch, first: int, seed: int, recording: i
 def thrown_back(
     scene: Scene, rocks: Rocks, delivered: Floats, contact_duration: Floats, audible: NDArray[Any]
 ) -> Rocks:
-    """Return the rocks as they come back from an impact, before the next one.
+    """Return the rocks that are still followed after an impact, before the next one.
 
     A rock leaves with the normal speed `e v`, flies for `2 e v / (g cos alpha)`, and comes back with the same normal
-    speed, while gravity carries it down the slope: by `u t + g sin(alpha) t^2 / 2` from touch to touch.
-
-    Parameters
-    ----------
-    scene : Scene
-    rocks : Rocks
-        n of them, before the impact.
-    delivered : ndarray, (n,)
-        Restitution of the impact, whatever took the energy.
-    contact_duration : ndarray, (n,)
-        [s].
-    audible : ndarray of bool, (n,)
-        Whether the impact is above the noise; a rock that is not is followed no further.
-
-    Returns
-    -------
-    Rocks
-        Those that are still followed.
+    speed, while gravity carries it down the slope: by `u t + g sin(alpha) t^2 / 2` from touch to touch. delivered is
+    the restitution of the impact, including what the target takes. Rocks whose impact is not audible are followed no
+    further.
     """
     assert scene.stream is not None
     rebounds, slope = scene.stream.rebounds, scene.stream.inclination

@@ -27,18 +27,18 @@ from cgid.scene.sections import (
     RandomiseSection,
     SamplingSection,
     Section,
-    StreamSection,
     TailBeamSection,
     Tap,
     TargetSection,
     with_table,
 )
 from cgid.scene.sensor import BackgroundSection, Sensor
+from cgid.scene.stream_section import StreamSection
 from cgid.validation import cut, shown
 
-#: No scene is longer [bytes], nor has more keys: 10,000 measured modes have 60,000.
+#: Largest scene file [bytes] and most keys in it: 10,000 measured modes have 60,000.
 _LARGEST_FILE, _MOST_KEYS = 8 << 20, 100_000
-#: This many mistakes are reported.
+#: Most mistakes that are reported.
 _MOST_MISTAKES = 20
 
 
@@ -69,7 +69,7 @@ class Scene(Section):
             if not elastic and population.restitution is None:
                 problems.append(f"populations.{index}.restitution: is missing, hunt-crossley dissipation needs it")
         problems += self._problems_of_beam()
-        if not problems:  # a beam that breaks rules is no target
+        if not problems:  # a beam that breaks rules cannot serve as target
             thickness = "impact.target.thickness" if self.tail_beam is None else "tail_beam.thickness"
             for index, population in enumerate(self.populations):
                 problem = problem_on_plate(
@@ -133,14 +133,14 @@ class Scene(Section):
 
     @cached_property
     def body(self) -> Target:
-        """The target of every impact: a beam gives way as an endless plate does, if its sizes are known."""
+        """The target of every impact: a beam of known size gives way as an endless plate."""
         if self.panel is not None:
             return self.panel.plate
         return self.impact.body
 
     @property
     def sources(self) -> tuple[Population | Tap, ...]:
-        """All that pulses come from, in the order in which a number is drawn for them."""
+        """Populations and taps, in the order in which one is drawn."""
         return (*self.populations, *self.taps)
 
     @property
@@ -162,14 +162,14 @@ class Scene(Section):
     def text(self) -> str:
         """The whole scene as JSON with sorted keys: what is stored in a dataset, and hashed."""
         content = self.model_dump(mode="json", exclude_none=True)
-        # What a scene does not use leaves no trace, so that a new kind of part gives no old scene another identity.
+        # A part that a scene does not use leaves no trace, so a new kind of part changes the identity of no old scene.
         if self.sensor.quantity == "force":
             del content["sensor"]["quantity"]
         return json.dumps({key: part for key, part in content.items() if part != []}, sort_keys=True)
 
-    @cached_property  # set by `parse_scene`; no field, for where a scene lies does not make it another
+    @cached_property  # set by `parse_scene`; no field, because its place does not change the identity of a scene
     def folder(self) -> Path:
-        """Where the scene file lies: files that it names are looked for there."""
+        """Folder of the scene file: the paths in it are relative to this folder."""
         return Path()
 
     @cached_property  # every batch of signals bears it
@@ -215,7 +215,7 @@ def load_scene(path: str | Path) -> Scene:
 def parse_scene(content: dict[str, Any], source: str = "scene", folder: Path | None = None) -> Scene:
     """Return the scene of a mapping with the structure of the file; raises `BadData` as `load_scene`.
 
-    Files that it names lie in `folder`, or else where the process runs.
+    Its paths are relative to `folder`, by default to the working directory.
     """
     try:
         scene = Scene.model_validate(content)
@@ -224,21 +224,21 @@ def parse_scene(content: dict[str, Any], source: str = "scene", folder: Path | N
         return scene
     except ValidationError as error:
         found = error.errors(include_url=False)
-        entries = [entry for entry in found if not _besides(entry, found)]
+        entries = [entry for entry in found if not _secondary(entry, found)]
         problems = [line for entry in entries for line in _lines(entry)]
         more = [f"and {len(problems) - _MOST_MISTAKES} more mistakes"] * (len(problems) > _MOST_MISTAKES)
         raise BadData(*(f"{source}: {line}" for line in problems[:_MOST_MISTAKES] + more)) from None
 
 
 def _path(location: tuple[int | str, ...]) -> str:
-    """Write a path without the names of the alternatives that pydantic puts in."""
+    """Return a path without the names of alternatives that pydantic inserts."""
     left_out = {*DISTRIBUTION_NAMES, "TargetSection", "literal['rigid']"}
     parts = [str(part) for part in location if part not in left_out]
     return ".".join(cut(part if part.isprintable() else repr(part)) for part in parts) or "scene"
 
 
-def _besides(entry: Any, found: Sequence[Any]) -> bool:
-    """Return whether this only follows from another mistake, or is about the way to write a target not chosen."""
+def _secondary(entry: Any, found: Sequence[Any]) -> bool:
+    """Return whether this only follows from another mistake, or concerns the form of target that was not chosen."""
     if entry["type"] == "too_short":  # of a list whose only rows are wrong
         place = entry["loc"]
         return any(other["loc"][: len(place)] == place and len(other["loc"]) > len(place) for other in found)
@@ -248,7 +248,7 @@ def _besides(entry: Any, found: Sequence[Any]) -> bool:
 
 
 def _lines(entry: Any) -> list[str]:
-    """Write one line for each problem; what concerns the whole scene comes with its own paths."""
+    """Return one line for each problem; problems of the whole scene come with their own paths."""
     message = _message(entry)
     if not entry["loc"] and entry["type"] == "value_error":
         return message.split("\n")
@@ -274,7 +274,7 @@ def _message(entry: Any) -> str:
     return text
 
 
-#: A frame that is kept in seconds has at least so many samples before touch: the baseline and the noise come from them.
+#: Fewest samples before touch of a frame that is kept in seconds: baseline and noise are measured there.
 LEAST_PRE_TRIGGER = 64
 _SECTIONS: dict[str, type[BaseModel]] = {"impact": ImpactSection, "sampling": SamplingSection, "sensor": Sensor}
 _LISTS: dict[str, type[BaseModel]] = {"populations": Population, "taps": Tap}
@@ -288,14 +288,14 @@ def varied(scene: Scene, *, keep_frame: bool = False, **changes: Any) -> Scene:
     ----------
     scene : Scene
     keep_frame : bool
-        With another `sampling_rate` the frame keeps its length in seconds before and after touch, but for at least
-        `LEAST_PRE_TRIGGER` samples before it; `samples` and `pre_trigger` must then be left out.
+        With another `sampling_rate` the frame keeps its length in seconds before and after touch, with at least
+        `LEAST_PRE_TRIGGER` samples before touch; `samples` and `pre_trigger` must then be left out.
     **changes
         Any key of `impact`, `sampling` or `sensor`, such as `stiffness`, `target`, `sampling_rate`, `range`; or any
-        key of a population or tap but label and weight, such as `radius`, `clipped_at`, which is then changed in all
+        key of a population or tap except label and weight, such as `radius`, `clipped_at`, which is then changed in all
         of them that have such a key; or `name`, `description`. Values are those of a scene file (a number, a string
-        with a unit, a mapping) or objects of a scene. None takes an optional setting out. `velocity` takes the place
-        of `drop_height` and the other way round; what is given is no longer randomised.
+        with a unit, a mapping) or objects of a scene. None removes an optional setting. `velocity` replaces
+        `drop_height` and vice versa; a given setting is no longer randomised.
 
     Raises
     ------
@@ -329,7 +329,7 @@ def varied(scene: Scene, *, keep_frame: bool = False, **changes: Any) -> Scene:
 
 
 def _places(content: dict[str, Any], name: str) -> list[dict[str, Any]]:
-    """Return the parts of a scene that may have this key; in `randomise` it is taken out."""
+    """Return the parts of a scene that may have this key, and remove it from `randomise`."""
     randomise = content.get("randomise", {})
     if name in RandomiseSection.model_fields and randomise.pop(name, None) is not None and not randomise:
         del content["randomise"]
@@ -343,7 +343,7 @@ def _places(content: dict[str, Any], name: str) -> list[dict[str, Any]]:
 
 
 def _kept_frame(scene: Scene, changes: dict[str, Any]) -> dict[str, Any]:
-    """Return the samples before touch and in all that span the same time at another sampling rate."""
+    """Return `pre_trigger` and `samples` that span the same time at another sampling rate."""
     given = sorted({"samples", "pre_trigger"} & changes.keys())
     if "sampling_rate" not in changes or given:
         raise InvalidValue(

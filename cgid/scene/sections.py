@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from functools import cached_property, partial
-from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self
 
@@ -12,7 +11,6 @@ import numpy as np
 from pydantic import (
     AfterValidator,
     BaseModel,
-    BeforeValidator,
     ConfigDict,
     Field,
     SerializerFunctionWrapHandler,
@@ -28,24 +26,7 @@ from cgid.physics.materials import Material
 from cgid.physics.modes import COLUMNS, MeasuredModes, read_measured_modes
 from cgid.physics.tail_beam import Ribs, TailBeam
 from cgid.scene.distributions import Distribution, measured, measured_within, within
-from cgid.scene.units import (
-    LIMITS,
-    Acceleration,
-    Density,
-    Duration,
-    Frequency,
-    Inclination,
-    Length,
-    Mass,
-    Modulus,
-    Moment,
-    Number,
-    Rate,
-    Ratio,
-    Speed,
-    Whole,
-)
-from cgid.units import parse
+from cgid.scene.units import LIMITS, Acceleration, Density, Frequency, Length, Mass, Modulus, Number, Ratio, Whole
 from cgid.validation import Floats
 
 #: Force over its peak against time over the duration, strictly between 0 and 1. Their order numbers them.
@@ -57,8 +38,6 @@ SHAPES: Mapping[str, Callable[[Floats], Floats]] = {
 }
 
 if TYPE_CHECKING:
-    from cgid.scene.sensor import Sensor
-
     Law = str
     Shape = str
 else:
@@ -90,19 +69,19 @@ class SecondHit(Section):
 
 
 class _Source(Section):
-    """What pulses of one label have in common, wherever they come from."""
+    """What populations and taps have in common."""
 
     _DRAWN: ClassVar[tuple[str, ...]] = ()
 
     label: Annotated[str, AfterValidator(partial(validation.label, "label"))]
     weight: Number = Field(default=1.0, gt=0, le=1e9)
     second_hit: SecondHit | None = None
-    # The share of a pulse's peak at which the sensor's range ends, as if it were too small for this impact.
+    # Share of the peak at which the pulse is clipped, as if the sensor's range were too small for this impact.
     clipped_at: Annotated[Distribution, measured("ratio"), _between(1e-3, 1.0)] | None = None
 
     @property
     def laws(self) -> dict[str, Distribution]:
-        """The distributions that are there, by the name of what is drawn."""
+        """The distributions of this section, by the name of what is drawn."""
         found = {name: getattr(self, name) for name in (*self._DRAWN, "clipped_at")}
         if self.second_hit is not None:
             found |= {"second_hit_delay": self.second_hit.delay, "second_hit_ratio": self.second_hit.ratio}
@@ -134,7 +113,7 @@ class Population(_Source):
 
 
 class Tap(_Source):
-    """Pulses of a prescribed shape, which no fall of a sphere has made."""
+    """Pulses of a prescribed shape, such as those of a hammer."""
 
     _DRAWN = ("peak_force", "contact_duration")
 
@@ -153,7 +132,7 @@ class TargetSection(Section):
 
     @property
     def material(self) -> Material:
-        """What the target is of."""
+        """The material of the target."""
         return Material(**self.model_dump(exclude={"thickness"}))
 
     @property
@@ -173,7 +152,7 @@ class ImpactSection(Section):
     dissipation: Literal["elastic", "hunt-crossley"]
     law: Law = "exact"
     target: TargetSection | Literal["rigid"]
-    # The pull during contact; left out for every impact that it changes by less than the tolerance (`weight`).
+    # The pull during contact; left out of every impact that it changes by less than the tolerance.
     gravity: Acceleration | None = None
     gravity_tolerance: Ratio | None = Field(default=None, ge=0, le=0.1)
 
@@ -187,7 +166,7 @@ class SamplingSection(Section):
     """How the frame of an impact is cut; of a stream, which has no frames, the sampling rate alone."""
 
     sampling_rate: Frequency
-    # 0 where they are not given, as in a stream: the scene asks for them where there are frames.
+    # 0 if not given, as in a stream; the scene requires them where there are frames.
     samples: Whole = Field(default=0, ge=16, le=2**20)
     pre_trigger: Whole = Field(default=0, ge=2)
     jitter: Number = Field(default=1.0, ge=0, le=1)
@@ -199,7 +178,7 @@ class SamplingSection(Section):
         return {key: value for key, value in content.items() if self.samples or key not in frame}
 
     def frame_problems(self, is_stream: bool) -> list[str]:
-        """Return what of a frame is missing, or given although there is none."""
+        """Return the settings of a frame that are missing, or given although there is no frame."""
         if is_stream:
             return [
                 f"sampling.{name}: must be left out of a stream, whose length is stream.duration"
@@ -232,7 +211,7 @@ class RandomiseSection(Section):
 
     @property
     def laws(self) -> dict[str, Distribution]:
-        """The distributions that are there, by the name of what is drawn."""
+        """The distributions of this section, by the name of what is drawn."""
         found = {name: getattr(self, name) for name in type(self).model_fields}
         return {name: law for name, law in found.items() if law is not None}
 
@@ -240,7 +219,7 @@ class RandomiseSection(Section):
 _PLACE = within(0.0, LIMITS["length"][1], f"must lie between 0 and {LIMITS['length'][1]:g} m", "m")
 _Place = Annotated[Distribution, measured("length"), _PLACE]
 
-# Shapes come in any scale, of which the modal mass is part.
+# Shapes may have any scale, which the modal mass then includes.
 _SHAPE = Field(ge=-1e6, le=1e6)
 
 
@@ -277,7 +256,7 @@ class ModeRow(Section):
 
 
 class TailBeamSection(Section):
-    """A rectangular panel, stiffened or not, or what a tap test has measured of one.
+    """A rectangular panel, stiffened or not, or the modes that a tap test has measured.
 
     Parameters
     ----------
@@ -290,9 +269,9 @@ class TailBeamSection(Section):
     impact_point, sensor_point : optional
         Of the panel.
     modes : tuple of ModeRow, optional
-        In place of the panel: frequencies ascending. In a file `modes = "modes.csv"` reads them from a table.
+        Instead of a panel, frequencies ascending. In a file `modes = "modes.csv"` reads them from a table.
     coupling : {"auto", "impedance", "modes"}
-        How the beam gives way under a rock: as an endless thin plate, through its modes, or by what holds.
+        How the beam gives way under a rock: as an endless thin plate, through its modes, or whichever holds.
     """
 
     length: Length | None = None
@@ -376,7 +355,7 @@ class TailBeamSection(Section):
 
 
 def with_table(content: dict[str, Any], folder: Path) -> dict[str, Any]:
-    """Return the content of a scene file with the rows of the table that `tail_beam.modes` names, if it names one."""
+    """Return the content of a scene file, with the rows of the table in place of its name in `tail_beam.modes`."""
     beam = content.get("tail_beam")
     if not isinstance(beam, dict) or not isinstance(beam.get("modes"), str):
         return content
@@ -384,171 +363,3 @@ def with_table(content: dict[str, Any], folder: Path) -> dict[str, Any]:
     columns = [np.asarray(getattr(modes, name)).tolist() for name in COLUMNS]
     rows = [dict(zip(COLUMNS, row, strict=True)) for row in zip(*columns, strict=True)]
     return content | {"tail_beam": beam | {"modes": rows}}
-
-
-#: No table in a scene file has more rows.
-_MOST_ROWS = 100_000
-#: The lowest bandwidth over the sampling rate: every impact is then smeared over some 65,000 samples.
-_LEAST_BAND = 1 / 512
-#: Shares that add up to one within this do.
-_SHARE_TOLERANCE = 1e-9
-
-
-def _not_empty(times: tuple[float, ...]) -> tuple[float, ...]:
-    if not times:
-        raise ValueError("must hold at least 1 time, got none")
-    return times
-
-
-_Times = Annotated[tuple[Moment, ...], Field(max_length=_MOST_ROWS), AfterValidator(_not_empty)]
-
-
-def _require_ascending(times: tuple[float, ...]) -> None:
-    for row, (before, after) in enumerate(pairwise(times), start=1):
-        if not before < after:
-            raise ValueError(f"times must ascend, got {after:g} s after {before:g} s in row {row}")
-
-
-class RateTable(Section):
-    """How many rocks come in a second: linear between the times, constant before the first and after the last."""
-
-    times: _Times
-    values: tuple[Rate, ...]
-
-    @model_validator(mode="after")
-    def _sound(self) -> Self:
-        _require_ascending(self.times)
-        if len(self.values) != len(self.times):
-            raise ValueError(f"values must be as many as times, {len(self.times)}, got {len(self.values)}")
-        if max(self.values) < 1e-3:
-            raise ValueError(f"must somewhere be 0.001 Hz or more, got at most {max(self.values):g} Hz")
-        return self
-
-
-def _read_rate(content: Any) -> Any:
-    """Take a bare rate for one that never changes."""
-    if isinstance(content, dict | BaseModel):
-        return content
-    return {"times": [0.0], "values": [parse(content, "frequency")]}
-
-
-class ArrivalsSection(Section):
-    """When rocks arrive: at random (a Poisson process) with a rate, or at given times."""
-
-    rate: Annotated[RateTable, BeforeValidator(_read_rate)] | None = None
-    times: _Times | None = None
-
-    @model_validator(mode="after")
-    def _one_way(self) -> Self:
-        if (self.rate is None) == (self.times is None):
-            raise ValueError("must have either rate or times, and not both")
-        if self.times is not None and any(before > after for before, after in pairwise(self.times)):
-            raise ValueError("times must not descend; sort them")
-        return self
-
-
-class MixtureSection(Section):
-    """The share of labels among the arriving rocks against time; every key but `times` is a label.
-
-    Shares are linear between the times, constant before the first and after the last. Labels without a row share
-    what is left by the weights of their populations.
-    """
-
-    model_config = ConfigDict(extra="allow", frozen=True, allow_inf_nan=False)
-    __pydantic_extra__: dict[str, tuple[Annotated[Ratio, Field(ge=0, le=1)], ...]]
-
-    times: _Times
-
-    @property
-    def shares(self) -> dict[str, tuple[float, ...]]:
-        """The shares of the labels that have some."""
-        return dict(self.__pydantic_extra__)
-
-    @model_validator(mode="after")
-    def _sound(self) -> Self:
-        _require_ascending(self.times)
-        if not self.shares:
-            raise ValueError("must give the shares of at least one label, such as gangue = [0.1, 0.9]")
-        for label, shares in self.shares.items():
-            if len(shares) != len(self.times):
-                raise ValueError(f"{label} must have as many shares as times, {len(self.times)}, got {len(shares)}")
-        total = np.sum([*self.shares.values()], axis=0)
-        if total.max() > 1 + _SHARE_TOLERANCE:
-            row = int(np.argmax(total))
-            raise ValueError(f"shares must add up to 1 or less, got {total[row]:g} at {self.times[row]:g} s")
-        return self
-
-    def problems(self, labels: tuple[str, ...]) -> list[str]:
-        """Return what is wrong with these shares for a scene of these labels."""
-        known = ", ".join(labels)
-        found = [
-            f"stream.mixture.{label}: must be a label of a population, one of {known}"
-            for label in self.shares
-            if label not in labels
-        ]
-        total = np.sum([*self.shares.values()], axis=0)
-        if not found and set(labels) == set(self.shares) and total.min() < 1 - _SHARE_TOLERANCE:
-            row = int(np.argmin(total))
-            found.append(
-                f"stream.mixture: shares of all labels must add up to 1, got {total[row]:g} at {self.times[row]:g} s; "
-                "leave out a label, which then takes the rest"
-            )
-        return found
-
-    def at(self, label: str, times: Floats) -> Floats:
-        """Return the share of a label that has a row at these times [s]."""
-        return np.asarray(np.interp(times, self.times, self.shares[label]))
-
-
-class ReboundsSection(Section):
-    """How long a rock is followed: so many rebounds, and while it comes back at this normal speed or more."""
-
-    most: Whole = Field(default=5, ge=1, le=1000)
-    least_speed: Speed = 0.1
-
-
-class StreamSection(Section):
-    """One long recording of rocks that come in a stream."""
-
-    duration: Duration
-    arrivals: ArrivalsSection
-    mixture: MixtureSection | None = None
-    rebounds: ReboundsSection | None = None
-    inclination: Inclination = 0.0
-
-    @model_validator(mode="after")
-    def _arrivals_inside(self) -> Self:
-        times = self.arrivals.times
-        if times is not None and times[-1] >= self.duration:
-            raise ValueError(
-                f"arrivals.times must lie before the end of the recording at {self.duration:g} s, got {times[-1]:g} s"
-            )
-        return self
-
-    def problems(self, populations: tuple[Population, ...], sensor: Sensor, sampling_rate: float) -> list[str]:
-        """Return what does not go with this stream, whose rocks share one time axis and one sensor."""
-        labels = tuple(sorted({population.label for population in populations}))
-        found = [] if self.mixture is None or not labels else self.mixture.problems(labels)
-        if sensor.relative_noise > 0:
-            found.append(
-                "sensor.relative_noise: must be left out of a stream, whose impacts share one noise; "
-                "give absolute_noise or noise_density"
-            )
-        if sensor.bandwidth is not None and (sensor.quantity != "force" or sensor.filters):
-            found.append(
-                "sensor.bandwidth: must be left out of a stream where something rings before it; give anti_alias"
-            )
-        elif sensor.bandwidth is not None and sensor.bandwidth < sampling_rate * _LEAST_BAND:
-            found.append(
-                f"sensor.bandwidth: must be at least 1/{1 / _LEAST_BAND:g} of the sampling rate in a stream, "
-                f"{sampling_rate * _LEAST_BAND:.4g} Hz, got {sensor.bandwidth:g} Hz, which smears impacts too far to "
-                "both sides; give anti_alias, or lower the sampling rate"
-            )
-        for index, population in enumerate(populations):
-            for name, cure in (
-                ("second_hit", "stream.rebounds makes further hits"),
-                ("clipped_at", "sensor.range clips"),
-            ):
-                if getattr(population, name) is not None:
-                    found.append(f"populations.{index}.{name}: must be left out of a stream; {cure}")
-        return found

@@ -1,9 +1,7 @@
-"""The sensor: what becomes of the true force, or of the motion of the beam, on its way into the frame.
+"""The `[sensor]` and `[background]` sections: how the force, or the motion of the beam, becomes a recorded signal.
 
-The `[background]` section: what a sensor records besides impacts and its own white noise.
-
-Three kinds, which add: hum lines, coloured noise of a given spectrum, and a recording. They come as the sensor
-gives them, behind its bandwidth, in the unit of its quantity. `cgid.scene.noise` makes the samples.
+A background adds hum lines, coloured noise of a given spectrum, or a recording. Its parts are given as the sensor shows
+them, after its bandwidth, in the unit of its quantity; `cgid.scene.noise` makes the samples.
 """
 
 from __future__ import annotations
@@ -29,14 +27,14 @@ from cgid.scene.units import Decibel, Frequency, Level, Number, Ratio, Whole
 from cgid.units import parse
 from cgid.validation import Floats
 
-#: What a sensor may feel -> the dimension of its levels, and its SI unit.
+#: The quantity of a sensor -> the dimension of its levels, and its SI unit.
 QUANTITIES = {
     "force": ("force", "N"),
     "acceleration": ("acceleration", "m/s^2"),
     "velocity": ("speed", "m/s"),
     "displacement": ("length", "m"),
 }
-#: The keys in the unit of the quantity, and what is behind its dimension.
+#: The keys in the unit of the quantity, and what follows its name in the name of their dimension.
 _LEVELS = {"absolute_noise": "", "noise_density": " noise density", "range": "", "offset": "", "drift": " per time"}
 
 
@@ -66,26 +64,26 @@ class Sensor(Section):
     quantity : {"force", "acceleration", "velocity", "displacement"}
         The contact force itself, or the motion of the tail beam at the sensor.
     mounting : Mounting, optional
-        Its resonance amplifies what is near to it.
+        Its resonance amplifies frequencies near it.
     anti_alias : AntiAlias, optional
         Causal: it delays the signal.
     bandwidth : float, optional
-        Edge of a zero-phase low-pass [Hz], gain 1/2 there, with a raised-cosine edge half as wide; in place of an
-        anti-alias filter.
+        Edge of a zero-phase low-pass [Hz], where its gain is 1/2, with a raised-cosine transition half as wide; instead
+        of an anti-alias filter.
     gain : float, optional
-        What a motion of the beam is multiplied by, below 0 for a sensor the other way up: what `calibrated` finds
-        between recordings and a beam known by its sizes. It changes nothing of how the beam gives way to a rock.
+        Factor of a motion of the beam, below 0 for a sensor the other way up: what `calibrated` finds between
+        recordings and a beam known by its sizes. It does not change how the beam gives way to a rock.
     relative_noise : float
         Standard deviation of the white noise over the largest sample of each signal; for a force over the true peak.
     absolute_noise : float
         Standard deviation of the white noise.
     noise_density : float
-        White noise in a band of 1 Hz; over sqrt(half the sampling rate) its standard deviation. All noises together
-        add in power.
+        White noise in a band of 1 Hz; times sqrt(half the sampling rate) its standard deviation. The noises add in
+        power.
     offset, drift : float
-        What is added to every sample, and by how much that changes in a second, from the first sample on.
+        Added to every sample; change of the offset in a second, from the first sample on.
     range : float, optional
-        Full scale: what lies beyond +- this is clipped.
+        Full scale: samples beyond +- this are clipped.
     bits : int, optional
         Of the converter over its full scale; needs `range`.
     """
@@ -107,7 +105,7 @@ class Sensor(Section):
     @classmethod
     def _in_si(cls, value: Any, info: Any) -> Any:
         quantity = info.data.get("quantity")
-        if value is None or quantity is None:  # a quantity that is wrong is said to be by itself
+        if value is None or quantity is None:  # a wrong quantity is reported by itself
             return value
         return parse(value, QUANTITIES[quantity][0] + _LEVELS[info.field_name])
 
@@ -125,12 +123,12 @@ class Sensor(Section):
 
     @property
     def unit(self) -> str:
-        """The SI unit of what it feels."""
+        """The SI unit of its quantity."""
         return QUANTITIES[self.quantity][1]
 
     @property
     def filters(self) -> tuple[Resonance | LowPass, ...]:
-        """What has poles of its own: mounting and anti-alias filter."""
+        """Mounting and anti-alias filter, which have poles."""
         parts: list[Resonance | LowPass] = []
         if self.mounting is not None:
             parts.append(Resonance(**self.mounting.model_dump()))
@@ -154,7 +152,7 @@ class Sensor(Section):
         """Return the frames after the sensor's zero-phase low-pass."""
         if self.bandwidth is None:
             return frames
-        # Loaded here: it compiles, and most scenes do without.
+        # Imported here because it compiles, and most scenes do not need it.
         from cgid.scene import _fourier
 
         length = frames.shape[-1]
@@ -166,7 +164,7 @@ class Sensor(Section):
         return np.asarray(_fourier.filtered(frames.reshape(-1, length), gain)).reshape(frames.shape)
 
     def digitise(self, frames: NDArray[np.floating], sampling_rate: float, first: int = 0) -> None:
-        """Shift, clip and round the frames in place, as far as the sensor has offset, drift, range and bits.
+        """Shift, round and clip the frames in place, as far as the sensor has offset, drift, bits and range.
 
         first is the number of the first sample since the sensor was switched on.
         """
@@ -191,7 +189,7 @@ def clip(frames: NDArray[np.floating], level: Floats) -> None:
     frames[rows] = np.clip(frames[rows], -height, height)
 
 
-#: A recorded background is held in memory [bytes].
+#: Largest recorded background, which is held in memory [bytes].
 _LARGEST_RECORDING = 1 << 30
 
 
@@ -221,9 +219,9 @@ class HumLine(Section):
 
 
 class ColouredNoise(Section):
-    """Gaussian noise of a one-sided amplitude density, straight between its points on logarithmic axes, 0 beyond.
+    """Gaussian noise of a one-sided amplitude density, linear between its points on logarithmic axes, 0 beyond.
 
-    As a sensor's noise density it is what a band of 1 Hz has: "0.1 N/sqrt(Hz)", or a number in the SI unit.
+    The density is that of a band of 1 Hz: "0.1 N/sqrt(Hz)", or a number in the SI unit.
     """
 
     frequencies: tuple[Frequency, ...] = Field(min_length=2, max_length=100_000)
@@ -241,7 +239,7 @@ class ColouredNoise(Section):
         return self
 
     def densities(self, quantity: str) -> Floats:
-        """Return the power densities at the frequencies: the squares of what is asked, in SI units per Hz."""
+        """Return the power densities at the frequencies: the squares of the given ones, in SI units per Hz."""
         return np.array([_level(value, quantity, " noise density") for value in self.density]) ** 2
 
     def at(self, frequency: Floats, quantity: str) -> Floats:
@@ -264,10 +262,10 @@ class ColouredNoise(Section):
 
 
 class RecordedBackground(Section):
-    """A recording, mixed in from a random start on and repeated without end, its mean taken out.
+    """A recording without its mean, mixed in from a random start on and repeated without end.
 
-    The signal to noise ratio is that of the median peak of the scene's impacts (first hits, drawn by the weights of
-    the populations) to the root mean square of the background.
+    The signal-to-noise ratio is that of the median peak of the scene's impacts (first hits, drawn by the weights of the
+    populations) to the root mean square of the background.
     """
 
     path: str = Field(min_length=1, max_length=4096)
@@ -284,7 +282,7 @@ class RecordedBackground(Section):
 
 
 class BackgroundSection(Section):
-    """What is recorded besides impacts; at least one of its parts."""
+    """What is recorded in addition to impacts; at least one of its parts."""
 
     hum: tuple[HumLine, ...] = Field(default=(), max_length=1000)
     coloured: ColouredNoise | None = None
@@ -331,7 +329,7 @@ class BackgroundSection(Section):
 
 
 def _complaints(path: str, read: Callable[[Any], float], values: Iterable[Any]) -> list[str]:
-    """Return what is said about values that cannot be read."""
+    """Return the problems of values that cannot be read."""
     found = []
     for value in values:
         try:

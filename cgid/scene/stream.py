@@ -17,7 +17,7 @@ from cgid.physics.coupled import ModalImpact
 from cgid.scene._fourier import transformable
 from cgid.scene.draws import PARAMETER_UNITS, POINT_UNITS
 from cgid.scene.extremes import unwarned
-from cgid.scene.impacts import Hearing, hearing, impact_of, impacts_by_coupling
+from cgid.scene.impacts import Recorder, impact_of, impacts_by_coupling, recorder_of
 from cgid.scene.noise import CHUNK, Background, add_noise, background_of
 from cgid.scene.plan import RESPONSE_TOLERANCE, STORED, Plan, plan
 from cgid.scene.rocks import Rocks, arrivals_of, arriving, thrown_back
@@ -27,19 +27,11 @@ from cgid.validation import Floats
 
 
 class TimeAxis:
-    """Samples from one on, as far as anything was added to them.
-
-    Attributes
-    ----------
-    first : int
-        Number of the first sample that has not been taken.
-    samples : ndarray, (n,)
-        That one and those behind it; behind the last all are 0.
-    """
+    """The part of the time axis that is still being added to."""
 
     def __init__(self) -> None:
-        self.first = 0
-        self.samples: Floats = np.zeros(0)
+        self.first = 0  # number of the first sample that has not been taken
+        self.samples: Floats = np.zeros(0)  # from that one on; all later ones are 0
 
     def until(self, stop: int) -> Floats:
         """Return the samples from the first one to number `stop`, to be added to in place."""
@@ -71,44 +63,32 @@ _NEIGHBOUR_UNITS = {"next_impact": "s", "overlapping": "1"}
 
 
 def impact_units(scene: Scene) -> dict[str, str]:
-    """Return the numbers that are known of each impact, and their units.
+    """Return the columns of the truth of each impact, and their units.
 
-    time: of touch, from the first sample. rock: its number in the recording, by arrival. bounce: how many impacts it
-    has behind it. restitution: as delivered, target and all. drop_height: nan but for a first fall from a height.
-    velocity: the normal one. next_impact: time to the next touch of any rock, nan for the last. overlapping: 1 where
-    the contact has a part in common with another. impact_x, impact_y: on a beam of known size.
+    time: of touch, from the first sample. rock: its number in the recording, by arrival. bounce: the number of its
+    earlier impacts. restitution: as delivered, including what the target takes. drop_height: nan except for a first
+    fall from a height. velocity: the normal one. next_impact: time to the next touch of any rock, nan for the last.
+    overlapping: 1 where the contact overlaps another. impact_x, impact_y: on a beam of known size.
     """
     place = {} if scene.panel is None else POINT_UNITS
     return {**_UNITS, **place, **_NEIGHBOUR_UNITS}
 
 
 def truth_of(scene: Scene, rocks: Rocks, delivered: Mapping[str, Floats]) -> dict[str, NDArray[Any]]:
-    """Return what is known of some impacts, except their neighbours; delivered is that of `strike`."""
+    """Return what is known of some impacts, except their neighbours; delivered is that of `add_impacts`."""
+    known = {**rocks.columns, **delivered}
     labels = np.array([population.label for population in scene.populations])
-    truth = {
-        **{name: rocks[name] for name in _UNITS.keys() & rocks.columns.keys()},
-        **delivered,
-        "label": labels[rocks["population"]],
-        "specimen": rocks["specimen"],
-    }
-    if scene.panel is not None:
-        truth |= {"impact_x": rocks["impact_x"], "impact_y": rocks["impact_y"]}
-    return truth
+    truth = {name: known[name] for name in impact_units(scene) if name not in _NEIGHBOUR_UNITS}
+    return truth | {"label": labels[rocks["population"]], "specimen": rocks["specimen"]}
 
 
 def empty_truth(scene: Scene) -> dict[str, NDArray[Any]]:
     """Return the truth of no impacts."""
-    width = max(len(label) for label in scene.labels)
-    kinds: dict[str, np.dtype[Any]] = {
-        name: np.dtype(np.float64) for name in impact_units(scene) if name not in _NEIGHBOUR_UNITS
-    }
-    kinds["rock"] = kinds["bounce"] = np.dtype(np.int64)
-    kinds |= {"label": np.dtype(f"U{width}"), "specimen": np.dtype(np.uint64)}
-    return {name: np.empty(0, kind) for name, kind in kinds.items()}
+    return truth_of(scene, Rocks.joined([]), dict.fromkeys(STORED, np.empty(0)))
 
 
 def joined(scene: Scene, parts: list[dict[str, NDArray[Any]]]) -> dict[str, NDArray[Any]]:
-    """Return the truth of a whole recording from that of its parts in order, neighbours and all."""
+    """Return the truth of a whole recording, with neighbours, from that of its parts in order."""
     truth = {name: np.concatenate([part[name] for part in parts]) for name in empty_truth(scene)}
     touch = truth["time"]
     separation = touch + truth["contact_duration"]
@@ -125,15 +105,10 @@ def joined(scene: Scene, parts: list[dict[str, NDArray[Any]]]) -> dict[str, NDAr
 _FILTER_PERIODS = 64
 
 
-def strike(asked: Plan, axis: TimeAxis, rocks: Rocks, heard: Hearing | None) -> dict[str, Floats]:
+def add_impacts(asked: Plan, axis: TimeAxis, rocks: Rocks, recorder: Recorder | None) -> dict[str, Floats]:
     """Add what the sensor gives of the impacts of some rocks to the time axis, and return what they deliver.
 
-    Overlapping impacts add up. heard is what responds to the forces, None where the sensor records the forces.
-
-    Returns
-    -------
-    dict of ndarray, each (n,)
-        `STORED`: restitution, peak force [N], contact duration [s].
+    Overlapping impacts add up. They deliver the quantities `STORED`, each (n,).
     """
     delivered = {name: np.empty(len(rocks)) for name in STORED}
     if not len(rocks):
@@ -144,10 +119,10 @@ def strike(asked: Plan, axis: TimeAxis, rocks: Rocks, heard: Hearing | None) -> 
         parts = list(impacts_by_coupling(asked, impact, rocks.columns, everyone))
     for rows, pulses, _ in parts:
         own = rocks.taken(rows)
-        if heard is None:
+        if recorder is None:
             _add_forces(asked, axis, pulses, own["time"])
         else:
-            _add_response(asked.scene, axis, heard, pulses, own.columns)
+            _add_response(asked.scene, axis, recorder, pulses, own.columns)
         for name in STORED:
             delivered[name][rows] = getattr(pulses, name)
     return delivered
@@ -172,7 +147,7 @@ def _add_forces(asked: Plan, axis: TimeAxis, pulses: Impact | ModalImpact, times
 def _add_response(
     scene: Scene,
     axis: TimeAxis,
-    heard: Hearing,
+    recorder: Recorder,
     pulses: Impact | ModalImpact,
     columns: Mapping[str, Floats],
 ) -> None:
@@ -182,14 +157,14 @@ def _add_response(
     if first >= last:
         return
     # The slowest of the poles falls to its share of the response's tolerance in this time.
-    poles = heard.response.poles
+    poles = recorder.response.poles
     ringing = float(log(poles.size / RESPONSE_TOLERANCE) / -poles.real.max())
     end = columns["time"].max() + pulses.end_of_contact.max() + ringing
     stop = int(min(np.ceil(end * rate), last))
     frames = axis.until(stop)[None, first - axis.first :]
     onset = (columns["time"] * rate - first) / rate
     rows = np.zeros(onset.size, np.intp)
-    heard.response.add_to_frames(frames, pulses, onset, heard.participation(columns), rows=rows)
+    recorder.response.add_to_frames(frames, pulses, onset, recorder.participation(columns), rows=rows)
 
 
 def lead(asked: Plan) -> int:
@@ -202,9 +177,9 @@ def lead(asked: Plan) -> int:
 
 
 def hearing_limit(scene: Scene, background: Background | None) -> float:
-    """Return the peak force below which an impact drowns in noise and background [N], and its rock is let go.
+    """Return the peak force below which an impact drowns in noise and background and its rock is dropped [N].
 
-    0 where the sensor feels a motion, of which no force alone says how large it is.
+    0 where the sensor feels a motion, whose size does not follow from the force alone.
     """
     if scene.sensor.quantity != "force":
         return 0.0
@@ -214,15 +189,7 @@ def hearing_limit(scene: Scene, background: Background | None) -> float:
 
 @dataclass(frozen=True)
 class Part:
-    """A part of a recording, in order.
-
-    Attributes
-    ----------
-    samples : ndarray, (n,)
-        The next ones.
-    truth : dict of ndarray, each (n_impacts,)
-        Of the impacts of a stretch; they may come somewhat before or behind their samples.
-    """
+    """The next samples of a recording, and the truth of some impacts, which may come before or after their samples."""
 
     samples: NDArray[Any]
     truth: dict[str, NDArray[Any]]
@@ -238,7 +205,7 @@ def record(
     scene : Scene
         With a `stream`.
     seed, number : int
-        The same seed gives the same recordings; the number tells them apart.
+        The same seed and number give the same recording.
     dtype : {"float32", "float64"}
         Of the samples.
 
@@ -272,7 +239,7 @@ def parts_of_recording(scene: Scene, seed: int, number: int, *, dtype: Literal["
         raise InvalidValue(f"number of the recording must lie between 0 and 2^32 - 1, got {number}")
     asked = plan(scene, ["recordings"], dtype=dtype)
     background = background_of(scene) if asked.runs("background") else None
-    audible, heard = hearing_limit(scene, background), hearing(asked)
+    audible, recorder = hearing_limit(scene, background), recorder_of(asked)
     axis, carried, n_rocks, done = TimeAxis(), Rocks.joined([]), 0, 0
     chain = _Chain(asked, background, seed, number)
     n_samples = samples_of(scene)
@@ -287,7 +254,7 @@ def parts_of_recording(scene: Scene, seed: int, number: int, *, dtype: Literal["
             late = coming["time"] >= stretch.stop
             waiting.append(coming.taken(late))
             now = coming.taken(~late)
-            delivered = strike(asked, axis, now, heard)
+            delivered = add_impacts(asked, axis, now, recorder)
             truth.append(truth_of(scene, now, delivered))
             if not asked.runs("rebounds"):
                 break
@@ -315,7 +282,7 @@ def _joined_truth(scene: Scene, parts: list[dict[str, NDArray[Any]]]) -> dict[st
 
 @dataclass(frozen=True)
 class _Chain:
-    """What follows the pulses: noise, background, range and bits, chunk by chunk."""
+    """The stages after the pulses: noise, background, range and bits, chunk by chunk."""
 
     asked: Plan
     background: Background | None
@@ -323,7 +290,7 @@ class _Chain:
     number: int
 
     def recorded(self, axis: TimeAxis, chunk: int) -> NDArray[Any]:
-        """Take the next chunk off the axis and return it as it is recorded."""
+        """Take the next chunk off the axis and return it as recorded."""
         sensor, rate = self.asked.scene.sensor, self.asked.scene.sampling.sampling_rate
         samples = axis.taken((chunk + 1) * CHUNK)
         if self.asked.runs("noise"):

@@ -14,7 +14,7 @@ from cgid.errors import InvalidValue
 from cgid.measure.features import extract_array, extract_truncated, samples_needed
 from cgid.scene.draws import BLOCK, drawn_block, parameter_units
 from cgid.scene.extremes import unwarned
-from cgid.scene.impacts import Blows, DrawnBlows, blows_of, impact_of, impacts_by_coupling
+from cgid.scene.impacts import Blows, blows_of, impact_of, impacts_by_coupling
 from cgid.scene.noise import HIGHEST_NOISE, add_noise, background_of
 from cgid.scene.plan import OF_TAPS, TRUE, Plan, plan
 from cgid.scene.schema import Scene
@@ -68,7 +68,7 @@ def synthesise(
     if not asked.kept:
         raise InvalidValue(f"outputs must be frames or pulses where signals are wanted, got {', '.join(outputs)}")
     for block, part in blocks(n_signals, first):
-        yield batch_of(blows_of(asked, seed, block), seed, block, part)
+        yield batch_of(scene, blows_of(asked, seed, block), seed, block, part)
 
 
 def blocks(n_signals: int, first: int) -> Iterator[tuple[int, slice]]:
@@ -93,13 +93,13 @@ def require_frames(scene: Scene) -> None:
         )
 
 
-def batch_of(blows: Blows, seed: int, block: int, part: slice) -> Batch:
-    """Return some signals of one block, with all that is known of them."""
-    asked, scene = blows.plan, blows.scene
+def batch_of(scene: Scene, blows: Blows, seed: int, block: int, part: slice) -> Batch:
+    """Return some signals of one block of a scene, with all that is known of them."""
+    asked = blows.plan
     return Batch(
         signals=make_frames(blows, seed, block, asked.dtype)[part],
         labels=blows.labels[part],
-        sampling_rate=scene.sampling.sampling_rate,
+        sampling_rate=blows.scene.sampling.sampling_rate,
         unit=scene.sensor.unit if asked.sensed else "N",
         pre_trigger=scene.sampling.pre_trigger,
         specimen=blows.specimen[part],
@@ -109,31 +109,17 @@ def batch_of(blows: Blows, seed: int, block: int, part: slice) -> Batch:
 
 
 def make_frames(blows: Blows, seed: int, block: int, dtype: DTypeLike) -> NDArray[Any]:
-    """Return the frames of one block: pulses, bandwidth, noise, background, clipping, range and bits, as planned.
-
-    Parameters
-    ----------
-    blows : Blows
-        Of the block, with its plan.
-    seed, block : int
-    dtype : {"float32", "float64"}
-    """
+    """Return the frames of one block: pulses, bandwidth, noise, background, clipping, range and bits, as planned."""
     return make_beginnings(blows, seed, block, dtype, blows.scene.sampling.samples)[0]
 
 
 def make_beginnings(
     blows: Blows, seed: int, block: int, dtype: DTypeLike, n_samples: int
 ) -> tuple[NDArray[Any], Floats]:
-    """Return the first samples of the frames of one block, and what no sample behind them passes.
+    """Return the first samples of the frames of one block, (n_signals, n_samples), and a bound on the rest of each.
 
-    They are those of the whole frames to the last bit. All contacts must end within them or lie behind the frame.
-    Other parameters as in `make_frames`.
-
-    Returns
-    -------
-    ndarray, (n_signals, n_samples)
-    ndarray, (n_signals,)
-        Above every sample of the rest of the frame, in the unit of the signals.
+    The samples are those of the whole frames to the last bit. All contacts must end within them or begin after the
+    frame. No sample of the rest lies above the bound, in the unit of the signals.
     """
     asked, sampling, sensor = blows.plan, blows.scene.sampling, blows.scene.sensor
     n_signals, rate = len(blows.labels), sampling.sampling_rate
@@ -259,7 +245,7 @@ class _Block:
 
     number: int
     part: slice
-    blows: DrawnBlows
+    blows: Blows
 
     @property
     def labels(self) -> NDArray[np.str_]:

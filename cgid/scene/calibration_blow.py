@@ -1,4 +1,4 @@
-"""One blow of a calibration: what was recorded of it, and what made it."""
+"""One blow of a calibration: its recorded motion, and the force or drop that caused it."""
 
 from __future__ import annotations
 
@@ -18,49 +18,50 @@ from cgid.signals import Signal
 from cgid.units import STANDARD_GRAVITY
 from cgid.validation import Floats
 
-#: A blow is cut out of its recording with so many samples before it and, at most, behind it.
+#: Samples kept before a blow, and at most after its beginning.
 _BEFORE, _BEHIND = 32, 1 << 15
-#: Samples that must be there before a blow: its noise and the offset are seen there.
+#: Fewest samples before a blow: they show its noise and the offset.
 _QUIET = 8
-#: A hammer's force is taken from where it first passes this share of its peak, or so many times its noise, to where
-#: it last does, with so many samples beside it, on the outer ones of which it is brought to zero.
+#: A hammer's force is taken from where it first passes this share of its peak, or this multiple of its noise, to where
+#: it last does, with a margin of samples on both sides, on the outer ones of which it is tapered to zero.
 _FORCE_FLOOR, _NOISE_FLOOR, _MARGIN, _TAPER = 1e-3, 4.0, 8, 3
-#: Below so many times the noise no peak is a blow.
+#: A peak below this multiple of the noise is no blow.
 _STANDS_OUT = 8.0
-#: Samples between the hammer's channel and the sensor's, at most.
+#: Largest delay between the channels of hammer and sensor [samples].
 _CHANNELS_APART = 4.0
-#: A drop may have touched so many samples, and this share of its contact, before its motion is first seen.
+#: A drop may have touched this many samples, plus this share of its contact, before its motion is first seen.
 _UNSEEN, _UNSEEN_SHARE = 8.0, 0.5
-#: What is kept of the flight after a drop: the sphere falls again.
+#: Share of the flight after a drop that is kept: the sphere falls again.
 _FLIGHT = 0.8
-#: A filter has calmed down after so many of its time constants.
+#: A filter has settled after this many of its time constants.
 _CALM = 3.0
-#: Points of the interpolated force for each recorded one.
+#: Interpolated points of a force for each recorded one.
 _FINER = 8
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Blow:
-    """One blow on a tail beam: the recorded motion, and the force that made it or the drop that did.
+    """One blow on a tail beam: the recorded motion, and the force or the drop that caused it.
 
     Parameters
     ----------
     motion : Signal
         Of the scene's sensor, with a quiet stretch before the blow.
     force : Signal, optional
-        Recorded beside it by the hammer, on the same clock and equally long, above 0 where it pushes.
+        Recorded with it by the hammer, on the same clock and equally long, above 0 where it pushes.
     impact : Impact, optional
-        In place of it a drop of known mass: one impact, as on `scene.body`, from `free_fall_velocity` of its height.
+        Instead of a force, a drop of known mass: one impact, as on `scene.body`, from `free_fall_velocity` of its
+        height.
     impact_point : tuple of float, optional
         Where it fell, x and y [m]; that of the scene by default, if it is one place.
     force_filtered : bool
-        Whether the force went through an anti-alias filter (or bandwidth) like the motion's, as both channels of one
-        recorder do. Then it is the same on both sides and leaves the balance.
+        Whether the force went through the same anti-alias filter (or bandwidth) as the motion, as both channels of one
+        recorder do. The filter then cancels.
 
     Raises
     ------
     InvalidValue
-        Force and impact both or neither, a force that is none or has other samples, more than one impact.
+        Both or neither of force and impact, another unit or number of samples of the force, more than one impact.
     """
 
     motion: Signal
@@ -94,50 +95,29 @@ class Blow:
 
 
 @dataclass(frozen=True)
-class Struck:
-    """A blow made ready: cut out, over its largest sample and without its mean.
-
-    Attributes
-    ----------
-    samples : ndarray, (n_samples,)
-    first : int
-        Sample of the recording on which the cut begins.
-    level : float
-        What they were divided by, in the SI unit of the sensor.
-    pulse : Pulses
-        The force, one row or as many as are asked.
-    onset : float
-        Sample of the cut on which it begins, as far as one can see; it may be off by one of `shifts`.
-    shifts : ndarray, (n_shifts,)
-        [samples].
-    decay : int
-        From this sample on the beam rings freely.
-    filters : tuple of Resonance and LowPass
-        What is between this force and the recorded motion beside the beam.
-    limited : bool
-        Whether the sensor's zero-phase low-pass is, too.
-    """
+class PreparedBlow:
+    """A blow prepared for the fit: cut out, without its mean, over its largest sample."""
 
     samples: Floats
-    first: int
-    level: float
-    pulse: Pulses
-    onset: float
-    shifts: Floats
-    decay: int
-    filters: tuple[Resonance | LowPass, ...]
-    limited: bool
+    first: int  # sample of the recording on which the cut begins
+    level: float  # the divisor of the samples, in the SI unit of the sensor
+    pulse: Pulses  # the force: one, which serves any number of frames
+    onset: float  # sample of the cut on which the force seems to begin, except for one of the shifts
+    shifts: Floats  # [samples], (n_shifts,)
+    decay: int  # from this sample on the beam rings freely
+    filters: tuple[Resonance | LowPass, ...]  # between force and recorded motion, in addition to the beam
+    limited: bool  # whether the zero-phase low-pass of the sensor lies between them, too
 
 
-def made_ready(scene: Scene, blow: Blow) -> Struck:
-    """Return a blow cut out of its recording.
+def prepared(scene: Scene, blow: Blow) -> PreparedBlow:
+    """Return a blow prepared for the fit.
 
     Raises
     ------
     InvalidValue
-        Quantity or rate are not those of the scene.
+        Quantity or rate differ from those of the scene.
     BadData
-        The recording is clipped, begins too late, or no blow stands out of it.
+        The recording is clipped or begins too late, or no blow stands out of it.
     """
     motion, sensor, rate = blow.motion, scene.sensor, scene.sampling.sampling_rate
     if motion.quantity != sensor.quantity:
@@ -167,7 +147,7 @@ def made_ready(scene: Scene, blow: Blow) -> Struck:
         assert blow.impact is not None
         onset, lasts = float(_first_motion(samples, motion.name)), blow.impact.contact_duration.item() * rate
         shifts = np.arange(-_UNSEEN - _UNSEEN_SHARE * lasts, _CHANNELS_APART, 0.5)
-        pulse, stop = _Repeated(blow.impact), int(np.ceil(onset + lasts))
+        pulse, stop = blow.impact, int(np.ceil(onset + lasts))
         flight = 2 * blow.impact.rebound_velocity.item() / STANDARD_GRAVITY
         last = stop + int(_FLIGHT * flight * rate)
     first = max(int(onset) - _BEFORE, 0)
@@ -175,7 +155,7 @@ def made_ready(scene: Scene, blow: Blow) -> Struck:
     cut = samples[first : min(last, int(onset) + _BEHIND)]
     level = float(np.abs(cut).max())
     _require_noise_below(cut[: int(onset) - first], level, motion.name)
-    return Struck(
+    return PreparedBlow(
         samples=(cut - cut.mean()) / level,
         first=first,
         level=level,
@@ -216,11 +196,11 @@ def _first_motion(samples: Floats, name: str) -> int:
 
 
 def _hammered(force: Signal, rate: float) -> tuple[int, int, Pulses]:
-    """Return the first sample of a hammer's force, the one behind it, and the force itself."""
+    """Return the first sample of a hammer's force, the first one after it, and the force itself."""
     samples = np.asarray(force.in_si().samples, np.float64)
     samples = samples - np.median(samples)
     peak, lowest = float(samples.max()), float(-samples.min())
-    # Most of a recording is without force: its median is no part of the blow.
+    # Most of a recording holds no force, so its median deviation is that of the noise.
     noise = 1.4826 * float(np.median(np.abs(samples)))
     if not max(peak, lowest) > _STANDS_OUT * noise:
         raise BadData(
@@ -230,7 +210,7 @@ def _hammered(force: Signal, rate: float) -> tuple[int, int, Pulses]:
     if lowest > peak:
         raise BadData(f"{force.name}: force must be above 0 where it pushes, its peak is below; use Signal.inverted()")
     strong = np.flatnonzero(np.abs(samples) > max(_NOISE_FLOOR * noise, _FORCE_FLOOR * peak))
-    # Noise passes its floor now and then, far from the blow: what is a stretch of quiet away from the rest is left out.
+    # Noise passes the floor now and then, far from the blow: whatever a quiet stretch separates from it is left out.
     at = int(np.searchsorted(strong, np.argmax(samples)))
     gaps = np.diff(strong) > 2 * _MARGIN
     begins = np.flatnonzero(gaps[:at])
@@ -244,28 +224,15 @@ def _hammered(force: Signal, rate: float) -> tuple[int, int, Pulses]:
     return start, stop, _RecordedForce(window * samples[start:stop], rate)
 
 
-class _Repeated:
-    """One impact as often as there are frames."""
-
-    def __init__(self, impact: Impact) -> None:
-        self._impact = impact
-        self.contact_duration = impact.contact_duration.reshape(1)
-        self.end_of_contact = impact.end_of_contact.reshape(1)
-
-    def add_to_frames(self, frames: NDArray[Any], sampling_rate: Any, onset: Any, *, tolerance: float) -> None:
-        """Add the force to each frame."""
-        self._impact.add_to_frames(frames, sampling_rate, onset, tolerance=tolerance)
-
-
 class _RecordedForce:
-    """The force of a hammer between its samples: it has no more in it than they hold."""
+    """The force of a hammer, band-limited interpolation of its samples."""
 
     def __init__(self, samples: Floats, rate: float) -> None:
         from scipy.interpolate import CubicSpline
         from scipy.signal import resample
 
         self.contact_duration = self.end_of_contact = np.array([(samples.size - 1) / rate])
-        # Zero on both sides, so that the transform sees no jump where the end meets the beginning.
+        # Zeros keep the transform from seeing a jump where the end meets the beginning.
         padded = np.concatenate([samples, np.zeros(samples.size)])
         finer = resample(padded, _FINER * padded.size)[: _FINER * (samples.size - 1) + 1]
         self._force = CubicSpline(np.arange(finer.size) / (_FINER * rate), finer)

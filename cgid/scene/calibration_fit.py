@@ -1,14 +1,12 @@
-"""Poles of a beam from how it rings after blows.
+"""The modes of a beam from recorded blows: first guesses from how it rings, then least squares over whole recordings.
 
-ESPRIT (Roy & Kailath 1989, IEEE Trans. ASSP 37, 984) on all decays together gives more poles than there are modes,
-once over the whole band and twice over its lower parts, where a mode turns slowly. Of these the ones are picked, one
-after the other, that explain most of what is left, as long as chance would not explain as much.
+ESPRIT (Roy & Kailath 1989, IEEE Trans. ASSP 37, 984) on all decays together gives more poles than there are modes, once
+over the whole band and twice over its lower parts, where a mode turns slowly. Out of these poles one after the other is
+picked that explains most of what is left, as long as chance would not explain as much.
 
-Least squares of blows by the response of a beam and its sensor.
-
-What is linear, the participation of the modes or the gain, is solved for; what is not, frequencies, damping ratios and
-delays, is found by Gauss-Newton steps on what then remains (variable projection, Golub & Pereyra 1973, with the
-derivative of Kaufman 1975, BIT 15, 49).
+The fit solves directly for what is linear: the participation of the modes, or the gain. Frequencies, damping ratios and
+delays follow by Gauss-Newton steps on the remainder (variable projection, Golub & Pereyra 1973, with the derivative of
+Kaufman 1975, BIT 15, 49).
 """
 
 from __future__ import annotations
@@ -20,61 +18,51 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cgid.physics.response import Quantity, Resonators, Response
-from cgid.scene.blow import Struck
+from cgid.scene.calibration_blow import PreparedBlow
 from cgid.scene.sensor import Sensor
 from cgid.validation import Floats
 
 Complex = NDArray[np.complex128]
 
-#: Every so many samples are looked at: the whole band, a quarter of it, a sixteenth.
+#: Factors of decimation: the whole band, a quarter of it, a sixteenth.
 _DECIMATIONS = (1, 4, 16)
-#: Of a decimated band so much is free of what the filter before it does, of its beginning so few samples are not.
+#: Share of a decimated band that its filter leaves clean, and samples at its beginning that are not.
 _CLEAN_BAND, _UNCLEAN_START = 0.4, 6
-#: Samples of the window that is moved along the decays, at most, and of a decay, at least.
+#: Most samples of the window that is moved along the decays, and fewest of a decay.
 _WINDOW, _SHORTEST = 192, 48
-#: Poles asked for beyond the modes that are.
+#: Poles asked for beyond the number of modes.
 _BEYOND = (4, 12)
-#: Of these no more are asked for than so many modes have: more would be noise.
+#: Poles are asked for as if there were at most this many modes: more would be noise.
 _MOST_ASKED = 20
 #: A mode of a structure has a damping ratio between these.
 DAMPING_RATIOS = (1e-4, 0.3)
-#: No more modes are looked for where nobody says how many.
+#: Most modes where the caller does not limit them.
 MOST_MODES = 40
-#: Samples of a decay that are looked at.
+#: Samples of a decay that are used.
 _LONGEST = 8192
-#: What is left when no more is picked, over what there was: recordings from a computer have no noise.
+#: Below this share of the energy no more poles are picked: synthetic recordings have no noise.
 NOTHING_LEFT = 1e-7
 
 
 @dataclass(frozen=True)
 class Ringing:
-    """Damped modes by themselves.
+    """Damped modes without shapes or masses."""
 
-    Attributes
-    ----------
-    frequency : ndarray, (n,)
-        [Hz].
-    damping_ratio : ndarray, (n,)
-    """
+    frequency: Floats  # [Hz], (n,)
+    damping_ratio: Floats  # (n,)
 
-    frequency: Floats
-    damping_ratio: Floats
+    def joined(self, other: Ringing) -> Ringing:
+        """Return these modes and others."""
+        return Ringing(
+            np.concatenate([self.frequency, other.frequency]), np.concatenate([self.damping_ratio, other.damping_ratio])
+        )
 
 
 def ringing_modes(decays: list[Floats], rate: float, n_modes: int, highest: float, of_filters: Complex) -> Ringing:
-    """Return the modes that ring in decays, the loudest first.
+    """Return at most `n_modes` modes that ring in decays, the loudest first; fewer if no more stand out of the noise.
 
-    Parameters
-    ----------
-    decays : list of ndarray, (n_samples,) each
-    rate : float
-        [Hz].
-    n_modes : int
-        Not more than these; fewer if no more stand out of the noise.
-    highest : float
-        No mode is higher [Hz].
-    of_filters : ndarray of complex, (n_filters,)
-        Poles of the upper half-plane [rad/s] that ring, too, and are no modes.
+    The sampling rate and the highest frequency are in Hz. of_filters are poles of the upper half-plane [rad/s] that
+    ring as well but are no modes.
     """
     length = min(_LONGEST, *(len(decay) for decay in decays))
     together = np.stack([decay[:length] for decay in decays])
@@ -147,11 +135,11 @@ def _picked(decays: Floats, poles: Complex, of_filters: Complex, rate: float, n_
 
 
 def _orthogonal(pairs: Complex, basis: Floats) -> Floats:
-    """Return an orthonormal basis of what real and imaginary parts have beside a basis."""
+    """Return an orthonormal basis of the part of real and imaginary parts that is orthogonal to a basis."""
     parts = np.concatenate([pairs.real, pairs.imag], axis=1)
     parts = parts[:, np.abs(parts).max(axis=0, initial=0.0) > 0]
     size = np.linalg.norm(parts, axis=0)
-    for _ in range(2):  # once is not enough to be orthogonal to rounding
+    for _ in range(2):  # once is not orthogonal to rounding
         parts = parts - basis @ (basis.T @ parts)
     parts = parts[:, np.linalg.norm(parts, axis=0) > 1e-6 * size]
     return np.linalg.qr(parts)[0] if parts.size else parts
@@ -159,42 +147,33 @@ def _orthogonal(pairs: Complex, basis: Floats) -> Floats:
 
 #: Error of the response.
 _TOLERANCE = 1e-6
-#: Samples of a blow that its delay is looked for in.
+#: Samples of a blow in which its delay is sought.
 _ALIGNED = 2048
 #: Steps of the derivatives: frequency in half-widths of the mode, log of the damping ratio, samples.
 _STEP = 1e-3
-#: Steps of a fit: one that needs more has a mode too many, which says nothing of the others.
+#: Most steps of a fit: one that needs more has a mode too many, and the others are found all the same.
 _MOST_STEPS = 20
-#: How far from its beginning a fit may go: in half-widths, in logs of the damping ratio, in samples.
+#: How far a fit may move: in half-widths, in logs of the damping ratio, in samples.
 _FAR, _FAR_DAMPING, _FAR_DELAY = 3.0, 1.5, 2.0
 
 
 @dataclass(frozen=True)
 class Fit:
-    """What has been found.
-
-    Attributes
-    ----------
-    modes : Resonators
-    amounts : ndarray, (n_columns,)
-        Of the rows of participation.
-    delays : ndarray, (n_blows,)
-        [samples], from where the blow was seen to begin.
-    remains : list of ndarray
-        What is left of each blow, over its largest sample.
-    losses : ndarray, (n_columns,)
-        By how much more energy would be left without each column.
-    """
+    """The least squares of some blows."""
 
     modes: Resonators
-    amounts: Floats
-    delays: Floats
-    remains: list[Floats]
-    losses: Floats
+    amounts: Floats  # of the rows of participation, (n_columns,)
+    delays: Floats  # from where each blow was seen to begin [samples], (n_blows,)
+    remains: list[Floats]  # the residual of each blow, over its largest sample
+    losses: Floats  # energy that would be left in addition without each column, (n_columns,)
+
+    def only(self, which: NDArray[np.bool_]) -> Ringing:
+        """Return some of the modes."""
+        return Ringing(np.asarray(self.modes.frequency)[which], np.asarray(self.modes.damping_ratio)[which])
 
     @property
     def energy(self) -> float:
-        """Energy of what is left."""
+        """Energy of the residuals."""
         return sum(float((rest**2).sum()) for rest in self.remains)
 
     @property
@@ -205,9 +184,9 @@ class Fit:
 
 
 def columns(
-    blow: Struck, sensor: Sensor, rate: float, modes: Resonators, participation: Floats, shifts: Floats
+    blow: PreparedBlow, sensor: Sensor, rate: float, modes: Resonators, participation: Floats, shifts: Floats
 ) -> Floats:
-    """Return what rows of participation (n_columns, n_modes) sound like, (n_shifts, n_columns, n_samples)."""
+    """Return the motion for rows of participation (n_columns, n_modes), (n_shifts, n_columns, n_samples)."""
     assert sensor.quantity != "force"
     quantity: Quantity = sensor.quantity
     response = Response(sampling_rate=rate, quantity=quantity, modes=modes, filters=blow.filters, tolerance=_TOLERANCE)
@@ -223,16 +202,16 @@ def columns(
 class _Rows:
     """The force of a blow as often as there are frames."""
 
-    def __init__(self, blow: Struck, n: int) -> None:
-        self.contact_duration = np.broadcast_to(blow.pulse.contact_duration, (n,))
-        self.end_of_contact = np.broadcast_to(blow.pulse.end_of_contact, (n,))
+    def __init__(self, blow: PreparedBlow, n: int) -> None:
+        self.contact_duration = np.broadcast_to(blow.pulse.contact_duration.ravel(), (n,))
+        self.end_of_contact = np.broadcast_to(blow.pulse.end_of_contact.ravel(), (n,))
         self.add_to_frames = blow.pulse.add_to_frames
 
 
 def aligned(
-    blows: Sequence[Struck], sensor: Sensor, rate: float, modes: Resonators, participation: Sequence[Floats]
+    blows: Sequence[PreparedBlow], sensor: Sensor, rate: float, modes: Resonators, participation: Sequence[Floats]
 ) -> Floats:
-    """Return by how many samples each blow begins elsewhere, (n_blows,): the best of its shifts."""
+    """Return the best of the shifts of each blow [samples], (n_blows,)."""
     squares, products, energies = [], [], []
     for blow, rows in zip(blows, participation, strict=True):
         short = _shortened(blow)
@@ -244,7 +223,7 @@ def aligned(
     clearest = int(np.argmax([part.max() / energy for part, energy in zip(explained, energies, strict=True)]))
     best = int(np.argmax(explained[clearest]))
     amounts = _solved(squares[clearest][best], products[clearest][best])
-    # Half a period later with the other sign looks much alike: the others follow the clearest one's sign.
+    # Half a period later with the other sign looks much the same: the others follow the sign of the clearest one.
     for _ in range(3):
         places = [
             int(np.argmin(np.einsum("i,sij,j->s", amounts, g, amounts) - 2 * h @ amounts))
@@ -257,21 +236,21 @@ def aligned(
     return np.array([blow.shifts[place] for blow, place in zip(blows, places, strict=True)])
 
 
-def _shortened(blow: Struck) -> Struck:
+def _shortened(blow: PreparedBlow) -> PreparedBlow:
     samples = blow.samples[:_ALIGNED]
     return replace(blow, samples=samples - samples.mean())
 
 
 def _solved(squares: Floats, products: Floats) -> Floats:
-    """Return the amounts of least squares; two columns that are one share theirs."""
+    """Return the amounts of least squares; two equal columns share theirs."""
     return np.asarray((np.linalg.pinv(squares, rcond=1e-12, hermitian=True) @ products[..., None])[..., 0])
 
 
 @dataclass(frozen=True)
 class _Model:
-    """All blows by modes that may move; see `refined`."""
+    """All blows, explained by modes whose frequencies and damping ratios may be free; see `refined`."""
 
-    blows: Sequence[Struck]
+    blows: Sequence[PreparedBlow]
     sensor: Sensor
     rate: float
     modes: Resonators
@@ -290,7 +269,7 @@ class _Model:
         return Ringing(f * (1 + zeta * unknowns[:n]), zeta * np.exp(unknowns[n : 2 * n]))
 
     def sound(self, unknowns: Floats) -> Floats:
-        """Return all columns one blow behind the other, (n_samples, n_columns)."""
+        """Return the columns of all blows one after the other, (n_samples, n_columns)."""
         modes, delays = self.at(unknowns), unknowns[2 * self.n_moved :]
         parts = [
             columns(blow, self.sensor, self.rate, modes, rows, delay)[0]
@@ -303,19 +282,19 @@ class _Model:
         return np.concatenate([blow.samples for blow in self.blows])
 
     def amounts(self, unknowns: Floats) -> tuple[Floats, Floats]:
-        """Return the amounts of the columns, and what remains."""
+        """Return the amounts of the columns, and the residual."""
         sound = self.sound(unknowns)
         amounts = np.asarray(np.linalg.lstsq(sound, self.samples, rcond=None)[0], np.float64)
         return amounts, self.samples - sound @ amounts
 
     def derivative(self, unknowns: Floats) -> Floats:
-        """Return how what remains changes with each unknown, (n_samples, n_unknowns)."""
+        """Return the derivative of the residual by each unknown, (n_samples, n_unknowns)."""
         sound = self.sound(unknowns)
         basis, triangle = np.linalg.qr(sound)
         amounts = np.linalg.lstsq(triangle, basis.T @ self.samples, rcond=None)[0]
         slopes = []
         n = self.n_moved
-        # A column hangs on its own mode alone, and a blow on its own delay: all of a kind are moved together.
+        # A column depends only on its own mode, a blow only on its own delay: all of a kind are moved together.
         for first in (0, n) if self.free else ():
             slopes.append((self.sound(_moved(unknowns, first, first + n)) - sound) / _STEP * amounts)
         late = (self.sound(_moved(unknowns, 2 * n, unknowns.size)) - sound) @ amounts / _STEP
@@ -335,7 +314,7 @@ def _moved(unknowns: Floats, first: int, last: int) -> Floats:
 
 
 def refined(
-    blows: Sequence[Struck],
+    blows: Sequence[PreparedBlow],
     sensor: Sensor,
     rate: float,
     modes: Resonators,
@@ -344,21 +323,10 @@ def refined(
     *,
     free: bool,
 ) -> Fit:
-    """Return the least squares of all blows from a first guess.
+    """Return the least squares of all blows from a first guess of modes and delays [samples].
 
-    Parameters
-    ----------
-    blows : sequence of Struck
-    sensor, rate
-        Of the scene.
-    modes : Resonators
-        First guess, or what is known.
-    participation : sequence of ndarray, (n_columns, n_modes)
-        For each blow, of what amounts are looked for: the unit matrix for each mode by itself.
-    delays : ndarray, (n_blows,)
-        First guess [samples].
-    free : bool
-        Whether frequencies and damping ratios are looked for, too.
+    participation holds for each blow the columns whose amounts are sought, (n_columns, n_modes): the unit matrix for
+    each mode by itself. If free, frequencies and damping ratios are sought as well.
     """
     from scipy.optimize import least_squares
 

@@ -1,0 +1,182 @@
+"""The `[stream]` section of a scene file: one long recording of many rocks instead of a frame for each."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from typing import Annotated, Any, Self
+
+import numpy as np
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, model_validator
+
+from cgid.scene.sections import Population, Section
+from cgid.scene.sensor import Sensor
+from cgid.scene.units import Duration, Inclination, Moment, Rate, Ratio, Speed, Whole
+from cgid.units import parse
+from cgid.validation import Floats
+
+#: Most rows of a table in a scene file.
+_MOST_ROWS = 100_000
+#: The lowest bandwidth over the sampling rate: every impact is then smeared over some 65,000 samples.
+_LEAST_BAND = 1 / 512
+#: Shares add up to one within this tolerance.
+_SHARE_TOLERANCE = 1e-9
+
+
+def _not_empty(times: tuple[float, ...]) -> tuple[float, ...]:
+    if not times:
+        raise ValueError("must hold at least 1 time, got none")
+    return times
+
+
+_Times = Annotated[tuple[Moment, ...], Field(max_length=_MOST_ROWS), AfterValidator(_not_empty)]
+
+
+def _require_ascending(times: tuple[float, ...]) -> None:
+    for row, (before, after) in enumerate(pairwise(times), start=1):
+        if not before < after:
+            raise ValueError(f"times must ascend, got {after:g} s after {before:g} s in row {row}")
+
+
+class RateTable(Section):
+    """Rocks per second: linear between the times, constant before the first and after the last."""
+
+    times: _Times
+    values: tuple[Rate, ...]
+
+    @model_validator(mode="after")
+    def _sound(self) -> Self:
+        _require_ascending(self.times)
+        if len(self.values) != len(self.times):
+            raise ValueError(f"values must be as many as times, {len(self.times)}, got {len(self.values)}")
+        if max(self.values) < 1e-3:
+            raise ValueError(f"must somewhere be 0.001 Hz or more, got at most {max(self.values):g} Hz")
+        return self
+
+
+def _read_rate(content: Any) -> Any:
+    """Read a bare rate as a constant one."""
+    if isinstance(content, dict | BaseModel):
+        return content
+    return {"times": [0.0], "values": [parse(content, "frequency")]}
+
+
+class ArrivalsSection(Section):
+    """When rocks arrive: at random (a Poisson process) with a rate, or at given times."""
+
+    rate: Annotated[RateTable, BeforeValidator(_read_rate)] | None = None
+    times: _Times | None = None
+
+    @model_validator(mode="after")
+    def _one_way(self) -> Self:
+        if (self.rate is None) == (self.times is None):
+            raise ValueError("must have either rate or times, and not both")
+        if self.times is not None and any(before > after for before, after in pairwise(self.times)):
+            raise ValueError("times must not descend; sort them")
+        return self
+
+
+class MixtureSection(Section):
+    """The share of labels among the arriving rocks against time; every key but `times` is a label.
+
+    Shares are linear between the times, constant before the first and after the last. Labels without a row share the
+    rest by the weights of their populations.
+    """
+
+    model_config = ConfigDict(extra="allow", frozen=True, allow_inf_nan=False)
+    __pydantic_extra__: dict[str, tuple[Annotated[Ratio, Field(ge=0, le=1)], ...]]
+
+    times: _Times
+
+    @property
+    def shares(self) -> dict[str, tuple[float, ...]]:
+        """The given shares by label."""
+        return dict(self.__pydantic_extra__)
+
+    @model_validator(mode="after")
+    def _sound(self) -> Self:
+        _require_ascending(self.times)
+        if not self.shares:
+            raise ValueError("must give the shares of at least one label, such as gangue = [0.1, 0.9]")
+        for label, shares in self.shares.items():
+            if len(shares) != len(self.times):
+                raise ValueError(f"{label} must have as many shares as times, {len(self.times)}, got {len(shares)}")
+        total = np.sum([*self.shares.values()], axis=0)
+        if total.max() > 1 + _SHARE_TOLERANCE:
+            row = int(np.argmax(total))
+            raise ValueError(f"shares must add up to 1 or less, got {total[row]:g} at {self.times[row]:g} s")
+        return self
+
+    def problems(self, labels: tuple[str, ...]) -> list[str]:
+        """Return what is wrong with these shares for a scene of these labels."""
+        known = ", ".join(labels)
+        found = [
+            f"stream.mixture.{label}: must be a label of a population, one of {known}"
+            for label in self.shares
+            if label not in labels
+        ]
+        total = np.sum([*self.shares.values()], axis=0)
+        if not found and set(labels) == set(self.shares) and total.min() < 1 - _SHARE_TOLERANCE:
+            row = int(np.argmin(total))
+            found.append(
+                f"stream.mixture: shares of all labels must add up to 1, got {total[row]:g} at {self.times[row]:g} s; "
+                "leave out a label, which then takes the rest"
+            )
+        return found
+
+    def at(self, label: str, times: Floats) -> Floats:
+        """Return the share of a label that has a row at these times [s]."""
+        return np.asarray(np.interp(times, self.times, self.shares[label]))
+
+
+class ReboundsSection(Section):
+    """How long a rock is followed: for this many rebounds, and while its normal speed is at least this."""
+
+    most: Whole = Field(default=5, ge=1, le=1000)
+    least_speed: Speed = 0.1
+
+
+class StreamSection(Section):
+    """One long recording of rocks that come in a stream."""
+
+    duration: Duration
+    arrivals: ArrivalsSection
+    mixture: MixtureSection | None = None
+    rebounds: ReboundsSection | None = None
+    inclination: Inclination = 0.0
+
+    @model_validator(mode="after")
+    def _arrivals_inside(self) -> Self:
+        times = self.arrivals.times
+        if times is not None and times[-1] >= self.duration:
+            raise ValueError(
+                f"arrivals.times must lie before the end of the recording at {self.duration:g} s, got {times[-1]:g} s"
+            )
+        return self
+
+    def problems(self, populations: tuple[Population, ...], sensor: Sensor, sampling_rate: float) -> list[str]:
+        """Return what cannot be combined with a stream, whose rocks share one time axis and one sensor."""
+        labels = tuple(sorted({population.label for population in populations}))
+        found = [] if self.mixture is None or not labels else self.mixture.problems(labels)
+        if sensor.relative_noise > 0:
+            found.append(
+                "sensor.relative_noise: must be left out of a stream, whose impacts share one noise; "
+                "give absolute_noise or noise_density"
+            )
+        if sensor.bandwidth is not None and (sensor.quantity != "force" or sensor.filters):
+            found.append(
+                "sensor.bandwidth: must be left out of a stream where something rings before it; give anti_alias"
+            )
+        elif sensor.bandwidth is not None and sensor.bandwidth < sampling_rate * _LEAST_BAND:
+            found.append(
+                f"sensor.bandwidth: must be at least 1/{1 / _LEAST_BAND:g} of the sampling rate in a stream, "
+                f"{sampling_rate * _LEAST_BAND:.4g} Hz, got {sensor.bandwidth:g} Hz, which smears impacts too far to "
+                "both sides; give anti_alias, or lower the sampling rate"
+            )
+        for index, population in enumerate(populations):
+            for name, cure in (
+                ("second_hit", "stream.rebounds makes further hits"),
+                ("clipped_at", "sensor.range clips"),
+            ):
+                if getattr(population, name) is not None:
+                    found.append(f"populations.{index}.{name}: must be left out of a stream; {cure}")
+        return found
