@@ -178,7 +178,7 @@ def monitor(
     """
     from cgid import validation
     from cgid.identification.question import SHARE_TIME
-    from cgid.recordings.sound.live import live_stream
+    from cgid.recordings.live import live_stream
 
     step = (SHARE_TIME if options["window"] is None else options["window"]) / _STEPS
     models, question, _ = question_of(options, dead_time_in_seconds(dead_time), batch=1, share_step=step)
@@ -199,7 +199,7 @@ def monitor(
 def _follow(live: Any, scale: float, models: Models, question: Question, lines: AnswerLines) -> None:
     """Print what a stream holds until it ends or is interrupted."""
     from cgid.identification.stream import factor_of, identify_blocks, scaled
-    from cgid.signals import quantity_of
+    from cgid.units import quantity_of
 
     model = models.of(None if live.unit is None else quantity_of(live.unit))
     factor = factor_of(model, live.unit, live.source, mass=question.mass) * (-scale if question.invert else scale)

@@ -20,8 +20,8 @@ from cgid.identification.pulse_onsets import START_CHUNKS as PULSE_START
 from cgid.identification.pulse_onsets import THRESHOLD_OVER_NOISE, PulseOnsets
 from cgid.identification.vibration_onsets import RISE, RISE_OVER_NOISE, VibrationOnsets
 from cgid.identification.vibration_onsets import START_CHUNKS as VIBRATION_START
-from cgid.measure.features.feature import ImpactKind
 from cgid.measure.frames import DETECTION_LIMIT, LARGEST
+from cgid.measure.table import ImpactKind
 from cgid.measure.vibration import SHORTEST_EVENT
 from cgid.signals import Signal
 from cgid.validation import Floats, require_rate
