@@ -1,12 +1,14 @@
-"""Who does work that falls into parts: this process, several on this machine, or those of a cluster.
+"""One executor for work that consists of parts: this process, several processes, or those of a cluster.
 
-joblib hands the parts out, on a cluster by dask.distributed. A part is a function of what all have in common and of
-what is its own, so its result is the same whoever does it.
+joblib distributes the parts on this machine, dask.distributed on a cluster. A part is a function of what all parts have
+in common and of what is its own, so its result does not depend on who computes it. No process is forked: joblib starts
+new ones, on Windows, too (not tested).
 """
 
 from __future__ import annotations
 
 import logging
+import math
 import platform
 import re
 import signal
@@ -14,21 +16,24 @@ import threading
 import time
 import warnings
 from collections.abc import Callable, Generator, Iterable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass
 from functools import cache
 from importlib.metadata import version
+from itertools import islice
 from typing import Any, TypeVar
 
-from cgid.errors import CgidError, ClusterFailed, InvalidValue, MissingExtra
+from cgid.errors import ClusterFailed, InvalidValue, MissingExtra
 
-#: The scheduler must answer, and have a worker, within this time [s].
+#: The scheduler must answer and have a worker within this time [s].
 PATIENCE = 10.0
-#: A run goes on without any worker for so long [s]: one that has died may be started again.
+#: A run waits this long without any worker [s]: a dead one may be started again.
 DESERTED = 60.0
-#: What all parts have in common is sent with each up to this size, which outlives every worker; else once to each.
+#: The workers are counted again after this time [s]: a cluster may grow.
+_RECOUNT = 1.0
+#: What all parts have in common is sent with each part up to this size, and survives every worker; else to each worker.
 _SMALL = 1 << 20
-#: What decides on the last digits of a result, or on whether it arrives.
+#: Libraries that the last digits of a result depend on, or whether it arrives.
 _LIBRARIES = ("cgid", "numpy", "scipy", "numba", "h5py", "scikit-learn", "joblib", "distributed")
 _ADDRESS = re.compile(r"(tcp|tls)://.+:[0-9]+")
 
@@ -39,7 +44,7 @@ Result = TypeVar("Result")
 
 @dataclass(frozen=True)
 class Workers:
-    """Who does the work; see `workers`.
+    """The executor; see `workers`.
 
     Attributes
     ----------
@@ -59,7 +64,7 @@ class Workers:
 
     @property
     def elsewhere(self) -> bool:
-        """Whether other machines may do the work, which share no more than was agreed on."""
+        """Whether other machines do the work, which share one folder."""
         return self.client is not None
 
     def each(
@@ -70,18 +75,18 @@ class Workers:
         *,
         ordered: bool = True,
     ) -> Generator[Result, None, None]:
-        """Yield `function(common, part)` for each part; closing the generator drops what is not done.
+        """Yield `function(common, part)` for each part; closing the generator cancels the rest.
 
-        What is running on a cluster then cannot be stopped: it ends, and nobody asks for what it has made.
+        What is running on a cluster then cannot be stopped: it ends, and its result is not used.
 
         Parameters
         ----------
         function : callable
-            Of a module that the workers have, too.
+            Of a module that the workers have as well.
         common, parts
             Can be pickled.
         ordered : bool
-            Whether results come in the order of the parts, or as they are done.
+            Whether results come in the order of the parts, or when they are done.
 
         Raises
         ------
@@ -100,58 +105,112 @@ class Workers:
             for part in parts:
                 yield function(common, part)
             return
+        with closing(
+            (self._here if self.client is None else self._on_cluster)(function, common, parts, ordered)
+        ) as made:
+            yield from made
+
+    def _here(self, function: Any, common: Any, parts: Iterable[Any], ordered: bool) -> Generator[Any, None, None]:
+        """Have processes of this machine do the parts."""
+        from concurrent.futures import BrokenExecutor
+
         import joblib
 
         failures: list[BaseException] = []
-        fed = _until_failure(parts, failures)
+        tasks = (joblib.delayed(_do)(function, common, part) for part in _until_failure(parts, failures))
         way = "generator" if ordered else "generator_unordered"
-        if self.client is None:
-            tasks = (joblib.delayed(_do)(function, common, part) for part in fed)
-            results = joblib.Parallel(n_jobs=self.jobs, batch_size=1, return_as=way)(tasks)
-        else:
-            results = self._on_cluster(function, common, fed, way)
+        results = joblib.Parallel(n_jobs=self.jobs, batch_size=1, return_as=way)(tasks)
         try:
             for result in results:  # noqa: UP028 - `yield from` would pass an interruption on before the warning is off
                 yield result
             if failures:
                 raise failures[0]
-        except CgidError:
-            raise
-        except Exception as error:
-            told = _told_here(error) if self.client is None else _told(error)
-            if told is None:
-                raise
-            raise told from error
+        except BrokenExecutor as error:
+            raise ClusterFailed(
+                "jobs: a worker process was ended from outside, as they are where memory is short; take fewer jobs"
+            ) from error
         finally:
             with warnings.catch_warnings():
-                warnings.simplefilter("ignore", UserWarning)  # that work is cancelled is what an interruption is for
+                warnings.simplefilter("ignore", UserWarning)  # cancelled work is what an interruption is for
                 results.close()
 
-    def _on_cluster(self, function: Any, common: Any, parts: Iterable[Any], way: str) -> Any:
+    def _on_cluster(
+        self, function: Any, common: Any, parts: Iterable[Any], ordered: bool
+    ) -> Generator[Any, None, None]:
+        """Have the workers of the cluster do the parts, a few more at once than they have threads."""
+        import asyncio
+        from concurrent.futures import CancelledError
+
         import cloudpickle
-        import joblib
+        from distributed.scheduler import KilledWorker
 
         given = common
         if len(cloudpickle.dumps(common)) > _SMALL:
-            # Not known by its hash: what was sent before and is just being forgotten would be taken for it.
+            # Not by its hash: dask would confuse it with the same data of a run before that it is just deleting.
             given = self.client.scatter(common, broadcast=True, hash=False)
-        expected = _versions()
-        tasks = (joblib.delayed(_do_alike)(expected, function, given, part) for part in parts)
-        return joblib.Parallel(backend=_backend(self.client), batch_size=1, return_as=way)(tasks)
+        versions, rest, running = _versions(), iter(parts), list[Any]()
+        most, counted = 2, -math.inf
+        try:
+            while True:
+                if time.monotonic() - counted > _RECOUNT:
+                    most, counted = max(2, 2 * self._threads()), time.monotonic()
+                for part in islice(rest, most - len(running)):
+                    running.append(self.client.submit(_do_alike, versions, function, given, part, pure=False))
+                if not running:
+                    return
+                done = self._first_done(running[:1] if ordered else running)
+                running.remove(done)
+                yield done.result()
+        except KilledWorker as error:
+            raise ClusterFailed(
+                "cluster: several workers have died of the same part, as they do where memory is short; give them more "
+                "of it, fewer threads, or ask for smaller shards"
+            ) from error
+        except (CancelledError, asyncio.CancelledError) as error:
+            raise ClusterFailed(
+                "cluster: the scheduler is lost, or has dropped the work; start it, and go on (--resume)"
+            ) from error
+        finally:
+            with suppress(OSError, TimeoutError, RuntimeError):
+                self.client.cancel(running)
+
+    def _threads(self) -> int:
+        """Return the number of threads of all workers of the cluster; a lost connection is reported elsewhere."""
+        with suppress(OSError, RuntimeError, TimeoutError):
+            return sum(self.client.ncores().values())
+        return 0
+
+    def _first_done(self, running: list[Any]) -> Any:
+        """Return the first part that has ended, however it did; raises `ClusterFailed` where no worker is left."""
+        from distributed import wait
+
+        seen = time.monotonic()
+        while True:
+            with suppress(TimeoutError), self.client.as_current():
+                wait(running, timeout=min(1.0, DESERTED / 4), return_when="FIRST_COMPLETED")
+            done = next((part for part in running if part.done()), None)
+            if done is not None:
+                return done
+            if self._threads():
+                seen = time.monotonic()
+            if time.monotonic() - seen > DESERTED:
+                raise ClusterFailed(
+                    f"cluster: no worker is left since {DESERTED:g} s; start some, and go on with --resume"
+                )
 
 
-#: This process, which does everything itself.
+#: This process does everything itself.
 ALONE = Workers()
 
 
 @contextmanager
 def workers(jobs: int = 1, scheduler: str | None = None) -> Iterator[Workers]:
-    """Yield who does the work, within this context.
+    """Yield the executor, for this context.
 
     Parameters
     ----------
     jobs : int
-        Processes on this machine, of no account with a scheduler.
+        Processes on this machine; ignored with a scheduler.
     scheduler : str, optional
         Address of a dask scheduler, such as tcp://192.168.0.7:8786: all workers it has, or gets, do the work.
 
@@ -233,7 +292,7 @@ def _versions() -> dict[str, str]:
 
 
 def _until_failure(parts: Iterable[Part], failures: list[BaseException]) -> Iterator[Part]:
-    """Yield the parts; a failure in making them ends them and is kept: joblib asks in threads, and would lose it."""
+    """Yield the parts until making one fails; the failure is kept, since joblib asks in threads and would lose it."""
     try:
         yield from parts
     except Exception as error:
@@ -241,7 +300,7 @@ def _until_failure(parts: Iterable[Part], failures: list[BaseException]) -> Iter
 
 
 def _do_alike(expected: dict[str, str], function: Any, common: Any, part: Any) -> Any:
-    """Do a part on a worker, which may have come after all were asked for their versions."""
+    """Do a part on a worker, which may have joined after the versions were compared."""
     _require_alike(expected, _versions(), platform.node())
     return _do(function, common, part)
 
@@ -253,88 +312,10 @@ def _do(function: Any, common: Any, part: Any) -> Any:
     return function(common, part)
 
 
-# -- joblib's backend, and what it leaves to wait for ever ------------------------------------------------------
-
-
-def _backend(client: Any) -> Any:
-    """Return joblib's backend for dask, which learns of every end of a part.
-
-    joblib's own hears of results and of what a function raises. It never hears of a part that dask has given up, takes
-    one that was cancelled for a result, and waits for ever where no worker is left.
-    """
-    import asyncio
-
-    from joblib._dask import DaskDistributedBackend
-
-    class Backend(DaskDistributedBackend):  # type: ignore[misc]
-        def effective_n_jobs(self, n_jobs: int) -> int:
-            # With a single worker joblib would do the work in this process.
-            return max(2, int(super().effective_n_jobs(n_jobs)))
-
-        def submit(self, func: Any, callback: Any = None) -> Any:
-            future = super().submit(func, callback)
-            future.add_done_callback(lambda done: done.exception() and callback(done.exception()))
-            return future
-
-        def retrieve_result_callback(self, out: Any) -> Any:
-            if isinstance(out, BaseException):
-                raise out
-            return super().retrieve_result_callback(out)
-
-        def start_call(self) -> None:
-            super().start_call()
-            self.client.loop.add_callback(self._watch)
-
-        async def _watch(self) -> None:
-            seen = time.monotonic()
-            while self._continue:
-                with suppress(OSError, RuntimeError):  # a lost connection is dask's to tell
-                    if await self.client.scheduler.ncores(workers=None):
-                        seen = time.monotonic()
-                if time.monotonic() - seen > DESERTED:
-                    for waiting in list(self._results):
-                        self._callbacks.pop(waiting, None)
-                        self._results.pop(waiting).set_exception(
-                            ClusterFailed(
-                                f"cluster: no worker is left since {DESERTED:g} s; start some, and go on with --resume"
-                            )
-                        )
-                await asyncio.sleep(min(1.0, DESERTED / 4))
-
-    return Backend(client=client)
-
-
-def _told_here(error: Exception) -> ClusterFailed | None:
-    """Return in words of ours that a process of this machine has died, None for what a function has raised."""
-    from concurrent.futures import BrokenExecutor
-
-    if isinstance(error, BrokenExecutor):
-        return ClusterFailed(
-            "jobs: a worker process was ended from outside, as they are where memory is short; take fewer jobs"
-        )
-    return None
-
-
-def _told(error: Exception) -> ClusterFailed | None:
-    """Return what dask raises in words of ours, None for what a function has raised."""
-    from concurrent.futures import CancelledError
-
-    from distributed.scheduler import KilledWorker
-
-    if isinstance(error, KilledWorker):
-        return ClusterFailed(
-            "cluster: several workers have died of the same part, as they do where memory is short; give them more of "
-            "it, fewer threads, or ask for smaller shards"
-        )
-    if isinstance(error, CancelledError):
-        return ClusterFailed("cluster: the scheduler is lost, or has dropped the work; start it, and go on (--resume)")
-    return None
-
-
 @contextmanager
 def _quiet() -> Iterator[None]:
-    """Keep the log of dask, and of what it runs on, off the terminal: what matters of it is raised."""
-    # Each by its name: dask gives levels and handlers to some of them that their parents' do not reach.
+    """Keep the log of dask and its libraries off the terminal: what matters is raised."""
+    # Each by its name: dask gives some of them levels and handlers of their own.
     chosen = re.compile(r"(distributed|tornado|asyncio)(\..+)?")
     logs = [logging.getLogger(name) for name in list(logging.root.manager.loggerDict) if chosen.fullmatch(name)]
     before = [log.level for log in logs]

@@ -1,4 +1,4 @@
-"""How a model does on impacts that differ from its training: another rig, another seam, another theory, strangers.
+"""Performance of a model on impacts unlike its training: another rig, another seam, another theory, strangers.
 
 python models/domain_shift.py [MODEL] [-n 5120]   # prints Markdown; the shipped default model if none is given
 """
@@ -21,7 +21,7 @@ SEED = 2_000_003
 
 
 def shifted_scenes() -> Iterator[tuple[str, Scene]]:
-    """Yield what to judge on, each with its name."""
+    """Yield names and scenes to judge on."""
     reference = load_scene(shipped.scene_path("reference"))
     yield "the reference scene", reference
     for rate in ("1 MHz", "100 kHz", "50 kHz", "20 kHz"):
@@ -39,7 +39,7 @@ def shifted_scenes() -> Iterator[tuple[str, Scene]]:
 
 
 def shifted_vibrations() -> Iterator[tuple[str, Scene]]:
-    """Yield what to judge a model of acceleration on, each with its name."""
+    """Yield names and scenes to judge a model of acceleration on."""
     beam = load_scene(shipped.scene_path("tail_beam"))
     yield "the scene tail_beam", beam
     for rate in ("51.2 kHz", "48 kHz"):

@@ -25,7 +25,7 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--folds", type=int, default=5)
     parser.add_argument("--features", help="only these, with commas between them")
-    parser.add_argument("--drop-height", action="store_true", help="the classifiers are told how far each rock fell")
+    parser.add_argument("--drop-height", action="store_true", help="the classifiers also get the drop height")
     parser.add_argument("--jobs", type=int, default=1, help="worker processes; fits then take longer each")
     arguments = parser.parse_args()
     scene = load_scene(shipped.scene_path(arguments.scene))

@@ -1,17 +1,17 @@
-"""Make the shipped default model again, through the public API.
+"""Train the shipped models again, through the public API.
 
     python models/train.py                        # models/default.npz, default.md and its pictures
-    python models/train.py --drop-height          # its sister that is told the drop height: default-drop-height.npz
-    python models/train.py --acceleration         # that of a tail beam's vibration: default-acceleration.npz
+    python models/train.py --drop-height          # the same with known drop height: default-drop-height.npz
+    python models/train.py --acceleration         # for the vibration of a tail beam: default-acceleration.npz
     python models/train.py -o mine.npz -n 20000   # elsewhere, smaller
 
 It trains on impacts of two shipped scenes, half of them of `reference`, half of `randomised` (the same rocks at all
 sampling rates and noises), which are synthesised on the fly and never touch the disk. It is judged, and its prediction
-sets are calibrated, on impacts of `reference` that did not train. The card also says why this
-family was chosen (`models/selection.py`) and how the model does elsewhere (`models/domain_shift.py`).
+sets are calibrated, on impacts of `reference` that did not train. The card also compares the families
+(`models/selection.py`), and says how the model performs on other scenes (`models/domain_shift.py`).
 
-The model of acceleration trains on `tail_beam` alone, and its card says what the way through the beam costs: the model
-of force answers for the force of the same impacts (`models/beside_force.py`).
+The model of acceleration trains on `tail_beam` alone. Its card compares it with a model of force on the same impacts
+(`models/beside_force.py`).
 """
 
 import argparse
@@ -41,7 +41,7 @@ def main() -> None:
     parser.add_argument("-n", "--signals", type=int, default=100_000, help="of each scene")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--family", default="network")
-    parser.add_argument("--drop-height", action="store_true", help="the model is told how far each rock fell")
+    parser.add_argument("--drop-height", action="store_true", help="the model also gets the drop height")
     parser.add_argument("--acceleration", action="store_true", help="the model of a tail beam's vibration")
     parser.add_argument("--selection", type=int, default=10_000, help="of each scene, to compare families on; 0: none")
     arguments = parser.parse_args()
@@ -54,7 +54,7 @@ def main() -> None:
     scenes = [
         load_scene(shipped.scene_path(scene)) for scene in (ACCELERATION_SCENES if arguments.acceleration else SCENES)
     ]
-    # Each scene with a seed of its own: the same seed would draw the same rocks.
+    # A seed for each scene: the same seed would draw the same rocks.
     seeded = [(scene, arguments.seed + number) for number, scene in enumerate(scenes)]
     selection = None
     if arguments.selection and not known:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import signal
-from functools import cache
 from pathlib import Path
 
 # Before numpy and scikit-learn are loaded: threads that wait spin, and on a busy machine small fits then take minutes.
@@ -17,7 +16,7 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
 import pytest
 
 from cgid.identification.classifier import FAMILIES
-from cgid.identification.rows import measure
+from cgid.identification.rows import DEFAULT_FEATURES, DEFAULT_GUARDS, measure
 from cgid.identification.training import Training, train
 from cgid.scene import Scene, load_scene, synthesise
 
@@ -54,11 +53,8 @@ def reference_scene() -> Scene:
 @pytest.fixture(scope="session")
 def trained(reference_scene: Scene) -> dict[str, Training]:
     """One small model of each family, all of the same impacts, which are measured once."""
-    batches = list(synthesise(reference_scene, 3000, seed=5))
-    measured = cache(lambda names: measure(batches, names))
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("cgid.identification.training.measure", lambda _, names, *rest, **known: measured(names))
-        return {family: train(batches, family=family) for family in FAMILIES}
+    rows = measure(synthesise(reference_scene, 3000, seed=5), (*DEFAULT_FEATURES, *DEFAULT_GUARDS))
+    return {family: train(rows, guards=DEFAULT_GUARDS, family=family) for family in FAMILIES}
 
 
 @pytest.fixture(scope="session")

@@ -241,9 +241,9 @@ def test_noise_alone_and_blows_at_the_ends() -> None:
     with pytest.raises(BadData, match=r"no impact: .*3.2 times that of the noise"):
         find_impacts(recording([], []), kind="vibration")
     late = recording([25_600 - 60], [ringing()])
-    with pytest.raises(BadData, match=r"cut off by its end after 2\.\d+ ms"):
-        find_impacts(late, kind="vibration")
-    assert len(found(recording([5000, 25_600 - 60], [ringing(), ringing()]))) == 1
+    (event,) = find_impacts(late, kind="vibration")
+    assert "cut off by its end after 2." in event.problem
+    assert len(found(recording([5000, 25_600 - 60], [ringing(), ringing()]))) == 2
     with pytest.raises(InvalidValue, match="kind must be one of"):
         find_impacts(late, kind="ringing")  # type: ignore[arg-type]
 

@@ -12,7 +12,7 @@ import pytest
 
 from cgid import shipped
 from cgid.ceiling import Ceiling, bracket, ceilings, survey
-from cgid.ceiling.bayes import sizes_up_to
+from cgid.ceiling.learner import sizes_up_to
 from cgid.ceiling.survey import N_POINTS, RATES, SNRS, SPREADS, changed, untrusted
 from cgid.cli.main import run
 from cgid.errors import InvalidValue
@@ -69,7 +69,7 @@ def test_permuted_labels_are_learnt_at_chance(peers: Scene, limits: tuple[Ceilin
 
 
 def test_what_cannot_be_measured_is_guessed(limits: tuple[Ceiling, ...]) -> None:
-    from cgid.ceiling.bayes import _learn
+    from cgid.ceiling.learner import _learn
 
     labels = np.array(["coal"] * 80 + ["gangue"] * 120)
     inputs = np.random.default_rng(0).normal(size=(200, 2)) + 3.0 * (labels == "gangue")[:, None]

@@ -8,7 +8,8 @@ from hypothesis.extra.numpy import arrays
 
 from cgid import family
 from cgid.errors import BadData, CgidError, InvalidValue
-from cgid.identification.detection import DEAD_TIME, THRESHOLD_OVER_PEAK, find_impacts
+from cgid.identification.detection import DEAD_TIME, find_impacts
+from cgid.identification.pulse_onsets import THRESHOLD_OVER_PEAK
 from cgid.measure.features import extract_array
 from cgid.signals import Signal
 from tests import naive
@@ -66,7 +67,9 @@ def test_pulses_are_found_within_two_samples_of_touch(noise, restitution):
 
 def test_time_is_where_the_threshold_is_passed():
     samples = placed(5000, {1000: hertzian(1000, 400), 3000: hertzian(300, 400)})
-    expected = naive.stretches(samples.tolist(), THRESHOLD_OVER_PEAK * samples.max(), DEAD_SAMPLES)
+    expected = []
+    for own in (np.where(np.arange(5000) < 2000, samples, 0), np.where(np.arange(5000) < 2000, 0, samples)):
+        expected += naive.stretches(own.tolist(), THRESHOLD_OVER_PEAK * own.max(), DEAD_SAMPLES)
     assert found_samples(samples) == expected
 
 
@@ -77,12 +80,25 @@ def test_small_blow_beside_a_large_one_is_found(share, noise):
     assert found_samples(samples) == [2000, 6000]
 
 
-def test_blow_under_the_share_of_the_largest_is_left_out():
-    assert found_samples(placed(10_000, {2000: sharp(1000), 6000: sharp(40)})) == [2000]
+@pytest.mark.parametrize("share", [1e-4, 1e-3, 0.01, 0.04])
+def test_height_of_other_blows_hides_none(share):
+    samples = placed(20_000, {2000: sharp(1000 * share), 8000: sharp(1000), 16_000: sharp(1000 * share)}, noise=1e-3)
+    assert found_samples(samples) == [2000, 8000, 16_000]
 
 
 def test_blow_under_the_noise_is_left_out():
     assert found_samples(placed(10_000, {2000: sharp(1000), 6000: sharp(60)}, noise=20.0)) == [2000]
+
+
+@pytest.mark.parametrize("neighbour", [0.01, 0.5, 30.0])
+def test_frame_of_a_blow_does_not_depend_on_its_neighbours(neighbour):
+    own, other = {9000: hertzian(1000, 60)}, hertzian(1000 * neighbour, 60)
+    alone, together = (
+        find_impacts(recording(placed(20_000, blows, noise=0.1))) for blows in (own, own | {5000: other, 13_000: other})
+    )
+    (event,), same = alone, together[1]
+    assert (event.onset, event.end) == (same.onset, same.end)
+    assert np.array_equal(event.samples, same.samples)
 
 
 # -- dead time ------------------------------------------------------------------------------------------------

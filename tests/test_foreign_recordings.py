@@ -434,30 +434,29 @@ def test_several_arrays_in_mat_are_listed_and_picked(tmp_path):
     assert "one length" in refused(path, variable="*")
 
 
-def test_hostile_mat_is_refused_before_anything_is_allocated(mat):
+def nested_structs(depth):
+    """Return a struct in a struct in a struct ..., with the sizes of all of them declared as they are."""
+    head = mat_element(6, struct.pack("<II", 2, 0)) + mat_element(5, struct.pack("<2i", 1, 1)) + mat_element(1, b"s")
+    head += mat_element(5, struct.pack("<i", 8)) + mat_element(1, b"deeper\0\0")
+    return b"".join(struct.pack("<II", 14, len(head) + k * (8 + len(head))) + head for k in reversed(range(depth)))
+
+
+def test_hostile_mat_is_refused(mat):
     huge = mat_array("x", (1, 2**31 - 1), 6, 9, b"")
-    assert "must hold 2147483647 numbers" in refused(mat(mat_file(huge)))
+    assert "damaged" in refused(mat(mat_file(huge)))
     cube = mat_array("x", (10**4, 10**4, 10**4), 6, 9, SAMPLES.tobytes())
-    assert "must hold 1000000000000 numbers" in refused(mat(mat_file(cube)))
-    assert "damaged" in refused(mat(mat_file(mat_array("x", (-5, 3), 6, 9, SAMPLES.tobytes()))))
+    assert "damaged" in refused(mat(mat_file(cube)))
     lying = zlib.compress(struct.pack("<II", 14, 2**32 - 16) + bytes(1000))
-    assert "declares 4294967288 bytes" in refused(mat(mat_file(struct.pack("<II", 15, len(lying)) + lying)))
+    assert "damaged" in refused(mat(mat_file(struct.pack("<II", 15, len(lying)) + lying)))
     assert "there is none" in refused(mat(mat_file(mat_array("x", (0, 5), 6, 9, b""))), sampling_rate=1.0)
-    bare = [mat_element(6, struct.pack("<II", 2, 0)), mat_element(5, struct.pack("<3i", 10**4, 10**4, 10**4))]
-    bare += [mat_element(1, b"s"), mat_element(5, struct.pack("<i", 8)), mat_element(1, b"")]
-    assert "there is none" in refused(mat(mat_file(mat_element(14, b"".join(bare)))), sampling_rate=1.0)
-    nested = SAMPLES[0].tobytes()
-    for _ in range(50):
-        nested = mat_element(
-            14,
-            mat_element(6, struct.pack("<II", 2, 0))
-            + mat_element(5, struct.pack("<2i", 1, 1))
-            + mat_element(1, b"s")
-            + mat_element(5, struct.pack("<i", 8))
-            + mat_element(1, b"deeper\0\0")
-            + nested,
-        )
-    assert "there is none" in refused(mat(mat_file(nested)))
+    # scipy follows structs into structs until its stack ends.
+    assert "scipy crashed" in refused(mat(mat_file(nested_structs(100_000))))
+
+
+def test_mat_too_large_to_be_read_whole_is_refused(tmp_path, monkeypatch):
+    savemat(tmp_path / "x.mat", {"x": SAMPLES, "Fs": 8000.0})
+    monkeypatch.setattr("cgid.recordings.mat.LARGEST_FILE", 1000)
+    assert "-v7.3" in refused(tmp_path / "x.mat")
 
 
 @pytest.mark.skipif(not Path("/proc/self/fd").is_dir(), reason="only Linux lists open files there")
@@ -477,28 +476,20 @@ def test_mat_is_closed_when_it_is_not_read(tmp_path, packed):
 
 
 @pytest.mark.parametrize("packed", [False, True])
-def test_mat_cut_anywhere_is_refused_or_keeps_what_is_whole_with_a_warning(tmp_path, packed):
+def test_mat_cut_anywhere_is_refused(tmp_path, packed):
     path = tmp_path / "cut.mat"
     savemat(path, {"Fs": 100.0, "x": SAMPLES, "later": SAMPLES[:, :200]}, do_compression=packed)
     content = path.read_bytes()
-    kept = 0
-    for place in [*range(1, 400, 7), *np.linspace(400, len(content) - 1, 30).astype(int)]:
+    for place in [127, 131, 150, *np.linspace(400, len(content) - 1, 6).astype(int)]:
         path.write_bytes(content[:place])
-        try:
-            recording, found = read(path, variable="x")
-        except CgidError as error:
-            assert "\n" not in str(error)
-            continue
-        assert np.array_equal(found, SAMPLES) and "cut off" in recording.warnings[0]
-        kept += 1
-    assert kept
+        assert "\n" not in refused(path, CgidError, variable="x")
 
 
 def test_checksum_of_packed_mat_finds_what_changed(tmp_path):
     path = tmp_path / "flipped.mat"
     savemat(path, {"x": SAMPLES, "Fs": 100.0}, do_compression=True)
     content = path.read_bytes()
-    for place in np.linspace(136, len(content) - 1, 60).astype(int):
+    for place in np.linspace(136, len(content) - 1, 10).astype(int):
         changed = bytearray(content)
         changed[place] ^= 0x10
         path.write_bytes(changed)
@@ -705,7 +696,7 @@ def test_uff_is_what_pyuff_reads(tmp_path, binary, precision):
     path = write_uff(tmp_path / "a.uff", SAMPLES, binary=binary, ord_data_type=precision)
     if binary and precision == 2:
         # pyuff says single and writes double.
-        assert "must end where 3001 numbers of its type do" in refused(path)
+        assert "must hold 3001 numbers of its type, 6002 are there" in refused(path)
         content = path.read_bytes()
         for row in SAMPLES:
             content = content.replace(row.tobytes(), row.astype("f4").tobytes())
@@ -723,7 +714,7 @@ def test_uff_is_what_pyuff_reads(tmp_path, binary, precision):
     assert "mic 2" in refused(path, variable="4")
 
 
-def test_uff_of_high_bytes_first_and_of_exponents_with_d(tmp_path):
+def test_uff_of_high_bytes_first_and_of_other_line_ends(tmp_path):
     path = write_uff(tmp_path / "big.uff", SAMPLES[:1], binary=1)
     content = path.read_bytes()
     start = content.index(SAMPLES[0].tobytes())
@@ -735,9 +726,6 @@ def test_uff_of_high_bytes_first_and_of_exponents_with_d(tmp_path):
     assert np.array_equal(read(path)[1][0], SAMPLES[0])
     text = write_uff(tmp_path / "d.uff", SAMPLES[:1], binary=0)
     _, expected = read(text)
-    head, numbers = text.read_bytes()[:800], text.read_bytes()[800:]
-    text.write_bytes(head + numbers.replace(b"e+", b"D+").replace(b"e-", b"D-"))
-    assert np.array_equal(read(text)[1], expected)
     # The same lines as another system ends them.
     text.write_bytes(text.read_bytes().replace(b"\n", b"\r\n"))
     assert np.array_equal(read(text)[1], expected)
@@ -793,17 +781,21 @@ def test_absurd_counts_of_uff_are_refused(tmp_path, binary, n_samples):
     refused(path)
 
 
-def test_damaged_lines_of_uff_are_refused_with_their_place(tmp_path):
+def test_damaged_lines_of_uff_are_refused(tmp_path):
     path = write_uff(tmp_path / "text.uff", SAMPLES[:1], binary=0)
     content = path.read_bytes()
     lines = content.split(b"\n")
-    lines[113] = lines[113][:-1]
-    path.write_bytes(b"\n".join(lines))
-    assert "sample" in refused(path)
-    lines = content.split(b"\n")
     lines[113] = lines[113].replace(b"e", b"x")
     path.write_bytes(b"\n".join(lines))
-    assert "from sample 0 on" in refused(path)
+    assert "could not convert string to float" in refused(path)
+    lines = content.split(b"\n")
+    path.write_bytes(b"\n".join(lines[:113] + lines[114:]))
+    assert "must hold 3001 numbers of its type, 2997 are there" in refused(path)
+
+
+def test_uff_too_large_to_be_read_whole_is_refused(tmp_path, monkeypatch):
+    monkeypatch.setattr("cgid.recordings.uff.LARGEST_FILE", 1000)
+    assert "export fewer data sets" in refused(write_uff(tmp_path / "x.uff", SAMPLES))
 
 
 @pytest.mark.skipif(not REAL.is_dir(), reason=f"the measured recordings are not there: {REAL}")
@@ -935,7 +927,13 @@ def test_channels_that_come_in_pieces_of_different_length_stay_together():
 
 
 @pytest.mark.parametrize(
-    ("library", "head", "extra"), [("nptdms", b"TDSm", "formats"), ("pyarrow", b"PAR1", "parquet")]
+    ("library", "head", "extra"),
+    [
+        ("nptdms", b"TDSm", "formats"),
+        ("pyuff", b"    -1\n    58\n", "formats"),
+        ("soundfile", b"fLaC", "formats"),
+        ("pyarrow", b"PAR1", "parquet"),
+    ],
 )
 def test_a_missing_library_is_named_with_its_extra(tmp_path, monkeypatch, library, head, extra):
     path = tmp_path / "hit.dat"
@@ -976,24 +974,22 @@ def _write_long(kind, path, samples):
             )
     elif kind.startswith("mat"):
         savemat(path, {"x": samples.T}, do_compression=kind == "mat packed")
-    elif kind == "parquet":
+    else:
         pyarrow, writer = pytest.importorskip("pyarrow"), pytest.importorskip("pyarrow.parquet")
         columns = {"time": np.arange(samples.shape[1]) / 1000} | {str(k): row for k, row in enumerate(samples)}
         writer.write_table(pyarrow.table(columns), path, row_group_size=1 << 20, compression="none")
-    else:
-        write_uff(path, samples[:1], binary=1)
 
 
 @pytest.mark.long
 @pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="only Linux says the peak memory of a program")
-@pytest.mark.parametrize("kind", few(["hdf5", "mat", "mat packed", "tdms", "one chunk", "uff", "parquet"], 5))
+@pytest.mark.parametrize("kind", few(["hdf5", "mat", "mat packed", "tdms", "one chunk", "parquet"], 5))
 def test_memory_does_not_grow_with_the_recording(tmp_path, kind):
-    # Whole they would take 16 MB more, UFF half of that. A single chunk of TDMS is held for one channel, and pyarrow
-    # has buffers that fill up within the first million of rows.
+    # Whole they would take 16 MB more. A single chunk of TDMS is held for one channel, and pyarrow has buffers that
+    # fill up within the first million of rows.
     lengths = (1_000_000, 3_000_000) if kind == "parquet" else (15_000, 1_000_000)
     for name, n_samples in zip(("short", "long"), lengths, strict=True):
         _write_long(kind, tmp_path / f"{name}.{kind}", np.tile(SAMPLES[:2], n_samples // N + 1)[:, :n_samples].copy())
-    variable = "" if kind in ("uff", "parquet") else "x"
+    variable = "" if kind == "parquet" else "x"
     done = subprocess.run(
         [sys.executable, "-c", _MEMORY, variable, str(tmp_path / f"short.{kind}"), str(tmp_path / f"long.{kind}")],
         capture_output=True,

@@ -16,8 +16,9 @@ from cgid.cli.main import run
 from cgid.errors import BadData, InvalidValue
 from cgid.identification.answers import Answer, identify
 from cgid.identification.model import Model
-from cgid.identification.share import CavingWatch, Share, ShareSettings, Turn
-from cgid.identification.stream import Question, identify_blocks, identify_recording, independence, model_blocks
+from cgid.identification.question import Question
+from cgid.identification.share import CavingWatch, Share, Turn
+from cgid.identification.stream import identify_blocks, identify_recording, independence, model_blocks
 from cgid.identification.windows import RunningVote, measure_windows
 from cgid.recordings import open_recording, read_recording
 from tests.streams_of_pulses import RATE, ROOT, stream, window_model
@@ -69,14 +70,14 @@ def test_answers_of_a_short_recording_are_those_of_its_signals(two_channels: Pat
 def test_blocks_and_batches_change_nothing(two_channels: Path, default_model: Model, length: int, batch: int) -> None:
     samples = np.load(two_channels)[:, :48_000].astype(float)
     blocks = [samples[:, first : first + length] for first in range(0, samples.shape[1], length)]
-    question = Question(whole=0, batch=batch)
-    steps = list(identify_blocks(blocks, RATE, default_model, ("a", "b"), question))
-    (expected,) = identify_blocks([samples], RATE, default_model, ("a", "b"), Question(whole=1 << 30))
+    steps = list(identify_blocks(blocks, RATE, default_model, ("a", "b"), Question(batch=batch)))
+    whole = identify_blocks([samples], RATE, default_model, ("a", "b"), Question())
+    expected = [answer for step in whole for answer in step.answers]
     found = [answer for step in steps for answer in step.answers]
     assert [(a.time, a.channel, a.label, a.end) for a in found] == [
-        (a.time, a.channel, a.label, a.end) for a in expected.answers
+        (a.time, a.channel, a.label, a.end) for a in expected
     ]
-    for answer, other in zip(found, expected.answers, strict=True):
+    for answer, other in zip(found, expected, strict=True):
         assert answer.probabilities == pytest.approx(other.probabilities, abs=1e-9)
     untils = [step.until for step in steps]
     assert untils == sorted(untils)
@@ -107,15 +108,15 @@ def test_wrong_quantity_is_said_before_anything_is_read(tmp_path: Path, default_
     np.save(tmp_path / "v.npy", np.zeros(100))
     recording = open_recording(tmp_path / "v.npy", sampling_rate=RATE, unit="V")
     with pytest.raises(BadData, match=r"v.npy: the quantity must be the model's, force \[N\], got voltage \[V\]"):
-        model_blocks(recording, default_model, [0])
+        model_blocks(recording, default_model, [0], Question())
 
 
 def test_silent_channels_are_named_and_do_not_hide_the_others(default_model: Model) -> None:
     force = stream(LABELS[:3], 0.02)
     rng = np.random.default_rng(0)
     samples = np.stack([force, rng.normal(0, 25, force.size), np.full(force.size, 3.0)])
-    for whole in (0, 1 << 30):
-        steps = list(identify_blocks([samples], RATE, default_model, ("1", "2", "3"), Question(whole=whole), "x"))
+    for blocks in ([samples], np.array_split(samples, 7, axis=1)):
+        steps = list(identify_blocks(blocks, RATE, default_model, ("1", "2", "3"), Question(), "x"))
         assert {answer.channel for step in steps for answer in step.answers} == {"1"}
         silent = [message for step in steps for message in step.silent]
         assert [message.split(":")[0] for message in silent] == ["x channel 2", "x channel 3"]
@@ -129,7 +130,7 @@ def test_memory_does_not_grow_with_the_recording(default_model: Model) -> None:
     def peak(n_pieces: int) -> tuple[int, int]:
         """Return the memory that answers took [bytes], and how many there were."""
         tracemalloc.start()
-        steps = identify_blocks([piece] * n_pieces, RATE, default_model, ("1",), Question(whole=0, batch=8))
+        steps = identify_blocks([piece] * n_pieces, RATE, default_model, ("1",), Question(batch=8))
         count = sum(len(step.answers) for step in steps)
         _, most = tracemalloc.get_traced_memory()
         tracemalloc.stop()
@@ -200,8 +201,8 @@ def test_a_model_of_two_channels_asks_for_two() -> None:
 
 
 def test_votes_that_overlap_count_less() -> None:
-    assert independence(window_model(), 0.0) == pytest.approx(0.5)
-    assert independence(window_model(), 0.5) == pytest.approx(0.1)
+    assert independence(window_model(), Question(vote_time=0.0)) == pytest.approx(0.5)
+    assert independence(window_model(), Question(vote_time=0.5)) == pytest.approx(0.1)
 
 
 def test_sensors_are_made_up_for_and_their_drift_is_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -249,7 +250,7 @@ def test_watch_tells_the_same_however_answers_come(default_model: Model) -> None
     rng = np.random.default_rng(2)
     times = np.sort(rng.uniform(0, 30, 400))
     answers = answers_at(times, np.clip(rng.normal(times / 30, 0.2), 0, 1))
-    settings = ShareSettings(length=6.0, step=2.0, gangue_cost=1.5)
+    settings = Question(share_time=6.0, share_step=2.0, gangue_cost=1.5)
 
     def told(portion: int) -> list:
         watch = CavingWatch(default_model, ("1",), settings)
@@ -273,7 +274,7 @@ def test_what_lies_outside_of_the_training_has_no_share(default_model: Model) ->
     strange = [
         Answer(time=k / 10, label="unknown", probabilities={"coal": 0.0, "gangue": 1.0}, novelty=1.5) for k in range(20)
     ]
-    watch = CavingWatch(default_model, ("1",), ShareSettings(length=5.0, step=5.0))
+    watch = CavingWatch(default_model, ("1",), Question(share_time=5.0, share_step=5.0))
     (share,) = watch.feed([*answers_at(np.array([0.05]), np.array([0.02])), *strange], 5.0)
     assert (share.n_impacts, share.n_unknown) == (1, 20)
 
@@ -283,14 +284,14 @@ def test_what_lies_outside_of_the_training_has_no_share(default_model: Model) ->
     [
         ({"gangue": ("granite",)}, "gangue label must be one of 'coal', 'gangue', got 'granite'"),
         ({"gangue": ("coal", "gangue")}, "gangue labels must leave another one"),
-        ({"length": 0.0}, "window must be above 0"),
-        ({"length": 1e-6}, "window must be at least 0.05 s, got 1e-06 s"),
+        ({"share_time": 0.0}, "window must be above 0"),
+        ({"share_time": 1e-6}, "window must be at least 0.05 s, got 1e-06 s"),
         ({"gangue_cost": -1.0}, "gangue_cost must be above 0"),
     ],
 )
 def test_settings_of_shares_are_checked(settings, says, default_model: Model) -> None:
     with pytest.raises(InvalidValue, match=says):
-        CavingWatch(default_model, ("1",), ShareSettings(**settings))
+        CavingWatch(default_model, ("1",), Question(**settings))
 
 
 # -- the command ------------------------------------------------------------------------------------------

@@ -1,6 +1,7 @@
 """Runs that are killed, interrupted, resumed, begun twice: what is whole stays whole, and all ends as it should."""
 
 import json
+import multiprocessing
 import os
 import shutil
 import subprocess
@@ -108,6 +109,15 @@ def test_ctrl_c_with_two_workers_and_on(whole, path):
         dataset(path, jobs=2, progress=interrupt)
     assert not list(path.glob(".*")) and (path / JOURNAL).exists()
     dataset(path, resume=True)
+    assert files(path) == whole[dataset]
+
+
+def test_a_spawned_process_makes_the_same_bytes(whole, path):
+    """As on Windows, where no process is forked: all that is handed over must be pickled."""
+    process = multiprocessing.get_context("spawn").Process(target=dataset, args=(path,))
+    process.start()
+    process.join()
+    assert process.exitcode == 0
     assert files(path) == whole[dataset]
 
 

@@ -304,3 +304,16 @@ def test_a_reader_that_is_held_up_ends_by_itself(tmp_path, rests, code):
     )
     done = subprocess.run([sys.executable, "-c", script, str(tmp_path / "file"), str(rests)], capture_output=True)
     assert done.returncode == code, done.stderr
+
+
+def test_without_limits_of_the_system_files_are_read_all_the_same(path):
+    """As on Windows, which has neither fcntl, nor resource, nor timers of processor time."""
+    script = (
+        "import signal, sys; sys.modules['fcntl'] = sys.modules['resource'] = None; del signal.setitimer\n"
+        "from pathlib import Path; from cgid.store import _reader, sandbox\n"
+        "sandbox.settle(); sandbox.begin(sys.argv[1]); sandbox.allow(1 << 40); sandbox.rest()\n"
+        "parts = sandbox.stream('rows', Path(sys.argv[1]), ['x'], 0, 2000, 300)\n"
+        "print(sum(len(part['x']) for part in parts), _reader.format_said(sys.argv[1], ''))"
+    )
+    done = subprocess.run([sys.executable, "-c", script, path], cwd=ROOT, capture_output=True, text=True)
+    assert (done.stdout, done.stderr) == ("2000 numbers\n", "")

@@ -11,11 +11,11 @@ from scipy import stats
 from scipy.integrate import quad
 
 from cgid.errors import InvalidValue
+from cgid.identification.question import Question
 from cgid.identification.share import (
     FEWEST_IMPACTS,
     CavingWatch,
     Share,
-    ShareSettings,
     ShareWindow,
     Shutting,
     trained_share,
@@ -276,7 +276,7 @@ def answer(time: float, channel: str = "1") -> Any:
 
 
 def watched(answers: list[Any], untils: list[float], **settings: float) -> list[Share]:
-    watch = CavingWatch(MODEL, ["1", "2"], ShareSettings(**settings))
+    watch = CavingWatch(MODEL, ["1", "2"], Question(**settings))
     told: list[Any] = []
     for last, until in zip([-1.0, *untils], untils, strict=False):
         told += watch.feed([one for one in answers if last < one.time <= until], until)
@@ -287,7 +287,7 @@ def test_a_pause_is_told_once_and_all_windows_of_impacts_are() -> None:
     rng = np.random.default_rng(8)
     times = np.sort(np.concatenate([rng.uniform(first, first + 5, 20) for first in (3.0, 40.0, 900.0)]))
     answers = [answer(time, str(rng.integers(1, 3))) for time in times]
-    settings = {"length": 4.0, "step": 0.5}
+    settings = {"share_time": 4.0, "share_step": 0.5}
     every = []
     for channel in ("1", "2"):
         window, was_told = ShareWindow(4.0, channel=channel), False
@@ -316,6 +316,6 @@ def test_silence_costs_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
 
     monkeypatch.setattr(ShareWindow, "at", counted)
     untils = [10.0, 1e6, 2e6, 1e9]
-    told = watched([answer(1.0), answer(5e8 + 0.01)], untils, length=10.0, step=1.0)
+    told = watched([answer(1.0), answer(5e8 + 0.01)], untils, share_time=10.0, share_step=1.0)
     heard = [*range(1, 11), *range(500_000_001, 500_000_011)]
     assert [one.time for one in told if one.n_impacts] == heard

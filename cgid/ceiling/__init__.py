@@ -1,6 +1,7 @@
-"""How well a scene can be told apart at all: Bayes' limit, a learner below it, and what a better rig would bring."""
+"""The highest accuracy that is possible in a scene: Bayes' limit, learners below it, and a survey of better rigs."""
 
-from cgid.ceiling.bayes import Bracket, Ceiling, Learner, bracket, ceiling, ceilings
+from cgid.ceiling.bayes import Ceiling, ceiling, ceilings
+from cgid.ceiling.learner import Bracket, Learner, bracket
 from cgid.ceiling.survey import Point, Survey, survey
 
 __all__ = ["Bracket", "Ceiling", "Learner", "Point", "Survey", "bracket", "ceiling", "ceilings", "survey"]

@@ -1,13 +1,8 @@
-"""The ceiling: how well anybody could tell the materials of a scene apart, who knows the scene and sees the signals.
+"""The ceiling of a scene: the highest accuracy that anybody can reach who knows the scene and sees the signals.
 
-Bayes' rule is applied to each of many synthetic signals. The probability of a signal under a population is the integral
-of its likelihood over that population's pulses: along the shape by quadrature, over peak, duration and (where it is not
-known) onset by Laplace's approximation, the population's density from many draws. The share of right answers of that
-rule is the ceiling; its standard error is that of the number of signals.
-
-The ceiling from below: what a strong learner reaches on the estimator's own output, the more it sees.
-
-Judged on the very signals of the ceiling, so that most of the chance in both cancels in their difference.
+It is the accuracy of Bayes' rule on many synthetic signals. The probability of a signal under a population is the
+integral of its likelihood over the pulses of that population: along the shape by quadrature, over peak, duration and
+(where it is not known) onset by Laplace's approximation, with a density of the population from many draws.
 """
 
 from __future__ import annotations
@@ -15,7 +10,7 @@ from __future__ import annotations
 import json
 import warnings
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any
 
@@ -24,7 +19,6 @@ from numpy.typing import NDArray
 
 from cgid import validation
 from cgid.errors import InvalidValue
-from cgid.measure.features import extract_array
 from cgid.measure.filters import low_pass_response
 from cgid.measure.likelihood import Prior, Profile, profile
 from cgid.measure.pulses import PulseBatch
@@ -35,25 +29,25 @@ from cgid.scene.impacts import draw
 from cgid.signals import Batch
 from cgid.validation import Floats
 
-#: Most signals that are judged on, or learnt from: they take hours, and tell the accuracy to 1e-4.
+#: Most signals to judge on or to learn from: they take hours, and give the accuracy to 1e-4.
 MOST_SIGNALS = 10_000_000
-#: Draws that make the density of one population.
+#: Draws for the density of one population.
 PRIOR_DRAWS = 1 << 19
-#: Their seed: not one that a user would choose for the signals.
+#: Their seed, which no user is likely to choose for the signals.
 _PRIOR_SEED = 0x5EED_0000_C9D1
-#: Populations whose draws are kept (8 MiB each): noise and sampling change nothing about them.
+#: Populations whose draws are cached (8 MiB each); noise and sampling do not change them.
 _KEPT = 8
 #: Nodes along the shape: with half as many the probability of a signal changes by up to .1, the accuracy by .0005.
 NODES = 33
-#: Signals treated at once.
+#: Signals integrated at once.
 _ROWS = 1024
-#: Where ln(restitution) of a population varies by less than this, it has nodes of its own.
+#: A population whose ln(restitution) varies by less than this has its own nodes.
 _NARROW = 0.3
 
 
 @dataclass(frozen=True)
 class Ceiling:
-    """The best that can be done in a scene, by Bayes' rule on each of some signals.
+    """The result of Bayes' rule on the signals of a scene.
 
     Attributes
     ----------
@@ -79,7 +73,7 @@ class Ceiling:
 
     @property
     def hits(self) -> NDArray[np.bool_]:
-        """Where the most probable label is the true one; their share must agree with the accuracy."""
+        """Whether the most probable label is the true one, (n,); the share must agree with the accuracy."""
         return np.asarray(np.array(self.labels)[self.probabilities.argmax(axis=1)] == self.truth)
 
     @property
@@ -98,7 +92,7 @@ class Ceiling:
         return np.asarray(np.sum((self.probabilities - true) ** 2, axis=1))
 
     def roc(self, label: str) -> tuple[Floats, Floats]:
-        """Return the shares of the others taken for a label and of it found, as the threshold falls."""
+        """Return false and true positive rate of a label, as the threshold falls."""
         validation.choice("label", label, self.labels)
         order = np.argsort(-self.probabilities[:, self.labels.index(label)], kind="stable")
         own = (self.truth == label)[order]
@@ -125,7 +119,7 @@ def ceiling(
     scene : Scene
         Of impacts on a half space or a rigid wall, with noise; its noise level is taken as known.
     n_signals : int
-        The standard error falls with their root; at most `MOST_SIGNALS`.
+        At most `MOST_SIGNALS`; the standard error falls with the square root.
     seed : int
         Of the signals.
     drop_height_known : bool
@@ -136,7 +130,7 @@ def ceiling(
     Raises
     ------
     InvalidValue
-        The scene is one that the integration does not cover, or has a single label; or `n_signals` breaks its rule.
+        The integration does not cover the scene, it has a single label, or `n_signals` is out of range.
     """
     return ceilings(scene, n_signals, seed, (drop_height_known,), progress=progress)[0]
 
@@ -150,9 +144,9 @@ def ceilings(
     n_nodes: int = NODES,
     progress: Callable[[int], object] | None = None,
 ) -> tuple[Ceiling, ...]:
-    """Return a ceiling for each state of knowledge, of the same signals; as `ceiling`.
+    """Return the ceilings without and with known drop height, of the same signals; otherwise as `ceiling`.
 
-    The likelihoods cost nearly everything and are the same whatever is known of the drop height.
+    The likelihoods take nearly all of the time and do not depend on what is known.
     """
     check_covered(scene)
     validation.whole("n_signals", n_signals, 2, MOST_SIGNALS)  # of one there is no standard error
@@ -209,7 +203,7 @@ def check_covered(scene: Scene) -> None:
 
 @dataclass(frozen=True)
 class _Knowledge:
-    """What is known of one population: the density of its pulses, at unit speed where the speed is known."""
+    """The density of the pulses of one population, at unit speed where the speed is known."""
 
     prior: Prior
     speed: tuple[Floats, Floats] | None
@@ -237,13 +231,13 @@ class _Knowledge:
             cell = np.clip(np.searchsorted(edges, log_speed[:, 0], side="right") - 1, 0, len(density) - 1)
             inside = (log_speed[:, 0] >= edges[0]) & (log_speed[:, 0] <= edges[-1])
             own = np.log(np.where(inside, np.maximum(density[cell], 1e-12), 1e-12))
-        # A fit that lies beside its pulse leaves nan: `_by_label` then goes by the weights.
+        # A fit that misses its pulse gives nan; `_by_label` then uses the weights.
         with np.errstate(invalid="ignore"):
             return np.asarray(own + self.prior.evidence(along, peak_offset, time_offset))
 
 
 def _population_alone(scene: Scene, index: int) -> str:
-    """Return the text of a scene that holds one population and nothing of the rig but the target."""
+    """Return the text of a scene with one population, the target and nothing else of the rig."""
     content = json.loads(scene.text)
     content["populations"] = [content["populations"][index]]
     frame = {"sampling_rate": 1e5, "samples": 64, "pre_trigger": 8}
@@ -261,7 +255,7 @@ def _draws(text: str, n_draws: int) -> dict[str, Floats]:
 
 
 def _joined(batches: Iterator[Batch]) -> Iterator[Batch]:
-    """Yield the batches a few at a time: what is done to them costs the less the more there are."""
+    """Yield the batches joined to `_ROWS` signals: larger batches are faster."""
     held: list[Batch] = []
     for batch in batches:
         held.append(batch)
@@ -273,23 +267,19 @@ def _joined(batches: Iterator[Batch]) -> Iterator[Batch]:
 
 
 def _one(held: list[Batch]) -> Batch:
-    first = held[0]
-    return Batch(
-        signals=np.concatenate([b.signals for b in held]),
-        labels=np.concatenate([b.labels for b in held]),
-        sampling_rate=first.sampling_rate,
-        unit=first.unit,
-        pre_trigger=first.pre_trigger,
-        specimen=np.concatenate([b.specimen for b in held]),
-        parameters={name: np.concatenate([b.parameters[name] for b in held]) for name in first.parameters},
-        source=first.source,
+    return replace(
+        held[0],
+        signals=np.concatenate([batch.signals for batch in held]),
+        labels=np.concatenate([batch.labels for batch in held]),
+        specimen=np.concatenate([batch.specimen for batch in held]),
+        parameters={name: np.concatenate([batch.parameters[name] for batch in held]) for name in held[0].parameters},
     )
 
 
 def _profiles(scene: Scene, batch: Batch, knowledge: list[_Knowledge], n_nodes: int) -> list[Profile]:
     """Return the likelihood along the shape for each population.
 
-    They share one unless the restitution of a population hardly varies: its own nodes must lie where it has any.
+    They share it unless the restitution of a population hardly varies, which then needs its own nodes.
     """
     sensor, sampling = scene.sensor, scene.sampling
     noise = sensor.noise_level(batch.parameters["peak_force"], batch.sampling_rate)
@@ -321,7 +311,7 @@ def _profiles(scene: Scene, batch: Batch, knowledge: list[_Knowledge], n_nodes: 
 
 
 def _by_label(scene: Scene, truth: NDArray[np.str_], evidence: Floats, weights: Floats) -> Ceiling:
-    # What was not told goes by the shares of the populations.
+    # Without evidence the shares of the populations decide.
     evidence = np.where(np.isfinite(evidence).all(axis=1, keepdims=True), evidence, weights)
     top = evidence.max(axis=1, keepdims=True)
     share = np.exp(evidence - top)
@@ -329,233 +319,3 @@ def _by_label(scene: Scene, truth: NDArray[np.str_], evidence: Floats, weights: 
     columns = [share[:, of_population == label].sum(axis=1) for label in scene.labels]
     probabilities = np.stack(columns, axis=1)
     return Ceiling(scene.labels, truth, probabilities / probabilities.sum(axis=1, keepdims=True))
-
-
-#: What the learner is given the logarithms of.
-_POSITIVE = ("fitted_peak", "fitted_width", "fitted_restitution", "fitted_restitution_deviation")
-#: Fewest signals that a learner can be trained on.
-FEWEST = 100
-#: Share of the training that decides between the learners, and the neurons of the network.
-_HELD_BACK = 0.2
-_NEURONS = (32, 32)
-
-
-@dataclass(frozen=True)
-class Learner:
-    """What a learner reached.
-
-    Attributes
-    ----------
-    n_signals : int
-        It was trained on.
-    kind : str
-        "network" or "quadratic", whichever did better on signals held back from the training.
-    hits : ndarray of bool, (n_test,)
-        Where it was right; a signal that cannot be measured is taken for the commonest label.
-    difference, difference_error : float
-        Accuracy of the ceiling's answers less its own, on the same signals, and the standard error.
-    regret, regret_error : float
-        The same by the ceiling's probabilities in place of the truth: far less chance, as certain as these are.
-    """
-
-    n_signals: int
-    kind: str
-    hits: NDArray[np.bool_]
-    difference: float
-    difference_error: float
-    regret: float
-    regret_error: float
-
-    @property
-    def accuracy(self) -> float:
-        """Share of right answers."""
-        return float(self.hits.mean())
-
-    @property
-    def accuracy_error(self) -> float:
-        """Standard error of the accuracy."""
-        return float(self.hits.std(ddof=1) / np.sqrt(len(self.hits)))
-
-
-@dataclass(frozen=True)
-class Bracket:
-    """The ceiling and what a learner reached below it.
-
-    Attributes
-    ----------
-    ceiling : Ceiling
-    learners : tuple of Learner
-        By the number of signals they were trained on.
-    unmeasured : int
-        Test signals that cannot be measured.
-    """
-
-    ceiling: Ceiling
-    learners: tuple[Learner, ...]
-    unmeasured: int
-
-
-def sizes_up_to(highest: int) -> tuple[int, ...]:
-    """Return 1,000, 3,000, 10,000, ... and last `highest`.
-
-    Examples
-    --------
-    >>> sizes_up_to(20_000)
-    (1000, 3000, 10000, 20000)
-    """
-    if validation.count("learner", highest) < FEWEST:
-        raise InvalidValue(f"learner must have at least {FEWEST} signals to train on, got {highest}; give more")
-    if highest > MOST_SIGNALS:
-        raise InvalidValue(f"learner must have at most {MOST_SIGNALS} signals to train on, got {highest}; give fewer")
-    steps = [base * 10**power for power in range(3, 10) for base in (1, 3)]
-    return (*(step for step in steps if step < highest), highest)
-
-
-def bracket(
-    scene: Scene,
-    sizes: tuple[int, ...] = (1_000, 3_000, 10_000),
-    n_test: int = 20_000,
-    seed: int = 1_000_003,
-    *,
-    drop_height_known: bool = False,
-    permute_labels: bool = False,
-    limit: Ceiling | None = None,
-    progress: Callable[[int], object] | None = None,
-) -> Bracket:
-    """Return the ceiling of a scene and what a learner reaches below it.
-
-    Parameters
-    ----------
-    scene : Scene
-    sizes : tuple of int
-        Numbers of signals to train on, each set holding the one before. They are of another seed than the test.
-    n_test, seed, drop_height_known
-        Of the ceiling, as in `ceiling`.
-    permute_labels : bool
-        Whether the learner is trained on labels in random order: a check, accuracy must be that of guessing.
-    limit : Ceiling, optional
-        That of these very signals, where it is there already.
-    progress : callable, optional
-        Called with the number of signals done.
-
-    Raises
-    ------
-    InvalidValue
-        As `ceiling`, and if a size is too small to train on.
-    """
-    for size in sizes or (0,):
-        sizes_up_to(size)
-    if limit is None:
-        limit = ceiling(scene, n_test, seed, drop_height_known=drop_height_known, progress=progress)
-    test, truth = _measured(scene, n_test, seed, drop_height_known, progress)
-    if not np.array_equal(truth, limit.truth):
-        raise InvalidValue(f"limit must be the ceiling of the {n_test} signals of seed {seed}, it is of others")
-    inputs, labels = _measured(scene, max(sizes), _training_seed(seed), drop_height_known, progress)
-    if permute_labels:
-        labels = np.random.default_rng(seed).permutation(labels)
-    learners = [_learn(inputs[:size], labels[:size], test, limit) for size in sorted(sizes)]
-    return Bracket(limit, tuple(learners), int((~np.isfinite(test).all(axis=1)).sum()))
-
-
-def _training_seed(seed: int) -> int:
-    return seed + 1 if seed < 2**63 - 1 else 0
-
-
-def _measured(
-    scene: Scene, n_signals: int, seed: int, drop_height_known: bool, progress: Callable[[int], object] | None
-) -> tuple[Floats, NDArray[np.str_]]:
-    """Return what the learner is given, nan where a signal cannot be measured, and the labels."""
-    rows, labels = [], []
-    for batch in _several(synthesise(scene, n_signals, seed)):
-        values = [
-            extract_array(b.signals, b.sampling_rate, _POSITIVE, pre_trigger=b.pre_trigger, invalid="nan")
-            for b in batch
-        ]
-        with np.errstate(invalid="ignore", divide="ignore"):
-            columns = [np.log(np.concatenate(values))]
-        if drop_height_known:
-            # By the speed at touch, which scenes that give a velocity know, too: their logarithms differ by a constant.
-            columns.append(2 * np.log(np.concatenate([b.parameters["velocity"] for b in batch]))[:, None])
-        rows.append(np.hstack(columns))
-        labels += [b.labels for b in batch]
-        if progress is not None:
-            progress(sum(map(len, batch)))
-    return np.concatenate(rows), np.concatenate(labels)
-
-
-def _several(batches: Iterator[Any]) -> Iterator[list[Any]]:
-    held = []
-    for batch in batches:
-        held.append(batch)
-        if len(held) == 4:
-            yield held
-            held = []
-    if held:
-        yield held
-
-
-def _learn(inputs: Floats, labels: NDArray[np.str_], test: Floats, limit: Ceiling) -> Learner:
-    from threadpoolctl import threadpool_limits
-
-    # By their numbers: scikit-learn before 1.8 cannot stop a network early that learns texts.
-    names, numbers, counts = np.unique(labels, return_inverse=True, return_counts=True)
-    sound = np.isfinite(inputs).all(axis=1)
-    measured = np.isfinite(test).all(axis=1)
-    answers = np.full(len(test), names[counts.argmax()], dtype=names.dtype)
-    kind = "guess"
-    if len(np.unique(numbers[sound])) > 1 and measured.any():
-        with threadpool_limits(1), warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # a network that has not converged is judged by what it does
-            kind, model = _best(inputs[sound], numbers[sound])
-            answers[measured] = names[model.predict(test[measured])]
-    return _judged(len(inputs), kind, answers, limit)
-
-
-def _best(inputs: Floats, labels: NDArray[np.intp]) -> tuple[str, Any]:
-    """Return the learner that is right more often on signals held back, trained on all."""
-    held = max(int(_HELD_BACK * len(inputs)), 1)
-    scores = {}
-    for kind in ("quadratic", "network"):
-        if len(np.unique(labels[held:])) > 1:
-            scores[kind] = (
-                _learner(kind, len(inputs) - held).fit(inputs[held:], labels[held:]).score(inputs[:held], labels[:held])
-            )
-    kind = max(scores, key=lambda name: scores[name]) if scores else "quadratic"
-    return kind, _learner(kind, len(inputs)).fit(inputs, labels)
-
-
-def _learner(kind: str, n_signals: int) -> Any:
-    from sklearn.linear_model import LogisticRegression
-    from sklearn.neural_network import MLPClassifier
-    from sklearn.pipeline import make_pipeline
-    from sklearn.preprocessing import PolynomialFeatures, StandardScaler
-
-    if kind == "quadratic":
-        return make_pipeline(StandardScaler(), PolynomialFeatures(2), LogisticRegression(C=10.0, max_iter=1000))
-    network = MLPClassifier(
-        _NEURONS,
-        alpha=1e-3,
-        batch_size=min(256, n_signals),
-        early_stopping=n_signals >= 1000,
-        n_iter_no_change=8,
-        max_iter=80,
-        random_state=0,
-    )
-    return make_pipeline(StandardScaler(), network)
-
-
-def _judged(n_signals: int, kind: str, answers: NDArray[np.str_], limit: Ceiling) -> Learner:
-    hits = answers == limit.truth
-    lost = limit.hits.astype(float) - hits
-    given = np.searchsorted(np.array(limit.labels), answers)
-    regret = limit.probabilities.max(axis=1) - limit.probabilities[np.arange(len(answers)), given]
-    root = np.sqrt(len(answers))
-    return Learner(
-        n_signals,
-        kind,
-        hits,
-        float(lost.mean()),
-        float(lost.std(ddof=1) / root),
-        float(regret.mean()),
-        float(regret.std(ddof=1) / root),
-    )

@@ -1,7 +1,8 @@
-"""Which improvement of a rig pays: the ceiling against noise, sampling rate and spread of sizes."""
+"""The survey of a rig: the ceiling against noise, sampling rate and spread of sizes."""
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -14,20 +15,20 @@ from cgid.scene.impacts import draw
 from cgid.scene.sections import Population
 from cgid.validation import Floats
 
-#: The settings that are tried: signal over noise [dB], sampling rate [Hz], largest over smallest radius.
+#: The settings of a survey: signal over noise [dB], sampling rate [Hz], largest over smallest radius.
 SNRS = (15.0, 20.0, 25.0, 30.0, 40.0, 50.0)
 RATES = (10e3, 20e3, 50e3, 100e3, 200e3, 500e3, 1e6)
 SPREADS = (1.1, 1.5, 2.0, 4.0, 8.0, 16.0)
-#: Points of a whole survey, the present setting with them.
+#: Points of a survey, including the present setting.
 N_POINTS = 1 + len(SNRS) + len(RATES) + len(SPREADS)
-#: Fewest samples on the contacts (all but one in twenty have more) for which the integration is trusted.
+#: Fewest samples on a contact for which the integration is trusted (5 % quantile of the contacts).
 FEWEST_SAMPLES = 5.0
-#: Lowest signal over noise [dB]: at 10 dB some fits that it starts from lie beside the pulse, and the ceiling of scene
-#: peers comes out .012 too high beside brute force over 65,536 draws of each population, at 15 dB .002 to .005.
+#: Lowest signal over noise [dB]. At 10 dB some of the initial fits miss the pulse, and the ceiling of scene peers is
+#: .012 too high, compared to brute force over 65,536 draws of each population; at 15 dB .002 to .005.
 LOWEST_SNR = 14.0
 #: Nodes along the shape: the error of the accuracy, up to .0005, is below the standard error of a survey.
 _NODES = 17
-#: Blocks of 256 impacts that the median noise and the contacts are told from.
+#: Blocks of 256 impacts for the median noise and the contacts.
 _BLOCKS = 8
 
 
@@ -45,7 +46,7 @@ class Point:
     accuracy_known, accuracy_known_error : float
         Drop height known.
     left_out : str
-        Why the ceiling cannot be had there, else empty.
+        Why there is no ceiling, else empty.
     """
 
     axis: str
@@ -59,7 +60,7 @@ class Point:
 
 @dataclass(frozen=True)
 class Survey:
-    """The ceiling at many settings of a scene, each of them changed alone.
+    """The ceiling of a scene with one setting changed at a time.
 
     Attributes
     ----------
@@ -68,7 +69,7 @@ class Survey:
     n_signals : int
         At each point.
     present : dict of float
-        Where the scene stands on each axis.
+        The value of the scene on each axis.
     here : Point
         The scene as it is; its axis is "present".
     points : tuple of Point
@@ -81,7 +82,7 @@ class Survey:
     points: tuple[Point, ...]
 
     def along(self, axis: str) -> tuple[Point, ...]:
-        """Return the points of one axis that could be had, by their value."""
+        """Return the points of one axis that have a ceiling."""
         return tuple(p for p in self.points if p.axis == axis and not p.left_out)
 
 
@@ -97,7 +98,7 @@ def survey(
 ) -> Survey:
     """Return the ceiling of a scene at other noise, sampling rates and spreads of size.
 
-    Every point is of the same rocks, as far as it can be: differences are better known than the points themselves.
+    All points have the same rocks as far as possible, so that differences are more precise than the points.
 
     Parameters
     ----------
@@ -110,7 +111,7 @@ def survey(
     sampling_rates : tuple of float
         [Hz]; the frame keeps its length in seconds.
     size_spreads : tuple of float
-        Largest over smallest radius, log-uniform about the geometric mean that each population has now.
+        Largest over smallest radius, log-uniform about the present geometric mean of each population.
     progress : callable, optional
         Called with the number of signals done.
 
@@ -140,7 +141,7 @@ def changed(scene: Scene, axis: str, value: float) -> Scene:
 
 
 def _resized(scene: Scene, spread: float) -> Scene:
-    """Return the scene with radii log-uniform about each population's own geometric mean."""
+    """Return the scene with radii log-uniform about the geometric mean of each population."""
     populations: list[Population] = []
     for population in scene.populations:
         middle = _middle_radius(population)
@@ -169,7 +170,7 @@ def _point(
 
 
 def untrusted(scene: Scene) -> str:
-    """Return why Laplace's approximation fails in a scene and its ceiling means little; empty where it holds."""
+    """Return why Laplace's approximation fails in a scene; empty where it holds."""
     peak, duration = _contacts(scene)
     level = float(np.median(_decibels(scene, peak)))
     if level < LOWEST_SNR:
@@ -181,8 +182,6 @@ def untrusted(scene: Scene) -> str:
 
 
 def _contacts(scene: Scene) -> tuple[Floats, Floats]:
-    import warnings
-
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # Hertz's range: `cgid check` says how often
         drawn = [draw(scene, 0, block).parameters for block in range(_BLOCKS)]

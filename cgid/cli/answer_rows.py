@@ -1,26 +1,28 @@
-"""How answers are printed: one row each, or one JSON object a line, each with its kind.
-
-The answers for a recording as they are printed: impacts or windows, shares, turns, a summary.
-"""
+"""The rows of answers: impacts or windows, gangue shares, turns and a summary, as text or one JSON object a line."""
 
 from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from cgid.cli.answering import Asked
 from cgid.cli.options import print_json
 from cgid.cli.output import say
 
-#: Version of the lines that --json prints of answers: since 2 each says its kind, and there are others than impacts.
+if TYPE_CHECKING:
+    from cgid.identification.answers import Answer
+    from cgid.identification.model import Model
+    from cgid.identification.question import Question
+    from cgid.identification.share import Share, Turn
+
+#: Version of the lines that --json prints: since 2 each has its kind, and there are others than impacts.
 ANSWERS_VERSION = 2
 _ROW = "{:>12}  {:<12} {:>11}  {:>8}  {}"
 _TITLES = _ROW.format("time [s]", "label", "probability", "novelty", "source")
 
 
 class AnswerLines:
-    """Prints what is known of recordings, as it comes.
+    """Prints one row each, with its kind in JSON.
 
     Parameters
     ----------
@@ -31,8 +33,8 @@ class AnswerLines:
         self.as_json = as_json
         self._titled = False
 
-    def answer(self, source: str, number: int, answer: Any, kind: str = "impact", truth: str | None = None) -> None:
-        """Print the answer for an impact or a window, the how many-th of its channel."""
+    def answer(self, source: str, number: int, answer: Answer, kind: str = "impact", truth: str | None = None) -> None:
+        """Print the answer for an impact or a window, with its number in its channel."""
         if self.as_json:
             content = {
                 "kind": kind,
@@ -63,7 +65,7 @@ class AnswerLines:
         probability, novelty = _number(answer.probability), _number(answer.novelty)
         say(_ROW.format(f"{answer.time:.6f}", answer.label, probability, novelty, source + note))
 
-    def share(self, source: str, share: Any) -> None:
+    def share(self, source: str, share: Share) -> None:
         """Print the gangue share of a window."""
         if self.as_json:
             content = {
@@ -85,7 +87,7 @@ class AnswerLines:
         span = f"{share.start:.6g} to {share.time:.6g} s"
         say(f"# gangue share {told}, {span}, {share.n_impacts} answers{unknown}  {source}")
 
-    def turn(self, source: str, turn: Any, gangue_cost: float) -> None:
+    def turn(self, source: str, turn: Turn, gangue_cost: float) -> None:
         """Print that going on has begun to cost more than it brings, or less again."""
         if self.as_json:
             content = {
@@ -114,13 +116,13 @@ class AnswerLines:
         say(f"# {source}: {tally.text()} in {duration:.6g} s")
 
     def warning(self, source: str, message: str) -> None:
-        """Say on stderr what is wrong with a recording that is read all the same, and in JSON as well."""
+        """Print on stderr, and in JSON, what is wrong with a recording that can be read nevertheless."""
         say(f"cgid: warning: {message}", err=True)
         if self.as_json:
             self._json({"kind": "warning", "source": source, "message": message})
 
     def delay(self, source: str, behind: float, message: str) -> None:
-        """Say on stderr how far the answers are behind a live stream [s], and in JSON as well."""
+        """Print on stderr, and in JSON, how far the answers are behind a live stream [s]."""
         say(f"cgid: warning: {source}: {behind:.1f} s behind: {message}", err=True)
         if self.as_json:
             self._json({"kind": "delay", "source": source, "behind_s": behind, "message": message})
@@ -130,7 +132,7 @@ class AnswerLines:
 
 
 class RecordingTally:
-    """How many answers of a recording were what."""
+    """Counts of the answers of a recording, by label and by mark."""
 
     def __init__(self, kind: str) -> None:
         self.kind = kind
@@ -138,7 +140,7 @@ class RecordingTally:
         self.marks: Counter[str] = Counter()
         self.n_outside = 0
 
-    def add(self, answers: Iterable[Any]) -> None:
+    def add(self, answers: Iterable[Answer]) -> None:
         """Count some more."""
         for answer in answers:
             self.labels[answer.label] += 1
@@ -169,7 +171,7 @@ class RecordingTally:
         return f"{self.total} {self.kind}{plural}: {named}{outside}" + (f", {marks}" if marks else "")
 
 
-def marks_of(answer: Any) -> list[str]:
+def marks_of(answer: Answer) -> list[str]:
     """Return what is special about the frame of an answer, in words."""
     marked = {"overlapping": answer.overlapping, "clipped": answer.clipped, "cut off": answer.cut}
     return [name for name, holds in marked.items() if holds]
@@ -179,13 +181,13 @@ def _number(value: float) -> str:
     return "-" if value != value else f"{value:.3f}"
 
 
-#: So many rows wait at most for one that can be measured.
+#: At most this many rows wait for one that can be measured.
 _MOST_HELD = 1000
-#: So many channels without impacts are told one by one.
+#: This many channels without impacts are named one by one.
 _MOST_SILENT = 3
 
 
-class Telling:
+class RecordingRows:
     """Prints the answers for the channels of one recording that one model answers for.
 
     Parameters
@@ -194,23 +196,20 @@ class Telling:
         The recording's name.
     model : Model
     channels : sequence of str
-    sampling_rate : float
-        [Hz].
-    asked : Asked
+    question : Question
     lines : AnswerLines
     keep : bool
         Whether answers, shares and turns are kept.
     always : bool
-        Whether all leaves at once: else rows wait for one that can be measured, and shares for a second row.
+        Whether everything is printed at once; else rows wait for one that can be measured, and shares for a second row.
     """
 
     def __init__(
         self,
         source: str,
-        model: Any,
+        model: Model,
         channels: Sequence[str],
-        sampling_rate: float,
-        asked: Asked,
+        question: Question,
         lines: AnswerLines,
         *,
         keep: bool = False,
@@ -221,25 +220,23 @@ class Telling:
 
         self.source, self.lines = source, lines
         self.kind = "window" if model.kind == "window" else "impact"
-        asked.require_use(self.kind)
         self.tally = RecordingTally(self.kind)
         self.channels = answering_channels(model, channels)
-        self.answers: list[Any] = []
-        self.shares: list[Any] = []
-        self.turns: list[Any] = []
-        self._keep, self._always, self._turn, self._asked = keep, always, Turn, asked
+        self.answers: list[Answer] = []
+        self.shares: list[Share] = []
+        self.turns: list[Turn] = []
+        self._keep, self._always, self._turn, self._question = keep, always, Turn, question
         self._numbers: Counter[str] = Counter()
         self._measured = always
-        self._held_answers: list[Any] = []
-        self._held_shares: list[Any] = []
+        self._held_answers: list[Answer] = []
+        self._held_shares: list[Share | Turn] = []
         self._watch: CavingWatch | None = None
         self.threshold: float | None = None
-        if asked.shares_asked or asked.settings.serve(model):
-            weight = independence(model, asked.question().vote_time)
-            self._watch = CavingWatch(model, self.channels, asked.settings, weight)
+        if question.asks_for_shares or question.separates_gangue(model):
+            self._watch = CavingWatch(model, self.channels, question, independence(model, question))
             self.threshold = self._watch.threshold
 
-    def feed(self, answers: Sequence[Any], until: float) -> None:
+    def feed(self, answers: Sequence[Answer], until: float) -> None:
         """Print the next answers, and the shares of windows that end by now [s]."""
         self.tally.add(answers)
         if self._keep:
@@ -249,10 +246,10 @@ class Telling:
         if self._measured or len(self._held_answers) > _MOST_HELD:
             self._print_answers()
         if self._watch is not None:
-            self._tell(self._watch.feed(answers, until))
+            self._print_shares(self._watch.feed(answers, until))
 
     def finish(self, duration: float, silent: Sequence[str] = (), start_time: Any = None) -> None:
-        """Print what is left to tell at the end of a recording of so long [s], and which channels were silent.
+        """Print the rest at the end of a recording of a duration [s], and which channels were silent.
 
         Raises
         ------
@@ -275,12 +272,12 @@ class Telling:
             raise BadData(f"{self.name(first.channel) if first else self.source}: {problem}{more}")
         self._print_answers()
         if self._watch is not None:
-            self._tell(self._watch.finish(duration))
+            self._print_shares(self._watch.finish(duration))
         if self.tally.total > 1 or self._always:
             self.lines.summary(self.source, self.tally, duration, start_time)
 
     def name(self, channel: str) -> str:
-        """Return source and channel in one word; the first channel has no name in JSON, as ever."""
+        """Return source and channel in one word; the first channel has no name in JSON."""
         plain = channel == "1" and (self.lines.as_json or len(self.channels) == 1)
         return self.source if plain else f"{self.source} channel {channel}"
 
@@ -290,16 +287,17 @@ class Telling:
             self.lines.answer(self.name(answer.channel), self._numbers[answer.channel], answer, self.kind)
         self._held_answers = []
 
-    def _tell(self, told: Iterable[Any]) -> None:
+    def _print_shares(self, more: Iterable[Share | Turn]) -> None:
         """Print shares and turns; a recording of one impact has none unless they were asked for."""
-        self._held_shares += told
-        if not (self._always or self._asked.shares_asked or self.tally.total > 1):
+        self._held_shares += more
+        if not (self._always or self._question.asks_for_shares or self.tally.total > 1):
             return
         for one in self._held_shares:
-            if self._keep:
-                (self.turns if isinstance(one, self._turn) else self.shares).append(one)
             if isinstance(one, self._turn):
-                self.lines.turn(self.name(one.share.channel), one, self._asked.settings.gangue_cost)
-            elif one.n_impacts or one.n_unknown or self._always:
+                self.turns += [one] * self._keep
+                self.lines.turn(self.name(one.share.channel), one, self._question.cost_of_gangue)
+                continue
+            self.shares += [one] * self._keep
+            if one.n_impacts or one.n_unknown or self._always:
                 self.lines.share(self.name(one.channel), one)
         self._held_shares = []

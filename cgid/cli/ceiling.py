@@ -1,4 +1,4 @@
-"""`cgid ceiling`: how well a scene can be told apart at all, and what a better rig would bring."""
+"""`cgid ceiling`: the highest accuracy that is possible in a scene, and what a better rig would bring."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _NAMES = {"snr": "SNR [dB]", "sampling_rate": "rate [Hz]", "size_spread": "sizes
 @click.option("-n", "--signals", "n_signals", type=int, default=20_000, show_default=True, help="To judge on.")
 @click.option("--seed", type=int, default=1_000_003, show_default=True, help="Of these signals.")
 @click.option("--drop-height", is_flag=True, help="It is known how far each rock fell.")
-@click.option("--learner", type=int, help="Also what a learner reaches, trained on up to so many signals.")
+@click.option("--learner", type=int, help="Also the accuracy of learners, trained on up to this many signals.")
 @click.option(
     "--plot", "picture", type=PATH, help="Survey noise, sampling rate and spread of sizes: a PNG picture and a table."
 )
@@ -41,8 +41,9 @@ def ceiling(
     Bayes' rule, which knows the scene, is applied to each of many signals: no classifier can be right more often.
     """
     from cgid import shipped
-    from cgid.ceiling.bayes import bracket, check_covered, sizes_up_to
     from cgid.ceiling.bayes import ceiling as ceiling_of
+    from cgid.ceiling.bayes import check_covered
+    from cgid.ceiling.learner import bracket, sizes_up_to
     from cgid.ceiling.survey import untrusted
     from cgid.scene import load_scene
 
@@ -76,7 +77,7 @@ def ceiling(
 
 
 def _checked(path: Path, overwrite: bool) -> Path:
-    """Return the path of a picture that can be written."""
+    """Return the path of a picture once it is sure that it can be written."""
     from cgid.files import check_new
     from cgid.plots import require_matplotlib
 

@@ -1,4 +1,4 @@
-"""`cgid export`: a dataset as one plain file, for other tools."""
+"""`cgid export`: write a dataset as one plain file for other tools."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from cgid.cli.output import say
 def export(data: str, output: str, overwrite: bool) -> None:
     """Write the dataset DATA, a folder or a file, as one HDF5 file that h5dump, h5py or MATLAB open as it is.
 
-    It holds signals, labels, specimen, parameters and all attributes, uncompressed and with checksums, and is a dataset
-    of cgid itself.
+    It holds signals, labels, specimen, parameters and all attributes, uncompressed and with checksums. cgid reads it as
+    a dataset.
     """
     from cgid.store import Dataset
     from cgid.store.dataset import export as export_dataset

@@ -1,4 +1,4 @@
-"""`cgid generate`: a dataset from a scene, or a table of what is asked of it, or the plan for either."""
+"""`cgid generate`: make a dataset, recordings or a table from a scene, or print the plan for it."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ import click
 from cgid.cli.options import PATH, crew_options, print_json, progress_bar, require_one_crew
 from cgid.cli.output import say
 
-#: Options that leave signals out, with what they ask for and the option that says which of it.
+#: Options for tables, with the output they ask for, and the options that choose the columns.
 _ONLY = {"features_only": "features", "closed_form_only": "closed-form", "parameters_only": "parameters"}
 _WHICH = {"features": "features_only", "quantities": "closed_form_only"}
-#: Options about signals on the disk.
+#: Options for signals on the disk.
 _OF_SIGNALS = ("dtype", "shard_signals", "compression", "jobs", "scheduler")
-#: Those of them about signals that are not in one recording, and their defaults.
+#: Those of them that recordings do not have, and their defaults.
 _OF_MANY = {"jobs": 1, "scheduler": None, "shard_signals": 4096, "compression": "none"}
-#: What makers of recordings and datasets are told.
+#: Arguments of `generate_recordings` and `generate`.
 _OF_RECORDINGS = ("output", "n_signals", "seed", "overwrite", "resume", "dtype")
 _OF_DATASETS = (*_OF_RECORDINGS, "shard_signals", "compression", "jobs", "scheduler")
 
@@ -89,7 +89,7 @@ def generate(context: click.Context, /, scene: str, **options: Any) -> None:
 
 
 def _checked_output(context: click.Context) -> str:
-    """Return what is asked for; refuse options that contradict each other, before any work is done."""
+    """Return the output that is asked for; refuse options that contradict each other, before any work is done."""
     options = context.params
     given = {name for name in options if context.get_parameter_source(name) is click.core.ParameterSource.COMMANDLINE}
     only = [name for name in _ONLY if options[name]]
@@ -132,7 +132,7 @@ def _flag(name: str) -> str:
 
 
 def _which(scene: Any, output: str, options: dict[str, Any]) -> dict[str, Any]:
-    """Return the features or quantities that are asked for."""
+    """Return the chosen features or quantities."""
 
     def names(name: str) -> list[str] | None:
         return None if options[name] is None else [part.strip() for part in options[name].split(",")]
@@ -143,7 +143,7 @@ def _which(scene: Any, output: str, options: dict[str, Any]) -> dict[str, Any]:
 
 
 def _features_of_model(scene: Any) -> tuple[str, ...]:
-    """Return what a model looks at by default on signals of this scene."""
+    """Return the default features of a model for signals of this scene."""
     from cgid.identification.rows import DEFAULT_FEATURES, DEFAULT_VIBRATION_FEATURES
     from cgid.measure.features import kind_for
     from cgid.scene.plan import supported_by
@@ -170,7 +170,7 @@ def _write_dataset(asked: Any, options: dict[str, Any]) -> None:
 
 
 def _warn_of_plate(scene: Any, seed: int) -> None:
-    """Warn once if rocks of the first block pass the range of the thin plate; drawing itself is silent."""
+    """Warn once if rocks of the first block exceed the range of the thin plate; blocks do not warn."""
     from cgid.physics import ThinPlate
     from cgid.physics.impact import BEYOND_THIN_PLATE, INELASTICITY_LIMIT
     from cgid.scene.impacts import draw

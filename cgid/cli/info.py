@@ -178,28 +178,31 @@ def _long_channels(recording: Any) -> dict[str, Any]:
     """Return what is in each channel of a long recording, which is read block by block; a median would hold it all."""
     from collections import Counter
 
-    from cgid.identification.detection import TURN_OVER, Extent, ImpactDetector
+    import numpy as np
+
+    from cgid.identification.detection import TURN_OVER, ImpactDetector
     from cgid.measure.features import kind_for
 
     names = recording.channels
-    extent, dtype = Extent(len(names)), ""
-    kinds = [kind_for(channel.quantity) for channel in names]
-    detectors = [ImpactDetector(recording.sampling_rate, kind=kind) for kind in kinds]
+    lowest, highest = np.full(len(names), np.inf), np.full(len(names), -np.inf)
+    total, n_samples, dtype = np.zeros(len(names)), 0, ""
+    detectors = [ImpactDetector(recording.sampling_rate, kind=kind_for(channel.quantity)) for channel in names]
     impacts: Counter[int] = Counter()
     for block in recording.blocks():
-        extent.see(block)
-        dtype = block.dtype.name
+        lowest, highest = np.minimum(lowest, block.min(axis=1)), np.maximum(highest, block.max(axis=1))
+        total += block.sum(axis=1, dtype=np.float64)
+        n_samples, dtype = n_samples + block.shape[1], block.dtype.name
         impacts.update({row: len(detector.feed(block[[row]])) for row, detector in enumerate(detectors)})
     impacts.update({row: len(detector.finish()) for row, detector in enumerate(detectors)})
     for row, channel in enumerate(names):
-        if not impacts[row] and extent.cure(row, kinds[row]) == TURN_OVER:
+        if not impacts[row] and detectors[row].is_upside_down():
             say(f"cgid: warning: {recording.source} channel {channel.name}: no impact: {TURN_OVER}", err=True)
     return {
         f"channel {channel.name}": {
-            **_facts(recording, channel, extent.n_samples, dtype),
-            "lowest": float(extent.lowest[row]),
-            "mean": float(extent.mean[row]),
-            "highest": float(extent.highest[row]),
+            **_facts(recording, channel, n_samples, dtype),
+            "lowest": float(lowest[row]),
+            "mean": float(total[row] / n_samples),
+            "highest": float(highest[row]),
             "impacts": impacts[row],
         }
         for row, channel in enumerate(names)

@@ -1,7 +1,4 @@
-"""What has come from a live stream and is still to be treated: nothing is dropped, and how much waits is known.
-
-`cgid monitor`: a live stream, its impacts and gangue share as they come, and when to shut the window.
-"""
+"""`cgid monitor`: a live stream, its impacts and gangue share as they come, and when to shut the window."""
 
 from __future__ import annotations
 
@@ -13,23 +10,26 @@ from collections.abc import Iterable, Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from threading import Condition, Thread
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 import numpy as np
 from numpy.typing import NDArray
 
-from cgid.cli.answer_rows import AnswerLines, Telling
-from cgid.cli.answering import Asked, answering_options, asked_of, warn_of_rate
+from cgid.cli.answer_rows import AnswerLines, RecordingRows
+from cgid.cli.answering import Models, answering_options, question_of, warn_of_model
 from cgid.cli.options import PATH, dead_time_in_seconds
 
-#: So much may wait [bytes],
+if TYPE_CHECKING:
+    from cgid.identification.question import Question
+
+#: At most this much may wait [bytes],
 MOST_WAITING = 128 << 20
-#: and so much of it is taken at once: what is made of it takes many times more.
+#: and this much of it is taken at once: what is made of it takes many times more.
 MOST_TAKEN = 8 << 20
-#: Blocks are joined until they last so long [s]: short ones cost more than they hold.
+#: Blocks are joined until they last this long [s]: short ones cost more than they hold,
 LEAST_TIME = 0.05
-#: But nobody waits longer than this for them [s].
+#: but after this time they are not waited for [s].
 _PATIENCE = 0.1
 
 
@@ -40,7 +40,7 @@ class UnbufferedInput:
         self._descriptor = descriptor
 
     def read(self, size: int) -> bytes:
-        """Return so many bytes, fewer only at the end."""
+        """Return this many bytes, fewer only at the end."""
         parts, left = [], size
         while left and (part := os.read(self._descriptor, left)):
             parts.append(part)
@@ -48,7 +48,7 @@ class UnbufferedInput:
         return b"".join(parts)
 
     def read1(self, size: int) -> bytes:
-        """Return what has come, at most so many bytes; none at the end."""
+        """Return what has come, at most this many bytes; none at the end."""
         return os.read(self._descriptor, size)
 
 
@@ -62,7 +62,7 @@ class Inbox:
     sampling_rate : float
         [Hz].
     most_waiting : int
-        So much may wait [bytes]; then the stream is not read on until there is room, and its source has to wait.
+        This much may wait [bytes]; then the stream is not read on until there is room, and its source has to wait.
 
     Attributes
     ----------
@@ -140,9 +140,9 @@ class Inbox:
         return blocks[0] if len(blocks) == 1 else np.concatenate(blocks, axis=1)
 
 
-#: Shares are told so many times within their window.
+#: A share is printed this many times within its window.
 _STEPS = 10
-#: Whoever is less far behind than this keeps up [s].
+#: Answers that are less far behind than this keep up [s].
 _BEHIND = 1.0
 
 
@@ -172,14 +172,16 @@ def monitor(
 ) -> None:
     """Identify the impacts in STREAM as they come: raw numbers or WAV; - is stdin.
 
-    Each channel is a support with a gangue share of its own, told ten times within its window, and once in a pause. A
+    Each channel is a support with a gangue share of its own, printed ten times within its window and once in a pause. A
     line SHUT says that going on begins to cost more than it brings: drawn gangue (--gangue-cost) against lost coal (1);
     OPEN, that it pays again. Nothing is dropped: whoever is slower than the stream says how far behind.
     """
     from cgid import validation
+    from cgid.identification.question import SHARE_TIME
     from cgid.recordings.live import live_stream
 
-    asked, _ = asked_of(options, dead_time_in_seconds(dead_time), steps=_STEPS)
+    step = (SHARE_TIME if options["window"] is None else options["window"]) / _STEPS
+    models, question, _ = question_of(options, dead_time_in_seconds(dead_time), batch=1, share_step=step)
     scale = 1.0 if full_scale is None else float(validation.positive("--full-scale", full_scale, unit or ""))
     with _opened(stream) as file:
         source = "stdin" if stream == "-" else stream
@@ -191,28 +193,27 @@ def monitor(
             unit=unit,
             source=source,
         )
-        _follow(live, scale, asked, AnswerLines(as_json))
+        _follow(live, scale, models, question, AnswerLines(as_json))
 
 
-def _follow(live: Any, scale: float, asked: Asked, lines: AnswerLines) -> None:
+def _follow(live: Any, scale: float, models: Models, question: Question, lines: AnswerLines) -> None:
     """Print what a stream holds until it ends or is interrupted."""
     from cgid.identification.stream import factor_of, identify_blocks, scaled
     from cgid.units import quantity_of
 
-    model = asked.models.of(None if live.unit is None else quantity_of(live.unit))
-    factor = factor_of(model, live.unit, live.source, mass=asked.mass) * (-scale if asked.invert else scale)
+    model = models.of(None if live.unit is None else quantity_of(live.unit))
+    factor = factor_of(model, live.unit, live.source, mass=question.mass) * (-scale if question.invert else scale)
     names = [str(number) for number in range(1, live.n_channels + 1)]
     inbox, delay = Inbox(live, live.sampling_rate), _Delay(live.source, lines)
-    blocks, question = scaled(inbox, [factor] * live.n_channels), asked.question(batch=1, whole=0)
+    blocks = scaled(inbox, [factor] * live.n_channels)
     steps = identify_blocks(blocks, live.sampling_rate, model, names, question, live.source)
-    asked.warn_of_sensor(live.source, model)
-    telling = Telling(live.source, model, names, live.sampling_rate, asked, lines, always=True)
-    warn_of_rate(live.source, live.sampling_rate, model)
+    rows = RecordingRows(live.source, model, names, question, lines, always=True)
+    warn_of_model(live.source, live.source, live.sampling_rate, model, question)
     silent: tuple[str, ...] = ()
     try:
         for step in steps:
             silent += step.silent
-            telling.feed(step.answers, step.until)
+            rows.feed(step.answers, step.until)
             delay.see(inbox)
             for warning in step.warnings:
                 lines.warning(live.source, warning)
@@ -220,11 +221,11 @@ def _follow(live: Any, scale: float, asked: Asked, lines: AnswerLines) -> None:
         for warning in live.warnings:
             lines.warning(live.source, f"{live.source}: {warning}")
         if inbox.n_taken:
-            telling.finish(inbox.n_taken / live.sampling_rate, silent)
+            rows.finish(inbox.n_taken / live.sampling_rate, silent)
 
 
 class _Delay:
-    """Says how far the answers are behind the stream when it gets worse, and when it is over."""
+    """Reports how far the answers are behind the stream when it gets worse, and when it is over."""
 
     def __init__(self, source: str, lines: AnswerLines) -> None:
         self._source, self._lines = source, lines
@@ -232,7 +233,7 @@ class _Delay:
         self._held_up = False
 
     def see(self, inbox: Inbox) -> None:
-        """Look at what waits, and say so if that is news."""
+        """Look at what waits, and report a change."""
         behind = inbox.behind
         if behind >= max(_BEHIND, 2 * self._said):
             self._said = behind

@@ -125,7 +125,7 @@ class _Finder:
         dead_time: float | None,
         begin: float,
     ) -> None:
-        from cgid.identification.detection import Extent, ImpactDetector
+        from cgid.identification.detection import ImpactDetector
         from cgid.measure.features import kind_for
 
         self._rate, self._channels, self._begin = sampling_rate, channels, begin
@@ -135,12 +135,10 @@ class _Finder:
         self._detectors: list[tuple[list[int], Any]] = [
             (own, ImpactDetector(sampling_rate, len(own), kind=kind, dead_time=dead_time)) for kind, own in rows.items()
         ]
-        self._pulses, self._extent = rows.get("pulse", []), Extent(len(channels))
         self._marks: list[Mark] = []
 
     def feed(self, block: NDArray[Any]) -> None:
         """Take the next samples, (n_channels, n_samples)."""
-        self._extent.see(block)
         for rows, detector in self._detectors:
             self._keep(rows, detector.feed(block[rows]))
 
@@ -152,13 +150,12 @@ class _Finder:
 
     def upside_down(self) -> list[str]:
         """Return the channels without pulses that fall where they should rise."""
-        from cgid.identification.detection import TURN_OVER
-
         heard = {mark.channel for mark in self._marks}
-        names = {self._channels[row].name: row for row in self._pulses}
-        return [
-            name for name, row in names.items() if name not in heard and self._extent.cure(row, "pulse") == TURN_OVER
+        turned = [
+            rows[own] for rows, detector in self._detectors for own in range(len(rows)) if detector.is_upside_down(own)
         ]
+        names = [self._channels[row].name for row in sorted(turned)]
+        return [name for name in names if name not in heard]
 
     def _keep(self, rows: Sequence[int], events: Iterable[Any]) -> None:
         from cgid.plots import Mark

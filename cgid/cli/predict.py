@@ -1,24 +1,16 @@
-"""The page that --report asks for: what was printed of each recording, with its pictures.
-
-A recording read block by block, answered by the models that its channels need.
-
-The signals of a dataset, identified batch by batch, and how many of the answers are right.
-
-`cgid predict`: one row for each impact found, the gangue share, a summary.
-"""
+"""`cgid predict`: one row for each impact found, the gangue share, a summary; and the page that --report asks for."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, field
 from itertools import count
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
-from cgid.cli.answer_rows import AnswerLines, Telling
-from cgid.cli.answering import Asked, Models, answering_options, asked_of, warn_of_rate
+from cgid.cli.answer_rows import AnswerLines, RecordingRows
+from cgid.cli.answering import Models, answering_options, question_of, warn_of_model
 from cgid.cli.options import (
     PATH,
     asks_for_whole_dataset,
@@ -31,16 +23,15 @@ from cgid.cli.options import (
 from cgid.cli.output import say
 from cgid.errors import CgidError
 
-
-class Passing:
-    """Counts the samples of blocks that pass by."""
-
-    def __init__(self) -> None:
-        self.n_samples = 0
-
-    def see(self, block: Any) -> None:
-        """Look at a block, (n_channels, n_samples)."""
-        self.n_samples += block.shape[1]
+if TYPE_CHECKING:
+    from cgid.identification.answers import Answer
+    from cgid.identification.model import Model
+    from cgid.identification.question import Question
+    from cgid.measure.overview import OverviewStream
+    from cgid.recordings import RecordingFile
+    from cgid.recordings.recording import Channel
+    from cgid.signals import Batch, Signal
+    from cgid.validation import Floats
 
 
 class Pages:
@@ -71,27 +62,26 @@ class Pages:
         self._reports: list[Any] = []
         require_matplotlib()
 
-    def drawing(self, recording: Any, rows: list[int]) -> Drawing:
-        """Return what looks at the blocks of some channels of a recording."""
-        return Drawing(recording, rows)
-
-    def add(self, recording: Any, drawing: Any, model: Any, asked: Asked, telling: Telling) -> None:
-        """Take what was told of a recording."""
+    def add(
+        self, recording: RecordingFile, passing: _Passing, model: Model, model_name: str, rows: RecordingRows
+    ) -> None:
+        """Take what was printed of a recording."""
         from cgid.report import Report, model_facts, recording_facts
 
-        overview = drawing.stream.overview()
+        assert passing.stream is not None
+        overview = passing.stream.overview()
         report = Report(
             source=recording.source,
-            recording=recording_facts(recording, overview, drawing.channels),
-            model=model_facts(model, asked.models.name(model)),
+            recording=recording_facts(recording, overview, passing.channels),
+            model=model_facts(model, model_name),
             overview=overview,
-            channels=drawing.channels,
-            answers=telling.answers,
-            shares=telling.shares,
-            turns=telling.turns,
-            threshold=telling.threshold,
+            channels=passing.channels,
+            answers=rows.answers,
+            shares=rows.shares,
+            turns=rows.turns,
+            threshold=rows.threshold,
             warnings=recording.warnings,
-            unit_of_decision=telling.kind,
+            unit_of_decision=rows.kind,
         )
         self._reports.append(report)
 
@@ -104,127 +94,146 @@ class Pages:
         return bool(self._reports)
 
 
-class Drawing(Passing):
-    """Draws the first channels of a recording while its blocks pass by."""
+class _Passing:
+    """What is kept of the blocks of a recording that pass by: how many samples, and a drawing of the first channels."""
 
-    def __init__(self, recording: Any, rows: list[int]) -> None:
-        from cgid.measure.overview import OverviewStream
-        from cgid.plots import MOST_CHANNELS
+    def __init__(self, recording: RecordingFile, numbers: list[int], draw: bool) -> None:
+        self.n_samples = 0
+        self.channels: list[Channel] = []
+        self.stream: OverviewStream | None = None
+        if draw:
+            from cgid.measure.overview import OverviewStream
+            from cgid.plots import MOST_CHANNELS
 
-        super().__init__()
-        self.channels = [recording.channels[row] for row in rows[:MOST_CHANNELS]]
-        self.stream = OverviewStream(recording.sampling_rate, len(self.channels))
+            self.channels = [recording.channels[number] for number in numbers[:MOST_CHANNELS]]
+            self.stream = OverviewStream(recording.sampling_rate, len(self.channels))
 
     def see(self, block: Any) -> None:
         """Look at a block, (n_channels, n_samples)."""
-        super().see(block)
-        self.stream.feed(block[: len(self.channels)])
+        self.n_samples += block.shape[1]
+        if self.stream is not None:
+            self.stream.feed(block[: len(self.channels)])
 
 
-def answer_recording(recording: Any, asked: Asked, lines: AnswerLines, pages: Pages | None = None) -> None:
-    """Print the answers for a recording, which is read block by block: once for each model that its channels need.
+@dataclass(frozen=True, kw_only=True)
+class _Prediction:
+    """What every file is treated with."""
 
-    Raises
-    ------
-    CgidError
-        It cannot be read, is of another quantity, or nothing in it can be measured.
-    """
-    groups = _models_of(recording, asked)
-    errors: list[CgidError] = []
-    try:
-        for model, rows in groups:
-            try:
-                _answer_channels(recording, model, rows, asked, lines, pages)
-            except CgidError as error:
-                errors.append(error)
-    finally:
-        for warning in recording.warnings:
-            lines.warning(recording.source, warning)
-    if len(errors) == len(groups):
-        raise errors[0]
-    # Channels of another quantity do not hide those that can be answered for.
-    for unanswered in errors:
-        lines.warning(recording.source, str(unanswered))
+    models: Models
+    question: Question
+    lines: AnswerLines
+    pages: Pages | None
 
+    def recording(self, recording: RecordingFile) -> None:
+        """Print the answers for a recording, which is read block by block: once for each model its channels need.
 
-def _answer_channels(
-    recording: Any, model: Any, rows: list[int], asked: Asked, lines: AnswerLines, pages: Pages | None
-) -> None:
-    """Print the answers for those channels of a recording that one model answers for."""
-    from cgid.identification.stream import identify_blocks, model_blocks
+        Raises
+        ------
+        CgidError
+            It cannot be read, is of another quantity, or nothing in it can be measured.
+        """
+        groups: dict[int, tuple[Model, list[int]]] = {}
+        for number, channel in enumerate(recording.channels):
+            model = self.models.of(channel.quantity)
+            groups.setdefault(id(model), (model, []))[1].append(number)
+        errors: list[CgidError] = []
+        try:
+            for model, numbers in groups.values():
+                try:
+                    self._channels(recording, model, numbers)
+                except CgidError as error:
+                    errors.append(error)
+        finally:
+            for warning in recording.warnings:
+                self.lines.warning(recording.source, warning)
+        if len(errors) == len(groups):
+            raise errors[0]
+        # Channels of another quantity do not hide those that can be answered for.
+        for unanswered in errors:
+            self.lines.warning(recording.source, str(unanswered))
 
-    names, rate, source = [recording.channels[row].name for row in rows], recording.sampling_rate, recording.source
-    passing = Passing() if pages is None else pages.drawing(recording, rows)
-    blocks = model_blocks(recording, model, rows, mass=asked.mass, invert=asked.invert, seen=passing.see)
-    steps = identify_blocks(blocks, rate, model, names, asked.question(), source)
-    asked.warn_of_sensor(source, model)
-    telling = Telling(source, model, names, rate, asked, lines, keep=pages is not None)
-    warn_of_rate(telling.name(telling.channels[0]), rate, model)
-    silent: tuple[str, ...] = ()
-    for step in steps:
-        telling.feed(step.answers, step.until)
-        silent += step.silent
-        for warning in step.warnings:
-            lines.warning(source, warning)
-    telling.finish(passing.n_samples / rate, silent, recording.start_time)
-    if pages is not None:
-        pages.add(recording, passing, model, asked, telling)
+    def _channels(self, recording: RecordingFile, model: Model, numbers: list[int]) -> None:
+        """Print the answers for those channels of a recording that one model answers for."""
+        from cgid.identification.stream import identify_blocks, model_blocks
 
+        question, lines, source, rate = self.question, self.lines, recording.source, recording.sampling_rate
+        names = [recording.channels[number].name for number in numbers]
+        passing = _Passing(recording, numbers, self.pages is not None)
+        blocks = model_blocks(recording, model, numbers, question, seen=passing.see)
+        steps = identify_blocks(blocks, rate, model, names, question, source)
+        rows = RecordingRows(source, model, names, question, lines, keep=self.pages is not None)
+        warn_of_model(source, rows.name(rows.channels[0]), rate, model, question)
+        silent: tuple[str, ...] = ()
+        for step in steps:
+            rows.feed(step.answers, step.until)
+            silent += step.silent
+            for warning in step.warnings:
+                lines.warning(source, warning)
+        rows.finish(passing.n_samples / rate, silent, recording.start_time)
+        if self.pages is not None:
+            self.pages.add(recording, passing, model, self.models.name(model), rows)
 
-def _models_of(recording: Any, asked: Asked) -> list[tuple[Any, list[int]]]:
-    """Return the models that answer for the channels of a recording, each with the numbers of its channels."""
-    found: dict[int, tuple[Any, list[int]]] = {}
-    for row, channel in enumerate(recording.channels):
-        model = asked.models.of(channel.quantity)
-        found.setdefault(id(model), (model, []))[1].append(row)
-    return list(found.values())
+    def dataset(self, path: str) -> None:
+        """Print the answer for every signal of a dataset, and say how many are right."""
+        from cgid.errors import BadData
+        from cgid.identification.answers import identify_frames
+        from cgid.store import Dataset
+        from cgid.units import UNITS
 
+        dataset = Dataset(path)
+        model = self.models.of(dataset.quantity)
+        if dataset.quantity != model.quantity:
+            raise BadData(
+                f"{path}: the quantity must be the model's, {model.quantity} [{model.unit}], got {dataset.quantity} "
+                f"[{dataset.unit}]; train a model on such signals"
+            )
+        units = UNITS[dataset.quantity]
+        factor = units[dataset.unit] / units[model.unit] * (-1 if self.question.invert else 1)
+        warn_of_model(path, path, dataset.sampling_rate, model, self.question)
+        number, tally = count(), _Tally()
+        for batch in dataset.batches():
+            answers = identify_frames(
+                batch.signals if factor == 1 else batch.signals * factor,
+                batch.sampling_rate,
+                model,
+                self.question,
+                pre_trigger=batch.pre_trigger,
+                drop_height=self._heights(path, batch, model),
+            )
+            for answer, truth, specimen in zip(answers, batch.labels.tolist(), batch.specimen.tolist(), strict=True):
+                self.lines.answer(f"{path} index {next(number)}", 1, answer, truth=truth)
+                tally.add(answer, truth, specimen)
+        if tally.measured:
+            say(f"{path}: {tally.summary(len(dataset))}", err=True)
 
-def identify_dataset(
-    path: str, models: Models, drop_height: float | None, how: Mapping[str, Any], invert: bool, lines: AnswerLines
-) -> None:
-    """Answer for every signal of a dataset; `how` is what `identify_frames` takes besides."""
-    from cgid.errors import BadData
-    from cgid.identification.answers import identify_frames
-    from cgid.store import Dataset
-    from cgid.units import UNITS
+    def dataset_signal(self, path: str, index: int, signal: Signal) -> None:
+        """Print the answer for one signal of a dataset."""
+        import numpy as np
 
-    dataset = Dataset(path)
-    model = models.of(dataset.quantity)
-    if dataset.quantity != model.quantity:
-        raise BadData(
-            f"{path}: the quantity must be the model's, {model.quantity} [{model.unit}], got {dataset.quantity} "
-            f"[{dataset.unit}]; train a model on such signals"
+        from cgid.errors import BadData
+        from cgid.identification.answers import identify, suited
+        from cgid.store import Dataset
+
+        model = self.models.of(signal.quantity)
+        fitting = suited(signal, model, self.question.mass)
+        warn_of_model(fitting.name, fitting.name, fitting.sampling_rate, model, self.question)
+        height = self._heights(path, Dataset(path).impact(index), model)
+        (answer,) = identify(
+            fitting, model, self.question, drop_height=None if height is None else float(np.max(height))
         )
-    units = UNITS[dataset.quantity]
-    factor = units[dataset.unit] / units[model.unit] * (-1 if invert else 1)
-    warn_of_rate(path, dataset.sampling_rate, model)
-    number, tally = count(), _Tally()
-    for batch in dataset.batches():
-        answers = identify_frames(
-            batch.signals if factor == 1 else batch.signals * factor,
-            batch.sampling_rate,
-            model,
-            pre_trigger=batch.pre_trigger,
-            drop_height=heights(path, batch, model, drop_height),
-            **how,
-        )
-        for answer, truth, specimen in zip(answers, batch.labels.tolist(), batch.specimen.tolist(), strict=True):
-            lines.answer(f"{path} index {next(number)}", 1, answer, truth=truth)
-            tally.add(answer, truth, specimen)
-    if tally.measured:
-        say(f"{path}: {tally.summary(len(dataset))}", err=True)
+        if not answer.probabilities:
+            raise BadData(f"{fitting.name}: {answer.problem}")
+        self.lines.answer(fitting.name, 1, answer)
 
+    def _heights(self, path: str, batch: Batch, model: Model) -> Floats | float | None:
+        """Return the drop heights that a batch stores, for a model that needs them; else the one given."""
+        from cgid.errors import InvalidValue
+        from cgid.identification.drop_height import drop_heights
 
-def heights(path: str, batch: Any, model: Any, given: float | None) -> Any:
-    """Return the drop heights that a batch stores, for a model that needs them; else the one given."""
-    from cgid.errors import InvalidValue
-    from cgid.identification.drop_height import drop_heights
-
-    stored = drop_heights(batch) if "drop_height" in model.known else None
-    if stored is not None and given is not None:
-        raise InvalidValue(f"{path}: --drop-height must be left out, this dataset stores that of each impact")
-    return given if stored is None else stored
+        stored, given = drop_heights(batch) if "drop_height" in model.known else None, self.question.drop_height
+        if stored is not None and given is not None:
+            raise InvalidValue(f"{path}: --drop-height must be left out, this dataset stores that of each impact")
+        return given if stored is None else stored
 
 
 @dataclass
@@ -238,7 +247,7 @@ class _Tally:
     covered: int | None = None
     specimens: set[int] = field(default_factory=set)
 
-    def add(self, answer: Any, truth: str, specimen: int) -> None:
+    def add(self, answer: Answer, truth: str, specimen: int) -> None:
         self.specimens.add(specimen)
         self.unknown += answer.label == "unknown"
         self.answered_right += answer.label == truth
@@ -305,35 +314,20 @@ def predict(
         files = (*files, str(shipped.path_of("datasets", shipped.SAMPLE)))
     if not files:
         raise click.UsageError("give at least one FILE, or --sample for the one that comes with cgid")
-    asked, reading = asked_of(options, dead_time_in_seconds(dead_time))
-    lines, pages = AnswerLines(as_json), None if report is None else Pages(report, overwrite)
+    models, question, reading = question_of(options, dead_time_in_seconds(dead_time))
+    pages = None if report is None else Pages(report, overwrite)
+    prediction = _Prediction(models=models, question=question, lines=AnswerLines(as_json), pages=pages)
 
     def treat(path: str) -> None:
-        if asks_for_whole_dataset(path, mass=asked.mass, **reading):
-            identify_dataset(path, asked.models, asked.drop_height, asked.how, asked.invert, lines)
+        if asks_for_whole_dataset(path, mass=question.mass, **reading):
+            prediction.dataset(path)
         elif reading["index"] is not None:
-            _treat_signal(path, asked, lines, reading)
+            (signal,) = read_signals(path, invert=question.invert, **reading)
+            prediction.dataset_signal(path, reading["index"], signal)
         else:
-            answer_recording(open_file(path, **reading), asked, lines, pages)
+            prediction.recording(open_file(path, **reading))
 
     code = each_file(files, treat, strict=strict)
     if pages is not None and pages.write():
         say(f"wrote {report}", err=True)
     return code
-
-
-def _treat_signal(path: str, asked: Asked, lines: AnswerLines, reading: dict[str, Any]) -> None:
-    """Answer for the one signal of a dataset that was asked for."""
-    from cgid.errors import BadData
-    from cgid.identification.answers import identify, suited
-    from cgid.store import Dataset
-
-    (signal,) = read_signals(path, invert=asked.invert, **reading)
-    model = asked.models.of(signal.quantity)
-    fitting = suited(signal, model, asked.mass)
-    warn_of_rate(fitting.name, fitting.sampling_rate, model)
-    height = heights(path, Dataset(path).impact(reading["index"]), model, asked.drop_height)
-    (answer,) = identify(fitting, model, drop_height=height, dead_time=asked.dead_time, **asked.how)
-    if not answer.probabilities:
-        raise BadData(f"{fitting.name}: {answer.problem}")
-    lines.answer(fitting.name, 1, answer)

@@ -13,7 +13,7 @@ from cgid.cli.options import PATH, crew_options, print_json, progress_bar, requi
 from cgid.cli.output import say
 from cgid.errors import CgidError, InvalidValue
 
-#: Options that belong to the recordings of a manifest, and those that do not.
+#: Options for recordings only, and for datasets and scenes only.
 _OF_RECORDINGS = {
     "by": "--by",
     "window_time": "--window",
@@ -43,7 +43,7 @@ _OF_DATASETS = {
     help="Kind of classifier: logistic by default, linear for recordings.",
 )
 @click.option("--features", "names", help="Only these features, with commas between them.")
-@click.option("--class-weights", help="What an impact of a label counts: balanced, or such as coal=1,gangue=3.")
+@click.option("--class-weights", help="Weight of a row of each label: balanced, or such as coal=1,gangue=3.")
 @click.option("--test-share", type=float, default=0.25, show_default=True, help="Share of specimens that only judge.")
 @click.option(
     "--calibration-share",
@@ -52,20 +52,20 @@ _OF_DATASETS = {
     show_default=True,
     help="Share that only calibrates prediction sets.",
 )
-@click.option("--drop-height", is_flag=True, help="The model is told how far each rock fell, as the data say.")
+@click.option("--drop-height", is_flag=True, help="The model also gets the drop height of each rock.")
 @click.option("-n", "--signals", "n_signals", type=int, default=50_000, show_default=True, help="From a scene.")
 @click.option(
     "--by",
     type=click.Choice(["window", "impact"]),
     default="window",
     show_default=True,
-    help="What is decided on in recordings.",
+    help="What the model decides on in recordings.",
 )
 @click.option("--window", "window_time", type=float, default=0.1, show_default=True, help="Length of a window [s].")
 @click.option("--hop", "hop_time", type=float, help="From one window to the next [s]; half a window by default.")
 @click.option("--level-free", is_flag=True, help="Only features in which the gain of a sensor cancels.")
-@click.option("--rate", "sampling_rate", type=float, help="Sampling rate [Hz], where a recording does not say it.")
-@click.option("--unit", help="Unit of the samples (N, g, ...), where a recording does not say it.")
+@click.option("--rate", "sampling_rate", type=float, help="Sampling rate [Hz], for recordings without it.")
+@click.option("--unit", help="Unit of the samples (N, g, ...), for recordings without it.")
 @click.option("--channel", "channels", multiple=True, help="Of the recordings, several together as 1+2; else all.")
 @click.option("--dead-time", type=float, help="Ringing after a blow [ms], with --by impact.")
 @click.option("--strict", is_flag=True, help="Stop at the first recording that cannot be read.")
@@ -84,7 +84,7 @@ def train(
     plots: bool,
     overwrite: bool,
     as_json: bool,
-    **asked: Any,
+    **options: Any,
 ) -> int:
     """Train a model on DATA: datasets made by cgid generate, scenes, or a manifest of labelled recordings.
 
@@ -92,26 +92,30 @@ def train(
 
     A manifest is a .csv file with the columns path and label (and, as needed, start, end, group, channel, gain, sensor,
     reference, rate, unit, variable), or a .toml file with a [[recording]] for each file, which may list intervals = [{
-    start, end, label }]. What is of one group (a recording, a day, a support) is never on both sides of a split; each
-    group in turn judges what was chosen and trained on the others. Beside a manifest, scenes and datasets teach, too,
-    their level and spectrum moved to those of the recordings.
+    start, end, label }]. A group (a recording, a day, a support) is never on both sides of a split; each group in turn
+    judges what was chosen and trained on the others. Scenes and datasets beside a manifest are used for training, too,
+    with their level and spectrum moved to those of the recordings.
     """
     from cgid.identification.card import check_model_output, write_model
     from cgid.identification.manifest import is_manifest
     from cgid.measure.features import choose
-
-    path = check_model_output(Path(output), plots=plots, overwrite=overwrite)
-    names = asked.pop("names")
-    asked["features"] = None if names is None else choose([name.strip() for name in names.split(",")])
-    asked["class_weights"] = _class_weights(asked["class_weights"])
-    manifests = [item for item in data if is_manifest(item)]
-    _refuse_stray_options(context, _OF_DATASETS if manifests else _OF_RECORDINGS, bool(manifests))
-    others = [item for item in data if item not in manifests]
     from cgid.workers import workers
 
+    path = check_model_output(Path(output), plots=plots, overwrite=overwrite)
+    names = options.pop("names")
+    options["features"] = None if names is None else choose([name.strip() for name in names.split(",")])
+    options["class_weights"] = _class_weights(options["class_weights"])
+    manifests = [item for item in data if is_manifest(item)]
+    others = [item for item in data if item not in manifests]
+    _refuse_stray_options(context, _OF_DATASETS if manifests else _OF_RECORDINGS, bool(manifests))
     require_one_crew(context)
-    with workers(asked.pop("jobs"), asked.pop("scheduler")) as asked["crew"]:
-        training, failures = (_recorded if manifests else _synthesised)(manifests, others, asked)
+    if len(manifests) > 1:
+        raise InvalidValue(f"{manifests[1]}: there must be one manifest, got {len(manifests)}; put all into one")
+    with workers(options.pop("jobs"), options.pop("scheduler")) as options["crew"]:
+        if manifests:
+            training, failures = _from_recordings(manifests[0], others, options)
+        else:
+            training, failures = _from_signals(others, options)
     written = write_model(training, path, plots=plots, overwrite=overwrite)
     _say(training, path, written, as_json)
     for error in failures:
@@ -119,87 +123,75 @@ def train(
     return failures[0].exit_code if failures else 0
 
 
-def _synthesised(_: list[str], data: list[str], asked: dict[str, Any]) -> tuple[Any, list[Any]]:
-    """Return the training on datasets and scenes."""
+def _from_signals(data: list[str], options: dict[str, Any]) -> tuple[Any, list[Any]]:
+    """Return the training on datasets and scenes, and no errors."""
     from cgid.identification.training import train as train_model
 
+    names = ("features", "family", "test_share", "calibration_share", "class_weights", "seed", "shuffle_labels", "crew")
     with progress_bar(None, "signals") as progress:
         training = train_model(
-            _batches(data, asked["n_signals"], asked["seed"]),
-            features=asked["features"],
-            family=asked["family"],
-            test_share=asked["test_share"],
-            calibration_share=asked["calibration_share"],
-            known=("drop_height",) if asked["drop_height"] else (),
-            class_weights=asked["class_weights"],
-            seed=asked["seed"],
-            shuffle_labels=asked["shuffle_labels"],
+            _batches(data, options["n_signals"], options["seed"]),
+            known=("drop_height",) if options["drop_height"] else (),
             progress=progress,
-            crew=asked["crew"],
+            **{name: options[name] for name in names},
         )
     return training, []
 
 
-def _recorded(manifests: list[str], others: list[str], asked: dict[str, Any]) -> tuple[Any, list[Any]]:
+def _from_recordings(manifest: str, others: list[str], options: dict[str, Any]) -> tuple[Any, list[Any]]:
     """Return the training on recordings, and the errors of those that could not be read."""
-    from cgid.cli.options import dead_time_in_seconds
-    from cgid.identification.labelled_recordings import Reading, record
+    from cgid.identification.labelled_recordings import record
     from cgid.identification.manifest import read_manifest
-    from cgid.identification.rows import Slicing
     from cgid.identification.training import train as train_model
 
-    if len(manifests) > 1:
-        raise InvalidValue(f"{manifests[1]}: there must be one manifest, got {len(manifests)}; put all into one")
-    window = asked["window_time"]
-    slicing = Slicing(
-        by=asked["by"],
-        window_time=window,
-        hop_time=window / 2 if asked["hop_time"] is None else asked["hop_time"],
-        dead_time=dead_time_in_seconds(asked["dead_time"]),
-    )
-    reading = Reading(
-        sampling_rate=asked["sampling_rate"],
-        unit=asked["unit"],
-        channels=asked["channels"] or None,
-        strict=asked["strict"],
-    )
-    with progress_bar(None, f"{asked['by']}s") as progress:
-        recorded = record(
-            read_manifest(manifests[0]),
-            asked["features"],
+    slicing, reading = _recording_options(options)
+    with progress_bar(None, f"{options['by']}s") as progress:
+        rows = record(
+            read_manifest(manifest),
+            options["features"],
             slicing=slicing,
             reading=reading,
-            level_free=asked["level_free"],
+            level_free=options["level_free"],
             progress=progress,
         )
-    synthetic = None
-    if others:
-        recorded, synthetic = _measured(others, recorded, asked)
-    for warning in recorded.warnings:
+    rows, synthetic = _with_synthetic(others, rows, options) if others else (rows, None)
+    for warning in rows.warnings:
         say(f"cgid: warning: {warning}", err=True)
+    names = ("features", "family", "level_free", "class_weights", "seed", "shuffle_labels", "crew")
     try:
         with progress_bar(None, "groups") as progress:
-            training = train_model(
-                recorded,
-                features=asked["features"],
-                family=asked["family"],
-                level_free=asked["level_free"],
-                class_weights=asked["class_weights"],
-                seed=asked["seed"],
-                shuffle_labels=asked["shuffle_labels"],
-                synthetic=synthetic,
-                progress=progress,
-                crew=asked["crew"],
-            )
+            own = {name: options[name] for name in names}
+            training = train_model(rows, synthetic=synthetic, progress=progress, **own)
     except CgidError:
-        for failure in recorded.failures:  # what could not be read may be what is missing
+        for failure in rows.failures:  # the unreadable recordings may be what is missing
             say_error(failure)
         raise
-    return training, list(recorded.failures)
+    return training, list(rows.failures)
 
 
-def _measured(data: list[str], recorded: Any, asked: dict[str, Any]) -> tuple[Any, Any]:
-    """Return recorded impacts, and those of datasets and scenes measured alike: by what both can have."""
+def _recording_options(options: dict[str, Any]) -> tuple[Any, Any]:
+    """Return how to cut recordings into rows, and how to read them."""
+    from cgid.cli.options import dead_time_in_seconds
+    from cgid.identification.labelled_recordings import Reading
+    from cgid.identification.rows import Slicing
+
+    window, hop = options["window_time"], options["hop_time"]
+    slicing = Slicing(
+        by=options["by"],
+        window_time=window,
+        hop_time=window / 2 if hop is None else hop,
+        dead_time=dead_time_in_seconds(options["dead_time"]),
+    )
+    return slicing, Reading(
+        sampling_rate=options["sampling_rate"],
+        unit=options["unit"],
+        channels=options["channels"] or None,
+        strict=options["strict"],
+    )
+
+
+def _with_synthetic(data: list[str], recorded: Any, options: dict[str, Any]) -> tuple[Any, Any]:
+    """Return recorded impacts, and those of datasets and scenes, with the features that both can have."""
     from itertools import chain
 
     from cgid.errors import BadData
@@ -210,11 +202,11 @@ def _measured(data: list[str], recorded: Any, asked: dict[str, Any]) -> tuple[An
         raise InvalidValue(
             f"{data[0]}: scenes hold single impacts; give --by impact to train on both, or leave them out"
         )
-    batches = _batches(data, asked["n_signals"], asked["seed"])
+    batches = _batches(data, options["n_signals"], options["seed"])
     first = next(batches, None)
     if first is None:
         raise BadData(f"{data[0]}: there must be signals to train on; there are none")
-    if asked["features"] is None:
+    if options["features"] is None:
         names = supported(recorded.names, first.sampling_rate, first.signals.shape[1])
         if not names:
             raise BadData(
@@ -224,7 +216,7 @@ def _measured(data: list[str], recorded: Any, asked: dict[str, Any]) -> tuple[An
         recorded = recorded.only(names)
     with progress_bar(None, "signals") as progress:
         alike = in_unit(chain([first], batches), recorded.unit, recorded.names)
-        return recorded, measure(alike, recorded.names, progress, crew=asked["crew"])
+        return recorded, measure(alike, recorded.names, progress, crew=options["crew"])
 
 
 def _say(training: Any, path: Path, written: list[Path], as_json: bool) -> None:
@@ -261,7 +253,7 @@ def _share(metrics: dict[str, Any]) -> str:
 
 
 def _refuse_stray_options(context: click.Context, stray: dict[str, str], recorded: bool) -> None:
-    """Refuse options that have no meaning for the data: they would be overlooked in silence."""
+    """Refuse options that have no meaning for the data, instead of ignoring them."""
     for name, flag in stray.items():
         if context.get_parameter_source(name) is click.core.ParameterSource.COMMANDLINE:
             reason = (

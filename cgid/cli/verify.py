@@ -1,4 +1,4 @@
-"""`cgid verify`: what is damaged in a dataset, a recording, a table or a model; and its repair."""
+"""`cgid verify`: find what is damaged in datasets, recordings, tables and models, and repair it."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import click
 from cgid.cli.options import PATH, each_file, print_json, progress_bar
 from cgid.cli.output import say
 
-#: Problems that are told, and left as they are.
+#: Problems that are reported only.
 _KEPT = ("pending", "foreign")
 
 
@@ -22,9 +22,9 @@ _KEPT = ("pending", "foreign")
 def verify(data: tuple[str, ...], repair: bool, scene: str | None, as_json: bool) -> int:
     """Say what is damaged in DATA: datasets (folders or files), recordings, tables, models; the exit code is 65 then.
 
-    The shards of a folder are held against the SHA-256 of its manifest, all else against its own checksums. With
-    --repair what is damaged or missing is made again from the scene and the seed that the files say, to the same bytes,
-    and nothing else is touched. What does not belong to a dataset is told, and is no damage.
+    The files of a folder are compared with its manifest and SHA256SUMS, single files with their own checksums. With
+    --repair what is damaged or missing is made again from the scene and the seed in the files, to the same bytes, and
+    nothing else is touched. Files that do not belong to a dataset are reported, and are no damage.
     """
     if scene is not None and not repair:
         raise click.UsageError("--scene needs --repair: it says what to make files again from; give both or neither")
@@ -45,12 +45,12 @@ def verify(data: tuple[str, ...], repair: bool, scene: str | None, as_json: bool
 
 
 def _verify_model(path: str, as_json: bool) -> None:
-    """Say that a model is whole, or raise what is wrong with it; a model is trained and not made again."""
+    """Say that a model is whole, or raise what is wrong with it; models cannot be repaired."""
     from cgid.errors import BadData
     from cgid.identification.model import Model
 
     try:
-        if Path(path).is_fifo():  # which would be waited for
+        if Path(path).is_fifo():  # reading it would wait for ever
             raise BadData(f"{path}: must be a regular file; copy it to one first")
         Model.load(path)
     except BadData as error:
@@ -94,7 +94,7 @@ def _line(file: Path, problem: str, what: str) -> dict[str, Any]:
 
 
 def _tell(path: str, kind: str, n_files: int, lines: list[dict[str, Any]], whole: bool, as_json: bool) -> None:
-    """Print what was found in one of the inputs, and what was done about it."""
+    """Print the findings in one of the inputs, and what was done about them."""
     if as_json:
         print_json({"source": path, "kind": kind, "files": n_files, "whole": whole, "findings": lines})
         return

@@ -1,4 +1,4 @@
-"""From a signal to a material: find the impacts, measure them, answer.
+"""From a signal to a material: find the impacts, measure them, answer; and train the models for it.
 
-Predicting needs `events`, `model` and `answers`, numpy only; training needs scikit-learn (`classifier`, `training`).
+Prediction (`events`, `model`, `answers`) needs numpy only, training (`training`, `classifier`) scikit-learn.
 """

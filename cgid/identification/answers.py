@@ -1,18 +1,20 @@
-"""The answer to "what was that?": label, probability, and whether the model may speak of it at all."""
+"""The answer for an impact: its label, the probabilities, and whether it lies within the training of the model."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from itertools import compress
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cgid.errors import BadData, InvalidValue, MissingOption
-from cgid.identification.detection import Event, find_impacts
+from cgid.identification.detection import find_impacts
 from cgid.identification.drop_height import known_columns
+from cgid.identification.events import Event, frames_alike
 from cgid.identification.model import Model
+from cgid.identification.question import Question
 from cgid.measure.features import extract_array, problems_of
 from cgid.measure.filters import Equalisation
 from cgid.measure.frames import DETECTION_LIMIT, MINIMUM_FRAME
@@ -28,7 +30,7 @@ class Answer:
     Attributes
     ----------
     time : float
-        Of the impact in its recording, or of the begin of the window [s].
+        Of the impact in its recording, or of the start of the window [s].
     label : str
         The decision; "unknown" when the impact is outside of what was trained, could not be measured, or is rejected
         because its prediction set is not a single label.
@@ -41,11 +43,11 @@ class Answer:
     problem : str
         Why there is no known label, or why to doubt it; else empty.
     prediction_set : tuple of str or None
-        The labels that cannot be ruled out at the coverage asked for; None when none was, or nothing was measured.
+        The labels that cannot be ruled out at the coverage asked for; None without a coverage or a measurement.
     channel : str
         Name of the channel; those of a window of several are joined by "+".
     end : float
-        When the impact has died away, or the window ends [s]; nan where nobody looked.
+        When the impact has died away, or the window ends [s]; nan where it is not known.
     overlapping, clipped, cut : bool
         Whether another impact began before this one had died away, samples stand at the limit of the recorder, and
         the recording begins or ends within it.
@@ -85,7 +87,7 @@ def suited(signal: Signal, model: Model, mass: float | None = None) -> Signal:
     Raises
     ------
     MissingOption
-        Nobody said what unit the signal is in.
+        The unit of the signal is not known.
     BadData
         It is another quantity than the model's.
     """
@@ -113,73 +115,12 @@ def suited(signal: Signal, model: Model, mass: float | None = None) -> Signal:
 
 
 def _unit_options(model: Model) -> str:
-    """Return what to give where nobody said the unit: a force is what is believed where nothing is known."""
+    """Return the options that state the unit; a signal of unknown quantity counts as a force."""
     own = f"--unit {model.unit}"
     return own if model.quantity != "force" else f"{own}, or --unit m/s^2 of an accelerometer"
 
 
-@dataclass(frozen=True, kw_only=True)
-class Decision:
-    """How probabilities become a label.
-
-    Attributes
-    ----------
-    costs : dict
-        See `Model.decide`.
-    coverage : float or None
-        Share of the prediction sets that hold the truth; an impact whose set is not a single label is rejected.
-        None rejects nothing.
-    class_conditional : bool
-        Whether each label by itself is covered so often: `Model.prediction_set`.
-
-    Raises
-    ------
-    InvalidValue
-        Both costs and a coverage are given: a set of a single label leaves nothing to decide.
-    """
-
-    costs: Mapping[str, float] = field(default_factory=dict)
-    coverage: float | None = None
-    class_conditional: bool = False
-
-    def __post_init__(self) -> None:
-        if self.costs and self.coverage is not None:
-            raise InvalidValue("costs and coverage must not be given together, each decides by itself; leave one out")
-        if self.class_conditional and self.coverage is None:
-            raise InvalidValue("class_conditional must come with a coverage; give --coverage, such as --coverage 0.9")
-
-    def check(self, model: Model) -> None:
-        """Raise `InvalidValue` if the model knows no such label or can promise no such coverage."""
-        self.labels(model, np.empty((0, len(model.labels))))
-
-    def labels(self, model: Model, probabilities: Floats) -> tuple[list[str], list[tuple[str, ...] | None]]:
-        """Return the label and the prediction set of each row of probabilities."""
-        if self.coverage is None:
-            return model.decide(probabilities, self.costs).tolist(), [None] * len(probabilities)
-        held = model.prediction_set(probabilities, self.coverage, class_conditional=self.class_conditional)
-        sets = [tuple(compress(model.labels, row)) for row in held.tolist()]
-        return [one[0] if len(one) == 1 else UNKNOWN for one in sets], [*sets]
-
-    def doubt(self, labels: tuple[str, ...] | None) -> str:
-        """Return what is wrong with a prediction set; empty when nothing is."""
-        if labels is None or len(labels) == 1:
-            return ""
-        if not labels:
-            return f"no label is probable enough: the prediction set at coverage {self.coverage:g} is empty"
-        held = "both" if len(labels) == 2 else f"these {len(labels)}"
-        return f"{' or '.join(labels)}: the prediction set at coverage {self.coverage:g} holds {held}"
-
-
-def identify(
-    signal: Signal,
-    model: Model,
-    *,
-    costs: Mapping[str, float] | None = None,
-    coverage: float | None = None,
-    class_conditional: bool = False,
-    drop_height: float | None = None,
-    dead_time: float | None = None,
-) -> list[Answer]:
+def identify(signal: Signal, model: Model, question: Question | None = None, **fields: Any) -> list[Answer]:
     """Return one answer for each impact in a recording.
 
     Parameters
@@ -187,12 +128,9 @@ def identify(
     signal : Signal
         In the quantity and unit of the model (`suited`).
     model : Model
-    costs, coverage, class_conditional : optional
-        See `Decision`.
-    drop_height : float, optional
-        How far the rocks fell [m], for a model that needs to know.
-    dead_time : float, optional
-        See `find_impacts` [s].
+    question : Question, optional
+    **fields
+        Of the question, in place of its own: `costs={"gangue": 3.0}`, `coverage=0.9`, `drop_height=1.5` [m] ...
 
     Raises
     ------
@@ -203,48 +141,39 @@ def identify(
     InvalidValue
         The model has no use for the drop height, or a choice is one that it cannot serve.
     """
-    decision = Decision(costs=costs or {}, coverage=coverage, class_conditional=class_conditional)
+    question = replace(question or Question(), **fields)
     if model.kind == "window":
         raise InvalidValue(
             f"{signal.name}: model must be one of impacts, this one answers for windows; give a whole recording"
         )
-    events = find_impacts(signal, kind=model.kind, dead_time=dead_time)
-    return identify_events(events, model, decision, drop_height=drop_height, channels=(signal.channel,))
+    events = find_impacts(signal, kind=model.kind, dead_time=question.dead_time)
+    return identify_events(events, model, question, channels=(signal.channel,))
 
 
 def identify_events(
-    events: Sequence[Event],
-    model: Model,
-    decision: Decision,
-    *,
-    drop_height: float | None = None,
-    channels: Sequence[str] = ("1",),
-    sensors: Sequence[str | None] = (None,),
+    events: Sequence[Event], model: Model, question: Question, *, channels: Sequence[str] = ("1",)
 ) -> list[Answer]:
-    """Return one answer for each impact that was found, in their order; those whose frames begin alike at once.
+    """Return one answer for each impact that was found, in their order; those with frames alike in one batch.
 
-    `channels` are the names of the channels that the events number, `sensors` the sensors of the model that they were
-    heard by, where known; else as `identify`.
+    `channels` are the names of the channels that the events number; else as `identify`.
     """
-    alike: dict[tuple[int | None, float, float, str | None], list[int]] = {}
-    for number, event in enumerate(events):
-        key = (event.pre_trigger, event.detection_limit, event.sampling_rate, sensors[event.channel])
-        alike.setdefault(key, []).append(number)
+    sensors = question.heard_by(model, channels)
     answers: dict[int, Answer] = {}
-    for (pre_trigger, limit, sampling_rate, sensor), numbers in alike.items():
-        found = identify_frames(
-            np.stack([events[number].samples for number in numbers]),
-            sampling_rate,
-            model,
-            pre_trigger=pre_trigger,
-            costs=decision.costs,
-            coverage=decision.coverage,
-            class_conditional=decision.class_conditional,
-            drop_height=drop_height,
-            detection_limit=limit,
-            equalisation=None if sensor is None else model.equalisation(sensor)[0],
-        )
-        answers |= dict(zip(numbers, found, strict=True))
+    for sensor in dict.fromkeys(sensors):
+        own = [number for number, event in enumerate(events) if sensors[event.channel] == sensor]
+        for numbers, frames in frames_alike([events[number] for number in own]):
+            event = events[own[numbers[0]]]
+            found = identify_frames(
+                frames,
+                event.sampling_rate,
+                model,
+                question,
+                pre_trigger=event.pre_trigger,
+                drop_height=question.drop_height,
+                detection_limit=event.detection_limit,
+                equalisation=None if sensor is None else model.equalisation(sensor)[0],
+            )
+            answers |= zip((own[number] for number in numbers), found, strict=True)
     return [_placed(answers[number], event, channels) for number, event in enumerate(events)]
 
 
@@ -264,20 +193,18 @@ def identify_frames(
     frames: NDArray[np.floating],
     sampling_rate: float,
     model: Model,
+    question: Question | None = None,
     *,
     pre_trigger: int | None,
-    costs: Mapping[str, float] | None = None,
-    coverage: float | None = None,
-    class_conditional: bool = False,
     drop_height: ArrayLike | None = None,
     detection_limit: float = DETECTION_LIMIT,
     equalisation: Equalisation | None = None,
 ) -> list[Answer]:
-    """Return one answer for each frame (n_signals, n_samples) of a single impact; as `identify`.
+    """Return one answer for each frame (n_signals, n_samples) of a single impact; raises as `identify`.
 
-    The drop height is one number or one for each frame. The equalisation makes up for the sensor's response.
+    The drop height is one number or one for each frame [m]; of the question, only how a label is decided counts. The
+    equalisation makes up for the sensor's response.
     """
-    decision = Decision(costs=costs or {}, coverage=coverage, class_conditional=class_conditional)
     known = known_columns(model.known, len(frames), drop_height)
     if frames.shape[1] < MINIMUM_FRAME:
         short = f"a frame must hold at least {MINIMUM_FRAME} samples, got {frames.shape[1]}"
@@ -298,7 +225,7 @@ def identify_frames(
         features, guards = np.split(measured[sound], [len(model.features)], axis=1)
         inputs = np.hstack([features, known[sound]])
         found = model.probabilities(inputs), model.novelty(inputs, guards)
-        answers = answers_from(*found, model, decision, sampling_rate)
+        answers = answers_from(*found, model, question or Question(), sampling_rate)
     problems = {}
     if not sound.all():
         problems = problems_of(
@@ -313,11 +240,11 @@ def identify_frames(
 
 
 def answers_from(
-    probabilities: Floats, novelties: Floats, model: Model, decision: Decision, sampling_rate: float
+    probabilities: Floats, novelties: Floats, model: Model, question: Question, sampling_rate: float
 ) -> Iterator[Answer]:
     """Return an iterator over answers at time 0, from probabilities (n, n_labels) and novelties (n,)."""
     untrained = "" if model.covers(sampling_rate) else f"not trained at {sampling_rate:g} Hz"
-    for row, (label, labels) in enumerate(zip(*decision.labels(model, probabilities), strict=True)):
+    for row, (label, labels) in enumerate(zip(*question.labels(model, probabilities), strict=True)):
         novelty = float(novelties[row])
         outside = f"outside of the training (novelty {novelty:.3g}, 1 is the edge)" if novelty > 1 else ""
         yield Answer(
@@ -326,7 +253,7 @@ def answers_from(
             probabilities=dict(zip(model.labels, probabilities[row].tolist(), strict=True)),
             novelty=novelty,
             in_training_range=not (outside or untrained),
-            problem=outside or decision.doubt(labels) or untrained,
+            problem=outside or question.doubt(labels) or untrained,
             prediction_set=labels,
         )
 

@@ -1,8 +1,8 @@
-"""Prediction sets that hold the truth as often as asked, whatever the model: split conformal prediction.
+"""Split conformal prediction: sets of labels with a guaranteed coverage, whatever the model.
 
 Vovk, Gammerman & Shafer 2005; Lei et al. 2018. The score of a label is 1 minus its probability. A label belongs to the
-set of an impact when its score is at most the ceil((n + 1) coverage)-th smallest among the scores of the true
-labels of n calibration impacts, which neither trained the model nor judge it.
+set of an impact when its score is at most the ceil((n + 1) coverage)-th smallest of the scores of the true labels of n
+calibration impacts, which neither train the model nor judge it.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from cgid.errors import BadData, InvalidValue
 from cgid.validation import Floats
 
-#: What model cards report.
+#: The coverages in a model card.
 COVERAGES = (0.80, 0.85, 0.90, 0.95, 0.99)
 
 
@@ -29,7 +29,7 @@ class Conformal:
     scores : ndarray, (n_calibration,)
         Within [0, 1], rising within each label.
     labels : ndarray of int, (n_calibration,)
-        Number of the true label, rising.
+        Numbers of the true labels, rising.
     n_labels : int
     """
 
@@ -48,7 +48,7 @@ class Conformal:
 
     @classmethod
     def fit(cls, probabilities: Floats, truth: NDArray[np.intp]) -> Conformal:
-        """Return the calibration by impacts that can be exchanged for those to come.
+        """Return the calibration by impacts that are exchangeable with future ones.
 
         Parameters
         ----------
@@ -61,12 +61,12 @@ class Conformal:
         return cls(scores[order], truth[order].astype(np.int32), probabilities.shape[1])
 
     def thresholds(self, coverage: float, *, class_conditional: bool = False) -> Floats:
-        """Return the largest score of each label that belongs to a set, (n_labels,).
+        """Return the largest score of each label in a set, (n_labels,).
 
         Raises
         ------
         InvalidValue
-            The coverage is not above 0 or more than so many calibration impacts can promise.
+            The coverage is not in (0, 1), or too high for the number of calibration impacts.
         """
         if not 0 < coverage < 1:
             raise InvalidValue(f"coverage must lie between 0 and 1 (exclusive), got {coverage:g}")
@@ -83,10 +83,10 @@ class Conformal:
         ----------
         probabilities : ndarray, (n_impacts, n_labels)
         coverage : float
-            Share of the sets that hold the truth, in (0, 1).
+            Share of the sets that contain the true label, in (0, 1).
         class_conditional : bool
-            Whether that holds for every label by itself (Mondrian), and so for any mix of them; else it holds for
-            the mix of the calibration.
+            Whether the coverage holds for each label separately (Mondrian), and so for any mix of labels; else it
+            holds for the mix of the calibration.
 
         Raises
         ------
@@ -98,7 +98,7 @@ class Conformal:
 
 def _threshold(scores: Floats, coverage: float) -> float:
     n = len(scores)
-    # Rounded first: 100 x 0.07 is 7 and a last binary digit, and must not become 8.
+    # Rounded first: in binary 100 x 0.07 is a little more than 7, and must not become 8.
     rank = math.ceil(round((n + 1) * coverage, 9))
     if rank > n:
         raise InvalidValue(

@@ -1,4 +1,4 @@
-"""What may be known of an impact beside its signal, and where it comes from."""
+"""The drop height, which a model may need besides the signal: from a dataset or from the user."""
 
 from __future__ import annotations
 
@@ -13,22 +13,22 @@ from cgid.signals import Batch
 from cgid.units import STANDARD_GRAVITY
 from cgid.validation import Floats
 
-#: Everything a model may ask to know, and its unit.
+#: Everything that a model may need besides the signal, and its unit.
 KNOWN: Mapping[str, str] = {"drop_height": "m"}
 
 
 def drop_heights(batch: Batch) -> Floats | None:
-    """Return how far each rock of a batch fell [m]; None when the batch does not say.
+    """Return how far each rock of a batch fell [m]; None where the batch does not store it.
 
     Where only the velocity is stored, it is the height of a free fall, velocity^2 / (2 g).
 
     Raises
     ------
     BadData
-        The batch says it of some impacts only, or it is not above 0.
+        Some impacts have none, or it is not above 0.
     """
-    unsaid = np.full(len(batch), np.nan)
-    height, velocity = (batch.parameters.get(name, unsaid) for name in ("drop_height", "velocity"))
+    missing = np.full(len(batch), np.nan)
+    height, velocity = (batch.parameters.get(name, missing) for name in ("drop_height", "velocity"))
     heights = np.where(np.isfinite(height), height, velocity**2 / (2 * STANDARD_GRAVITY))
     if np.isnan(heights).all():
         return None
@@ -43,7 +43,7 @@ def drop_heights(batch: Batch) -> Floats | None:
 
 
 def known_columns(known: tuple[str, ...], n_impacts: int, drop_height: ArrayLike | None) -> Floats:
-    """Return what is known as columns for the model, (n_impacts, n_known).
+    """Return the columns that the model needs besides the features, (n_impacts, n_known).
 
     Parameters
     ----------
@@ -58,7 +58,7 @@ def known_columns(known: tuple[str, ...], n_impacts: int, drop_height: ArrayLike
     MissingOption
         The model needs it and it is not given.
     InvalidValue
-        It is given to a model that has no use for it, not above 0, or not one number an impact.
+        The model has no use for it, it is not above 0, or not one number for each impact.
     """
     if drop_height is None:
         if "drop_height" in known:

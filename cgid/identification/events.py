@@ -1,11 +1,8 @@
-"""What the two ways to find the beginnings of impacts give: `ringing` and `pulses`.
-
-Impacts that were found, each in a frame of one length, so that hundreds are identified in one batch.
-"""
+"""Impacts that were found, each in a frame of one length, so that hundreds are identified in one batch."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -20,6 +17,27 @@ from cgid.validation import Floats
 #: Returns the samples (n_channels, n) of a recording between two numbers, as far as they are there.
 Read = Callable[[int, int], Floats]
 
+#: Frames of vibrations begin this long before the impact and last this long after its onset, enough for every
+#: third-octave band [s].
+QUIET_TIME, EVENT_TIME = 10e-3, 150e-3
+#: The same for pulses,
+PULSE_QUIET_TIME, PULSE_TIME = 5e-3, 15e-3
+#: with this many samples at least.
+_FEWEST = 200
+#: A longer pulse has a frame 4 or 16 times as long after its onset; what lasts longer is cut there.
+_LONGER, _LONGEST = 4, 16
+#: The last part of what is before an impact may belong to it already [s].
+LEAD_TIME = 1e-3
+#: The onset of the next impact may be placed this late [s].
+_LATE = 0.5e-3
+#: What was found has to rise this many standard deviations above what is before it in its own frame: less than
+#: elsewhere, because the ringing of the blow before may still go on there.
+FOUND_LIMIT = 2.0
+#: This many samples before an impact can stand for others that are missing.
+_ENOUGH = 8
+#: What is held in clipping is at least this share of the largest deviation.
+_CLIPPED_SHARE = 0.5
+
 
 @dataclass(eq=False)
 class Onset:
@@ -30,13 +48,13 @@ class Onset:
     row : int
         What dead time and neighbours are counted in: its channel, or 0 where all are one.
     channel : int
-        Where it was found; where all are one, that which heard it most.
+        Where it was found; where all are one, the channel that heard it most.
     sample : int
         From the first of the recording.
     noise : ndarray, (n,)
         Of a vibration: the energy of the noise in each band. Of a pulse: the baseline of each channel.
     last : int or None
-        Of a pulse: the last sample above the threshold so far.
+        Of a pulse: its last high sample so far.
     closed : bool
         Whether no later sample can belong to it.
     again : int or None
@@ -52,26 +70,6 @@ class Onset:
     again: int | None = None
 
 
-#: Frames of vibrations begin so long before the impact and go on for so long after it, enough for every third-octave
-#: band [s].
-QUIET_TIME, EVENT_TIME = 10e-3, 150e-3
-#: The same for pulses,
-PULSE_QUIET_TIME, PULSE_TIME = 5e-3, 15e-3
-#: with so many samples at least.
-_FEWEST = 200
-#: The last part of what is before an impact may belong to it already [s].
-LEAD_TIME = 1e-3
-#: The onset of the next impact may be told so late [s].
-_LATE = 0.5e-3
-#: What was found has to rise this many standard deviations above what is before it in its own frame: less than
-#: elsewhere, for there the ringing of the blow before may still go on.
-FOUND_LIMIT = 2.0
-#: So many samples before an impact can stand for others that are missing.
-_ENOUGH = 8
-#: What is held in clipping is this share of the largest deviation at least.
-_CLIPPED_SHARE = 0.5
-
-
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Event:
     """One impact in a recording.
@@ -79,13 +77,13 @@ class Event:
     Attributes
     ----------
     channel : int
-        Where it was heard; where all channels are one, that which heard it most.
+        Where it was heard; where all channels are one, the one that heard it most.
     onset, end : int
         The first sample of it and the first behind it, from the first of the recording. A vibration is over when its
-        energy has fallen to 1 % or to twice the noise, at the latest where its frame or the next impact is.
+        energy has fallen to 1 % or to twice the noise, at the latest at the end of its frame or at the next impact.
     samples : ndarray, (n_samples,) or (n_channels, n_samples)
         The frame. From shortly before the next impact (or from the end of the recording) on it holds the baseline.
-        Where the impact before it or the start of the recording is too near, what is quiet is turned round to fill it.
+        Where the impact before it or the start of the recording is too near, the quiet part is mirrored to fill it.
     sampling_rate : float
         [Hz].
     pre_trigger : int or None
@@ -103,7 +101,7 @@ class Event:
     unit : str or None
         Of the samples, where known.
     source : str
-        What the recording is called.
+        Name of the recording.
     """
 
     channel: int
@@ -127,7 +125,7 @@ class Event:
 
     @property
     def signal(self) -> Signal:
-        """The frame as a signal; raises `InvalidValue` where it is of several channels."""
+        """The frame as a signal; raises `InvalidValue` where it has several channels."""
         if self.samples.ndim > 1:
             raise InvalidValue(f"a signal must be of one channel, this event has {len(self.samples)}; take its samples")
         return Signal(
@@ -137,6 +135,19 @@ class Event:
             source=self.source,
             pre_trigger=self.pre_trigger,
         )
+
+
+def frames_alike(events: Sequence[Event]) -> Iterator[tuple[list[int], NDArray[Any]]]:
+    """Yield the events that can be measured in one batch: their numbers, and their frames one upon the other.
+
+    Their frames are of one length and rate, and `pre_trigger` and `detection_limit` are the same.
+    """
+    alike: dict[tuple[Any, ...], list[int]] = {}
+    for number, event in enumerate(events):
+        key = event.samples.shape, event.sampling_rate, event.pre_trigger, event.detection_limit
+        alike.setdefault(key, []).append(number)
+    for numbers in alike.values():
+        yield numbers, np.stack([events[number].samples for number in numbers])
 
 
 @dataclass(frozen=True)
@@ -150,35 +161,43 @@ class Framing:
     quiet : int
         Before the onset,
     lead : int
-        of which so many may belong to the impact.
-    length : int
-        From the onset on.
+        of which this many may belong to the impact.
+    length, longest : int
+        From the onset on, and for the longest impact.
     pre_trigger : int or None
         See `Event`.
     shortest : int
-        What ends sooner after its onset with the recording cannot be measured.
+        An impact that the recording ends sooner after its onset cannot be measured.
     """
 
     sampling_rate: float
     quiet: int
     lead: int
     length: int
+    longest: int
     pre_trigger: int | None
     shortest: int
 
     @classmethod
-    def of(cls, kind: str, sampling_rate: float, event_time: float | None = None) -> Framing:
+    def of(cls, kind: str, sampling_rate: float) -> Framing:
         """Return the framing of a kind at a sampling rate [Hz]."""
         lead = max(round(LEAD_TIME * sampling_rate), 1)
         if kind == "pulse":
             quiet = max(round(PULSE_QUIET_TIME * sampling_rate), _FEWEST)
-            length = max(round((event_time or PULSE_TIME) * sampling_rate), _FEWEST)
-            return cls(sampling_rate, quiet, min(lead, quiet // 2), length, None, 0)
+            length = max(round(PULSE_TIME * sampling_rate), _FEWEST)
+            return cls(sampling_rate, quiet, min(lead, quiet // 2), length, _LONGEST * length, None, 0)
         quiet = max(round(QUIET_TIME * sampling_rate), 2)
-        length = max(round((event_time or EVENT_TIME) * sampling_rate), 16)
+        length = max(round(EVENT_TIME * sampling_rate), 16)
         shortest = int(np.ceil(SHORTEST_EVENT * sampling_rate))
         lead = min(lead, quiet // 2)
-        return cls(sampling_rate, quiet, lead, length, quiet - lead, shortest)
+        return cls(sampling_rate, quiet, lead, length, length, quiet - lead, shortest)
+
+    def length_of(self, onset: Onset) -> int:
+        """Return the samples that the frame of an impact, which is over, has from its onset on."""
+        length = self.length
+        while onset.last is not None and length < self.longest and length <= onset.last + 1 - onset.sample:
+            length *= _LONGER
+        return length
 
     @property
     def n_samples(self) -> int:
@@ -187,13 +206,12 @@ class Framing:
 
     @property
     def late(self) -> int:
-        """So long before the next onset what is seen of it may begin."""
+        """Samples by which the next impact may begin before its onset."""
         return round(_LATE * self.sampling_rate)
 
-    @property
-    def reach(self) -> int:
-        """From the onset on: an impact that begins later has no part in the frame."""
-        return self.length + self.late + 1
+    def reach(self, length: int) -> int:
+        """Return how far behind its onset an impact begins that has no part in a frame of a length from its onset."""
+        return length + self.late + 1
 
 
 class _Ends(Protocol):
@@ -206,8 +224,8 @@ class FrameCutter:
     Parameters
     ----------
     framing : Framing
-    ends : PulseOnsets or RingingOnsets
-        Tells when an impact is over.
+    ends : PulseOnsets or VibrationOnsets
+        Knows when an impact is over.
     joint : bool
         Whether frames are of all channels.
     """
@@ -231,16 +249,16 @@ class FrameCutter:
         stop : int or None
             Number of samples of the recording, once it is over.
         """
-        framing = self._framing
+        framing, length = self._framing, self._framing.length_of(onset)
         before, running = self._before.get(onset.row, (None, False))
-        limit = onset.sample + framing.length
+        limit = onset.sample + length
         behind = min(limit, limit if stop is None else stop)
         if following is not None:
             behind = min(behind, following.sample)
         own = samples[onset.channel, onset.sample - first : behind - first].astype(np.float64, copy=False)
-        length = self._ends.end_of(onset, own)
-        interrupted = length < 0 and following is not None and behind == following.sample
-        end = behind if length < 0 else min(onset.sample + length, max(behind, onset.sample + 1))
+        lasted = self._ends.end_of(onset, own)
+        interrupted = lasted < 0 and following is not None and behind == following.sample
+        end = behind if lasted < 0 else min(onset.sample + lasted, max(behind, onset.sample + 1))
         self._before[onset.row] = onset, interrupted
         began_cut = onset.sample < (framing.lead if framing.pre_trigger is not None else 1)
         ended_cut = end == stop
@@ -248,7 +266,7 @@ class FrameCutter:
         if following is not None:
             behind = min(behind, max(following.sample - framing.late, onset.sample + 1))
         rows = samples if self._joint else samples[onset.channel : onset.channel + 1]
-        frame, baseline = self._frame(rows[:, start - first : behind - first], onset, start)
+        frame, baseline = self._frame(rows[:, start - first : behind - first], onset, start, length)
         mine = float(baseline[onset.channel if self._joint else 0])
         return Event(
             channel=onset.channel,
@@ -264,37 +282,36 @@ class FrameCutter:
             problem=self._problem(began_cut, ended_cut, end - onset.sample),
         )
 
-    def _frame(self, part: NDArray[Any], onset: Onset, start: int) -> tuple[NDArray[Any], Floats]:
+    def _frame(self, part: NDArray[Any], onset: Onset, start: int, length: int) -> tuple[NDArray[Any], Floats]:
         """Return the frames (n_channels, n_samples) around a part from `start` on, and their baselines."""
         framing = self._framing
         quiet = part[:, : max(onset.sample - framing.lead - start, 0)]
         missing = framing.quiet - (onset.sample - start)
-        told = quiet.shape[1] >= _ENOUGH
-        if told:
+        enough = quiet.shape[1] >= _ENOUGH
+        if enough:
             baseline = quiet.mean(axis=1, dtype=np.float64)
         else:
             baseline = np.median(part.astype(np.float64, copy=False), axis=1)
-        frame = np.empty((len(part), framing.n_samples), part.dtype)
+        frame = np.empty((len(part), framing.quiet + length), part.dtype)
         frame[:] = baseline[:, None]
         frame[:, missing : missing + part.shape[1]] = part
-        if missing and told:
+        if missing and enough:
             frame[:, :missing] = np.pad(quiet, ((0, 0), (missing, 0)), mode="symmetric")[:, :missing]
         return frame, baseline
 
-    def _problem(self, began_cut: bool, ended_cut: bool, length: int) -> str:
+    def _problem(self, began_cut: bool, ended_cut: bool, lasted: int) -> str:
+        framing = self._framing
         if began_cut:
             return (
                 "the impact must begin inside the recording, it is cut off by its start (sample 0): record some "
                 "samples before touch"
             )
-        if not ended_cut:
-            return ""
-        if self._framing.pre_trigger is None:
+        if ended_cut and framing.pre_trigger is None:
             return "the pulse must end inside the recording, it is cut off by its end: record a longer frame"
-        if length < self._framing.shortest:
+        if ended_cut and lasted < framing.shortest:
             return (
                 f"the vibration must last {SHORTEST_EVENT * 1e3:g} ms inside the recording, it is cut off by its end "
-                f"after {length / self._framing.sampling_rate * 1e3:.3g} ms: record longer"
+                f"after {lasted / framing.sampling_rate * 1e3:.3g} ms: record longer"
             )
         return ""
 

@@ -11,6 +11,7 @@ import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,16 +35,7 @@ Weights = Mapping[str, float] | str | None
 
 @dataclass(frozen=True, kw_only=True)
 class Candidate:
-    """One way to make a classifier.
-
-    Attributes
-    ----------
-    name : str
-    features : tuple of str
-        Measured on each channel.
-    family : str
-        Out of `cgid.identification.classifier.FAMILIES`.
-    """
+    """A set of features, measured on each channel, and a family of `cgid.identification.classifier.FAMILIES`."""
 
     name: str
     features: tuple[str, ...]
@@ -56,35 +48,26 @@ def candidates_for(sets: Sets, measured: Sequence[str], family: str) -> tuple[Ca
     return tuple(Candidate(name=name, features=own, family=family) for name, own in found.items() if own)
 
 
-@dataclass(frozen=True)
-class Choice:
-    """The result of the inner loop.
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Lesson:
+    """The rows to learn from, and the settings."""
 
-    Attributes
-    ----------
-    best : int
-    accuracies : tuple of float
-        Of each candidate.
-    temperature : float
-        Of the best.
-    """
+    rows: Rows
+    candidates: Sequence[Candidate]
+    weights: Weights
+    seed: int
+
+
+class Choice(NamedTuple):
+    """The result of the inner loop: the best candidate, the accuracy of each, and the temperature of the best."""
 
     best: int
     accuracies: tuple[float, ...]
     temperature: float
 
 
-@dataclass(frozen=True, eq=False)
-class Judged:
-    """The result of the outer loop.
-
-    Attributes
-    ----------
-    probabilities : ndarray, (n_rows, n_labels)
-        Of the recorded rows.
-    chosen : tuple of int
-        The candidate of each fold.
-    """
+class Judged(NamedTuple):
+    """The result of the outer loop: probabilities (n_recorded, n_labels), and the candidate of each fold."""
 
     probabilities: Floats
     chosen: tuple[int, ...]
@@ -132,16 +115,6 @@ def leave_groups_out(labels: NDArray[np.str_], group: NDArray[np.integer], seed:
         yield left_out
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Lesson:
-    """The rows to learn from, and the settings."""
-
-    rows: Rows
-    candidates: Sequence[Candidate]
-    weights: Weights
-    seed: int
-
-
 def choose_candidate(lesson: Lesson, crew: Workers = ALONE) -> Choice:
     """Return the candidate that is best for groups left out, and its temperature (the inner loop)."""
     rows, weights = lesson.rows, lesson.weights
@@ -187,8 +160,7 @@ def final(lesson: Lesson, choice: Choice, crew: Workers = ALONE) -> ImpactClassi
     """Return the chosen candidate trained on all rows, with a novelty limit that groups left out keep."""
     rows = lesson.rows
     only = replace(lesson, candidates=(lesson.candidates[choice.best],))
-    folds = list(leave_groups_out(rows.labels, rows.group, lesson.seed))
-    distances = list(crew.each(_distances, only, folds))
+    distances = list(crew.each(_distances, only, list(leave_groups_out(rows.labels, rows.group, lesson.seed))))
     with threadpool_limits(1):
         classifier = _fitted(only.candidates[0], rows, lesson.weights, lesson.seed, rejects=True)
     limit = float(np.quantile(np.concatenate(distances), Neighbourhood.INSIDE))

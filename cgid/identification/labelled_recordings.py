@@ -8,7 +8,7 @@ from __future__ import annotations
 import hashlib
 import math
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import groupby
 from typing import Any, NoReturn
 
@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from cgid.errors import BadData, CgidError, InvalidValue, MissingOption, NoInput
 from cgid.files import require_regular
 from cgid.identification.detection import ImpactDetector
-from cgid.identification.events import Event
+from cgid.identification.events import Event, frames_alike
 from cgid.identification.manifest import Annotation, Manifest
 from cgid.identification.reference import Equalisations, MeanSpectrum, equalisations_of
 from cgid.identification.rows import Rows, Slicing, sets_for, union_of
@@ -48,19 +48,11 @@ class Reading:
     channels: tuple[int | str, ...] | None = None
     strict: bool = False
 
-
-class Failures(list[CgidError]):
-    """The errors of recordings that could not be read."""
-
-    def __init__(self, strict: bool) -> None:
-        super().__init__()
-        self._strict = strict
-
-    def note(self, error: CgidError) -> None:
-        """Keep an error, or raise it when strict."""
-        if self._strict:
+    def note(self, error: CgidError, failures: list[CgidError]) -> None:
+        """Keep the error of a recording, or raise it when strict."""
+        if self.strict:
             raise error
-        self.append(error)
+        failures.append(error)
 
 
 # -- files ------------------------------------------------------------------------------------------------
@@ -93,23 +85,16 @@ class AnnotatedFile:
 
 
 def open_all(
-    manifest: Manifest, reading: Reading, failures: Failures, *, references: bool = False
+    manifest: Manifest, reading: Reading, failures: list[CgidError], *, references: bool = False
 ) -> list[AnnotatedFile]:
-    """Return the recordings of a manifest that can be opened, all of one quantity and number of channels.
+    """Return the labelled recordings of a manifest, or its reference runs, all of one quantity and number of channels.
 
-    Parameters
-    ----------
-    manifest : Manifest
-    reading : Reading
-    failures : Failures
-        Receives the errors of the others.
-    references : bool
-        Whether to open the reference runs instead of the labelled recordings.
+    `failures` receives the errors of files that cannot be opened.
 
     Raises
     ------
     BadData
-        None can be opened, or two files of different groups have the same content.
+        No labelled recording can be opened, or two files of different groups have the same content.
     """
     files: list[AnnotatedFile] = []
     for own in _by_channels([one for one in manifest.annotations if one.reference == references]):
@@ -118,13 +103,20 @@ def open_all(
             _require_alike(file, (files or [file])[0])
             files.append(file)
         except CgidError as error:
-            failures.note(error)
+            reading.note(error, failures)
     if not files and not references:
         raise BadData(
             f"{manifest.source}: there must be a recording that can be read, there is none"
             + "".join(f"; {error}" for error in failures[:1])
         )
-    _refuse_copies(files)
+    first_with: dict[str, AnnotatedFile] = {}
+    for file in files:
+        first = first_with.setdefault(file.digest, file)
+        if first.annotations[0].group != file.annotations[0].group:  # one would train, and the other judge
+            raise BadData(
+                f"{file.recording.source}: recordings of different groups must differ, it holds the same as "
+                f"{first.recording.source}; take one out, or give both one group"
+            )
     return files
 
 
@@ -206,34 +198,14 @@ def _require_alike(file: AnnotatedFile, first: AnnotatedFile) -> None:
         )
 
 
-def _refuse_copies(files: list[AnnotatedFile]) -> None:
-    """Raise where two files of different groups hold the same: what is trained on would judge."""
-    seen: dict[str, AnnotatedFile] = {}
-    for file in files:
-        first = seen.setdefault(file.digest, file)
-        if first.annotations[0].group != file.annotations[0].group:
-            raise BadData(
-                f"{file.recording.source}: recordings of different groups must differ, it holds the same as "
-                f"{first.recording.source}; take one out, or give both one group"
-            )
-
-
 def reference_spectra(files: Sequence[AnnotatedFile], labelled: AnnotatedFile, window_time: float) -> dict[str, Floats]:
-    """Return the reference spectrum of each sensor, (n_channels, n_bands), from all of its runs.
-
-    Parameters
-    ----------
-    files : sequence of AnnotatedFile
-        The reference runs.
-    labelled : AnnotatedFile
-        One of the labelled recordings; the runs must have its quantity and number of channels.
-    window_time : float
-        Of the windows that are averaged [s].
+    """Return the reference spectrum of each sensor, (n_channels, n_bands), from the windows of all of its runs.
 
     Raises
     ------
     BadData
-        A run has another quantity, number of channels or sampling rate, or holds no signal.
+        A run differs from a labelled recording in its quantity or number of channels, has another sampling rate than
+        other runs of its sensor, or holds no signal.
     """
     spectra: dict[str, list[MeanSpectrum]] = {}
     for file in files:
@@ -290,10 +262,10 @@ def record(
         A choice breaks its rule.
     """
     slicing, reading = slicing or Slicing(), reading or Reading()
-    failures = Failures(reading.strict)
+    failures: list[CgidError] = []
     files = open_all(manifest, reading, failures)
     names = _names(features, files, slicing, level_free)
-    runs = open_all(manifest, reading, Failures(strict=True), references=True)
+    runs = open_all(manifest, replace(reading, strict=True), failures, references=True)
     references = reference_spectra(runs, files[0], slicing.window_time)
     cutting = _Cutting(names, slicing, files[0].unit, equalisations_of(references))
     measured: list[_FileRows] = []
@@ -301,19 +273,25 @@ def record(
         try:
             measured.append(_measured(file, cutting, progress))
         except CgidError as error:
-            failures.note(error)
-    annotations = [one for rows in measured for one in rows.annotations]
-    if not annotations:
+            reading.note(error, failures)
+    if not any(rows.annotations for rows in measured):
         said = "".join(f"; {error}" for error in failures[:1])
         raise BadData(
             f"{manifest.source}: recordings must hold a {slicing.by} with a label, there is none{said}; "
             "correct start and end, or what is decided on"
         )
+    return replace(_joined(measured, cutting), references=references, failures=tuple(failures))
+
+
+def _joined(measured: Sequence[_FileRows], cutting: _Cutting) -> Rows:
+    """Return the rows of all files together."""
+    annotations = [one for rows in measured for one in rows.annotations]
     sources, source = _numbered([one.name for one in annotations])
     groups, group = _numbered([one.group for one in annotations])
-    rates = [rows.file.recording.sampling_rate for rows in measured]
+    recordings = [rows.file.recording for rows in measured]
+    rates = [recording.sampling_rate for recording in recordings]
     return Rows(
-        names=names,
+        names=cutting.names,
         features=np.concatenate([part for rows in measured for part in rows.features]),
         labels=np.array([one.label for one in annotations]),
         group=group,
@@ -321,15 +299,13 @@ def record(
         sources=sources,
         groups=groups,
         digests=tuple(rows.file.digest for rows in measured),
-        unit=files[0].unit,
+        unit=cutting.unit,
         sampling_rates=(min(rates), max(rates)),
-        n_channels=len(files[0].recording.channels),
-        slicing=slicing,
+        n_channels=len(recordings[0].channels),
+        slicing=cutting.slicing,
         time=np.concatenate([part for rows in measured for part in rows.times]),
-        references=references,
         left_out=sum(rows.left_out for rows in measured),
-        failures=tuple(failures),
-        warnings=tuple(warning for rows in measured for warning in rows.warnings(slicing.by)),
+        warnings=tuple(warning for rows in measured for warning in rows.warnings(cutting.slicing.by)),
     )
 
 
@@ -461,17 +437,15 @@ def _impacts(file: AnnotatedFile, cutting: _Cutting) -> Measured:
 def _measured_events(events: list[Event], file: AnnotatedFile, cutting: _Cutting) -> Measured:
     for annotation in file.annotations:
         own = [event for event in events if annotation.start <= event.time < annotation.end]
-        alike: dict[tuple[int | None, float], list[Event]] = {}
-        for event in own:
-            alike.setdefault((event.pre_trigger, event.detection_limit), []).append(event)
-        for (pre_trigger, detection_limit), some in alike.items():
+        for numbers, frames in frames_alike(own):
+            some = [own[number] for number in numbers]
             features = extract_array(
-                np.stack([event.samples for event in some]) * file.scale(annotation, cutting.unit),
+                frames * file.scale(annotation, cutting.unit),
                 file.recording.sampling_rate,
                 cutting.names,
-                pre_trigger=pre_trigger,
+                pre_trigger=some[0].pre_trigger,
                 invalid="nan",
-                detection_limit=detection_limit,
+                detection_limit=some[0].detection_limit,
                 equalisation=cutting.equalisations[annotation.sensor][0] if annotation.sensor else None,
             )
             features[[bool(event.problem) for event in some]] = np.nan

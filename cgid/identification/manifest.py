@@ -1,9 +1,8 @@
-"""What somebody says of a recording: one row of a manifest, checked.
+"""The manifest of labelled recordings: labels of files or intervals, and which of them belong to one group.
 
-The manifest of labelled recordings: which file, or which intervals of it, is what, and what must stay together.
-
-A CSV file has one row an interval and any of the columns in `COLUMNS`; a TOML file has one `[[recording]]` a file, by
-the same names, and values at its top level that hold for all. Paths are relative to the manifest.
+A CSV file has one row for each interval and any of the columns in `COLUMNS`. A TOML file has one `[[recording]]` for
+each file, with keys of the same names; values at its top level hold for all recordings. Paths are relative to the
+manifest.
 """
 
 from __future__ import annotations
@@ -12,7 +11,7 @@ import csv
 import io
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -22,18 +21,27 @@ from cgid.errors import BadData, CgidError, InvalidValue
 from cgid.files import parse_toml, read_regular
 from cgid.units import quantity_of
 
-#: What may be said of a recording or an interval of it.
+#: The columns of a row: a recording, or an interval of it.
 COLUMNS = (
     *("path", "label", "start", "end", "group", "channel", "gain", "sensor", "reference", "rate", "unit"),
     "variable",
 )
-#: Longer words are no labels, groups or sensors.
+#: Characters of a label, group or sensor.
 _LONGEST_WORD = 100
+#: Largest manifest [bytes], and most keys of it.
+LARGEST_FILE, _MOST_KEYS = 16 << 20, 1_000_000
+#: Keys that may hold for all recordings of a TOML manifest.
+_SHARED = ("group", "channel", "gain", "sensor", "rate", "unit", "variable")
+#: Most mistakes that are reported at once.
+_MOST_MISTAKES = 20
+
+
+# -- its rows ---------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, kw_only=True)
 class Annotation:
-    """What somebody says of a recording, or of an interval of it.
+    """One row of a manifest: a recording, or an interval of it.
 
     Attributes
     ----------
@@ -43,19 +51,19 @@ class Annotation:
     label : str
         Empty for a reference run.
     group : str
-        What stays together when recordings are split: a recording by itself if not said, a day, a support.
+        What a split keeps together, such as a day or a support; by default the recording.
     start, end : float
         [s]; `end` is infinite where the recording ends.
     channels : tuple or None
-        Numbers from 1 or names, looked at together; None for all.
+        Numbers from 1 or names of the channels of a row; None for all.
     gain : float
-        What the samples are divided by.
+        Divisor of the samples.
     sensor : str
-        Whose reference run makes up for its response; empty for none.
+        Sensor whose reference run equalises its response; empty for none.
     reference : bool
         Whether this is the reference run of the sensor.
     sampling_rate, unit, variable
-        What the file does not say: see `cgid.recordings.open_recording`.
+        For files without them: see `cgid.recordings.open_recording`.
     """
 
     path: Path
@@ -74,7 +82,7 @@ class Annotation:
 
     @property
     def name(self) -> str:
-        """The file, the channels where they are chosen, and the interval where it is one: no two have the same."""
+        """A unique name: the file, the chosen channels, and the interval."""
         channels = "" if self.channels is None else f" channel {'+'.join(map(str, self.channels))}"
         if self.start == 0 and self.end == math.inf:
             return self.written + channels
@@ -83,13 +91,7 @@ class Annotation:
 
 
 def annotation_of(row: Mapping[str, Any], folder: Path, labels: tuple[str, ...] | None) -> Annotation:
-    """Return what a row says; paths are relative to the folder, and `labels` are those allowed, None for any.
-
-    Raises
-    ------
-    InvalidValue
-        Something in it breaks its rule.
-    """
+    """Return a checked row; paths are relative to the folder, `labels` are the allowed ones, None for any."""
     path = row.get("path")
     if not isinstance(path, str) or not path or "\0" in path:
         raise InvalidValue(f"path must be the name of a file, got {path!r}")
@@ -99,7 +101,7 @@ def annotation_of(row: Mapping[str, Any], folder: Path, labels: tuple[str, ...] 
         if label or not sensor:
             raise InvalidValue("a reference run must name its sensor and have no label")
     elif not label:
-        raise InvalidValue("label must be said of every recording or interval; add it, or take the row out")
+        raise InvalidValue("every recording or interval must have a label; add it, or take the row out")
     else:
         validation.label("label", label)
         if labels is not None and label not in labels:
@@ -144,24 +146,21 @@ def _number(name: str, value: Any, what: str) -> float:
     return number
 
 
-def _positive(name: str, value: Any, unit: str) -> float:
-    number = _number(name, value, f" in {unit}")
+def _positive(name: str, value: Any, unit: str = "") -> float:
+    number = _number(name, value, f" in {unit}" if unit else ", a factor or with dB behind it")
     if not 0 < number < math.inf:
-        raise InvalidValue(f"{name} must be above 0 and finite, got {number:g} {unit}")
+        raise InvalidValue(f"{name} must be above 0 and finite, got {number:g} {unit}".rstrip())
     return number
 
 
 def _gain(value: Any) -> float:
-    """Return a gain as a factor; a text may give it in dB."""
-    if isinstance(value, str) and value.lower().endswith("db"):
-        level = _number("gain", value[:-2], " in dB")
-        if not abs(level) <= 400:
-            raise InvalidValue(f"gain must lie between -400 and 400 dB, got {level:g} dB")
-        return float(10.0 ** (level / 20))
-    number = _number("gain", value, ", a factor or with dB behind it")
-    if not 0 < number < math.inf:
-        raise InvalidValue(f"gain must be above 0 and finite, got {number:g}")
-    return number
+    """Return a gain as a factor; a string may give it in dB."""
+    if not isinstance(value, str) or not value.lower().endswith("db"):
+        return _positive("gain", value)
+    level = _number("gain", value[:-2], " in dB")
+    if not abs(level) <= 400:
+        raise InvalidValue(f"gain must lie between -400 and 400 dB, got {level:g} dB")
+    return float(10.0 ** (level / 20))
 
 
 def _truth(name: str, value: Any) -> bool:
@@ -173,7 +172,7 @@ def _truth(name: str, value: Any) -> bool:
 
 
 def _channels(value: Any) -> tuple[int | str, ...] | None:
-    """Return the channels asked for: a number or a name, several in a list, or in one text with + between them."""
+    """Return the channels of a number or a name, of several in a list, or of a string with + between them."""
     if value is None:
         return None
     listed = value.split("+") if isinstance(value, str) else value if isinstance(value, list) else [value]
@@ -185,13 +184,13 @@ def _channels(value: Any) -> tuple[int | str, ...] | None:
 
 
 def contradictions(annotations: Sequence[Annotation]) -> list[str]:
-    """Return what cannot be true of annotations together."""
+    """Return the contradictions between annotations, one line each."""
     found = []
     heard = {one.sensor for one in annotations if one.reference}
     for sensor in sorted({one.sensor for one in annotations if one.sensor} - heard):
         found.append(f"sensor {sensor} must have a reference run (reference = yes), there is none; add it")
     if heard and not all(one.sensor for one in annotations):
-        found.append("sensor must be said of every recording where one has a reference run; add it to the others")
+        found.append("every recording must have a sensor where one has a reference run; add it to the others")
     by_file: dict[Path, list[Annotation]] = {}
     for one in annotations:
         by_file.setdefault(one.path, []).append(one)
@@ -207,28 +206,15 @@ def contradictions(annotations: Sequence[Annotation]) -> list[str]:
     return found
 
 
-#: A larger file is no manifest [bytes], nor one of more keys.
-LARGEST_FILE, _MOST_KEYS = 16 << 20, 1_000_000
-#: What may be said once for all recordings of a TOML manifest.
-_SHARED = ("group", "channel", "gain", "sensor", "rate", "unit", "variable")
-#: So many mistakes are said at once.
-_MOST_MISTAKES = 20
+# -- the file ---------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, kw_only=True)
 class Manifest:
-    """Annotated recordings.
-
-    Attributes
-    ----------
-    source : str
-        The manifest's file.
-    annotations : tuple of Annotation
-        In the order of the file, reference runs among them.
-    """
+    """The annotations of a manifest in the order of the file, reference runs among them; `source` is its name."""
 
     source: str
-    annotations: tuple[Annotation, ...] = field(default_factory=tuple)
+    annotations: tuple[Annotation, ...] = ()
 
     @property
     def labels(self) -> tuple[str, ...]:
@@ -237,7 +223,7 @@ class Manifest:
 
 
 def is_manifest(path: str | Path) -> bool:
-    """Return whether a file is a manifest by its name and, for TOML, by what it holds: a scene is TOML, too."""
+    """Return whether a file is a manifest, by its name, and in TOML, where it could be a scene, by its content."""
     path = Path(path)
     if path.suffix.lower() == ".csv":
         return True
@@ -250,14 +236,14 @@ def is_manifest(path: str | Path) -> bool:
 
 
 def read_manifest(path: str | Path) -> Manifest:
-    """Return a manifest, checked; whether its recordings can be read shows when they are.
+    """Return a checked manifest; its recordings are not opened.
 
     Raises
     ------
     NoInput
         The file cannot be read.
     BadData
-        It is no manifest, or contradicts itself; one line a mistake.
+        It is no manifest, or contradicts itself; one line for each mistake.
     """
     path = Path(path)
     rows, labels = _csv_rows(path) if path.suffix.lower() == ".csv" else _toml_rows(path)
@@ -276,8 +262,6 @@ def read_manifest(path: str | Path) -> Manifest:
     return Manifest(source=str(path), annotations=tuple(annotations))
 
 
-# -- the two formats --------------------------------------------------------------------------------------
-
 Row = tuple[str, Mapping[str, Any]]
 
 
@@ -289,7 +273,7 @@ def _text(path: Path) -> str:
 
 
 def _csv_rows(path: Path) -> tuple[list[Row], tuple[str, ...] | None]:
-    """Return the rows of a CSV manifest with where they stand; it lists no labels."""
+    """Return the rows of a CSV manifest with their places in the file; it lists no labels."""
     lines = [line if line.strip() and not line.lstrip().startswith("#") else "" for line in _text(path).splitlines()]
     header = next((line for line in lines if line), "")
     separator = max(",;\t", key=header.count)
@@ -323,7 +307,7 @@ def _toml(path: Path) -> dict[str, Any]:
 
 
 def _toml_rows(path: Path) -> tuple[list[Row], tuple[str, ...] | None]:
-    """Return the rows of a TOML manifest with where they stand, and the labels that it allows."""
+    """Return the rows of a TOML manifest with their places in the file, and the labels that it allows."""
     content = _toml(path)
     recordings = content.get("recording")
     if not isinstance(recordings, list) or not all(isinstance(one, dict) for one in recordings):
@@ -352,4 +336,4 @@ def _check_names(names: Sequence[str], allowed: tuple[str, ...], what: str, requ
             fault = f"got {name!r}" if name not in allowed else f"{name!r} is there twice"
             raise BadData(f"{what} must be out of {', '.join(allowed)}, {fault}")
     if required is not None and required not in names:
-        raise BadData(f"{what} must say the {required}, got {', '.join(names) or 'none'}")
+        raise BadData(f"{what} must include {required}, got {', '.join(names) or 'none'}")

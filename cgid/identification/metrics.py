@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,10 +12,18 @@ from sklearn import metrics
 from cgid.errors import InvalidValue
 from cgid.identification.conformal import COVERAGES, Conformal
 from cgid.identification.share import wilson_interval
+from cgid.identification.windows import LEAST_PROBABILITY, RunningVote
 from cgid.validation import Floats
+
+if TYPE_CHECKING:
+    from cgid.identification.rows import Rows
 
 #: Bins of the reliability diagram.
 _BINS = 10
+#: Running votes are judged over these times [s].
+VOTE_TIMES = (0.5, 1.0)
+#: Fewest groups with misses (or hits) that show how much groups differ.
+FEWEST_GROUPS = 3
 
 
 def evaluate(
@@ -30,15 +38,15 @@ def evaluate(
     probabilities : ndarray, (n_impacts, n_classes)
     classes : tuple of str
     n_independent : int, optional
-        How many of the impacts count for the interval: that of their specimens, where it is smaller.
+        Number of independent impacts for the interval, such as that of the specimens.
 
     Returns
     -------
     dict
         accuracy and its 95 % interval (Wilson), recall of each class, Brier score (sum over the classes, so 0 to
-        2), log loss, expected calibration error, what perfectly calibrated probabilities would show of it by chance,
-        area under the ROC curve, confusion (rows are the truth), reliability (mean confidence, accuracy and count of
-        each bin).
+        2), log loss, expected calibration error, the value of it that perfectly calibrated probabilities have by
+        chance, area under the ROC curve, confusion (rows are the truth), reliability (mean confidence, accuracy and
+        count of each bin).
     """
     names = np.array(classes)
     predicted = names[np.argmax(probabilities, axis=1)]
@@ -65,7 +73,7 @@ def evaluate(
 
 
 def reliability(confidence: Floats, hits: NDArray[np.bool_]) -> list[list[float]]:
-    """Return mean confidence, accuracy and count of each bin of confidence that is not empty."""
+    """Return mean confidence, accuracy and count of each non-empty bin of confidence."""
     place = _place(confidence)
     rows = []
     for k in range(_BINS):
@@ -76,10 +84,10 @@ def reliability(confidence: Floats, hits: NDArray[np.bool_]) -> list[list[float]
 
 
 def calibration_error_by_chance(confidence: Floats) -> float:
-    """Return the expected calibration error of answers that are right exactly as often as they say.
+    """Return the expected calibration error of perfectly calibrated answers.
 
-    Of n such answers in a bin the number of right ones is normal about its mean with variance sum p (1 - p), and
-    the mean of its distance from there is sqrt(2 / pi) standard deviations: an error of this size is no error.
+    The number of right answers in a bin is normal about its mean with variance sum p (1 - p), and the mean absolute
+    deviation is sqrt(2 / pi) standard deviations: an error of this size means nothing.
     """
     variances = np.bincount(_place(confidence), confidence * (1 - confidence), _BINS)
     return float(np.sqrt(2 / np.pi * variances).sum() / len(confidence))
@@ -92,7 +100,7 @@ def evaluate_sets(
     conformal: Conformal,
     coverages: tuple[float, ...] = COVERAGES,
 ) -> list[dict[str, Any]]:
-    """Return how prediction sets did, one row for each coverage that can be promised, as plain numbers for JSON.
+    """Return the results of prediction sets, one row for each possible coverage, as plain numbers for JSON.
 
     Returns
     -------
@@ -106,7 +114,7 @@ def evaluate_sets(
         for coverage in coverages:
             try:
                 sets = conformal.prediction_set(probabilities, coverage, class_conditional=class_conditional)
-            except InvalidValue:  # too few calibration impacts for so much
+            except InvalidValue:  # too few calibration impacts
                 continue
             held, size = (sets & truth).any(axis=1), sets.sum(axis=1)
             rows.append(
@@ -128,8 +136,7 @@ def _place(confidence: Floats) -> NDArray[np.int_]:
     return np.asarray(np.minimum((confidence * _BINS).astype(int), _BINS - 1))
 
 
-#: Fewest groups with misses (or hits) that show how much groups differ.
-FEWEST_GROUPS = 3
+# -- answers that are not independent ---------------------------------------------------------------------
 
 
 def clustered_interval(hits: NDArray[np.bool_], group: NDArray[np.integer]) -> tuple[float, float]:
@@ -154,13 +161,70 @@ def clustered_interval(hits: NDArray[np.bool_], group: NDArray[np.integer]) -> t
     n_groups = int(own.max()) + 1
     if n_groups < 2:
         return 0.0, 1.0
-    variance = _clustered_variance(hits - share, own)
+    variance = _clustered_variance(hits.astype(float) - share, own)
     trials = share * (1 - share) / variance if variance > 0 else 0.0
     trials *= (stats.norm.ppf(0.975) / stats.t.ppf(0.975, n_groups - 1)) ** 2
     if min(np.unique(own[hits]).size, np.unique(own[~hits]).size) < FEWEST_GROUPS:
         trials = 0.0
     low, high = wilson_interval(share, min(max(trials, n_groups), len(hits)))
     return max(float(low), 0.0), min(float(high), 1.0)
+
+
+def evaluate_recordings(rows: Rows, probabilities: Floats) -> dict[str, Any]:
+    """Return the metrics of rows, of whole recordings and of running votes; their intervals count groups."""
+    classes = np.unique(rows.labels)
+    metrics = evaluate(rows.labels, probabilities, tuple(classes.tolist()))
+    hits = classes[np.argmax(probabilities, axis=1)] == rows.labels
+    metrics["accuracy_interval_95"] = list(clustered_interval(hits, rows.group))
+    recordings = _recordings(rows, probabilities)
+    voted = np.array([row["vote"] == row["label"] for row in recordings])
+    owner = np.array([rows.groups.index(row["group"]) for row in recordings])
+    metrics["recordings"] = {"n": len(voted), **_share(voted, owner), "rows": recordings}
+    if rows.kind == "window":
+        metrics["running"] = [_running(rows, probabilities, time) for time in VOTE_TIMES]
+    return {**metrics, "prediction_sets": []}
+
+
+def _share(hits: NDArray[np.bool_], group: NDArray[np.integer]) -> dict[str, Any]:
+    return {"accuracy": float(hits.mean()), "accuracy_interval_95": list(clustered_interval(hits, group))}
+
+
+def _recordings(rows: Rows, probabilities: Floats) -> list[dict[str, Any]]:
+    """Return the vote of each recording: the label with the largest mean of logarithms of its rows."""
+    classes = np.unique(rows.labels)
+    votes = []
+    for source in np.unique(rows.source):
+        own = rows.source == source
+        total = np.log(np.maximum(probabilities[own], LEAST_PROBABILITY)).mean(axis=0)
+        votes.append(
+            {
+                "name": rows.sources[source],
+                "group": rows.groups[rows.group[own][0]],
+                "label": str(rows.labels[own][0]),
+                "n": int(own.sum()),
+                "accuracy": float(np.mean(classes[np.argmax(probabilities[own], axis=1)] == rows.labels[own])),
+                "vote": str(classes[np.argmax(total)]),
+            }
+        )
+    return votes
+
+
+def _running(rows: Rows, probabilities: Floats, time: float) -> dict[str, Any]:
+    """Return how often the vote of the windows within a time [s] is right, over the recordings that are so long."""
+    assert rows.slicing is not None
+    classes = np.unique(rows.labels)
+    hits, group, short = [], [], 0
+    for source in np.unique(rows.source):
+        own = rows.source == source
+        vote = RunningVote.over(time, rows.slicing.window_time, rows.slicing.hop_time)
+        voted = vote.feed(probabilities[own])[vote.n_windows - 1 :]
+        short += not len(voted)
+        hits.append(classes[np.argmax(voted, axis=1)] == rows.labels[own][0])
+        group.append(rows.group[own][: len(voted)])
+    if not sum(map(len, hits)):
+        return {"time": time, "n": 0, "n_too_short": short}
+    all_hits, all_groups = np.concatenate(hits), np.concatenate(group)
+    return {"time": time, "n": len(all_hits), "n_too_short": short, **_share(all_hits, all_groups)}
 
 
 def paired_difference(

@@ -1,7 +1,4 @@
-"""The trained model: what it needs, its file, its answers. Numpy only, and nothing in a file can run.
-
-A model file is an uncompressed .npz archive: `header`, a JSON text, and arrays of numbers.
-"""
+"""The trained model: probabilities, novelty and prediction sets from features, in numpy alone."""
 
 from __future__ import annotations
 
@@ -22,6 +19,7 @@ from cgid.files import read_regular
 from cgid.identification.conformal import Conformal
 from cgid.identification.families import BY_NAME, Family, Neighbourhood, Standardiser, softmax
 from cgid.identification.model_file import (
+    FIELDS,
     FORMAT,
     SCHEMA_VERSION,
     STANDARDISER,
@@ -44,16 +42,16 @@ from cgid.validation import Floats
 if TYPE_CHECKING:
     from cgid.identification.classifier import ImpactClassifier
 
-#: A larger file is no model of ours.
+#: Largest size of a model file [bytes].
 LARGEST_FILE = 64 << 20
-#: What is wrong with one is said in so many letters.
+#: Longest message about a bad model file.
 _LONGEST_MESSAGE = 400
-#: Numbers that are held at once while rows are answered for.
+#: Most numbers in memory at once while rows are answered.
 _MOST_HELD = 1 << 20
 
 
 def inputs_of(features: tuple[str, ...], n_channels: int) -> tuple[str, ...]:
-    """Return what each input is called, channel after channel.
+    """Return the names of the inputs, channel after channel.
 
     Examples
     --------
@@ -66,9 +64,9 @@ def inputs_of(features: tuple[str, ...], n_channels: int) -> tuple[str, ...]:
 
 
 def _in_blocks(answer: Callable[[Floats], Floats], rows: Floats, width: int) -> Floats:
-    """Return the answers for rows, so many of them at once that the memory holds what a row needs."""
+    """Return the answers for rows, in blocks; `width` is the number of values in memory for a row."""
     most = max(1, _MOST_HELD // width)
-    # Numbers that grow too large are seen in the answer, and said once.
+    # Overflow shows in the answer, which the caller checks.
     with np.errstate(all="ignore"):
         if len(rows) <= most:
             return answer(rows)
@@ -85,7 +83,7 @@ class Model:
     labels : tuple of str
         In the order of the probabilities.
     features : tuple of str
-        What tells the labels apart, out of `cgid.measure.features.FEATURES`.
+        What the probabilities follow from, out of `cgid.measure.features.FEATURES`.
     unit : str
         Of the signals it was trained on.
     sampling_rates : tuple of float
@@ -93,20 +91,19 @@ class Model:
     temperature, neighbourhood_limit : float
     arrays : dict of ndarray
     training : dict
-        How it was made and how good it is: the content of the model card.
+        How the model was made and how good it is: the content of the model card.
     known : tuple of str
-        What must be known beside the signal, out of `cgid.identification.drop_height.KNOWN`.
+        Known quantities that it needs besides the signal, out of `cgid.identification.drop_height.KNOWN`.
     guards : tuple of str
-        Features that say only whether an impact is like those of the training: the larger, the stranger. The
-        labels are not told apart by them.
+        Features that only show whether an impact is like those of the training: the larger, the stranger.
     guard_limits : tuple of float
-        What 99.9 % of the training impacts stay below.
+        The values that 99.9 % of the training impacts stay below.
     window_time, hop_time : float
-        Length of a window and from the start of one to that of the next [s], for a model of windows; else 0.
+        Length of a window and from the start of one to that of the next [s] in a model of windows; else 0.
     n_channels : int
-        Channels that are looked at together; the features are measured on each of them.
+        Channels per answer; the features are measured on each of them.
     sensors : tuple of str
-        Whose reference spectra the model holds.
+        Sensors whose reference spectra the model holds.
     """
 
     family: str
@@ -130,7 +127,7 @@ class Model:
         check_names(self)
         check_numbers(self)
         check_training(self)
-        _ = self._classifier, self.conformal  # check their arrays
+        _ = self._classifier, self.conformal  # their constructors check the arrays
 
     @property
     def quantity(self) -> str:
@@ -139,27 +136,27 @@ class Model:
 
     @property
     def measured(self) -> tuple[str, ...]:
-        """What to measure on an impact: the features, then the guards."""
+        """The features to measure: those of the probabilities, then the guards."""
         return self.features + self.guards
 
     @property
     def kind(self) -> Kind:
-        """What its signals are like: pulses, vibrations, or windows of a recording."""
+        """The kind of its signals: pulses, vibrations, or windows of a recording."""
         return kind_of(self.measured)
 
     @property
     def inputs(self) -> tuple[str, ...]:
-        """What the probabilities follow from: the features, channel after channel, then what is known."""
+        """The inputs of the classifier: the features, channel after channel, then the known quantities."""
         return inputs_of(self.features, self.n_channels) + self.known
 
     @property
     def references(self) -> dict[str, Floats]:
-        """Reference spectra of each sensor, (n_channels, n_bands); none where the model knows no sensor."""
+        """Reference spectra of each sensor, (n_channels, n_bands)."""
         return dict(zip(self.sensors, self.arrays["reference.spectra"], strict=True)) if self.sensors else {}
 
     @cached_property
     def conformal(self) -> Conformal | None:
-        """The calibration of prediction sets; None when there were too few specimens for one."""
+        """The calibration of prediction sets; None if there were too few specimens."""
         if not self.arrays.keys() & {"conformal.scores", "conformal.labels"}:
             return None
         return Conformal(self.arrays["conformal.scores"], self.arrays["conformal.labels"], len(self.labels))
@@ -198,17 +195,17 @@ class Model:
         return found
 
     def novelty(self, inputs: Floats, guards: Floats | None = None) -> Floats:
-        """Return how far each impact lies from the training, (n_impacts,): above 1 is outside.
+        """Return the novelty of each impact, (n_impacts,): above 1 it is outside of the training range.
 
-        It is the largest of the distance (Mahalanobis' to the nearest class over the standardised inputs) and the
-        guards, each over what 99.9 % of the training impacts keep.
+        It is the largest of Mahalanobis' distance to the nearest class and the guards, each over the limit that 99.9 %
+        of the training impacts keep.
 
         Parameters
         ----------
         inputs : ndarray, (n_impacts, n_inputs)
             In the order of `self.inputs`.
         guards : ndarray, (n_impacts, n_guards), optional
-            In the order of `self.guards`; needed where the model has any.
+            In the order of `self.guards`; required if the model has any.
         """
         near = self._neighbourhood
         distance = _in_blocks(near.novelty, self._standardised(inputs), near.centres.size)
@@ -226,10 +223,10 @@ class Model:
     def prediction_set(
         self, probabilities: Floats, coverage: float, *, class_conditional: bool = False
     ) -> NDArray[np.bool_]:
-        """Return which labels cannot be ruled out for each impact, (n_impacts, n_labels).
+        """Return the labels that cannot be ruled out for each impact, (n_impacts, n_labels).
 
-        Sets hold the truth as often as `coverage` says, for impacts like those of the training, however good the
-        probabilities are. A set may hold several labels or none.
+        For impacts like those of the training, a share `coverage` of the sets contains the true label, however good
+        the probabilities are. A set may contain several labels or none.
 
         Parameters
         ----------
@@ -239,7 +236,7 @@ class Model:
         Raises
         ------
         InvalidValue
-            The model was not calibrated for it, or not on enough impacts.
+            The model is not calibrated, or not on enough impacts for this coverage.
         """
         if self.conformal is None:
             raise InvalidValue(
@@ -249,12 +246,12 @@ class Model:
         return self.conformal.prediction_set(probabilities, coverage, class_conditional=class_conditional)
 
     def equalisation(self, sensor: str) -> tuple[Equalisation, ...]:
-        """Return what makes a sensor sound as those of the training together, for each channel.
+        """Return the equalisation that moves a sensor to the mean response of the training, for each channel.
 
         Raises
         ------
         InvalidValue
-            The model knows no such sensor.
+            The model has no reference spectra of the sensor.
         """
         if not self.sensors:
             raise InvalidValue("sensor must be left out, this model was trained without reference runs")
@@ -272,8 +269,8 @@ class Model:
         ----------
         probabilities : ndarray, (n_impacts, n_labels)
         costs : dict, optional
-            What it costs to take an impact of this label for another; 1 where not said. With coal 1 and gangue 3,
-            gangue is only drawn as coal when coal is three times as probable.
+            Cost of taking an impact of this label for another, by default 1. With coal 1 and gangue 3, an impact is
+            only taken for coal if coal is three times as probable.
 
         Raises
         ------
@@ -302,21 +299,24 @@ class Model:
         cls,
         classifier: ImpactClassifier,
         *,
-        features: tuple[str, ...],
-        unit: str,
-        sampling_rates: tuple[float, float],
-        training: Mapping[str, Any],
-        known: tuple[str, ...] = (),
         guards: Mapping[str, float] | None = None,
         conformal: Conformal | None = None,
-        window_time: float = 0.0,
-        hop_time: float = 0.0,
-        n_channels: int = 1,
         references: Mapping[str, Floats] | None = None,
+        **fields: Any,
     ) -> Model:
-        """Return the model of a classifier fitted to `features` and `known`; `guards` have their limits.
+        """Return the model of a classifier.
 
-        `references` are the reference spectra of sensors, (n_channels, n_bands) each.
+        Parameters
+        ----------
+        classifier : ImpactClassifier
+            Fitted to the features, channel after channel, and the known quantities.
+        guards : dict of float, optional
+            Limits of the guards.
+        conformal : Conformal, optional
+        references : dict of ndarray, each (n_channels, n_bands), optional
+            Reference spectra of the sensors.
+        **fields
+            Other attributes of a model: at least features, unit, sampling_rates and training.
         """
         guards = guards or {}
         standardiser, neighbourhood = classifier.standardiser_, classifier.neighbourhood_
@@ -328,48 +328,29 @@ class Model:
             arrays |= {"conformal.scores": conformal.scores, "conformal.labels": conformal.labels}
         if references:
             arrays["reference.spectra"] = np.stack(list(references.values()))
-        # As they will be read: the last digit of a product may depend on the order in memory.
+        # C order, as in the file: the last digit of a product may depend on it.
         arrays = {name: np.ascontiguousarray(array) for name, array in arrays.items()}
         return cls(
             family=classifier.family,
             labels=tuple(str(label) for label in classifier.classes_),
-            features=features,
-            unit=unit,
-            sampling_rates=sampling_rates,
             temperature=classifier.temperature_,
             neighbourhood_limit=neighbourhood.limit,
             arrays=arrays,
-            training=training,
-            known=known,
             guards=tuple(guards),
             guard_limits=tuple(guards.values()),
-            window_time=window_time,
-            hop_time=hop_time,
-            n_channels=n_channels,
             sensors=tuple(references or ()),
+            **fields,
         )
 
     @property
     def header(self) -> dict[str, Any]:
         """Everything but the arrays."""
+        fields = {name: getattr(self, name) for name in FIELDS}
         return {
             "format": FORMAT,
             "schema_version": SCHEMA_VERSION,
-            "family": self.family,
-            "labels": list(self.labels),
-            "features": list(self.features),
-            "known": list(self.known),
-            "guards": list(self.guards),
-            "guard_limits": list(self.guard_limits),
             "quantity": self.quantity,
-            "unit": self.unit,
-            "sampling_rates": list(self.sampling_rates),
-            "temperature": self.temperature,
-            "neighbourhood_limit": self.neighbourhood_limit,
-            "window_time": self.window_time,
-            "hop_time": self.hop_time,
-            "n_channels": self.n_channels,
-            "sensors": list(self.sensors),
+            **{name: list(value) if isinstance(value, tuple) else value for name, value in fields.items()},
             "training": dict(self.training),
         }
 
@@ -389,7 +370,7 @@ class Model:
         NoInput
             The file cannot be read.
         BadData
-            It is no model, damaged, of another version, or would misbehave.
+            It is no valid model file, damaged, or of another version.
         """
         content = read_regular(path, "the model", LARGEST_FILE, "give a file made by cgid train")
         try:
@@ -397,7 +378,7 @@ class Model:
         except NewerSchema as error:
             raise NewerSchema(f"{path}: {error}") from None
         except (BadData, InvalidValue) as error:
-            # A stranger's text in it may be long.
+            # It may quote long texts of the file.
             told = textwrap.shorten(str(error), _LONGEST_MESSAGE, placeholder=" ...")
             raise BadData(f"{path}: no sound model: {told}; train it again with cgid train") from None
 
@@ -408,7 +389,7 @@ class Model:
         name, text = next(stored, ("", None))
         if name != "header" or text is None or text.dtype != np.uint8 or text.ndim != 1:
             raise BadData("it must be an .npz archive that begins with a header of JSON")
-        # Before the rest: arrays of a later version may be of kinds unheard of.
+        # Before the arrays, whose types a later version may have extended.
         header = read_header(text)
         arrays = dict(stored)
         return cls(**fields_of(header, arrays), arrays=arrays)

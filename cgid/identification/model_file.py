@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 
 # -- the archive ------------------------------------------------------------------------------------------
 
-#: The most arrays a model has, and the longest directory of so many entries [bytes].
+#: Most arrays of a model, and longest directory of an archive with them [bytes].
 MOST_ENTRIES, _LARGEST_DIRECTORY = 64, 64 * 128
 _NAME = re.compile(r"[a-z0-9_.]{1,64}\.npy")
 #: File type in the upper half of an entry's attributes: none or a regular file, never a link.
@@ -121,7 +121,7 @@ FORMAT = "cgid-model"
 SCHEMA_VERSION = 4
 _OLDEST_SCHEMA = 2
 #: What a header of schema 2 leaves out.
-_SINCE_3 = {"window_time": 0.0, "hop_time": 0.0, "n_channels": 1, "sensors": []}
+_SINCE_3: dict[str, Any] = {"window_time": 0.0, "hop_time": 0.0, "n_channels": 1, "sensors": []}
 #: The longest header [bytes]: a hundred bytes for each of twenty thousand recordings.
 LARGEST_HEADER = 2 << 20
 #: The deepest nesting of lists and objects; ours have seven levels.
@@ -129,7 +129,7 @@ _DEEPEST = 32
 #: The largest absolute value of any number: products of three such numbers are still finite.
 _LARGEST_NUMBER = 1e100
 #: The required fields and their types.
-_FIELDS: dict[str, type] = {
+FIELDS: dict[str, type] = {
     "family": str,
     "labels": list,
     "features": list,
@@ -169,14 +169,13 @@ def read_header(stored: NDArray[Any]) -> dict[str, Any]:
         raise BadData(f"its header must be at most {LARGEST_HEADER >> 20} MiB, it is {stored.size / 2**20:.1f} MiB")
     try:
         header = json.loads(stored.tobytes(), object_pairs_hook=_unique)
-        depth = _depth(header)
     except BadData:
         raise
     except (ValueError, RecursionError):
         raise BadData("it must have a header of JSON") from None
     if not isinstance(header, dict) or header.get("format") != FORMAT:
         raise BadData(f"format must be {FORMAT!r}")
-    if depth > _DEEPEST:
+    if _is_deeper(header, _DEEPEST):
         raise BadData(f"its header must not nest deeper than {_DEEPEST}")
     version = header.get("schema_version")
     if type(version) is not int or version < _OLDEST_SCHEMA:
@@ -198,14 +197,14 @@ def fields_of(header: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> 
     version = header["schema_version"]
     if version >= 4 and header.get("sha256") != digest(header, arrays):
         raise BadData("header and arrays must match the SHA-256 in the header, they were changed")
-    fields = (_SINCE_3 if version == 2 else {}) | dict(header)
-    if unknown := fields.keys() - _FIELDS.keys() - _FURTHER_FIELDS:
+    fields: dict[str, Any] = (_SINCE_3 if version == 2 else {}) | dict(header)
+    if unknown := fields.keys() - FIELDS.keys() - _FURTHER_FIELDS:
         raise BadData(f"the header must have the fields of a model only, got {min(unknown)[:40]!r}")
-    for name, kind in _FIELDS.items():
+    for name, kind in FIELDS.items():
         good = _is(fields.get(name), kind)
         if not good or (name in _LISTS_OF_NUMBERS and not all(_is(number, float) for number in fields[name])):
             raise BadData(f"{name} is missing or of a wrong kind in the header")
-    return {name: tuple(fields[name]) if kind is list else fields[name] for name, kind in _FIELDS.items()}
+    return {name: tuple(fields[name]) if kind is list else fields[name] for name, kind in FIELDS.items()}
 
 
 def signed(header: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> bytes:
@@ -235,9 +234,10 @@ def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     return found
 
 
-def _depth(value: Any) -> int:
-    inner = value.values() if isinstance(value, dict) else value if isinstance(value, list) else ()
-    return 1 + max(map(_depth, inner), default=0)
+def _is_deeper(value: Any, levels: int) -> bool:
+    """Return whether lists and objects nest deeper than a number of levels."""
+    inner = value.values() if isinstance(value, dict) else value
+    return levels == 0 or any(_is_deeper(one, levels - 1) for one in inner if isinstance(one, dict | list))
 
 
 def _is(value: Any, kind: type) -> bool:

@@ -1,8 +1,22 @@
-"""Where pulses begin: what rises above the baseline, each blow once."""
+"""Where force pulses begin: what rises above the baseline, clear of the noise and of the ringing of the blow before.
+
+A pulse points upwards from a baseline that may drift. It is found where the signal rises above
+
+    max(6 sigma, a(t), b(t))
+    a(t) = max over s < t of 0.05 h(s) exp(-(t - s) / 10 ms)
+    b(t) = max over s < t of 2 d(s) exp(-(t - s) / 20 ms)
+
+with the noise sigma, the height h above the baseline and the depth d below it, where that is deeper than 6 sigma. a
+allows for echoes of a blow. b follows a ringing of 200 Hz or more: it swings below the baseline as far as above, and
+each swing renews the demand. Both decay, so a blow of any height hides nothing that comes some tens of milliseconds
+later.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, field
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,32 +24,72 @@ from numpy.typing import NDArray
 from cgid.identification.events import Onset, Read
 from cgid.validation import Floats
 
-#: An impact rises above this many standard deviations of the noise,
+#: An impact rises above this many standard deviations of the noise.
 THRESHOLD_OVER_NOISE = 6.0
-#: and above this share of the largest sample of its window and the two before: a struck body rings.
+#: A blow begins and ends where it passes this share of its own highest sample.
 THRESHOLD_OVER_PEAK = 0.05
-#: Baseline and noise are told by windows of this length [s], or of so many samples,
+#: After a blow, a new one must rise above `THRESHOLD_OVER_PEAK` of it, and above this many times the depth to which the
+#: signal swings below its baseline.
+RISE_OVER_SWING = 2.0
+#: No ringing swings deeper than this many times the height of the blow before it.
+_DEEPEST = 2.0
+#: These demands decay with these time constants [s].
+ECHO_TIME, SWING_TIME = 10e-3, 20e-3
+#: They are updated at this interval [s].
+_HOP_TIME = 0.5e-3
+#: Differences below this share of the largest sample so far are rounding: six steps of single precision.
+_ROUNDING = 1e-6
+#: Baseline and noise are estimated in windows of this length [s], or of this many samples,
 _WINDOW_TIME, _SHORTEST_WINDOW = 20e-3, 64
-#: of which about so many samples are looked at.
+#: from about this many samples of each.
 _LOOKED_AT = 128
 _CHUNK_WINDOWS = 10
-#: The baseline is the median of so many windows to either side (0.18 s in all), for it may drift,
+#: The baseline is the median over this many windows to either side (0.18 s in all), because it may drift.
 _BASELINE_WINDOWS = 4
-#: the noise that of so many before the end of the chunk (2 s).
+#: The noise is the median over this many windows before the end of the chunk (2 s),
 _NOISE_WINDOWS = 100
-#: The first chunks wait until so many are there to tell them.
+#: and at least the lowest of this many windows (0.2 s): noise that rises raises the threshold sooner.
+_RISING_WINDOWS = 10
+#: The first chunks wait until there are this many for the first estimates.
 START_CHUNKS = 2
-#: What follows a first peak is a second one if both have this share of the highest, and that share lies between.
+#: A peak is a second one if both have this share of the highest, and the signal falls to that share in between.
 _PEAK, _VALLEY = 0.5, 0.25
 
 
 @dataclass(frozen=True)
 class _Levels:
-    """Baseline of each window (n_channels, n_windows), and how far a sample of it must rise above that."""
+    """Baseline, highest and lowest sample of each window, and what the noise asks for; each (n_channels, n_windows)."""
 
     length: int
     baseline: Floats
-    threshold: Floats
+    limit: Floats
+    highest: Floats
+    lowest: Floats
+
+
+@dataclass
+class _Ringing:
+    """What the blows of a channel leave behind: what their echoes and swings demand of a new one, and their height."""
+
+    echo: float = 0.0
+    swing: float = 0.0
+    peak: float = 0.0
+
+    def decay(self, echo_factor: float, swing_factor: float) -> None:
+        """Let some time pass."""
+        self.echo *= echo_factor
+        self.swing *= swing_factor
+        self.peak *= swing_factor
+
+
+@dataclass
+class _Blow:
+    """A blow that goes on: its high samples so far, by number, with heights and limits of each channel of its row."""
+
+    onset: Onset
+    places: list[NDArray[np.intp]] = field(default_factory=list)
+    heights: list[Floats] = field(default_factory=list)
+    limits: list[Floats] = field(default_factory=list)
 
 
 class PulseOnsets:
@@ -52,7 +106,7 @@ class PulseOnsets:
     dead_time : float
         High samples no further apart belong to the same blow [s].
     longest : int
-        A blow ends after so many samples at the latest; what stays high is not a new one until it falls.
+        A blow ends after this many samples at the latest; what stays high is not a new one until it falls.
     joint : bool
         Whether a pulse in one channel is one in all.
 
@@ -61,7 +115,11 @@ class PulseOnsets:
     chunk : int
         Samples that are taken at once, or multiples of it; the first time `START_CHUNKS` at least.
     lag : int
-        What begins so many samples before the end of what was taken may not be known yet.
+        What begins this many samples before the end of what was taken may not be known yet.
+    rise, fall : ndarray, (n_channels,)
+        How far samples reach above the baseline and below it.
+    noise : ndarray, (n_channels,)
+        The latest estimate of its standard deviation.
     """
 
     lag = 0
@@ -69,16 +127,21 @@ class PulseOnsets:
     def __init__(self, sampling_rate: float, n_channels: int, dead_time: float, longest: int, joint: bool) -> None:
         self._window = max(round(_WINDOW_TIME * sampling_rate), _SHORTEST_WINDOW)
         self.chunk = _CHUNK_WINDOWS * self._window
+        self._hop = max(round(_HOP_TIME * sampling_rate), 1)
+        self._echo_rate, self._swing_rate = 1 / (ECHO_TIME * sampling_rate), 1 / (SWING_TIME * sampling_rate)
         self._gap = max(int(min(dead_time * sampling_rate, 2.0**60)), 1)
         self._longest = longest
-        self._joint = joint
+        everything = list(range(n_channels))
+        self._rows = [everything] if joint else [[channel] for channel in everything]
         self._taken = 0
         self._medians = np.zeros((n_channels, 0))
         self._noises = np.zeros((n_channels, 0))
-        self._highest = np.full((n_channels, 2), -np.inf)
-        self._open: list[Onset | None] = [None] * (1 if joint else n_channels)
+        self._largest = np.zeros((n_channels, 1))
+        self._ringing = [_Ringing() for _ in range(n_channels)]
+        self._open: list[_Blow | None] = [None] * len(self._rows)
         # The last high sample of each row, whether its blow is closed or not.
-        self._last: list[int | None] = [None] * len(self._open)
+        self._last: list[int | None] = [None] * len(self._rows)
+        self.rise, self.fall, self.noise = np.zeros((3, n_channels))
 
     def take(self, samples: Floats, read: Read, n_known: int | None = None) -> list[Onset]:
         """Take the next chunks and return the pulses that begin in them.
@@ -96,11 +159,13 @@ class PulseOnsets:
         found = []
         if samples.shape[1]:
             levels = self._levels_in(samples)
-            for row, places in enumerate(self._high_in(samples, levels)):
+            high = [self._high_in(channel, own, levels) for channel, own in enumerate(samples)]
+            for row, channels in enumerate(self._rows):
+                places = high[channels[0]] if len(channels) == 1 else np.unique(np.concatenate(high))
                 found += self._grouped(row, places, samples, levels, read)
         self._taken += samples.shape[1]
-        for row, onset in enumerate(self._open):
-            if onset is not None and (ended or self._is_over(row, onset)):
+        for row, blow in enumerate(self._open):
+            if blow is not None and (ended or self._is_over(row, blow.onset)):
                 self._close(row, read)
         return found
 
@@ -123,66 +188,94 @@ class PulseOnsets:
             stop = before + first + _CHUNK_WINDOWS
             if not self._taken:
                 stop = max(stop, START_CHUNKS * _CHUNK_WINDOWS)
+            # Of what comes after the chunk nothing is known yet.
             stop = min(stop, medians.shape[1])
             chunk = slice(first, first + _CHUNK_WINDOWS)
-            # Of what comes after the chunk nothing is known yet.
-            near = np.clip(before + np.arange(first, min(chunk.stop, shape[1]))[:, None] + around, 0, stop - 1)
+            numbers = before + np.arange(first, min(chunk.stop, shape[1]))[:, None]
+            near = np.clip(numbers + around, 0, stop - 1)
             baseline[:, chunk] = np.median(medians[:, near], axis=2)
-            noise[:, chunk] = _typical(noises[:, max(stop - _NOISE_WINDOWS, 0) : stop])[:, None]
-        highest = np.empty(shape)
-        highest[:, :whole] = windows.max(axis=2)
+            latest = np.clip(np.maximum(numbers, _RISING_WINDOWS - 1) - np.arange(_RISING_WINDOWS), 0, stop - 1)
+            typical = _typical(noises[:, max(stop - _NOISE_WINDOWS, 0) : stop])[:, None]
+            noise[:, chunk] = np.maximum(typical, noises[:, latest].min(axis=2))
+        highest, lowest = np.empty(shape), np.empty(shape)
+        highest[:, :whole], lowest[:, :whole] = windows.max(axis=2), windows.min(axis=2)
         if shape[1] > whole:
-            highest[:, whole] = samples[:, whole * length :].max(axis=1)
-        peaks = np.concatenate([self._highest, highest - baseline], axis=1)
-        self._highest = peaks[:, -2:]
-        peak = np.maximum(np.maximum(peaks[:, :-2], peaks[:, 1:-1]), peaks[:, 2:])
-        return _Levels(length, baseline, np.maximum(THRESHOLD_OVER_NOISE * noise, THRESHOLD_OVER_PEAK * peak))
+            rest = samples[:, whole * length :]
+            highest[:, whole], lowest[:, whole] = rest.max(axis=1), rest.min(axis=1)
+        largest = np.concatenate([self._largest, np.maximum(highest, -lowest)], axis=1)
+        largest = np.maximum.accumulate(largest, axis=1)
+        self._largest, self.noise = largest[:, -1:], noise[:, -1]
+        self.rise = np.maximum(self.rise, (highest - baseline).max(axis=1))
+        self.fall = np.maximum(self.fall, (baseline - lowest).max(axis=1))
+        limit = np.maximum(THRESHOLD_OVER_NOISE * noise, _ROUNDING * largest[:, 1:])
+        return _Levels(length, baseline, limit, highest, lowest)
 
-    def _high_in(self, samples: Floats, levels: _Levels) -> list[NDArray[np.intp]]:
-        """Return the numbers of the high samples of each row."""
-        rows = []
-        for channel, own in enumerate(samples):
-            parts = [np.empty(0, np.intp)]
-            for window, (base, threshold) in enumerate(
-                zip(levels.baseline[channel].tolist(), levels.threshold[channel].tolist(), strict=True)
-            ):
-                part = own[window * levels.length : (window + 1) * levels.length]
-                if part.max() - base > threshold:
-                    parts.append(np.flatnonzero(part - base > threshold) + window * levels.length)
-            rows.append(np.concatenate(parts))
-        if self._joint:
-            rows = [np.unique(np.concatenate(rows))]
-        return [places + self._taken for places in rows]
+    def _high_in(self, channel: int, samples: Floats, levels: _Levels) -> NDArray[np.intp]:
+        """Return the numbers of the samples (n,) of a channel that stand clear of noise and ringing."""
+        parts = [np.empty(0, np.intp)]
+        ringing, length = self._ringing[channel], levels.length
+        baselines, limits = levels.baseline[channel], levels.limit[channel]
+        above = levels.highest[channel] - baselines > limits
+        behind = 0
+        for window in np.flatnonzero(above | (baselines - levels.lowest[channel] > limits)).tolist():
+            first = window * length
+            self._pass(first - behind, ringing)
+            heights = samples[first : first + length] - baselines[window]
+            needed = self._needed(heights, float(limits[window]), ringing)
+            if above[window]:
+                parts.append(np.flatnonzero(heights > needed) + first)
+            behind = first + length
+        self._pass(max(samples.size - behind, 0), ringing)
+        return np.concatenate(parts) + self._taken
+
+    def _pass(self, n_samples: int, ringing: _Ringing) -> None:
+        """Let some samples pass without anything above the noise."""
+        ringing.decay(math.exp(-n_samples * self._echo_rate), math.exp(-n_samples * self._swing_rate))
+
+    def _needed(self, heights: Floats, limit: float, ringing: _Ringing) -> Floats:
+        """Return the height that each sample (n,) must pass to be high; the ringing is left as it is behind them."""
+        hops = np.arange(0, heights.size, self._hop)
+        peaks, depths = np.maximum.reduceat(heights, hops), -np.minimum.reduceat(heights, hops)
+        factors = math.exp(-self._hop * self._echo_rate), math.exp(-self._hop * self._swing_rate)
+        needed = []
+        for peak, depth in zip(peaks.tolist(), depths.tolist(), strict=True):
+            needed.append(max(limit, ringing.echo, ringing.swing))
+            ringing.decay(*factors)
+            ringing.peak = max(ringing.peak, peak)
+            ringing.echo = max(ringing.echo, THRESHOLD_OVER_PEAK * peak)
+            # A swing deeper than any ringing is the beginning of a blow downwards.
+            if limit < depth < _DEEPEST * ringing.peak:
+                ringing.swing = max(ringing.swing, RISE_OVER_SWING * depth)
+        return np.repeat(needed, self._hop)[: heights.size]
 
     # -- blows ----------------------------------------------------------------------------------------
 
     def _grouped(self, row: int, places: NDArray[np.intp], samples: Floats, levels: _Levels, read: Read) -> list[Onset]:
         """Return the blows that begin with some of these high samples."""
-        found = []
-        breaks = np.flatnonzero(np.diff(places) > self._gap) + 1
-        for part in np.split(places, breaks) if places.size else ():
-            first, latest = int(part[0]), self._last[row]
+        if not places.size:
+            return []
+        found, channels, inside = [], np.array(self._rows[row])[:, None], places - self._taken
+        heights = samples[channels, inside] - levels.baseline[channels, inside // levels.length]
+        limits = levels.limit[channels, inside // levels.length]
+        bounds = [0, *(np.flatnonzero(np.diff(places) > self._gap) + 1).tolist(), places.size]
+        for begin, stop in pairwise(bounds):
+            first, latest = int(places[begin]), self._last[row]
             if latest is None or first - latest > self._gap:
                 self._close(row, read)
-                self._open[row] = onset = self._begun(row, first, samples, levels)
+                baseline = levels.baseline[:, int(inside[begin]) // levels.length].copy()
+                onset = Onset(row, self._rows[row][0], first, noise=baseline, closed=False)
+                self._open[row] = _Blow(onset)
                 found.append(onset)
-            self._last[row] = int(part[-1])
-            begun = self._open[row]
-            if begun is not None:
-                inside = part[part < begun.sample + self._longest]
-                begun.last = int(inside[-1]) if inside.size else begun.last
-                if self._last[row] != begun.last:
+            self._last[row] = int(places[stop - 1])
+            blow = self._open[row]
+            if blow is not None:
+                own = slice(begin, int(np.searchsorted(places[:stop], blow.onset.sample + self._longest)))
+                blow.places.append(places[own])
+                blow.heights.append(heights[:, own])
+                blow.limits.append(limits[:, own])
+                if own.stop < stop:
                     self._close(row, read)
         return found
-
-    def _begun(self, row: int, first: int, samples: Floats, levels: _Levels) -> Onset:
-        place = first - self._taken
-        window = place // levels.length
-        channel = row
-        if self._joint:
-            excess = samples[:, place] - levels.baseline[:, window] - levels.threshold[:, window]
-            channel = int(np.argmax(excess))
-        return Onset(row, channel, first, noise=levels.baseline[:, window].copy(), closed=False)
 
     def _is_over(self, row: int, onset: Onset) -> bool:
         latest = self._last[row]
@@ -195,18 +288,25 @@ class PulseOnsets:
         return onset.last + 1 - onset.sample
 
     def _close(self, row: int, read: Read) -> None:
-        onset = self._open[row]
+        """End the open blow of a row: it reaches from where it passes a share of its peak to where it falls below."""
+        blow = self._open[row]
         self._open[row] = None
-        if onset is None:
+        if blow is None:
             return
-        assert onset.last is not None
-        onset.closed = True
-        heights = read(onset.sample, onset.last + 1)[onset.channel] - onset.noise[onset.channel]
-        onset.again = onset.last if _has_two_peaks(heights) else None
+        onset, places = blow.onset, np.concatenate(blow.places)
+        heights, limits = np.concatenate(blow.heights, axis=1), np.concatenate(blow.limits, axis=1)
+        excess = heights - np.maximum(limits, THRESHOLD_OVER_PEAK * heights.max(axis=1, keepdims=True))
+        own = np.flatnonzero((excess > 0).any(axis=0))
+        if own.size == 0:
+            own = np.arange(places.size)
+        onset.channel = self._rows[row][int(np.argmax(excess[:, own[0]]))]
+        onset.sample, onset.last, onset.closed = int(places[own[0]]), int(places[own[-1]]), True
+        whole = read(onset.sample, onset.last + 1)[onset.channel] - onset.noise[onset.channel]
+        onset.again = onset.last if _has_two_peaks(whole) else None
 
 
 def _median_and_noise(windows: Floats, step: int) -> tuple[Floats, Floats]:
-    """Return both for windows (..., n_samples), from every so many of their samples."""
+    """Return both for windows (..., n_samples), from every `step`-th of their samples."""
     looked = windows[..., ::step]
     median = np.median(looked, axis=-1)
     noise = 1.4826 * np.median(np.abs(looked - median[..., None]), axis=-1)

@@ -1,9 +1,9 @@
-"""The reference run of a sensor: its mean spectrum, what makes up for its response, and how far a session drifts.
+"""The reference run of a sensor: its mean spectrum, the equalisation from it, and the drift of a session.
 
-Two sensors, or one on two supports, do not hear alike: 4 dB more here and less there cost more of the answers than any
-noise. So each sensor records the same kind of flow once, its reference run. The mean spectrum of that is kept with the
-model; what is measured by a sensor is then first made to sound as the mean of the sensors that were trained on
-(`cgid.measure.filters.Equalisation.between` of its own spectrum and the target).
+Two sensors, or one on two supports, differ in their response, and 4 dB more here and less there cost more accuracy than
+any noise. So each sensor records the same kind of flow once, its reference run. The model keeps the mean spectra of
+these runs. Before anything is measured, a signal is equalised from the spectrum of its sensor to the mean of all
+sensors (`cgid.measure.filters.Equalisation.between`).
 """
 
 from __future__ import annotations
@@ -21,23 +21,23 @@ from cgid.measure.spectra import MEL_BANDS
 from cgid.measure.windows import WindowBatch
 from cgid.validation import Floats, require_rate
 
-#: A session that is further from the reference run of its sensor is warned of [dB].
+#: Distance of a session from the reference run of its sensor that causes a warning [dB].
 LARGEST_DRIFT = 3.0
-#: By so many standard errors: few blows make an uncertain spectrum.
+#: The warning allows for this number of standard errors, because few blows make an uncertain spectrum.
 _STANDARD_ERRORS = 2.0
 #: Windows measured at once.
 _ROWS = 32
-#: Sensor -> what makes it sound as all of them together, one for each channel.
+#: Sensor -> equalisation of each channel.
 Equalisations = Mapping[str, Sequence[Equalisation]]
 
 
 class MeanSpectrum:
-    """The mean power of a run in each mel band, window by window, in flat memory.
+    """The mean power of a run in each mel band, added up window by window.
 
     Parameters
     ----------
     sampling_rate : float
-        [Hz]. Bands above half of it get the level of the highest below.
+        [Hz]. Bands above half of it get the level of the highest band below.
 
     Raises
     ------
@@ -57,7 +57,7 @@ class MeanSpectrum:
         self._sum, self._squares = np.zeros(self.n_bands), np.zeros(self.n_bands)
 
     def feed(self, windows: NDArray[np.floating]) -> None:
-        """Add windows (n_windows, n_samples) that do not overlap; those that hold nothing are passed over."""
+        """Add windows (n_windows, n_samples) that do not overlap; those without a signal are skipped."""
         for first in range(0, len(windows), _ROWS):
             batch = WindowBatch(windows[first : first + _ROWS], self.sampling_rate)
             kept = np.setdiff1d(np.arange(len(batch.samples)), list(batch.problems()))
@@ -73,13 +73,13 @@ class MeanSpectrum:
         Raises
         ------
         BadData
-            No window held anything.
+            No window had a signal.
         """
         return self._for_all_bands(np.log10(self._mean))
 
     @property
     def deviations(self) -> Floats:
-        """Standard error of the levels by how windows scatter [dB], infinite for one window, (n_bands,)."""
+        """Standard error of the levels from the variation between windows [dB], infinite for one window, (n_bands,)."""
         mean, n = self._mean, self.n_windows
         if n < 2:
             return np.full(len(MEL_BANDS), np.inf)
@@ -97,12 +97,12 @@ class MeanSpectrum:
 
 
 def target_spectrum(references: Iterable[ArrayLike]) -> Floats:
-    """Return what all sensors are made to sound like: the mean of their reference spectra, (n_bands,).
+    """Return the target of all equalisations: the mean of the reference spectra, (n_bands,).
 
     Raises
     ------
     InvalidValue
-        There is none, or one is not a number for each band.
+        There is no spectrum, or one does not have a number for each band.
     """
     rows = [validation.real("reference spectrum", row) for row in references]
     if not rows or any(row.shape != (len(MEL_BANDS),) for row in rows):
@@ -111,7 +111,7 @@ def target_spectrum(references: Iterable[ArrayLike]) -> Floats:
 
 
 def equalisations_of(spectra: Mapping[str, Floats]) -> Equalisations:
-    """Return what makes sensors sound as the mean of them all, from their reference spectra."""
+    """Return the equalisations of sensors from their reference spectra (n_channels, n_bands) to the mean of all."""
     if not spectra:
         return {}
     n_channels = len(next(iter(spectra.values())))
@@ -131,11 +131,11 @@ class Drift:
     level : float
         The mean over the bands [dB].
     largest : float
-        That of the band that differs most [dB].
+        The difference of the band that differs most [dB].
     frequency : float
-        Where that band has its centre [Hz].
+        Centre of that band [Hz].
     certain : float
-        By how much it differs at least, given how windows scatter [dB].
+        The smallest difference of it that is compatible with the variation between windows [dB].
     """
 
     level: float
@@ -144,7 +144,7 @@ class Drift:
     certain: float
 
     def warning(self, sensor: str) -> str | None:
-        """Return what is to be said of it in one line, None if it has not drifted too far."""
+        """Return a warning of one line, None if the drift is small enough."""
         if self.certain <= LARGEST_DRIFT:
             return None
         return (
@@ -155,13 +155,13 @@ class Drift:
 
 
 def drift(session: MeanSpectrum, reference: ArrayLike) -> Drift:
-    """Return how far a session is from the reference spectrum (n_bands,) of its sensor.
+    """Return the drift of a session from the reference spectrum (n_bands,) of its sensor.
 
-    A change of what flows is a drift as well: a session must be compared over a flow like that of the reference run.
+    Another flow looks like a drift, too: the session must have a flow like that of the reference run.
     """
     held = slice(0, session.n_bands)
     difference = 10.0 * (session.levels - validation.real("reference", reference))[held]
-    # Of many bands the surest counts, not one that a single blow has raised.
+    # The band with the most certain difference, not one that a single blow has raised.
     certain = np.maximum(np.abs(difference) - _STANDARD_ERRORS * session.deviations[held], 0.0)
     place = int(np.argmax(certain)) if certain.any() else int(np.argmax(np.abs(difference)))
     return Drift(

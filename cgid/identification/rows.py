@@ -88,7 +88,7 @@ class Rows:
     digests : tuple of str
         SHA-256 of scenes, datasets or files.
     known_names : tuple of str
-        Known quantities, out of `cgid.identification.known.KNOWN`.
+        Known quantities, out of `cgid.identification.drop_height.KNOWN`.
     known : ndarray, (n_rows, n_known)
     unit : str
     sampling_rates : tuple of float

@@ -53,15 +53,8 @@ class Rival(ImpactClassifier):
 class Candidate:
     """One family in the comparison.
 
-    Attributes
-    ----------
-    name : str
-    make : callable
-        From the columns without logarithm and the seed to an unfitted classifier.
-    exportable : bool
-        Whether a model file can hold it.
-    most : int or None
-        Largest number of impacts of a fold to train on.
+    `make` returns an unfitted classifier from the columns without logarithm and the seed, `exportable` is whether a
+    model file can hold it, and `most` the largest number of impacts of a fold to train on.
     """
 
     name: str

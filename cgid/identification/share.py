@@ -1,30 +1,23 @@
-"""How much of what falls is gangue: its share over a sliding window of impacts, with an interval.
+"""How much of what falls is gangue: its share over a sliding window of impacts, and when to shut the window.
 
-The mean of the probabilities is not it: a model that was trained on as much gangue as coal says .3 of a coal that might
-well be gangue, and among nothing but such coal the mean stays at .3. So the share is estimated by likelihood (Saerens,
-Latinne & Decaestecker 2002): an impact with probability p, from a model trained at a share s, is
-r = p / (1 - p) * (1 - s) / s times as likely a gangue as a coal, and where a share q of all is gangue, as likely as
+The mean of the probabilities is no estimate of the share: a model that was trained on as much gangue as coal gives .3
+to a coal that might well be gangue, and among nothing but such coal the mean stays at .3. So the share is estimated by
+likelihood (Saerens, Latinne & Decaestecker 2002). An impact with probability p, from a model trained at a share s, is
+r = p / (1 - p) * (1 - s) / s times as likely a gangue as a coal; where a share q of all is gangue, its likelihood is
 
     1 - q + q r
 
-The product over the window, times an even density of q before anything fell, is the density of q. It takes the impacts
-for independent, each as good as those that the model was judged on: where a rock bounces, or the rig is another one,
-the interval is too narrow.
+The product over the window, times an even prior density, is the density of q. It takes the impacts as independent, each
+as good as those that the model was tested on: where a rock bounces, or the rig is another one, the interval is too
+narrow.
 
-When to shut the window: as soon as going on is expected to cost more than it brings.
-
-Going on takes the next impact whatever it is: a gangue costs `gangue_cost`, for it has to be carried, washed and
-dumped. Shutting leaves it: a coal that stays behind costs 1, which is the unit. With a share q of gangue, going on
-costs
+Going on takes the next impact whatever it is: a gangue costs `gangue_cost`, because it must be carried, washed and
+dumped. Shutting leaves it: a coal that stays behind costs 1, which is the unit. Going on costs
 
     gangue_cost * q - (1 - q)
 
-more than shutting, an impact. It is linear in q, so its expectation needs the mean of q alone, and its sign turns at
+more than shutting, an impact. It is linear in q, so its expectation needs the mean of q alone, and its sign changes at
 q = 1 / (1 + gangue_cost). Where the share is known and only rises, waiting beyond that never pays.
-
-What the answers of a recording say of the caving window: the gangue share every so often, and when to shut.
-
-How sure a share of right answers is; numpy-free, so that predicting may say it, too.
 """
 
 from __future__ import annotations
@@ -40,9 +33,10 @@ from cgid import validation
 from cgid.errors import InvalidValue
 from cgid.identification.answers import Answer
 from cgid.identification.model import Model
+from cgid.identification.question import Question
 from cgid.validation import Floats
 
-#: No impact is surer than this, whatever its model says: one that is wrong and quite sure would outweigh all others.
+#: No impact is more certain than this, whatever its model says: a wrong one would outweigh all others.
 SUREST = 1e-3
 #: How much of the density an interval holds.
 LEVEL = 0.95
@@ -59,13 +53,13 @@ class Share:
     time : float
         End of the window [s].
     start : float
-        Its begin [s]; impacts of the time after it and up to `time` count.
+        Its begin [s]; impacts after it and up to `time` count.
     share : float
-        Mean of its density; nan when no impact tells.
+        Mean of its density; nan without any impact.
     low, high : float
-        Shortest interval that holds the share with a probability of `LEVEL`; 0 and 1 when no impact tells.
+        Shortest interval that holds the share with a probability of `LEVEL`; 0 and 1 without any impact.
     n_impacts : int
-        That tell something.
+        That were identified.
     n_unknown : int
         That could not be measured or lie outside of the training, and are left out.
     channel : str
@@ -91,8 +85,8 @@ class ShareWindow:
     trained_share : float
         Of gangue in the training of the model, in (0, 1): `trained_share`.
     weight : float
-        What one answer counts, in (0, 1]. Answers that say the same thing again (windows that overlap) are no
-        independent impacts: those of one length after another count 1, at half of it one half.
+        Of one answer, in (0, 1]. Windows that overlap repeat each other: end to end they count 1, overlapping by
+        half one half.
     channel : str
 
     Raises
@@ -102,7 +96,7 @@ class ShareWindow:
 
     Examples
     --------
-    Four impacts of which nothing is doubtful: the mean of Beta(1 + 1, 3 + 1).
+    Four impacts without any doubt: the mean of Beta(1 + 1, 3 + 1).
 
     >>> window = ShareWindow(10.0)
     >>> for time, probability in enumerate([0.0, 0.0, 1.0, 0.0]):
@@ -131,16 +125,16 @@ class ShareWindow:
         while self._impacts and self._impacts[0][0] <= start:
             self._impacts.popleft()
         inside = np.array([probability for when, probability in self._impacts if when <= time])
-        told = inside[np.isfinite(inside)]
-        mean, low, high = _estimate(told, self._odds, self._weight)
+        known = inside[np.isfinite(inside)]
+        mean, low, high = _estimate(known, self._odds, self._weight)
         return Share(
             time=time,
             start=max(start, 0.0),
             share=mean,
             low=low,
             high=high,
-            n_impacts=told.size,
-            n_unknown=inside.size - told.size,
+            n_impacts=known.size,
+            n_unknown=inside.size - known.size,
             channel=self.channel,
         )
 
@@ -187,7 +181,7 @@ def _estimate(probabilities: Floats, trained_odds: float, weight: float) -> tupl
     return float(masses @ shares), float(shares[held.min()]), float(shares[held.max()])
 
 
-#: Nothing is said on fewer impacts than these: before, the even density that the share starts from would decide.
+#: Fewer impacts than these decide nothing: the even prior density would.
 FEWEST_IMPACTS = 10
 
 
@@ -215,8 +209,7 @@ class Turn:
 class Shutting:
     """Watches the share of one channel and says when the expected cost of going on turns.
 
-    Each window of impacts speaks for itself: nothing depends on what was said before, but that it is said when it
-    changes. At first, going on pays.
+    Each window of impacts is judged by itself; only a change is reported. At first, going on pays.
 
     Parameters
     ----------
@@ -245,11 +238,11 @@ class Shutting:
         self._shut = False
 
     def cost(self, share: Share) -> float:
-        """Return what going on costs more than shutting [lost coal impacts an impact]; nan when no impact tells."""
+        """Return what going on costs more than shutting [lost coal impacts an impact]; nan without any impact."""
         return self.gangue_cost * share.share - (1.0 - share.share)
 
     def watch(self, share: Share) -> Turn | None:
-        """Return the turn that this window brings; None when all stays, or too few impacts tell."""
+        """Return the turn that this window brings; None without a change, or with too few impacts."""
         if share.n_impacts < FEWEST_IMPACTS:
             return None
         cost = self.cost(share)
@@ -257,55 +250,6 @@ class Shutting:
             return None
         self._shut = not self._shut
         return Turn(time=share.time, shut=self._shut, cost=cost, share=share)
-
-
-#: The label of what must not be drawn.
-GANGUE = "gangue"
-#: A share looks back over this, where nobody says it [s].
-SHARE_TIME = 10.0
-#: Over less there is nothing to share, and of an hour there would be millions of shares [s].
-SHORTEST_SHARE_TIME = 0.05
-
-
-@dataclass(frozen=True, kw_only=True)
-class ShareSettings:
-    """How shares are told.
-
-    Attributes
-    ----------
-    length : float
-        How far a share looks back [s], above 0.
-    step : float
-        From the end of one window to that of the next [s], above 0.
-    gangue : tuple of str
-        The labels of what must not be drawn.
-    gangue_cost : float
-        Of one drawn gangue impact, in lost coal impacts; above 0.
-    """
-
-    length: float = SHARE_TIME
-    step: float = SHARE_TIME / 2
-    gangue: tuple[str, ...] = (GANGUE,)
-    gangue_cost: float = 1.0
-
-    def __post_init__(self) -> None:
-        if not validation.positive("window", self.length, "s") >= SHORTEST_SHARE_TIME:
-            raise InvalidValue(f"window must be at least {SHORTEST_SHARE_TIME:g} s, got {self.length:g} s")
-        validation.positive("step", self.step, "s")
-        validation.positive("gangue_cost", self.gangue_cost)
-
-    def serve(self, model: Model) -> bool:
-        """Return whether a model tells gangue from something else."""
-        return 0 < len(set(self.gangue) & set(model.labels)) < len(model.labels)
-
-    def require(self, model: Model) -> None:
-        """Raise `InvalidValue` if a label is none of the model's, or is all of them."""
-        for label in self.gangue:
-            validation.choice("gangue label", label, model.labels)
-        if not self.serve(model):
-            raise InvalidValue(
-                f"gangue labels must leave another one, got all of the model's: {', '.join(self.gangue)}; leave one out"
-            )
 
 
 class CavingWatch:
@@ -316,64 +260,63 @@ class CavingWatch:
     model : Model
     channels : sequence of str
         Their names.
-    settings : ShareSettings
+    question : Question
+        Its share, step, labels and cost of gangue.
     weight : float
         See `ShareWindow`.
 
     Examples
     --------
-    See `cgid.cli.predict`, which prints what `feed` and `finish` return.
+    See `cgid.cli.answer_rows`, which prints what `feed` and `finish` return.
     """
 
-    def __init__(self, model: Model, channels: Sequence[str], settings: ShareSettings, weight: float = 1.0) -> None:
-        settings.require(model)
-        share = trained_share(model, settings.gangue)
-        self._settings = settings
+    def __init__(self, model: Model, channels: Sequence[str], question: Question, weight: float = 1.0) -> None:
+        question.require_gangue(model)
+        share = trained_share(model, question.gangue_labels)
+        self._gangue, self._step = question.gangue_labels, question.step
         self._windows = {
-            name: ShareWindow(settings.length, trained_share=share, weight=weight, channel=name) for name in channels
+            name: ShareWindow(question.share_length, trained_share=share, weight=weight, channel=name)
+            for name in channels
         }
-        self._rules = {name: Shutting(settings.gangue_cost) for name in channels}
+        self._rules = {name: Shutting(question.cost_of_gangue) for name in channels}
+        #: The share above which going on costs more than it brings.
+        self.threshold = Shutting(question.cost_of_gangue).threshold
         self._waiting: deque[Answer] = deque()
         self._steps = 0
-        # Channels whose last window held nothing, and has been told.
+        # Channels whose last window was empty, and has been returned.
         self._silent: set[str] = set()
-
-    @property
-    def threshold(self) -> float:
-        """The share above which going on costs more than it brings."""
-        return Shutting(self._settings.gangue_cost).threshold
 
     def feed(self, answers: Iterable[Answer], until: float) -> list[Share | Turn]:
         """Return the shares of the windows that end by now, and the turns that they bring.
 
-        Of windows without impacts only the first is told, so that a pause costs nothing, however long it is.
+        Of windows without impacts only the first is returned, so a pause costs nothing, however long it is.
 
         Parameters
         ----------
         answers : iterable of Answer
             The next ones, in order of time.
         until : float
-            No answer is still to come for what happened before this [s].
+            All answers for what happened before this have come [s].
         """
         self._waiting.extend(answers)
-        told: list[Share | Turn] = []
+        found: list[Share | Turn] = []
         self._pass_silence(until)
-        while (end := (self._steps + 1) * self._settings.step) <= until:
+        while (end := (self._steps + 1) * self._step) <= until:
             self._steps += 1
-            told += self._at(end)
+            found += self._at(end)
             self._pass_silence(until)
-        return told
+        return found
 
     def finish(self, duration: float) -> list[Share | Turn]:
-        """Return what is left to tell at the end of a recording of so long [s]."""
-        told = self.feed((), duration)
-        return told + list(self._at(duration)) if self._waiting or not self._steps else told
+        """Return the rest at the end of a recording of a duration [s]."""
+        found = self.feed((), duration)
+        return found + list(self._at(duration)) if self._waiting or not self._steps else found
 
     def _pass_silence(self, until: float) -> None:
         """Go on to the window of the next impact where all channels are silent, at most to the last one by now."""
         if len(self._silent) == len(self._windows):
             due = min(until, self._waiting[0].time) if self._waiting else until
-            self._steps = max(self._steps, int(due / self._settings.step) - 1)
+            self._steps = max(self._steps, int(due / self._step) - 1)
 
     def _at(self, end: float) -> Iterator[Share | Turn]:
         while self._waiting and self._waiting[0].time <= end:
@@ -393,10 +336,10 @@ class CavingWatch:
                 yield turn
 
     def _probability(self, answer: Answer) -> float:
-        """Return how probably an impact is gangue; nan where the model cannot speak of it."""
+        """Return how probably an impact is gangue; nan outside of its training."""
         if not answer.novelty <= 1:
             return float("nan")
-        return sum(answer.probabilities[label] for label in self._settings.gangue)
+        return sum(answer.probabilities[label] for label in self._gangue)
 
 
 #: The 97.5 % point of the normal distribution.
@@ -404,7 +347,7 @@ _Z = 1.959963984540054
 
 
 def wilson_interval(share: float, total: float) -> tuple[float, float]:
-    """Return the 95 % score interval of a share of so many independent trials (Wilson 1927).
+    """Return the 95 % score interval of a share of `total` independent trials (Wilson 1927).
 
     Examples
     --------

@@ -32,7 +32,7 @@ from cgid.identification.grouped import (
     judge,
     require_groups,
 )
-from cgid.identification.metrics import clustered_interval, evaluate, evaluate_sets
+from cgid.identification.metrics import evaluate, evaluate_recordings, evaluate_sets
 from cgid.identification.model import Model
 from cgid.identification.rows import (
     Rows,
@@ -45,7 +45,6 @@ from cgid.identification.rows import (
     sets_for,
     shift,
 )
-from cgid.identification.windows import LEAST_PROBABILITY, RunningVote
 from cgid.measure.features import choose
 from cgid.signals import Batch
 from cgid.units import quantity_of
@@ -60,8 +59,6 @@ CALIBRATION_SHARE = 0.1
 LEAST_LIMITS = {"overload": 0.05}
 #: Fewest specimens of a label to calibrate on; with fewer all of them train. A coverage of .95 takes 19.
 FEWEST_CALIBRATION_SPECIMENS = 20
-#: Running votes are judged over these times [s].
-VOTE_TIMES = (0.5, 1.0)
 
 
 @dataclass(frozen=True)
@@ -112,16 +109,16 @@ def train(
     Parameters
     ----------
     data : iterable of Batch, or Rows
-        The batches of a dataset or scene, or the rows of recordings
-        (`cgid.identification.labelled_recordings.record`).
+        The batches of a dataset or scene, or rows: of recordings
+        (`cgid.identification.labelled_recordings.record`), or measured before (`cgid.identification.rows.measure`).
     features : iterable of str, optional
         Names of features. By default those that `cgid.identification.rows` has for the quantity; for recordings one
         of its sets is chosen.
     guards : iterable of str, optional
         Features that only show how strange an impact is: the larger, the stranger. They are left out of `features`.
-        By default `DEFAULT_GUARDS` for pulses, none for vibrations. Not for recordings.
+        By default `DEFAULT_GUARDS` for batches of pulses, else none. Not for recordings.
     known : iterable of str
-        Known quantities, out of `cgid.identification.known.KNOWN`. Not for recordings.
+        Known quantities, out of `cgid.identification.drop_height.KNOWN`. Not for recordings.
     family : {"boosting", "logistic", "network", "linear"}, optional
         By default logistic, for recordings linear.
     test_share : float
@@ -157,14 +154,18 @@ def train(
         A choice is unknown, a label has a single specimen, or a guard is no positive number.
     """
     if isinstance(data, Rows):
-        rows, names, limiting = data, None if features is None else tuple(features), ()
+        rows, names, limiting = data, tuple(features or ()), tuple(guards or ())
+        for name in (*names, *limiting):
+            validation.choice("feature of rows", name, rows.names)
     else:
         rows, names, limiting = _measured(data, features, guards, tuple(known), progress, crew)
     rows = _shuffled(rows, seed) if shuffle_labels else rows
     _require_labels(rows, class_weights)
     if rows.slicing is None:
-        split = _Split(test_share, calibration_share, judged_on, seed)
-        fitted = _held_out(rows, names or rows.names, limiting, family or "logistic", class_weights, split, crew)
+        names = names or tuple(name for name in rows.names if name not in limiting)
+        parts = _split(rows, judged_on, test_share, calibration_share, seed)
+        fitted = _held_out(rows, parts, names, limiting, family or "logistic", class_weights, seed, crew)
+        fitted.record.update(test_share=test_share, calibration_share=calibration_share, judged_on=judged_on)
     else:
         sets = {"asked for": names} if names else sets_for(rows.kind, level_free=level_free)
         candidates = candidates_for(sets, rows.names, family or "linear")
@@ -174,7 +175,8 @@ def train(
     record = fitted.record | {"seed": seed, "labels_shuffled": shuffle_labels}
     if selection is not None:
         record["selection"] = [dict(row) for row in selection]
-    model = _model(rows, fitted, _origin(rows, synthetic) | record)
+    sources = [*rows.digests, *(() if synthetic is None else synthetic.digests)]
+    model = _model(rows, fitted, record | {"sources": sources})
     return Training(model, fitted.metrics, fitted.labels, fitted.probabilities, fitted.classifier)
 
 
@@ -231,7 +233,7 @@ def _require_labels(rows: Rows, class_weights: Weights) -> None:
         validation.positive(f"class weight of {label}", weight)
 
 
-def _model(rows: Rows, fitted: _Fitted, training: Mapping[str, Any]) -> Model:
+def _model(rows: Rows, fitted: _Fitted, record: Mapping[str, Any]) -> Model:
     slicing = rows.slicing if rows.kind == "window" else None
     return Model.from_classifier(
         fitted.classifier,
@@ -245,31 +247,18 @@ def _model(rows: Rows, fitted: _Fitted, training: Mapping[str, Any]) -> Model:
         hop_time=0.0 if slicing is None else slicing.hop_time,
         n_channels=rows.n_channels,
         references=rows.references,
-        training={**training, "metrics": fitted.metrics},
+        training={
+            **record,
+            "quantity": quantity_of(rows.unit),
+            "n_left_out": rows.left_out,
+            "versions": {"cgid": __version__, "python": platform.python_version()}
+            | {name: version(name) for name in ("numpy", "scikit-learn")},
+            "metrics": fitted.metrics,
+        },
     )
 
 
-def _origin(rows: Rows, synthetic: Rows | None) -> dict[str, Any]:
-    return {
-        "sources": [*rows.digests, *(() if synthetic is None else synthetic.digests)],
-        "quantity": quantity_of(rows.unit),
-        "n_left_out": rows.left_out,
-        "versions": {"cgid": __version__, "python": platform.python_version()}
-        | {name: version(name) for name in ("numpy", "scikit-learn")},
-    }
-
-
 # -- many specimens: held out -----------------------------------------------------------------------------
-
-
-@dataclass(frozen=True)
-class _Split:
-    """Which specimens judge and calibrate: the parameters of `train`."""
-
-    test_share: float
-    calibration_share: float
-    judged_on: str | None
-    seed: int
 
 
 def hold_out(
@@ -327,23 +316,35 @@ def set_apart(
     return apart
 
 
+def _split(
+    rows: Rows, judged_on: str | None, test_share: float, calibration_share: float, seed: int
+) -> dict[str, NDArray[np.bool_]]:
+    """Return the impacts that train, calibrate and judge."""
+    labels, specimen = rows.labels, rows.group
+    home = np.ones(len(labels), bool)
+    if judged_on is not None:
+        validation.choice("judged_on", judged_on, rows.sources)
+        home = np.asarray(rows.source == rows.sources.index(judged_on))
+    test, calibration = np.zeros_like(home), np.zeros_like(home)
+    test[home] = hold_out(labels[home], specimen[home], test_share, seed)
+    calibration[home] = set_apart(labels[home], specimen[home], test[home], calibration_share, seed)
+    # A specimen that judges trains nowhere, not even in another source.
+    return {"train": ~np.isin(specimen, specimen[test | calibration]), "calibration": calibration, "test": test}
+
+
 def _held_out(
     rows: Rows,
+    parts: Mapping[str, NDArray[np.bool_]],
     names: tuple[str, ...],
     guards: tuple[str, ...],
     family: str,
     class_weights: Weights,
-    split: _Split,
+    seed: int,
     crew: Workers,
 ) -> _Fitted:
     """Return a classifier that some specimens train, others calibrate and others judge."""
-    labels, specimen, seed = rows.labels, rows.group, split.seed
-    home = _home(rows, split.judged_on)
-    test, calibration = np.zeros_like(home), np.zeros_like(home)
-    test[home] = hold_out(labels[home], specimen[home], split.test_share, seed)
-    calibration[home] = set_apart(labels[home], specimen[home], test[home], split.calibration_share, seed)
-    # A specimen that judges trains nowhere, not even in another source.
-    training = ~np.isin(specimen, specimen[test | calibration])
+    labels, specimen = rows.labels, rows.group
+    training, calibration, test = parts["train"], parts["calibration"], parts["test"]
     inputs = np.ascontiguousarray(rows.inputs(names))
     with threadpool_limits(1):
         classifier = ImpactClassifier(
@@ -355,7 +356,6 @@ def _held_out(
     classes = tuple(str(label) for label in classifier.classes_)
     metrics = evaluate(labels[test], probabilities, classes, len(np.unique(specimen[test])))
     sets = [] if conformal is None else evaluate_sets(labels[test], probabilities, classes, conformal)
-    parts = {"train": training, "calibration": calibration, "test": test}
     return _Fitted(
         classifier=classifier,
         features=names,
@@ -367,20 +367,9 @@ def _held_out(
         record={
             **{f"n_{part}_specimens": len(np.unique(specimen[own])) for part, own in parts.items()},
             "n_train": int(training.sum()),
-            "test_share": split.test_share,
-            "calibration_share": split.calibration_share,
-            "judged_on": split.judged_on,
             **({} if class_weights is None else {"class_weights": class_weights}),
         },
     )
-
-
-def _home(rows: Rows, judged_on: str | None) -> NDArray[np.bool_]:
-    """Return the impacts that may judge."""
-    if judged_on is None:
-        return np.ones(len(rows.labels), bool)
-    validation.choice("judged_on", judged_on, rows.sources)
-    return np.asarray(rows.source == rows.sources.index(judged_on))
 
 
 def _calibrated(
@@ -429,7 +418,7 @@ def _left_out(
         features=best.features,
         labels=rows.labels,
         probabilities=judged.probabilities,
-        metrics=_metrics(rows, judged.probabilities),
+        metrics=evaluate_recordings(rows, judged.probabilities),
         record={
             "n_train": len(rows.labels),
             "recorded": {
@@ -476,60 +465,3 @@ def _comparison(
         }
         for k, (candidate, accuracy) in enumerate(zip(candidates, accuracies, strict=True))
     ]
-
-
-def _metrics(rows: Rows, probabilities: Floats) -> dict[str, Any]:
-    """Return the metrics of rows, of whole recordings and of running votes; intervals count groups."""
-    classes = np.unique(rows.labels)
-    metrics = evaluate(rows.labels, probabilities, tuple(classes.tolist()))
-    hits = classes[np.argmax(probabilities, axis=1)] == rows.labels
-    metrics["accuracy_interval_95"] = list(clustered_interval(hits, rows.group))
-    recordings = _recordings(rows, probabilities)
-    voted = np.array([row["vote"] == row["label"] for row in recordings])
-    owner = np.array([rows.groups.index(row["group"]) for row in recordings])
-    metrics["recordings"] = {"n": len(voted), **_share(voted, owner), "rows": recordings}
-    if rows.kind == "window":
-        metrics["running"] = [_running(rows, probabilities, time) for time in VOTE_TIMES]
-    return {**metrics, "prediction_sets": []}
-
-
-def _share(hits: NDArray[np.bool_], group: NDArray[np.integer]) -> dict[str, Any]:
-    return {"accuracy": float(hits.mean()), "accuracy_interval_95": list(clustered_interval(hits, group))}
-
-
-def _recordings(rows: Rows, probabilities: Floats) -> list[dict[str, Any]]:
-    """Return the vote of each recording: the label with the largest mean of logarithms of its rows."""
-    classes = np.unique(rows.labels)
-    votes = []
-    for source in np.unique(rows.source):
-        own = rows.source == source
-        total = np.log(np.maximum(probabilities[own], LEAST_PROBABILITY)).mean(axis=0)
-        votes.append(
-            {
-                "name": rows.sources[source],
-                "group": rows.groups[rows.group[own][0]],
-                "label": str(rows.labels[own][0]),
-                "n": int(own.sum()),
-                "accuracy": float(np.mean(classes[np.argmax(probabilities[own], axis=1)] == rows.labels[own])),
-                "vote": str(classes[np.argmax(total)]),
-            }
-        )
-    return votes
-
-
-def _running(rows: Rows, probabilities: Floats, time: float) -> dict[str, Any]:
-    """Return how often the vote of the windows within a time [s] is right, over the recordings that are so long."""
-    assert rows.slicing is not None
-    classes = np.unique(rows.labels)
-    hits, group, short = [], [], 0
-    for source in np.unique(rows.source):
-        own = rows.source == source
-        vote = RunningVote.over(time, rows.slicing.window_time, rows.slicing.hop_time)
-        voted = vote.feed(probabilities[own])[vote.n_windows - 1 :]
-        short += not len(voted)
-        hits.append(classes[np.argmax(voted, axis=1)] == rows.labels[own][0])
-        group.append(rows.group[own][: len(voted)])
-    if not sum(map(len, hits)):
-        return {"time": time, "n": 0, "n_too_short": short}
-    all_hits, all_groups = np.concatenate(hits), np.concatenate(group)
-    return {"time": time, "n": len(all_hits), "n_too_short": short, **_share(all_hits, all_groups)}

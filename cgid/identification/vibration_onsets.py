@@ -1,8 +1,8 @@
 """Where blows begin in vibrations that ring on: the sudden rise of the energy in most bands.
 
-A struck beam goes on ringing for longer than the next rock takes to fall, and motors hum all the time, so no level of
-the signal tells a blow. What does is that energy comes within a millisecond in several frequency bands at once, while
-ringing only dies away and noise stays. In each of `BANDS` the energy of the coming 2 ms is divided by what was there
+A struck beam rings for longer than the next rock takes to fall, and motors hum all the time, so no level of the signal
+indicates a blow. But a blow brings energy within a millisecond in several frequency bands at once, while ringing only
+dies away and noise stays. In each of `BANDS` the energy of the coming 2 ms is divided by what was there
 in the 4 ms before, or by the noise of the band where that is more; the mean of the roots of these ratios, squared, is
 the rise. A root is used so that no single band decides: two modes that beat make one band swell, a blow most of them.
 """
@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 from cgid.identification.events import Onset, Read
 from cgid.validation import Floats
 
-#: Sums of some energies need no more digits, and half the memory is nearly half the time.
+#: Sums of a few energies need no more digits, and half the memory takes nearly half the time.
 Singles = NDArray[np.float32]
 
-#: Energies are of windows of two hops, a hop apart [s]; a hop has so many samples at least,
+#: Energies are of windows of two hops, a hop apart [s]; a hop has at least this many samples,
 HOP_TIME, _SHORTEST_HOP = 0.5e-3, 8
 #: around these frequencies, as multiples of one over the window's length: 0.8 to 8 kHz with windows of 1 ms. Those
 #: above `HIGHEST` of the sampling rate are left out.
@@ -26,24 +26,24 @@ BANDS = (0.8, 1.6, 2.4, 3.2, 4.0, 5.0, 6.0, 8.0)
 HIGHEST = 0.45
 #: A blow is where the rise passes this,
 RISE = 3.0
-#: and the energy is this many times that of the noise. White noise alone does not come there in ten minutes; at
+#: and the energy is this many times that of the noise. White noise alone does not reach it in ten minutes; at
 #: 10 kHz, where windows have few samples, it does two or three times.
 RISE_OVER_NOISE = 3.2
 #: Hops that are looked at from a place on, and before it with one hop between.
 _NOW, _BEFORE = 3, 8
-#: What a blow makes of the rise itself is over after so many hops: another blow within the dead time can be told then.
+#: A blow affects the rise for this many hops; then another blow within the dead time can be seen.
 _REACH = 8
-#: The noise of a band is the mean energy of windows of so many hops (20 ms, a period of the mains),
+#: The noise of a band is the mean energy of windows of this many hops (20 ms, a period of the mains),
 _WINDOW_HOPS = 40
-#: of which every so many make a chunk;
+#: this many of which make a chunk;
 _CHUNK_WINDOWS = 10
 #: the one that this share of the latest windows (0.4 s) is below, for in most of the others something rings,
 _QUIET_SHARE, _WINDOWS_KEPT = 0.2, 20
-#: times this, what the mean of so many hops of white noise is over its lowest fifth.
+#: times this: the mean of that many hops of white noise over its lowest fifth.
 _QUIET_FACTOR = 1.2
-#: The first chunks wait until so many windows tell the noise.
+#: The first chunks wait until there are this many for the noise.
 START_CHUNKS = 2
-#: What is this far below the most that was seen so far is rounding, not vibration.
+#: Energy below this share of the highest so far is rounding, not vibration.
 _ROUNDING = 1e-10
 #: Samples are kept within this, energies above this.
 _LARGEST, _TINY = np.float32(1e15), np.float32(1e-30)
@@ -53,7 +53,7 @@ END_SHARE, END_OVER_NOISE = 0.01, 2.0
 _ONSET_RATE = 25_600.0
 
 
-class RingingOnsets:
+class VibrationOnsets:
     """Blows in vibrations, channel by channel or in all together, from chunks of samples.
 
     Parameters
@@ -62,7 +62,7 @@ class RingingOnsets:
         [Hz].
     n_channels : int
     dead_time : float
-        Of what rises within so long after a blow [s] nothing is a new one; 4 ms at least.
+        Nothing that rises within this time after a blow [s] is a new one; 4 ms at least.
     joint : bool
         Whether a blow in one channel is one in all.
 
@@ -73,7 +73,9 @@ class RingingOnsets:
     chunk : int
         Samples that are taken at once, or multiples of it; the first time `START_CHUNKS` at least.
     lag : int
-        What begins so many samples before the end of what was taken may not be known yet.
+        What begins this many samples before the end of what was taken may not be known yet.
+    steepest : ndarray, (n_channels,)
+        The highest rise so far; a blow is one above `RISE`.
     """
 
     def __init__(self, sampling_rate: float, n_channels: int, dead_time: float, joint: bool) -> None:
@@ -94,6 +96,7 @@ class RingingOnsets:
         self._most = np.zeros((n_channels, 1, self.n_bands), np.float32)
         self._rises = np.zeros((n_channels, 0), np.float32)
         self._latest: list[tuple[int, Onset] | None] = [None] * (1 if joint else n_channels)
+        self.steepest = np.zeros(n_channels)
 
     # -- energies -------------------------------------------------------------------------------------
 
@@ -129,9 +132,9 @@ class RingingOnsets:
         return energies
 
     def _floors_of(self, energies: Singles, n_known: int) -> tuple[Singles, Singles]:
-        """Return what is noise and what only rounding in each chunk, both (n_channels, n_chunks, n_bands).
+        """Return the noise and the rounding in each chunk, both (n_channels, n_chunks, n_bands).
 
-        Of the hops only the first n_known are there.
+        Only the first `n_known` hops exist.
         """
         n_channels, _, n_bands = energies.shape
         means = _window_means(energies)
@@ -158,7 +161,7 @@ class RingingOnsets:
         return np.float32(_QUIET_FACTOR) * noise, np.float32(_ROUNDING) * most[:, 1:]
 
     def _rises_of(self, energies: Singles, noise: Singles, rounding: Singles) -> Singles:
-        """Return the rise at each hop (n_channels, n_hops), three hops late: what is coming must have come."""
+        """Return the rise at each hop (n_channels, n_hops), three hops late: it looks ahead by that much."""
         n_channels, n_hops, n_bands = energies.shape
         joined = np.concatenate([self._energies, energies], axis=1)
         self._energies = joined[:, n_hops:]
@@ -208,6 +211,8 @@ class RingingOnsets:
         self._rises = rises[:, n_decided:]
         rows = rises.max(axis=0, keepdims=True) if self._joint else rises
         found = []
+        decided = rises[:, : max(n_decided, 0)]
+        self.steepest = np.maximum(self.steepest, decided.max(axis=1, initial=0.0))
         there = min(rises.shape[1], n_decided + (2 if n_known is None else 0))
         for row in range(len(rows)):
             for place in np.flatnonzero(rows[row, :n_decided] > RISE).tolist():
@@ -261,7 +266,7 @@ class RingingOnsets:
 
 
 def _single(samples: Floats) -> Singles:
-    """Return samples in single precision, what has no square there made smaller."""
+    """Return samples in single precision, limited to those whose square is finite."""
     with np.errstate(over="ignore"):
         return np.clip(samples.astype(np.float32), -_LARGEST, _LARGEST)
 
@@ -269,7 +274,7 @@ def _single(samples: Floats) -> Singles:
 def _window_means(energies: Singles) -> Singles:
     """Return the means (n_channels, n_windows, n_bands) of the energies (n_channels, n_hops, n_bands) of windows."""
     n_channels, n_hops, n_bands = energies.shape
-    # Halves upon each other, which are long rows, until five hops are left: several times faster than numpy's mean.
+    # Adding halves, which are long rows, until five hops are left is several times faster than numpy's mean.
     sums = energies.reshape(n_channels, n_hops // _WINDOW_HOPS, _WINDOW_HOPS * n_bands)
     while sums.shape[2] > 5 * n_bands:
         half = sums.shape[2] // 2
@@ -305,7 +310,7 @@ def onset_in(samples: Floats, width: int) -> int:
     ----------
     samples : ndarray, (n,)
     width : int
-        So many samples are averaged before their difference is taken.
+        This many samples are averaged before their difference is taken.
     """
     if width > 1:
         sums = np.append(0.0, np.cumsum(samples - samples[:1]))

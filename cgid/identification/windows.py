@@ -1,7 +1,7 @@
-"""A recording in windows of one length, and decisions that last longer than one of them: numpy only, block by block.
+"""A recording in windows of one length, block by block, and votes of several windows.
 
-Where impacts follow each other so densely that none can be taken alone, a window is what is decided on. The windows
-are the same whatever the blocks that a recording comes in: window k starts at sample k hops.
+Where impacts are too dense to be separated, windows are identified instead. They do not depend on the blocks of the
+recording: window k starts at sample k hops.
 """
 
 from __future__ import annotations
@@ -20,24 +20,24 @@ from cgid.measure.filters import Equalisation
 from cgid.measure.frames import MINIMUM_FRAME
 from cgid.validation import Floats
 
-#: How long a window lasts, where nobody says it [s].
+#: The default length of a window [s].
 WINDOW_TIME = 0.1
-#: Decisions are averaged over this, where nobody says it [s].
+#: Probabilities are averaged over this time by default [s].
 VOTE_TIME = 0.5
-#: No window lasts longer [s]: it has to be held in memory.
+#: No window is longer [s]: it is held in memory.
 LONGEST_WINDOW = 10.0
 #: The next window begins after this share of one at least, and within `LONGEST_WINDOW`.
 FINEST_HOP = 0.01
-#: So many windows vote together at most: each of them is added up for each vote.
+#: At most this many windows vote together: each of them is added up for each vote.
 _MOST_VOTING = 10_000
-#: Windows that leave at once, at most: what is measured on them takes memory.
+#: At most this many windows are yielded at once: measuring them takes memory.
 _MOST_WINDOWS = 512
-#: No probability is taken for less: one window must not rule a label out alone.
+#: Lower probabilities count as this one: no window alone rules a label out.
 LEAST_PROBABILITY = 1e-6
 
 
 def require_times(window_time: float, hop_time: float) -> None:
-    """Raise `InvalidValue` unless windows of a length [s] that start so far from each other [s] can be looked at."""
+    """Raise `InvalidValue` unless windows of this length [s] can start this far from each other [s]."""
     validation.positive("window_time", window_time, "s")
     validation.positive("hop_time", hop_time, "s")
     if window_time > LONGEST_WINDOW:
@@ -66,7 +66,7 @@ class Grid:
 
     @classmethod
     def at(cls, sampling_rate: float, window_time: float, hop_time: float) -> Grid:
-        """Return the grid at a sampling rate [Hz] of windows [s] that start so far from each other [s].
+        """Return the grid at a sampling rate [Hz] of windows of a length [s] that start a hop [s] from each other.
 
         Raises
         ------
@@ -138,7 +138,7 @@ def windows_of(
             first = grid.hop * np.arange(first_window, last_window, dtype=np.int64)
             yield first, np.swapaxes(views[:, first[0] - start : first[-1] - start + 1 : grid.hop], 0, 1)
         number = complete
-        # Windows further apart than they are long: what lies between them does not wait.
+        # Samples between windows that are further apart than they are long do not wait.
         gone = min(number * grid.hop - start, held)
         waiting, start, held = [samples[:, gone:].copy()], start + gone, held - gone
 
@@ -159,7 +159,7 @@ def measure_windows(
     names : tuple of str
         Out of `cgid.measure.features.FEATURES`.
     equalisation : sequence of Equalisation, optional
-        What makes up for the sensor's response, one for each channel.
+        Corrections of the sensor's response, one for each channel.
 
     Returns
     -------
@@ -190,7 +190,7 @@ class RunningVote:
     Parameters
     ----------
     n_windows : int
-        Over so many; over as many as have come, at the beginning.
+        Over this many; at the beginning, over all so far.
     """
 
     def __init__(self, n_windows: int) -> None:

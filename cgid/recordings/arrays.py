@@ -1,7 +1,4 @@
-"""NPY files by blocks, without pickle and without believing what their header declares.
-
-NPZ archives: their arrays by blocks without unpacking them, their small values as what is said about them.
-"""
+"""NPY files and NPZ archives by blocks: without pickle, and nothing is allocated because a header declares it."""
 
 from __future__ import annotations
 
@@ -9,9 +6,8 @@ import io
 import os
 import warnings
 import zipfile
-import zlib
 from collections.abc import Iterator, Sequence
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, Any, BinaryIO
@@ -21,17 +17,17 @@ from numpy.lib import format as npy_format
 from numpy.typing import NDArray
 
 from cgid.errors import BadData
-from cgid.recordings.recording import MAX_CHANNELS, MOST_NUMBERS, Contents
+from cgid.recordings.recording import MAX_CHANNELS, MOST_NUMBERS, Contents, understood
 from cgid.recordings.statements import Value, Values
 from cgid.recordings.variables import Variable, contents_of
 
-#: Longer headers are those of damaged files.
+#: A longer header [bytes] is damaged.
 HEADER_SIZE = 1 << 16
 
 
 @dataclass(frozen=True, kw_only=True)
 class ArrayHead:
-    """What an NPY header says, with rows and columns understood as channels and samples.
+    """What an NPY header states, with rows and columns as channels and samples.
 
     Attributes
     ----------
@@ -43,7 +39,7 @@ class ArrayHead:
     offset : int
         Bytes before the first number.
     by_sample : bool
-        The numbers of one sample stand together, not those of one channel.
+        Whether the numbers of one sample are stored together, not those of one channel.
     """
 
     shape: tuple[int, ...]
@@ -56,14 +52,14 @@ class ArrayHead:
     @property
     def size(self) -> int:
         """Bytes of all numbers."""
-        # The product is exact in Python's integers, so no declared shape can overflow or allocate anything.
+        # Exact in Python's integers: no declared shape overflows.
         return self.n_channels * self.n_samples * self.dtype.itemsize
 
     def decoded(self, raw: bytes, n_channels: int) -> NDArray[Any]:
         """Return numbers written sample by sample, or all of one channel, as (n_channels, n_samples)."""
         numbers = np.frombuffer(raw, self.dtype).reshape(-1, n_channels).T
         as_is = self.dtype.kind == "f" and self.dtype.itemsize in (4, 8)
-        # A long double beyond float64 becomes infinite, which is refused by its sample.
+        # A long double beyond float64 becomes infinite, and its sample is refused.
         with np.errstate(all="ignore"):
             return np.array(numbers, dtype=self.dtype.newbyteorder("=") if as_is else np.float64, order="C")
 
@@ -74,23 +70,22 @@ def read_npy(path: Path, source: str, variable: str | None) -> Contents:
     Parameters
     ----------
     path : Path
-        The file.
     source : str
-        Its name in messages.
+        Name of the file in messages.
     variable : str or None
-        Not used: such a file holds one array.
+        Not used: an NPY file holds one array.
 
     Returns
     -------
     Contents
-        (n_samples,) is one channel. Two axes are (n_channels, n_samples), unless the second is the shorter
-        one; they are then (n_samples, n_channels).
+        (n_samples,) is one channel. Two axes are (n_channels, n_samples), or (n_samples, n_channels) if the second is
+        shorter.
 
     Raises
     ------
     BadData
-        The header is damaged; the type is not real numbers; the shape is empty, of more than two axes, or
-        does not match the size of the file.
+        The header is damaged; the type is not real numbers; the shape is empty, has more than two axes, or does not
+        match the size of the file.
 
     Examples
     --------
@@ -162,7 +157,7 @@ def _header(start: bytes, source: str) -> tuple[tuple[int, ...], bool, np.dtype[
                 (3, 0): npy_format.read_array_header_2_0,
             }[version]
             shape, fortran_order, dtype = read(file)
-        # The literal goes through Python's own parser, whose ways to fail on damaged text are not countable.
+        # The literal goes through Python's own parser, which fails on damaged text in many ways.
         except Exception:
             raise BadData(f"{source}: the header of the NPY file is damaged; copy or save it again") from None
     return shape, fortran_order, dtype, file.tell()
@@ -183,59 +178,60 @@ def _by_channel(file: BinaryIO, head: ArrayHead, length: int, channels: Sequence
         for channel in channels:
             file.seek(head.offset + (channel * head.n_samples + first) * head.dtype.itemsize)
             block.append(file.read(count * head.dtype.itemsize))
-        # The channels of a file that is cut while it is read stay of one length.
+        # If the file is cut while it is read, all channels keep one length.
         whole = min(map(len, block)) // head.dtype.itemsize * head.dtype.itemsize
         yield np.concatenate([head.decoded(raw[:whole], 1) for raw in block])
         first += count
 
 
 def _counts(head: ArrayHead, length: int, n_channels: int) -> Iterator[int]:
-    """Yield how many samples are read each time."""
+    """Yield the number of samples to read each time."""
     most = min(length, max(1, MOST_NUMBERS // n_channels))
     for first in range(0, head.n_samples, most):
         yield min(most, head.n_samples - first)
 
 
-#: Values of more bytes than this are arrays, not statements.
+#: A larger value [bytes] is an array, not a statement.
 _SMALL = 1 << 16
 
-#: Archives hold no more arrays than this by intention.
+#: An archive of more arrays is hostile.
 _MOST_MEMBERS = 10_000
 
-#: Deflate packs 1032 to 1 at best (zlib's technical details); what declares more is not true.
+#: Deflate packs 1032 to 1 at best (zlib's technical details); an array that declares more is damaged.
 _BEST_PACKING = 1032
 
-#: Channels that stand one behind the other are unpacked side by side.
+#: Channels that are stored one after the other are unpacked side by side, but no more than this.
 _MOST_SIDE_BY_SIDE = 64
 
-#: Bytes, and numbers, that are unpacked at once.
+#: Bytes, and numbers, to unpack at once.
 _PIECE = 1 << 18
+
+
+_DAMAGED = ("the archive is damaged or cut off", "copy or save it again")
 
 
 def read_npz(path: Path, source: str, variable: str | None) -> Contents:
     """Return the channels of an array in an NPZ archive.
 
-    Values such as ``fs`` or ``unit`` in the archive say what they are named; an array of times of the same length
-    gives the sampling rate.
+    Values such as ``fs`` or ``unit`` in the archive state rate and unit; an array of times of the same length gives the
+    sampling rate, too.
 
     Parameters
     ----------
     path : Path
-        The file.
     source : str
-        Its name in messages.
+        Name of the file in messages.
     variable : str or None
-        The name of an array, or a pattern for several of one length; needed where several can be meant.
+        The name of an array, or a pattern for several of one length; needed if the archive holds several.
 
     Raises
     ------
     BadData
-        The archive is damaged (it has checksums, which are compared when all has been read), or none or several of
-        its arrays can be meant.
+        The archive is damaged (its checksums are compared when all has been read), or holds no array or several.
     """
     variables: list[Variable] = []
     said: dict[str, Values] = {}
-    with _sound(source), zipfile.ZipFile(path) as archive:
+    with understood(source, *_DAMAGED), zipfile.ZipFile(path) as archive:
         members = [member for member in archive.infolist() if member.filename.endswith(".npy")]
         if len(members) > _MOST_MEMBERS:
             raise BadData(f"{source}: an archive must hold at most {_MOST_MEMBERS} arrays, it holds {len(members)}")
@@ -251,14 +247,14 @@ def read_npz(path: Path, source: str, variable: str | None) -> Contents:
 
 
 def _variable(archive: zipfile.ZipFile, path: Path, member: zipfile.ZipInfo, source: str) -> Variable | None:
-    """Return an array of the archive as something that may be the recording; None if it is not of real numbers."""
+    """Return an array of the archive that may be the recording; None if it is not of real numbers."""
     group, _, name = member.filename.removesuffix(".npy").rpartition("/")
     with archive.open(member) as file:
         start = file.read(HEADER_SIZE)
     try:
         head = array_head(start, f"{source}: {name}")
     except BadData:
-        # Texts, objects and arrays of three axes may lie beside the recording.
+        # Texts, objects and arrays of three axes may accompany the recording.
         return None
     held = member.file_size - head.offset
     fault = ""
@@ -268,7 +264,7 @@ def _variable(archive: zipfile.ZipFile, path: Path, member: zipfile.ZipInfo, sou
         fault = f"of {head.n_channels} channels must be saved as (n_samples, n_channels)"
 
     def blocks(length: int, channels: Sequence[int]) -> Iterator[NDArray[np.float64]]:
-        with _sound(source), zipfile.ZipFile(path) as again:
+        with understood(source, *_DAMAGED), zipfile.ZipFile(path) as again:
             yield from _blocks(again, member.filename, head, length, channels)
 
     if not head.n_samples or not head.n_channels:
@@ -290,14 +286,14 @@ def _blocks(
     with ExitStack() as stack:
         files = [stack.enter_context(archive.open(name)) for _ in (channels if not head.by_sample else [0])]
         for file, channel in zip(files, channels, strict=False):
-            # By reading: an archive that is sought in does not compare its checksums.
+            # By reading, as zipfile does not compare checksums after seeking.
             _pass_over(file, head.offset + (0 if head.by_sample else channel * head.n_samples * width))
         most = min(length, max(1, _PIECE // together))
         for first in range(0, head.n_samples, most):
             size = min(most, head.n_samples - first) * together * width
             rows = np.concatenate([head.decoded(_exactly(file, size), together) for file in files])
             yield np.ascontiguousarray(rows[list(channels)]) if head.by_sample else rows
-        # The checksum is compared where the array ends, which is behind the last channel.
+        # The checksum is compared at the end of the array, after the last channel.
         last = files[0 if head.by_sample else int(np.argmax(channels))]
         while last.read(_PIECE):
             pass
@@ -311,7 +307,7 @@ def _pass_over(file: IO[bytes], size: int) -> None:
 def _exactly(file: IO[bytes], size: int) -> bytes:
     raw = file.read(size)
     if len(raw) < size:
-        raise EOFError
+        raise EOFError("it ends too early")
     return raw
 
 
@@ -322,7 +318,7 @@ def _value(raw: bytes) -> Value | None:
             # A damaged header may warn about its syntax before it fails.
             warnings.simplefilter("ignore")
             array = npy_format.read_array(io.BytesIO(raw), allow_pickle=False)
-    # The header goes through Python's own parser, whose ways to fail on damaged text are not countable.
+    # The header goes through Python's own parser, which fails on damaged text in many ways.
     except Exception:
         return None
     if array.dtype.kind == "S":
@@ -331,18 +327,3 @@ def _value(raw: bytes) -> Value | None:
         texts = [str(text) for text in array.ravel()[:MAX_CHANNELS]]
         return texts[0] if array.size == 1 else texts
     return float(array.ravel()[0]) if array.dtype.kind in "fiu" and array.size == 1 else None
-
-
-@contextmanager
-def _sound(source: str) -> Iterator[None]:
-    """Say what is wrong with an archive in one line."""
-    try:
-        yield
-    except (FileNotFoundError, PermissionError):
-        raise
-    # Besides its own errors, zipfile raises RuntimeError on encrypted members and those of the parsers below it.
-    except (zipfile.BadZipFile, zlib.error, EOFError, RuntimeError, NotImplementedError, OSError, ValueError) as error:
-        if isinstance(error, BadData):
-            raise
-        reason = " ".join(str(error).split())[:120] or "it ends too early"
-        raise BadData(f"{source}: the archive is damaged or cut off ({reason}); copy or save it again") from None

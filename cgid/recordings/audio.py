@@ -1,6 +1,7 @@
-"""The pages of an Ogg file (RFC 3533): whether all of them are there, which decoders do not tell.
+"""FLAC and OGG files by blocks: libsndfile decodes them, what it passes over in silence is checked here.
 
-FLAC and OGG files by blocks, decoded by libsndfile; what it passes over silently is checked here.
+libsndfile does not compare FLAC's checksum of all samples (RFC 9639, 8.2), nor does it say that pages of an Ogg file
+are missing (RFC 3533).
 """
 
 from __future__ import annotations
@@ -18,55 +19,15 @@ from numpy.typing import NDArray
 from cgid.errors import BadData, MissingExtra
 from cgid.recordings.recording import Contents
 
-#: Bytes of a page before its table of segments.
-_HEAD_SIZE = 27
-
-_LAST_PAGE = 4
-
-
-@dataclass(frozen=True, kw_only=True)
-class OggPages:
-    """What the pages of a file say.
-
-    Attributes
-    ----------
-    is_whole : bool
-        The last page is marked as such, and none is missing before.
-    n_samples : int or None
-        Of each channel, by the position of the last page; None where it does not count samples.
-    """
-
-    is_whole: bool
-    n_samples: int | None
-
-
-def ogg_pages(path: Path) -> OggPages | None:
-    """Return what the pages of a file say; None if it is no Ogg file."""
-    position, flags, number = 0, 0, -1
-    is_vorbis = False
-    with path.open("rb") as file:
-        size = os.fstat(file.fileno()).st_size
-        at = 0
-        while len(head := file.read(_HEAD_SIZE)) == _HEAD_SIZE and head.startswith(b"OggS"):
-            table = file.read(head[26])
-            end = at + _HEAD_SIZE + head[26] + sum(table)
-            if end > size or int.from_bytes(head[18:22], "little") != number + 1:
-                break
-            if not at:
-                is_vorbis = file.read(7) == b"\x01vorbis"
-            number, flags, at = number + 1, head[5], end
-            position = int.from_bytes(head[6:14], "little", signed=True)
-            file.seek(at)
-        if not at and not head.startswith(b"OggS"):
-            return None
-    return OggPages(is_whole=at == size and bool(flags & _LAST_PAGE), n_samples=position if is_vorbis else None)
-
-
-#: Samples of each channel that are decoded at once; what lies before damage is read to so many.
+#: Samples of each channel to decode at once; before damage, samples are read to the last whole group of this size.
 _DECODED = 1024
 
 #: Samples of a channel that one byte of a file can hold at most: a FLAC frame of 65535 equal ones takes some 12.
 _BEST_PACKING = 1 << 13
+
+#: Bytes of a page of Ogg before its table of segments.
+_PAGE_HEAD = 27
+_LAST_PAGE = 4
 
 
 def read_audio(path: Path, source: str, variable: str | None) -> Contents:
@@ -75,17 +36,16 @@ def read_audio(path: Path, source: str, variable: str | None) -> Contents:
     Parameters
     ----------
     path : Path
-        The file.
     source : str
-        Its name in messages.
+        Name of the file in messages.
     variable : str or None
         Not used: such a file holds one recording.
 
     Returns
     -------
     Contents
-        With a full scale of 1.0, in "FS" if nobody says otherwise. Of a file that is damaged or cut off what comes
-        before, and a warning.
+        With a full scale of 1.0, in "FS" unless the user gives a unit. If the file is damaged or cut off, the samples
+        before the damage and a warning.
 
     Raises
     ------
@@ -106,7 +66,7 @@ def read_audio(path: Path, source: str, variable: str | None) -> Contents:
     return Contents(
         n_channels=n_channels,
         blocks=sound.blocks,
-        # A header may declare what no file of this size can hold.
+        # A header may declare more than a file of this size can hold.
         n_samples=n_samples if 0 <= n_samples <= _BEST_PACKING * path.stat().st_size else None,
         sampling_rate=rate,
         rate_from="header of the audio file",
@@ -123,7 +83,7 @@ class _Sound:
     warnings: list[str] = field(default_factory=list)
 
     def opened(self) -> Any:
-        # By way of Python's own opening, so that a missing file is told as such.
+        # Opened by Python first, which says that a file is missing.
         self.path.open("rb").close()
         try:
             return self.library.SoundFile(str(self.path))
@@ -136,7 +96,7 @@ class _Sound:
         """Yield the samples of channels, and at the end warn of what is missing."""
         picked, count = list(channels), 0
         checksum = _Checksum.of(self.path)
-        pages = ogg_pages(self.path)
+        end = _ogg_end(self.path)
         with self.opened() as file:
             most = min(length, _DECODED)
             declared = file.frames
@@ -157,8 +117,8 @@ class _Sound:
             self._stopped(count, declared, "it ends there")
         elif checksum and not checksum.holds:
             self.warnings.append("the samples are not those of the checksum in the header; some are damaged or missing")
-        if pages:
-            self._compare(pages, count)
+        if end is not None:
+            self._compare(*end, count)
 
     def _stopped(self, count: int, declared: int, reason: str) -> None:
         if not count:
@@ -168,25 +128,25 @@ class _Sound:
             "damaged, what comes before was read"
         )
 
-    def _compare(self, pages: OggPages, count: int) -> None:
-        if not pages.is_whole:
+    def _compare(self, is_whole: bool, n_samples: int | None, count: int) -> None:
+        if not is_whole:
             self.warnings.append(f"the file has no end; it looks cut off, the {count} samples before were read")
-        elif pages.n_samples not in (None, count):
+        elif n_samples not in (None, count):
             raise BadData(
-                f"{self.source}: the file must hold {pages.n_samples} samples and {count} can be decoded; some of its "
+                f"{self.source}: the file must hold {n_samples} samples and {count} can be decoded; some of its "
                 "pages are damaged, copy or export it again"
             )
 
 
 class _Checksum:
-    """MD5 of the samples of a FLAC file, to be compared with that in its header (RFC 9639, 8.2)."""
+    """MD5 of the samples of a FLAC file, to compare with the one in its header."""
 
     def __init__(self, bits: int, expected: bytes) -> None:
         self._bits, self._expected, self._found = bits, expected, hashlib.md5(usedforsecurity=False)
 
     @classmethod
     def of(cls, path: Path) -> _Checksum | None:
-        """Return a checksum to be fed; None if the file has none."""
+        """Return the checksum of no samples yet; None if the header has none."""
         with path.open("rb") as file:
             head = file.read(42)
         if not head.startswith(b"fLaC") or len(head) < 42 or not any(head[26:42]):
@@ -200,10 +160,34 @@ class _Checksum:
 
     @property
     def holds(self) -> bool:
-        """Whether what was fed is what was written."""
+        """Whether the samples are those that were written."""
         return self._found.digest() == self._expected
 
 
 def _reason(error: Exception) -> str:
-    # Without the name of the file, which the message begins with already.
+    # Without the name of the file, with which the message begins already.
     return " ".join(str(error).rpartition("':")[2].split()).rstrip(".")[:120]
+
+
+def _ogg_end(path: Path) -> tuple[bool, int | None] | None:
+    """Return whether all pages of an Ogg file are there, and the samples of a channel, if its last page counts them.
+
+    None if it is no Ogg file.
+    """
+    position, flags, number, at = 0, 0, -1, 0
+    is_vorbis = False
+    with path.open("rb") as file:
+        size = os.fstat(file.fileno()).st_size
+        while len(head := file.read(_PAGE_HEAD)) == _PAGE_HEAD and head.startswith(b"OggS"):
+            table = file.read(head[26])
+            end = at + _PAGE_HEAD + head[26] + sum(table)
+            if end > size or int.from_bytes(head[18:22], "little") != number + 1:
+                break
+            if not at:
+                is_vorbis = file.read(7) == b"\x01vorbis"
+            number, flags, at = number + 1, head[5], end
+            position = int.from_bytes(head[6:14], "little", signed=True)
+            file.seek(at)
+        if not at and not head.startswith(b"OggS"):
+            return None
+    return at == size and bool(flags & _LAST_PAGE), position if is_vorbis else None

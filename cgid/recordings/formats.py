@@ -1,25 +1,44 @@
-"""Which format a file is in, told by its first bytes; by its name only where these say nothing."""
+"""From a file or a stream to a recording: the first bytes show the format, its reader is imported when needed."""
 
 from __future__ import annotations
 
+import errno
 import re
-from collections.abc import Callable
+import sys
+import tempfile
+import warnings
+import weakref
+from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager, ExitStack, nullcontext, suppress
 from dataclasses import dataclass
+from functools import partial
 from importlib import import_module
 from pathlib import Path
+from threading import Timer
+from typing import IO, Any
 
-from cgid.errors import BadData, InvalidValue
-from cgid.recordings.mat.elements import MAT_ORDERS
-from cgid.recordings.recording import DATASET_CURE, Contents
+from cgid.errors import BadData, InvalidValue, NoInput, WriteFailed
+from cgid.recordings.recording import DATASET_CURE, Contents, RecordingFile, told
 from cgid.recordings.wav import WAV_MAGICS
+from cgid.signals import Signal
+from cgid.units import quantity_of
+from cgid.validation import require_rate
 
-#: So many bytes tell any format.
+#: Bytes from the beginning of a file that show any format.
 HEAD_SIZE = 1024
 
 HDF5_MAGIC = b"\x89HDF\r\n\x1a\n"
+#: Version and byte order at the end of the header of MATLAB's files. Version 7.3 says 2 and is HDF5.
+_MAT_MAGICS = (b"\x00\x01IM", b"\x01\x00MI")
 # The delimiter and the type of a data set, in columns: those of units, of coordinates and of functions come first.
 _UFF = re.compile(rb"(?: {4}-1 *\r?\n)+(?: {3}(?:151|164)| {4}(?:15|18|55|58|82)| {2}(?:1858|24[0-9]{2}))[b \r\n]")
 _HDF5_SUFFIXES = (".h5", ".hdf5", ".hdf")
+
+#: A longer stream on the standard input [bytes] is refused: it is saved to the disk before it is read.
+LARGEST_STREAM = 32 << 30
+_PIECE = 1 << 20
+#: A warning comes if nothing arrives for this long [s].
+_PATIENCE = 5.0
 
 
 @dataclass(frozen=True)
@@ -30,20 +49,20 @@ class Format:
     ----------
     name : str
     matches : callable
-        From the first `HEAD_SIZE` bytes and the suffix in small letters to whether a file is of this format.
+        Returns whether a file is of this format from its first `HEAD_SIZE` bytes.
     reader : str
-        ``module:function`` in `cgid.recordings`; imported when such a file comes.
+        ``module:function`` in `cgid.recordings`.
     takes_variable : bool
-        Whether a file may hold several arrays, of which one can be asked for.
+        Whether a file may hold several arrays, one of which can be chosen.
     """
 
     name: str
-    matches: Callable[[bytes, str], bool]
+    matches: Callable[[bytes], bool]
     reader: str
     takes_variable: bool = False
 
     def read(self, path: Path, source: str, variable: str | None) -> Contents:
-        """Return what a file of this format says; raises as `cgid.recordings.open_recording` does."""
+        """Return the contents of a file of this format; raises as `cgid.recordings.open_recording` does."""
         if variable is not None and not self.takes_variable:
             raise InvalidValue(
                 f"{source}: a {self.name} file holds one recording, there is no variable {variable!r}; leave out "
@@ -54,29 +73,28 @@ class Format:
         return contents
 
 
-def _starts(*magics: bytes) -> Callable[[bytes, str], bool]:
-    return lambda head, suffix: head.startswith(magics)
+def _starts(*magics: bytes) -> Callable[[bytes], bool]:
+    return lambda head: head.startswith(magics)
 
 
-def is_hdf5(head: bytes, suffix: str) -> bool:
-    """Return whether a file begins as HDF5 does, or as MATLAB's files in it."""
-    # The superblock may stand behind a block of the user's, as MATLAB's header is.
+def is_hdf5(head: bytes) -> bool:
+    """Return whether a file begins as HDF5 does; in MATLAB's files it follows a header of 512 bytes."""
     return any(head[place:].startswith(HDF5_MAGIC) for place in (0, 512))
 
 
-#: The first that matches reads; text is what is left.
+#: The first format that matches counts; text matches everything.
 FORMATS: tuple[Format, ...] = (
     Format("NPY", _starts(b"\x93NUMPY"), "arrays:read_npy"),
     Format("WAV", _starts(*WAV_MAGICS), "wav:read_wav"),
     Format("NPZ", _starts(b"PK\3\4"), "arrays:read_npz", takes_variable=True),
     Format("HDF5", is_hdf5, "hdf5:read_hdf5", takes_variable=True),
-    Format("MATLAB", lambda head, suffix: head[124:128] in MAT_ORDERS, "mat.reader:read_mat", takes_variable=True),
+    Format("MATLAB", lambda head: head[124:128] in _MAT_MAGICS, "mat:read_mat", takes_variable=True),
     Format("TDMS", _starts(b"TDSm"), "tdms:read_tdms", takes_variable=True),
-    Format("UFF", lambda head, suffix: _UFF.match(head) is not None, "uff:read_uff", takes_variable=True),
+    Format("UFF", lambda head: _UFF.match(head) is not None, "uff:read_uff", takes_variable=True),
     Format("Parquet", _starts(b"PAR1"), "parquet:read_parquet"),
     Format("FLAC or OGG", _starts(b"fLaC", b"OggS"), "audio:read_audio"),
-    Format("LVM", lambda head, suffix: b"LabVIEW Measurement" in head[:32], "lvm:read_lvm", takes_variable=True),
-    Format("text", lambda head, suffix: True, "text:read_text"),
+    Format("LVM", lambda head: b"LabVIEW Measurement" in head[:32], "lvm:read_lvm", takes_variable=True),
+    Format("text", lambda head: True, "text:read_text"),
 )
 
 
@@ -86,16 +104,275 @@ def format_of(path: Path, source: str) -> Format:
     Raises
     ------
     BadData
-        The file is empty, or named like a dataset without being one.
+        The file is empty, or its name is that of a dataset and its content is not.
     """
     with path.open("rb") as file:
         head = file.read(HEAD_SIZE)
     if not head:
         raise BadData(f"{source}: a recording must hold numbers, the file is empty; record or export it again")
-    suffix = Path(source).suffix.lower()
-    found = next(one for one in FORMATS if one.matches(head, suffix))
-    if found.name == "text" and suffix in _HDF5_SUFFIXES:
+    found = next(one for one in FORMATS if one.matches(head))
+    if found.name == "text" and Path(source).suffix.lower() in _HDF5_SUFFIXES:
         raise BadData(
             f"{source}: named like a dataset, but its content is not HDF5; rename it if it is text, else {DATASET_CURE}"
         )
     return found
+
+
+def is_dataset(path: str | Path) -> bool:
+    """Return whether `path` is a directory, or an HDF5 file of cgid that is not a recording.
+
+    An HDF5 file that is too damaged to show what it is counts as a dataset. `cgid.store` reads such inputs. A path that
+    does not exist or cannot be opened is no dataset, and neither is "-", the standard input.
+
+    Examples
+    --------
+    >>> is_dataset("-"), is_dataset(".")
+    (False, True)
+    """
+    if str(path) in ("", "-"):
+        return False
+    try:
+        if Path(path).is_dir():
+            return True
+        # Opening a pipe would swallow its first bytes, so only regular files are opened.
+        if not Path(path).is_file():
+            return False
+        with Path(path).open("rb") as file:
+            if file.read(len(HDF5_MAGIC)) != HDF5_MAGIC:
+                return False
+    except (OSError, ValueError):
+        return False
+    from cgid.store.description import RECORDING_FORMAT
+    from cgid.store.sandbox import format_said
+
+    said = format_said(Path(path))
+    return said is None or (said.startswith("cgid") and said != RECORDING_FORMAT)
+
+
+def open_recording(
+    path: str | Path,
+    *,
+    sampling_rate: float | None = None,
+    unit: str | None = None,
+    channel: int | str | Sequence[int | str] | None = None,
+    variable: str | None = None,
+) -> RecordingFile:
+    r"""Open a recording; the content shows the format, not the file's name.
+
+    Text (CSV, TXT, ...) may use any of comma, semicolon, tab, bar and blanks between its columns, a decimal comma
+    unless the comma separates columns, comments above and below the numbers, header lines, UTF-8, UTF-16, GB 18030 or
+    Latin-1. A header such as ``time (ms), force [kN]`` gives names and units, ``# sampling_rate: 200 kHz`` and
+    ``# unit: N`` the rest. A time column is in seconds unless its header says ms or us, or holds times of day.
+
+    LabVIEW measurement files (LVM): the channels of all segments that follow each other without a gap; `variable` is
+    the number of one segment, or the channel whose length and rate the others must have.
+
+    WAV (RIFF, RIFX, RF64) holds any number of channels; integers are scaled to a full scale of 1.0 and, like floats,
+    are in "FS" unless `unit` is given, which then is taken as the unit of the numbers between -1 and 1. FLAC and OGG
+    likewise (library soundfile).
+
+    NPY holds one channel, (n_samples,), or several: (n_channels, n_samples), unless the second axis is the
+    shorter one, which is then read as (n_samples, n_channels).
+
+    NPZ, HDF5 and MATLAB files (version 5 and up) hold arrays by name. If there are several besides times, `variable`
+    chooses: an array, a group or struct of arrays of one length, or a pattern such as ``ch*``. Rate, unit, start and
+    channel names are taken from attributes and single values (``fs``, ``dt``, ``unit``, ...), the nearest first, the
+    rate else from an array of times. A recording made by `cgid generate` holds one channel with its rate and unit.
+
+    TDMS (library nptdms): the channels of one group with their waveform properties; `variable` is a group or
+    ``group/channel``. Universal files (UFF, UNV, library pyuff): the data sets 58 over time; `variable` is the number
+    or the name of one. Parquet (library pyarrow): columns, as of a text file.
+
+    If a WAV, FLAC, OGG, LVM or TDMS file is cut off, its whole samples are read, and `RecordingFile.warnings` say so.
+
+    Parameters
+    ----------
+    path : str or Path
+        The file; "-" is the standard input.
+    sampling_rate : float, optional
+        [Hz], above 0; needed where the file does not state it. Where both do they must agree to 0.1 %, and this number,
+        which has not been rounded, is used.
+    unit : str, optional
+        Unit of the numbers, where the file does not state it; nothing is converted.
+    channel : int, str or sequence of these, optional
+        Read only these channels: number from 1 (the time column does not count) or name in the header; "1+2" is both.
+    variable : str, optional
+        Which of the arrays, tables or groups of the file to read.
+
+    Returns
+    -------
+    RecordingFile
+
+    Raises
+    ------
+    NoInput
+        The file does not exist or cannot be opened.
+    BadData
+        The file is empty, damaged, a dataset or no recording; it contradicts itself or `unit`.
+    MissingOption
+        Neither the file nor `sampling_rate` gives the sampling rate.
+    MissingExtra
+        The format needs a library that is not installed.
+    InvalidValue
+        `sampling_rate`, `unit`, `channel` or `variable` breaks its rule, or `sampling_rate` contradicts the file.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     file = Path(folder) / "hit.csv"
+    ...     _ = file.write_text("time (ms),force (kN)\n0.00,0.0\n0.01,1.5\n0.02,0.5\n")
+    ...     recording = open_recording(file)
+    ...     blocks = [block.tolist() for block in recording.blocks(2)]
+    >>> recording.channels, blocks
+    ((Channel(name='1', unit='kN'),), [[[0.0, 1.5]], [[0.5]]])
+    """
+    if sampling_rate is not None:
+        sampling_rate = require_rate(sampling_rate)
+    if unit is not None:
+        quantity_of(unit)
+    source = "stdin" if str(path) == "-" else str(path)
+    regular, spool = _regular(path, source)
+    try:
+        with told(source):
+            found = format_of(regular, source)
+            recording = RecordingFile(
+                found.read(regular, source, variable),
+                source=source,
+                format=found.name,
+                sampling_rate=sampling_rate,
+                unit=unit,
+                channel=channel,
+            )
+    except BaseException:
+        spool.close()
+        raise
+    weakref.finalize(recording, spool.close)
+    return recording
+
+
+def read_recording(
+    path: str | Path,
+    *,
+    sampling_rate: float | None = None,
+    unit: str | None = None,
+    channel: int | str | Sequence[int | str] | None = None,
+    variable: str | None = None,
+) -> list[Signal]:
+    r"""Read a whole recording into memory: one `Signal` a channel, (n_samples,) each.
+
+    Parameters and errors are those of `open_recording`. `BadData` is also raised if a number is missing or not finite,
+    or if the recording does not fit in memory.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     file = Path(folder) / "hit.csv"
+    ...     _ = file.write_text("time (ms),force (kN)\n0.00,0.0\n0.01,1.5\n0.02,0.5\n")
+    ...     (signal,) = read_recording(file)
+    >>> signal.samples.tolist(), signal.unit, round(signal.sampling_rate, 6)
+    ([0.0, 1.5, 0.5], 'kN', 100000.0)
+    """
+    return open_recording(path, sampling_rate=sampling_rate, unit=unit, channel=channel, variable=variable).signals()
+
+
+# ---- streams: saved to a temporary file, as some formats have their index at the end ---------------------------------
+
+
+def _regular(path: str | Path, source: str) -> tuple[Path, ExitStack]:
+    """Return a regular file with the content; closing the stack removes it if it is a temporary copy."""
+    if not str(path):
+        raise NoInput("the name of the recording must not be empty; give a file, or - for the standard input")
+    try:
+        with told(source):
+            if str(path) == "-":
+                if sys.stdin is None:
+                    raise NoInput("stdin: the standard input must be open, it is closed; give a file, or pipe one in")
+                if sys.stdin.buffer.isatty():
+                    raise NoInput("stdin: a recording must be a file or a pipe, this is a terminal; pipe one in")
+                return _saved(lambda: nullcontext(sys.stdin.buffer), source)
+            path = Path(path)
+            if path.is_dir():
+                raise BadData(f"{source}: a directory is a dataset, not one recording; {DATASET_CURE}")
+            if path.is_char_device() or path.is_block_device():
+                raise NoInput(
+                    f"{source}: a recording must be a file or a pipe, this is a device; record it to a file, or follow "
+                    "it by cgid monitor"
+                )
+            if path.exists() and not path.is_file():
+                return _saved(partial(path.open, "rb"), source)
+            # Opened once, so that its errors come before any others.
+            path.open("rb").close()
+            return path, ExitStack()
+    except (BadData, NoInput):
+        raise
+    # A closed standard input and a NUL byte in the name are ValueErrors, a missing standard input has no buffer.
+    except (ValueError, AttributeError) as error:
+        raise NoInput(f"{source!r}: the file cannot be opened ({error}); check the name") from None
+
+
+def _saved(opened: Callable[[], AbstractContextManager[Any]], source: str) -> tuple[Path, ExitStack]:
+    """Return a temporary file with the content of a stream, and the stack that removes it."""
+    waiting = Timer(_PATIENCE, _warn_of_waiting, [source])
+    waiting.daemon = True
+    waiting.start()
+    spool = ExitStack()
+    try:
+        with opened() as stream:
+            piece = stream.read(_PIECE)
+            waiting.cancel()
+            path, file = temporary_file(spool, needs_name=is_hdf5(piece[:HEAD_SIZE]))
+            while piece:
+                if file.tell() > LARGEST_STREAM:
+                    raise BadData(
+                        f"stream: it must end within {LARGEST_STREAM >> 30} GiB to be read as a recording, it goes on; "
+                        "save it as a file, or follow it by cgid monitor"
+                    )
+                file.write(piece)
+                piece = stream.read(_PIECE)
+        file.flush()
+    except BaseException as error:
+        with suppress(OSError):
+            spool.close()
+        if isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT):
+            folder = tempfile.gettempdir()
+            raise WriteFailed(f"{folder}: the disk must have room for the stream, it is full; set TMPDIR") from None
+        raise
+    finally:
+        waiting.cancel()
+    return path, spool
+
+
+def temporary_file(spool: ExitStack, *, needs_name: bool = False) -> tuple[Path, IO[bytes]]:
+    """Return the path of a temporary file and the open file, which goes when the stack closes or this process ends.
+
+    Windows is untested; without /bin/sh the file stays if the process is killed.
+    """
+    if not needs_name and Path("/proc/self/fd").is_dir():
+        file = spool.enter_context(tempfile.TemporaryFile())  # noqa: SIM115
+        return Path(f"/proc/self/fd/{file.fileno()}"), file
+    # HDF5 opens nothing without a name, and other systems than Linux open no file twice without one.
+    import subprocess
+
+    kept = tempfile.NamedTemporaryFile(prefix="cgid-", suffix=".recording", delete=False)  # noqa: SIM115
+    spool.callback(Path(kept.name).unlink, missing_ok=True)
+    spool.enter_context(kept)
+    with suppress(FileNotFoundError):
+        remover = subprocess.Popen(
+            ["/bin/sh", "-c", 'cat; rm -f -- "$1"', "sh", kept.name],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+            start_new_session=True,
+        )
+        spool.enter_context(remover)
+    return Path(kept.name), kept.file
+
+
+def _warn_of_waiting(source: str) -> None:
+    warnings.warn(
+        f"{source}: nothing has come for {_PATIENCE:g} s, a recording is read when its stream has ended; write into "
+        "it, or follow a live one by cgid monitor",
+        stacklevel=1,
+    )

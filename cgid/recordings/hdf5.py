@@ -1,7 +1,4 @@
-"""Recordings that cgid itself made.
-
-HDF5 that others wrote, MATLAB's v7.3 among it; `cgid.store` reads it.
-"""
+"""HDF5 files, of cgid or of others, MATLAB's v7.3 among them; `cgid.store` reads them in a process of its own."""
 
 from __future__ import annotations
 
@@ -14,7 +11,7 @@ from numpy.typing import NDArray
 
 from cgid.errors import BadData, InvalidValue
 from cgid.recordings.recording import DATASET_CURE, Contents
-from cgid.recordings.statements import is_telling
+from cgid.recordings.statements import is_statement
 from cgid.recordings.variables import Variable, contents_of, orientation
 
 if TYPE_CHECKING:
@@ -41,7 +38,7 @@ def read_own(path: Path) -> Contents:
     )
 
 
-#: Attributes of packed numbers and what is meant without them: CF conventions 1.11, section 8.1.
+#: Attributes of packed numbers and their defaults: CF conventions 1.11, section 8.1.
 _PACKING = {"scale_factor": 1.0, "add_offset": 0.0}
 
 
@@ -53,24 +50,23 @@ def read_hdf5(path: Path, source: str, variable: str | None) -> Contents:
     path : Path
         The file.
     source : str
-        Its name in messages.
+        Name of the file in messages.
     variable : str or None
-        Path of an array, of a group, or a pattern; None if there is one array only beside times.
+        Path of an array, of a group, or a pattern; None if there is one array only besides times.
 
     Returns
     -------
     Contents
-        Two axes are channels and samples, the longer one that of the samples. The rate is what attributes or single
-        values such as ``sampling_rate``, ``fs`` or ``dt`` of the array, its groups or the root say, the nearest
-        first; else what an array of times beside it says. ``unit``, ``start_time`` and ``channel_names`` likewise.
-        Numbers packed after the Climate and Forecast conventions are unpacked by their ``scale_factor`` and
-        ``add_offset``.
+        Two axes are channels and samples, the longer one that of the samples. The rate is that of attributes or single
+        values such as ``sampling_rate``, ``fs`` or ``dt`` of the array, its groups or the root, the nearest first; else
+        that of an array of times next to it. ``unit``, ``start_time`` and ``channel_names`` likewise. Numbers packed
+        after the Climate and Forecast conventions are unpacked by their ``scale_factor`` and ``add_offset``.
 
     Raises
     ------
     BadData
-        The file is damaged, a dataset of cgid, holds no array of numbers or several, or the array lies elsewhere,
-        declares more than is stored, or is packed in a way that HDF5 does not know here.
+        The file is damaged, a dataset of cgid, or holds no array of numbers or several; or the array is in another
+        file, declares more than is stored, or is packed in a way that HDF5 does not know here.
     """
     from cgid.store.description import RECORDING_FORMAT
     from cgid.store.foreign import array_blocks, survey
@@ -81,7 +77,7 @@ def read_hdf5(path: Path, source: str, variable: str | None) -> Contents:
         if variable not in (None, "samples"):
             raise InvalidValue(f"{source}: the variable of a recording of cgid is 'samples', got {variable!r}")
         return read_own(path)
-    found = survey(path, source, lambda name: name in _PACKING or is_telling(name))
+    found = survey(path, source, lambda name: name in _PACKING or is_statement(name))
     if said is None or said.startswith("cgid"):
         raise BadData(f"{source}: an HDF5 file is a dataset, not one recording; {DATASET_CURE}")
 
@@ -110,5 +106,5 @@ def read_hdf5(path: Path, source: str, variable: str | None) -> Contents:
 
 
 def _number(value: Any) -> float:
-    """Return a number as it is; anything else makes no sense of the samples, which are then not finite."""
+    """Return a number as it is, nan for anything else, so that the samples are refused."""
     return float(value) if isinstance(value, int | float) else float("nan")

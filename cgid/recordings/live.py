@@ -1,4 +1,7 @@
-"""A stream of samples as it comes: raw numbers or a WAV of unknown length on the standard input."""
+"""A stream of samples as it comes: raw numbers or a WAV of unknown length on the standard input.
+
+Nothing here is specific to Unix, but Windows is untested.
+"""
 
 from __future__ import annotations
 
@@ -16,9 +19,9 @@ from cgid.recordings.wav import ENDLESS, WAV_MAGICS, Coding, read_wave_head
 from cgid.units import quantity_of
 from cgid.validation import require_rate
 
-#: Numbers that are taken from the stream at once at most.
+#: Numbers to take from the stream at once at most.
 _MOST_NUMBERS = 1 << 16
-#: What files begin with that have their numbers in order only as a whole.
+#: The beginnings of files that can only be read as a whole.
 _FILES = {
     b"\x93NUM": "an NPY file",
     b"PK\3\4": "an archive",
@@ -32,7 +35,7 @@ _FILES = {
 
 @dataclass(kw_only=True)
 class LiveStream:
-    """Samples that come while they are recorded; made by `live_stream`, read once by iterating over it.
+    """Samples that arrive while they are recorded; made by `live_stream`, read once by iterating over it.
 
     Attributes
     ----------
@@ -43,17 +46,17 @@ class LiveStream:
     sampling_rate : float
         [Hz].
     unit : str or None
-        Of all channels; "FS" where integers are scaled to full scale, or a WAV comes, and nobody says otherwise.
+        Of all channels; without one given, "FS" if integers are scaled to full scale or a WAV arrives.
     source : str
-        Its name in messages.
+        Name of the stream in messages.
     n_samples : int
-        Of each channel, that have come so far.
+        Of each channel, that have arrived so far.
     warnings : list of str
         What was left out, one line each; complete when the stream has ended.
     head : bytes
-        What has been read of the samples already.
+        The first bytes of the samples, which were read to find out the format.
     size : int or None
-        Bytes of sound that are to come; None if the stream goes on until it ends.
+        Bytes of sound in the stream; None if it goes on until it ends.
     """
 
     file: BinaryIO
@@ -68,12 +71,12 @@ class LiveStream:
     size: int | None = None
 
     def __iter__(self) -> Iterator[NDArray[Any]]:
-        """Yield what has come, (n_channels, n), as soon as there is one whole sample; never waits for a full block.
+        """Yield what has arrived, (n_channels, n), as soon as there is a whole sample; never wait for a full block.
 
         Raises
         ------
         BadData
-            A float is not finite: the sample is named, and what came before it has been yielded. Or nothing came.
+            A float is not finite: the message names the sample, those before it have been yielded. Or nothing came.
         """
         frame_size = self.n_channels * self.coding.width
         pending, left = self.head, self.size
@@ -99,7 +102,7 @@ class LiveStream:
             raise BadData(f"{self.source}: a stream must hold samples, it ended before the first; check what writes it")
 
     def _blocks(self, raw: bytes) -> Iterator[NDArray[Any]]:
-        """Yield the samples up to the first that is not finite, where there is one; then raise."""
+        """Yield the samples; raise at the first that is not finite, after yielding those before it."""
         samples = self.coding.decoded(raw).reshape(-1, self.n_channels)
         broken = np.argwhere(~np.isfinite(samples))
         good = len(samples) if not len(broken) else int(broken[0, 0])
@@ -123,20 +126,20 @@ def live_stream(
     unit: str | None = None,
     source: str = "stdin",
 ) -> LiveStream:
-    """Return a stream of samples; a WAV is known by its header, anything else is raw numbers, channels interleaved.
+    """Return a stream of samples: a WAV by its header, anything else as raw numbers, channels interleaved.
 
     Parameters
     ----------
     file : binary file
         Such as ``sys.stdin.buffer``.
     sampling_rate : float, optional
-        [Hz]; needed of raw numbers.
+        [Hz]; needed for raw numbers.
     n_channels : int, optional
-        Needed of raw numbers.
+        Needed for raw numbers.
     sample_format : str, optional
-        Such as "s16le", "s24le", "s32le", "f32le", "u8"; needed of raw numbers.
+        Such as "s16le", "s24le", "s32le", "f32le", "u8"; needed for raw numbers.
     unit : str, optional
-        What the numbers are in: floats as they are, integers scaled to a full scale of 1.0.
+        Of the numbers: floats as they are, integers scaled to a full scale of 1.0.
     source : str, optional
         Name of the stream in messages.
 
@@ -147,7 +150,7 @@ def live_stream(
     Raises
     ------
     MissingOption
-        Neither the stream nor the options say how to read it.
+        Neither the stream nor the options state how to read it.
     InvalidValue
         An option breaks its rule or contradicts the WAV header.
     BadData
@@ -236,9 +239,9 @@ def _skip(file: BinaryIO, size: int) -> None:
 
 
 def _available(file: BinaryIO, most: int) -> bytes:
-    """Return what has come, at least one byte unless the stream has ended."""
+    """Return what has arrived, at least one byte unless the stream has ended."""
     if not most:
         return b""
-    # A buffered file would wait until all has come; a raw one returns what there is.
+    # A buffered file waits until all has arrived; a raw one returns what there is.
     read = getattr(file, "read1", file.read)
     return read(most) or b""

@@ -1,11 +1,8 @@
-"""The heads of LabVIEW measurement files: what the file, and what each of its segments says.
+"""LabVIEW measurement files (.lvm) by blocks: heads of tags, tab separated rows below them.
 
-Tags and their meaning are those of National Instruments' "Specification for the LabVIEW Measurement File (.lvm)",
-tutorial 4139; where real files differ (times with decimal commas, missing separators), both are read.
-
-Which channels of a LabVIEW segment are read together: those of one length and one rate.
-
-LabVIEW measurement files (.lvm) by blocks: segments that follow each other without a gap are one recording.
+Segments that follow each other without a gap are one recording. The tags are those of National Instruments'
+"Specification for the LabVIEW Measurement File (.lvm)", tutorial 4139; where real files differ (times with decimal
+commas, missing separators), both are read.
 """
 
 from __future__ import annotations
@@ -14,6 +11,7 @@ import io
 import math
 import re
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from datetime import datetime, timedelta
 from pathlib import Path
@@ -23,42 +21,112 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cgid.errors import BadData
-from cgid.recordings.recording import MAX_CHANNELS, RATE_TOLERANCE, Contents, rates_agree
-from cgid.recordings.text import PIECE, whole_lines
+from cgid.recordings.recording import MAX_CHANNELS, RATE_TOLERANCE, Contents, require_one_rate
+from cgid.recordings.text import PIECE, no_number, whole_lines
 from cgid.recordings.text_layout import NUMBER, SNIFFED, encoding_of
 from cgid.recordings.times import EvenTimes, Floats, is_resolved, rate_of
 from cgid.units import known_unit
 
-END_OF_HEAD = "***End_of_Header***"
-
+_END_OF_HEAD = "***End_of_Header***"
 _SEPARATORS = {"tab": "\t", "comma": ",", "semicolon": ";", "space": " "}
-#: Larger values of x are seconds since 1904, not since the time stamp.
-_SINCE_1904 = 1e8
 
-#: Printed digits tell a rate only if they are that fine.
+#: Rows begin with a number or a separator; a letter or a star begins the head of the next segment.
+_HEAD = re.compile(r"^[A-Za-z*]", re.MULTILINE)
+#: A head has some twenty tags; a longer one [lines] is none.
+_LONGEST_HEAD = 2000
+
+#: Larger values of x [s] count from 1904, not from the time stamp.
+_SINCE_1904 = 1e8
+#: Delta_X gives the rate only if its printed digits are this fine.
 _FINE = 1e-3
+#: The time between two segments that follow each other may differ from that of the samples by this part of a step, and
+#: by the resolution of the time stamps [s].
+_GAP, _STAMP = 1.5, 2e-6
+
+
+def read_lvm(path: Path, source: str, variable: str | None) -> Contents:
+    """Return the channels of a LabVIEW measurement file.
+
+    Parameters
+    ----------
+    path : Path
+    source : str
+        Name of the file in messages.
+    variable : str or None
+        The number of a segment from 1; or the name of a channel, which stands for all of its length and rate.
+
+    Returns
+    -------
+    Contents
+        If the file is cut off, the whole rows and a warning.
+
+    Raises
+    ------
+    BadData
+        A head or a row is damaged; channels differ in length or rate, or segments do not follow each other, and
+        `variable` chooses none.
+    """
+    is_number = variable is not None and variable.isascii() and variable.isdigit() and len(variable) < 9
+    lvm = _Lvm(path=path, source=source, only=int(variable) if variable is not None and is_number else None)
+    first, rows = lvm.beginning()
+    channels = _channels_alike(first, None if is_number else variable, source, lvm.warnings)
+    rate, rate_from, is_timed = lvm.rate(first, channels[0], rows)
+
+    def blocks(length: int, picked: Sequence[int]) -> Iterator[NDArray[Any]]:
+        for samples in lvm.samples(first, [channels[index] for index in picked], rate if is_timed else None):
+            for start in range(0, samples.shape[1], length):
+                yield samples[:, start : start + length]
+
+    about: dict[str, Any] = {
+        "names": [first.name(channel) for channel in channels],
+        "units": [known_unit(first.field("Y_Unit_Label", channel)) for channel in channels],
+        "sampling_rate": rate,
+        "rate_from": rate_from,
+        "start_time": first.start_time(channels[0]),
+        "warnings": lvm.warnings,
+    }
+    if path.stat().st_size > PIECE:
+        return Contents(n_channels=len(channels), blocks=blocks, **about)
+    # A short file is read once, so that its length is known.
+    whole = list(blocks(PIECE, range(len(channels))))
+    return Contents.of_array(np.concatenate([np.empty((len(channels), 0)), *whole], axis=1), **about)
+
+
+# ---- heads -----------------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, kw_only=True)
-class LvmHead:
-    """What the head of the file says of all segments.
+class _Head:
+    """The head of the file, which holds for all segments.
 
-    Attributes
-    ----------
-    separator : str
-        One character between fields.
-    decimal_comma : bool or None
-        None where the head does not say.
-    x_columns : str
-        "no", "one" or "multi": which columns hold values of x.
-    tags : dict
-        Tag -> its fields.
+    `separator` is one character; `decimal_comma` is None if the head does not state it; `x_columns` is "no", "one" or
+    "multi": which columns hold values of x.
     """
 
     separator: str
     decimal_comma: bool | None
     x_columns: str
     tags: dict[str, list[str]]
+
+    @classmethod
+    def of(cls, lines: Sequence[str], source: str) -> _Head:
+        """Return what the lines above the first end of a head say."""
+        separator = "\t"
+        for line in lines:
+            if line.startswith("Separator"):
+                named = line.removeprefix("Separator").strip().lower()
+                # A separator that is written as itself follows itself; if it is blank, nothing is left.
+                separator = _SEPARATORS.get(named) or named[:1] or "\t"
+        tags = _tags(lines, separator)
+        stated = {tag: (fields[1].strip() if len(fields) > 1 else "") for tag, fields in tags.items()}
+        x_columns = stated.get("X_Columns", "One").lower()
+        if x_columns not in ("no", "one", "multi") or separator.isalnum():
+            raise BadData(
+                f"{source}: the head of a LabVIEW file must say X_Columns No, One or Multi, got {x_columns[:20]!r}, "
+                f"and a separator that is no letter, got {separator!r}; export it again"
+            )
+        decimal_comma = stated["Decimal_Separator"] == "," if "Decimal_Separator" in stated else None
+        return cls(separator=separator, decimal_comma=decimal_comma, x_columns=x_columns, tags=tags)
 
     def with_points(self, text: str) -> str:
         """Return numbers with decimal points."""
@@ -67,58 +135,60 @@ class LvmHead:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Segment:
-    """One packet of rows and what its head says; columns count from 0, the first is that of x.
+class _Segment:
+    """One packet of rows and its head: `number` and first `line` count from 1, columns from 0; the first is that of x.
 
-    Attributes
-    ----------
-    number, line : int
-        Of the segment and of its first row, both from 1.
-    head : LvmHead
-    tags : dict
-        Tag -> fields, each in the column it belongs to.
-    labels : list of str
-        Above the columns.
-    n_channels : int
+    `tags` have each field in the column it belongs to, `labels` stand above the columns.
     """
 
     number: int
     line: int
-    head: LvmHead
+    head: _Head
     tags: dict[str, list[str]]
     labels: list[str]
     n_channels: int
+
+    @classmethod
+    def of(cls, lines: Sequence[str], head: _Head, number: int, line: int, source: str) -> _Segment:
+        """Return what the lines of a segment's head say, the last of them with the labels of the columns."""
+        tags = _tags(lines[:-1], head.separator)
+        channels = [*tags.get("Channels", []), "", ""][1].strip()
+        if not (channels.isascii() and channels.isdigit() and 0 < int(channels[:9]) < 10**6):
+            raise BadData(
+                f"{source}: segment {number} (line {line}) must say its number of Channels, got {channels[:20]!r}; "
+                "export the file again"
+            )
+        other = {field.strip() for field in tags.get("X_Dimension", [])[1:]} - {"", "Time"}
+        if other:
+            raise BadData(
+                f"{source}: the x axis must be time, segment {number} says {min(other)[:40]}; export the signals"
+            )
+        labels = lines[-1].split(head.separator)
+        return cls(number=number, line=line, head=head, tags=tags, labels=labels, n_channels=int(channels))
 
     def column(self, channel: int) -> int:
         """Return the column of the samples of a channel."""
         return 2 * channel + 1 if self.head.x_columns == "multi" else channel + 1
 
     def x_column(self, channel: int) -> int | None:
-        """Return the column of x of a channel, None if x is not written."""
+        """Return the column of x of a channel, None without one."""
         return {"no": None, "one": 0, "multi": 2 * channel}[self.head.x_columns]
 
     def field(self, tag: str, channel: int) -> str:
-        """Return what a tag says of a channel, "" where it says nothing."""
-        fields = self.tags.get(tag, [])
-        column = self.column(channel)
-        return fields[column].strip() if column < len(fields) else ""
+        """Return what a tag says of a channel, "" if it says nothing."""
+        return _at(self.tags.get(tag, []), self.column(channel))
 
     def name(self, channel: int) -> str:
         """Return the label above a channel."""
-        column = self.column(channel)
-        return self.labels[column].strip() if column < len(self.labels) else ""
-
-    def unit(self, channel: int) -> str | None:
-        """Return the unit if it is one of `cgid.units.UNITS`."""
-        return known_unit(self.field("Y_Unit_Label", channel))
+        return _at(self.labels, self.column(channel))
 
     def n_samples(self, channel: int) -> int | None:
-        """Return the samples that are declared, None where they are not."""
+        """Return the declared number of samples, None without one."""
         text = self.field("Samples", channel)
         return int(text) if text.isascii() and text.isdigit() and len(text) < 19 else None
 
     def number_of(self, tag: str, channel: int) -> float | None:
-        """Return the number that a tag says of a channel."""
+        """Return the number that a tag states of a channel."""
         text = self.field(tag, channel).replace(",", ".")
         return float(text) if NUMBER.fullmatch(text) else None
 
@@ -134,69 +204,22 @@ class Segment:
     def start_time(self, channel: int) -> datetime | None:
         """Return when the first sample was taken."""
         x0 = self.number_of("X0", channel) or 0.0
-        if x0 > _SINCE_1904:
-            return _later(datetime(1904, 1, 1), x0)
-        stamp = _moment(self.field("Date", channel), self.field("Time", channel))
-        if stamp is None:
-            stamp = _moment(*(self.head.tags.get(tag, ["", ""])[1].strip() for tag in ("Date", "Time")))
-        return None if stamp is None else _later(stamp, x0)
-
-
-def read_head(lines: Sequence[str], source: str) -> LvmHead:
-    """Return what the lines above the first `END_OF_HEAD` say.
-
-    Raises
-    ------
-    BadData
-        The separator is none, or X_Columns is none of No, One and Multi.
-    """
-    separator = "\t"
-    for line in lines:
-        if line.startswith("Separator"):
-            named = line.removeprefix("Separator").strip().lower()
-            # Written as itself the separator stands behind itself; of blanks nothing is left.
-            separator = _SEPARATORS.get(named) or named[:1] or "\t"
-    tags = _tags(lines, separator)
-    said = {tag: (fields[1].strip() if len(fields) > 1 else "") for tag, fields in tags.items()}
-    x_columns = said.get("X_Columns", "One").lower()
-    if x_columns not in ("no", "one", "multi") or separator.isalnum():
-        raise BadData(
-            f"{source}: the head of a LabVIEW file must say X_Columns No, One or Multi, got {x_columns[:20]!r}, and a "
-            f"separator that is no letter, got {separator!r}; export it again"
-        )
-    return LvmHead(
-        separator=separator,
-        decimal_comma=said["Decimal_Separator"] == "," if "Decimal_Separator" in said else None,
-        x_columns=x_columns,
-        tags={tag: fields if len(fields) > 1 else [tag, ""] for tag, fields in tags.items()},
-    )
-
-
-def read_segment(lines: Sequence[str], head: LvmHead, number: int, line: int, source: str) -> Segment:
-    """Return what the lines of a segment's head say, the last of them with the labels of the columns.
-
-    Raises
-    ------
-    BadData
-        The number of channels is missing, or x is not time.
-    """
-    tags = _tags(lines[:-1], head.separator)
-    channels = [*tags.get("Channels", []), "", ""][1].strip()
-    if not (channels.isascii() and channels.isdigit() and 0 < int(channels[:9]) < 10**6):
-        raise BadData(
-            f"{source}: segment {number} (line {line}) must say its number of Channels, got {channels[:20]!r}; export "
-            "the file again"
-        )
-    other = {field.strip() for field in tags.get("X_Dimension", [])[1:]} - {"", "Time"}
-    if other:
-        raise BadData(f"{source}: the x axis must be time, segment {number} says {min(other)[:40]}; export the signals")
-    labels = lines[-1].split(head.separator)
-    return Segment(number=number, line=line, head=head, tags=tags, labels=labels, n_channels=int(channels))
+        stamp: datetime | None = datetime(1904, 1, 1)
+        if x0 <= _SINCE_1904:
+            stamp = _moment(self.field("Date", channel), self.field("Time", channel))
+            stamp = stamp or _moment(*(_at(self.head.tags.get(tag, []), 1) for tag in ("Date", "Time")))
+        with suppress(OverflowError, ValueError):
+            return None if stamp is None else stamp + timedelta(seconds=x0)
+        return None
 
 
 def _tags(lines: Sequence[str], separator: str) -> dict[str, list[str]]:
     rows = [line.split(separator) for line in lines]
     return {row[0].strip(): row for row in rows if row[0].strip()}
+
+
+def _at(fields: Sequence[str], column: int) -> str:
+    return fields[column].strip() if column < len(fields) else ""
 
 
 def _moment(date: str, time: str) -> datetime | None:
@@ -206,37 +229,15 @@ def _moment(date: str, time: str) -> datetime | None:
     if not day or not clock:
         return None
     micros = int((clock[4] or "0").ljust(6, "0"))
-    year, month, date_of_month, hour, minute, second = map(int, (*day.groups(), *clock.groups()[:3]))
-    try:
-        return datetime(year, month, date_of_month, hour, minute, second, micros)
-    except ValueError:
-        return None
+    with suppress(ValueError):
+        return datetime(int(day[1]), int(day[2]), int(day[3]), int(clock[1]), int(clock[2]), int(clock[3]), micros)
+    return None
 
 
-def _later(stamp: datetime, seconds: float) -> datetime | None:
-    try:
-        return stamp + timedelta(seconds=seconds)
-    except (OverflowError, ValueError):
-        return None
+def _channels_alike(segment: _Segment, named: str | None, source: str, warnings: list[str]) -> list[int]:
+    """Return the channels of one length and rate, from 0: those like the channel `named`, else all must be alike.
 
-
-def channels_alike(segment: Segment, named: str | None, source: str, warnings: list[str]) -> list[int]:
-    """Return the channels that are read, counted from 0.
-
-    Parameters
-    ----------
-    segment : Segment
-    named : str or None
-        The channel whose length and rate the others must have; None if all of them agree.
-    source : str
-        Name of the file in messages.
-    warnings : list of str
-        Channels without samples are left out and told here.
-
-    Raises
-    ------
-    BadData
-        There are too many channels or none with samples, or they differ in length or rate and none is named.
+    Channels without samples are left out with a warning.
     """
     if segment.n_channels > MAX_CHANNELS:
         raise BadData(f"{source}: at most {MAX_CHANNELS} channels, got {segment.n_channels}; export fewer")
@@ -260,98 +261,37 @@ def channels_alike(segment: Segment, named: str | None, source: str, warnings: l
         return [channel for channel in held if kinds[channel] == kinds[chosen[0]]]
     odd = next((channel for channel in held if kinds[channel] != kinds[held[0]]), None)
     if odd is not None:
+        shown = [f"{kinds[one][0]} samples of {kinds[one][1]} s" for one in (held[0], odd)]
         raise BadData(
-            f"{source}: channels must be of one length and rate, {segment.name(held[0])!r} has "
-            f"{_shown(kinds[held[0]])} and {segment.name(odd)!r} {_shown(kinds[odd])}; "
-            "pick those like one channel by --variable NAME"
+            f"{source}: channels must be of one length and rate, {segment.name(held[0])!r} has {shown[0]} and "
+            f"{segment.name(odd)!r} {shown[1]}; pick those like one channel by --variable NAME"
         )
     return held
 
 
-def _listed(segment: Segment, channels: Sequence[int]) -> str:
+def _listed(segment: _Segment, channels: Sequence[int]) -> str:
     names = [segment.name(channel) or str(channel + 1) for channel in channels[:20]]
     return ", ".join(names) + (", ..." if len(channels) > 20 else "")
 
 
-def _shown(kind: tuple[int | None, float | None]) -> str:
-    return f"{kind[0]} samples of {kind[1]} s"
-
-
-#: Rows begin with a number or a separator; what begins with a letter or a star is the head of the next segment.
-_HEAD = re.compile(r"^[A-Za-z*]", re.MULTILINE)
-
-#: Lines of a head at most; there are some twenty tags.
-_LONGEST_HEAD = 2000
-
-#: Two segments follow each other if the time between them is that of the samples to this part of a step, and the
-#: time stamps cannot be told apart closer than so [s].
-_GAP, _STAMP = 1.5, 2e-6
-
-
-def read_lvm(path: Path, source: str, variable: str | None) -> Contents:
-    """Return the channels of a LabVIEW measurement file.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-    source : str
-        Its name in messages.
-    variable : str or None
-        The number of a segment from 1; or the name of a channel, which stands for all of its length and rate.
-
-    Returns
-    -------
-    Contents
-        Of a file that is cut off the rows that are whole, and a warning.
-
-    Raises
-    ------
-    BadData
-        A head or a row is damaged; channels differ in length or rate, or segments do not follow each other, and
-        `variable` does not pick any.
-    """
-    is_number = variable is not None and variable.isascii() and variable.isdigit() and len(variable) < 9
-    lvm = _Lvm(path=path, source=source, only=int(variable) if variable is not None and is_number else None)
-    first, rows = lvm.beginning()
-    channels = channels_alike(first, None if is_number else variable, source, lvm.warnings)
-    rate, rate_from, is_timed = lvm.rate(first, channels[0], rows)
-
-    def blocks(length: int, picked: Sequence[int]) -> Iterator[NDArray[Any]]:
-        for samples in lvm.samples(first, [channels[index] for index in picked], rate if is_timed else None):
-            for start in range(0, samples.shape[1], length):
-                yield samples[:, start : start + length]
-
-    about: dict[str, Any] = {
-        "names": [first.name(channel) for channel in channels],
-        "units": [first.unit(channel) for channel in channels],
-        "sampling_rate": rate,
-        "rate_from": rate_from,
-        "start_time": first.start_time(channels[0]),
-        "warnings": lvm.warnings,
-    }
-    if path.stat().st_size > PIECE:
-        return Contents(n_channels=len(channels), blocks=blocks, **about)
-    # A short file is read once, so that its length is known.
-    whole = list(blocks(PIECE, range(len(channels))))
-    return Contents.of_array(np.concatenate([np.empty((len(channels), 0)), *whole], axis=1), **about)
+# ---- segments and their rows -----------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, kw_only=True)
 class _Lvm:
-    """A file whose segments are gone through; `only` is the number of the one that is meant."""
+    """The segments of a file; `only` is the number of the chosen one, None for all."""
 
     path: Path
     source: str
     only: int | None
     warnings: list[str] = field(default_factory=list)
 
-    def beginning(self) -> tuple[Segment, str]:
-        """Return the first segment that is meant and its first rows."""
+    def beginning(self) -> tuple[_Segment, str]:
+        """Return the first chosen segment and its first rows."""
         found, last = None, 0
         for segment, rows, _ in self._parts():
             if found is not None:
-                # A head without rows is followed by the next one.
+                # The head of the next segment follows a head without rows.
                 return found, rows if segment is found else ""
             last = segment.number
             if self.only in (None, segment.number):
@@ -364,34 +304,27 @@ class _Lvm:
             )
         return found, ""
 
-    def rate(self, segment: Segment, channel: int, text: str) -> tuple[float | None, str, bool]:
-        """Return the sampling rate [Hz], where it is said, and whether the column of x is fine enough to be checked.
+    def rate(self, segment: _Segment, channel: int, text: str) -> tuple[float | None, str, bool]:
+        """Return the sampling rate [Hz], where it is stated, and whether the column of x is fine enough to be checked.
 
         Delta_X counts if its printed digits are fine enough, else the x of the first rows.
         """
         step, is_fine = segment.step(channel)
-        said = 1 / step if step is not None and is_fine else None
+        stated = 1 / step if step is not None and is_fine else None
         if segment.x_column(channel) is not None:
             times = self._rows(text, segment, [channel], 0, segment.line)[:, 0]
-            if len(times) > 1 and (said is None or is_resolved(times, 1 / said)):
+            if len(times) > 1 and (stated is None or is_resolved(times, 1 / stated)):
                 measured = rate_of(times, self.source)
-                # Few rounded times say less than a step of many digits.
-                if (
-                    said is not None
-                    and abs(measured - said) * len(times) > measured
-                    and not rates_agree(measured, said)
-                ):
-                    raise BadData(
-                        f"{self.source}: the sampling rate must be one to 0.1 %, Delta_X says {said:.10g} Hz and the "
-                        f"column of x {measured:.10g} Hz; correct one"
-                    )
-                return said or measured, "Delta_X" if said else "column of x", True
-        if said is None:
+                # A few rounded times say less than a step of many digits.
+                if stated is not None and abs(measured - stated) * len(times) > measured:
+                    require_one_rate((stated, "Delta_X"), (measured, "the column of x"), self.source)
+                return stated or measured, "Delta_X" if stated else "column of x", True
+        if stated is None:
             shown = segment.field("Delta_X", channel)
             self.warnings.append(f"Delta_X {shown[:40]!r} has too few digits for a sampling rate to 0.1 %")
-        return said, "Delta_X", False
+        return stated, "Delta_X", False
 
-    def samples(self, first: Segment, channels: Sequence[int], timed: float | None) -> Iterator[Floats]:
+    def samples(self, first: _Segment, channels: Sequence[int], timed: float | None) -> Iterator[Floats]:
         """Yield the samples of channels, (len(channels), n), segment after segment; `timed` is the rate [Hz] of x."""
         at, count = first, 0
         clock = None if timed is None else EvenTimes(timed, self.source)
@@ -401,7 +334,7 @@ class _Lvm:
             if segment.number > at.number:
                 self._require_end(at, channels[0], count)
                 self._require_next(at, segment, channels[0], count)
-                # Each segment may count its time anew.
+                # Each segment may count its time from 0.
                 at, count, clock = segment, 0, None if timed is None else EvenTimes(timed, self.source)
             rows = self._rows(text, segment, channels, count, line)
             if clock is not None:
@@ -410,8 +343,8 @@ class _Lvm:
             yield np.ascontiguousarray(rows.T[-len(channels) :])
         self._require_end(at, channels[0], count)
 
-    def _parts(self) -> Iterator[tuple[Segment, str, int]]:
-        """Yield segments with pieces of their rows, each segment at least once, and the line the piece begins with."""
+    def _parts(self) -> Iterator[tuple[_Segment, str, int]]:
+        """Yield segments with pieces of their rows, each segment at least once, and the first line of the piece."""
         with self.path.open("rb") as file:
             encoding = encoding_of(file.read(SNIFFED), self.source)
         above: list[str] | None = []
@@ -437,7 +370,7 @@ class _Lvm:
                 if (head := self._head_of(above, segment)) is not None:
                     number = 1 if segment is None else segment.number + 1
                     below = above if segment is not None else above[_ends(above)[0] + 1 :]
-                    segment, above = read_segment(below, head, number, line, self.source), None
+                    segment, above = _Segment.of(below, head, number, line, self.source), None
                     yield segment, "", line
                 elif len(above) > _LONGEST_HEAD:
                     raise BadData(
@@ -451,78 +384,67 @@ class _Lvm:
         if above and any(map(str.strip, above)):
             self.warnings.append(f"the head of segment {segment.number + 1} is cut off; what comes before it was read")
 
-    def _head_of(self, above: list[str], segment: Segment | None) -> LvmHead | None:
-        """Return the head of the file once the head of a segment is complete: labels stand behind its end."""
-        if len(above) < 2 or not above[-2].startswith(END_OF_HEAD):
+    def _head_of(self, above: list[str], segment: _Segment | None) -> _Head | None:
+        """Return the head of the file once the head of a segment is complete: the labels follow its end."""
+        if len(above) < 2 or not above[-2].startswith(_END_OF_HEAD):
             return None
         if segment is not None:
             return segment.head
         ends = _ends(above)
-        return read_head(above[: ends[0]], self.source) if len(ends) > 1 else None
+        return _Head.of(above[: ends[0]], self.source) if len(ends) > 1 else None
 
-    def _rows(self, text: str, segment: Segment, channels: Sequence[int], sample: int, line: int) -> Floats:
-        """Return rows as numbers, (n, n_columns): x, where it is written, and the channels."""
+    def _rows(self, text: str, segment: _Segment, channels: Sequence[int], sample: int, line: int) -> Floats:
+        """Return rows as numbers, (n, n_columns): x, if it is written, and the channels."""
         x = segment.x_column(channels[0])
         columns = ([] if x is None else [x]) + [segment.column(channel) for channel in channels]
-        # Where channels are of different length, the fields of the shorter ones are empty from there on.
+        # If channels are of different length, the fields of the shorter ones are empty from their end on.
         declared = segment.n_samples(channels[0])
         longest = max(segment.n_samples(channel) or 0 for channel in range(segment.n_channels))
         if declared is not None and declared < longest:
             text = "".join(text.splitlines(keepends=True)[: max(0, declared - sample)])
         if not text.strip():
             return np.empty((0, len(columns)))
-        written = segment.head.with_points(text)
+        written = io.StringIO(segment.head.with_points(text).rstrip())
         try:
-            rows = np.loadtxt(
-                io.StringIO(written.rstrip()),
-                delimiter=segment.head.separator,
-                usecols=columns,
-                comments=None,
-                ndmin=2,
-            )
+            rows = np.loadtxt(written, delimiter=segment.head.separator, usecols=columns, comments=None, ndmin=2)
+            if np.isfinite(rows).all():
+                return rows
         except ValueError:
-            rows = np.full((1, 1), np.nan)
-        if np.isfinite(rows).all():
-            return rows
+            pass
         checked = list(self._checked(text, segment, columns, sample, line))
         return np.array(checked).reshape(-1, len(columns))
 
     def _checked(
-        self, text: str, segment: Segment, columns: list[int], sample: int, line: int
+        self, text: str, segment: _Segment, columns: list[int], sample: int, line: int
     ) -> Iterator[list[float]]:
         unended = line + text.count("\n")
         for number, written in enumerate(text.split("\n"), line):
-            fields = [part.strip() for part in written.split(segment.head.separator)]
-            if not any(fields):
+            fields = written.split(segment.head.separator)
+            if not written.strip() or not any(map(str.strip, fields)):
                 continue
-            values = []
-            for column in columns:
-                shown = fields[column] if column < len(fields) else ""
-                value = segment.head.with_points(shown)
-                if NUMBER.fullmatch(value) and math.isfinite(float(value)):
-                    values.append(float(value))
-                elif number == unended:
-                    # Only the very last line of the file has none.
-                    self.warnings.append(f"the last row (line {number}) is cut off and was left out")
-                    return
-                else:
-                    raise BadData(
-                        f"{self.source}: every field must be a finite number, sample {sample} (line {number}) column "
-                        f"{column + 1} is {repr(shown[:40]) if shown else 'empty'}; repair or cut the recording there"
-                    )
-            yield values
-            sample += 1
+            values = [segment.head.with_points(_at(fields, column)) for column in columns]
+            numbers = [float(value) if NUMBER.fullmatch(value) else math.nan for value in values]
+            wrong = next((column for column, x in zip(columns, numbers, strict=True) if not math.isfinite(x)), None)
+            if wrong is None:
+                yield numbers
+                sample += 1
+            elif number == unended:
+                # Only the very last line of the file has no line feed.
+                self.warnings.append(f"the last row (line {number}) is cut off and was left out")
+                return
+            else:
+                raise no_number(sample, number, wrong, _at(fields, wrong), self.source)
 
-    def _require_end(self, segment: Segment, channel: int, count: int) -> None:
+    def _require_end(self, segment: _Segment, channel: int, count: int) -> None:
         declared = segment.n_samples(channel)
-        # Further packets may follow without a head of their own, each of so many samples.
+        # Further packets of the declared length may follow without a head of their own.
         if declared and (not count or count % declared):
             self.warnings.append(
                 f"segment {segment.number} declares {declared} samples and holds {count}; the file looks cut off or "
                 "damaged, the rows that are whole were read"
             )
 
-    def _require_next(self, segment: Segment, following: Segment, channel: int, count: int) -> None:
+    def _require_next(self, segment: _Segment, following: _Segment, channel: int, count: int) -> None:
         """Raise unless a segment goes on where the one before ended, with the same channels."""
         step, _ = segment.step(channel)
         cure = f"pick one segment by --variable {segment.number}, {following.number}, ..."
@@ -547,4 +469,4 @@ class _Lvm:
 
 
 def _ends(lines: Sequence[str]) -> list[int]:
-    return [index for index, line in enumerate(lines) if line.startswith(END_OF_HEAD)]
+    return [index for index, line in enumerate(lines) if line.startswith(_END_OF_HEAD)]

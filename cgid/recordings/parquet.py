@@ -1,4 +1,4 @@
-"""Parquet tables; pyarrow reads them, row by row group."""
+"""Parquet tables by row groups; pyarrow reads them."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cgid.errors import BadData, CgidError, MissingExtra
-from cgid.recordings.recording import Contents, require_one_rate
+from cgid.errors import BadData, MissingExtra
+from cgid.recordings.recording import Contents, require_one_rate, understood
 from cgid.recordings.statements import (
     Value,
     stated_rate,
@@ -27,15 +27,15 @@ from cgid.recordings.times import rate_of_vector
 from cgid.recordings.variables import Variable
 from cgid.units import known_unit, seconds_of
 
-#: Texts in the footer [bytes], its lists [entries].
+#: Limits of texts [bytes] and lists [entries] in the footer.
 _LONGEST_TEXT, _LONGEST_LIST = 16 << 20, 1 << 20
-#: Bytes of one column of a row group that are read at once.
+#: Bytes of one column of a row group to read at once.
 _BUFFER = 1 << 20
-#: Metadata that are longer say nothing of a rate or a unit.
+#: Longer metadata state no rate and no unit.
 _LONGEST_VALUE = 200
-#: Equal numbers take hardly any room, but a recording is not made of them.
+#: Only rows of equal numbers take less room, and they are no recording.
 _MOST_ROWS_A_BYTE = 1000
-#: What pandas calls the column of an index that has no name.
+#: pandas gives this name to the column of an index without one.
 _INDEX = "__index_level_"
 
 
@@ -47,15 +47,15 @@ def read_parquet(path: Path, source: str, variable: str | None) -> Contents:
     path : Path
         The file: flat columns of numbers; others are left out with a warning.
     source : str
-        Its name in messages.
+        Name of the file in messages.
     variable : str or None
-        Not used: such a file holds one table.
+        Not used: a Parquet file holds one table.
 
     Returns
     -------
     Contents
-        Names and units are told as in the header of a text file, or by a field's metadata (``unit``). The rate is that
-        of the column of times (numbers or timestamps), else what the metadata of the file say.
+        Names and units are written as in the header of a text file, or in a field's metadata (``unit``). The rate is
+        that of the column of times (numbers or timestamps), else that of the metadata of the file.
 
     Raises
     ------
@@ -187,22 +187,18 @@ class _Parquet:
     def _opened(self) -> Iterator[Any]:
         import pyarrow.parquet as pq
 
-        try:
-            with pq.ParquetFile(
+        with (
+            understood(self._source, "the Parquet file is cut off or damaged"),
+            pq.ParquetFile(
                 self._path,
                 buffer_size=_BUFFER,
                 pre_buffer=False,
                 thrift_string_size_limit=_LONGEST_TEXT,
                 thrift_container_size_limit=_LONGEST_LIST,
                 page_checksum_verification=True,
-            ) as file:
-                yield file
-        except (CgidError, MemoryError):
-            raise
-        # Beside its own errors, which are OSError or ValueError, pyarrow passes on those of its C++ parts.
-        except Exception as error:
-            reason = " ".join(str(error).split())[:200]
-            raise BadData(f"{self._source}: the Parquet file is cut off or damaged ({reason}); copy it again") from None
+            ) as file,
+        ):
+            yield file
 
 
 def _numbers(column: Any, origins: dict[str, int], name: str) -> NDArray[Any]:

@@ -1,7 +1,4 @@
-"""What a file says about itself, before the options have spoken.
-
-A recording on disk, ready to be read by blocks: the file has spoken, and so have the options.
-"""
+"""What a file states (`Contents`), joined with what the user states: a recording that is read block by block."""
 
 from __future__ import annotations
 
@@ -22,43 +19,46 @@ from cgid.validation import require_rate
 #: What to do with a dataset where a recording is wanted.
 DATASET_CURE = "read it with cgid.store, or pick one of its signals with --index"
 
+#: Default length of a block [samples].
+BLOCK_LENGTH = 1 << 16
+
 #: A block holds at most this many numbers, however many channels there are.
 MOST_NUMBERS = 1 << 22
 
-#: More channels than this are samples written along the wrong axis.
+#: A file with more channels than this has its samples along the wrong axis.
 MAX_CHANNELS = 4096
 
-#: Two statements of one sampling rate may differ by this part; clocks are that good, typing errors are not.
+#: Two statements of one sampling rate may differ by this part: more than clocks do, less than typing errors.
 RATE_TOLERANCE = 1e-3
 
-#: From a length and channels to blocks of (len(channels), at most length), from the first sample on.
+#: From a block length and channels to blocks, (len(channels), at most length), from the first sample on.
 Blocks = Callable[[int, Sequence[int]], Iterator[NDArray[Any]]]
 
 
 @dataclass(frozen=True, kw_only=True)
 class Contents:
-    """The channels of a file and what the file itself says about them.
+    """The channels of a file and what the file itself states about them.
 
     Parameters
     ----------
     n_channels : int
     blocks : callable
         `blocks(length, channels)` yields the samples of these channels (numbers from 0) in order, as float32 or
-        float64 of shape (len(channels), at most length). Every call begins anew with the first sample.
+        float64 of shape (len(channels), at most length). Every call begins with the first sample.
     n_samples : int or None
-        Of each channel; None where only reading tells.
+        Of each channel; None if only reading shows it.
     names : sequence of str
         One a channel, "" where the file gives none.
     units : sequence of str or None
         One a channel, None where the file gives none that is known.
     sampling_rate : float or None
-        [Hz], as the file says.
+        [Hz], as the file states it.
     rate_from : str
-        Where in the file the sampling rate is said.
+        Where in the file the sampling rate is stated.
     fallback_unit : str or None
         The unit if neither the file nor the user gives one.
     start_time : datetime or None
-        When the first sample was taken, as the file says.
+        When the first sample was taken, as the file states it.
     warnings : list of str
         What is damaged and was left out, one line each; may grow while blocks are read.
     """
@@ -76,7 +76,7 @@ class Contents:
 
     @classmethod
     def of_array(cls, samples: NDArray[Any], **about: Any) -> Contents:
-        """Return the contents of a file that had to be read whole, (n_channels, n_samples)."""
+        """Return the contents of a file that was read whole, (n_channels, n_samples)."""
 
         def blocks(length: int, channels: Sequence[int]) -> Iterator[NDArray[Any]]:
             for first in range(0, samples.shape[1], length):
@@ -85,7 +85,7 @@ class Contents:
         return cls(n_channels=samples.shape[0], blocks=blocks, n_samples=samples.shape[1], **about)
 
     def require_channels(self, source: str) -> None:
-        """Raise `BadData` if there is nothing, or rows and columns are exchanged."""
+        """Raise `BadData` if there are no samples, or if rows and columns are exchanged."""
         if not self.n_channels or self.n_samples == 0:
             raise BadData(f"{source}: a recording must hold at least one sample, there is none; record it again")
         if self.n_channels > MAX_CHANNELS:
@@ -99,18 +99,17 @@ class Contents:
         return self.names[index] if index < len(self.names) else ""
 
     def label(self, index: int) -> str:
-        """Return what a channel is called: its name, else its number from 1; both where several have the name."""
-        # A single channel needs no name to be told apart.
+        """Return the name of a channel, or its number from 1 without one, or both if several have the name."""
         if self.n_channels == 1 or not self.name(index):
             return str(index + 1)
         name = self.name(index)
         return name if self.names.count(name) == 1 else _numbered(index, name)
 
     def selected(self, channel: int | str, source: str) -> list[int]:
-        """Return the indices of the channels that are meant: a number (from 1) or name, or several, as in 1+2."""
+        """Return the indices of the chosen channels: a number (from 1) or name, or several, as in 1+2."""
         if not (isinstance(channel, str) and "+" in channel):
             return [self._index(channel, source)]
-        try:  # a name may hold the sign
+        try:  # a name may contain a plus sign
             return [self._index(channel, source)]
         except InvalidValue:
             return [self._index(part.strip(), source) for part in channel.split("+")]
@@ -124,7 +123,7 @@ class Contents:
         if channel in labels:
             return labels.index(str(channel))
         wanted = str(channel)
-        # By way of its text, as True would otherwise quietly be the first channel.
+        # Compared as text, as True would otherwise be the first channel.
         if wanted.isascii() and wanted.isdigit() and len(wanted) < 9:
             number = int(wanted)
             if 1 <= number <= len(names):
@@ -198,10 +197,6 @@ def _meaning(unit: str) -> tuple[str, float]:
     return quantity, UNITS[quantity][unit]
 
 
-#: Samples of a channel that are read at once if nobody says otherwise.
-BLOCK_LENGTH = 1 << 16
-
-
 @dataclass(frozen=True, kw_only=True)
 class Channel:
     """One channel of a recording.
@@ -209,9 +204,9 @@ class Channel:
     Attributes
     ----------
     name : str
-        As the file says, else its number from 1.
+        As the file states it, else its number from 1.
     unit : str or None
-        None where nobody said.
+        None if neither the file nor the user states it.
     """
 
     name: str
@@ -356,7 +351,7 @@ def _selected(contents: Contents, channel: int | str | Sequence[int | str] | Non
 
 @contextmanager
 def told(source: str) -> Iterator[None]:
-    """Say why a file cannot be opened or read, in one line."""
+    """Turn errors of the system on opening or reading a file into `NoInput` of one line."""
     try:
         yield
     except CgidError:
@@ -368,3 +363,19 @@ def told(source: str) -> Iterator[None]:
     except OSError as error:
         reason = error.strerror or str(error)
         raise NoInput(f"{source!r}: the file cannot be opened ({reason}); check the name") from None
+
+
+@contextmanager
+def understood(source: str, fault: str, cure: str = "copy it again") -> Iterator[None]:
+    """Turn what a library raises on a damaged file into `BadData` of one line: source, fault, reason and cure."""
+    try:
+        yield
+    except (CgidError, FileNotFoundError, PermissionError):
+        raise
+    # Libraries fail on damaged files with any exception, and hide the first one behind their own.
+    except Exception as raised:
+        error: BaseException = raised
+        while error.__context__ is not None:
+            error = error.__context__
+        reason = " ".join(str(error).split())[:120] or type(error).__name__
+        raise BadData(f"{source}: {fault} ({reason}); {cure}") from None

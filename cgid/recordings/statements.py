@@ -13,7 +13,7 @@ from cgid.recordings.recording import require_one_rate
 from cgid.recordings.text_header import column_of
 from cgid.units import hertz_of, known_unit, plain_unit, seconds_of
 
-#: Values that files attach to names; lists are one value a channel.
+#: Values that files attach to names; a list has one value a channel.
 Value = float | str | datetime | list[str]
 Values = Mapping[str, Value]
 
@@ -32,12 +32,12 @@ _NUMBER = re.compile(r"\s*([+-]?\d+(?:\.\d*)?(?:[eE][+-]?\d+)?)\s*([^\d\s]\S*)?\
 _UNIT_BEHIND = re.compile(r"[\s_([]+(k?hz|mhz|s|sec|ms|us|µs)[\s)\]]*$")
 
 
-def is_telling(name: str) -> bool:
-    """Return whether a value of this name could say a rate, a unit, a start, or what channels are called.
+def is_statement(name: str) -> bool:
+    """Return whether a value of this name could state a rate, a unit, a start, or the names of channels.
 
     Examples
     --------
-    >>> [is_telling(name) for name in ("Sampling Rate [kHz]", "fs", "FS", "gain")]
+    >>> [is_statement(name) for name in ("Sampling Rate [kHz]", "fs", "FS", "gain")]
     [True, True, False, False]
     """
     return _plain(name)[0] in _NAMES
@@ -100,7 +100,7 @@ def stated_units(values: Values, n_channels: int) -> list[str | None]:
 
 
 def stated_names(values: Values, n_channels: int) -> list[str]:
-    """Return what the channels are called, [] where nobody says."""
+    """Return the names of the channels, [] without any."""
     for name, value in values.items():
         if _plain(name)[0] in _CHANNEL_NAMES and isinstance(value, list) and len(value) == n_channels:
             return value
@@ -108,7 +108,7 @@ def stated_names(values: Values, n_channels: int) -> list[str]:
 
 
 def stated_start(values: Values) -> datetime | None:
-    """Return when the first sample was taken; a number is not taken for a date, as nothing says since when.
+    """Return when the first sample was taken; a number is no date, as its epoch is unknown.
 
     Examples
     --------
@@ -139,7 +139,7 @@ def stated_time_unit(name: str, values: Values) -> str:
 
 def _plain(name: str) -> tuple[str, str]:
     """Return a name without case and marks, and the unit it may carry."""
-    # FS is a full scale as often as a rate.
+    # FS is as often a full scale as a rate.
     if name.strip() == "FS":
         return "", ""
     plain = _letters(name)
@@ -156,7 +156,7 @@ def _letters(name: str) -> str:
 
 
 def _rate_of(interval: float) -> float:
-    """Return the rate of an interval, a whole number where that is meant: 1 / 1e-5 is not quite 100000."""
+    """Return the rate of an interval, rounded if the interval is that of a whole number: 1 / 1e-5 is below 100000."""
     if not interval:
         return np.inf
     rate = 1 / interval

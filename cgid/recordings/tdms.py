@@ -1,4 +1,4 @@
-"""TDMS files of LabVIEW; nptdms reads them."""
+"""TDMS files of LabVIEW by blocks; nptdms reads them."""
 
 from __future__ import annotations
 
@@ -13,21 +13,21 @@ from typing import Any, BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
-from cgid.errors import BadData, CgidError, MissingExtra
-from cgid.recordings.recording import Contents
-from cgid.recordings.statements import Value, is_telling
+from cgid.errors import BadData, MissingExtra
+from cgid.recordings.recording import Contents, understood
+from cgid.recordings.statements import Value, is_statement
 from cgid.recordings.variables import Variable, contents_of
 
 _LEAD_IN, _TAG = 28, b"TDSm"
-#: What a segment says of its length while it is being written.
+#: The length of a segment that is still being written.
 _UNKNOWN = 2**64 - 1
-#: A chunk of one channel is read whole, however little of it is asked for; longer ones go through a temporary file.
+#: nptdms reads a chunk of one channel whole; a longer one [samples] goes through a temporary file.
 _LONGEST_CHUNK = 1 << 18
 _CHUNKS = 4
 
 
 class _Tdms:
-    """An open file and what nptdms says of it."""
+    """An open file and what nptdms knows of it."""
 
     def __init__(self, path: Path, source: str) -> None:
         try:
@@ -41,7 +41,7 @@ class _Tdms:
         self.is_cut = _is_cut(self._file)
         self._file.seek(0)
         with self.understood():
-            # Opened by its handle, so that no index file beside it is taken for its own.
+            # Given its handle, nptdms does not look for an index file next to it.
             self.tdms = TdmsFile.open(self._file)
         self._spools: dict[str, BinaryIO] = {}
 
@@ -53,21 +53,14 @@ class _Tdms:
 
     @contextmanager
     def understood(self) -> Iterator[None]:
-        """Say in one line what nptdms cannot read, and keep what it logs to itself."""
+        """Turn what nptdms raises into one line, and suppress what it logs."""
         from nptdms.log import log_manager
 
         level = log_manager.log_level
         log_manager.set_level(logging.CRITICAL)
         try:
-            yield
-        except CgidError:
-            raise
-        # On damaged files nptdms fails with struct.error, KeyError, ValueError, and whatever numpy says to sizes.
-        except Exception as error:
-            reason = " ".join(str(error).split()) or type(error).__name__
-            raise BadData(
-                f"{self.source}: the TDMS file is damaged ({reason}); copy it again, or export it anew"
-            ) from None
+            with understood(self.source, "the TDMS file is damaged", "copy it again, or export it anew"):
+                yield
         finally:
             log_manager.set_level(level)
 
@@ -76,7 +69,7 @@ class _Tdms:
         with self.understood():
             chunk = len(next(iter(channel.data_chunks()), ()))
         read = self._spooled(channel) if chunk > _LONGEST_CHUNK else channel.read_data
-        # Several chunks at once, as a part of one costs as much as all of it.
+        # Several chunks at once, as a part of a chunk costs as much as all of it.
         step = length * -(-max(_CHUNKS * chunk, length) // length) if chunk <= _LONGEST_CHUNK else length
         for first in range(0, len(channel), step):
             count = min(step, len(channel) - first)
@@ -113,9 +106,9 @@ def read_tdms(path: Path, source: str, variable: str | None) -> Contents:
     Parameters
     ----------
     path : Path
-        The file; an index file beside it is not used.
+        The file; an index file next to it is not used.
     source : str
-        Its name in messages.
+        Name of the file in messages.
     variable : str or None
         Name of a group, of a channel (``group/channel``), or a pattern; None if only one group has numbers.
 
@@ -123,8 +116,8 @@ def read_tdms(path: Path, source: str, variable: str | None) -> Contents:
     -------
     Contents
         Rate, unit and start time are those of the channels' waveform properties (``wf_increment``, ``unit_string``,
-        ``wf_start_time``), else what properties of group or file or a channel of times say. Of a file that is cut off
-        what is whole in all channels.
+        ``wf_start_time``), else of properties of group or file or of a channel of times. If the file is cut off, the
+        samples that are whole in all channels.
 
     Raises
     ------
@@ -168,7 +161,7 @@ def _variable(file: _Tdms, group: str, channel: Any) -> Variable:
 def _values(properties: Any) -> dict[str, Value]:
     found: dict[str, Value] = {}
     for name, value in properties.items():
-        if not is_telling(name):
+        if not is_statement(name):
             continue
         if isinstance(value, np.datetime64):
             # Timestamps of TDMS are in UTC; before year 1 or after 9999 there is no datetime.
@@ -187,7 +180,7 @@ def _is_cut(file: BinaryIO) -> bool:
         file.seek(place)
         lead_in = file.read(_LEAD_IN)
         if not lead_in.startswith(_TAG):
-            return False  # damaged, not cut, which nptdms says
+            return False  # damaged, not cut: nptdms says so
         # Bit 6 of the table of contents: the numbers that follow have the high byte first.
         follows = int.from_bytes(lead_in[12:20], "big" if lead_in[4] & 0x40 else "little")
         if follows == _UNKNOWN:

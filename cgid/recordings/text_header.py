@@ -111,17 +111,17 @@ def read_header(lines: Iterable[str], layout: Layout) -> Header:
     before: tuple[Column, ...] = ()
     for written in lines:
         line = written.translate(_SAME)
-        remark = line[:_LONGEST_NAME]
-        if (rate := _stated_rate(remark)) is not None:
+        comment = line[:_LONGEST_NAME]
+        if (rate := _stated_rate(comment)) is not None:
             header = replace(header, sampling_rates=(*header.sampling_rates, rate))
-        elif found := _STATED_START.fullmatch(remark):
+        elif found := _STATED_START.fullmatch(comment):
             with suppress(ValueError):
                 header = replace(header, start_time=datetime.fromisoformat(found[1]))
-        elif found := _STATED_UNIT.fullmatch(remark):
+        elif found := _STATED_UNIT.fullmatch(comment):
             header = replace(header, unit=known_unit(found[1]))
         elif columns := _columns(line, layout):
             columns = _under(before, columns)
-            if _is_telling(columns) or not _is_telling(best):
+            if _has_unit_or_time(columns) or not _has_unit_or_time(best):
                 best = columns
             before = columns
     named = tuple(replace(column, name=column.name or column.unit) for column in best)
@@ -132,12 +132,12 @@ def _is_time_unit(text: str) -> bool:
     return bool(text) and seconds_of(text) is not None
 
 
-def _stated_rate(remark: str) -> float | None:
+def _stated_rate(comment: str) -> float | None:
     """Return the sampling rate [Hz] that a line states, as such or by its interval."""
     with suppress(ValueError):  # two points in one number
-        if found := _STATED_RATE.fullmatch(remark):
+        if found := _STATED_RATE.fullmatch(comment):
             return float(found[2]) * (hertz_of(found[3] or found[1] or "") or 1.0)
-        if found := _STATED_INTERVAL.fullmatch(remark):
+        if found := _STATED_INTERVAL.fullmatch(comment):
             interval = float(found[2]) * (seconds_of(found[3] or found[1] or "") or 1.0)
             return 1 / interval if interval else math.inf
     return None
@@ -151,7 +151,7 @@ def _columns(line: str, layout: Layout) -> tuple[Column, ...]:
     for fields in _divisions(text, layout):
         while len(fields) > layout.n_columns and not fields[-1].strip():
             fields = fields[:-1]
-        # "Operator: somebody" is a remark, not a name.
+        # "Operator: somebody" is a comment, not a name.
         if len(fields) == layout.n_columns and any(map(str.strip, fields)) and not re.search("[:=]", "".join(fields)):
             return tuple(map(column_of, fields))
     return ()
@@ -179,5 +179,5 @@ def _under(names: tuple[Column, ...], units: tuple[Column, ...]) -> tuple[Column
     return tuple(Column(name=name.name, unit=unit.unit or name.unit) for name, unit in zip(names, units, strict=True))
 
 
-def _is_telling(columns: tuple[Column, ...]) -> bool:
+def _has_unit_or_time(columns: tuple[Column, ...]) -> bool:
     return any(column.is_named_time or column.known_unit or column.has_time_unit for column in columns)

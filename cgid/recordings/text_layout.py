@@ -1,9 +1,4 @@
-"""In which characters a text file is written; none says so but by its bytes.
-
-How the rows of a text file are divided into numbers.
-
-Times of day, with or without a date, as the time of each row of a text; they become seconds before anything else.
-"""
+"""How a text file is written: its characters, the division of its rows into numbers, times of day among them."""
 
 from __future__ import annotations
 
@@ -15,10 +10,10 @@ from datetime import date, datetime, timedelta
 
 from cgid.errors import BadData
 
-#: Bytes that are looked at: all of the header.
+#: Bytes that show the encoding; the header ends within them.
 SNIFFED = 1 << 18
 
-# Characters that no text holds: all controls but tab, line and page breaks, and the end mark of DOS.
+# Characters that no text holds: all controls except tab, line and page breaks, and the end mark of DOS.
 _CONTROL = re.compile("[\0-\x08\x0e-\x19\x1b-\x1f\x7f]")
 
 _HIGH = re.compile(rb"[\x80-\xff]")
@@ -40,8 +35,8 @@ def encoding_of(start: bytes, source: str) -> str:
     Returns
     -------
     str
-        "utf-8-sig" and "utf-16" by their marks, "utf-8" where the bytes are such, "gb18030" where most of what is
-        not ASCII are common Chinese characters (LabVIEW writes in the code page of the system), else "latin-1".
+        "utf-8-sig" and "utf-16" by their marks, "utf-8" if the bytes are valid, "gb18030" if most of what is not ASCII
+        are common Chinese characters (LabVIEW writes in the code page of the system), else "latin-1".
 
     Raises
     ------
@@ -55,30 +50,24 @@ def encoding_of(start: bytes, source: str) -> str:
     >>> encoding_of("时间(s),加速度(g)".encode("gbk"), ""), encoding_of("Größe (°C)".encode("latin-1"), "")
     ('gb18030', 'latin-1')
     """
-    encoding = _marked(start) or _guessed(start)
-    text = start.decode(encoding, "replace")
-    # What is left undecoded of UTF-16 holds zeros.
-    if _CONTROL.search(text):
+    if start.startswith(codecs.BOM_UTF8):
+        encoding = "utf-8-sig"
+    elif start.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+        encoding = "utf-16"
+    elif start.isascii() or _decodes(start, "utf-8"):
+        encoding = "utf-8"
+    else:
+        # In western texts nearly every character beyond ASCII stands next to letters of ASCII; two in a row that happen
+        # to be a common Chinese character are rare. Chinese texts hold hardly anything else beyond ASCII.
+        common = sum(map(len, _COMMON_CHINESE.findall(start)))
+        chinese = common > 0.7 * len(_HIGH.findall(start)) and _decodes(start, "gb18030")
+        encoding = "gb18030" if chinese else "latin-1"
+    # UTF-16 without a mark shows by its zeros.
+    if _CONTROL.search(start.decode(encoding, "replace")):
         raise BadData(
             f"{source}: the file is neither text nor of another format that is known; export it as text, WAV or HDF5"
         )
     return encoding
-
-
-def _marked(start: bytes) -> str | None:
-    if start.startswith(codecs.BOM_UTF8):
-        return "utf-8-sig"
-    return "utf-16" if start.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)) else None
-
-
-def _guessed(start: bytes) -> str:
-    if start.isascii() or _decodes(start, "utf-8"):
-        return "utf-8"
-    # In western texts nearly every character beyond ASCII stands beside letters of ASCII; two in a row that happen to
-    # be a common Chinese character are rare. Chinese texts hardly hold anything else.
-    common = sum(map(len, _COMMON_CHINESE.findall(start)))
-    chinese = common > 0.7 * len(_HIGH.findall(start)) and _decodes(start, "gb18030")
-    return "gb18030" if chinese else "latin-1"
 
 
 def _decodes(start: bytes, encoding: str) -> bool:
@@ -90,10 +79,10 @@ def _decodes(start: bytes, encoding: str) -> bool:
     return True
 
 
-#: What the parsers of C and of Python both take for a number; no underscores, no other scripts' digits.
+#: Numbers to the parsers of C and of Python alike; no underscores, no digits of other scripts.
 NUMBER = re.compile(r"[+-]?(?:\d+(?:\.\d*)?|\.\d+)(?:e[+-]?\d+)?|[+-]?(?:nan|inf|infinity)", re.ASCII | re.IGNORECASE)
 
-#: The delimiter of columns that are divided by commas here and by blanks there.
+#: The delimiter of columns that commas or blanks or both divide.
 MIXED = ", "
 
 _COMMENT = ("#", "%", "//")
@@ -102,20 +91,20 @@ _QUOTES = str.maketrans("\"'", "  ")
 
 @dataclass(frozen=True, kw_only=True)
 class Layout:
-    """The division of a row.
+    """How a row is divided into fields.
 
     Parameters
     ----------
     delimiter : str or None
         One character, `MIXED`, or None for any run of blanks.
     n_columns : int
-        Without the empty one behind a trailing delimiter.
+        Without the empty one after a trailing delimiter.
     decimal_comma : bool
         The decimal mark is a comma.
     trailing : bool
         Each row ends in a delimiter.
     stamp : int or None
-        The column that holds times of day, which are turned into seconds before a row is divided.
+        The column that holds times of day; they become seconds before a row is divided.
     """
 
     delimiter: str | None
@@ -149,23 +138,23 @@ class Layout:
         '1.5'
         """
         if self.decimal_comma:
-            # A point beside a decimal comma would divide thousands, or the comma does.
+            # With both a point and a comma, one of them would divide thousands.
             field = "" if "." in field else field.replace(",", ".")
         return field if NUMBER.fullmatch(field) else None
 
     def parser(self) -> tuple[str | None, dict[str, str]]:
-        """Return the delimiter for `numpy.loadtxt` and the characters to be exchanged before it."""
-        exchange = {'"': " ", "'": " "}
+        """Return the delimiter for `numpy.loadtxt` and the characters to replace before."""
+        replacements = {'"': " ", "'": " "}
         if self.decimal_comma:
-            exchange[","] = "."
+            replacements[","] = "."
         if self.delimiter == MIXED or (self.trailing and self.delimiter is not None):
-            exchange[self.delimiter[0]] = " "
-            return None, exchange
-        return self.delimiter, exchange
+            replacements[self.delimiter[0]] = " "
+            return None, replacements
+        return self.delimiter, replacements
 
 
 def is_comment(line: str) -> bool:
-    """Return whether a line is blank or a comment: #, %, //, or ; without any number behind it.
+    """Return whether a line is blank or a comment: #, %, //, or ; without any number after it.
 
     Examples
     --------
@@ -181,7 +170,7 @@ def is_comment(line: str) -> bool:
 def layout_of(line: str) -> Layout | None:
     """Return how `line` is divided if it is a row of numbers, else None.
 
-    A field may be empty as long as one is a number: such a row is a damaged one, not a header.
+    Fields may be empty as long as one is a number: such a row is damaged, it is no header.
 
     Examples
     --------
@@ -205,18 +194,18 @@ def _candidates(line: str) -> Iterator[Layout]:
             return
     if "," not in line:
         tabbed = line.rstrip(" \r\n").split("\t")
-        # Blanks used beside tabs, or several tabs in a row, align columns; they do not divide them.
+        # Blanks next to tabs, or several tabs in a row, align columns; they do not divide them.
         by_tab = len(tabbed) > 1 and all(len(field.split()) == 1 for field in tabbed)
         yield Layout(delimiter="\t" if by_tab else None, n_columns=0)
         return
-    # A comma that touches a blank ends a field; one between two digits of a line with blanks is a decimal comma.
+    # A comma next to a blank ends a field; a comma between two digits of a line with blanks is a decimal comma.
     if len(line.split()) > 1 and not re.search(r",\s|\s,", line.strip()):
         yield Layout(delimiter=None, n_columns=0, decimal_comma=True)
     yield Layout(delimiter=",", n_columns=0)
     yield Layout(delimiter=MIXED, n_columns=0)
 
 
-#: Days are counted from here, so that seconds keep their digits: 2^-23 s in our century.
+#: Days count from here, so that seconds keep their digits: 2^-23 s in our century.
 _FIRST_DAY = date(2000, 1, 1)
 
 _STAMP = re.compile(
@@ -235,16 +224,14 @@ def stamped_layout_of(line: str, following: str) -> Layout | None:
     >>> stamped_layout_of("2026-03-04 10:00:00", "time;force") is None
     True
     """
-    layouts = [_layout(each) for each in (line, following)]
-    first, second = layouts
-    alike = (
-        first is not None and second is not None and (first.n_columns, first.stamp) == (second.n_columns, second.stamp)
-    )
-    return first if alike else None
+    first, second = _layout(line), _layout(following)
+    if first is None or second is None or (first.n_columns, first.stamp) != (second.n_columns, second.stamp):
+        return None
+    return first
 
 
 def with_seconds(text: str, layout: Layout) -> str:
-    """Return text whose stamps are seconds.
+    """Return rows with seconds in place of their stamps.
 
     Examples
     --------
@@ -280,7 +267,7 @@ def stamped_moment(line: str) -> datetime | None:
 def _layout(line: str) -> Layout | None:
     """Return the layout of a row with one stamp and one number at least."""
     for pattern in (_STAMP_BEFORE_COMMA, _STAMP):
-        # As a whole number the stamp says nothing of the decimal mark, which the other columns show.
+        # With a whole number in place of the stamp, the other columns show the decimal mark.
         layout = layout_of(pattern.sub("0", line)) if len(pattern.findall(line)) == 1 else None
         if (
             layout is not None
@@ -296,7 +283,7 @@ def _seconds(found: re.Match[str], mark: str) -> str:
     try:
         days = (date(int(found[1]), int(found[2]), int(found[3])) - _FIRST_DAY).days if found[1] else 0
     except ValueError:
-        # No such day: left as it is, it is told as a field that is no number.
+        # There is no such day: left as it is, it is reported as a field that is no number.
         return found[0]
     whole = 86400 * days + 3600 * int(found[4]) + 60 * int(found[5]) + int(found[6])
     if whole < 0:

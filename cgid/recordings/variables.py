@@ -1,7 +1,4 @@
-"""Files that hold named arrays: which of them is the recording, and what is said about it.
-
-The sampling rate from an array of times, looked through once by blocks.
-"""
+"""Files that hold named arrays: which of them are the recording, and what the file states about them."""
 
 from __future__ import annotations
 
@@ -27,9 +24,9 @@ from cgid.recordings.statements import (
 )
 from cgid.recordings.times import rate_of_vector
 
-#: Of an array of times; a large T is as often a temperature or a torque.
+#: Names of an array of times; a capital T is as often a temperature or a torque.
 _TIME_NAME = re.compile(r"(?i:(?:.*[\s_.-])?(?:time|zeit)(?:[\s_.(\[-].*)?)|t(?:\s*[(\[].*|_(?:m|u|µ)?s)?")
-#: Names listed in a message.
+#: Names to list in a message.
 _LISTED = 12
 Answer = TypeVar("Answer")
 
@@ -42,12 +39,12 @@ class Variable:
     ----------
     name : str
     group : str
-        The path of what it lies in, parts divided by slashes, "" at the top.
+        The path of the group that holds it, parts divided by slashes, "" at the top.
     n_channels, n_samples : int
     blocks : callable
         As in `Contents`.
     about : dict
-        What is attached to it.
+        Named values attached to it.
     fault : str
         Why its samples cannot be read, "" if they can.
     warning : str
@@ -70,7 +67,7 @@ class Variable:
 
     @property
     def is_time(self) -> bool:
-        """Whether it is named as the times of samples are."""
+        """Whether its name is one for the times of samples."""
         return self.n_channels == 1 and _TIME_NAME.fullmatch(self.name) is not None
 
     def __str__(self) -> str:
@@ -116,23 +113,23 @@ def contents_of(
     variables : sequence of Variable
         All arrays of two samples or more.
     said : dict
-        Path of a group ("" is the top) -> named values that lie in it or are attached to it.
+        Path of a group ("" is the top) -> named values in it or attached to it.
     source : str
         Name of the file in messages.
     variable : str or None
         The name of an array, of a group (its arrays of one channel each), or a pattern with * or ?; None if the file
-        holds only one that can be meant. A name need not be given with its path if it is the only one of its kind.
+        holds only one array besides times. A name that is unique needs no path.
     warnings : list of str
-        Of the file; those of the arrays that are taken join them.
+        Of the file; those of the chosen arrays are added.
     group_is_one : bool
         Whether the arrays of a group are the channels of one recording.
     is_cut : bool
-        Whether the file was cut off, so that some channels lost more than others; the shortest counts.
+        Whether the file was cut off, so that some channels lost more than others; the shortest one counts.
 
     Raises
     ------
     BadData
-        There is no array, several can be meant, or those asked for are of different length or rate.
+        There is no array, several without a choice, or the chosen ones differ in length or rate.
     """
     chosen = _chosen(variables, source, variable, group_is_one)
     first = chosen[0]
@@ -162,7 +159,7 @@ def contents_of(
     start: datetime | None = _first(levels[0], stated_start)
     return Contents(
         n_channels=sum(one.n_channels for one in chosen),
-        blocks=first.blocks if len(chosen) == 1 else _together(chosen, n_samples, source),
+        blocks=first.blocks if len(chosen) == 1 else _joined(chosen, n_samples, source),
         n_samples=n_samples,
         names=names,
         units=units or [],
@@ -187,12 +184,12 @@ def _chosen(variables: Sequence[Variable], source: str, variable: str | None, gr
                 "--variable NAME, or several of one length by a pattern such as 'ch*'"
             )
         return signals or list(variables[:1])
-    asked = variable
+    wanted = variable
     ways: list[Callable[[Variable], bool]] = [
-        lambda one: asked in (one.path, f"/{one.path}"),
-        lambda one: one.name == asked,
-        lambda one: asked.strip("/") == one.group and not one.is_time,
-        lambda one: fnmatchcase(one.path, asked) and not one.is_time,
+        lambda one: wanted in (one.path, f"/{one.path}"),
+        lambda one: one.name == wanted,
+        lambda one: wanted.strip("/") == one.group and not one.is_time,
+        lambda one: fnmatchcase(one.path, wanted) and not one.is_time,
     ]
     for index, way in enumerate(ways):
         found = [one for one in variables if way(one)]
@@ -211,7 +208,7 @@ def _listed(variables: Sequence[Variable]) -> str:
 
 
 def _levels(variable: Variable, said: Mapping[str, Values]) -> Iterator[Values]:
-    """Yield what is said from the array itself up to the top of the file."""
+    """Yield the named values of the array itself, of its groups and of the top of the file."""
     yield variable.about
     group = variable.group
     while group:
@@ -230,24 +227,18 @@ def _units(values: Values, n_channels: int) -> list[str | None] | None:
 
 
 class _Rates:
-    """The sampling rates of arrays, from what is said of them and from the times beside them."""
+    """The sampling rates of arrays, from the named values about them and from the times next to them."""
 
     def __init__(
         self, variables: Sequence[Variable], said: Mapping[str, Values], source: str, warnings: list[str]
     ) -> None:
         self._times = [one for one in variables if one.is_time]
         self._said, self._source, self._warnings = said, source, warnings
-        # Times are looked through once, however many channels they belong to.
+        # Times are read once, however many channels they belong to.
         self._measured: dict[str, float | None] = {}
 
     def of(self, variable: Variable) -> tuple[float | None, str]:
-        """Return the rate [Hz] and what says it; None if nothing does.
-
-        Raises
-        ------
-        BadData
-            What says it contradicts itself, or is no rate.
-        """
+        """Return the rate [Hz] and what states it; None if nothing does; raises `BadData` on contradictions."""
         stated = _first(list(_levels(variable, self._said)), lambda values: stated_rate(values, self._source))
         found = [] if stated is None else [stated]
         for times in self._times:
@@ -283,8 +274,8 @@ def _hertz(rate: float | None) -> str:
     return "none" if rate is None else f"{rate:.10g} Hz"
 
 
-def _together(chosen: Sequence[Variable], n_samples: int, source: str) -> Blocks:
-    """Return the blocks of several arrays of one channel each, of so many samples."""
+def _joined(chosen: Sequence[Variable], n_samples: int, source: str) -> Blocks:
+    """Return the blocks of several arrays of one channel each, `n_samples` long."""
     nothing: NDArray[Any] = np.empty((1, 0))
 
     def blocks(length: int, channels: Sequence[int]) -> Iterator[NDArray[Any]]:
@@ -292,7 +283,7 @@ def _together(chosen: Sequence[Variable], n_samples: int, source: str) -> Blocks
         waiting = [next(stream, nothing) for stream in streams]
         left = n_samples
         while left:
-            # Each may come in pieces of its own length.
+            # Each array may come in pieces of its own length.
             n = min(left, *(piece.shape[1] for piece in waiting))
             if not n:
                 raise BadData(

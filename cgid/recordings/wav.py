@@ -1,8 +1,6 @@
-"""How samples are written as bytes: integers and floats of WAV files and of raw streams.
+"""WAV files and the numbers in them, by blocks: whole frames are read, contradictions and cuts become warnings.
 
-The head of a WAV file or stream: its chunks up to the sound.
-
-WAV files by blocks: what is whole is read, and what is not is said.
+EBU Tech 3285 (broadcast WAV), EBU Tech 3306 (RF64), RFC 2361 (codings).
 """
 
 from __future__ import annotations
@@ -23,20 +21,33 @@ from numpy.typing import NDArray
 from cgid.errors import BadData, InvalidValue
 from cgid.recordings.recording import MOST_NUMBERS, Contents
 
-_FLOAT_WIDTHS = (4, 8)
-_INTEGER_WIDTHS = (1, 2, 3, 4, 8)
+#: How WAV files begin: little-endian, big-endian, and two with sizes of 64 bits.
+WAV_MAGICS = (b"RIFF", b"RIFX", b"RF64", b"BW64")
+
+#: From here on a size means "until the end": 0xFFFFFFFF by the standards; other programs write to pipes what their
+#: signed 32 bits hold, rounded down.
+ENDLESS = 0x7FFF0000
+
+#: Bytes to read of each chunk that matters; the rest is skipped.
+_READ = {b"fmt ": 40, b"ds64": 28, b"fact": 4, b"bext": 338}
+#: No program writes more chunks before the sound; a hostile file could hold millions of empty ones.
+_MOST_CHUNKS = 1000
+
+_PCM, _FLOAT, _EXTENSIBLE = 1, 3, 0xFFFE
+_OTHER_CODINGS = {2: "ADPCM", 6: "A-law (ALAW)", 7: "mu-law (MULAW)", 0x11: "IMA ADPCM", 0x55: "MP3"}
+_WIDTHS = {"u": (1,), "i": (2, 3, 4, 8), "f": (4, 8)}
 
 
 @dataclass(frozen=True, kw_only=True)
 class Coding:
-    """One number as bytes.
+    """How one number is written as bytes.
 
     Parameters
     ----------
     kind : str
         "u": unsigned integers around the middle of their range; "i": signed integers; "f": floats.
     width : int
-        Bytes of a number: 1, 2, 3, 4 or 8; 4 or 8 of a float.
+        Bytes of a number: 1 if unsigned; 2, 3, 4 or 8; of a float 4 or 8.
     big_endian : bool
     """
 
@@ -46,12 +57,12 @@ class Coding:
 
     @classmethod
     def of_name(cls, name: str) -> Coding:
-        """Return the coding of a name such as "u8", "s16le", "s24be", "f32le"; the order is little unless said.
+        """Return the coding of a name such as "u8", "s16le", "s24be", "f32le"; little-endian by default.
 
         Raises
         ------
         InvalidValue
-            It is none of the known names; the message lists them.
+            The name is unknown; the message lists the known ones.
 
         Examples
         --------
@@ -67,12 +78,12 @@ class Coding:
     @property
     def is_known(self) -> bool:
         """Whether there are numbers of this width."""
-        return self.width in (_FLOAT_WIDTHS if self.kind == "f" else _INTEGER_WIDTHS)
+        return self.width in _WIDTHS[self.kind]
 
     def decoded(self, raw: bytes) -> NDArray[Any]:
         """Return the numbers of whole samples, (len(raw) // width,).
 
-        Integers come as float64 with a full scale of 1.0, floats as they are.
+        Integers become float64 with a full scale of 1.0, floats stay as they are.
 
         Examples
         --------
@@ -93,15 +104,13 @@ class Coding:
         return scaled
 
 
-def _named(kind: Literal["i", "f"], letter: str, widths: tuple[int, ...]) -> dict[str, Coding]:
-    return {
-        f"{letter}{8 * width}{ending}": Coding(kind=kind, width=width, big_endian=ending == "be")
-        for width in widths
-        for ending in ("le", "be", "")
-    }
-
-
-_NAMED = {"u8": Coding(kind="u", width=1), **_named("i", "s", (2, 3, 4)), **_named("f", "f", _FLOAT_WIDTHS)}
+_KINDS: dict[str, tuple[Literal["i", "f"], tuple[int, ...]]] = {"s": ("i", (2, 3, 4)), "f": ("f", (4, 8))}
+_NAMED = {"u8": Coding(kind="u", width=1)} | {
+    f"{letter}{8 * width}{ending}": Coding(kind=kind, width=width, big_endian=ending == "be")
+    for letter, (kind, widths) in _KINDS.items()
+    for width in widths
+    for ending in ("le", "be", "")
+}
 
 
 def _of_three_bytes(raw: bytes, big_endian: bool) -> NDArray[np.int32]:
@@ -113,26 +122,12 @@ def _of_three_bytes(raw: bytes, big_endian: bool) -> NDArray[np.int32]:
     return four.view(np.int32)[:, 0]
 
 
-#: How WAV files begin: little-endian, big-endian, and two with sizes of 64 bits.
-WAV_MAGICS = (b"RIFF", b"RIFX", b"RF64", b"BW64")
-
-#: From here on a size means "until the end": 0xFFFFFFFF by the standards; other programs write to pipes what their
-#: signed 32 bits hold, rounded down.
-ENDLESS = 0x7FFF0000
-
-#: Bytes to be read of the chunks that matter; the rest of them is passed over (EBU Tech 3285, 3306; RFC 2361).
-_READ = {b"fmt ": 40, b"ds64": 28, b"fact": 4, b"bext": 338}
-
-#: More chunks than any program writes before the sound; files from strangers could hold millions of empty ones.
-_MOST_CHUNKS = 1000
-
-_PCM, _FLOAT, _EXTENSIBLE = 1, 3, 0xFFFE
-_OTHER_CODINGS = {2: "ADPCM", 6: "A-law (ALAW)", 7: "mu-law (MULAW)", 0x11: "IMA ADPCM", 0x55: "MP3"}
+# ---- the head: everything before the sound ---------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, kw_only=True)
 class WaveHead:
-    """What stands before the sound.
+    """What a WAV file or stream states before the sound.
 
     Attributes
     ----------
@@ -145,9 +140,9 @@ class WaveHead:
     n_frames : int or None
         Samples of a channel according to the chunk "fact".
     start_time : datetime or None
-        Where a broadcast chunk says it.
+        From a broadcast chunk.
     warnings : list of str
-        What in the head contradicts itself.
+        Contradictions within the head.
     """
 
     n_channels: int
@@ -171,11 +166,11 @@ def read_wave_head(file: BinaryIO, skip: Callable[[int], object], source: str, s
     Parameters
     ----------
     file : binary file
-        At the first byte behind `start`.
+        At the first byte after `start`.
     skip : callable
-        Passes over so many bytes of `file`: by seeking where that is possible, else by reading.
+        Skips a number of bytes of `file`: by seeking where that is possible, else by reading.
     source : str
-        Its name in messages.
+        Name of the file in messages.
     start : bytes
         At most 12 that have been read already.
 
@@ -233,8 +228,8 @@ def _head(chunks: dict[bytes, bytes], order: str, outer_size: int, data_size: in
         warnings.append(
             f"the header contradicts itself: {bits} bits do not take {width} bytes each; check the number of channels"
         )
-    if b"ds64" in chunks and len(chunks[b"ds64"]) >= 24:
-        # The sizes proper of RF64, which do not fit into 32 bits.
+    if len(chunks.get(b"ds64", b"")) >= 24:
+        # RF64 has its sizes here, as they do not fit into 32 bits.
         outer_size, data_size = struct.unpack("<QQ", chunks[b"ds64"][:16])
     return WaveHead(
         n_channels=n_channels,
@@ -257,6 +252,9 @@ def _start_time(broadcast: bytes) -> datetime | None:
     return None
 
 
+# ---- files -----------------------------------------------------------------------------------------------------------
+
+
 def read_wav(path: Path, source: str, variable: str | None) -> Contents:
     """Return the channels of a WAV file.
 
@@ -265,15 +263,15 @@ def read_wav(path: Path, source: str, variable: str | None) -> Contents:
     path : Path
         RIFF, RIFX or RF64 with integers of 8, 16, 24, 32 or 64 bits or floats of 32 or 64.
     source : str
-        Its name in messages.
+        Name of the file in messages.
     variable : str or None
-        Not used: such a file holds one recording.
+        Not used: a WAV file holds one recording.
 
     Returns
     -------
     Contents
-        Integers scaled to a full scale of 1.0, floats as they are; both in "FS" if nobody says otherwise. Of a file
-        that is cut off, or was never closed, the samples that are whole, and a warning.
+        Integers scaled to a full scale of 1.0, floats as they are; both in "FS" unless the user gives a unit. If the
+        file is cut off, or was never closed, the whole samples and a warning.
 
     Raises
     ------
@@ -313,9 +311,9 @@ def read_wav(path: Path, source: str, variable: str | None) -> Contents:
 
 
 def _size_of_sound(file: BinaryIO, head: WaveHead, start: int, held: int, warnings: list[str]) -> int:
-    """Return the bytes of whole frames that are there; say where the sizes in the file are not true."""
+    """Return the bytes of whole frames in the file; warn where the declared sizes are wrong."""
     declared, follows = head.data_size, held - start
-    # A recorder that was switched off, or a program that wrote to a pipe, never came back to fill in the size.
+    # A recorder that lost power, or a program that wrote to a pipe, never came back to fill in the size.
     never_closed = declared == 0 and follows > 0 and not _is_chunk(file, head, start, held)
     if never_closed or (declared >= ENDLESS and declared > follows):
         warnings.append(f"the file was not closed and does not say its length; all {follows} bytes of sound were read")
@@ -331,18 +329,18 @@ def _size_of_sound(file: BinaryIO, head: WaveHead, start: int, held: int, warnin
 
 
 def _check_end(file: BinaryIO, head: WaveHead, start: int, held: int, warnings: list[str]) -> None:
-    """Say what contradicts the size of the sound, where the file holds all of it."""
+    """Warn of what contradicts the size of the sound, if the file holds all of it."""
     n_frames, left = divmod(head.data_size, head.frame_size)
     if left:
         warnings.append(
             f"{head.data_size} bytes of sound are not whole frames of {head.frame_size}; the last {left} were left out"
         )
-    # Some programs count the numbers of all channels there.
+    # Some programs count the numbers of all channels here.
     counted = head.n_frames or n_frames
     if counted not in (n_frames, n_frames * head.n_channels) and counted < ENDLESS:
         warnings.append(f"the header says {counted} samples a channel and there are {n_frames}; check the file")
     end = start + head.data_size
-    # Sound of an odd size is followed by a zero, which some programs forget.
+    # A zero follows sound of an odd size, but some programs forget it.
     if end + end % 2 < held and not any(_is_chunk(file, head, at, held) for at in (end, end + 1)):
         warnings.append(
             f"{held - end} bytes behind the declared sound are no part of a WAV file and were left out; check the file"
@@ -354,7 +352,7 @@ def _check_end(file: BinaryIO, head: WaveHead, start: int, held: int, warnings: 
 
 
 def _is_chunk(file: BinaryIO, head: WaveHead, at: int, held: int) -> bool:
-    """Return whether a chunk that ends within the file begins at a byte."""
+    """Return whether a chunk begins at a byte and ends within the file."""
     file.seek(at)
     name, size = file.read(4), int.from_bytes(file.read(4), "big" if head.coding.big_endian else "little")
     return len(name) == 4 and all(32 <= byte < 127 for byte in name) and at + 8 + size <= held + 1

@@ -241,8 +241,7 @@ def _write_in_turn(
     block = BLOCK * work.scene.sampling.samples * np.dtype(work.dtype).itemsize
     with closing(ahead(made, min(max(1, _AHEAD_BYTES // block), _AHEAD_BLOCKS))) as batches:
         for number, first, count in shards:
-            signals = _next_signals(batches, count, progress)
-            yield work.writer.put(work.writer.build_shard(number, first, count, signals))
+            yield work.writer.write(number, first, count, _next_signals(batches, count, progress))
 
 
 def _write_one(work: _Work, shard: tuple[int, int, int]) -> ShardEntry:
@@ -314,7 +313,7 @@ def _next_signals(batches: Iterator[Batch], count: int, progress: Callable[[int]
 
 @dataclass(frozen=True)
 class Tabulated:
-    """What was written.
+    """The table that was written.
 
     Attributes
     ----------
@@ -340,7 +339,7 @@ def tabulate(
 ) -> Tabulated:
     """Write what a plan asks for as a table, with labels and specimens, and return what was written.
 
-    Memory stays the same however many signals there are: they come in batches of a thousand.
+    Memory does not grow with the number of signals: they come in batches of a thousand.
 
     Parameters
     ----------
@@ -350,9 +349,9 @@ def tabulate(
         Ending in .h5, .hdf5, .parquet (with the extra `parquet`) or .csv.
     n_signals, seed : int
     overwrite : bool
-        Whether an old file may be replaced.
+        Whether an existing file may be replaced.
     progress : callable, optional
-        Called with a number of signals whenever so many more are done.
+        Called with a number of signals whenever this many more are done.
 
     Raises
     ------
@@ -368,7 +367,7 @@ def tabulate(
     if not 1 <= n_signals <= MOST_SIGNALS:
         raise InvalidValue(f"n_signals must lie between 1 and {MOST_SIGNALS}, got {n_signals}")
     path = check_table_output(output, overwrite)
-    next(iter(columns_of(asked, 1, seed)))  # what is wrong with the plan or the seed shows before anything is written
+    next(iter(columns_of(asked, 1, seed)))  # errors of the plan or the seed show before anything is written
     size = n_signals * (2 + len(asked.column_units)) * (_BYTES_OF_TEXT if path.suffix == ".csv" else _BYTES)
     require_room(path, path.parent, size, "rows", "make room, or fewer signals")
     header = TableHeader(

@@ -1,11 +1,8 @@
-"""Whether the chunks of a dataset can be unpacked, by what the file says of them.
+"""Which datasets of an HDF5 file may be read: plain arrays in this very file, of no more than its bytes can hold.
 
-HDF5 believes the index of chunks: one of no bytes crashes its checksum (2.0.0, `H5Zfletcher32`), one of too few leaves
-another's numbers. So every entry is held against the file before anything is read.
-
-What of an HDF5 file may be opened: plain arrays that lie in this very file and that its bytes bear out.
-
-Only the reading process opens files; see `apart`.
+HDF5 believes the index of chunks: an empty chunk crashes its checksum (2.0.0, `H5Zfletcher32`), a short one leaves the
+numbers of another. So every entry is compared with the file before anything is read. Only the reading process imports
+this module.
 """
 
 from __future__ import annotations
@@ -24,15 +21,15 @@ from cgid.errors import BadData, CgidError, MissingExtra, NoInput
 DAMAGE = (OSError, RuntimeError, LookupError, ValueError, TypeError, ArithmeticError)
 #: HDF5 unpacks whole chunks; no sound writer makes larger ones [bytes].
 LARGEST_CHUNK = 64 << 20
-#: deflate packs no better, and what others pack better is no recording.
+#: The best ratio of deflate; what other filters pack better is no recording.
 BEST_RATIO = 1100
-#: But silence, which long frames without noise mostly are, by Zstandard and Blosc2: 512 KiB to some 30 bytes.
+#: Except silence, most of a long frame without noise: Zstandard and Blosc2 pack 512 KiB to some 30 bytes.
 BEST_RATIO_OF_SILENCE = 1 << 15
-#: Chunks that are kept, so that none is unpacked for every block anew: at least and at most so many bytes.
+#: Size of the cache of chunks, so that none is unpacked for every block: at least and at most this [bytes].
 _LEAST_CACHE, _LARGEST_CACHE = 1 << 20, 128 << 20
 _DEFLATE, _CHECKSUM = 1, 3
-#: What is unpacked: deflate, shuffle, checksum, LZF; and with hdf5plugin Zstandard and Blosc2. Others, such as n-bit
-#: and scale-offset, believe parameters that lie in the file.
+#: Filters that are unpacked: deflate, shuffle, checksum, LZF; and with hdf5plugin Zstandard and Blosc2. Others, such
+#: as n-bit and scale-offset, believe parameters in the file.
 _UNPACKED, _WITH_PLUGIN = (_DEFLATE, 2, _CHECKSUM, 32000), {32015: "Zstandard", 32026: "Blosc2"}
 
 
@@ -44,7 +41,7 @@ def storage_fault(item: h5py.Dataset, file_size: int, best_ratio: float = BEST_R
     MissingExtra
         They are packed by Zstandard or Blosc2, and the library is not installed.
     """
-    # HDF5 would go through them all to say what is stored; each that is there takes a byte.
+    # HDF5 would visit all of them to report the stored size; each takes at least a byte.
     if (n_chunks := _chunks_declared(item)) > file_size:
         return f"declares {n_chunks} chunks in a file of {file_size} bytes"
     declared, stored = item.size * item.dtype.itemsize, item.id.get_storage_size()
@@ -54,7 +51,7 @@ def storage_fault(item: h5py.Dataset, file_size: int, best_ratio: float = BEST_R
         return ""
     if chunk_bytes(item) > LARGEST_CHUNK:
         return f"has chunks of more than {LARGEST_CHUNK >> 20} MiB"
-    filters = _filters(item)
+    filters = filters_of(item)
     for code, _, _, label in filters:
         if not _is_unpacked(code):
             return f"is packed by filter {code} ({label.decode(errors='replace')}), which is not unpacked here"
@@ -66,10 +63,11 @@ def storage_fault(item: h5py.Dataset, file_size: int, best_ratio: float = BEST_R
 
 def packs_silence(item: h5py.Dataset) -> bool:
     """Return whether one of its filters may reach `BEST_RATIO_OF_SILENCE`."""
-    return any(code in _WITH_PLUGIN for code, *_ in _filters(item))
+    return any(code in _WITH_PLUGIN for code, *_ in filters_of(item))
 
 
-def _filters(item: h5py.Dataset) -> list[Any]:
+def filters_of(item: h5py.Dataset) -> list[Any]:
+    """Return the filters of a dataset, the number of HDF5 first."""
     creation = item.id.get_create_plist()
     return [creation.get_filter(index) for index in range(creation.get_nfilters())]
 

@@ -1,7 +1,7 @@
-"""What the reading process says of HDF5 files that others wrote.
+"""What the reading process reports of HDF5 files of other programs; see `cgid.store.foreign`.
 
-Nothing outside the file is ever read (only hard links are followed; external storage and virtual datasets are passed
-over), and nothing is believed that the stored bytes do not bear out.
+Only hard links are followed; external storage and virtual datasets are skipped, so no other file is read. Nothing is
+believed that the stored bytes cannot hold.
 """
 
 from __future__ import annotations
@@ -20,17 +20,17 @@ from cgid.errors import BadData, CgidError
 from cgid.store import sandbox
 from cgid.store._checks import DAMAGE, cache_size, chunk_bytes, missing_chunks, storage_fault
 
-#: No recording has more parts.
+#: A recording has fewer parts.
 _MOST_OBJECTS, _DEEPEST, _MOST_ATTRIBUTES = 10_000, 32, 256
-#: So many are looked through in the time of one answer.
+#: This many are visited in the time of one answer.
 _OBJECTS_IN_TIME = 500
-#: Longer attributes say nothing of a rate or a unit.
+#: Longer attributes are neither a rate nor a unit.
 _LONGEST_ATTRIBUTE = 4096
 #: Longer lists and texts are no units and no names.
 _LONGEST_LIST, _LONGEST_TEXT = 4096, 200
-#: Of the table of chunks that are kept while rows of them are read.
+#: Slots of the cache of chunks.
 _SLOTS = 10_007
-#: Where MATLAB keeps what cells and objects refer to.
+#: Where MATLAB stores the targets of cells and objects.
 _MATLAB_INNER = ("#refs#", "#subsystem#")
 _MATLAB_NAMES = frozenset(("MATLAB_class", "MATLAB_empty"))
 _CURE = "save it again as plain arrays"

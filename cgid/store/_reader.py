@@ -1,10 +1,7 @@
-"""What the reading process says of files that cgid made: their headers, checked, and their rows.
+"""The process that reads HDF5 files for another one; see `cgid.store.sandbox`.
 
-What the reading process finds out of a file of ours that may be damaged: what can still be read, chunk by chunk.
-
-The process that reads HDF5 files for another, which asks by its standard input; see `apart`.
-
-It knows a few functions and nothing else, has limits of time and memory, and ends when nobody can ask any more.
+It has a few functions, which are called by name through its standard input, limits of time and memory, and ends when
+nobody can ask any more. Nothing in a file is believed before it is checked.
 """
 
 from __future__ import annotations
@@ -16,7 +13,6 @@ import signal
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
-from dataclasses import asdict
 from inspect import isgenerator
 from typing import Any
 
@@ -26,7 +22,7 @@ from numpy.typing import NDArray
 
 from cgid.errors import BadData, CgidError
 from cgid.store import _foreign, sandbox
-from cgid.store._checks import DAMAGE, attributes_of, bytes_of, chunk_bytes, members, opened, plain_dataset
+from cgid.store._checks import DAMAGE, attributes_of, bytes_of, chunk_bytes, filters_of, members, opened, plain_dataset
 from cgid.store.description import (
     FORMAT,
     RECORDING_FORMAT,
@@ -34,7 +30,6 @@ from cgid.store.description import (
     SCHEMA_VERSION,
     TABLE_FORMAT,
     TABLE_VERSION,
-    ShardHeader,
     require_scene,
     require_schema,
 )
@@ -45,10 +40,21 @@ from cgid.validation import RATES
 _WIDEST_TEXT = 4096
 #: Recordings and tables are not packed: they declare no more than is stored.
 _UNPACKED = 1.0
+#: Chunks of one answer, for which the time of an answer suffices.
+_TOGETHER = 64
+#: Noun, version, main datasets (the most important first) and the group of columns of each kind of file.
+_KINDS: Mapping[str, tuple[str, int, tuple[str, ...], str]] = {
+    FORMAT: ("cgid dataset", SCHEMA_VERSION, ("signals", "labels", "specimen"), "parameters"),
+    RECORDING_FORMAT: ("cgid recording", RECORDING_SCHEMA_VERSION, ("samples",), "impacts"),
+    TABLE_FORMAT: ("table", TABLE_VERSION, ("labels", "specimen"), "columns"),
+}
+
+
+# ---- headers ---------------------------------------------------------------------------------------------------------
 
 
 def format_said(path: str, source: str) -> str | None:
-    """Return what the root says it is, "" for nothing; None for what cannot be opened."""
+    """Return the attribute `format` of the root, "" if there is none; None for what cannot be opened."""
     try:
         with opened(path, source) as file:
             said = file.attrs.get_id("format") if "format" in file.attrs else None
@@ -60,7 +66,7 @@ def format_said(path: str, source: str) -> str | None:
 
 
 def shard_header(path: str, source: str) -> dict[str, Any]:
-    """Return the checked header of a shard, as a dict of `ShardHeader`.
+    """Return the checked header of a shard, the fields of `ShardHeader`.
 
     Raises
     ------
@@ -68,28 +74,50 @@ def shard_header(path: str, source: str) -> dict[str, Any]:
         It is no cgid dataset, of another version, incomplete, or holds what a dataset must not hold.
     """
     with opened(path, source) as file:
-        return asdict(_read_header(file, source))
+        attributes = _root(file, source, FORMAT)
+        signals = plain_dataset(file, "signals", source)
+        if signals.ndim != 2 or signals.dtype not in (np.float32, np.float64) or not all(signals.shape):
+            raise BadData(f"{source}: signals must be rows of floats, got shape {signals.shape} of {signals.dtype}")
+        n_signals, n_samples = signals.shape
+        for name, kind in (("labels", "S"), ("specimen", "u")):
+            _column(file, name, source, n_signals, kind, "value a signal")
+        names = members(file, "parameters", source) if file.id.links.exists(b"parameters") else []
+        units = {name: _column(file, f"parameters/{name}", source, n_signals, "f", "number a signal") for name in names}
+        about = _about(signals, "signals", source)
+        before = about.get("pre_trigger")
+        if type(before) is not int or not 0 <= before < n_samples:
+            raise BadData(f"{source}: signals must have a sound attribute pre_trigger, got {before!r:.80}")
+        return {
+            "n_signals": n_signals,
+            "n_samples": n_samples,
+            "dtype": signals.dtype.name,
+            "sampling_rate": about["sampling_rate"],
+            "pre_trigger": before,
+            "unit": about["unit"],
+            "parameter_units": units,
+            "attributes": attributes,
+            "label_width": file["labels"].dtype.itemsize,
+        }
 
 
 def recording_header(path: str, source: str) -> dict[str, Any]:
-    """Return what a recording says of itself, checked, and its columns of impacts.
-
-    Raises
-    ------
-    BadData
-        It is no recording, of another version, or incomplete.
-    """
+    """Return the checked header of a recording, and the columns of its impacts; raises as `shard_header`."""
     with opened(path, source) as file:
-        attributes = _root_of(file, source, "cgid recording", RECORDING_FORMAT, RECORDING_SCHEMA_VERSION)
+        attributes = _root(file, source, RECORDING_FORMAT)
         samples = plain_dataset(file, "samples", source, _UNPACKED)
         if samples.ndim != 1 or samples.dtype not in (np.float32, np.float64) or not samples.size:
             raise BadData(f"{source}: samples must be a row of floats, got shape {samples.shape} of {samples.dtype}")
-        about = attributes_of(samples, source)
-        _require_rate_and_unit(source, "samples", about)
+        about = _about(samples, "samples", source)
         start = about.get("start")
         if not isinstance(start, float) or not np.isfinite(start):
             raise BadData(f"{source}: samples must have a sound attribute start, got {start!r:.80}")
-        n_impacts, units = _impact_columns(file, source, attributes.get("n_impacts"))
+        n_impacts = attributes.get("n_impacts")
+        units = {
+            name: _column(file, f"impacts/{name}", source, n_impacts, "fiuS", "value an impact", _UNPACKED)
+            for name in members(file, "impacts", source)
+        }
+        if type(n_impacts) is not int or "time" not in units:
+            raise BadData(f"{source}: impacts must have a column time and their number in n_impacts; generate it again")
         return {
             "attributes": attributes,
             "n_samples": int(samples.size),
@@ -102,42 +130,62 @@ def recording_header(path: str, source: str) -> dict[str, Any]:
         }
 
 
-def _impact_columns(file: h5py.File, source: str, count: Any) -> tuple[int, dict[str, str]]:
-    units = {}
-    for name in members(file, "impacts", source):
-        column = plain_dataset(file, f"impacts/{name}", source, _UNPACKED)
-        if column.shape != (count,) or not _is_column(column, "fiuS"):
-            raise BadData(f"{source}: impacts/{name} must be one value an impact, got shape {column.shape}")
-        units[name] = str(attributes_of(column, source).get("unit", ""))
-    if type(count) is not int or "time" not in units:
-        raise BadData(f"{source}: impacts must have a column time and their number in n_impacts; generate it again")
-    return count, units
-
-
 def table_header(path: str, source: str) -> dict[str, Any]:
-    """Return what a table says of itself, checked, its columns and number of rows.
-
-    Raises
-    ------
-    BadData
-        It is no table, of another version, or incomplete.
-    """
+    """Return the checked header of a table, its columns and number of rows; raises as `shard_header`."""
     with opened(path, source) as file:
-        attributes = _root_of(file, source, "table", TABLE_FORMAT, TABLE_VERSION)
+        attributes = _root(file, source, TABLE_FORMAT)
         del attributes["format"], attributes["schema_version"]
-        columns = [f"columns/{name}" for name in members(file, "columns", source)]
-        stored = {name: plain_dataset(file, name, source, _UNPACKED) for name in ("labels", "specimen", *columns)}
-        n_rows = stored["labels"].shape
-        for name, kinds in (("labels", "S"), ("specimen", "u"), *((name, "f") for name in columns)):
-            if stored[name].shape != n_rows or not _is_column(stored[name], kinds):
-                raise BadData(f"{source}: must hold all columns that it names, all of one length; {name} is not")
+        labels = plain_dataset(file, "labels", source, _UNPACKED)
+        n_rows = labels.shape[0] if labels.ndim == 1 else None
+        kinds = {"labels": "S", "specimen": "u"}
+        kinds |= {f"columns/{name}": "f" for name in members(file, "columns", source)}
+        units = {
+            name: _column(file, name, source, n_rows, kind, "value a row", _UNPACKED) for name, kind in kinds.items()
+        }
         return {
             "kind": str(attributes.pop("kind", "")),
             "attributes": attributes,
-            "units": {name[8:]: str(attributes_of(stored[name], source).get("unit", "")) for name in columns},
-            "n_rows": n_rows[0],
-            "row_bytes": sum(bytes_of(one) for one in stored.values()),
+            "units": {name.removeprefix("columns/"): unit for name, unit in list(units.items())[2:]},
+            "n_rows": n_rows,
+            "row_bytes": sum(bytes_of(file[name]) for name in kinds),
         }
+
+
+def _root(file: h5py.File, source: str, form: str) -> dict[str, Any]:
+    """Return the attributes of the root; raises `BadData` unless they are those of such a file, of this version."""
+    noun, version, *_ = _KINDS[form]
+    attributes = attributes_of(file, source)
+    if attributes.get("format") != form:
+        raise BadData(f"{source}: this HDF5 file must be a {noun} (attribute format = {form!r}); it is not")
+    require_schema(source, attributes.get("schema_version"), version)
+    require_scene(source, attributes)
+    return attributes
+
+
+def _about(samples: h5py.Dataset, name: str, source: str) -> dict[str, Any]:
+    """Return the attributes of samples; raises `BadData` unless sampling rate and unit are plausible."""
+    about = attributes_of(samples, source)
+    rate, unit = about.get("sampling_rate"), about.get("unit")
+    for attribute, value, holds in (
+        ("sampling_rate", rate, isinstance(rate, float) and RATES[0] <= rate <= RATES[1]),
+        ("unit", unit, any(unit in units for units in UNITS.values())),
+    ):
+        if not holds:
+            raise BadData(f"{source}: {name} must have a sound attribute {attribute}, got {value!r:.80}")
+    return about
+
+
+def _column(
+    file: h5py.File, name: str, source: str, n_rows: Any, kinds: str, what: str, best_ratio: float | None = None
+) -> str:
+    """Return the unit of a column of numbers or short texts; raises `BadData` unless it has one per row."""
+    column = plain_dataset(file, name, source, *(() if best_ratio is None else (best_ratio,)))
+    if column.shape != (n_rows,) or column.dtype.kind not in kinds or column.dtype.itemsize > _WIDEST_TEXT:
+        raise BadData(f"{source}: {name} must be one {what}, got shape {column.shape} of {column.dtype}")
+    return str(attributes_of(column, source).get("unit", ""))
+
+
+# ---- content ---------------------------------------------------------------------------------------------------------
 
 
 def rows(
@@ -162,10 +210,10 @@ def rows(
         file = stack.enter_context(opened(path, source))
         stored = {name: plain_dataset(file, name, source) for name in names}
         row, chunk = (sum(size(one) for one in stored.values()) for size in (bytes_of, chunk_bytes))
-        # Nothing is a part, too: of no length, but of the types of all.
+        # No rows are a part, too: of length 0, with the types of all columns.
         for begin in range(first, max(stop, first + 1), length):
             part = slice(begin, min(begin + length, stop))
-            # As read, turned round where the bytes are, and the next that is read before the last has gone.
+            # As read, in another byte order, and the next part that is read before this one is gone.
             sandbox.allow(3 * (row * (part.stop - part.start) + chunk))
             yield {name: _part(one, part, source) for name, one in stored.items()}
 
@@ -181,104 +229,21 @@ def _part(dataset: h5py.Dataset, part: slice, source: str) -> NDArray[Any]:
     return found
 
 
-def _root_of(file: h5py.File, source: str, noun: str, form: str, version: int) -> dict[str, Any]:
-    """Return the attributes of the root; raises `BadData` unless they are those of such a file, of this version."""
-    attributes = attributes_of(file, source)
-    if attributes.get("format") != form:
-        raise BadData(f"{source}: this HDF5 file must be a {noun} (attribute format = {form!r}); it is not")
-    require_schema(source, attributes.get("schema_version"), version)
-    require_scene(source, attributes)
-    return attributes
-
-
-def _read_header(file: h5py.File, source: str) -> ShardHeader:
-    attributes = _root_of(file, source, "cgid dataset", FORMAT, SCHEMA_VERSION)
-    signals = plain_dataset(file, "signals", source)
-    if signals.ndim != 2 or signals.dtype not in (np.float32, np.float64) or not all(signals.shape):
-        raise BadData(f"{source}: signals must be rows of floats, got shape {signals.shape} of {signals.dtype}")
-    for name, kind in (("labels", "S"), ("specimen", "u")):
-        dataset = plain_dataset(file, name, source)
-        if dataset.shape != signals.shape[:1] or not _is_column(dataset, kind):
-            raise BadData(f"{source}: {name} must be one value a signal, got shape {dataset.shape} of {dataset.dtype}")
-    units = _parameter_units(file, source, signals.shape[0])
-    n_signals, n_samples = signals.shape
-    about = attributes_of(signals, source)
-    before = about.get("pre_trigger")
-    _require_rate_and_unit(source, "signals", about)
-    if type(before) is not int or not 0 <= before < n_samples:
-        raise BadData(f"{source}: signals must have a sound attribute pre_trigger, got {before!r:.80}")
-    return ShardHeader(
-        n_signals,
-        n_samples,
-        signals.dtype.name,
-        about["sampling_rate"],
-        about["pre_trigger"],
-        about["unit"],
-        units,
-        attributes,
-        file["labels"].dtype.itemsize,
-    )
-
-
-def _require_rate_and_unit(source: str, name: str, about: dict[str, Any]) -> None:
-    """Raise `BadData` unless samples have a sampling rate that something is measured at, and a known unit."""
-    rate, unit = about.get("sampling_rate"), about.get("unit")
-    for attribute, value, holds in (
-        ("sampling_rate", rate, isinstance(rate, float) and RATES[0] <= rate <= RATES[1]),
-        ("unit", unit, any(unit in units for units in UNITS.values())),
-    ):
-        if not holds:
-            raise BadData(f"{source}: {name} must have a sound attribute {attribute}, got {value!r:.80}")
-
-
-def _parameter_units(file: h5py.File, source: str, n_signals: int) -> dict[str, str]:
-    if not file.id.links.exists(b"parameters"):
-        return {}
-    units = {}
-    for name in members(file, "parameters", source):
-        dataset = plain_dataset(file, f"parameters/{name}", source)
-        if dataset.shape != (n_signals,) or not _is_column(dataset, "f"):
-            raise BadData(f"{source}: parameters/{name} must be one number a signal, got shape {dataset.shape}")
-        units[name] = str(attributes_of(dataset, source).get("unit", ""))
-    return units
-
-
-def _is_column(dataset: h5py.Dataset, kinds: str) -> bool:
-    """Return whether these are numbers or short texts of these kinds, one a row."""
-    return dataset.ndim == 1 and dataset.dtype.kind in kinds and dataset.dtype.itemsize <= _WIDEST_TEXT
-
-
-#: The groups that hold the columns of each kind of file, and what lies beside them, the most important first.
-_COLUMNS = {FORMAT: "parameters", RECORDING_FORMAT: "impacts", TABLE_FORMAT: "columns"}
-_BESIDE = {
-    FORMAT: ("signals", "labels", "specimen"),
-    RECORDING_FORMAT: ("samples",),
-    TABLE_FORMAT: ("labels", "specimen"),
-}
-_HEADERS = {
-    FORMAT: shard_header,
-    RECORDING_FORMAT: recording_header,
-    TABLE_FORMAT: table_header,
-}
-#: Chunks of one answer: so many take no longer than an answer may.
-_TOGETHER = 64
-
-
 def examine(path: str, source: str, steps: Mapping[str, int]) -> Iterator[dict[str, Any]]:
-    """Yield what can be read of a dataset's file, a recording or a table, piece by piece.
+    """Yield what can be read of a shard, a recording or a table that may be damaged, piece by piece.
 
     Parameters
     ----------
     path, source : str
     steps : dict of int
-        How many rows of which dataset are looked at together; by default its own chunks.
+        How many rows of which dataset are hashed together; by default its chunks.
 
     Yields
     ------
     dict
-        First the `attributes` of the root; then `filters`, HDF5's numbers of what signals or samples are packed by,
-        their `dtype` and `n_samples`; then for each dataset its `name` and some `chunks` of it: first row, row behind
-        the last, and the SHA-256 of the values, "" where they do not fit their checksum.
+        First the `attributes` of the root; then `filters` (HDF5's numbers), `dtype` and `n_samples` of the signals or
+        samples; then for each dataset its `name` and some `chunks` of it: first row, row behind the last, and the
+        SHA-256 of the values, "" where they do not fit their checksum.
 
     Raises
     ------
@@ -288,27 +253,25 @@ def examine(path: str, source: str, steps: Mapping[str, int]) -> Iterator[dict[s
     with opened(path, source) as file:
         attributes = attributes_of(file, source)
         yield {"attributes": attributes}
-        kind = attributes.get("format")
-        if kind not in _HEADERS:
+        kind = str(attributes.get("format"))
+        if kind not in _KINDS:
             raise BadData(f"{source}: this HDF5 file must be a dataset, a recording or a table of cgid; it is none")
-        _HEADERS[kind](path, source)
-        creation = file[_BESIDE[kind][0]].id.get_create_plist()
-        filters = [creation.get_filter(index)[0] for index in range(creation.get_nfilters())]
-        main = file[_BESIDE[kind][0]]
-        yield {"filters": filters, "dtype": main.dtype.name, "n_samples": main.shape[-1]}
-        for name in _names(file, kind, source):
+        {FORMAT: shard_header, RECORDING_FORMAT: recording_header, TABLE_FORMAT: table_header}[kind](path, source)
+        _, _, names, group = _KINDS[kind]
+        main = file[names[0]]
+        yield {
+            "filters": [code for code, *_ in filters_of(main)],
+            "dtype": main.dtype.name,
+            "n_samples": main.shape[-1],
+        }
+        columns = members(file, group, source) if file.id.links.exists(group.encode()) else []
+        for name in (*names, *(f"{group}/{column}" for column in columns)):
             dataset = plain_dataset(file, name, source)
-            for chunks in _chunks(dataset, steps.get(name)):
+            for chunks in _hashed(dataset, steps.get(name)):
                 yield {"name": name, "chunks": chunks}
 
 
-def _names(file: h5py.File, kind: str, source: str) -> list[str]:
-    group = _COLUMNS[kind]
-    columns = members(file, group, source) if file.id.links.exists(group.encode()) else []
-    return [*_BESIDE[kind], *(f"{group}/{name}" for name in columns)]
-
-
-def _chunks(dataset: h5py.Dataset, step: int | None) -> Iterator[list[tuple[int, int, str]]]:
+def _hashed(dataset: h5py.Dataset, step: int | None) -> Iterator[list[tuple[int, int, str]]]:
     n_rows = dataset.shape[0]
     step = step or (dataset.chunks[0] if dataset.chunks else max(n_rows, 1))
     starts = range(0, n_rows, step)
@@ -320,12 +283,14 @@ def _chunks(dataset: h5py.Dataset, step: int | None) -> Iterator[list[tuple[int,
         ]
 
 
-def _digest(dataset: h5py.Dataset, rows: slice) -> str:
+def _digest(dataset: h5py.Dataset, part: slice) -> str:
     try:
-        return hashlib.sha256(dataset[rows].tobytes()).hexdigest()
+        return hashlib.sha256(dataset[part].tobytes()).hexdigest()
     except DAMAGE:
         return ""
 
+
+# ---- questions and answers -------------------------------------------------------------------------------------------
 
 #: What can be asked. Each is given the path, its name in messages, and what else it needs; it returns what JSON can
 #: hold or a dict of arrays, or yields such dicts.

@@ -1,15 +1,13 @@
-"""How the signals of a shard may be packed: by filters of HDF5 that everything reads, or by those of an extra.
+"""Compression of signals: HDF5's own filters, those of an extra, and a fast deflate.
 
-`gzip` is HDF5's own shuffle and deflate: h5dump, MATLAB and LabVIEW read it as they are. `zstd` and `blosc2` (filters
-32015 and 32026 of HDF5's registry) are read where their plugins are, in Python by hdf5plugin. Whatever the filter, a
-checksum (fletcher32) of what it leaves comes after it. `python benchmarks/store.py` measures size and speed of each.
+`gzip` is HDF5's own shuffle and deflate: h5dump, MATLAB and LabVIEW read it. `zstd` and `blosc2` (filters 32015 and
+32026 of HDF5's registry) need their plugins, in Python hdf5plugin. Each is followed by a checksum (fletcher32) of its
+output. `python benchmarks/store.py` measures size and speed.
 
-Deflate as quick as signals allow: a stream that every zlib unpacks, with a choice for each byte of the numbers.
-
-After HDF5's byte shuffle the exponents of a chunk lie together, and each byte of the mantissas by itself. Noise leaves
-nothing to be found in the lower of these: they are stored as they are. The others hold no words that come again, only
-bytes that are frequent and runs of zeros: Huffman's code and runs (zlib's strategy Z_RLE) pack them as well as the
-search for words, which is what takes gzip its time.
+Our deflate is as fast as signals allow, and every zlib unpacks it. After HDF5's byte shuffle the exponents of a chunk
+are together, and so is each byte of the mantissas. In noise the lower of these contain nothing to compress: they are
+stored. The others contain no repeated words, only frequent bytes and runs of zeros: Huffman's code and runs (zlib's
+strategy Z_RLE) pack them as well as the search for words, which is what takes gzip its time.
 """
 
 from __future__ import annotations
@@ -23,12 +21,12 @@ from numpy.typing import NDArray
 from cgid.errors import MissingExtra
 
 COMPRESSIONS = ("none", "gzip", "zstd", "blosc2")
-#: Those whose filters hdf5plugin brings.
+#: Those with filters of hdf5plugin.
 BY_PLUGIN = ("zstd", "blosc2")
 
 
 def keywords(compression: str) -> dict[str, Any]:
-    """Return what h5py's `create_dataset` is told; raises as `require`."""
+    """Return the arguments for h5py's `create_dataset`; raises as `require`."""
     if compression == "none":
         return {}
     if compression == "gzip":
@@ -40,7 +38,7 @@ def keywords(compression: str) -> dict[str, Any]:
 
 
 def require(compression: str) -> None:
-    """Raise `MissingExtra` if the library that packs so is not installed."""
+    """Raise `MissingExtra` if the library of a compression is not installed."""
     if compression in BY_PLUGIN:
         _plugin(compression)
 
@@ -69,9 +67,9 @@ _RAW = -15
 _HEADER = b"\x78\x01"
 #: zlib's default.
 _MEMORY = 8
-#: A plane is looked at in so many places, so many bytes each.
+#: A plane is sampled in this many places, this many bytes each.
 _PLACES, _LOOK = 8, 256
-#: It is packed if at most so much is left of them.
+#: It is packed if at most this fraction is left of them.
 _WORTH = 0.97
 
 
@@ -81,7 +79,7 @@ def deflated(planes: NDArray[np.uint8]) -> bytes:
     Parameters
     ----------
     planes : ndarray of uint8, (itemsize, n), C order
-        Row k holds byte k of every number, as HDF5's byte shuffle lays them.
+        Row k holds byte k of every number, as after HDF5's byte shuffle.
 
     Examples
     --------
@@ -103,7 +101,7 @@ def deflated(planes: NDArray[np.uint8]) -> bytes:
 def _is_worth_packing(plane: NDArray[np.uint8]) -> bool:
     if plane.size <= _PLACES * _LOOK:
         return True
-    # Evenly spread, they fall on other places of each signal.
+    # Evenly spread, they are at different places of the signals.
     starts = np.linspace(0, plane.size - _LOOK, _PLACES).astype(int)
     seen = b"".join([plane[start : start + _LOOK].tobytes() for start in starts])
     packer = zlib.compressobj(1, zlib.DEFLATED, _RAW, _MEMORY, zlib.Z_RLE)

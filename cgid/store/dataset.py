@@ -7,11 +7,10 @@ import hashlib
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import h5py
 import numpy as np
 
 from cgid.errors import BadData, CannotCreate, InvalidValue
@@ -34,17 +33,6 @@ from cgid.store.verification import compression_of, examine_whole
 
 #: A manifest of this many shards takes some 100 MB, which readers hold in memory.
 MOST_SHARDS = 300_000
-
-
-@dataclass(frozen=True)
-class BuiltShard:
-    """A shard in memory: the content of its file, and its number of signals by label."""
-
-    number: int
-    first: int
-    n_signals: int
-    content: memoryview
-    labels: dict[str, int]
 
 
 class DatasetWriter:
@@ -146,26 +134,23 @@ class DatasetWriter:
             shards=tuple(shards),
         )
 
-    def build_shard(self, number: int, first: int, n_signals: int, batches: Iterable[Batch]) -> BuiltShard:
-        """Build one shard in memory."""
+    def write(self, number: int, first: int, n_signals: int, batches: Iterable[Batch]) -> ShardEntry:
+        """Build a shard in memory, write it to the disk, whole, and return its entry in the manifest."""
         builder = ShardBuilder(self.plan, first, n_signals)
         labels: Counter[str] = Counter()
         for batch in batches:
             builder.add(batch)
             labels.update(batch.labels.tolist())
-        return BuiltShard(number, first, n_signals, builder.image(), dict(sorted(labels.items())))
-
-    def put(self, shard: BuiltShard) -> ShardEntry:
-        """Write a built shard to the disk, whole, and return its entry in the manifest."""
+        content = builder.image()
         if self._folder is None or self._run is None:
             path = self.output
-            write_whole(path, shard.content, overwrite=self._overwrites)
+            write_whole(path, content, overwrite=self._overwrites)
         else:
-            path = self._folder / f"shard-{shard.number:05d}.h5"
+            path = self._folder / f"shard-{number:05d}.h5"
             with taking_part(self._folder, self._run):
-                write_whole(path, shard.content)
-        digest = hashlib.sha256(shard.content).hexdigest()
-        return ShardEntry(path.name, shard.first, shard.n_signals, len(shard.content), digest, shard.labels)
+                write_whole(path, content)
+        digest = hashlib.sha256(content).hexdigest()
+        return ShardEntry(path.name, first, n_signals, len(content), digest, dict(sorted(labels.items())))
 
 
 def _description_of(path: Path) -> Mapping[str, Any] | None:
@@ -187,18 +172,18 @@ def export(
     overwrite: bool = False,
     progress: Callable[[int], object] | None = None,
 ) -> Path:
-    """Write a dataset as one HDF5 file and return its path; memory stays the same however many signals there are.
+    """Write a dataset as one HDF5 file and return its path; memory does not grow with the number of signals.
 
     Parameters
     ----------
     data : Dataset, str or Path
-        A dataset, or where it lies: a folder, or a file of any compression.
+        A dataset or its path: a folder, or a file of any compression.
     output : str or Path
         Ending in .h5 or .hdf5.
     overwrite : bool
-        Whether an old file may be replaced.
+        Whether an existing file may be replaced.
     progress : callable, optional
-        Called with a number of signals whenever so many more are done.
+        Called with a number of signals whenever this many more are done.
 
     Raises
     ------
@@ -207,7 +192,7 @@ def export(
     CannotCreate
         The output exists, or cannot be made, or has no room.
     WriteFailed
-        The disk is full; nothing is left behind, an old file is untouched.
+        The disk is full; nothing is left behind, an existing file is untouched.
     """
     dataset = data if isinstance(data, Dataset) else Dataset(data)
     path = check_new(Path(output), "an exported dataset", SUFFIXES, overwrite=overwrite)
@@ -236,27 +221,9 @@ def write_dataset(
     batches: Iterable[Batch],
     progress: Callable[[int], object] | None = None,
 ) -> None:
-    """Write the signals of a dataset to an empty file, batch by batch; within `cgid.files.whole_file`.
+    """Write all signals of a dataset, uncompressed, to an empty file; used within `cgid.files.whole_file`.
 
-    Parameters
-    ----------
-    path : Path
-        It exists and is empty.
-    plan : ShardPlan
-        Its compression is passed over.
-    first, n_signals : int
-        Number of the first signal, and how many there are.
-    batches : iterable of Batch
-        All of them, in order.
-    progress : callable, optional
-        As of `export`.
-
-    Raises
-    ------
-    OSError
-        The disk is full or broken.
-    BadData
-        The batches hold less than `n_signals`.
+    Raises `OSError` if the disk is full or broken, and `BadData` if the batches hold less than `n_signals`.
     """
     done, plain = 0, replace(plan, compression="none")
     with hdf5_on_disk(path) as output:
@@ -264,19 +231,14 @@ def write_dataset(
             with output.step() as file:
                 if not done:
                     say_kind(lay_out(file, plain, first, n_signals), batch)
-                _put(file, batch, done)
+                rows = slice(done, done + len(batch))
+                file["signals"][rows] = batch.signals
+                file["labels"][rows] = np.char.encode(batch.labels, "utf-8")
+                file["specimen"][rows] = batch.specimen
+                for name, values in batch.parameters.items():
+                    file[f"parameters/{name}"][rows] = values
             done += len(batch)
             if progress is not None:
                 progress(len(batch))
         if done != n_signals:
             raise BadData(f"a dataset of {n_signals} signals was given {done}")
-
-
-def _put(file: h5py.File, batch: Batch, first: int) -> None:
-    """Write the signals of a batch and what is known of them, from row `first` on."""
-    rows = slice(first, first + len(batch))
-    file["signals"][rows] = batch.signals
-    file["labels"][rows] = np.char.encode(batch.labels, "utf-8")
-    file["specimen"][rows] = batch.specimen
-    for name, values in batch.parameters.items():
-        file[f"parameters/{name}"][rows] = values

@@ -1,7 +1,7 @@
-"""HDF5 files that others wrote, MATLAB's v7.3 among them: what arrays they hold and what is attached to these.
+"""HDF5 files of other programs, such as MATLAB v7.3: their arrays, and what is attached to these.
 
-They are only opened by a process of its own (`foreign_reading`, see `apart`). Values of variable length, which one
-flipped bit can make HDF5 search for ever, are asked for last and by themselves: if they are lost, the samples are not.
+Only the reading process opens them (`_foreign`). Values of variable length, which one flipped bit can make HDF5 search
+for ever, are asked for last and separately: if they are lost, the samples are not.
 """
 
 from __future__ import annotations

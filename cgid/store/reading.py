@@ -1,15 +1,6 @@
-"""Which file or folder has a name: what is asked of it twice may have been replaced in between.
+"""Reading datasets and recordings; nothing is believed before it is checked.
 
-Reading a dataset, whole or by batches; nothing is believed before it is checked.
-
-A long recording with the truth of its impacts: one HDF5 file, written in parts and whole or not at all.
-
-    /samples            (n_samples,), checksummed chunks; attributes sampling_rate, start, unit, quantity
-    /impacts/<column>   (n_impacts,), one row for each impact; attribute unit
-    root attributes     format, schema_version, n_impacts, and how the recording was made
-
-Unlike a shard, which is built in memory, it is written to the disk as it comes: an hour may be larger than memory.
-It lies beside its name until it is finished and flushed, and only then bears it.
+A process of its own reads the HDF5 files, see `cgid.store.sandbox`.
 """
 
 from __future__ import annotations
@@ -38,9 +29,14 @@ from cgid.store.description import (
 )
 from cgid.units import quantity_of
 
+#: Signals read at once, and their maximal size [bytes].
+_ROWS, _LARGEST_BATCH = 1024, 32 << 20
+#: Samples and impacts of a recording read at once.
+_BLOCK, _IMPACTS = 1 << 20, 1 << 16
+
 
 class Identity:
-    """What has a name now.
+    """The file or folder that has a name now; it may be replaced while it is read.
 
     Parameters
     ----------
@@ -49,7 +45,7 @@ class Identity:
     Raises
     ------
     BadData
-        It cannot be looked at.
+        It cannot be examined.
     """
 
     def __init__(self, path: Path) -> None:
@@ -57,7 +53,7 @@ class Identity:
         self._found = self._look()
 
     def require(self) -> None:
-        """Raise `BadData` if something else has the name by now, as after an overwriting run."""
+        """Raise `BadData` if something else has the name now, as after an overwriting run."""
         if self._look() != self._found:
             raise BadData(f"{self._path}: has been replaced by another while it was read; read it again")
 
@@ -67,10 +63,6 @@ class Identity:
         except OSError as error:
             raise BadData(f"{self._path}: cannot be looked at ({error.strerror}); read it again") from None
         return found.st_dev, found.st_ino
-
-
-#: Signals read at once, and what they may take [bytes].
-_ROWS, _LARGEST_BATCH = 1024, 32 << 20
 
 
 class Dataset:
@@ -88,7 +80,7 @@ class Dataset:
         It is no dataset, unfinished (no manifest), damaged, or its shards do not fit together or to the manifest.
     """
 
-    #: What all shards have in common; the counts are those of the first.
+    #: The header of the first shard; the others differ from it only in the number of signals.
     header: ShardHeader
 
     def __init__(self, path: str | Path) -> None:
@@ -164,10 +156,10 @@ class Dataset:
         Parameters
         ----------
         n_rows : int, optional
-            Signals at once, at most; without it as many as are read quickly: 1024, fewer of long ones.
+            Maximal number of signals in a batch; by default 1024, fewer of long ones.
         check_sums : bool
-            Whether each shard of a folder must have the SHA-256 of the manifest. It is checked behind its last batch:
-            damage is named by its rows before, and the system still holds the file in memory.
+            Whether each shard of a folder must have the SHA-256 of the manifest. It is checked after its last batch:
+            reading names damaged rows first, and the file is then still in the cache of the system.
 
         Raises
         ------
@@ -191,7 +183,7 @@ class Dataset:
         largest = max(sandbox.LARGEST_ANSWER, 2 * length * row)
         with closing(sandbox.stream("rows", shard, names, first, stop, length, largest=largest)) as parts:
             for number, part in enumerate(parts):
-                if not number:  # the file is open by now, and stays the one it is
+                if not number:  # the file is open now, and cannot be replaced any more
                     self._identity.require()
                 yield self._batch(part)
 
@@ -211,7 +203,7 @@ class Dataset:
             raise BadData(f"{self.path}: {error}") from None
 
     def impact(self, index: int) -> Batch:
-        """Return one signal with all that is stored of it.
+        """Return one signal with everything stored about it.
 
         Raises
         ------
@@ -240,7 +232,7 @@ class Dataset:
 
 
 def _require_listed(shard: Path, header: ShardHeader, manifest: Manifest, entry: ShardEntry) -> None:
-    """Raise `BadData` unless a shard says of itself what the manifest says of it."""
+    """Raise `BadData` unless the header of a shard fits its entry in the manifest."""
     if header.n_signals != entry.n_signals:
         raise BadData(
             f"{shard}: must hold as many signals as {MANIFEST} says, {entry.n_signals}, got {header.n_signals}; see "
@@ -260,12 +252,8 @@ def _require_listed(shard: Path, header: ShardHeader, manifest: Manifest, entry:
             )
 
 
-#: Samples, and impacts, that are read at once.
-_BLOCK, _IMPACTS = 1 << 20, 1 << 16
-
-
 def is_recording(path: str | Path) -> bool:
-    """Return whether this is an HDF5 file that says it is a recording; False for what cannot be read."""
+    """Return whether this is an HDF5 file with the format of a recording; False for what cannot be read."""
     return sandbox.format_said(Path(path)) == RECORDING_FORMAT
 
 
@@ -341,7 +329,7 @@ class Recording:
         largest = max(sandbox.LARGEST_ANSWER, size)
         with closing(sandbox.stream("rows", self.path, ["samples"], first, last, length, largest=largest)) as parts:
             for number, part in enumerate(parts):
-                if not number:  # the file is open by now, and stays the one it is
+                if not number:  # the file is open now, and cannot be replaced any more
                     self._identity.require()
                 yield part["samples"]
 

@@ -1,9 +1,7 @@
-"""A table of labelled rows in one file, written batch by batch: HDF5, Parquet or CSV.
+"""A table of labelled rows in one file, HDF5, Parquet or CSV: written batch by batch, read whole.
 
-In HDF5 every column is chunked and carries a checksum (fletcher32); CSV begins with one line that says what the
-others do in attributes: kind, units, and how the data was made.
-
-Reading a table, whole; nothing is believed before it is checked.
+In HDF5 every column is chunked and carries a checksum (fletcher32). A CSV file begins with a line that holds what the
+other formats hold in attributes: kind, units, and how the data was made.
 """
 
 from __future__ import annotations
@@ -22,8 +20,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cgid.counting import count
-from cgid.errors import BadData, CannotCreate, InvalidValue, MissingExtra, NoInput
-from cgid.files import clear_half_written, looking_at, whole_file
+from cgid.errors import BadData, InvalidValue, MissingExtra, NoInput
+from cgid.files import check_new, clear_half_written, whole_file
 from cgid.store import sandbox
 from cgid.store.description import TABLE_FORMAT, TABLE_VERSION, is_sound, require_scene, require_schema, sealed, text_of
 from cgid.store.reading import Identity
@@ -31,22 +29,27 @@ from cgid.store.reading import Identity
 if TYPE_CHECKING:
     from cgid.store.hdf5 import Hdf5OnDisk
 
-#: Rows that are gathered before they are written, whole chunks of HDF5 or a row group of Parquet; and rows of a chunk.
-_ROWS, _CHUNK = 16384, 4096
-#: File names end in one of these.
+#: Rows that are written at once, whole chunks of HDF5 or a row group of Parquet, and read at once.
+_ROWS = 16384
 TABLE_SUFFIXES = (".h5", ".hdf5", ".parquet", ".csv")
+#: In the header of every table, whatever its format.
+_SAYS_SO = f'"format": "{TABLE_FORMAT}"'.encode()
+#: Footers of Parquet tables are shorter [bytes].
+_LARGEST_FOOTER = 1 << 24
+#: What libraries raise on damaged files.
+_DAMAGE = (OSError, RuntimeError, LookupError, ValueError, TypeError, ArithmeticError)
 
 
 @dataclass(frozen=True, kw_only=True)
 class TableHeader:
-    """What a table says about itself.
+    """The header of a table.
 
     Attributes
     ----------
     kind : str
         What its rows are: "features", "closed-form", "parameters".
     units : dict
-        The columns beside label and specimen, and their units.
+        The other columns besides label and specimen, and their units.
     attributes : dict
         Numbers and strings that say how the data was made.
     """
@@ -57,7 +60,7 @@ class TableHeader:
 
     @property
     def text(self) -> str:
-        """All of it as one line of JSON, with its SHA-256."""
+        """The header as one line of JSON, with its SHA-256."""
         head = {"format": TABLE_FORMAT, "schema_version": TABLE_VERSION, "kind": self.kind}
         return json.dumps(sealed(head | {"units": dict(self.units), "attributes": dict(self.attributes)}))
 
@@ -98,21 +101,14 @@ def check_table_output(output: str | Path, overwrite: bool = False) -> Path:
     MissingExtra
         Parquet is asked for, and its library is not installed.
     CannotCreate
-        Something is there already, or the folder above is missing.
+        The file exists already, or the folder above is missing.
     """
     path = Path(output)
     if path.suffix.lower() not in TABLE_SUFFIXES:
         raise InvalidValue(f"{path}: the name of a table must end in {', '.join(TABLE_SUFFIXES)}; choose such a name")
     if path.suffix.lower() == ".parquet":
         parquet_library()
-    with looking_at(path):
-        if not path.parent.is_dir():
-            raise CannotCreate(f"{path}: the folder {path.parent} must exist; make it first")
-        if path.is_dir():
-            raise CannotCreate(f"{path}: is a folder; choose another name for the file")
-        if path.exists() and not overwrite:
-            raise CannotCreate(f"{path}: exists already; choose another name or say --overwrite")
-    return path
+    return check_new(path, "a table", TABLE_SUFFIXES, overwrite=overwrite)
 
 
 class TableWriter:
@@ -136,7 +132,7 @@ class TableWriter:
             self._waiting, self._n_waiting = [_part(joined, slice(full, None))], self._n_waiting - full
 
     def finish(self) -> None:
-        """Write what still waits."""
+        """Write the remaining rows."""
         if self._n_waiting:
             self._write(_joined(self._waiting))
         self._waiting, self._n_waiting = [], 0
@@ -150,17 +146,17 @@ class TableWriter:
 def table_writer(
     path: str | Path, header: TableHeader, label_width: int, *, overwrite: bool = True
 ) -> Iterator[TableWriter]:
-    """Open a table to write rows to; its name bears the whole table or what it bore before.
+    """Open a table to write rows to; its name has the whole table, or its old content.
 
     Parameters
     ----------
     path : str or Path
-        Its end says the format; see `check_table_output`.
+        Its ending says the format; see `check_table_output`.
     header : TableHeader
     label_width : int
         Bytes of the longest label.
     overwrite : bool
-        Whether it may take the place of what bears the name when it is whole.
+        Whether it may replace an existing file when it is whole.
 
     Raises
     ------
@@ -187,19 +183,20 @@ def table_writer(
 
 class _Hdf5Writer(TableWriter):
     def __init__(self, output: Hdf5OnDisk, header: TableHeader, label_width: int) -> None:
+        from cgid.store.hdf5 import CHUNK_ROWS, put_attributes, put_column
+
         super().__init__(header)
         self._output, self._filled = output, 0
         head = {"format": TABLE_FORMAT, "schema_version": TABLE_VERSION, "kind": header.kind}
         columns: dict[str, str] = {"labels": f"S{label_width}", "specimen": "uint64"}
         columns |= {f"columns/{name}": "float64" for name in header.units}
         with output.step() as file:
-            for name, value in {**header.attributes, **head}.items():
-                file.attrs[name] = np.bytes_(value.encode()) if isinstance(value, str) else value
+            put_attributes(file, {**header.attributes, **head})
             file.create_group("columns", track_order=True)
             for name, dtype in columns.items():
-                file.create_dataset(name, (0,), dtype, maxshape=(None,), chunks=(_CHUNK,), fletcher32=True)
+                put_column(file, name, 0, dtype, chunk=CHUNK_ROWS, grows=True)
             for name, unit in header.units.items():
-                file[f"columns/{name}"].attrs["unit"] = np.bytes_(unit.encode())
+                put_attributes(file[f"columns/{name}"], {"unit": unit})
 
     def _write(self, rows: Rows) -> None:
         place = slice(self._filled, self._filled + len(rows))
@@ -220,7 +217,11 @@ class _CsvWriter(TableWriter):
         self._stream.write(",".join(["label", "specimen", *header.units]) + "\n")
 
     def _write(self, rows: Rows) -> None:
-        _frame(rows, self._header).to_csv(self._stream, header=False, index=False, lineterminator="\n")
+        import pandas
+
+        columns = {"label": rows.labels, "specimen": rows.specimen}
+        frame = pandas.DataFrame(columns | {name: rows.columns[name] for name in self._header.units})
+        frame.to_csv(self._stream, header=False, index=False, lineterminator="\n")
 
 
 class _ParquetWriter(TableWriter):
@@ -238,14 +239,6 @@ class _ParquetWriter(TableWriter):
     def _write(self, rows: Rows) -> None:
         columns = [rows.labels.tolist(), rows.specimen, *(rows.columns[name] for name in self._header.units)]
         self._file.write_table(self._arrow.table(columns, schema=self._schema))
-
-
-def _frame(rows: Rows, header: TableHeader) -> Any:
-    import pandas
-
-    return pandas.DataFrame(
-        {"label": rows.labels, "specimen": rows.specimen} | {name: rows.columns[name] for name in header.units}
-    )
 
 
 def _joined(parts: list[Rows]) -> Rows:
@@ -271,16 +264,6 @@ def parquet_library() -> tuple[Any, Any]:
             "Parquet files need pyarrow, which is not installed: pip install 'cgid[parquet]', or choose .h5 or .csv"
         ) from None
     return pyarrow, pyarrow.parquet
-
-
-#: What a table says of itself, in whichever format.
-_SAYS_SO = f'"format": "{TABLE_FORMAT}"'.encode()
-#: No footer of a table is longer [bytes].
-_LARGEST_FOOTER = 1 << 24
-#: Rows that are read at once, at most.
-_ROWS_table_reading = 1 << 14
-#: What readers raise on damaged files.
-_DAMAGE = (OSError, RuntimeError, LookupError, ValueError, TypeError, ArithmeticError)
 
 
 def read_table(path: str | Path) -> Table:
@@ -311,14 +294,14 @@ def read_table(path: str | Path) -> Table:
 
 
 def _damaged(path: str | Path, error: Exception) -> BadData:
-    """Return what to raise where a library says, on several lines perhaps, why it cannot read a table."""
+    """Return the error for a table that a library cannot read; its message may have several lines."""
     return BadData(
         f"{path}: must be a whole table of cgid, it is damaged ({' '.join(str(error).split())}); make it again"
     )
 
 
 def is_table(path: str | Path) -> bool:
-    """Return whether a file says that it is a table of cgid; False for what cannot be read."""
+    """Return whether the header of a file is that of a table of cgid; False for what cannot be read."""
     suffix = Path(path).suffix.lower()
     try:
         if suffix == ".parquet":
@@ -336,7 +319,7 @@ def _read_hdf5(path: str | Path) -> Table:
     about = sandbox.call("table_header", Path(path))
     header = TableHeader(kind=about["kind"], units=about["units"], attributes=about["attributes"])
     names = ["labels", "specimen", *(f"columns/{name}" for name in header.units)]
-    length = max(1, min(_ROWS_table_reading, sandbox.LARGEST_ANSWER // about["row_bytes"]))
+    length = max(1, min(_ROWS, sandbox.LARGEST_ANSWER // about["row_bytes"]))
     parts = list(sandbox.stream("rows", Path(path), names, 0, about["n_rows"], length))
     identity.require()
     stored = {name: np.concatenate([part[name] for part in parts]) for name in names}
@@ -345,7 +328,7 @@ def _read_hdf5(path: str | Path) -> Table:
 
 
 def _is_own_parquet(path: str | Path) -> bool:
-    """Return whether the footer of a Parquet file says so; the library need not be there."""
+    """Return whether the footer of a Parquet file has our format; works without the library."""
     with Path(path).open("rb") as stream:
         end = stream.seek(-8, os.SEEK_END)
         size, magic = struct.unpack("<I4s", stream.read(8))
@@ -372,15 +355,11 @@ def _read_csv(path: str | Path) -> Table:
 def _read_parquet(path: str | Path) -> Table:
     arrow, parquet = parquet_library()
     try:
-        return _read_pages(path, parquet)
+        with parquet.ParquetFile(path, page_checksum_verification=True) as file:
+            header = _header_of(path, (file.schema_arrow.metadata or {}).get(b"cgid", b"").decode())
+            table = file.read()
     except arrow.ArrowException as error:
         raise _damaged(path, error) from None
-
-
-def _read_pages(path: str | Path, parquet: Any) -> Table:
-    with parquet.ParquetFile(path, page_checksum_verification=True) as file:
-        header = _header_of(path, (file.schema_arrow.metadata or {}).get(b"cgid", b"").decode())
-        table = file.read()
     columns = {name: table[name].to_numpy() for name in table.column_names}
     return _checked(path, header, np.array(columns.pop("label"), str), columns.pop("specimen"), columns)
 

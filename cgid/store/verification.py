@@ -35,16 +35,23 @@ from cgid.store.table import TABLE_SUFFIXES, read_table
 
 #: By HDF5's numbers of filters; see `cgid.store.compression`.
 _COMPRESSIONS = {1: "gzip", 32015: "zstd", 32026: "blosc2"}
+#: Problems that are no damage.
+_HARMLESS = ("leftover", "pending", "foreign")
+_KINDS = {FORMAT: "dataset", RECORDING_FORMAT: "recording", TABLE_FORMAT: "table"}
+#: Of numbered recordings this many may be missing, and this many more for each that exists.
+_MOST_MISSING, _MISSING_FOR_EACH = 100, 10
+#: Runs of damaged rows that are named for one dataset.
+_MOST_TOLD = 4
 
 
 def examine_file(path: str | Path, steps: Mapping[str, int] | None = None) -> dict[str, Any]:
-    """Return what can be read of a dataset's file, a recording or a table in HDF5.
+    """Return what can be read of a shard, a recording or a table in HDF5.
 
     Parameters
     ----------
     path : str or Path
     steps : dict of int, optional
-        How many rows of which dataset are looked at together, to compare with another file; by default its own chunks.
+        How many rows of which dataset are hashed together, to compare with another file; by default its own chunks.
 
     Returns
     -------
@@ -100,12 +107,12 @@ def damaged_rows(chunks: Iterable[Sequence[Any]]) -> list[tuple[int, int]]:
 
 
 def compression_of(examined: Mapping[str, Any]) -> str:
-    """Return how the signals of a file are compressed that `examine_file` has looked at."""
+    """Return the compression of the signals by the result of `examine_file`."""
     return next((_COMPRESSIONS[code] for code in examined["filters"] if code in _COMPRESSIONS), "none")
 
 
 def examine_whole(path: Path, kind: str) -> dict[str, Any]:
-    """Return what `examine_file` does of a file that a run is to leave as it is.
+    """Return the result of `examine_file` for an existing file that a run may keep.
 
     Raises
     ------
@@ -122,15 +129,6 @@ def examine_whole(path: Path, kind: str) -> dict[str, Any]:
     if examined["attributes"].get("format") != kind:
         raise BadData(f"{path}: is there and is no {kind}; choose another name, or replace it with --overwrite")
     return examined
-
-
-#: Problems that are no damage.
-_HARMLESS = ("leftover", "pending", "foreign")
-_KINDS = {FORMAT: "dataset", RECORDING_FORMAT: "recording", TABLE_FORMAT: "table"}
-#: Recordings are numbered from 0 on; so many of them may be missing, and for each that is there so many more.
-_MOST_MISSING, _MISSING_FOR_EACH = 100, 10
-#: Runs of damaged rows that are told of one dataset.
-_MOST_TOLD = 4
 
 
 @dataclass(frozen=True, kw_only=True)

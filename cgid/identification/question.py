@@ -1,0 +1,193 @@
+"""What is asked of a recording: one value for the command line, the API and a live stream."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from itertools import compress
+
+import numpy as np
+
+from cgid import validation
+from cgid.errors import InvalidValue
+from cgid.identification.drop_height import known_columns
+from cgid.identification.model import Model
+from cgid.identification.windows import VOTE_TIME
+from cgid.validation import UNKNOWN, Floats
+
+#: This many impacts are identified at once: a batch costs little more than a single one.
+BATCH = 256
+#: A gangue share looks back over this time by default [s].
+SHARE_TIME = 10.0
+#: A shorter time holds too few impacts, and an hour would have millions of shares [s].
+SHORTEST_SHARE_TIME = 0.05
+
+
+@dataclass(frozen=True, kw_only=True)
+class Question:
+    """What is asked of every impact or window of a recording.
+
+    Attributes
+    ----------
+    costs : dict
+        What missing a label costs: see `Model.decide`.
+    coverage : float or None
+        Share of the prediction sets that hold the truth; an impact whose set is not a single label is rejected.
+        None rejects nothing.
+    class_conditional : bool
+        Whether each label by itself has this coverage: `Model.prediction_set`.
+    drop_height : float or None
+        How far the rocks fell [m], for a model that needs to know.
+    mass : float or None
+        Of the accelerated striker [kg]; turns an acceleration into a force.
+    invert : bool
+        Whether pulses point downwards.
+    sensors : tuple of str
+        Which of the sensors that the model knows recorded it: one for all channels, or one for each.
+    dead_time : float or None
+        See `cgid.identification.detection.find_impacts` [s].
+    vote_time : float or None
+        Windows are decided on the mean of the logarithms of their probabilities over this time [s]; 0: each by itself;
+        None: `VOTE_TIME`.
+    batch : int
+        Impacts wait until there are this many; with 1 none waits.
+    share_time : float or None
+        How far a gangue share looks back [s]; None: `SHARE_TIME`.
+    share_step : float or None
+        From the end of the window of one share to that of the next [s]; None: half of a window.
+    gangue : tuple of str
+        The labels of what must not be drawn; none given: "gangue".
+    gangue_cost : float or None
+        Of one drawn gangue impact, in lost coal impacts; None: 1.
+
+    Raises
+    ------
+    InvalidValue
+        A number breaks its rule; or both costs and a coverage are given: a set of a single label leaves nothing to
+        decide.
+    """
+
+    costs: Mapping[str, float] = field(default_factory=dict)
+    coverage: float | None = None
+    class_conditional: bool = False
+    drop_height: float | None = None
+    mass: float | None = None
+    invert: bool = False
+    sensors: tuple[str, ...] = ()
+    dead_time: float | None = None
+    vote_time: float | None = None
+    batch: int = BATCH
+    share_time: float | None = None
+    share_step: float | None = None
+    gangue: tuple[str, ...] = ()
+    gangue_cost: float | None = None
+
+    def __post_init__(self) -> None:
+        if self.costs and self.coverage is not None:
+            raise InvalidValue("costs and coverage must not be given together, each decides by itself; leave one out")
+        if self.class_conditional and self.coverage is None:
+            raise InvalidValue("class_conditional must come with a coverage; give --coverage, such as --coverage 0.9")
+        if self.vote_time is not None:
+            validation.not_negative("vote_time", self.vote_time, "s")
+        if not validation.positive("window", self.share_length, "s") >= SHORTEST_SHARE_TIME:
+            raise InvalidValue(f"window must be at least {SHORTEST_SHARE_TIME:g} s, got {self.share_length:g} s")
+        validation.positive("step", self.step, "s")
+        validation.positive("gangue_cost", self.cost_of_gangue)
+
+    # -- how a label is decided -----------------------------------------------------------------------
+
+    def check(self, model: Model) -> None:
+        """Raise `InvalidValue` if a model knows no such label, promises no such coverage or needs no drop height."""
+        self.labels(model, np.empty((0, len(model.labels))))
+        if self.drop_height is not None:
+            known_columns(model.known, 1, self.drop_height)
+
+    def labels(self, model: Model, probabilities: Floats) -> tuple[list[str], list[tuple[str, ...] | None]]:
+        """Return the label and the prediction set of each row of probabilities."""
+        if self.coverage is None:
+            return model.decide(probabilities, self.costs).tolist(), [None] * len(probabilities)
+        held = model.prediction_set(probabilities, self.coverage, class_conditional=self.class_conditional)
+        sets = [tuple(compress(model.labels, row)) for row in held.tolist()]
+        return [one[0] if len(one) == 1 else UNKNOWN for one in sets], [*sets]
+
+    def doubt(self, labels: tuple[str, ...] | None) -> str:
+        """Return what is wrong with a prediction set; empty when nothing is."""
+        if labels is None or len(labels) == 1:
+            return ""
+        if not labels:
+            return f"no label is probable enough: the prediction set at coverage {self.coverage:g} is empty"
+        held = "both" if len(labels) == 2 else f"these {len(labels)}"
+        return f"{' or '.join(labels)}: the prediction set at coverage {self.coverage:g} holds {held}"
+
+    # -- what is answered for -------------------------------------------------------------------------
+
+    def require_use(self, model: Model) -> None:
+        """Raise `InvalidValue` if a time is given that has no meaning for what a model decides on."""
+        kind, flag, given = "impact", "--vote", self.vote_time
+        if model.kind == "window":
+            kind, flag, given = "window", "--dead-time", self.dead_time
+        if given is not None:
+            raise InvalidValue(f"{flag} must be left out, this model decides on {kind}s")
+
+    def vote_over(self, model: Model) -> float:
+        """Return the time over which windows vote [s]."""
+        return max(VOTE_TIME if self.vote_time is None else self.vote_time, model.window_time)
+
+    def heard_by(self, model: Model, channels: Sequence[str]) -> list[str | None]:
+        """Return the sensor of each channel, or of each group of channels that the model looks at together.
+
+        Raises
+        ------
+        InvalidValue
+            There is another number of sensors, or the model knows none of this name.
+        """
+        if not self.sensors:
+            return [None] * len(channels)
+        if len(self.sensors) not in (1, len(channels)):
+            raise InvalidValue(
+                f"sensor must be one for all {len(channels)} channels or one for each, got {len(self.sensors)}"
+            )
+        for sensor in self.sensors:
+            model.equalisation(sensor)
+        return [*self.sensors] * (len(channels) // len(self.sensors))
+
+    # -- the gangue share -----------------------------------------------------------------------------
+
+    @property
+    def share_length(self) -> float:
+        """How far a share looks back [s]."""
+        return SHARE_TIME if self.share_time is None else self.share_time
+
+    @property
+    def step(self) -> float:
+        """From one share to the next [s]."""
+        return self.share_length / 2 if self.share_step is None else self.share_step
+
+    @property
+    def gangue_labels(self) -> tuple[str, ...]:
+        """The labels of what must not be drawn."""
+        return self.gangue or ("gangue",)
+
+    @property
+    def cost_of_gangue(self) -> float:
+        """Of one drawn gangue impact, in lost coal impacts."""
+        return 1.0 if self.gangue_cost is None else self.gangue_cost
+
+    @property
+    def asks_for_shares(self) -> bool:
+        """Whether something is said of shares, so that they are wanted even of a single impact."""
+        return bool(self.gangue) or self.share_time is not None or self.gangue_cost is not None
+
+    def separates_gangue(self, model: Model) -> bool:
+        """Return whether a model separates gangue from something else."""
+        return 0 < len(set(self.gangue_labels) & set(model.labels)) < len(model.labels)
+
+    def require_gangue(self, model: Model) -> None:
+        """Raise `InvalidValue` if a label of gangue is none of the model's, or is all of them."""
+        for label in self.gangue_labels:
+            validation.choice("gangue label", label, model.labels)
+        if not self.separates_gangue(model):
+            raise InvalidValue(
+                "gangue labels must leave another one, got all of the model's: "
+                f"{', '.join(self.gangue_labels)}; leave one out"
+            )
