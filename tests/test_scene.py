@@ -272,7 +272,7 @@ NORMAL = {"distribution": "normal", "mean": "1400 kg/m^3", "deviation": "200 kg/
         (
             {"taps": [{**TAP, "contact_duration": "3 mm"}]},
             "taps.0.contact_duration",
-            "a time in s, ms, us, min, h, got '3 mm'",
+            "a time in s, ms, us, µs, ns, min, h, got '3 mm'",
         ),
         ({"taps": [{**TAP, "contact_duration": 0}]}, "taps.0.contact_duration", "got 0 s"),
         ({"taps": [{**TAP, "radius": 1}]}, "taps.0.radius", "unknown key"),
