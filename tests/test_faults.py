@@ -17,7 +17,8 @@ from benchmarks.faults import COMMANDS, FAULTS, Server, Trial, files_in, inputs,
 from cgid.cli.main import run
 from cgid.errors import CannotCreate, WriteFailed
 from cgid.files import whole_file, write_together, write_whole
-from cgid.store.hdf5 import DiskFile, RecordingPlan, hdf5_on_disk, writing
+from cgid.store.disk import DiskFile, hdf5_on_disk
+from cgid.store.hdf5 import RecordingPlan, writing
 from tests import few
 
 ROOT = Path(__file__).parents[1]
@@ -84,7 +85,7 @@ def test_whatever_write_fails_is_raised_once_hdf5_has_let_go(tmp_path):
 @needs_full
 def test_a_full_disk_leaves_no_file_and_no_crash_at_exit(tmp_path):
     program = (
-        "import sys, pathlib\nfrom cgid.store.hdf5 import hdf5_on_disk\nfrom tests.test_faults import fill\n"
+        "import sys, pathlib\nfrom cgid.store.disk import hdf5_on_disk\nfrom tests.test_faults import fill\n"
         "try:\n    with hdf5_on_disk(pathlib.Path('/dev/full')) as output:\n        fill(output)\n"
         "except OSError as error:\n    print(error.strerror)"
     )

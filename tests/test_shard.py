@@ -18,7 +18,8 @@ from cgid.errors import BadData, MissingExtra
 from cgid.signals import Batch
 from cgid.store._fletcher import fletcher32
 from cgid.store.compression import COMPRESSIONS, deflated, keywords, require
-from cgid.store.hdf5 import MemoryFile, ShardBuilder, ShardPlan
+from cgid.store.disk import MemoryFile
+from cgid.store.hdf5 import ShardBuilder, ShardPlan
 
 # ---- the checksum ----------------------------------------------------------------------------------------------------
 

@@ -26,7 +26,8 @@ from cgid.store.description import (
     is_entry,
     read_manifest,
 )
-from cgid.store.hdf5 import ShardBuilder, ShardPlan, hdf5_on_disk, lay_out, say_kind
+from cgid.store.disk import hdf5_on_disk
+from cgid.store.hdf5 import ShardBuilder, ShardPlan, lay_out, say_kind
 from cgid.store.reading import Dataset
 from cgid.store.run import SUFFIXES, Goal, Run, begun, is_single_file, taking_part
 from cgid.store.verification import compression_of, examine_whole

@@ -27,7 +27,7 @@ from cgid.store.description import TABLE_FORMAT, TABLE_VERSION, is_sound, requir
 from cgid.store.reading import Identity
 
 if TYPE_CHECKING:
-    from cgid.store.hdf5 import Hdf5OnDisk
+    from cgid.store.disk import Hdf5OnDisk
 
 #: Rows that are written at once, whole chunks of HDF5 or a row group of Parquet, and read at once.
 _ROWS = 16384
@@ -174,7 +174,7 @@ def table_writer(
         elif suffix == ".parquet":
             writer = _ParquetWriter(stack, temporary, header)
         else:
-            from cgid.store.hdf5 import hdf5_on_disk  # readers of tables do without h5py
+            from cgid.store.disk import hdf5_on_disk  # readers of tables do without h5py
 
             writer = _Hdf5Writer(stack.enter_context(hdf5_on_disk(temporary)), header, label_width)
         yield writer
