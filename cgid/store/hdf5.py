@@ -11,10 +11,6 @@ A shard is built in memory, which is faster. What may be larger than memory goes
 """
 
 from __future__ import annotations
-from cgid.store.disk import VERSIONS
-from cgid.store.disk import Hdf5OnDisk
-from cgid.store.disk import MemoryFile
-from cgid.store.disk import hdf5_on_disk
 
 import weakref
 from collections.abc import Iterator, Mapping
@@ -33,6 +29,7 @@ from cgid.files import require_room, whole_file
 from cgid.signals import Batch
 from cgid.store.compression import BY_PLUGIN, deflated, keywords
 from cgid.store.description import LARGEST_RECORDING, RECORDING_FORMAT, RECORDING_SCHEMA_VERSION
+from cgid.store.disk import VERSIONS, Hdf5OnDisk, MemoryFile, hdf5_on_disk
 from cgid.units import quantity_of
 
 #: Size of a chunk of signals [bytes], about; rows of a chunk of other columns; samples of a chunk of a recording.
