@@ -160,4 +160,4 @@ if __name__ == "__main__":
         _main(int(sys.argv[1]))
     # Whatever scipy does on a damaged file, the process that started this one receives one line.
     except BaseException as error:
-        sys.exit(f"{type(error).__name__}: {' '.join(str(error).split())}")
+        sys.exit(f"{type(error).__name__}: {' '.join(str(error).split())}".rstrip(": "))
