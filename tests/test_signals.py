@@ -8,7 +8,7 @@ import pytest
 from cgid import validation
 from cgid.errors import BadData, InvalidValue
 from cgid.signals import Batch, Signal
-from cgid.units import UNITS, quantity_of
+from cgid.units import DIMENSIONS, UNITS, hertz_of, known_unit, quantity_of, seconds_of
 
 
 def one(samples=(1.0, -2.0, 3.0), **fields):
@@ -211,3 +211,27 @@ def test_batch_refuses_a_label_that_is_none() -> None:
     about = {"sampling_rate": 1e5, "unit": "N", "pre_trigger": 2, "specimen": np.arange(2, dtype=np.uint64)}
     with pytest.raises(InvalidValue, match="label must not be 'unknown'"):
         Batch(signals=np.zeros((2, 10)), labels=np.array(["coal", "unknown"]), **about)
+
+
+@pytest.mark.parametrize(
+    ("written", "unit"),
+    [
+        ("[kN]", "kN"),
+        ("(m/s^2)", "m/s^2"),
+        ("\u03bcm", "µm"),
+        ("Newtons", "N"),
+        ("strain", "m/m"),
+        ("ms", None),
+        ("", None),
+    ],
+)
+def test_units_in_file_headers(written, unit):
+    assert known_unit(written) == unit
+
+
+def test_scenes_and_samples_share_their_factors():
+    pairs = {"force": "force", "acceleration": "acceleration", "speed": "velocity", "length": "displacement"}
+    assert all(DIMENSIONS[dimension] is UNITS[quantity] for dimension, quantity in pairs.items())
+    assert all(next(iter(units.values())) == 1.0 for units in DIMENSIONS.values())
+    assert [seconds_of(unit) for unit in ("", "sec", "µs", "min", "kN")] == [1.0, 1.0, 1e-6, None, None]
+    assert [hertz_of(unit) for unit in ("", "khz", "S/s", "sps", "s")] == [1.0, 1e3, 1.0, 1.0, None]

@@ -230,7 +230,7 @@ def read_npz(path: Path, source: str, variable: str | None) -> Contents:
         The archive is damaged (its checksums are compared when all has been read), or holds no array or several.
     """
     variables: list[Variable] = []
-    said: dict[str, Values] = {}
+    statements: dict[str, Values] = {}
     with understood(source, *_DAMAGED), zipfile.ZipFile(path) as archive:
         members = [member for member in archive.infolist() if member.filename.endswith(".npy")]
         if len(members) > _MOST_MEMBERS:
@@ -240,10 +240,10 @@ def read_npz(path: Path, source: str, variable: str | None) -> Contents:
             if member.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
                 raise BadData(f"{source}: {name} must be stored or deflated as NumPy does; save it again")
             if member.file_size <= _SMALL and (value := _value(archive.read(member))) is not None:
-                said[group] = {**said.get(group, {}), name: value}
+                statements[group] = {**statements.get(group, {}), name: value}
             elif (found := _variable(archive, path, member, source)) is not None:
                 variables.append(found)
-    return contents_of(variables, said, source, variable, [])
+    return contents_of(variables, statements, source, variable, [])
 
 
 def _variable(archive: zipfile.ZipFile, path: Path, member: zipfile.ZipInfo, source: str) -> Variable | None:

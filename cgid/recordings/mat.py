@@ -28,7 +28,7 @@ from cgid.recordings.recording import Contents
 #: Larger files [bytes] are refused, as scipy reads them whole.
 LARGEST_FILE = 2 << 30
 
-#: Memory that reading may take [bytes]: this much and so many times the size of the file, within the last number.
+#: Memory that reading may take [bytes]: the first number plus this multiple of the size of the file, at most the last.
 _LEAST_MEMORY, _TIMES_THE_FILE, _MOST_MEMORY = 512 << 20, 100, 6 << 30
 #: Time that reading may take [s], and bytes of the file for each further second.
 _LEAST_TIME, _BYTES_A_SECOND = 60.0, 4 << 20
@@ -160,4 +160,4 @@ if __name__ == "__main__":
         _main(int(sys.argv[1]))
     # Whatever scipy does on a damaged file, the process that started this one receives one line.
     except BaseException as error:
-        sys.exit(f"{type(error).__name__}: {' '.join(str(error).split())}")
+        sys.exit(f"{type(error).__name__}: {' '.join(str(error).split())}".rstrip(": "))

@@ -132,9 +132,9 @@ def read_tdms(path: Path, source: str, variable: str | None) -> Contents:
         warnings.append("the TDMS file is cut off or was never closed; what is whole of its last part is kept")
     variables: list[Variable] = []
     with file.understood():
-        said: dict[str, dict[str, Value]] = {"": _values(file.tdms.properties)}
+        statements: dict[str, dict[str, Value]] = {"": _values(file.tdms.properties)}
         for group in file.tdms.groups():
-            said[group.name] = _values(group.properties)
+            statements[group.name] = _values(group.properties)
             for channel in group.channels():
                 if len(channel) and channel.dtype.kind in "fiu":
                     variables.append(_variable(file, group.name, channel))
@@ -144,7 +144,7 @@ def read_tdms(path: Path, source: str, variable: str | None) -> Contents:
                     warnings.append(f"channel {group.name}/{channel.name} holds no numbers and is left out")
     if file.is_cut and not variables:
         raise BadData(f"{source}: the TDMS file is cut off before its first sample; copy it again")
-    return contents_of(variables, said, source, variable, warnings, group_is_one=True, is_cut=file.is_cut)
+    return contents_of(variables, statements, source, variable, warnings, group_is_one=True, is_cut=file.is_cut)
 
 
 def _variable(file: _Tdms, group: str, channel: Any) -> Variable:

@@ -98,7 +98,7 @@ def orientation(shape: Sequence[int]) -> tuple[int | None, int] | None:
 
 def contents_of(
     variables: Sequence[Variable],
-    said: Mapping[str, Values],
+    statements: Mapping[str, Values],
     source: str,
     variable: str | None,
     warnings: list[str],
@@ -112,7 +112,7 @@ def contents_of(
     ----------
     variables : sequence of Variable
         All arrays of two samples or more.
-    said : dict
+    statements : dict
         Path of a group ("" is the top) -> named values in it or attached to it.
     source : str
         Name of the file in messages.
@@ -140,8 +140,8 @@ def contents_of(
             "which may be a pattern such as 'run1/*'"
         )
     for one in chosen:
-        _require_sound(one, source)
-    rates_of = _Rates(variables, said, source, warnings)
+        _require_readable(one, source)
+    rates_of = _Rates(variables, statements, source, warnings)
     rates = [rates_of.of(one) for one in chosen]
     for (rate, _), one in zip(rates[1:], chosen[1:], strict=True):
         if (rate is None) != (rates[0][0] is None) or (rate and rates[0][0] and not rates_agree(rate, rates[0][0])):
@@ -149,7 +149,7 @@ def contents_of(
                 f"{source}: channels must have one sampling rate, {first.path} has {_hertz(rates[0][0])} and "
                 f"{one.path} {_hertz(rate)}; pick one by --variable NAME"
             )
-    levels = [list(_levels(one, said)) for one in chosen]
+    levels = [list(_levels(one, statements)) for one in chosen]
     if len(chosen) == 1:
         names = _first(levels[0], lambda values: stated_names(values, first.n_channels) or None) or []
         units = _first(levels[0], lambda values: _units(values, first.n_channels))
@@ -180,7 +180,7 @@ def _chosen(variables: Sequence[Variable], source: str, variable: str | None, gr
         is_one = group_is_one and len({one.group for one in signals}) == 1
         if len(signals) > 1 and not is_one:
             raise BadData(
-                f"{source}: which array is meant must be said, there are {_listed(signals)}; name one by "
+                f"{source}: which array is meant must be statements, there are {_listed(signals)}; name one by "
                 "--variable NAME, or several of one length by a pattern such as 'ch*'"
             )
         return signals or list(variables[:1])
@@ -207,14 +207,14 @@ def _listed(variables: Sequence[Variable]) -> str:
     return ", ".join(map(str, variables[:_LISTED])) + more
 
 
-def _levels(variable: Variable, said: Mapping[str, Values]) -> Iterator[Values]:
+def _levels(variable: Variable, statements: Mapping[str, Values]) -> Iterator[Values]:
     """Yield the named values of the array itself, of its groups and of the top of the file."""
     yield variable.about
     group = variable.group
     while group:
-        yield said.get(group, {})
+        yield statements.get(group, {})
         group = group.rpartition("/")[0]
-    yield said.get("", {})
+    yield statements.get("", {})
 
 
 def _first(levels: Sequence[Values], ask: Callable[[Values], Answer | None]) -> Answer | None:
@@ -230,16 +230,16 @@ class _Rates:
     """The sampling rates of arrays, from the named values about them and from the times next to them."""
 
     def __init__(
-        self, variables: Sequence[Variable], said: Mapping[str, Values], source: str, warnings: list[str]
+        self, variables: Sequence[Variable], statements: Mapping[str, Values], source: str, warnings: list[str]
     ) -> None:
         self._times = [one for one in variables if one.is_time]
-        self._said, self._source, self._warnings = said, source, warnings
+        self._statements, self._source, self._warnings = statements, source, warnings
         # Times are read once, however many channels they belong to.
         self._measured: dict[str, float | None] = {}
 
     def of(self, variable: Variable) -> tuple[float | None, str]:
         """Return the rate [Hz] and what states it; None if nothing does; raises `BadData` on contradictions."""
-        stated = _first(list(_levels(variable, self._said)), lambda values: stated_rate(values, self._source))
+        stated = _first(list(_levels(variable, self._statements)), lambda values: stated_rate(values, self._source))
         found = [] if stated is None else [stated]
         for times in self._times:
             if times is variable or (times.group, times.n_samples) != (variable.group, variable.n_samples):
@@ -255,7 +255,7 @@ class _Rates:
 
     def _measure(self, times: Variable, otherwise: str | None) -> float | None:
         try:
-            _require_sound(times, self._source)
+            _require_readable(times, self._source)
             unit = stated_time_unit(times.name, times.about)
             return rate_of_vector(times, unit, f"{self._source}: {times.path}")
         except BadData:
@@ -265,7 +265,7 @@ class _Rates:
             return None
 
 
-def _require_sound(variable: Variable, source: str) -> None:
+def _require_readable(variable: Variable, source: str) -> None:
     if variable.fault:
         raise BadData(f"{source}: {variable.path} {variable.fault}; copy the file again, or save it as a plain array")
 
