@@ -1,6 +1,6 @@
-"""The standard streams, where whoever called has closed them or they cannot be written.
+"""Everything that a command prints goes through here, so that no text of a file can control the terminal.
 
-Everything that a command says goes through here, so that no file's text can command the terminal.
+The standard streams may be closed, or on a disk that is full.
 """
 
 from __future__ import annotations
@@ -16,9 +16,9 @@ from cgid.terminal import printable
 
 
 def open_missing() -> None:
-    """Put an empty device where a standard stream is closed.
+    """Open the null device where a standard stream is closed.
 
-    Else the next file that is opened, a dataset perhaps, becomes the standard output of every library in C.
+    Otherwise the next file that is opened, a dataset perhaps, becomes the standard output of every library in C.
     """
     for descriptor in range(3):
         try:
@@ -30,7 +30,7 @@ def open_missing() -> None:
 
 
 def drop(stream: TextIO | None) -> None:
-    """Send what still waits in a stream to nowhere: Python would complain again when it ends."""
+    """Discard what still waits in a stream: Python would report its error again at exit."""
     if stream is not None:
         with contextlib.suppress(OSError, ValueError):
             nowhere = os.open(os.devnull, os.O_WRONLY)
@@ -39,9 +39,9 @@ def drop(stream: TextIO | None) -> None:
 
 
 def say(text: str, *, err: bool = False) -> None:
-    """Print one line on stdout, or on stderr; what a terminal would obey stands as its escape.
+    """Print one line on stdout, or on stderr, with control characters escaped.
 
-    What cannot be said on stderr, where the disk that it goes to is full, is no reason to fail otherwise.
+    A line that cannot be written to stderr, where its disk is full, is no reason to fail.
     """
     try:
         click.echo(printable(text), err=err)
