@@ -135,7 +135,7 @@ class Models:
 
 
 def warn_of_model(source: str, name: str, sampling_rate: float, model: Model, question: Question) -> None:
-    """Say what a model was not trained for: the sampling rate [Hz] of a signal, or a sensor that nobody names."""
+    """Warn of what a model was not trained for: the sampling rate [Hz] of a signal, or a sensor without a name."""
     if model.sensors and not question.sensors:
         known = ", ".join(model.sensors)
         say(

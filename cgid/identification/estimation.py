@@ -1,9 +1,8 @@
-"""A pulse's parameters by maximum likelihood, their statistical bound, and what a prior adds where pulses are short.
+"""Parameters of pulses by maximum likelihood, their statistical bound, and posteriors for short pulses.
 
-The restitution that is found is the shape of the pulse: how much sooner it rises than it falls. For an impact of a
-sphere on a half space that is the restitution. On recordings of real shocks it moves between .77 and 1 with the part
-that is fitted, the baseline and the mounting's resonance: there it describes the pulse, and is no constant of a
-material.
+The fitted restitution is the shape of the pulse: how much faster it rises than it falls. For the impact of a sphere on
+a half space that is the restitution. On recordings of real shocks it varies between .77 and 1 with the part that is
+fitted, the baseline and the resonance of the mounting: there it describes the pulse, not a material.
 """
 
 from __future__ import annotations
@@ -26,7 +25,7 @@ __all__ = ["Bound", "Estimates", "Posterior", "Prior", "cramer_rao_bound", "esti
 
 #: Rows treated at once, and most nodes of a posterior.
 _ROWS, _MOST_NODES = 512, 4096
-#: A squared residual this many times that of the noise is no chance: the pulse is not of the family.
+#: With a squared residual this many times that of the noise, the pulse is not of the family.
 FAMILY_LIMIT = 2.5
 
 
@@ -71,7 +70,7 @@ class Estimates:
 
 @dataclass(frozen=True)
 class Posterior:
-    """What a pulse and a prior say of the restitution.
+    """The posterior of the restitution of each pulse.
 
     Attributes
     ----------
@@ -151,7 +150,7 @@ def estimate(
     noise : float or array_like, (n_signals,), optional
         Standard deviation of the noise, where it is known.
     fit_baseline : bool
-        Whether a constant beside the pulse is fitted with it (after the removal).
+        Whether a constant is fitted together with the pulse (after the removal).
     remove_baseline : bool
         Whether the mean before touch is taken off first.
     onset : float or array_like, (n_signals,), optional
@@ -217,7 +216,7 @@ def posterior(
     bandwidth: float | None = None,
     n_nodes: int = 65,
 ) -> Posterior:
-    """Return what each pulse and a prior together say of its restitution.
+    """Return the posterior of the restitution of each pulse under a prior.
 
     Parameters
     ----------
