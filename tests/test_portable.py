@@ -153,7 +153,9 @@ _NOT_STORED = {
     "physics/sensitivity.py: _sought": "seeks a loss for the user",
     "physics/tabulation.py": "made the table of the family once",
     "physics/modes.py: frequency_response": "a picture",
-    "scene/calibration": "from a recording to a scene",
+    "scene/calibration.py": "from a recording to a scene",
+    "scene/calibration_blow.py": "from a recording to a scene",
+    "scene/calibration_fit.py": "from a recording to a scene",
     "scene/units.py": "words of a message",
 }
 _FUNCTIONS = {
