@@ -315,7 +315,8 @@ def power(x: ArrayLike, y: ArrayLike) -> Floats:
         # Powers of 0 and of infinity are exact.
         ends = np.where((x == 0) == (y > 0), 0.0, np.inf)
         outside = np.where(x < 0, np.nan, np.where(y == 0, 1.0, np.where(np.isnan(x + y), np.nan, ends)))
-    return np.where(inside, _evaluate("power_loop", power_of, np.where(inside, x, 1.0), y), outside)
+    raised = _evaluate("power_loop", power_of, np.where(inside, x, 1.0), np.where(inside, y, 1.0))
+    return np.where(inside, raised, outside)
 
 
 def sincos(x: ArrayLike) -> tuple[Floats, Floats]:
