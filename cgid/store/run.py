@@ -8,7 +8,7 @@ a hidden folder next to it (.NAME.unfinished), and the older folder stays until 
                     .NAME.replaced: old, .NAME.unfinished: new, journal
                     .NAME.replaced: old, NAME: new, journal        ->  old files are removed, then the journal
 
-So a hidden folder with a journal is newer than NAME; one without a journal remains to be removed by an overwriting run.
+So a hidden folder with a journal is newer than NAME; one without a journal is left over from an overwriting run.
 """
 
 from __future__ import annotations
@@ -452,8 +452,8 @@ class Journal:
 def taking_part(folder: Path, run: str) -> Iterator[None]:
     """Keep other runs from taking over the folder while this run writes a file into it.
 
-    A worker may outlive its parent process. A later run waits for the file that the worker is writing; here the
-    worker's next file raises `CannotCreate`, because the folder belongs to another run.
+    A worker may outlive its parent process. A later run waits for the file that the worker is writing. The worker's
+    next file then raises `CannotCreate` here, because the folder belongs to another run.
     """
     file, found = folder / JOURNAL, None
     try:
