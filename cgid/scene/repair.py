@@ -345,7 +345,7 @@ def _make(recipe: _Recipe, path: Path, progress: Progress | None) -> None:
     plan = shard_plan(scene, attributes, recipe.dtype, recipe.compression)
     dtype: Any = recipe.dtype
     batches = synthesise(scene, recipe.n_signals, seed, first=number, dtype=dtype)
-    if plan.size(recipe.n_signals) > LARGEST_SHARD:  # an exported dataset
+    if plan.size(recipe.n_signals) > LARGEST_SHARD:  # only an exported dataset is that large
         write_dataset(path, plan, number, recipe.n_signals, batches, progress)
         return
     builder = ShardBuilder(plan, number, recipe.n_signals)

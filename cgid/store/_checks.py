@@ -17,7 +17,7 @@ import h5py
 
 from cgid.errors import BadData, CgidError, MissingExtra, NoInput
 
-#: What h5py raises on damaged files.
+#: Errors of h5py on damaged files.
 DAMAGE = (OSError, RuntimeError, LookupError, ValueError, TypeError, ArithmeticError)
 #: HDF5 unpacks whole chunks; no sound writer makes larger ones [bytes].
 LARGEST_CHUNK = 64 << 20

@@ -96,7 +96,24 @@ class DatasetWriter:
 
     @contextmanager
     def begun(self, *, overwrite: bool = False, resume: bool = False) -> Iterator[Run]:
-        """Yield the run that makes the shards; parameters and errors as `cgid.store.run.begun`."""
+        """Yield the run that makes the shards; see `cgid.store.run.begun`.
+
+        Parameters
+        ----------
+        overwrite : bool
+            Whether to replace an old dataset; it stays until the new one is complete.
+        resume : bool
+            Whether to continue an unfinished run; a complete dataset of the same description is kept.
+
+        Raises
+        ------
+        CannotCreate
+            The output exists, another run writes there, the run to resume had other options, or the disk has no room.
+        BadData
+            The journal of the run to resume, or the existing file, is damaged.
+        WriteFailed
+            The disk is full or broken; the run can be resumed.
+        """
         self._overwrites = overwrite
         shards = self.shards
         names = tuple(f"shard-{number:05d}.h5" for number, _, _ in shards)

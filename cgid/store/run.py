@@ -51,7 +51,7 @@ SUFFIXES = (".h5", ".hdf5")
 _JOURNAL_FILES = re.compile(f"{re.escape(JOURNAL)}|{half_written(re.escape(JOURNAL))}")
 #: Longest wait for a worker that has outlived its run and still writes a file [s].
 _PATIENCE = 60.0
-#: The format of a manifest stands within its first bytes.
+#: The first bytes of a manifest contain its format.
 _HEAD = 4096
 
 

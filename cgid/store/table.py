@@ -32,11 +32,11 @@ if TYPE_CHECKING:
 #: Rows written and read at once: whole chunks of HDF5, a row group of Parquet.
 _ROWS = 16384
 TABLE_SUFFIXES = (".h5", ".hdf5", ".parquet", ".csv")
-#: Stands in the header of every table of any format.
+#: Part of the header of every table in any format.
 _SAYS_SO = f'"format": "{TABLE_FORMAT}"'.encode()
 #: Footers of Parquet tables are shorter [bytes].
 _LARGEST_FOOTER = 1 << 24
-#: What libraries raise on damaged files.
+#: Errors of the libraries on damaged files.
 _DAMAGE = (OSError, RuntimeError, LookupError, ValueError, TypeError, ArithmeticError)
 
 
