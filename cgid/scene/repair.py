@@ -67,7 +67,7 @@ Progress = Callable[[int], object]
 class Repair:
     """The result for one finding.
 
-    told : what was done, or why it was not
+    told : the action taken, or the reason for its failure
     """
 
     finding: Finding
