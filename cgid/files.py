@@ -1,8 +1,8 @@
-"""Files that are whole or not there at all, and locks of folders.
+"""Atomic file writes, folder locks, and bounded reads of untrusted files.
 
-A file is written next to its name, flushed to the disk and then renamed. Locks are those of the kernel, which end with
-the process that holds them; on Windows, which cannot lock folders, `filelock` locks a file next to the folder. Windows
-is supported by the code, but not tested.
+A file is written under a temporary name, flushed to the disk and renamed. Locks are kernel locks, which end with the
+process. Windows cannot lock folders; there `filelock` locks a file next to the folder. Windows is supported but not
+tested.
 """
 
 from __future__ import annotations
@@ -27,9 +27,9 @@ FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
 #: Errors of file systems without locks, and without hard links.
 _NO_LOCKS = {errno.ENOLCK, errno.EOPNOTSUPP, errno.ENOTSUP, errno.EBADF, errno.EINVAL, errno.ENOSYS}
 _NO_LINKS = {errno.EPERM, errno.EOPNOTSUPP, errno.ENOTSUP, errno.ENOSYS, errno.EMLINK, errno.EINVAL}
-#: Pause between two attempts at a lock, and how long `write_together` waits for others in the same folder [s].
+#: Pause between two attempts at a lock, and longest wait of `write_together` for the folder [s].
 _PAUSE, _PATIENCE = 0.02, 5.0
-#: Maximal number of parts of a dotted key of TOML: Python's parser takes time and memory with their square.
+#: Limit of parts in a dotted TOML key: time and memory of Python's parser grow with their square.
 _MOST_PARTS = 16
 _PART = r"""\.[ \t]*+(?:[A-Za-z0-9_-]++|"(?:[^"\\\n]|\\.)*+"|'[^'\n]*+')[ \t]*+"""
 
@@ -39,29 +39,10 @@ _PART = r"""\.[ \t]*+(?:[A-Za-z0-9_-]++|"(?:[^"\\\n]|\\.)*+"|'[^'\n]*+')[ \t]*+"
 
 @contextmanager
 def locked(path: Path, *, shared: bool = False, patience: float = 0.0) -> Iterator[bool]:
-    """Hold a lock on a file or a folder within this context, alone or shared with others.
+    """Hold an exclusive or shared lock on a file or folder, waiting up to `patience` [s]; yield whether it is held.
 
-    The lock ends with the process, however that ends. File systems without locks hold nothing; on Windows, only folders
-    are locked, and nothing is shared.
-
-    Parameters
-    ----------
-    path : Path
-    shared : bool
-    patience : float
-        How long to wait for others [s].
-
-    Yields
-    ------
-    bool
-        Whether the lock is held.
-
-    Raises
-    ------
-    BlockingIOError
-        Another holds it.
-    OSError
-        The path cannot be opened.
+    File systems without locks hold nothing. Windows locks only folders, and never shared.
+    Raises `BlockingIOError` if another process holds the lock, `OSError` if the path cannot be opened.
     """
     try:
         import fcntl
@@ -94,7 +75,7 @@ def locked(path: Path, *, shared: bool = False, patience: float = 0.0) -> Iterat
 
 @contextmanager
 def _locked_by_file(path: Path, shared: bool, patience: float) -> Iterator[bool]:
-    """Hold a lock on a folder by a file next to it."""
+    """Lock a folder through a file next to it."""
     if shared or not path.is_dir():
         yield False
         return
@@ -120,33 +101,23 @@ def _locked_by_file(path: Path, shared: bool, patience: float) -> Iterator[bool]
 
 
 def write_whole(path: str | Path, content: bytes | memoryview, *, overwrite: bool = True) -> None:
-    """Write a file so that its name only ever has the old content or all of the new; raises as `whole_file`."""
+    """Write a file atomically: its name has the old content or all of the new. Raises as `whole_file`."""
     with whole_file(path, overwrite=overwrite) as temporary, temporary.open("wb") as stream:
         stream.write(content)
 
 
 @contextmanager
 def whole_file(path: str | Path, *, overwrite: bool = True) -> Iterator[Path]:
-    """Yield the name of an empty file to be filled and closed, which gets its final name if all goes well.
+    """Yield the name of an empty temporary file, which gets the final name if the context ends without an error.
 
-    Parameters
-    ----------
-    path : str or Path
-    overwrite : bool
-        Whether it may replace an existing file.
-
-    Raises
-    ------
-    CannotCreate
-        The folder is missing or not writable, or the name was taken meanwhile and must not be overwritten.
-    WriteFailed
-        The disk is full or broken; an existing file is untouched.
+    Raises `CannotCreate` if the folder is missing or not writable, or if the name is taken and `overwrite` is false;
+    `WriteFailed` if the disk is full or broken. An existing file then stays untouched.
     """
     path = Path(path)
     temporary = path.with_name(f".{path.name}.{secrets.token_hex(6)}.part")
     try:
         _create(temporary, path)
-        # For `clear_half_written`; shared, so that readers are not kept out once the file has its name.
+        # Tells `clear_half_written` that the file is in use. Shared, so that readers are not blocked after the rename.
         with locked(temporary, shared=True):
             yield temporary
             with temporary.open("rb+") as stream:
@@ -175,9 +146,9 @@ def whole_file(path: str | Path, *, overwrite: bool = True) -> Iterator[Path]:
 
 
 def _create(temporary: Path, path: Path) -> None:
-    """Make the empty file that is to get the name `path`."""
+    """Create the empty temporary file for `path`."""
     try:
-        # Opened like any new file, so that it gets the permissions of the user's umask.
+        # A plain open applies the user's umask.
         temporary.open("xb").close()
     except OSError as error:
         cure = "free some space" if error.errno in FULL else "choose an existing folder you may write to"
@@ -185,7 +156,7 @@ def _create(temporary: Path, path: Path) -> None:
 
 
 def _publish_new(temporary: Path, path: Path) -> None:
-    """Give a file its name unless another has it; raises `FileExistsError`."""
+    """Rename a file unless the name is taken; raises `FileExistsError`."""
     try:
         os.link(temporary, path)
     except OSError as error:
@@ -201,7 +172,7 @@ def _publish_new(temporary: Path, path: Path) -> None:
 def sync_folder(folder: Path) -> None:
     """Flush a folder to the disk, so that a rename in it survives a power cut.
 
-    Not every system can. The renamed file is whole under its name by then, so a failure is ignored.
+    Some systems cannot do this. The renamed file is already complete, so a failure is ignored.
     """
     with contextlib.suppress(OSError):
         descriptor = os.open(folder, os.O_RDONLY)
@@ -212,7 +183,7 @@ def sync_folder(folder: Path) -> None:
 
 
 def half_written(name: str) -> str:
-    """Return the pattern of what a killed process leaves of files whose names match a pattern; see `whole_file`.
+    """Return the pattern of the temporary files of `whole_file` for names that match `name`.
 
     Examples
     --------
@@ -224,7 +195,7 @@ def half_written(name: str) -> str:
 
 
 def clear_half_written(path: Path) -> None:
-    """Remove what killed processes have left of a file with this name; a process that still writes one holds it."""
+    """Remove the temporary files of killed processes for this name; those still being written are locked and stay."""
     pattern = re.compile(half_written(re.escape(path.name)))
     with contextlib.suppress(OSError):
         for found in path.parent.iterdir():
@@ -243,24 +214,11 @@ def _remove(path: Path) -> None:
 
 
 def write_together(contents: Mapping[Path, bytes], *, overwrite: bool = True) -> None:
-    """Write files of one folder so that all of them have their old content, or all have the new.
+    """Write files of one folder so that all have their old content or all have the new.
 
-    All are written and flushed before the first gets its name; if one cannot get it, the others are restored. A process
-    killed between two renames, which take microseconds, may leave some files new and some old, each of them whole.
-
-    Parameters
-    ----------
-    contents : dict of bytes
-        In the order in which they get their names.
-    overwrite : bool
-        Whether existing files may be replaced.
-
-    Raises
-    ------
-    CannotCreate
-        The folder is missing or not writable, or a name was taken meanwhile and must not be overwritten.
-    WriteFailed
-        The disk is full or broken; existing files are untouched.
+    All files are written and flushed before the first is renamed, in the order of `contents`. If one rename fails, the
+    others are undone. A process killed between two renames (microseconds) may leave a mix of whole old and new files.
+    Raises as `whole_file`.
 
     Examples
     --------
@@ -272,7 +230,7 @@ def write_together(contents: Mapping[Path, bytes], *, overwrite: bool = True) ->
     """
     made: dict[Path, int] = {}
     with contextlib.ExitStack() as stack:
-        # Goes on without the lock where there are none, or others take too long.
+        # Continue without the lock if the file system has none or others hold it for too long.
         with contextlib.suppress(OSError):
             stack.enter_context(locked(next(iter(contents)).parent, patience=_PATIENCE))
         for path in contents:
@@ -281,7 +239,7 @@ def write_together(contents: Mapping[Path, bytes], *, overwrite: bool = True) ->
 
 
 def _write(contents: Sequence[tuple[Path, bytes]], made: dict[Path, int], overwrite: bool) -> None:
-    """Write all files, the last first, then give them their names, the first first; note their inodes before."""
+    """Write all files, last to first, note their inodes in `made`, then rename them first to last."""
     if not contents:
         return
     path, content = contents[-1]
@@ -293,7 +251,7 @@ def _write(contents: Sequence[tuple[Path, bytes]], made: dict[Path, int], overwr
 
 @contextmanager
 def _restored(path: Path, made: Mapping[Path, int]) -> Iterator[None]:
-    """Keep an existing file, and restore it if something fails after the file that was `made` has replaced it."""
+    """Keep an existing file, and restore it if an error follows its replacement by the file in `made`."""
     old = path.with_name(f".{path.name}.{secrets.token_hex(6)}.part")
     had, kept = path.is_file(), False
     try:
@@ -302,11 +260,11 @@ def _restored(path: Path, made: Mapping[Path, int]) -> Iterator[None]:
         yield
     except BaseException:
         try:
-            # By the inode and not by a list of renames: Ctrl-C may come between a rename and its entry in the list.
+            # Compare inodes instead of listing renames: Ctrl-C may come between a rename and its entry in the list.
             if path.stat().st_ino == made.get(path):
                 old.replace(path) if had else path.unlink()
         except OSError:
-            kept = had  # what cannot be restored is not thrown away
+            kept = had  # keep the old file if it cannot be restored
         raise
     finally:
         if not kept:
@@ -329,22 +287,10 @@ def _second_name(path: Path, other: Path) -> None:
 
 
 def check_new(path: Path, what: str, endings: Collection[str], *, overwrite: bool = False) -> Path:
-    """Return the path if a file may be made there, before any work is done.
+    """Return the path if a file may be created there; run before any work is done.
 
-    Parameters
-    ----------
-    path : Path
-    what : str
-        What it will be, with its article.
-    endings : collection of str
-        Its name ends in one of them, in small letters or capitals.
-    overwrite : bool
-        Whether an existing file may be replaced.
-
-    Raises
-    ------
-    CannotCreate
-        The name ends otherwise, the folder is missing, or there is something already.
+    `what` names the file for messages, with its article; `endings` are compared in lower case.
+    Raises `CannotCreate` for another ending, a missing folder or an existing file.
     """
     if path.suffix.lower() not in endings:
         raise CannotCreate(
@@ -360,7 +306,7 @@ def check_new(path: Path, what: str, endings: Collection[str], *, overwrite: boo
 
 @contextmanager
 def looking_at(path: Path) -> Iterator[None]:
-    """Raise `CannotCreate` if a path cannot be examined, in a closed folder or behind a link to itself."""
+    """Raise `CannotCreate` if a path cannot be examined: a folder without permission, or a link to itself."""
     try:
         with contextlib.suppress(FileNotFoundError, NotADirectoryError):
             path.stat()
@@ -372,17 +318,9 @@ def looking_at(path: Path) -> Iterator[None]:
 
 
 def require_room(path: Path, folder: Path, needed: int, what: str, cure: str) -> None:
-    """Raise `CannotCreate` if the disk of a folder has less free space than needed.
+    """Raise `CannotCreate` if the disk of `folder` has less than `needed` [bytes] free.
 
-    Parameters
-    ----------
-    path : Path
-        What is to be made, for the message.
-    folder : Path
-    needed : int
-        [bytes].
-    what, cure : str
-        What takes the space, and what to do.
+    The message names `path`, `what` takes the space, and the `cure`.
     """
     free = shutil.disk_usage(folder).free
     if needed > free:
@@ -395,24 +333,10 @@ def require_room(path: Path, folder: Path, needed: int, what: str, cure: str) ->
 
 
 def require_regular(path: str | Path, what: str, largest: int) -> int:
-    """Return the size of a regular file that may come from a stranger, or be named in a file that does [bytes].
+    """Return the size of an untrusted file [bytes] if it is regular and has at most `largest` bytes.
 
-    A pipe would be waited for, a device never ends, and a large file fills memory or disk.
-
-    Parameters
-    ----------
-    path : str or Path
-    what : str
-        What it should be, with its article.
-    largest : int
-        [bytes].
-
-    Raises
-    ------
-    BadData
-        It is not a regular file, or larger.
-    OSError
-        It does not exist, or is a folder.
+    A pipe would block, a device never ends, and a large file fills memory or disk.
+    Raises `BadData` if not; `OSError` if it does not exist or is a folder.
     """
     about = Path(path).stat()
     if stat.S_ISDIR(about.st_mode):
@@ -427,7 +351,7 @@ def require_regular(path: str | Path, what: str, largest: int) -> int:
 
 
 def read_regular(path: str | Path, what: str, largest: int, cure: str = "check the name") -> bytes:
-    """Return the content of a regular file; parameters and `BadData` as `require_regular`, else `NoInput`."""
+    """Return the content of a regular file; raises `BadData` as `require_regular`, and `NoInput` for other errors."""
     try:
         size = require_regular(path, what, largest)
         with Path(path).open("rb") as stream:
@@ -440,13 +364,13 @@ def read_regular(path: str | Path, what: str, largest: int, cure: str = "check t
 
 
 def parse_toml(text: str, most_keys: int) -> dict[str, Any]:
-    """Return the content of a TOML text; raise `ValueError` if it is none, or has too many keys or levels."""
+    """Parse TOML; raise `ValueError` if it is invalid or has too many keys or levels."""
     import tomllib
 
     n_keys = text.count("=") + f"\n{text}".count("\n[")
     if n_keys > most_keys:
         raise ValueError(f"it must have at most {most_keys} keys and tables, got {n_keys}")
-    # Strings and comments are searched, too: telling them apart would take another parser.
+    # This also searches strings and comments: telling them apart would need another parser.
     if long := re.search(f"(?:{_PART}){{{_MOST_PARTS}}}", text):
         line = text.count("\n", 0, long.start()) + 1
         raise ValueError(f"a dotted key must have at most {_MOST_PARTS} parts, that of line {line} has more")

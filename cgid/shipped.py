@@ -1,6 +1,6 @@
-"""What comes with the package: scenes, a sample, the default models.
+"""Files shipped with the package: scenes, a sample, the default models.
 
-In an installed wheel they lie inside the package, in a checkout (and so in an editable install) at its top level.
+A wheel has them inside the package; a checkout, and so an editable install, has them at its top level.
 """
 
 from __future__ import annotations
@@ -20,12 +20,7 @@ SCENES = ("reference", "peers", "yang2018", "strangers", "lookalikes", "randomis
 
 
 def path_of(kind: Literal["datasets", "models"], name: str) -> Path:
-    """Return the path of a shipped file.
-
-    Raises
-    ------
-    NoInput
-        The installation is incomplete.
+    """Return the path of a shipped file; raises `NoInput` if the installation is incomplete.
 
     Examples
     --------
@@ -39,5 +34,5 @@ def path_of(kind: Literal["datasets", "models"], name: str) -> Path:
 
 
 def scene_path(scene: str) -> Path:
-    """Return the path of a scene: a file, or the bare name of a shipped one such as "reference"."""
+    """Return the path of a scene: a file, or a shipped scene such as "reference"."""
     return Path(scene) if scene not in SCENES else path_of("datasets", f"{scene}.toml")

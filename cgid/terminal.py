@@ -1,18 +1,18 @@
-"""Texts of strangers, made fit for a terminal.
+"""Escape untrusted text for the terminal.
 
-A name or a label out of a file may hold signs that a terminal obeys: escape sequences that overwrite what was said,
-set the title or the clipboard, and signs that turn the direction of writing over, so that a line reads otherwise than
-it is (Unicode Technical Report 36; CVE-2021-42574).
+A name or label from a file may contain escape sequences that overwrite earlier output or set the title or clipboard.
+It may also contain bidirectional controls, which make a line read differently from its content (Unicode Technical
+Report 36; CVE-2021-42574).
 """
 
 from __future__ import annotations
 
 
 def printable(text: str) -> str:
-    r"""Return a text in which every sign that is not plainly shown stands as its escape.
+    r"""Return the text with every unprintable character escaped.
 
-    Those are what Unicode calls other or a separator (control, format, surrogate, private, unassigned); the space
-    stays, and the tab, which separates columns.
+    Unprintable are Unicode's categories "other" (control, format, surrogate, private, unassigned) and "separator",
+    except the space and the tab, which separates columns.
 
     Examples
     --------

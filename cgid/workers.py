@@ -1,8 +1,7 @@
-"""One executor for work that consists of parts: this process, several processes, or those of a cluster.
+"""One executor for parallel work: in this process, in several processes, or on a cluster.
 
-joblib distributes the parts on this machine, dask.distributed on a cluster. A part is a function of what all parts have
-in common and of what is its own, so its result does not depend on who computes it. No process is forked: joblib starts
-new ones, on Windows, too (not tested).
+joblib distributes the parts on this machine, dask.distributed on a cluster. Each result depends only on the common
+data and its part, not on the worker. Processes are started anew and never forked, also on Windows (not tested).
 """
 
 from __future__ import annotations
@@ -27,13 +26,14 @@ from cgid.errors import ClusterFailed, InvalidValue, MissingExtra
 
 #: The scheduler must answer and have a worker within this time [s].
 PATIENCE = 10.0
-#: A run waits this long without any worker [s]: a dead one may be started again.
+#: Wait this long without any worker [s]: a dead one may be restarted.
 DESERTED = 60.0
-#: The workers are counted again after this time [s]: a cluster may grow.
+#: Count the workers again after this time [s]: a cluster may grow.
 _RECOUNT = 1.0
-#: What all parts have in common is sent with each part up to this size, and survives every worker; else to each worker.
+#: Up to this size the common data go with each part and survive the loss of any worker; larger data are sent once to
+#: each worker [bytes].
 _SMALL = 1 << 20
-#: Libraries that the last digits of a result depend on, or whether it arrives.
+#: Libraries that affect the last digits of a result or its transport.
 _LIBRARIES = ("cgid", "numpy", "scipy", "numba", "h5py", "scikit-learn", "joblib", "distributed")
 _ADDRESS = re.compile(r"(tcp|tls)://.+:[0-9]+")
 
@@ -44,14 +44,10 @@ Result = TypeVar("Result")
 
 @dataclass(frozen=True)
 class Workers:
-    """The executor; see `workers`.
+    """The executor; made by `workers`.
 
-    Attributes
-    ----------
-    jobs : int
-        Processes on this machine; 1: this one.
-    client : distributed.Client or None
-        The connection to a cluster.
+    jobs : number of processes on this machine; 1 is this process
+    client : `distributed.Client` of a cluster, or None
     """
 
     jobs: int = 1
@@ -59,12 +55,12 @@ class Workers:
 
     @property
     def alone(self) -> bool:
-        """Whether this process does everything itself."""
+        """Whether this process does all the work itself."""
         return self.jobs == 1 and self.client is None
 
     @property
     def elsewhere(self) -> bool:
-        """Whether other machines do the work, which share one folder."""
+        """Whether a cluster does the work; its machines share one folder."""
         return self.client is not None
 
     def each(
@@ -75,26 +71,12 @@ class Workers:
         *,
         ordered: bool = True,
     ) -> Generator[Result, None, None]:
-        """Yield `function(common, part)` for each part; closing the generator cancels the rest.
+        """Yield `function(common, part)` for each part, in order or as they finish.
 
-        What is running on a cluster then cannot be stopped: it ends, and its result is not used.
-
-        Parameters
-        ----------
-        function : callable
-            Of a module that the workers have as well.
-        common, parts
-            Can be pickled.
-        ordered : bool
-            Whether results come in the order of the parts, or when they are done.
-
-        Raises
-        ------
-        ClusterFailed
-            The scheduler is lost, no worker is left, or a part has ended several workers; a process of this machine
-            was ended from outside.
-        CgidError
-            What the function raises, whoever runs it.
+        The workers must be able to import `function`; all arguments are pickled. Closing the generator cancels the
+        rest; parts already running on a cluster finish, and their results are dropped. Raises the errors of `function`,
+        and `ClusterFailed` if the scheduler or all workers are lost, a part killed several workers, or a local one was
+        killed.
 
         Examples
         --------
@@ -111,7 +93,7 @@ class Workers:
             yield from made
 
     def _here(self, function: Any, common: Any, parts: Iterable[Any], ordered: bool) -> Generator[Any, None, None]:
-        """Have processes of this machine do the parts."""
+        """Run the parts in processes of this machine."""
         from concurrent.futures import BrokenExecutor
 
         import joblib
@@ -131,13 +113,13 @@ class Workers:
             ) from error
         finally:
             with warnings.catch_warnings():
-                warnings.simplefilter("ignore", UserWarning)  # cancelled work is what an interruption is for
+                warnings.simplefilter("ignore", UserWarning)  # joblib warns of cancelled work, which is intended
                 results.close()
 
     def _on_cluster(
         self, function: Any, common: Any, parts: Iterable[Any], ordered: bool
     ) -> Generator[Any, None, None]:
-        """Have the workers of the cluster do the parts, a few more at once than they have threads."""
+        """Run the parts on the cluster; keep twice as many submitted as it has threads."""
         import asyncio
         from concurrent.futures import CancelledError
 
@@ -146,7 +128,7 @@ class Workers:
 
         given = common
         if len(cloudpickle.dumps(common)) > _SMALL:
-            # Not by its hash: dask would confuse it with the same data of a run before that it is just deleting.
+            # With a hash as key, dask would confuse the data with those of an earlier run that it is deleting.
             given = self.client.scatter(common, broadcast=True, hash=False)
         versions, rest, running = _versions(), iter(parts), list[Any]()
         most, counted = 2, -math.inf
@@ -175,13 +157,13 @@ class Workers:
                 self.client.cancel(running)
 
     def _threads(self) -> int:
-        """Return the number of threads of all workers of the cluster; a lost connection is reported elsewhere."""
+        """Return the number of threads of the cluster; 0 if the connection is lost, which is reported elsewhere."""
         with suppress(OSError, RuntimeError, TimeoutError):
             return sum(self.client.ncores().values())
         return 0
 
     def _first_done(self, running: list[Any]) -> Any:
-        """Return the first part that has ended, however it did; raises `ClusterFailed` where no worker is left."""
+        """Return the first part that has finished or failed; raises `ClusterFailed` if no worker is left."""
         from distributed import wait
 
         seen = time.monotonic()
@@ -199,29 +181,17 @@ class Workers:
                 )
 
 
-#: This process does everything itself.
+#: The executor that uses only this process.
 ALONE = Workers()
 
 
 @contextmanager
 def workers(jobs: int = 1, scheduler: str | None = None) -> Iterator[Workers]:
-    """Yield the executor, for this context.
+    """Yield the executor: `jobs` local processes, or all workers of the dask `scheduler` instead.
 
-    Parameters
-    ----------
-    jobs : int
-        Processes on this machine; ignored with a scheduler.
-    scheduler : str, optional
-        Address of a dask scheduler, such as tcp://192.168.0.7:8786: all workers it has, or gets, do the work.
-
-    Raises
-    ------
-    ClusterFailed
-        The scheduler does not answer, has no workers, or a worker has other versions of what decides on the results.
-    InvalidValue
-        This is no address, or `jobs` is below 1.
-    MissingExtra
-        dask.distributed is not installed.
+    The address looks like tcp://192.168.0.7:8786. Raises `InvalidValue` for a bad address or `jobs` below 1,
+    `MissingExtra` without dask.distributed, and `ClusterFailed` if the scheduler does not answer, has no workers, or a
+    worker has other library versions.
     """
     if jobs < 1:
         raise InvalidValue(f"jobs must be 1 or more, got {jobs}")
@@ -258,7 +228,7 @@ def workers(jobs: int = 1, scheduler: str | None = None) -> Iterator[Workers]:
 
 
 def _require_workers(client: Any, scheduler: str) -> None:
-    """Raise `ClusterFailed` unless there is a worker, and all have what this process has."""
+    """Raise `ClusterFailed` unless there is a worker and all have the library versions of this process."""
     try:
         client.wait_for_workers(1, timeout=PATIENCE)
     except TimeoutError:
@@ -292,7 +262,7 @@ def _versions() -> dict[str, str]:
 
 
 def _until_failure(parts: Iterable[Part], failures: list[BaseException]) -> Iterator[Part]:
-    """Yield the parts until making one fails; the failure is kept, since joblib asks in threads and would lose it."""
+    """Yield the parts until producing one fails; keep the error, which joblib would lose as it iterates in threads."""
     try:
         yield from parts
     except Exception as error:
@@ -300,13 +270,13 @@ def _until_failure(parts: Iterable[Part], failures: list[BaseException]) -> Iter
 
 
 def _do_alike(expected: dict[str, str], function: Any, common: Any, part: Any) -> Any:
-    """Do a part on a worker, which may have joined after the versions were compared."""
+    """Do a part on a worker; check its versions again, because it may have joined after the first check."""
     _require_alike(expected, _versions(), platform.node())
     return _do(function, common, part)
 
 
 def _do(function: Any, common: Any, part: Any) -> Any:
-    # Ctrl-C reaches every process of the group; the one that waits for the workers answers it.
+    # Ctrl-C reaches every process of the group; only the parent handles it.
     if threading.current_thread() is threading.main_thread():
         signal.signal(signal.SIGINT, signal.SIG_IGN)
     return function(common, part)
@@ -314,8 +284,8 @@ def _do(function: Any, common: Any, part: Any) -> Any:
 
 @contextmanager
 def _quiet() -> Iterator[None]:
-    """Keep the log of dask and its libraries off the terminal: what matters is raised."""
-    # Each by its name: dask gives some of them levels and handlers of their own.
+    """Silence the logs of dask and its libraries; errors that matter are raised."""
+    # Set each logger: dask gives some of them their own levels and handlers.
     chosen = re.compile(r"(distributed|tornado|asyncio)(\..+)?")
     logs = [logging.getLogger(name) for name in list(logging.root.manager.loggerDict) if chosen.fullmatch(name)]
     before = [log.level for log in logs]

@@ -1,8 +1,8 @@
 """From a scene to files: a dataset of signals, or a table of features, closed forms or parameters.
 
-The shards of a dataset are independent of each other: this process makes them, several processes, or those of a
-cluster that share the folder. Packing, hashing and writing a shard do not hold Python's lock for long, so a thread
-makes the next signals meanwhile.
+Shards are independent of each other. They are made by this process, by several processes, or by a cluster that shares
+the folder. Packing, hashing and writing a shard hold the GIL only briefly, so a thread makes the next signals
+meanwhile.
 """
 
 from __future__ import annotations
@@ -38,15 +38,15 @@ from cgid.store.hdf5 import ShardPlan
 from cgid.store.run import is_single_file
 from cgid.workers import Workers, workers
 
-#: Signals of a shard: 32 MiB of 2048 float32 samples, built in memory.
+#: Signals per shard: 32 MiB of 2048 float32 samples, built in memory.
 SHARD_SIGNALS = 4096
 #: The manifest of more signals would not fit into memory.
 MOST_SIGNALS = 10**9
-#: A shard written by another machine may appear here this much later [s]: network file systems cache what is missing.
+#: Longest delay until a shard of another machine appears here [s]: network file systems cache missing names.
 PATIENCE = 30.0
-#: Signals made ahead take at most this much memory [bytes], or one block, and are at most this many blocks.
+#: Limits of the signals made ahead: memory [bytes], but at least one block, and number of blocks.
 _AHEAD_BYTES, _AHEAD_BLOCKS = 32 << 20, 16
-#: Maximal size of a number in a table [bytes]; in CSV with its comma.
+#: Largest size of a number in a table, and in CSV with its comma [bytes].
 _BYTES, _BYTES_OF_TEXT = 8, 25
 #: The order in which root attributes are written: the bytes depend on it, and HDF5 does not keep it.
 _ORDER = ("format", "schema_version", "seed", "scene_name", "scene", "scene_sha256", "versions", "background_sha256")
@@ -75,44 +75,43 @@ def generate(
     ----------
     scene : Scene
     output : str or Path
-        Ending in .h5 or .hdf5: one file. Else a folder of shards.
+        Ending in .h5 or .hdf5 for one file, else a folder of shards.
     n_signals, seed : int
     jobs : int
-        Worker processes, each with a shard of its own in memory.
+        Worker processes; each holds one shard in memory.
     dtype : {"float32", "float64"}
-        Of the samples.
+        Type of the samples.
     shard_signals : int
-        Signals in each shard of a folder; the signals themselves do not depend on it.
+        Signals per shard of a folder; does not affect the signals.
     compression : {"none", "gzip", "zstd", "blosc2"}
-        gzip takes two to three times as long and saves a seventh of noisy signals, and nearly all of signals without
-        noise. Everything that reads HDF5 reads it. zstd and blosc2 (lz4) need the extra `compression`, here and
-        wherever the data are read. The bytes also depend on the version of the library that packs them, which the
-        attribute `versions` names.
+        gzip takes two to three times as long. It saves a seventh of noisy signals and nearly all of noiseless ones,
+        and every HDF5 reader supports it. zstd and blosc2 (lz4) need the extra `compression` to write and to read. The
+        bytes depend on the version of the compression library, which the attribute `versions` records.
     overwrite : bool
-        Whether an old dataset may be replaced; it stays whole until the new one is.
+        Whether to replace an old dataset; it stays until the new one is complete.
     resume : bool
-        Complete an unfinished run to the bytes it would have made; a dataset that is whole is kept.
+        Whether to complete an unfinished run, with the same bytes as an unbroken one; a complete dataset is kept.
     scheduler : str, optional
-        Address of a dask scheduler, such as tcp://192.168.0.7:8786, whose workers make the shards in place of `jobs`;
-        the output lies in a folder that all of them share, by the same name.
+        Address of a dask scheduler, such as tcp://192.168.0.7:8786, whose workers replace `jobs`. All of them must see
+        the output folder under the same name.
     progress : callable, optional
-        Called with a number of signals whenever this many more are done.
+        Called with the number of signals finished since the last call.
 
     Raises
     ------
     CannotCreate
-        The output exists, cannot be made, another run writes there, the run to be resumed had other options, or a
-        worker does not share the folder.
+        The output exists or cannot be made, another run writes there, the run to resume had other options, or a worker
+        does not share the folder.
     BadData
-        What is to be resumed is damaged.
+        The run to resume is damaged.
     ClusterFailed
-        The scheduler does not answer, has no workers, or has lost them.
+        The scheduler does not answer, has no workers, or lost them.
     MissingExtra
-        dask.distributed is not installed.
+        dask.distributed or the compression library is not installed.
     WriteFailed
-        The disk is full; finished shards stay, but without a manifest they are no dataset. The run can be resumed.
+        The disk is full. Finished shards stay, without a manifest; the run can be resumed.
     InvalidValue
-        A number breaks its rule, or the scene randomises its sampling rate.
+        A number is out of range, or the scene randomises its sampling rate.
     """
     for name, value in (("n_signals", n_signals), ("jobs", jobs), ("shard_signals", shard_signals)):
         if value < 1:
@@ -125,7 +124,7 @@ def generate(
         )
     require(validation.choice("compression", compression, COMPRESSIONS))
     path = check_output(output, DATASET_FILES, overwrite or resume)
-    next(synthesise(scene, 1, seed))  # errors of the scene or the seed show before anything is written
+    next(synthesise(scene, 1, seed))  # raises errors of the scene or the seed before anything is written
     plan = shard_plan(
         scene,
         {"format": FORMAT, "schema_version": SCHEMA_VERSION} | attributes_of(scene, seed, compression),
@@ -135,9 +134,9 @@ def generate(
     if n_signals > MOST_SIGNALS:
         raise InvalidValue(f"n_signals must be at most {MOST_SIGNALS}, got {n_signals}; make several datasets")
     writer = DatasetWriter(path, plan, n_signals, shard_signals)
-    # More workers than shards or processors only cost memory.
+    # More workers than shards or processors would only cost memory.
     jobs = min(jobs, len(writer.shards), os.cpu_count() or 1)
-    # The workers come first: a cluster that does not answer is reported before anything is written.
+    # The workers come first, so that a missing cluster is reported before anything is written.
     with workers(jobs, scheduler) as crew, writer.begun(overwrite=overwrite, resume=resume) as run:
         missing = [writer.shards[number] for number in run.missing]
         done = n_signals - sum(count for _, _, count in missing)
@@ -153,7 +152,7 @@ def generate(
 
 
 def attributes_of(scene: Scene, seed: int, compression: str = "none") -> dict[str, Any]:
-    """Return the root attributes of a dataset: the scene, the seed, and the versions that its bytes depend on."""
+    """Return the root attributes of a dataset: scene, seed, and the versions that its bytes depend on."""
     packages = ", ".join(f"{name} {version(name)}" for name in ("numpy", "scipy", "numba", "h5py"))
     if compression != "none":
         packages += f", {library(compression)}"
@@ -165,7 +164,7 @@ def attributes_of(scene: Scene, seed: int, compression: str = "none") -> dict[st
         "versions": f"cgid {__version__}, Python {platform.python_version()}, {packages}",
     }
     if scene.background is not None and scene.background.recorded is not None:
-        # The scene only names the file, and the samples depend on its content.
+        # The scene only names the file; the samples depend on its content.
         with scene.background.recorded.file(scene.folder).open("rb") as stream:
             found["background_sha256"] = hashlib.file_digest(stream, "sha256").hexdigest()
     return found
@@ -193,7 +192,7 @@ def in_order(attributes: Mapping[str, Any]) -> dict[str, Any]:
 
 @dataclass(frozen=True, kw_only=True)
 class _Work:
-    """What all shards have in common."""
+    """The data common to all shards."""
 
     writer: DatasetWriter
     scene: Scene
@@ -207,9 +206,9 @@ def _write_shards(
     crew: Workers,
     progress: Callable[[int], object] | None,
 ) -> Generator[ShardEntry, None, None]:
-    """Make these shards of a dataset and write them; yield the entry of each in the manifest as it is done.
+    """Make and write these shards; yield the manifest entry of each when it is done.
 
-    Workers of a cluster write into the same folder by the same name, and finish their shard when they are called off.
+    Cluster workers write into the same folder under the same name; when cancelled, they finish their current shard.
     """
     if crew.alone:
         yield from _write_in_turn(work, shards, progress)
@@ -223,7 +222,7 @@ def _write_shards(
 
 
 def _anywhere(work: _Work) -> _Work:
-    """Return the same work for processes with another working directory, as those kept from an earlier run."""
+    """Return the same work with absolute paths, for processes with another working directory."""
     scene = work.scene.model_copy()
     scene.__dict__["folder"] = scene.folder.absolute()
     return replace(work, writer=work.writer.from_anywhere(), scene=scene)
@@ -260,7 +259,7 @@ def _write_shared(work: _Work, shard: tuple[int, int, int]) -> ShardEntry:
 
 
 def _require_shared(path: Path, n_bytes: int) -> None:
-    """Raise `CannotCreate` unless a shard that a worker has written appears here, too."""
+    """Raise `CannotCreate` unless a shard written by a worker appears here."""
     until = time.monotonic() + PATIENCE
     while (size := path.stat().st_size if path.exists() else None) != n_bytes:
         if time.monotonic() > until:
@@ -269,18 +268,18 @@ def _require_shared(path: Path, n_bytes: int) -> None:
                 f"{'is not' if size is None else f'has {size}'}; choose a folder that all machines share"
             )
         time.sleep(0.2)
-        next(path.parent.iterdir(), None)  # makes the system read the folder anew
+        next(path.parent.iterdir(), None)  # makes the system reread the folder
 
 
 def ahead(items: Iterable[_T], most: int) -> Generator[_T, None, None]:
-    """Yield items that a thread makes in advance, at most `most`; errors of making one are raised in its turn.
+    """Yield items that a thread makes in advance, at most `most`; raise the error of an item in its turn.
 
     Examples
     --------
     >>> list(ahead("abc", 2))
     ['a', 'b', 'c']
     """
-    source, context = iter(items), copy_context()  # counters count in the thread, too
+    source, context = iter(items), copy_context()  # so that counters also count in the thread
     with ThreadPoolExecutor(max_workers=1) as maker:
 
         def make() -> _T | None:
@@ -313,14 +312,9 @@ def _next_signals(batches: Iterator[Batch], count: int, progress: Callable[[int]
 
 @dataclass(frozen=True)
 class Tabulated:
-    """The table that was written.
+    """The result of `tabulate`.
 
-    Attributes
-    ----------
-    path : Path
-    n_signals : int
-    n_unmeasured : int
-        Rows in which a feature could not be measured and is nan.
+    n_unmeasured : rows in which a feature could not be measured and is nan
     """
 
     path: Path
@@ -337,37 +331,16 @@ def tabulate(
     overwrite: bool = False,
     progress: Callable[[int], object] | None = None,
 ) -> Tabulated:
-    """Write what a plan asks for as a table, with labels and specimens, and return what was written.
+    """Write a plan for features, closed forms or parameters as a table, with labels and specimens.
 
-    Memory does not grow with the number of signals: they come in batches of a thousand.
-
-    Parameters
-    ----------
-    asked : Plan
-        For features, closed forms or parameters; see `cgid.scene.plan.plan`.
-    output : str or Path
-        Ending in .h5, .hdf5, .parquet (with the extra `parquet`) or .csv.
-    n_signals, seed : int
-    overwrite : bool
-        Whether an existing file may be replaced.
-    progress : callable, optional
-        Called with a number of signals whenever this many more are done.
-
-    Raises
-    ------
-    CannotCreate
-        The output exists, or cannot be made, or has no room.
-    WriteFailed
-        The disk is full; nothing is left behind.
-    MissingExtra
-        Parquet is asked for, and its library is not installed.
-    InvalidValue
-        A number breaks its rule, or the plan is one for signals.
+    `output` ends in .h5, .hdf5, .parquet or .csv. Signals come in batches of a thousand, so memory stays constant.
+    Raises `CannotCreate`, `WriteFailed` (nothing is left behind), `MissingExtra` without the Parquet library, and
+    `InvalidValue` for a bad number or a plan for signals.
     """
     if not 1 <= n_signals <= MOST_SIGNALS:
         raise InvalidValue(f"n_signals must lie between 1 and {MOST_SIGNALS}, got {n_signals}")
     path = check_table_output(output, overwrite)
-    next(iter(columns_of(asked, 1, seed)))  # errors of the plan or the seed show before anything is written
+    next(iter(columns_of(asked, 1, seed)))  # raises errors of the plan or the seed before anything is written
     size = n_signals * (2 + len(asked.column_units)) * (_BYTES_OF_TEXT if path.suffix == ".csv" else _BYTES)
     require_room(path, path.parent, size, "rows", "make room, or fewer signals")
     header = TableHeader(

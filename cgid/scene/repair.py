@@ -1,7 +1,7 @@
-"""Repair: what is damaged or missing is made again, since every file follows from its description and its number.
+"""Repair: make damaged or missing files again; every file follows from its description and its number.
 
-A file with a known SHA-256, by the manifest or `SHA256SUMS`, must come out with that sum. A single file has no such
-sum: the same versions must make it, and its undamaged chunks must come out as they are. Otherwise nothing is replaced.
+A file with a SHA-256 in the manifest or `SHA256SUMS` must come out with that sum. A single file has no such sum: it
+must be made by the same versions, and its undamaged chunks must come out unchanged. Otherwise nothing is replaced.
 """
 
 from __future__ import annotations
@@ -51,13 +51,13 @@ from cgid.store.description import (
 from cgid.store.hdf5 import RecordingPlan, ShardBuilder
 from cgid.store.verification import Finding, Verified, compression_of, damaged_rows, examine_file
 
-#: The numbers of these versions of cgid depended on the processor.
+#: Versions of cgid whose numbers depended on the processor.
 _DEPENDENT = "cgid 0.1."
-#: A leftover that was written to within this time may still be in use [s].
+#: A leftover that was modified within this time may still be in use [s].
 _STILL_WRITTEN = 60.0
-#: This many bytes may be made, and this many more for each byte that exists.
+#: Bytes that may be made, and additional bytes for each existing byte.
 _ROOM, _ROOM_FOR_EACH = 16 << 20, 100
-#: Stored with each signal besides its samples [bytes], about.
+#: Approximate size of the data stored with each signal besides its samples [bytes].
 _ROW = 100
 
 Progress = Callable[[int], object]
@@ -65,14 +65,9 @@ Progress = Callable[[int], object]
 
 @dataclass(frozen=True, kw_only=True)
 class Repair:
-    """The result for a finding.
+    """The result for one finding.
 
-    Attributes
-    ----------
-    finding : Finding
-    done : bool
-    told : str
-        What was done, or why it was not.
+    told : the action taken, or the reason for its failure
     """
 
     finding: Finding
@@ -81,28 +76,14 @@ class Repair:
 
 
 def repair(verified: Verified, scene: Scene | None = None, progress: Progress | None = None) -> Iterator[Repair]:
-    """Make again what is damaged or missing, each file whole or not at all, and remove what killed runs have left.
+    """Make damaged or missing files again, each atomically, and remove the leftovers of killed runs.
 
-    Parameters
-    ----------
-    verified : Verified
-    scene : Scene, optional
-        The scene of the dataset; needed only where it names a recorded background, which is not opened otherwise.
-    progress : callable, optional
-        Called with a number of signals or samples whenever this many more are made.
-
-    Yields
-    ------
-    Repair
-        One for each finding that is neither foreign nor pending.
-
-    Raises
-    ------
-    CannotCreate
-        A run is writing into the folder, or another dataset has replaced it since it was verified.
+    Yields a `Repair` for each finding that is neither foreign nor pending. Only a dataset with a recorded background
+    needs `scene`. `progress` receives the number of signals or samples made since the last call.
+    Raises `CannotCreate` if a run writes into the folder or another dataset has replaced it since it was verified.
     """
     room = _Room(verified.path)
-    # Manifest and sums come last: they are made from the other files.
+    # Manifest and sums come last because they are made from the other files.
     findings = sorted(verified.findings, key=lambda finding: (finding.file.name == MANIFEST, finding.file.name == SUMS))
     left = False
     with _alone(verified):
@@ -122,9 +103,9 @@ def repair(verified: Verified, scene: Scene | None = None, progress: Progress | 
 
 @contextmanager
 def _alone(verified: Verified) -> Iterator[None]:
-    """Keep runs from writing into a folder meanwhile.
+    """Lock the folder against runs that write into it.
 
-    Raises `CannotCreate` if one does, or if the manifest is not the one that was verified, perhaps hours ago.
+    Raises `CannotCreate` if one does, or if the manifest has changed since it was verified, perhaps hours ago.
     """
     path = verified.path
     with ExitStack() as held:
@@ -146,7 +127,7 @@ def _alone(verified: Verified) -> Iterator[None]:
 
 
 def _mended(finding: Finding, verified: Verified, scene: Scene | None, room: _Room, progress: Progress | None) -> str:
-    """Do what a finding needs and return what was done."""
+    """Repair one finding and return what was done."""
     file, manifest = finding.file, verified.manifest
     if finding.problem == "leftover":
         if time.time() - file.stat().st_mtime < _STILL_WRITTEN:
@@ -171,18 +152,18 @@ def _mended(finding: Finding, verified: Verified, scene: Scene | None, room: _Ro
 
 
 class _Room:
-    """Limits what a repair may make: a small folder from a stranger must not fill the disk by what it declares."""
+    """Limits how much a repair may write: a small untrusted folder must not fill the disk by what it declares."""
 
     def __init__(self, path: Path) -> None:
         files = path.iterdir() if path.is_dir() else (path,)
-        # Sparse files declare any size, and the target of a link in a folder does not count.
+        # A sparse file can declare any size; targets of links in a folder do not count.
         abouts = map(Path.lstat, files) if path.is_dir() else map(Path.stat, files)
         plain = [about for about in abouts if stat.S_ISREG(about.st_mode)]
         stored = sum(min(about.st_size, 512 * getattr(about, "st_blocks", about.st_size)) for about in plain)
         self._left = _ROOM + _ROOM_FOR_EACH * stored
 
     def take(self, path: Path, size: int) -> None:
-        """Reserve this many bytes for a file; raises `BadData` if they are too many."""
+        """Reserve this many bytes for a file; raises `BadData` if they exceed the limit."""
         if size > self._left:
             raise BadData(
                 f"{path}: so little of it is left that it is no repair ({size / 1e6:.3g} MB would be made, "
@@ -196,21 +177,12 @@ class _Room:
 
 @dataclass(frozen=True, kw_only=True)
 class _Recipe:
-    """What the bytes of a file follow from.
+    """Everything that determines the bytes of a file.
 
-    Attributes
-    ----------
-    kind : str
-        `FORMAT` or `RECORDING_FORMAT`.
-    attributes : dict
-        Of the root of the file.
-    scene : Scene
-    seed : int
-    number : int
-        Of the first signal, or of the recording.
-    n_signals : int
-        1 for a recording.
-    dtype, compression : str
+    kind : `FORMAT` or `RECORDING_FORMAT`
+    attributes : root attributes
+    number : of the first signal, or of the recording
+    n_signals : 1 for a recording
     """
 
     kind: str
@@ -224,18 +196,18 @@ class _Recipe:
 
     @property
     def size(self) -> int:
-        """Of the file [bytes], about."""
+        """Approximate size of the file [bytes]."""
         return self.n_signals * (samples_of(self.scene) * np.dtype(self.dtype).itemsize + _ROW)
 
 
 def _recipe_of_shard(finding: Finding, entry: ShardEntry, manifest: Manifest, given: Scene | None) -> _Recipe:
-    """Return what a shard of a folder is made of; raises `BadData` if it is readable and belongs to another dataset."""
+    """Return the recipe of a shard; raises `BadData` if it is readable and belongs to another dataset."""
     path, attributes = finding.file, manifest.attributes
     manifest.require_own(path, finding.examined.get("attributes", {}))
     file = path.with_name(MANIFEST)
     scene = _scene_of(file, attributes, given)
     about: Mapping[str, Any] = vars(manifest)
-    if manifest.dtype is None:  # of version 1: another shard tells
+    if manifest.dtype is None:  # manifests of version 1 do not say it, but the other shards do
         readable = (examine_file(path.with_name(other.file)) for other in manifest.shards)
         about = next((examined for examined in readable if not examined["fault"]), {})
         if not about:
@@ -258,7 +230,7 @@ def _recipe_of_shard(finding: Finding, entry: ShardEntry, manifest: Manifest, gi
 
 
 def _recipe_of_file(finding: Finding, given: Scene | None) -> _Recipe:
-    """Return what a single file or a recording of a folder is made of, by its own attributes or those of another."""
+    """Return the recipe of a single file or recording, from its own attributes or those of a sibling."""
     path, examined = finding.file, finding.examined
     attributes = dict(examined.get("attributes", {}))
     if not examined or examined["fault"]:
@@ -299,10 +271,10 @@ def _recipe_of_file(finding: Finding, given: Scene | None) -> _Recipe:
 
 
 def _scene_of(path: Path, attributes: Mapping[str, Any], given: Scene | None) -> Scene:
-    """Return the scene that a file was made of; `given` comes from the scene's own file.
+    """Return the scene of a file: `given`, read from the scene's own file, or the one stored in `attributes`.
 
-    Raises `BadData` if the file does not say it, another scene is given, or the scene names a recording to be read and
-    none is given.
+    Raises `BadData` if neither is available, if `given` is another scene or has another background, or if the stored
+    scene names a recorded background.
     """
     if given is not None:
         if given.sha256 != attributes.get("scene_sha256"):
@@ -325,7 +297,7 @@ def _scene_of(path: Path, attributes: Mapping[str, Any], given: Scene | None) ->
         raise BadData(f"{path}: does not say of what scene it was made; make it again by cgid generate")
     scene = parse_scene(content, source=str(path))
     if scene.background is not None and scene.background.recorded is not None:
-        # A file from a stranger must not have other files opened.
+        # An untrusted file must not make us open other files.
         raise BadData(
             f"{path}: was made with the recorded background {scene.background.recorded.path}; give the scene file that "
             "lies beside it by --scene FILE"
@@ -343,7 +315,7 @@ def _whole_number(path: Path, attributes: Mapping[str, Any], name: str) -> int:
 
 
 def _require_length(path: Path, n_samples: int, scene: Scene) -> None:
-    """Raise `BadData` unless a scene makes as many samples as a file declares."""
+    """Raise `BadData` unless the scene makes the declared number of samples."""
     if n_samples != samples_of(scene):
         raise BadData(
             f"{path}: must hold as many samples as its scene makes, {samples_of(scene)}, it holds {n_samples}; make it "
@@ -355,7 +327,7 @@ def _require_length(path: Path, n_samples: int, scene: Scene) -> None:
 
 
 def _make(recipe: _Recipe, path: Path, progress: Progress | None) -> None:
-    """Write the file anew to an empty file."""
+    """Write the new content into an empty file."""
     scene, seed, number = recipe.scene, recipe.seed, recipe.number
     if recipe.kind == RECORDING_FORMAT:
         own = ("format", "schema_version", "n_impacts")
@@ -373,7 +345,7 @@ def _make(recipe: _Recipe, path: Path, progress: Progress | None) -> None:
     plan = shard_plan(scene, attributes, recipe.dtype, recipe.compression)
     dtype: Any = recipe.dtype
     batches = synthesise(scene, recipe.n_signals, seed, first=number, dtype=dtype)
-    if plan.size(recipe.n_signals) > LARGEST_SHARD:  # an exported dataset
+    if plan.size(recipe.n_signals) > LARGEST_SHARD:  # only an exported dataset is that large
         write_dataset(path, plan, number, recipe.n_signals, batches, progress)
         return
     builder = ShardBuilder(plan, number, recipe.n_signals)
@@ -385,7 +357,7 @@ def _make(recipe: _Recipe, path: Path, progress: Progress | None) -> None:
 
 
 def _require_same(recipe: _Recipe, made: Path, finding: Finding) -> None:
-    """Raise `BadData` unless a file has come out as it must."""
+    """Raise `BadData` unless the new file has the known SHA-256, or the undamaged chunks of the old one."""
     path = finding.file
     if finding.sha256 is not None:
         if not has_sum(made, finding.sha256):
@@ -412,7 +384,7 @@ def _versions(recipe: _Recipe) -> str:
 
 
 def _why_other(recipe: _Recipe) -> str:
-    """Return why other numbers come out here than those of a file, and what helps."""
+    """Explain why the numbers differ here from those of the file, and what helps."""
     versions, here, scene = recipe.attributes.get("versions"), _versions(recipe), recipe.scene
     if str(versions).startswith(_DEPENDENT):
         return (
@@ -434,7 +406,7 @@ def _why_other(recipe: _Recipe) -> str:
 
 
 def _sum_again(file: Path, manifest: Manifest | None) -> str:
-    """Write `SHA256SUMS` anew: from the manifest, or from recordings, which carry checksums of their own."""
+    """Rewrite `SHA256SUMS` from the manifest, or from recordings, which have their own checksums."""
     folder = file.parent
     if manifest is not None:
         write_whole(file, sums_text(sums_of(manifest.shards, (folder / MANIFEST).read_bytes())))
@@ -450,12 +422,12 @@ def _sum_again(file: Path, manifest: Manifest | None) -> str:
 
 
 def _relist(file: Path) -> str:
-    """Write a lost manifest anew from the shards next to it, which must be whole and of one dataset."""
+    """Rewrite a lost manifest from the shards in its folder, which must be whole and of one dataset."""
     folder = file.parent
     shards = sorted(path for path in folder.iterdir() if re.fullmatch(SHARD_NAME, path.name))
-    # A new manifest would lose sight of missing shards that the sums or the damaged manifest still name.
+    # A new manifest would omit missing shards that the sums or the damaged manifest still name.
     sums: dict[str, str] = {}
-    with suppress(BadData):  # a new one is written from the manifest
+    with suppress(BadData):  # damaged sums are rewritten from the manifest later
         sums = read_sums(folder) or {}
     named = set(re.findall(SHARD_NAME, (read_text(file) or b"").decode("latin-1"))) | (sums.keys() - {MANIFEST})
     if len(named) > len(shards):
@@ -500,7 +472,7 @@ def _relist(file: Path) -> str:
 
 
 def _require_whole(path: Path, listed_in: str) -> dict[str, Any]:
-    """Return what `examine_file` says of a file; raises `BadData` unless it is whole."""
+    """Return the result of `examine_file`; raises `BadData` unless the file is whole."""
     if path.is_symlink():
         raise BadData(f"{path}: {LINKED}")
     examined = examine_file(path)

@@ -1,4 +1,4 @@
-"""HDF5 datasets: the only room that knows h5py; its names are loaded when first used."""
+"""HDF5 datasets and tables. Only this package uses h5py; its names are loaded on first use."""
 
 from __future__ import annotations
 

@@ -1,8 +1,8 @@
-"""Which datasets of an HDF5 file may be read: plain arrays in this very file, of no more than its bytes can hold.
+"""Checks of HDF5 datasets before reading: plain arrays in the same file, no larger than its bytes can hold.
 
-HDF5 believes the index of chunks: an empty chunk crashes its checksum (2.0.0, `H5Zfletcher32`), a short one leaves the
-numbers of another. So every entry is compared with the file before anything is read. Only the reading process imports
-this module.
+HDF5 trusts the chunk index: an empty chunk crashes its checksum (2.0.0, `H5Zfletcher32`), and a short chunk leaves the
+numbers of another. So every index entry is checked against the file first. Only the reading process imports this
+module.
 """
 
 from __future__ import annotations
@@ -17,31 +17,28 @@ import h5py
 
 from cgid.errors import BadData, CgidError, MissingExtra, NoInput
 
-#: What h5py raises on damaged files.
+#: Errors of h5py on damaged files.
 DAMAGE = (OSError, RuntimeError, LookupError, ValueError, TypeError, ArithmeticError)
 #: HDF5 unpacks whole chunks; no sound writer makes larger ones [bytes].
 LARGEST_CHUNK = 64 << 20
-#: The best ratio of deflate; what other filters pack better is no recording.
+#: The best ratio of deflate; no recording compresses better with other filters.
 BEST_RATIO = 1100
-#: Except silence, most of a long frame without noise: Zstandard and Blosc2 pack 512 KiB to some 30 bytes.
+#: Exception: silence, most of a long frame without noise. Zstandard and Blosc2 pack 512 KiB of it to some 30 bytes.
 BEST_RATIO_OF_SILENCE = 1 << 15
-#: Size of the cache of chunks, so that none is unpacked for every block: at least and at most this [bytes].
+#: Limits of the chunk cache [bytes], which avoids unpacking a chunk again for every block.
 _LEAST_CACHE, _LARGEST_CACHE = 1 << 20, 128 << 20
 _DEFLATE, _CHECKSUM = 1, 3
-#: Filters that are unpacked: deflate, shuffle, checksum, LZF; and with hdf5plugin Zstandard and Blosc2. Others, such
-#: as n-bit and scale-offset, believe parameters in the file.
+#: Allowed filters: deflate, shuffle, checksum, LZF; with hdf5plugin Zstandard and Blosc2. Others, such as n-bit and
+#: scale-offset, trust parameters in the file.
 _UNPACKED, _WITH_PLUGIN = (_DEFLATE, 2, _CHECKSUM, 32000), {32015: "Zstandard", 32026: "Blosc2"}
 
 
 def storage_fault(item: h5py.Dataset, file_size: int, best_ratio: float = BEST_RATIO) -> str:
-    """Return why the samples of a dataset must not or cannot be read, "" if they can.
+    """Return why the samples of a dataset cannot or must not be read, "" if they can.
 
-    Raises
-    ------
-    MissingExtra
-        They are packed by Zstandard or Blosc2, and the library is not installed.
+    Raises `MissingExtra` if they are compressed by Zstandard or Blosc2 and the library is not installed.
     """
-    # HDF5 would visit all of them to report the stored size; each takes at least a byte.
+    # First, because HDF5 visits all chunks to report the stored size; each chunk takes at least a byte.
     if (n_chunks := _chunks_declared(item)) > file_size:
         return f"declares {n_chunks} chunks in a file of {file_size} bytes"
     declared, stored = item.size * item.dtype.itemsize, item.id.get_storage_size()
@@ -67,13 +64,13 @@ def packs_silence(item: h5py.Dataset) -> bool:
 
 
 def filters_of(item: h5py.Dataset) -> list[Any]:
-    """Return the filters of a dataset, the number of HDF5 first."""
+    """Return the filters of a dataset, each with its HDF5 number first."""
     creation = item.id.get_create_plist()
     return [creation.get_filter(index) for index in range(creation.get_nfilters())]
 
 
 def missing_chunks(item: h5py.Dataset) -> str:
-    """Return how many chunks were never written, "" if all were."""
+    """Describe how many chunks were never written, "" if all were."""
     if item.chunks is None:
         return ""
     expected = _chunks_declared(item)
@@ -85,7 +82,7 @@ def missing_chunks(item: h5py.Dataset) -> str:
 
 
 def cache_size(shape: tuple[int, ...], chunks: tuple[int, ...] | None, itemsize: int, across: int | None) -> int:
-    """Return what the chunks take that hold one moment of all channels [bytes]; `across` is the channels' axis."""
+    """Return the size of the chunks for one moment of all channels [bytes]; `across` is the axis of the channels."""
     if chunks is None:
         return _LEAST_CACHE
     side_by_side = 1 if across is None else -(-shape[across] // chunks[across])
@@ -93,7 +90,7 @@ def cache_size(shape: tuple[int, ...], chunks: tuple[int, ...] | None, itemsize:
 
 
 def chunk_bytes(item: h5py.Dataset) -> int:
-    """Return what a chunk takes, unpacked; nothing where there are none."""
+    """Return the unpacked size of a chunk [bytes], 0 for contiguous storage."""
     return _chunk_size(item.chunks, item.dtype.itemsize) if item.chunks else 0
 
 
@@ -121,23 +118,23 @@ def _is_unpacked(code: int) -> bool:
 
 def _index_fault(item: h5py.Dataset, file_size: int, filters: list[int]) -> str:
     size = _chunk_size(item.chunks, item.dtype.itemsize)
-    # The checksum of four bytes comes on top; without any filter a chunk is as long as its numbers.
+    # The checksum adds four bytes; without any other filter a chunk is as long as its numbers.
     checksum = 4 if _CHECKSUM in filters else 0
     packed = any(code != _CHECKSUM for code in filters)
     best = size // BEST_RATIO if _DEFLATE in filters else 0
     least, most = (checksum + 1 + best, 2 * size + 4096) if packed else (size + checksum, size + checksum)
-    # Of datasets that can grow HDF5 2.0.0 says other offsets than those it reads from.
+    # For datasets that can grow, HDF5 2.0.0 reports other offsets than it reads from.
     can_grow = None in item.maxshape
     places: set[tuple[int, ...]] = set()
     starts: set[int] = set()
     checked = sum(1 << index for index, code in enumerate(filters) if code == _CHECKSUM)
 
     def is_unsound(info: Any) -> bool | None:
-        """Return True, which ends the walk through the index, or None."""
+        """Return True, which ends the iteration over the index, or None."""
         places.add(info.chunk_offset)
         starts.add(info.byte_offset)
         whole = info.filter_mask == 0 and least <= info.size <= most
-        # A filter that found nothing to gain is passed over for this chunk.
+        # HDF5 skips a filter for a chunk that it cannot shrink.
         whole = whole or (info.filter_mask != 0 and not info.filter_mask & checked and checksum < info.size <= most)
         aligned = all(
             first % chunk == 0 and (first < length or can_grow)
@@ -146,21 +143,21 @@ def _index_fault(item: h5py.Dataset, file_size: int, filters: list[int]) -> str:
         inside = 0 < info.byte_offset <= info.byte_offset + info.size <= file_size
         return None if whole and aligned and inside else True
 
-    # Two chunks in one place would be the numbers of one of them twice.
+    # Two chunks at one place would give the same numbers twice.
     if item.id.chunk_iter(is_unsound) or not len(places) == len(starts) == item.id.get_num_chunks():
         return "has a damaged index of chunks"
     return ""
 
 
-#: What we write has a few dozen [objects of a group], [attributes of an object], [bytes of these].
+#: Limits of the members of a group, the attributes of an object and their size [bytes]; our files have a few dozen.
 MOST_MEMBERS, _MOST_ATTRIBUTES, _LARGEST_ATTRIBUTES = 4096, 256, 8 << 20
-#: Datasets whose index of chunks has been gone through, as long as their file stays as it was.
+#: Datasets with a checked chunk index; the key contains the state of the file.
 _found_sound: set[tuple[Any, ...]] = set()
 
 
 @contextmanager
 def opened(path: str, source: str, **options: Any) -> Iterator[h5py.File]:
-    """Yield an HDF5 file open for reading; what h5py raises on a damaged one becomes `BadData`."""
+    """Yield an HDF5 file open for reading; turn h5py's errors on a damaged file into `BadData`."""
     if not Path(path).exists():
         raise BadData(f"{source}: this shard of the dataset is missing; generate the dataset again")
     if not Path(path).is_file():
@@ -187,16 +184,9 @@ def opened(path: str, source: str, **options: Any) -> Iterator[h5py.File]:
 
 
 def plain_dataset(file: h5py.File, name: str, source: str, best_ratio: float = BEST_RATIO) -> h5py.Dataset:
-    """Return a dataset that lies in this very file, as large as it says; links elsewhere could read other files.
+    """Return a dataset stored in this file and large enough for its declared size; links could read other files.
 
-    Parameters
-    ----------
-    file : h5py.File
-    name : str
-    source : str
-        The file's name in messages.
-    best_ratio : float
-        Declared bytes over stored ones, at most.
+    `best_ratio` is the largest allowed ratio of declared to stored bytes.
     """
     for part in (name.split("/")[0], name):
         if not is_inside(file, part):
@@ -209,14 +199,14 @@ def plain_dataset(file: h5py.File, name: str, source: str, best_ratio: float = B
 
 
 def _require_borne_out(file: h5py.File, dataset: h5py.Dataset, source: str, best_ratio: float) -> None:
-    """Raise `BadData` unless the stored bytes are enough for what is declared, and all there."""
+    """Raise `BadData` unless the stored bytes are complete and suffice for the declared size."""
     if dataset.shape is None:
         return
     about = Path(file.filename).stat()
     key = (file.filename, about.st_ino, about.st_size, about.st_mtime_ns, about.st_ctime_ns, dataset.name, best_ratio)
     if key in _found_sound:
         return
-    # Own files are read by batches, whatever they declare.
+    # Our own files are read in batches, whatever size they declare.
     best_ratio = max(best_ratio, BEST_RATIO_OF_SILENCE) if packs_silence(dataset) else best_ratio
     fault = storage_fault(dataset, about.st_size, best_ratio) or missing_chunks(dataset)
     if fault:
@@ -227,7 +217,7 @@ def _require_borne_out(file: h5py.File, dataset: h5py.Dataset, source: str, best
 
 
 def is_inside(file: h5py.File, name: str) -> bool:
-    """Return whether this name is there and no soft or external link, without following it."""
+    """Return whether this name exists and is no soft or external link, without following it."""
     links = file.id.links
     return bool(links.exists(name.encode()) and links.get_info(name.encode()).type == h5py.h5l.TYPE_HARD)
 
@@ -243,7 +233,7 @@ def members(file: h5py.File, name: str, source: str) -> list[str]:
 
 
 def attributes_of(item: h5py.HLObject, source: str) -> dict[str, Any]:
-    """Return the attributes that are one number or one string of fixed length; no others are written, or even read."""
+    """Return the attributes that are one number or one fixed-length string; cgid writes and reads no others."""
     found: dict[str, Any] = {}
     room = _LARGEST_ATTRIBUTES
     if len(item.attrs) > _MOST_ATTRIBUTES:
@@ -253,7 +243,7 @@ def attributes_of(item: h5py.HLObject, source: str) -> dict[str, Any]:
         room -= stored.dtype.itemsize + len(name)
         if room < 0:
             raise BadData(f"{source}: attributes of {item.name} must take at most {_LARGEST_ATTRIBUTES >> 20} MiB")
-        # Python has no number for those of more than eight bytes.
+        # Python has no numbers of more than eight bytes.
         if stored.shape == () and (
             stored.dtype.kind == "S" or (stored.dtype.kind in "biuf" and stored.dtype.itemsize <= 8)
         ):
@@ -263,5 +253,5 @@ def attributes_of(item: h5py.HLObject, source: str) -> dict[str, Any]:
 
 
 def bytes_of(dataset: h5py.Dataset) -> int:
-    """Return what a row takes."""
+    """Return the size of a row [bytes]."""
     return int(math.prod(dataset.shape[1:])) * int(dataset.dtype.itemsize)

@@ -1,7 +1,7 @@
-"""What the reading process reports of HDF5 files of other programs; see `cgid.store.foreign`.
+"""Functions of the reading process for HDF5 files of other programs; see `cgid.store.foreign`.
 
-Only hard links are followed; external storage and virtual datasets are skipped, so no other file is read. Nothing is
-believed that the stored bytes cannot hold.
+Only hard links are followed; external storage and virtual datasets are skipped, so no other file is read. Declared
+sizes are checked against the stored bytes.
 """
 
 from __future__ import annotations
@@ -20,15 +20,15 @@ from cgid.errors import BadData, CgidError
 from cgid.store import sandbox
 from cgid.store._checks import DAMAGE, cache_size, chunk_bytes, missing_chunks, storage_fault
 
-#: A recording has fewer parts.
+#: A recording has fewer objects, levels and attributes.
 _MOST_OBJECTS, _DEEPEST, _MOST_ATTRIBUTES = 10_000, 32, 256
-#: This many are visited in the time of one answer.
+#: Objects visited within the time limit of one reply.
 _OBJECTS_IN_TIME = 500
-#: Longer attributes are neither a rate nor a unit.
+#: Longer attributes are neither rates nor units.
 _LONGEST_ATTRIBUTE = 4096
-#: Longer lists and texts are no units and no names.
+#: Longer lists and texts are neither units nor names.
 _LONGEST_LIST, _LONGEST_TEXT = 4096, 200
-#: Slots of the cache of chunks.
+#: Slots of the chunk cache.
 _SLOTS = 10_007
 #: Where MATLAB stores the targets of cells and objects.
 _MATLAB_INNER = ("#refs#", "#subsystem#")
@@ -38,7 +38,7 @@ _CURE = "save it again as plain arrays"
 
 @dataclass
 class _Found:
-    """What JSON can hold of a survey: see `cgid.store.foreign.ForeignFile`; texts of variable length are only named."""
+    """The JSON of a survey, see `cgid.store.foreign.ForeignFile`; `texts` only locates texts of variable length."""
 
     arrays: list[dict[str, Any]] = field(default_factory=list)
     said: dict[str, dict[str, Any]] = field(default_factory=dict)
@@ -48,10 +48,7 @@ class _Found:
 def foreign_names(path: str, source: str) -> list[str]:
     """Return the names of all attributes and values, each once.
 
-    Raises
-    ------
-    BadData
-        The file is no HDF5, cut off, damaged, or of more parts than a recording has.
+    Raises `BadData` if the file is not HDF5, truncated, damaged, or has more objects than a recording.
     """
     names: dict[str, None] = {}
     with _opened(path, source) as file:
@@ -63,18 +60,9 @@ def foreign_names(path: str, source: str) -> list[str]:
 
 
 def foreign_survey(path: str, source: str, wanted: Sequence[str]) -> dict[str, Any]:
-    """Return what a foreign HDF5 file holds: `arrays`, `said` and where `texts` of variable length lie.
+    """Return the content of a foreign HDF5 file: `arrays`, `said`, and the locations of `texts` of variable length.
 
-    Parameters
-    ----------
-    path, source : str
-    wanted : sequence of str
-        The names of values that are read.
-
-    Raises
-    ------
-    BadData
-        As `foreign_names`.
+    Only values with `wanted` names are read. Raises as `foreign_names`.
     """
     found, names = _Found(), frozenset(wanted)
     with _opened(path, source) as file:
@@ -88,13 +76,10 @@ def foreign_survey(path: str, source: str, wanted: Sequence[str]) -> dict[str, A
 
 
 def foreign_texts(path: str, source: str, asked: Sequence[tuple[str, str]]) -> list[Any]:
-    """Return texts of variable length, each as text or list of texts; None for one that is no unit and no name.
+    """Return texts of variable length, each as text or list of texts; None for one that is too long for a unit or name.
 
-    Parameters
-    ----------
-    path, source : str
-    asked : sequence of (str, str)
-        Path of the group or dataset ("" is the root) and name of the attribute, "" for the dataset's own value.
+    `asked` holds the path of a group or dataset ("" is the root) and the name of the attribute, "" for the dataset's
+    value.
     """
     found: list[Any] = []
     with _opened(path, source) as file:
@@ -134,7 +119,7 @@ def foreign_blocks(
             if across is not None:
                 index[across] = slice(min(channels), max(channels) + 1)
                 n_read = max(channels) + 1 - min(channels)
-            # As stored, turned and as numbers of eight bytes, and the next that is read before the last has gone.
+            # Copies: as stored, transposed, as eight-byte numbers, and the next block, read while the last one exists.
             size = 8 * min(length, shape[along]) * max(n_read, len(channels))
             sandbox.allow(4 * size + 3 * chunk_bytes(dataset) + 2 * cache)
             yield {"": _block(dataset, tuple(index), across, along, channels, source)}
@@ -182,7 +167,7 @@ def _opened(path: str, source: str, **options: int) -> Iterator[h5py.File]:
 
 
 def _walk(file: h5py.File, source: str) -> Iterator[tuple[str, Any]]:
-    """Yield the groups and datasets that lie in this very file, each once."""
+    """Yield the groups and datasets stored in this file, each once."""
     seen, stack = set(), [("", file["/"], 0)]
     while stack:
         name, item, depth = stack.pop()
@@ -191,7 +176,7 @@ def _walk(file: h5py.File, source: str) -> Iterator[tuple[str, Any]]:
             continue
         seen.add(place)
         _require_few(len(seen), depth, source)
-        # Whoever gets on has not been caught in a loop.
+        # Progress shows that HDF5 is not caught in a loop, so restart the time limits.
         if len(seen) % _OBJECTS_IN_TIME == 0:
             sandbox.begin(file.filename)
         yield name, item
@@ -201,7 +186,7 @@ def _walk(file: h5py.File, source: str) -> Iterator[tuple[str, Any]]:
         for key in reversed(list(item)):
             if key in _MATLAB_INNER or not isinstance(item.get(key, getlink=True), h5py.HardLink):
                 continue
-            # An object that cannot be opened, such as one of a filter that is not here, is none of the arrays.
+            # Skip objects that cannot be opened, such as those with an unavailable filter.
             with suppress(*DAMAGE):
                 part = item[key]
                 if isinstance(part, h5py.Group | h5py.Dataset):
@@ -216,7 +201,7 @@ def _require_few(n_objects: int, depth: int, source: str) -> None:
 
 
 def _attributes(item: Any, path: str, wanted: frozenset[str], texts: list[tuple[str, str]]) -> dict[str, Any]:
-    """Return the attributes of interest of fixed size; those of variable length are put on the list `texts`."""
+    """Return the wanted attributes of fixed size; add those of variable length to `texts`."""
     found: dict[str, Any] = {}
     for name in list(item.attrs)[:_MOST_ATTRIBUTES]:
         if name not in _MATLAB_NAMES and name not in wanted:
@@ -268,13 +253,13 @@ def _add(
         ):
             with suppress(*DAMAGE):
                 read = np.asarray(item[()])
-                # MATLAB keeps text as numbers of UTF-16, one a letter.
+                # MATLAB stores text as UTF-16 code units.
                 text = read.ravel().astype("<u2").tobytes().decode("utf-16", "replace") if matlab == "char" else None
                 value = _plain(read) if text is None else text
                 if value is not None:
                     found.said.setdefault(group, {})[last] = value
         return
-    # Logical arrays are no samples.
+    # Logical arrays are not samples.
     if kind == "b" or matlab == "logical" or not item.size:
         return
     found.arrays.append(

@@ -1,7 +1,7 @@
 """The process that reads HDF5 files for another one; see `cgid.store.sandbox`.
 
-It has a few functions, which are called by name through its standard input, limits of time and memory, and ends when
-nobody can ask any more. Nothing in a file is believed before it is checked.
+It calls the functions that are named on its standard input, within limits of time and memory, and ends when the input
+closes. Everything in a file is checked before use.
 """
 
 from __future__ import annotations
@@ -38,9 +38,9 @@ from cgid.validation import RATES
 
 #: Labels and names are shorter [bytes].
 _WIDEST_TEXT = 4096
-#: Recordings and tables are not packed: they declare no more than is stored.
+#: Recordings and tables are uncompressed: they declare no more bytes than are stored.
 _UNPACKED = 1.0
-#: Chunks of one answer, for which the time of an answer suffices.
+#: Chunks in one reply, few enough for its time limit.
 _TOGETHER = 64
 #: Noun, version, main datasets (the most important first) and the group of columns of each kind of file.
 _KINDS: Mapping[str, tuple[str, int, tuple[str, ...], str]] = {
@@ -54,7 +54,7 @@ _KINDS: Mapping[str, tuple[str, int, tuple[str, ...], str]] = {
 
 
 def format_said(path: str, source: str) -> str | None:
-    """Return the attribute `format` of the root, "" if there is none; None for what cannot be opened."""
+    """Return the attribute `format` of the root, "" if there is none; None if the file cannot be opened."""
     try:
         with opened(path, source) as file:
             said = file.attrs.get_id("format") if "format" in file.attrs else None
@@ -68,10 +68,7 @@ def format_said(path: str, source: str) -> str | None:
 def shard_header(path: str, source: str) -> dict[str, Any]:
     """Return the checked header of a shard, the fields of `ShardHeader`.
 
-    Raises
-    ------
-    BadData
-        It is no cgid dataset, of another version, incomplete, or holds what a dataset must not hold.
+    Raises `BadData` if it is no cgid dataset, of another version or incomplete, or has content that is not allowed.
     """
     with opened(path, source) as file:
         attributes = _root(file, source, FORMAT)
@@ -152,7 +149,7 @@ def table_header(path: str, source: str) -> dict[str, Any]:
 
 
 def _root(file: h5py.File, source: str, form: str) -> dict[str, Any]:
-    """Return the attributes of the root; raises `BadData` unless they are those of such a file, of this version."""
+    """Return the root attributes; raises `BadData` unless format and version are right."""
     noun, version, *_ = _KINDS[form]
     attributes = attributes_of(file, source)
     if attributes.get("format") != form:
@@ -178,7 +175,7 @@ def _about(samples: h5py.Dataset, name: str, source: str) -> dict[str, Any]:
 def _column(
     file: h5py.File, name: str, source: str, n_rows: Any, kinds: str, what: str, best_ratio: float | None = None
 ) -> str:
-    """Return the unit of a column of numbers or short texts; raises `BadData` unless it has one per row."""
+    """Return the unit of a column of numbers or short texts; raises `BadData` unless it has one value per row."""
     column = plain_dataset(file, name, source, *(() if best_ratio is None else (best_ratio,)))
     if column.shape != (n_rows,) or column.dtype.kind not in kinds or column.dtype.itemsize > _WIDEST_TEXT:
         raise BadData(f"{source}: {name} must be one {what}, got shape {column.shape} of {column.dtype}")
@@ -191,29 +188,18 @@ def _column(
 def rows(
     path: str, source: str, names: Sequence[str], first: int, stop: int, length: int
 ) -> Iterator[dict[str, NDArray[Any]]]:
-    """Yield rows of several datasets of one length, at most `length` at once.
+    """Yield the rows [first, stop) of several datasets of equal length, at most `length` at once.
 
-    Parameters
-    ----------
-    path, source : str
-    names : sequence of str
-    first, stop : int
-        Rows from the first up to, without, the last.
-    length : int
-
-    Raises
-    ------
-    BadData
-        A checksum does not fit: the file is damaged.
+    Raises `BadData` if a checksum is wrong.
     """
     with ExitStack() as stack:
         file = stack.enter_context(opened(path, source))
         stored = {name: plain_dataset(file, name, source) for name in names}
         row, chunk = (sum(size(one) for one in stored.values()) for size in (bytes_of, chunk_bytes))
-        # No rows are a part, too: of length 0, with the types of all columns.
+        # Without rows, yield one part of length 0 with the types of all columns.
         for begin in range(first, max(stop, first + 1), length):
             part = slice(begin, min(begin + length, stop))
-            # As read, in another byte order, and the next part that is read before this one is gone.
+            # Three copies: as read, in another byte order, and the next part, which is read while this one exists.
             sandbox.allow(3 * (row * (part.stop - part.start) + chunk))
             yield {name: _part(one, part, source) for name, one in stored.items()}
 
@@ -230,25 +216,11 @@ def _part(dataset: h5py.Dataset, part: slice, source: str) -> NDArray[Any]:
 
 
 def examine(path: str, source: str, steps: Mapping[str, int]) -> Iterator[dict[str, Any]]:
-    """Yield what can be read of a shard, a recording or a table that may be damaged, piece by piece.
+    """Yield the readable content of a shard, a recording or a table, which may be damaged, piece by piece.
 
-    Parameters
-    ----------
-    path, source : str
-    steps : dict of int
-        How many rows of which dataset are hashed together; by default its chunks.
-
-    Yields
-    ------
-    dict
-        First the `attributes` of the root; then `filters` (HDF5's numbers), `dtype` and `n_samples` of the signals or
-        samples; then for each dataset its `name` and some `chunks` of it: first row, row behind the last, and the
-        SHA-256 of the values, "" where they do not fit their checksum.
-
-    Raises
-    ------
-    BadData
-        The headers are damaged, or those of another file.
+    First the root `attributes`; then `filters` (HDF5's numbers), `dtype` and `n_samples` of the signals or samples;
+    then `name` and some `chunks` of each dataset, as in `cgid.store.verification.examine_file`, which also explains
+    `steps`. Raises `BadData` if the headers are damaged or those of another file.
     """
     with opened(path, source) as file:
         attributes = attributes_of(file, source)
@@ -292,8 +264,8 @@ def _digest(dataset: h5py.Dataset, part: slice) -> str:
 
 # ---- questions and answers -------------------------------------------------------------------------------------------
 
-#: What can be asked. Each is given the path, its name in messages, and what else it needs; it returns what JSON can
-#: hold or a dict of arrays, or yields such dicts.
+#: The available functions. Each receives the path, its name in messages, and further arguments. It returns JSON or a
+#: dict of arrays, or yields such values.
 FUNCTIONS: Mapping[str, Callable[..., Any]] = {
     "examine": examine,
     "foreign_blocks": _foreign.foreign_blocks,
@@ -310,7 +282,7 @@ FUNCTIONS: Mapping[str, Callable[..., Any]] = {
 
 def _main() -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    # Libraries may print; the answers have a way of their own.
+    # Libraries may print to standard output, so replies use a duplicate of its descriptor.
     answers = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)
     sandbox.send(answers, {})
@@ -328,7 +300,7 @@ def _main() -> None:
 def _serve(function: str, arguments: list[Any], requests: Any, answers: Any) -> None:
     for number, (message, arrays) in enumerate(_replies(function, arguments)):
         sandbox.rest()
-        # The next item is ready before it is asked for.
+        # The next item is computed before it is requested.
         if number and not json.loads(requests.readline() or "{}").get("next"):
             sandbox.send(answers, {"end": True})
             return
@@ -357,7 +329,7 @@ def _replies(function: str, arguments: list[Any]) -> Iterator[tuple[dict[str, An
     except MemoryError:
         cure = "it is damaged or hostile: copy it again, or leave it out"
         yield {"error": "BadData", "text": f"{source}: reading this file takes more memory than it may; {cure}"}, {}
-    except Exception as error:  # whatever h5py makes of a file, it is one line
+    except Exception as error:  # report any error of h5py in one line
         reason = " ".join(f"{type(error).__name__}: {error}".split())
         yield {"error": "BadData", "text": f"{source}: is damaged ({reason}); copy it again, or generate it anew"}, {}
 

@@ -1,13 +1,13 @@
 """Compression of signals: HDF5's own filters, those of an extra, and a fast deflate.
 
-`gzip` is HDF5's own shuffle and deflate: h5dump, MATLAB and LabVIEW read it. `zstd` and `blosc2` (filters 32015 and
-32026 of HDF5's registry) need their plugins, in Python hdf5plugin. Each is followed by a checksum (fletcher32) of its
-output. `python benchmarks/store.py` measures size and speed.
+`gzip` is HDF5's shuffle and deflate, which h5dump, MATLAB and LabVIEW read. `zstd` and `blosc2` (filters 32015 and
+32026 of HDF5's registry) need plugins, in Python hdf5plugin. A checksum (fletcher32) of the output follows each filter.
+`python benchmarks/store.py` measures size and speed.
 
-Our deflate is as fast as signals allow, and every zlib unpacks it. After HDF5's byte shuffle the exponents of a chunk
-are together, and so is each byte of the mantissas. In noise the lower of these contain nothing to compress: they are
-stored. The others contain no repeated words, only frequent bytes and runs of zeros: Huffman's code and runs (zlib's
-strategy Z_RLE) pack them as well as the search for words, which is what takes gzip its time.
+Our deflate exploits the structure of signals, and every zlib unpacks it. HDF5's byte shuffle groups the exponents of a
+chunk, and each byte of the mantissas. In noise the lower mantissa bytes are incompressible and are stored. The other
+bytes hold no repeated words, only frequent bytes and runs of zeros: Huffman coding and run lengths (zlib's strategy
+Z_RLE) pack them as well as the search for words, which takes most of gzip's time.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from cgid.errors import MissingExtra
 
 COMPRESSIONS = ("none", "gzip", "zstd", "blosc2")
-#: Those with filters of hdf5plugin.
+#: Compressions that need hdf5plugin.
 BY_PLUGIN = ("zstd", "blosc2")
 
 
@@ -33,7 +33,7 @@ def keywords(compression: str) -> dict[str, Any]:
         return {"compression": "gzip", "compression_opts": 4, "shuffle": True}
     plugin = _plugin(compression)
     if compression == "zstd":
-        return {"shuffle": True, **plugin.Zstd(clevel=1)}  # level 3 leaves more of noise, and takes longer
+        return {"shuffle": True, **plugin.Zstd(clevel=1)}  # level 3 packs noise less well and takes longer
     return dict(plugin.Blosc2(cname="lz4", clevel=5, filters=plugin.Blosc2.BITSHUFFLE))
 
 
@@ -44,14 +44,14 @@ def require(compression: str) -> None:
 
 
 def library(compression: str) -> str:
-    """Return name and version of the library that the packed bytes depend on, "" if on none."""
+    """Return name and version of the library that determines the packed bytes, "" if none."""
     if compression in BY_PLUGIN:
         return f"hdf5plugin {_plugin(compression).version}"
     return f"zlib {zlib.ZLIB_RUNTIME_VERSION}" if compression == "gzip" else ""
 
 
 def _plugin(compression: str) -> Any:
-    """Return hdf5plugin, which registers its filters with HDF5 when it is loaded."""
+    """Return hdf5plugin, which registers its filters with HDF5 on import."""
     try:
         import hdf5plugin
     except ImportError:
@@ -62,24 +62,21 @@ def _plugin(compression: str) -> Any:
     return hdf5plugin
 
 
-#: zlib's window of 32 KiB, without a header: the parts of one stream follow each other.
+#: zlib's window of 32 KiB, without a header, so that the parts form one stream.
 _RAW = -15
 _HEADER = b"\x78\x01"
 #: zlib's default.
 _MEMORY = 8
-#: A plane is sampled in this many places, this many bytes each.
+#: Number of samples of a plane, and their size [bytes].
 _PLACES, _LOOK = 8, 256
-#: It is packed if at most this fraction is left of them.
+#: A plane is packed if its samples shrink to at most this fraction.
 _WORTH = 0.97
 
 
 def deflated(planes: NDArray[np.uint8]) -> bytes:
-    """Return the zlib stream (RFC 1950) of shuffled numbers; its bytes depend on them and on the version of zlib.
+    """Return the zlib stream (RFC 1950) of shuffled numbers, (itemsize, n) in C order; bytes depend on zlib's version.
 
-    Parameters
-    ----------
-    planes : ndarray of uint8, (itemsize, n), C order
-        Row k holds byte k of every number, as after HDF5's byte shuffle.
+    Row k holds byte k of every number, as after HDF5's byte shuffle.
 
     Examples
     --------
@@ -92,7 +89,7 @@ def deflated(planes: NDArray[np.uint8]) -> bytes:
     for number, plane in enumerate(planes):
         packer = zlib.compressobj(int(_is_worth_packing(plane)), zlib.DEFLATED, _RAW, _MEMORY, zlib.Z_RLE)
         parts.append(packer.compress(plane.data))
-        # A full flush ends on a whole byte, and the next part starts there.
+        # A full flush ends on a byte boundary, where the next part starts.
         parts.append(packer.flush(zlib.Z_FINISH if number == last else zlib.Z_FULL_FLUSH))
     parts.append(zlib.adler32(planes.data).to_bytes(4, "big"))
     return b"".join(parts)
@@ -101,7 +98,7 @@ def deflated(planes: NDArray[np.uint8]) -> bytes:
 def _is_worth_packing(plane: NDArray[np.uint8]) -> bool:
     if plane.size <= _PLACES * _LOOK:
         return True
-    # Evenly spread, they are at different places of the signals.
+    # The even spread takes them from different places of the signals.
     starts = np.linspace(0, plane.size - _LOOK, _PLACES).astype(int)
     seen = b"".join([plane[start : start + _LOOK].tobytes() for start in starts])
     packer = zlib.compressobj(1, zlib.DEFLATED, _RAW, _MEMORY, zlib.Z_RLE)

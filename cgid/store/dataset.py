@@ -32,26 +32,26 @@ from cgid.store.reading import Dataset
 from cgid.store.run import SUFFIXES, Goal, Run, begun, is_single_file, taking_part
 from cgid.store.verification import compression_of, examine_whole
 
-#: A manifest of this many shards takes some 100 MB, which readers hold in memory.
+#: The manifest of this many shards takes some 100 MB, which readers hold in memory.
 MOST_SHARDS = 300_000
 
 
 class DatasetWriter:
-    """Divides signals into shards and writes these, in any order and by any process.
+    """Divides signals into shards and writes them in any order and from any process.
 
     Parameters
     ----------
     output : Path
-        A file ending in .h5 (a single shard), else a folder.
+        A file ending in .h5 or .hdf5 (a single shard), else a folder.
     plan : ShardPlan
     n_signals : int
     shard_signals : int
-        Signals of a shard of a folder.
+        Signals per shard of a folder.
 
     Raises
     ------
     InvalidValue
-        A shard would be too large to be built in memory, or there would be too many.
+        A shard would be too large to be built in memory, or there would be too many shards.
     """
 
     def __init__(self, output: Path, plan: ShardPlan, n_signals: int, shard_signals: int) -> None:
@@ -84,11 +84,11 @@ class DatasetWriter:
 
     @property
     def folder(self) -> Path:
-        """Where files are written; for a folder of shards, within `begun`."""
+        """The folder of the new files; for a folder of shards, only within `begun`."""
         return self.output.parent if self._folder is None else self._folder
 
     def from_anywhere(self) -> DatasetWriter:
-        """Return the same writer for processes with another working directory."""
+        """Return the same writer with absolute paths, for processes with another working directory."""
         found = copy.copy(self)
         found.output = self.output.absolute()
         found._folder = None if self._folder is None else self._folder.absolute()
@@ -96,7 +96,24 @@ class DatasetWriter:
 
     @contextmanager
     def begun(self, *, overwrite: bool = False, resume: bool = False) -> Iterator[Run]:
-        """Yield the run that makes the shards; parameters and errors as `cgid.store.run.begun`."""
+        """Yield the run that makes the shards; see `cgid.store.run.begun`.
+
+        Parameters
+        ----------
+        overwrite : bool
+            Whether to replace an old dataset; it stays until the new one is complete.
+        resume : bool
+            Whether to continue an unfinished run; a complete dataset of the same description is kept.
+
+        Raises
+        ------
+        CannotCreate
+            The output exists, another run writes there, the run to resume had other options, or the disk has no room.
+        BadData
+            The journal of the run to resume, or the existing file, is damaged.
+        WriteFailed
+            The disk is full or broken; the run can be resumed.
+        """
         self._overwrites = overwrite
         shards = self.shards
         names = tuple(f"shard-{number:05d}.h5" for number, _, _ in shards)
@@ -119,7 +136,7 @@ class DatasetWriter:
             yield run
 
     def _require_room(self, n_signals: int) -> None:
-        """Raise `CannotCreate` if the disk has less room than this many signals take, unless they are packed."""
+        """Raise `CannotCreate` if the disk has less room than this many signals need; skipped with compression."""
         if self.plan.compression == "none":
             needed = self.plan.size(n_signals)
             require_room(self.output, self.output.parent, needed, "signals", "make room, or fewer signals")
@@ -136,7 +153,7 @@ class DatasetWriter:
         )
 
     def write(self, number: int, first: int, n_signals: int, batches: Iterable[Batch]) -> ShardEntry:
-        """Build a shard in memory, write it to the disk, whole, and return its entry in the manifest."""
+        """Build a shard in memory, write it atomically, and return its entry in the manifest."""
         builder = ShardBuilder(self.plan, first, n_signals)
         labels: Counter[str] = Counter()
         for batch in batches:
@@ -173,27 +190,11 @@ def export(
     overwrite: bool = False,
     progress: Callable[[int], object] | None = None,
 ) -> Path:
-    """Write a dataset as one HDF5 file and return its path; memory does not grow with the number of signals.
+    """Write a dataset of any compression as one plain HDF5 file and return its path.
 
-    Parameters
-    ----------
-    data : Dataset, str or Path
-        A dataset or its path: a folder, or a file of any compression.
-    output : str or Path
-        Ending in .h5 or .hdf5.
-    overwrite : bool
-        Whether an existing file may be replaced.
-    progress : callable, optional
-        Called with a number of signals whenever this many more are done.
-
-    Raises
-    ------
-    NoInput, BadData
-        There is no dataset, or it is damaged.
-    CannotCreate
-        The output exists, or cannot be made, or has no room.
-    WriteFailed
-        The disk is full; nothing is left behind, an existing file is untouched.
+    `output` ends in .h5 or .hdf5. Memory does not grow with the number of signals; `progress` receives the number of
+    signals written since the last call. Raises `NoInput` or `BadData` for the dataset, `CannotCreate` if the output
+    exists, cannot be made or has no room, `WriteFailed` if the disk is full (an existing file stays).
     """
     dataset = data if isinstance(data, Dataset) else Dataset(data)
     path = check_new(Path(output), "an exported dataset", SUFFIXES, overwrite=overwrite)
@@ -222,9 +223,9 @@ def write_dataset(
     batches: Iterable[Batch],
     progress: Callable[[int], object] | None = None,
 ) -> None:
-    """Write all signals of a dataset, uncompressed, to an empty file; used within `cgid.files.whole_file`.
+    """Write a dataset uncompressed into an empty file; used within `cgid.files.whole_file`.
 
-    Raises `OSError` if the disk is full or broken, and `BadData` if the batches hold less than `n_signals`.
+    Raises `OSError` if the disk is full or broken, and `BadData` if the batches hold fewer than `n_signals` signals.
     """
     done, plain = 0, replace(plan, compression="none")
     with hdf5_on_disk(path) as output:

@@ -1,14 +1,14 @@
-"""What dataset folders say about themselves: the description of a dataset, the sums of its files, the journal of a run.
+"""Descriptions in dataset folders: the manifest, the sums of the files, the journal of a run.
 
-A file follows from the description of its dataset and from its number. `manifest.json` holds the description and, for
-each shard, its size and SHA-256; `SHA256SUMS` repeats the sums for `sha256sum -c SHA256SUMS`. While a run is not
-finished, `unfinished.jsonl` holds the description and the files finished so far, one JSON object per line:
+A file follows from the description of its dataset and from its number. `manifest.json` holds the description and the
+size and SHA-256 of each shard; `SHA256SUMS` repeats the sums for `sha256sum -c SHA256SUMS`. During a run
+`unfinished.jsonl` holds the description and the finished files, one JSON object per line:
 
     {"run": ..., "process": ..., "digest": ...}     the run and the process that writes it
-    {"plan": ..., "n_files": ..., "noun": ..., ...} the description of what it makes
+    {"plan": ..., "n_files": ..., "noun": ..., ...} the description of its output
     {"entry": ..., "digest": ...}                   a finished file, its size and SHA-256; one line per file
 
-All of it may come from a stranger: nothing is used before it is checked.
+All of these are untrusted: they are checked before use.
 """
 
 from __future__ import annotations
@@ -33,33 +33,33 @@ from cgid.store.compression import COMPRESSIONS
 FORMAT, SCHEMA_VERSION = "cgid-dataset", 1
 RECORDING_FORMAT, RECORDING_SCHEMA_VERSION = "cgid-recording", 1
 TABLE_FORMAT, TABLE_VERSION = "cgid-table", 1
-#: Larger shards are not written: a shard is built in memory [bytes].
+#: Largest shard [bytes]; a shard is built in memory.
 LARGEST_SHARD = 2 << 30
 LARGEST_RECORDING = LARGEST_SHARD
 MANIFEST, SUMS, JOURNAL = "manifest.json", "SHA256SUMS", "unfinished.jsonl"
-#: Version 1 had neither digest nor the fields in `_ADDED`.
+#: Version 1 lacked the digest and the fields in `_ADDED`.
 MANIFEST_VERSION = 2
 SHARD_NAME, RECORDING_NAME = r"shard-[0-9]{5,}\.h5", r"recording-[0-9]{5,}\.h5"
-#: Names of files in a folder of shards or of recordings, including the half-written ones of a killed run.
+#: Names of files in a folder of shards or of recordings, including half-written ones of a killed run.
 DATASET_FILES, RECORDING_FILES = (
     re.compile(f"{names}|{half_written(names)}")
     for names in (f"{re.escape(MANIFEST)}|{SUMS}|{SHARD_NAME}", f"{SUMS}|{RECORDING_NAME}")
 )
-#: Links are not followed in folders, which may come from a stranger.
+#: Links in folders are not followed, because folders are untrusted.
 LINKED = "must lie in the folder itself, it is a link; copy the file there"
-#: Maximal size of the first line of a journal [bytes].
+#: Largest first line of a journal [bytes].
 FIRST_LINE = 4096
 
 _ADDED = ("shard_signals", "n_samples", "dtype", "compression")
 _WORDS = {"dtype": ("float32", "float64"), "compression": tuple(COMPRESSIONS)}
-#: Counts of HDF5 are smaller.
+#: HDF5's counts are smaller.
 _LARGEST_COUNT = 1 << 63
 _DIGEST = "digest"
-#: A text file may have this many bytes, mostly for the scene, and this many more per file in its folder.
+#: Largest text file [bytes], mostly for the scene, and additional bytes per file in its folder.
 _ROOM, _ROOM_OF_FILE = 16 << 20, 4096
 #: The same for JSON values.
 _VALUES, _VALUES_OF_FILE = 100_000, 100
-#: Maximal length of a word that a journal gives for messages.
+#: Longest text that a journal supplies for messages.
 _LONGEST_WORD = 400
 
 
@@ -83,7 +83,7 @@ class ShardHeader:
 
 
 def require_schema(source: str, version: Any, known: int) -> None:
-    """Raise `BadData` unless a file has the version that this cgid reads."""
+    """Raise `BadData` unless a file has the schema version that this cgid reads."""
     if type(version) is int and version > known:
         raise BadData(f"{source}: schema_version {version} is newer than this cgid, which reads {known}: upgrade cgid")
     if version != known:
@@ -91,7 +91,7 @@ def require_schema(source: str, version: Any, known: int) -> None:
 
 
 def require_scene(source: str, attributes: Mapping[str, Any]) -> None:
-    """Raise `BadData` if the text of the scene does not have its SHA-256: HDF5 does not check long attributes."""
+    """Raise `BadData` unless the scene's text has its SHA-256: HDF5 does not check long attributes."""
     scene, digest = attributes.get("scene"), attributes.get("scene_sha256")
     if scene is not None and hashlib.sha256(str(scene).encode()).hexdigest() != digest:
         raise BadData(f"{source}: the text of the scene must fit scene_sha256, it does not; generate the file again")
@@ -111,7 +111,7 @@ def sealed(content: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def is_sound(content: Mapping[str, Any]) -> bool:
-    """Return whether content fits its digest.
+    """Return whether the content fits its digest.
 
     Examples
     --------
@@ -121,7 +121,7 @@ def is_sound(content: Mapping[str, Any]) -> bool:
     """
     try:
         return content.get(_DIGEST) == _sha256({name: value for name, value in content.items() if name != _DIGEST})
-    except RecursionError:  # JSON that can just be read may be too deep to be written
+    except RecursionError:  # JSON that is just shallow enough to read may be too deep to write
         return False
 
 
@@ -132,17 +132,11 @@ def _sha256(content: Mapping[str, Any]) -> str:
 
 
 def read_text(file: Path) -> bytes | None:
-    """Return the content of a text file in a dataset folder, None if there is no such file.
+    """Return the content of a text file in a dataset folder, None if it does not exist.
 
-    Pipes and links are refused, and so is more text than the files next to it explain: a hundred megabytes of JSON
-    take gigabytes of memory.
-
-    Raises
-    ------
-    BadData
-        It is a link or not a regular file, or it is too large.
-    NoInput
-        It cannot be read; its content may be sound.
+    The size limit grows with the number of files in the folder: 100 MB of JSON would take gigabytes of memory. Raises
+    `BadData` for a link, a pipe or the like, or a file that is too large; `NoInput` if it cannot be read but may be
+    sound.
     """
     try:
         about = file.lstat()
@@ -155,7 +149,7 @@ def read_text(file: Path) -> bytes | None:
         content = b""
         if about.st_size <= most:
             with file.open("rb") as stream:
-                content = stream.read(about.st_size + 1)  # `read` reserves what it is asked for
+                content = stream.read(about.st_size + 1)  # no more: `read` allocates the requested size
     except (FileNotFoundError, NotADirectoryError):
         return None
     except OSError as error:
@@ -171,7 +165,7 @@ def read_text(file: Path) -> bytes | None:
 
 
 def require_same(output: Path, there: Mapping[str, Any], asked: Mapping[str, Any]) -> None:
-    """Raise `CannotCreate`, naming the first option that differs, unless two descriptions agree."""
+    """Raise `CannotCreate` with the first option that differs, unless two descriptions agree."""
     name = first_difference(there, asked)
     if name is not None:
         values = [flat.get(name, "nothing") for flat in (_flat(there), _flat(asked))]
@@ -182,7 +176,7 @@ def require_same(output: Path, there: Mapping[str, Any], asked: Mapping[str, Any
 
 
 def first_difference(there: Mapping[str, Any], asked: Mapping[str, Any]) -> str | None:
-    """Return the name of the first option in which two descriptions differ; an option that one lacks is not compared.
+    """Return the first option in which two descriptions differ; skip options that one of them lacks.
 
     Examples
     --------
@@ -191,7 +185,7 @@ def first_difference(there: Mapping[str, Any], asked: Mapping[str, Any]) -> str 
     >>> first_difference({"n_signals": 9, "dtype": None}, {"n_signals": 9, "dtype": "float32"})
     """
     here, other = _flat(asked), _flat(there)
-    # The text of a scene comes last: its name and its SHA-256 are shorter.
+    # Report the scene's text last: its name and its SHA-256 are shorter.
     names = sorted({*here, *other}, key=lambda name: (name == "scene", list(here).index(name) if name in here else 0))
     pairs = ((name, here.get(name), other.get(name)) for name in names)
     return next((name for name, one, two in pairs if None not in (one, two) and one != two), None)
@@ -208,7 +202,7 @@ def _flat(description: Mapping[str, Any]) -> dict[str, Any]:
 
 @dataclass(frozen=True)
 class ShardEntry:
-    """A shard in the manifest: its file, its signals, its size and SHA-256, its number of signals by label."""
+    """A shard in the manifest; `labels` holds its number of signals per label."""
 
     file: str
     first_signal: int
@@ -220,24 +214,13 @@ class ShardEntry:
 
 @dataclass(frozen=True, kw_only=True)
 class Manifest:
-    """The description of a dataset folder, and its shards.
+    """The description of a dataset folder and its shards.
 
-    Attributes
-    ----------
-    n_signals : int
-        In all shards.
-    attributes : dict
-        Root attributes of every shard: format, schema_version, seed, scene, its SHA-256, versions of libraries.
-    shards : tuple of ShardEntry
-        In the order of their signals, without a gap.
-    shard_signals : int, optional
-        Signals of each shard except the last.
-    n_samples : int, optional
-        Of a signal.
-    dtype : str, optional
-        Of the signals.
-    compression : str, optional
-        Manifests of version 1 lack the last four.
+    attributes : root attributes of every shard: format, schema_version, seed, scene, its SHA-256, library versions
+    shards : in the order of their signals, without a gap
+    shard_signals : signals of each shard except the last
+
+    Manifests of version 1 lack the last four fields.
     """
 
     n_signals: int
@@ -250,7 +233,7 @@ class Manifest:
 
     @property
     def description(self) -> dict[str, Any]:
-        """All fields except the shards: what is known before the first shard is made."""
+        """All fields except the shards; known before the first shard is made."""
         named = {name: getattr(self, name) for name in ("n_signals", *_ADDED)}
         return {"format": FORMAT, "schema_version": MANIFEST_VERSION, **named, "attributes": dict(self.attributes)}
 
@@ -271,14 +254,10 @@ class Manifest:
 
 
 def read_manifest(folder: Path) -> Manifest:
-    """Return the manifest of a dataset folder, checked.
+    """Return the checked manifest of a dataset folder.
 
-    Raises
-    ------
-    BadData
-        There is none, perhaps because a run is unfinished; it is damaged, newer, or of another program.
-    NoInput
-        It cannot be read.
+    Raises `BadData` if it is missing (perhaps because a run is unfinished), damaged, newer, or of another program;
+    `NoInput` if it cannot be read.
     """
     file = folder / MANIFEST
     content = read_text(file)
@@ -325,7 +304,7 @@ def parse_manifest(content: bytes, file: Path) -> Manifest:
 
 
 def _require_all(entries: tuple[ShardEntry, ...], n_signals: Any, file: Path) -> None:
-    """Raise `BadData` unless the shards hold this many signals, in order and without a gap."""
+    """Raise `BadData` unless the shards hold `n_signals` signals, in order and without a gap."""
     starts = [0, *accumulate(entry.n_signals for entry in entries)]
     whole = (
         type(n_signals) is int and starts[-1] == n_signals and starts[:-1] == [entry.first_signal for entry in entries]
@@ -337,7 +316,7 @@ def _require_all(entries: tuple[ShardEntry, ...], n_signals: Any, file: Path) ->
 
 
 def _is_attribute(name: str, value: Any) -> bool:
-    """Return whether HDF5 can hold an attribute: a number, or Unicode text."""
+    """Return whether HDF5 can store an attribute: a number or Unicode text."""
     try:
         name.encode()
         return (
@@ -366,14 +345,14 @@ def is_entry(entry: Any) -> bool:
 
 
 def file_facts(path: Path) -> dict[str, Any]:
-    """Return `file`, `bytes` and `sha256` of a file, which is read block by block."""
+    """Return `file`, `bytes` and `sha256` of a file, read block by block."""
     with path.open("rb") as stream:
         digest = hashlib.file_digest(stream, "sha256").hexdigest()
         return {"file": path.name, "bytes": stream.tell(), "sha256": digest}
 
 
 def has_sum(path: Path, sha256: str) -> bool:
-    """Return whether a file has this SHA-256; raises `NoInput` if it must not be read, since it may be sound."""
+    """Return whether a file has this SHA-256; raises `NoInput` without permission to read it, since it may be sound."""
     try:
         return bool(file_facts(path)["sha256"] == sha256)
     except PermissionError as error:
@@ -399,14 +378,9 @@ def sums_of(shards: Iterable[ShardEntry], manifest: bytes) -> dict[str, str]:
 
 
 def read_sums(folder: Path) -> dict[str, str] | None:
-    """Return the SHA-256 of each file that `SHA256SUMS` lists; None in folders of older versions, which lack it.
+    """Return the SHA-256 of each file in `SHA256SUMS`; None if it is missing, as in folders of older versions.
 
-    Raises
-    ------
-    BadData
-        The file is damaged.
-    NoInput
-        It cannot be read.
+    Raises `BadData` if it is damaged, `NoInput` if it cannot be read.
     """
     content = read_text(folder / SUMS)
     if content is None:
@@ -425,19 +399,11 @@ def read_sums(folder: Path) -> dict[str, str] | None:
 class Unfinished:
     """The content of a journal.
 
-    Attributes
-    ----------
-    run : str
-        Identifies the run.
-    process : str
-        The process that wrote it last.
-    description : dict
-        What the run makes.
-    n_files : int
-    noun : str
-        What the files are called, in the plural.
-    entries : tuple of dict
-        The finished files, in the order in which they were finished.
+    run : identifier of the run
+    process : the process that last wrote the journal
+    description : description of the output
+    noun : plural noun for the files
+    entries : finished files, in the order in which they were finished
     """
 
     run: str
@@ -449,7 +415,7 @@ class Unfinished:
 
     @property
     def progress(self) -> str:
-        """How far the run has come, and how to continue it."""
+        """The progress of the run, and how to continue it."""
         done = len({entry["file"] for entry in self.entries})
         return f"{done} of {self.n_files} {self.noun} are there; go on with cgid generate ... --resume"
 
@@ -457,12 +423,8 @@ class Unfinished:
 def read_journal(folder: Path) -> Unfinished | None:
     """Return the content of the journal in a folder, None if there is none.
 
-    Raises
-    ------
-    BadData
-        Its first lines are damaged, so that the description is lost; or it is not a file of a plausible size.
-    NoInput
-        It cannot be read.
+    Raises `BadData` if the file is too large or its first lines, with the description, are damaged; `NoInput` if it
+    cannot be read.
     """
     file = folder / JOURNAL
     content = read_text(file)
@@ -479,7 +441,7 @@ def read_journal(folder: Path) -> Unfinished | None:
                 f"{file}: is damaged or not of cgid, so that no run can go on; choose another name, or start again "
                 "with --overwrite"
             )
-    # Torn and damaged lines are skipped: their files are made again.
+    # Skip torn and damaged lines: their files are made again.
     entries = [content_of(line).get("entry") for line in lines[2:]]
     sound = tuple(entry for entry in entries if isinstance(entry, dict) and isinstance(entry.get("file"), str))
     named = {name: found[name] for name in ("run", "process", "n_files", "noun")}

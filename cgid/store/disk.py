@@ -1,4 +1,4 @@
-"""Files in Python that HDF5 writes to: in memory, or on a disk that may be full or broken."""
+"""Python files that HDF5 writes to: in memory, or on a disk that may be full or broken."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from typing import Any
 import h5py
 import numpy as np
 
-#: The versions of the file format that are written.
+#: Oldest and newest version of the HDF5 file format that is written.
 VERSIONS = ("v110", "v110")
 
 
 class _RawFile(io.RawIOBase):
-    """A file in Python that HDF5 writes to."""
+    """A Python file that HDF5 writes to."""
 
     def __init__(self) -> None:
         self._size = self._position = 0
@@ -33,14 +33,10 @@ class _RawFile(io.RawIOBase):
 
 
 class MemoryFile(_RawFile):
-    """A file in one piece of memory; bytes that were never written are zero.
+    """A file in contiguous memory; unwritten bytes are zero.
 
-    HDF5's own file in memory (driver `core`) returns its content only as a copy, and grows by copying.
-
-    Parameters
-    ----------
-    capacity : int
-        Its likely size [bytes]; it grows beyond that by copying.
+    HDF5's own file in memory (driver `core`) copies its content to return it and to grow.
+    `capacity` is the likely size [bytes]; growing beyond it copies the content.
     """
 
     def __init__(self, capacity: int) -> None:
@@ -48,7 +44,7 @@ class MemoryFile(_RawFile):
         self._memory = np.zeros(max(capacity, 1), np.uint8)
 
     def readinto(self, buffer: Any) -> int:
-        """Fill the buffer as far as there is content."""
+        """Fill the buffer up to the end of the content."""
         end = max(min(self._position + len(buffer), self._size), self._position)
         count = end - self._position
         buffer[:count] = self._memory[self._position : end].data
@@ -85,21 +81,11 @@ class MemoryFile(_RawFile):
 
 
 class DiskFile(_RawFile):
-    """A file on disk that never refuses a write.
+    """A file on disk that never reports a failed write; opens the existing empty file `path`.
 
-    HDF5 cannot handle a failed write: what it could not store stays in its caches, and the interpreter crashes at its
-    end. So the first failure is remembered, and everything after it is kept in memory, to be read back, until HDF5 has
-    closed the file.
-
-    Parameters
-    ----------
-    path : Path
-        Of an empty file.
-
-    Attributes
-    ----------
-    failure : BaseException or None
-        Why the file on disk is incomplete: the first error of the disk, or why it was abandoned.
+    HDF5 cannot handle a failed write: it keeps the unwritten data in its caches, and the interpreter crashes at exit.
+    So `failure` keeps the first error of the disk, or the reason for abandoning the file. All later data are kept in
+    memory, where they can be read back, until HDF5 has closed the file.
     """
 
     def __init__(self, path: Path) -> None:
@@ -109,14 +95,14 @@ class DiskFile(_RawFile):
         self.failure: BaseException | None = None
 
     def readinto(self, buffer: Any) -> int:
-        """Fill the buffer as far as there is content, including what the disk did not take."""
+        """Fill the buffer up to the end of the content, including data that the disk did not take."""
         count = max(min(len(buffer), self._size - self._position), 0)
         buffer[:count] = bytes(count)
         try:
             self._disk.seek(self._position)
             content = self._disk.read(count) or b""
             buffer[: len(content)] = content
-        except BaseException as error:  # HDF5 must not see any
+        except BaseException as error:  # HDF5 cannot handle any error
             self.failure = self.failure or error
         for place, kept in self._kept:
             first, stop = max(place, self._position), min(place + len(kept), self._position + count)
@@ -174,21 +160,17 @@ class Hdf5OnDisk:
 
     @contextmanager
     def step(self) -> Iterator[h5py.File]:
-        """Yield the file for some calls of h5py, without long work between them.
+        """Yield the file for a few calls of h5py, without long work between them.
 
-        Raises
-        ------
-        OSError
-            The disk has refused something, in this step or before.
-        KeyboardInterrupt
-            Ctrl-C was pressed in the meantime.
+        Raises `OSError` if the disk has refused data in this or an earlier step; `KeyboardInterrupt` if Ctrl-C was
+        pressed.
         """
         with undisturbed():
             yield self._file
         self._require_success()
 
     def close(self) -> None:
-        """Write everything and close the file; raises what `step` raises."""
+        """Write everything and close the file; raises as `step`."""
         with undisturbed():
             self._file.close()
             self._disk.close()
@@ -209,19 +191,10 @@ class Hdf5OnDisk:
 
 @contextmanager
 def hdf5_on_disk(path: Path) -> Iterator[Hdf5OnDisk]:
-    """Yield a new HDF5 file, whole and flushed to the disk when this context ends without an error.
+    """Yield a new HDF5 file in an empty file; it is whole and flushed when this context ends without an error.
 
     Used within `cgid.files.whole_file`, which names the file in its errors.
-
-    Parameters
-    ----------
-    path : Path
-        Of an empty file.
-
-    Raises
-    ------
-    OSError
-        The disk is full or broken.
+    Raises `OSError` if the disk is full or broken.
 
     Examples
     --------

@@ -1,7 +1,7 @@
-"""HDF5 files of other programs, such as MATLAB v7.3: their arrays, and what is attached to these.
+"""HDF5 files of other programs, such as MATLAB v7.3: their arrays and the attached values.
 
-Only the reading process opens them (`_foreign`). Values of variable length, which one flipped bit can make HDF5 search
-for ever, are asked for last and separately: if they are lost, the samples are not.
+Only the reading process opens them (`_foreign`). One flipped bit in a value of variable length can make HDF5 loop for
+ever. Such values are read last and separately, so that their loss does not affect the samples.
 """
 
 from __future__ import annotations
@@ -20,19 +20,12 @@ from cgid.store import sandbox
 
 @dataclass(frozen=True, kw_only=True)
 class ForeignArray:
-    """A numeric array of two values or more.
+    """A numeric array of at least two values.
 
-    Attributes
-    ----------
-    name : str
-        Its path, parts divided by slashes.
-    shape : tuple of int
-    attributes : dict
-        Numbers, texts, and lists of texts.
-    fault : str
-        Why its samples cannot be read, "" if they can.
-    warning : str
-        What of it is missing, "" if nothing is.
+    name : its path, separated by slashes
+    attributes : numbers, texts, and lists of texts
+    fault : why the samples cannot be read, "" if they can
+    warning : the missing parts, "" if there are none
     """
 
     name: str
@@ -44,14 +37,9 @@ class ForeignArray:
 
 @dataclass(frozen=True, kw_only=True)
 class ForeignFile:
-    """What a foreign file holds.
+    """The content of a foreign file.
 
-    Attributes
-    ----------
-    arrays : list of ForeignArray
-    said : dict
-        Path of a group, "" for the root -> its attributes and the single values that lie in it.
-    warnings : list of str
+    said : path of a group ("" for the root) -> its attributes and the single values in it
     """
 
     arrays: list[ForeignArray] = field(default_factory=list)
@@ -60,20 +48,10 @@ class ForeignFile:
 
 
 def survey(path: Path, source: str, wanted: Callable[[str], bool]) -> ForeignFile:
-    """Return what a foreign HDF5 file holds.
+    """Return the content of a foreign HDF5 file; only values whose names satisfy `wanted` are read.
 
-    Parameters
-    ----------
-    path : Path
-    source : str
-        Its name in messages.
-    wanted : callable
-        From the name of a value to whether it is of interest; others are not read.
-
-    Raises
-    ------
-    BadData
-        The file is no HDF5, cut off, damaged, or of more parts than a recording has.
+    `source` is the file's name in messages. Raises `BadData` if the file is not HDF5, truncated, damaged, or has more
+    objects than a recording.
     """
     names = [name for name in sandbox.call("foreign_names", path, source=source) if wanted(name)]
     about = sandbox.call("foreign_survey", path, names, source=source)
@@ -89,23 +67,10 @@ def array_blocks(
 ) -> Iterator[NDArray[Any]]:
     """Yield the samples of these channels in order, (len(channels), at most length), float32 or float64.
 
-    Parameters
-    ----------
-    path : Path
-    source : str
-        Its name in messages.
-    array : ForeignArray
-    axes : tuple of int
-        The axis of the channels, None if there is only one, and that of the samples.
-    length : int
-    channels : sequence of int
-
-    Raises
-    ------
-    BadData
-        A checksum or a packed chunk does not fit: the file is damaged.
+    `axes` are the axis of the channels, None if there is only one channel, and the axis of the samples. `source` is the
+    file's name in messages. Raises `BadData` if a checksum or a compressed chunk is wrong.
     """
-    # What it declares was held against what is stored; a block has at most eight bytes a sample.
+    # The declared size was checked against the stored bytes; a sample takes at most eight bytes.
     largest = max(sandbox.LARGEST_ANSWER, 8 * length * len(channels))
     arguments = (array.name, array.shape, axes, length, list(channels))
     with closing(sandbox.stream("foreign_blocks", path, *arguments, source=source, largest=largest)) as blocks:
@@ -124,7 +89,7 @@ def _add_texts(found: ForeignFile, path: Path, source: str, asked: Sequence[tupl
     for (place, attribute), value in zip(asked, texts, strict=True):
         if value is None:
             continue
-        # Without the name of an attribute it is a value that lies in a group.
+        # Without an attribute name it is a value in a group.
         group, _, name = place.rpartition("/") if not attribute else (place, "", attribute)
         owner = arrays.get(group)
         if owner is None:

@@ -1,13 +1,14 @@
 """Writing HDF5: the shards of datasets, recordings, and the columns of tables.
 
-Every dataset is chunked and carries a checksum (fletcher32), strings have a fixed length, and files use the checksummed
-headers of HDF5 1.10: a flipped bit is found when it is read.
+Every dataset is chunked and has a checksum (fletcher32), strings have a fixed length, and files use HDF5 1.10's
+checksummed headers. So reading detects any flipped bit.
 
     dataset     /signals (n_signals, n_samples); /labels, /specimen and /parameters/<name>, one value per signal
     recording   /samples (n_samples,); /impacts/<column>, one row per impact
     table       /labels, /specimen and /columns/<name>, one value per row
 
-A shard is built in memory, which is faster. What may be larger than memory goes straight to the disk (`hdf5_on_disk`).
+A shard is built in memory, which is faster. Recordings and tables may exceed memory and go straight to the disk
+(`hdf5_on_disk`).
 """
 
 from __future__ import annotations
@@ -32,10 +33,10 @@ from cgid.store.description import LARGEST_RECORDING, RECORDING_FORMAT, RECORDIN
 from cgid.store.disk import VERSIONS, Hdf5OnDisk, MemoryFile, hdf5_on_disk
 from cgid.units import quantity_of
 
-#: Size of a chunk of signals [bytes], about; rows of a chunk of other columns; samples of a chunk of a recording.
+#: Approximate size of a chunk of signals [bytes]; rows in a chunk of other columns; samples in a chunk of a recording.
 _CHUNK_BYTES, CHUNK_ROWS, _CHUNK_SAMPLES = 1 << 19, 4096, 1 << 16
 _CHECKSUM = np.dtype("<u4")
-#: Headers and indices may take this many bytes before the memory of a shard has to grow.
+#: Initial room for headers and indices in the memory of a shard [bytes].
 _MARGIN = 1 << 20
 
 
@@ -58,8 +59,8 @@ def put_column(
     chunk: int | None = None,
     grows: bool = False,
 ) -> h5py.Dataset:
-    """Make a column with one value per row, and with a unit as its attribute unless that is None."""
-    chunks = (chunk or min(CHUNK_ROWS, max(length, 1)),)  # a chunk has a row even where there are none
+    """Create a column with one value per row, and with the attribute `unit` unless that is None."""
+    chunks = (chunk or min(CHUNK_ROWS, max(length, 1)),)  # HDF5 does not allow empty chunks
     maxshape = (None,) if grows else None
     column = group.create_dataset(name, (length,), dtype, chunks=chunks, maxshape=maxshape, fletcher32=True)
     if unit is not None:
@@ -72,20 +73,12 @@ def put_column(
 
 @dataclass(frozen=True, kw_only=True)
 class ShardPlan:
-    """What all shards of a dataset have in common.
+    """The data common to all shards of a dataset.
 
-    Attributes
-    ----------
-    n_samples : int
-    dtype : str
-        Of the signals.
-    label_width : int
-        Bytes of the longest label.
-    parameter_units : dict
-        The stored parameters and their units.
-    attributes : dict
-        Root attributes: numbers and strings that say how the data was made.
-    compression : {"none", "gzip", "zstd", "blosc2"}
+    label_width : bytes of the longest label
+    parameter_units : the stored parameters and their units
+    attributes : root attributes, numbers and strings that describe how the data was made
+    compression : "none", "gzip", "zstd" or "blosc2"
     """
 
     n_samples: int
@@ -96,20 +89,14 @@ class ShardPlan:
     compression: str = "none"
 
     def size(self, n_signals: int) -> int:
-        """Return what this many signals take before they are packed [bytes]."""
+        """Return the size of this many signals before compression [bytes]."""
         return n_signals * self.n_samples * np.dtype(self.dtype).itemsize
 
 
 def lay_out(file: h5py.File, plan: ShardPlan, first: int, n_signals: int) -> h5py.Dataset:
-    """Make all datasets of a shard, still empty, and the root attributes; return the dataset of the signals.
+    """Create the root attributes and the empty datasets of a shard in a new file of `libver` v110.
 
-    Parameters
-    ----------
-    file : h5py.File
-        New, of `libver` v110.
-    plan : ShardPlan
-    first, n_signals : int
-        Number of the first signal, and how many there are.
+    `first` is the number of the first signal. Returns the dataset of the signals.
     """
     put_attributes(file, {**plan.attributes, "first_signal": first})
     shape = (n_signals, plan.n_samples)
@@ -153,10 +140,10 @@ class ShardBuilder:
         columns = plan.label_width + 8 * (1 + len(plan.parameter_units))
         self._memory = MemoryFile(n_signals * row + rows * row + (n_signals + CHUNK_ROWS) * columns + _MARGIN)
         self._file = h5py.File(self._memory, "w", libver=VERSIONS)
-        # HDF5 writes to the memory when it closes, which must not be left to the end of the interpreter.
+        # HDF5 writes to the memory on closing, which must not wait until the interpreter exits.
         self._close = weakref.finalize(self, self._file.close)
         self._signals = lay_out(self._file, plan, first, n_signals)
-        # Room for a chunk as it is stored: the signals and their checksum.
+        # Room for a stored chunk: the signals and their checksum.
         self._chunk = np.zeros(rows * row + _CHECKSUM.itemsize, np.uint8)
         self._chunk_signals = self._chunk[: rows * row].view(plan.dtype).reshape(rows, plan.n_samples)
 
@@ -175,24 +162,24 @@ class ShardBuilder:
             done, self._filled = done + len(some), self._filled + len(some)
             if self._filled % rows == 0 or self._filled == self._n_signals:
                 self._write_chunk()
-        # The short columns are kept and written once: a call of HDF5 takes longer than writing them.
+        # Keep the short columns to write them once: a call of HDF5 takes longer than the writing itself.
         self._columns.append(replace(batch, signals=np.empty((len(batch), 0))))
 
     def _write_chunk(self) -> None:
-        """Write the chunk that is full, or the last one."""
+        """Write the full or the last chunk."""
         rows = len(self._chunk_signals)
         first = (self._filled - 1) // rows * rows
         filled = self._filled - first
         if self._plan.compression in BY_PLUGIN:
             self._signals[first : self._filled] = self._chunk_signals[:filled]  # HDF5 calls its plugin
-            self._signals.flush()  # so that chunks are stored in the order of the signals, whatever HDF5 caches
+            self._signals.flush()  # so that chunks are stored in the order of the signals, despite HDF5's cache
             return
         self._chunk_signals[filled:] = 0
         packed = self._chunk if self._plan.compression == "none" else self._deflated()
-        # Those who only read datasets do without numba.
+        # Reading datasets does not need numba.
         from cgid.store._fletcher import fletcher32
 
-        # The same bytes as HDF5 writes, but without its four copies and four times faster. An odd byte is a high one.
+        # The same bytes as from HDF5, but without its four copies and four times faster. A last odd byte is a high one.
         size = packed.size - _CHECKSUM.itemsize
         words = packed[:size] if size % 2 == 0 else np.append(packed[:size], np.uint8(0))
         packed[size:] = np.frombuffer(np.array(fletcher32(words.view("<u2")), _CHECKSUM), np.uint8)
@@ -217,8 +204,8 @@ class ShardBuilder:
         for name, parts in columns.items():
             dataset = self._file[name]
             dataset[:] = np.concatenate(parts)
-            # Its place in the file is that of its turn. Otherwise HDF5 chooses one when the last reference to the
-            # dataset goes, and another thread that looks at frames, as profilers do, may hold one for a while.
+            # Flush now to fix the dataset's place in the file. Otherwise HDF5 assigns it when the last reference to the
+            # dataset is dropped, and another thread that inspects frames, such as a profiler, may delay that.
             dataset.flush()
         self._close()
         return self._memory.content()
@@ -231,17 +218,9 @@ class ShardBuilder:
 class RecordingPlan:
     """The description of a recording.
 
-    Attributes
-    ----------
-    n_samples : int
-    dtype : str
-        Of the samples.
-    sampling_rate : float
-        [Hz].
-    unit : str
-        Of the samples.
-    attributes : dict
-        Root attributes: numbers and strings that say how it was made.
+    sampling_rate : [Hz]
+    unit : unit of the samples
+    attributes : root attributes, numbers and strings that describe how it was made
     """
 
     n_samples: int
@@ -252,11 +231,11 @@ class RecordingPlan:
 
     @property
     def size(self) -> int:
-        """Of the samples [bytes]."""
+        """Size of the samples [bytes]."""
         return self.n_samples * np.dtype(self.dtype).itemsize
 
     def require_room(self, folder: Path, n_recordings: int = 1) -> None:
-        """Raise `CannotCreate` if the disk has less room than the samples alone will take."""
+        """Raise `CannotCreate` if the disk has less room than the samples alone need."""
         require_room(folder, folder, n_recordings * self.size, "samples", "make room, or a shorter recording")
 
 
@@ -297,30 +276,17 @@ class RecordingWriter:
                 put_attributes(stored, {"unit": units.get(name, "")})
 
     def require_whole(self) -> None:
-        """Raise `BadData` unless all samples have come."""
+        """Raise `BadData` unless all samples were added."""
         if self._filled != self._plan.n_samples:
             raise BadData(f"a recording of {self._plan.n_samples} samples was given {self._filled}")
 
 
 @contextmanager
 def writing(path: str | Path, plan: RecordingPlan, *, overwrite: bool = True) -> Iterator[RecordingWriter]:
-    """Yield the writer of a recording that bears its name when this context is left without an error.
+    """Yield the writer of a recording, which gets its name if this context ends without an error.
 
-    Parameters
-    ----------
-    path : str or Path
-    plan : RecordingPlan
-    overwrite : bool
-        Whether it may take the place of what bears the name when it is whole.
-
-    Raises
-    ------
-    InvalidValue
-        It would be larger than a recording may be.
-    CannotCreate
-        The folder is missing or not writable, or the name was taken meanwhile.
-    WriteFailed
-        The disk is full or broken; what was there before is untouched.
+    Raises `InvalidValue` if it would be too large; `CannotCreate` if the folder is missing or not writable, or the name
+    has been taken meanwhile; `WriteFailed` if the disk is full or broken, which leaves an existing file untouched.
     """
     path = Path(path)
     if plan.size > LARGEST_RECORDING:

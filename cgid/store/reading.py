@@ -1,6 +1,6 @@
-"""Reading datasets and recordings; nothing is believed before it is checked.
+"""Reading datasets and recordings; everything is checked before use.
 
-A process of its own reads the HDF5 files, see `cgid.store.sandbox`.
+A separate process reads the HDF5 files; see `cgid.store.sandbox`.
 """
 
 from __future__ import annotations
@@ -29,31 +29,21 @@ from cgid.store.description import (
 )
 from cgid.units import quantity_of
 
-#: Signals read at once, and their maximal size [bytes].
+#: Most signals read at once, and their largest size [bytes].
 _ROWS, _LARGEST_BATCH = 1024, 32 << 20
 #: Samples and impacts of a recording read at once.
 _BLOCK, _IMPACTS = 1 << 20, 1 << 16
 
 
 class Identity:
-    """The file or folder that has a name now; it may be replaced while it is read.
-
-    Parameters
-    ----------
-    path : Path
-
-    Raises
-    ------
-    BadData
-        It cannot be examined.
-    """
+    """Identity of a file or folder that may be replaced during reading; raises `BadData` if it cannot be examined."""
 
     def __init__(self, path: Path) -> None:
         self._path = path
         self._found = self._look()
 
     def require(self) -> None:
-        """Raise `BadData` if something else has the name now, as after an overwriting run."""
+        """Raise `BadData` if the name now belongs to another file or folder, as after an overwriting run."""
         if self._look() != self._found:
             raise BadData(f"{self._path}: has been replaced by another while it was read; read it again")
 
@@ -75,9 +65,9 @@ class Dataset:
     Raises
     ------
     NoInput
-        There is nothing.
+        The path does not exist.
     BadData
-        It is no dataset, unfinished (no manifest), damaged, or its shards do not fit together or to the manifest.
+        It is no dataset, unfinished (no manifest) or damaged, or its shards do not fit each other or the manifest.
     """
 
     #: The header of the first shard; the others differ from it only in the number of signals.
@@ -93,7 +83,7 @@ class Dataset:
             raise NoInput(f"{path}: no such file or folder; give a dataset made by cgid generate")
         self._identity = Identity(self.path)
         manifest = read_manifest(self.path) if self.path.is_dir() else None
-        # A file by itself is listed nowhere.
+        # A single file has no manifest.
         self._entries: tuple[ShardEntry | None, ...] = (None,) if manifest is None else manifest.shards
         self._shards = [self.path if entry is None else self.path / entry.file for entry in self._entries]
         self._counts: list[int] = []
@@ -124,7 +114,7 @@ class Dataset:
 
     @property
     def sampling_rate(self) -> float:
-        """[Hz]."""
+        """Sampling rate [Hz]."""
         return self.header.sampling_rate
 
     @property
@@ -144,7 +134,7 @@ class Dataset:
 
     @property
     def source(self) -> str:
-        """SHA-256 of the scene that the signals were made from; empty when they were not."""
+        """SHA-256 of the scene of the signals; empty if they were not made from one."""
         return str(self.header.attributes.get("scene_sha256", ""))
 
     def __iter__(self) -> Iterator[Batch]:
@@ -156,16 +146,15 @@ class Dataset:
         Parameters
         ----------
         n_rows : int, optional
-            Maximal number of signals in a batch; by default 1024, fewer of long ones.
+            Maximal number of signals in a batch; by default 1024, fewer for long signals.
         check_sums : bool
-            Whether each shard of a folder must have the SHA-256 of the manifest. It is checked after its last batch:
-            reading names damaged rows first, and the file is then still in the cache of the system.
+            Whether to compare each shard of a folder with the SHA-256 in the manifest. The comparison follows its last
+            batch: reading reports damaged rows first, and the file is then still in the system's cache.
 
         Raises
         ------
         BadData
-            A checksum does not fit: the file is damaged, or another has its name. A label breaks the rule of
-            `cgid.validation.label`.
+            A checksum is wrong, another file has the name, or a label breaks the rule of `cgid.validation.label`.
         """
         for shard, entry, count in zip(self._shards, self._entries, self._counts, strict=True):
             yield from self._read(shard, 0, count, n_rows)
@@ -203,12 +192,12 @@ class Dataset:
             raise BadData(f"{self.path}: {error}") from None
 
     def impact(self, index: int) -> Batch:
-        """Return one signal with everything stored about it.
+        """Return one signal with all its stored data.
 
         Raises
         ------
         InvalidValue
-            The index is not within 0 and the number of signals.
+            The index is negative, or not below the number of signals.
         """
         if not 0 <= index < len(self):
             raise InvalidValue(f"{self.path}: index must lie between 0 and {len(self) - 1}, got {index}")
@@ -253,40 +242,18 @@ def _require_listed(shard: Path, header: ShardHeader, manifest: Manifest, entry:
 
 
 def is_recording(path: str | Path) -> bool:
-    """Return whether this is an HDF5 file with the format of a recording; False for what cannot be read."""
+    """Return whether this is an HDF5 file with the format of a recording; False if it cannot be read."""
     return sandbox.format_said(Path(path)) == RECORDING_FORMAT
 
 
 class Recording:
     """A recording on disk, with the truth of its impacts.
 
-    Parameters
-    ----------
-    path : str or Path
+    start : time of the first sample [s]; times of impacts count from the first sample
+    impact_units : the columns of the truth and their units, "" for text
+    attributes : how it was made
 
-    Attributes
-    ----------
-    n_samples : int
-    dtype : str
-        Of the samples.
-    n_impacts : int
-    sampling_rate : float
-        [Hz].
-    start : float
-        Time of the first sample [s]; times of impacts count from the first sample.
-    unit : str
-        Of the samples.
-    impact_units : dict of str
-        The columns of the truth and their units, "" for text.
-    attributes : dict
-        How it was made.
-
-    Raises
-    ------
-    NoInput
-        There is nothing.
-    BadData
-        It is no recording, or damaged.
+    Raises `NoInput` if the path does not exist, `BadData` if it is no recording or damaged.
     """
 
     def __init__(self, path: str | Path) -> None:
@@ -305,14 +272,10 @@ class Recording:
         self.impact_units: dict[str, str] = about["impact_units"]
 
     def samples(self, first: int = 0, stop: int | None = None) -> NDArray[Any]:
-        """Return the samples from number `first` up to, without, `stop`.
+        """Return the samples in [first, stop).
 
-        Raises
-        ------
-        InvalidValue
-            The range is not one of the recording.
-        BadData
-            A checksum does not fit: the file is damaged. Or another has its name by now.
+        Raises `InvalidValue` for a range outside the recording; `BadData` if a checksum is wrong or another file has
+        the name.
         """
         stop = self._checked_stop(first, stop)
         found = np.empty(stop - first, self.dtype)
@@ -342,7 +305,7 @@ class Recording:
         return stop
 
     def impacts(self) -> dict[str, NDArray[Any]]:
-        """Return the truth of all impacts, one column for each of `impact_units`; raises `BadData` where damaged."""
+        """Return the truth of all impacts, one column for each of `impact_units`; raises `BadData` if damaged."""
         names = {name: f"impacts/{name}" for name in self.impact_units}
         found = list(sandbox.stream("rows", self.path, list(names.values()), 0, self.n_impacts, _IMPACTS))
         self._identity.require()

@@ -1,15 +1,14 @@
-"""A run that makes one file or fills a folder with files, and that `--resume` completes after a crash at any moment.
+"""A run writes one file or fills a folder; `--resume` completes it after a crash at any moment.
 
-The folder is locked while the run lasts. A new folder is filled in place. If an older one has the name, the files are
-made in a hidden folder next to it (.NAME.unfinished), and the older one stays until the new one is whole:
+The folder is locked during the run. A new folder is filled in place. If an older folder has the name, the files go to
+a hidden folder next to it (.NAME.unfinished), and the older folder stays until the new one is whole:
 
     new run         NAME: journal, files    ->  NAME: files, sums, manifest, journal  ->  NAME: files, sums, manifest
     overwriting     NAME: old, .NAME.unfinished: journal, files, sums, manifest
                     .NAME.replaced: old, .NAME.unfinished: new, journal
                     .NAME.replaced: old, NAME: new, journal        ->  old files are removed, then the journal
 
-A hidden folder with a journal is therefore newer than NAME; one without a journal is what an overwriting run has not
-yet removed.
+So a hidden folder with a journal is newer than NAME; one without a journal is left over from an overwriting run.
 """
 
 from __future__ import annotations
@@ -46,39 +45,29 @@ from cgid.store.description import (
     sums_text,
 )
 
-#: Names that end otherwise are those of folders.
+#: Names with other endings are folders.
 SUFFIXES = (".h5", ".hdf5")
-#: The journal, and what a killed run leaves of it.
+#: The journal and its half-written files.
 _JOURNAL_FILES = re.compile(f"{re.escape(JOURNAL)}|{half_written(re.escape(JOURNAL))}")
-#: How long a worker that has outlived its run may take for the file it is writing [s].
+#: Longest wait for a worker that has outlived its run and still writes a file [s].
 _PATIENCE = 60.0
-#: A manifest says its format in its first bytes.
+#: The first bytes of a manifest contain its format.
 _HEAD = 4096
 
 
 @dataclass(frozen=True, kw_only=True)
 class Goal:
-    """What a run makes.
+    """The goal of a run.
 
-    Attributes
-    ----------
-    output : Path
-        A folder, or a single file.
-    description : dict
-        All that the content of the files depends on; a run is resumed only with the same description.
-    names : tuple of str
-        The files of the folder, or the name of the single file.
-    noun : str
-        What the files are called, in the plural.
-    ours : re.Pattern
-        Names of files in such a folder, half-written ones included.
-    description_of : callable
-        From an existing folder or file to its description; None for a folder that is not whole. Raises `BadData` for a
-        file that is damaged or of another kind.
-    closing : callable, optional
-        From the entries of all files, in the order of `names`, to the files that complete the folder: name -> content.
-    fits : callable, optional
-        From the number of a file and its entry in a journal to whether the entry can be used.
+    output : a folder, or a single file
+    description : everything the files' content depends on; a run is resumed only with the same description
+    names : the files of the folder, or the name of the single file
+    noun : plural noun for the files
+    ours : names of files in such a folder, including half-written ones
+    description_of : existing output -> its description, None for an incomplete folder; raises `BadData` for a file that
+        is damaged or of another kind
+    closing : entries of all files, in the order of `names` -> name and content of the files that complete the folder
+    fits : number of a file and its journal entry -> whether the entry can be used
     """
 
     output: Path
@@ -92,26 +81,21 @@ class Goal:
 
     @property
     def hidden(self) -> Path:
-        """Where files are made while an older folder has the name."""
+        """The folder for new files while an older folder has the name."""
         return hidden(self.output)
 
     @property
     def replaced(self) -> Path:
-        """Where the older folder goes while the new one gets its name."""
+        """The name of the older folder while it is being replaced."""
         return self.output.with_name(f".{self.output.name}.replaced")
 
 
 class Run:
     """A run in progress; see `begun`.
 
-    Attributes
-    ----------
-    folder : Path
-        Where the files are to be written.
-    token : str or None
-        Identifies the run for `taking_part`; None where there is no journal.
-    missing : list of int
-        Numbers of the files that are still to be made.
+    folder : where the files are written
+    token : identifier for `taking_part`; None without a journal
+    missing : numbers of the files still to be made
     """
 
     def __init__(
@@ -122,13 +106,13 @@ class Run:
         self._goal, self._journal, self._entries = goal, journal, dict(finished)
 
     def add(self, entry: Mapping[str, Any]) -> None:
-        """Record a finished file: its name `file`, its size `bytes`, its `sha256`, and what else is known."""
-        self._entries[entry["file"]] = dict(entry)  # first: Ctrl-C may come while the line is flushed
+        """Record a finished file: its name `file`, its size `bytes`, its `sha256`, and further facts."""
+        self._entries[entry["file"]] = dict(entry)  # comes first: Ctrl-C may come while the line is flushed
         if self._journal is not None:
             self._journal.add(entry)
 
     def finish(self) -> None:
-        """Write the sums and what completes the folder, and give it its name. Raises `WriteFailed`."""
+        """Write the sums and the closing files, and give the folder its name. Raises `WriteFailed`."""
         output = self._goal.output
         entries = [self._entries[name] for name in self._goal.names]
         closing = self._goal.closing(entries)
@@ -141,14 +125,14 @@ class Run:
             self._journal.close()
         try:
             if self.folder != output:
-                (output / JOURNAL).unlink(missing_ok=True)  # that of an older run must not be taken for this one
+                (output / JOURNAL).unlink(missing_ok=True)  # an older journal must not be mistaken for this one
                 _replace(self._goal)
             (output / JOURNAL).unlink(missing_ok=True)
         except OSError as error:
             raise WriteFailed(f"{output}: cannot be replaced ({error.strerror}); go on with --resume") from None
 
     def abandon(self) -> None:
-        """Remove half-written files. Finished files and the journal stay, for the run to be resumed."""
+        """Remove half-written files; finished files and the journal stay for resuming."""
         if self._journal is not None:
             self._journal.close()
         _clear(self.folder, self._goal.ours, only_parts=bool(self._entries))
@@ -158,25 +142,12 @@ class Run:
 
 @contextmanager
 def begun(goal: Goal, *, overwrite: bool = False, resume: bool = False) -> Iterator[Run]:
-    """Yield a run that makes what is missing; when this context ends without an error, the output is whole.
+    """Yield a run over the missing files; when this context ends without an error, the output is whole.
 
-    Parameters
-    ----------
-    goal : Goal
-    overwrite : bool
-        Whether older files may be replaced; they stay until the new ones are whole.
-    resume : bool
-        Whether an unfinished run may be continued; an output that is whole and of the same description is kept, and
-        then nothing is missing.
-
-    Raises
-    ------
-    CannotCreate
-        The output exists already, another run is writing there, or the run to be resumed had other options.
-    BadData
-        The journal of the run to be resumed, or the existing file, is damaged.
-    WriteFailed
-        The disk is full or broken; older files are untouched, and the run can be resumed.
+    Older files stay until the new ones are whole. With `resume`, a whole output of the same description is kept, and
+    nothing is missing. Raises `CannotCreate` if the output exists, another run writes there or the run to resume had
+    other options; `BadData` if its journal or the existing file is damaged; `WriteFailed`, after which the run can be
+    resumed.
     """
     output = goal.output
     if is_single_file(output):
@@ -198,7 +169,7 @@ def begun(goal: Goal, *, overwrite: bool = False, resume: bool = False) -> Itera
                     f"{output}: the current folder cannot be replaced by another; go to the one above it first"
                 )
             if not (goal.hidden / JOURNAL).exists():
-                _remove_replaced(goal)  # what an earlier run could not remove
+                _remove_replaced(goal)  # left over by an earlier run
             run = _started(goal, *place, held)
             try:
                 yield run
@@ -216,30 +187,37 @@ def begun(goal: Goal, *, overwrite: bool = False, resume: bool = False) -> Itera
 
 
 def is_single_file(output: str | Path) -> bool:
-    """Return whether a name is that of a single file and not of a folder."""
+    """Return whether a name is that of a single file, not of a folder."""
     return Path(output).suffix.lower() in SUFFIXES
 
 
 def hidden(output: Path) -> Path:
-    """Return where the files of a folder are made while an older folder has its name."""
+    """Return the folder for new files while an older folder has the name."""
     real = _real_folder(output)
     return real.parent / f".{real.name}.unfinished"
 
 
 def _real_folder(path: Path) -> Path:
-    """Return a folder by a name that another folder can get: not that of a link to it, nor `.` or `..`."""
+    """Return a folder by a name that can be renamed: not a link to it, nor `.` or `..`."""
     return path.resolve() if path.is_symlink() or path.name in ("", "..") else path
 
 
 def check_output(output: str | Path, ours: re.Pattern[str], overwrite: bool = False) -> Path:
-    """Return the output as a path if it may be written, before any work is done; a folder by its own name.
+    """Return the output as a path if it may be written; run before any work is done.
 
-    A folder must not hold other files than those whose names match `ours`.
+    Parameters
+    ----------
+    output : str or Path
+        Links to a folder are resolved.
+    ours : re.Pattern
+        Allowed names of files in an existing folder.
+    overwrite : bool
+        Whether an existing output is allowed.
 
     Raises
     ------
     CannotCreate
-        The output exists already, or the folder above is missing.
+        The output exists or holds other files, or the parent folder is missing.
     """
     path = Path(output)
     with looking_at(path):
@@ -294,11 +272,11 @@ def _is_made(goal: Goal, overwrite: bool) -> bool:
 
 
 def _hold(goal: Goal, held: ExitStack) -> None:
-    """Make the folder if need be, and lock it."""
+    """Create the folder if needed, and lock it."""
     output, unfinished = goal.output, goal.hidden
     try:
         if not output.exists() and (unfinished / JOURNAL).exists():
-            with locked(unfinished):  # after a crash between two changes of names
+            with locked(unfinished):  # after a crash between the two renames
                 unfinished.rename(output)
         output.mkdir(exist_ok=True)
         sync_folder(output.parent)
@@ -319,7 +297,7 @@ def _writer(goal: Goal) -> str:
 
 
 def _place(goal: Goal, overwrite: bool, resume: bool) -> tuple[Path, Unfinished | None] | None:
-    """Return the folder to make the files in, and the journal to be continued; None if the output is whole already."""
+    """Return the folder to write to and the journal to continue; None if the output is already whole."""
     output = goal.output
     is_empty = all(_is_part(path, goal.ours) for path in output.iterdir())
     if resume:
@@ -341,11 +319,11 @@ def _place(goal: Goal, overwrite: bool, resume: bool) -> tuple[Path, Unfinished 
 
 
 def _started(goal: Goal, folder: Path, unfinished: Unfinished | None, held: ExitStack) -> Run:
-    """Remove from a folder what must not stay, and begin its journal."""
+    """Clear a folder for the run, and begin its journal."""
     try:
         if folder != goal.output:
             folder.mkdir(exist_ok=True)
-            held.enter_context(locked(folder))  # it will get the name that others lock
+            held.enter_context(locked(folder))  # others will lock it under its final name
         with ExitStack() as waiting:
             if (folder / JOURNAL).exists():
                 waiting.enter_context(locked(folder / JOURNAL, patience=_PATIENCE))
@@ -365,14 +343,14 @@ def _started(goal: Goal, folder: Path, unfinished: Unfinished | None, held: Exit
 
 
 def _verified(folder: Path, unfinished: Unfinished, goal: Goal) -> Iterator[tuple[str, dict[str, Any]]]:
-    """Yield name and entry of the files of a journal that have the SHA-256 it says."""
+    """Yield name and entry of the journal's files that have the recorded SHA-256."""
     noted = {entry["file"]: entry for entry in unfinished.entries}
     for number, name in enumerate(goal.names):
         entry = noted.get(name)
         if entry is None or not goal.fits(number, entry):
             continue
         with contextlib.suppress(OSError):
-            # A pipe would hold this run up, a link would lead elsewhere.
+            # A pipe would block this run; a link would lead elsewhere.
             if not stat.S_ISREG((folder / name).lstat().st_mode):
                 continue
             if file_facts(folder / name) == {key: entry.get(key) for key in ("file", "bytes", "sha256")}:
@@ -380,7 +358,7 @@ def _verified(folder: Path, unfinished: Unfinished, goal: Goal) -> Iterator[tupl
 
 
 def _replace(goal: Goal) -> None:
-    """Give the hidden folder the name; the older one stays under another name until it is removed."""
+    """Give the hidden folder the name; the older folder keeps another name until it is removed."""
     _clear(goal.replaced, goal.ours)
     with contextlib.suppress(OSError):
         goal.replaced.rmdir()
@@ -390,7 +368,7 @@ def _replace(goal: Goal) -> None:
 
 
 def _remove_replaced(goal: Goal) -> None:
-    """Remove replaced folders; files that others have put into them meanwhile are moved to the new one."""
+    """Remove replaced folders; move files of others, added meanwhile, to the new folder."""
     for folder in (goal.hidden, goal.replaced):
         with contextlib.suppress(OSError):
             if not folder.is_symlink():
@@ -420,25 +398,10 @@ def _is_part(path: Path, ours: re.Pattern[str]) -> bool:
 
 
 class Journal:
-    """A journal that is being written; a context.
+    """Context that writes a journal in `folder`; a line is on the disk before the next file counts as finished.
 
-    A line is on the disk before the next file counts as finished.
-
-    Parameters
-    ----------
-    folder : Path
-        In which the files are made.
-    description : dict
-    n_files : int
-    noun : str
-        What the files are called, in the plural.
-    entries : iterable of dict
-        Files that exist already, in a run that is resumed.
-
-    Raises
-    ------
-    CannotCreate, WriteFailed
-        The folder cannot be written to.
+    `noun` is the plural noun for the files; `entries` are the existing files of a resumed run.
+    Raises `CannotCreate` or `WriteFailed` if the folder cannot be written to.
     """
 
     def __init__(
@@ -453,7 +416,7 @@ class Journal:
         first = {"run": self.run, "process": f"process {os.getpid()} on {socket.gethostname()}"}
         second = {"plan": description, "n_files": n_files, "noun": noun}
         lines = [line_of(first), line_of(second), *(line_of({"entry": entry}) for entry in entries)]
-        # Whole or not at all, and without what a crash may have torn in the one before.
+        # Written atomically, without the lines that a crash may have torn in the previous journal.
         write_whole(self.path, b"".join(lines))
         try:
             self._stream = self.path.open("ab", buffering=0)
@@ -461,7 +424,7 @@ class Journal:
             raise CannotCreate(f"{self.path}: cannot be written ({error.strerror}); choose another place") from None
 
     def add(self, entry: Mapping[str, Any]) -> None:
-        """Record a finished file; returns when the line is on the disk. Raises `WriteFailed`."""
+        """Record a finished file; return when the line is on the disk. Raises `WriteFailed`."""
         line = line_of({"entry": entry})
         try:
             if self._stream.write(line) != len(line):
@@ -473,7 +436,7 @@ class Journal:
             ) from None
 
     def close(self) -> None:
-        """Close the file; on Windows an open one cannot be removed."""
+        """Close the file; Windows cannot remove an open file."""
         self._stream.close()
 
     def __enter__(self) -> Self:
@@ -487,20 +450,15 @@ class Journal:
 
 @contextmanager
 def taking_part(folder: Path, run: str) -> Iterator[None]:
-    """Keep other runs from taking a folder over while a file of this run is written into it.
+    """Keep other runs from taking over the folder while this run writes a file into it.
 
-    A worker may outlive the process that started it. A later run waits for the file that the worker is writing; the
-    next one is refused here.
-
-    Raises
-    ------
-    CannotCreate
-        The folder belongs to another run by now.
+    A worker may outlive its parent process. A later run waits for the file that the worker is writing. The worker's
+    next file then raises `CannotCreate` here, because the folder belongs to another run.
     """
     file, found = folder / JOURNAL, None
     try:
         with locked(file, shared=True):
-            # Read by its name, not through the lock: another run replaces the journal by its own.
+            # Read it by its name, not through the lock: another run replaces the journal by its own.
             with file.open("rb") as stream:
                 found = content_of(stream.readline(FIRST_LINE)).get("run")
             if found == run:

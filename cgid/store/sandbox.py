@@ -1,14 +1,13 @@
-"""HDF5 files are read in processes of their own, with limits of time and memory.
+"""HDF5 files are read in separate processes with limits of time and memory.
 
-The HDF5 library trusts files: one changed bit can make it search for ever, take all memory or crash, and nothing within
-a process can stop it. So this process never opens them. It asks another one (`_reader`) through pipes, which answers
-with plain numbers and texts. A question is a line of JSON; an answer is a line of JSON and the bytes of arrays.
-Nothing in an answer can make the receiver run anything, as pickle could, and sizes are checked before memory is
-reserved. A reading process is kept for the next question, and ends with this process; reading two files at the same
-time takes two.
+The HDF5 library trusts files: one changed bit can make it loop for ever, take all memory or crash, and nothing within
+a process can stop it. So this process never opens them. It sends requests through pipes to a reading process
+(`_reader`). A request is a line of JSON; a reply is a line of JSON and the bytes of arrays. Unlike pickle, a reply
+cannot execute code, and its size is checked before memory is allocated. A reading process is reused, and ends with this
+process; reading two files at the same time takes two.
 
-The reading process limits itself: in processor time for each answer, in memory, and in time on the clock, in case this
-process is gone. Windows has no such limits; there only the patience of this process ends a reader. That is not tested.
+The reading process limits its processor time per reply, its memory, and its wall-clock time, in case this process is
+gone. Windows has no such limits; there only this process's timeout ends a reader (not tested).
 """
 
 from __future__ import annotations
@@ -33,23 +32,23 @@ from numpy.typing import NDArray
 from cgid import errors
 from cgid.errors import BadData, CgidError
 
-#: Maximal size of the arrays of an answer, where the caller does not say more [bytes].
+#: Default limit of the arrays of a reply [bytes].
 LARGEST_ANSWER = 64 << 20
-#: Maximal length of a line; a header or a survey takes a small part of it [bytes].
+#: Longest line [bytes]; headers and surveys are much shorter.
 LONGEST_LINE = 16 << 20
-#: Plain numbers and texts of fixed length, as `dtype.str`.
+#: `dtype.str` of plain numbers and fixed-length texts.
 _PLAIN = re.compile(r"[<>|][biufc][0-9]{1,2}|\|S[1-9][0-9]{0,8}")
 _MOST_ARRAYS, _MOST_AXES = 100_000, 32
 _MAGIC = b"\x89HDF\r\n\x1a\n"
-#: Size of a pipe, where the system allows it [bytes]; processes that are kept while nothing is asked.
+#: Size of a pipe, where the system allows it [bytes]; idle processes that are kept.
 _PIPE, _MOST_IDLE = 1 << 20, 2
-#: Processor time for an answer [s], and bytes of the file for a second more; the slowest packing takes a tenth.
+#: Processor time for a reply [s], and bytes of the file per additional second; the slowest compression needs a tenth.
 _SECONDS, _BYTES_A_SECOND = 1.0, 32 << 20
-#: An answer may take this many times as long on the clock: a busy machine or a slow disk is no fault of the file.
+#: Ratio of the wall-clock limit to the processor time limit, for busy machines and slow disks.
 _CLOCK = 60
-#: The process that asks gives up first, and says why; the reader ends this much later by itself [s].
+#: The reader ends itself this much later [s], so that the requesting process times out first and reports why.
 _LATER = 5.0
-#: Memory beyond what Python and its libraries take, and what an answer was allowed [bytes].
+#: Memory in addition to the baseline and the allowance of a reply [bytes].
 _SPARE = 128 << 20
 _TOLD = {name: value for name, value in vars(errors).items() if isinstance(value, type)}
 
@@ -58,27 +57,11 @@ _TOLD = {name: value for name, value in vars(errors).items() if isinstance(value
 
 
 def call(function: str, path: Path, *arguments: Any, source: str | None = None, largest: int = LARGEST_ANSWER) -> Any:
-    """Return what a function of the reading process returns for a file: JSON, or a dict of arrays.
+    """Return the result of a function in `cgid.store._reader.FUNCTIONS` for a file: JSON, or a dict of arrays.
 
-    Parameters
-    ----------
-    function : str
-        One of `cgid.store._reader.FUNCTIONS`.
-    path : Path
-        The file; the function gets its absolute path, and then its name in messages.
-    *arguments
-        What JSON can hold.
-    source : str, optional
-        The file's name in messages, else `path`.
-    largest : int
-        Maximal size of the arrays of the answer [bytes].
-
-    Raises
-    ------
-    BadData
-        HDF5 crashed on the file, or ran into the limits of time and memory.
-    CgidError
-        What the function raised.
+    The function receives the absolute path, the file's name in messages (`source`, by default `path`), and `arguments`,
+    which must be JSON. The arrays may take at most `largest` [bytes]. Raises the function's `CgidError`, and `BadData`
+    if HDF5 crashes or exceeds the limits of time and memory.
     """
     name = str(path) if source is None else source
     with _reading() as child:
@@ -89,7 +72,7 @@ def call(function: str, path: Path, *arguments: Any, source: str | None = None, 
 def stream(
     function: str, path: Path, *arguments: Any, source: str | None = None, largest: int = LARGEST_ANSWER
 ) -> Generator[dict[str, NDArray[Any]], None, None]:
-    """Yield what a generator of the reading process yields; parameters and errors as `call`.
+    """Yield the items of a generator in the reading process; parameters and errors as `call`.
 
     The next item is read while this one is processed. Closing this generator closes the other one.
     """
@@ -110,7 +93,7 @@ def stream(
 
 
 def format_said(path: Path) -> str | None:
-    """Return the attribute `format` of an HDF5 file, "" if it has none; None for what cannot be opened."""
+    """Return the attribute `format` of an HDF5 file, "" if it has none; None if it cannot be opened."""
     if not is_hdf5(path):
         return None
     try:
@@ -121,7 +104,7 @@ def format_said(path: Path) -> str | None:
 
 
 def is_hdf5(path: Path) -> bool:
-    """Return whether a regular file has HDF5's first bytes where they may be: at 0, 512, 1024, 2048, ..."""
+    """Return whether a regular file has HDF5's signature at 0, 512, 1024, 2048, ..."""
     try:
         if not path.is_file():
             return False
@@ -142,7 +125,7 @@ def _request(function: str, path: Path, source: str, arguments: tuple[Any, ...])
 
 
 def _unpacked(message: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> Any:
-    """Return the value or the arrays of an answer, or raise its error."""
+    """Return the value or the arrays of a reply, or raise its error."""
     if "error" in message:
         kind, text = _TOLD.get(str(message["error"]), BadData), str(message.get("text"))
         raise (kind if issubclass(kind, CgidError) else BadData)(text)
@@ -156,14 +139,14 @@ class _Child:
     """A reading process."""
 
     def __init__(self) -> None:
-        # It finds its libraries where this process does, but never in the folder it happens to run in.
+        # The reader uses this process's library paths, but never the current folder.
         paths = [str(Path(__file__).parents[2]), *(os.path.abspath(entry) for entry in sys.path if entry)]  # noqa: PTH100
         environment = {**os.environ, "PYTHONPATH": os.pathsep.join(dict.fromkeys(paths)), "OPENBLAS_NUM_THREADS": "1"}
-        # HDF5 would load any library in the folder where it looks for a file's filter.
+        # Otherwise HDF5 would load any library from the folder in which it looks for filters.
         environment["HDF5_PLUGIN_PRELOAD"] = "::"
         self.in_step, self._late = False, False
         self._left: Path | None = None
-        # Ctrl-C is for this process alone.
+        # Only this process receives Ctrl-C.
         apart: dict[str, Any] = {"start_new_session": True}
         if sys.platform == "win32":
             apart = {"creationflags": subprocess.CREATE_NEW_PROCESS_GROUP}
@@ -198,7 +181,7 @@ class _Child:
     def ask(
         self, path: Path, source: str, message: dict[str, Any] | None, largest: int
     ) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
-        """Send a message, if there is one, and return the answer, which must come in time; raises `BadData` if not."""
+        """Send the message, if any, and return the reply; raises `BadData` if it is late or the process crashes."""
         if self in _disowned:
             raise CgidError(
                 f"{source}: must be read on by the process that began to, this one was forked from it meanwhile; begin "
@@ -209,7 +192,7 @@ class _Child:
         patience.daemon = True
         try:
             patience.start()
-        except RuntimeError:  # Python's error if there is no memory for the stack of a thread
+        except RuntimeError:  # raised by Python without memory for the stack of a thread
             raise MemoryError("no room for one more thread") from None
         try:
             if message is not None:
@@ -226,15 +209,15 @@ class _Child:
         return found
 
     def leave(self, path: Path) -> None:
-        """Make the process stop yielding from a file; its answer to that is not awaited now."""
+        """Stop the process from yielding from a file, without waiting for its reply."""
         with suppress(OSError, ValueError):  # it may be gone already
             self._tell({"next": False})
             self._left = path
 
     def is_ready(self) -> bool:
-        """Return whether the process still runs, as soon as it has stopped yielding from the file before.
+        """Wait until the process has left its previous file, and return whether it still runs.
 
-        If it ends until then, the next file is not to blame.
+        This way the next file is not blamed for a crash on the previous one.
         """
         if self._left is not None:
             left, self._left = self._left, None
@@ -251,7 +234,7 @@ class _Child:
         self._process.kill()
 
     def _end_told(self, error: Exception) -> str:
-        """End the process and return in words how it ended."""
+        """End the process and describe how it ended."""
         self.end()
         code = self._process.returncode
         if self._late or code == -getattr(signal, "SIGPROF", 0):
@@ -261,11 +244,11 @@ class _Child:
         return "crashed"
 
     def end(self) -> None:
-        """End the process, whatever it does."""
+        """End the process in any state."""
         _alive.discard(self)
         with suppress(OSError):
             self._input.close()
-        # One that has crashed gets time to report how.
+        # Give a crashed process time to set its exit code.
         with suppress(subprocess.TimeoutExpired):
             self._process.wait(0.2 if not self.in_step else 0)
         self._process.kill()
@@ -275,10 +258,10 @@ class _Child:
                 side.close()
 
     def disown(self) -> None:
-        """Forget a process that belongs to the one this was forked from.
+        """Forget a process of the parent from which this process was forked.
 
-        Only the descriptors are closed: a thread that does not exist here may hold the buffers, and what is left in
-        them must not be sent from here.
+        Close only the descriptors: a thread that does not exist here may hold the buffers, and their content must not
+        be sent from here.
         """
         for side in (self._input, self._output, self._errors):
             with suppress(OSError):
@@ -289,15 +272,15 @@ class _Child:
 
 _alive: set[_Child] = set()
 _idle: list[_Child] = []
-#: Kept, because a buffer that is deleted waits for the thread that holds it.
+#: Kept alive, because deleting a buffer waits for the thread that holds it.
 _disowned: list[_Child] = []
-#: Reentrant: a deleted generator returns its reader wherever this thread is.
+#: Reentrant: deleting a generator returns its reader at any point of this thread.
 _lock = threading.RLock()
 
 
 @contextmanager
 def _reading() -> Iterator[_Child]:
-    """Yield a process that nobody else asks meanwhile."""
+    """Yield a process for exclusive use."""
     with _lock:
         child = _idle.pop() if _idle else None
     if child and not child.is_ready():
@@ -321,7 +304,7 @@ def _end_all() -> None:
 
 
 def _disown_all() -> None:
-    """In a forked process: forget the readers of its parent."""
+    """Forget the parent's readers in a forked process."""
     global _lock
     for child in list(_alive):
         child.disown()
@@ -340,11 +323,11 @@ if hasattr(os, "register_at_fork"):
 
 
 class BrokenWire(Exception):
-    """No message came, or none that makes sense."""
+    """The message is missing or malformed."""
 
 
 def send(stream: IO[bytes], message: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]] | None = None) -> None:
-    """Write a message and its arrays; raises `BrokenWire` if it is too long, or JSON cannot hold it."""
+    """Write a message and its arrays; raises `BrokenWire` if it is too long or JSON cannot hold it."""
     parts = {name: np.ascontiguousarray(array) for name, array in (arrays or {}).items()}
     said = [[name, part.dtype.str, list(part.shape)] for name, part in parts.items()]
     try:
@@ -361,18 +344,9 @@ def send(stream: IO[bytes], message: Mapping[str, Any], arrays: Mapping[str, NDA
 
 
 def receive(stream: IO[bytes], largest: int) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
-    """Return a message and its arrays.
+    """Return a message and its arrays, which may take at most `largest` [bytes] together.
 
-    Parameters
-    ----------
-    stream : file
-    largest : int
-        Maximal size of all arrays together [bytes].
-
-    Raises
-    ------
-    BrokenWire
-        The other end is gone, or sends what it must not.
+    Raises `BrokenWire` if the other end is gone or the message is not allowed.
     """
     line = stream.readline(LONGEST_LINE + 1)
     if not line.endswith(b"\n"):
@@ -417,22 +391,22 @@ _base = 0
 
 
 def seconds_for(path: str | Path) -> float:
-    """Return the processor time for one answer from this file [s]."""
+    """Return the processor time limit for one reply from this file [s]."""
     with suppress(OSError):
         about = Path(path).stat()
-        # A sparse file declares any size; Windows does not say what is stored.
+        # A sparse file can declare any size; Windows does not report the stored size.
         stored = min(about.st_size, 512 * getattr(about, "st_blocks", about.st_size))
         return _SECONDS + stored / _BYTES_A_SECOND
     return _SECONDS
 
 
 def patience_for(path: str | Path) -> float:
-    """Return how long to wait for one answer from this file, on the clock [s]."""
+    """Return the wall-clock limit for one reply from this file [s]."""
     return _CLOCK * seconds_for(path)
 
 
 def settle() -> None:
-    """Take the memory of this process now as its own need; leave no core files."""
+    """Record this process's current memory as its baseline; disable core files."""
     global _base
     with suppress(ImportError):  # only Unix has it
         import resource
@@ -444,23 +418,23 @@ def settle() -> None:
 
 
 def begin(path: str | Path) -> None:
-    """Begin an answer from this file: its time runs from now on."""
+    """Start the time limits of one reply from this file."""
     if hasattr(signal, "setitimer"):
-        # The signal ends the process. (RLIMIT_CPU counts whole seconds.)
+        # The signal ends the process; RLIMIT_CPU would count whole seconds.
         signal.setitimer(signal.ITIMER_PROF, seconds_for(path))
-        # A device that blocks takes no processor time, and the process that asks may be gone.
+        # A blocking device takes no processor time, and the requesting process may be gone.
         signal.setitimer(signal.ITIMER_REAL, patience_for(path) + _LATER)
     allow(0)
 
 
 def rest() -> None:
-    """Stop the clock while an answer waits to be taken."""
+    """Stop the wall-clock limit while a reply waits to be sent."""
     if hasattr(signal, "setitimer"):
         signal.setitimer(signal.ITIMER_REAL, 0.0)
 
 
 def allow(size: int) -> None:
-    """Allow this answer this much memory beyond the rest [bytes]."""
+    """Allow this reply `size` more memory [bytes]."""
     if not _base:
         return
     import resource

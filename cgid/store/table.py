@@ -1,7 +1,7 @@
-"""A table of labelled rows in one file, HDF5, Parquet or CSV: written batch by batch, read whole.
+"""Tables of labelled rows in HDF5, Parquet or CSV: written batch by batch, read whole.
 
-In HDF5 every column is chunked and carries a checksum (fletcher32). A CSV file begins with a line that holds what the
-other formats hold in attributes: kind, units, and how the data was made.
+In HDF5 every column is chunked and has a checksum (fletcher32). A CSV file begins with a line that holds the attributes
+of the other formats: kind, units, and how the data was made.
 """
 
 from __future__ import annotations
@@ -29,14 +29,14 @@ from cgid.store.reading import Identity
 if TYPE_CHECKING:
     from cgid.store.disk import Hdf5OnDisk
 
-#: Rows that are written at once, whole chunks of HDF5 or a row group of Parquet, and read at once.
+#: Rows written and read at once: whole chunks of HDF5, a row group of Parquet.
 _ROWS = 16384
 TABLE_SUFFIXES = (".h5", ".hdf5", ".parquet", ".csv")
-#: In the header of every table, whatever its format.
+#: Part of the header of every table in any format.
 _SAYS_SO = f'"format": "{TABLE_FORMAT}"'.encode()
 #: Footers of Parquet tables are shorter [bytes].
 _LARGEST_FOOTER = 1 << 24
-#: What libraries raise on damaged files.
+#: Errors of the libraries on damaged files.
 _DAMAGE = (OSError, RuntimeError, LookupError, ValueError, TypeError, ArithmeticError)
 
 
@@ -47,11 +47,11 @@ class TableHeader:
     Attributes
     ----------
     kind : str
-        What its rows are: "features", "closed-form", "parameters".
+        Content of the rows: "features", "closed-form" or "parameters".
     units : dict
-        The other columns besides label and specimen, and their units.
+        The columns besides label and specimen, and their units.
     attributes : dict
-        Numbers and strings that say how the data was made.
+        Numbers and strings that describe how the data was made.
     """
 
     kind: str
@@ -92,16 +92,16 @@ class Table(Rows):
 
 
 def check_table_output(output: str | Path, overwrite: bool = False) -> Path:
-    """Return the output as a path if a table may be written there, before any work is done.
+    """Return the output as a path if a table may be written there; run before any work is done.
 
     Raises
     ------
     InvalidValue
-        The name does not say which kind of file it is.
+        The name has another ending than .h5, .hdf5, .parquet or .csv.
     MissingExtra
-        Parquet is asked for, and its library is not installed.
+        The Parquet library is needed and not installed.
     CannotCreate
-        The file exists already, or the folder above is missing.
+        The file exists, or the parent folder is missing.
     """
     path = Path(output)
     if path.suffix.lower() not in TABLE_SUFFIXES:
@@ -112,7 +112,7 @@ def check_table_output(output: str | Path, overwrite: bool = False) -> Path:
 
 
 class TableWriter:
-    """A table that is being written; `add` takes rows. Made by `table_writer`."""
+    """A table that is being written; made by `table_writer`."""
 
     def __init__(self, header: TableHeader) -> None:
         self._header = header
@@ -146,22 +146,22 @@ class TableWriter:
 def table_writer(
     path: str | Path, header: TableHeader, label_width: int, *, overwrite: bool = True
 ) -> Iterator[TableWriter]:
-    """Open a table to write rows to; its name has the whole table, or its old content.
+    """Yield the writer of a table; the file name has its old content or the whole table.
 
     Parameters
     ----------
     path : str or Path
-        Its ending says the format; see `check_table_output`.
+        Its ending sets the format; see `check_table_output`.
     header : TableHeader
     label_width : int
         Bytes of the longest label.
     overwrite : bool
-        Whether it may replace an existing file when it is whole.
+        Whether to replace an existing file.
 
     Raises
     ------
     CannotCreate
-        The folder is missing or not writable, or the name was taken meanwhile.
+        The folder is missing or not writable, or the name has been taken meanwhile.
     WriteFailed
         The disk is full or broken; nothing is left behind.
     """
@@ -174,7 +174,7 @@ def table_writer(
         elif suffix == ".parquet":
             writer = _ParquetWriter(stack, temporary, header)
         else:
-            from cgid.store.disk import hdf5_on_disk  # readers of tables do without h5py
+            from cgid.store.disk import hdf5_on_disk  # reading tables does not need h5py
 
             writer = _Hdf5Writer(stack.enter_context(hdf5_on_disk(temporary)), header, label_width)
         yield writer
@@ -255,7 +255,7 @@ def _part(rows: Rows, which: slice) -> Rows:
 
 
 def parquet_library() -> tuple[Any, Any]:
-    """Return pyarrow and its Parquet module, or raise `MissingExtra`."""
+    """Return pyarrow and its Parquet module; raises `MissingExtra`."""
     try:
         import pyarrow
         import pyarrow.parquet
@@ -267,14 +267,14 @@ def parquet_library() -> tuple[Any, Any]:
 
 
 def read_table(path: str | Path) -> Table:
-    """Return a table that `cgid generate --features-only` or its siblings have written.
+    """Return a table written by `cgid generate --features-only` or its siblings.
 
     Raises
     ------
     NoInput
-        There is no such file.
+        The file does not exist.
     BadData
-        It is no such table, or damaged.
+        It is damaged, or no such table.
     MissingExtra
         It is a Parquet file, and the library is not installed.
     """
@@ -294,14 +294,14 @@ def read_table(path: str | Path) -> Table:
 
 
 def _damaged(path: str | Path, error: Exception) -> BadData:
-    """Return the error for a table that a library cannot read; its message may have several lines."""
+    """Return the error for a table that a library cannot read, with its message in one line."""
     return BadData(
         f"{path}: must be a whole table of cgid, it is damaged ({' '.join(str(error).split())}); make it again"
     )
 
 
 def is_table(path: str | Path) -> bool:
-    """Return whether the header of a file is that of a table of cgid; False for what cannot be read."""
+    """Return whether a file has the header of a cgid table; False if it cannot be read."""
     suffix = Path(path).suffix.lower()
     try:
         if suffix == ".parquet":
@@ -345,7 +345,7 @@ def _read_csv(path: str | Path) -> Table:
         header = _header_of(path, stream.readline().removeprefix("# "))
         types = {"label": str, "specimen": np.uint64} | dict.fromkeys(header.units, np.float64)
         empty = {n: [""] for n in header.units}
-        # Before 3.1 pandas misreads the last digit of a number now and then unless asked; later it warns when asked.
+        # Without this option pandas before 3.1 may misread the last digit of a number; later versions warn of it.
         exact = {"float_precision": "round_trip"} if np.lib.NumpyVersion(pandas.__version__) < "3.1.0" else {}
         frame = pandas.read_csv(stream, dtype=types, keep_default_na=False, na_values=empty, **exact)
     columns = {str(name): frame[name].to_numpy() for name in frame.columns}

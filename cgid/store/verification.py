@@ -1,4 +1,4 @@
-"""Whether datasets, recordings and tables are what was written: which files are damaged, and which parts of them."""
+"""Verification of datasets, recordings and tables: which files are damaged, and which rows of them."""
 
 from __future__ import annotations
 
@@ -35,40 +35,25 @@ from cgid.store.table import TABLE_SUFFIXES, read_table
 
 #: By HDF5's numbers of filters; see `cgid.store.compression`.
 _COMPRESSIONS = {1: "gzip", 32015: "zstd", 32026: "blosc2"}
-#: Problems that are no damage.
+#: Problems without damage.
 _HARMLESS = ("leftover", "pending", "foreign")
 _KINDS = {FORMAT: "dataset", RECORDING_FORMAT: "recording", TABLE_FORMAT: "table"}
-#: Of numbered recordings this many may be missing, and this many more for each that exists.
+#: Most missing recordings in a numbered series, and additional ones for each that exists.
 _MOST_MISSING, _MISSING_FOR_EACH = 100, 10
-#: Runs of damaged rows that are named for one dataset.
+#: Most runs of damaged rows that are named for one dataset.
 _MOST_TOLD = 4
 
 
 def examine_file(path: str | Path, steps: Mapping[str, int] | None = None) -> dict[str, Any]:
-    """Return what can be read of a shard, a recording or a table in HDF5.
+    """Return the readable content of a shard, a recording or a table in HDF5, which may be damaged.
 
-    Parameters
-    ----------
-    path : str or Path
-    steps : dict of int, optional
-        How many rows of which dataset are hashed together, to compare with another file; by default its own chunks.
+    fault : why the file cannot be read, "" if its headers are sound
+    attributes : root attributes
+    filters, dtype, n_samples : of the signals or samples; filters by their HDF5 numbers
+    chunks : dataset name -> list of (first row, row after the last, SHA-256 of the values, "" if the checksum fails)
 
-    Returns
-    -------
-    dict
-        fault : str
-            Why it cannot be read, "" if its headers are sound.
-        attributes : dict
-            Those of the root.
-        filters : list of int
-            HDF5's numbers of the filters of the signals or samples.
-        dtype : str
-            Of the signals or samples.
-        n_samples : int
-            Of a signal, or of the recording.
-        chunks : dict
-            Name of each dataset -> list of (first row, row behind the last, SHA-256 of the values; "" where they do not
-            fit their checksum).
+    `steps` sets the number of rows hashed together in each dataset, to compare with another file; by default its
+    chunks.
     """
     found: dict[str, Any] = {"fault": "", "attributes": {}, "filters": [], "dtype": "", "n_samples": 0, "chunks": {}}
     try:
@@ -83,12 +68,7 @@ def examine_file(path: str | Path, steps: Mapping[str, int] | None = None) -> di
 
 
 def damaged_rows(chunks: Iterable[Sequence[Any]]) -> list[tuple[int, int]]:
-    """Return the rows that cannot be read, as (first, behind the last) of each run of them.
-
-    Parameters
-    ----------
-    chunks : iterable of (int, int, str)
-        As of `examine_file`.
+    """Return the unreadable rows in `chunks` of `examine_file`, as (first, after the last) of each run.
 
     Examples
     --------
@@ -107,19 +87,14 @@ def damaged_rows(chunks: Iterable[Sequence[Any]]) -> list[tuple[int, int]]:
 
 
 def compression_of(examined: Mapping[str, Any]) -> str:
-    """Return the compression of the signals by the result of `examine_file`."""
+    """Return the compression of the signals from the result of `examine_file`."""
     return next((_COMPRESSIONS[code] for code in examined["filters"] if code in _COMPRESSIONS), "none")
 
 
 def examine_whole(path: Path, kind: str) -> dict[str, Any]:
     """Return the result of `examine_file` for an existing file that a run may keep.
 
-    Raises
-    ------
-    BadData
-        It is not whole, or of another kind than the format `kind`.
-    NoInput
-        It cannot be read.
+    Raises `BadData` if it is damaged or not of the format `kind`, `NoInput` if it cannot be read.
     """
     examined = examine_file(path)
     if examined["fault"] and not sandbox.is_hdf5(path):
@@ -133,22 +108,14 @@ def examine_whole(path: Path, kind: str) -> dict[str, Any]:
 
 @dataclass(frozen=True, kw_only=True)
 class Finding:
-    """Something that is not as it should be.
+    """A problem with a file.
 
-    Attributes
-    ----------
-    file : Path
-    problem : {"damaged", "missing", "unfinished", "leftover", "pending", "foreign"}
-        The last three are no damage: what a stopped run has left behind, an unfinished run that is to replace it all,
-        and what belongs to somebody else.
-    what : str
-        What is wrong with it, in one line.
-    examined : dict
-        What `examine_file` has found; empty where nobody had to look into it.
-    entry : ShardEntry or None
-        Its entry in the manifest.
-    sha256 : str or None
-        What it must have, by the manifest or by `SHA256SUMS`.
+    problem : "damaged", "missing" or "unfinished"; harmless are "leftover" (of a stopped run), "pending" (an unfinished
+        run will replace the whole folder) and "foreign" (the file does not belong to it)
+    what : description of the problem, in one line
+    examined : result of `examine_file`; empty if that was not needed
+    entry : the manifest entry of the file
+    sha256 : expected sum, from the manifest or `SHA256SUMS`
     """
 
     file: Path
@@ -160,24 +127,17 @@ class Finding:
 
     @property
     def harmful(self) -> bool:
-        """Whether data are lost, as long as it is not repaired."""
+        """Whether data are lost unless the file is repaired."""
         return self.problem not in _HARMLESS
 
 
 @dataclass(frozen=True, kw_only=True)
 class Verified:
-    """What has been found.
+    """The result of `verify`.
 
-    Attributes
-    ----------
-    path : Path
-    kind : {"dataset", "recording", "table", "file"}
-        The last is a file too damaged to say what it is.
-    n_files : int
-        Files that were looked at.
-    findings : tuple of Finding
-    manifest : Manifest or None
-        That of a folder of shards, if it is sound.
+    kind : "dataset", "recording", "table", or "file" if it is too damaged to tell
+    n_files : number of examined files
+    manifest : manifest of a folder of shards, if it is sound
     """
 
     path: Path
@@ -188,21 +148,16 @@ class Verified:
 
     @property
     def damage(self) -> tuple[Finding, ...]:
-        """The findings that are damage."""
+        """The harmful findings."""
         return tuple(finding for finding in self.findings if finding.harmful)
 
 
 def verify(path: str | Path) -> Verified:
-    """Return what is damaged in a dataset, a recording, a folder of recordings, or a table.
+    """Return the damage of a dataset, a recording, a folder of recordings, or a table.
 
-    Files in a folder are compared with the SHA-256 of the manifest or of `SHA256SUMS`, which finds every change. Where
-    a sum does not fit, and in files without a known sum, every chunk is read and compared with its checksum. A table in
-    CSV has no checksums: only what makes it unreadable is found.
-
-    Raises
-    ------
-    NoInput
-        There is nothing, or the folder cannot be read.
+    Files in a folder are compared with their SHA-256, which finds every change. Where it differs or is unknown, every
+    chunk is compared with its checksum. A CSV table has no checksums: only damage that makes it unreadable is found.
+    Raises `NoInput` if the path does not exist or cannot be read.
     """
     path = Path(path)
     try:
@@ -220,12 +175,9 @@ def verify(path: str | Path) -> Verified:
 
 
 def damaged_shards(path: str | Path) -> list[str]:
-    """Return the shards of a dataset folder whose SHA-256 is not that of the manifest; none of a single file.
+    """Return the shards of a dataset folder that differ from the SHA-256 in the manifest; none for a single file.
 
-    Raises
-    ------
-    BadData
-        It is a folder without a sound manifest.
+    Raises `BadData` for a folder without a sound manifest.
     """
     folder = Path(path)
     if not folder.is_dir():
@@ -262,7 +214,7 @@ def _damage(path: Path, examined: Mapping[str, Any]) -> list[Finding]:
 
 
 def damage_in_words(examined: Mapping[str, Any]) -> str:
-    """Return which rows of which datasets cannot be read, "" if all can.
+    """Describe the unreadable rows of each dataset, "" if there are none.
 
     Examples
     --------
@@ -312,7 +264,7 @@ def _verify_dataset(folder: Path) -> Verified:
 
 
 def _verify_sums(folder: Path, manifest: Manifest) -> list[Finding]:
-    """Return `SHA256SUMS` as a finding unless it lists the shards of the manifest; older folders have none."""
+    """Return `SHA256SUMS` as a finding unless it agrees with the manifest; older folders have none."""
     what = "does not list the SHA-256 of the shards and of the manifest"
     try:
         if read_sums(folder) in (None, sums_of(manifest.shards, (folder / MANIFEST).read_bytes())):
@@ -357,7 +309,7 @@ def _number(name: str) -> int:
 
 
 def _verify_listed(path: Path, sha256: str, listed_in: str, entry: ShardEntry | None = None) -> list[Finding]:
-    """Return what is wrong with a file whose SHA-256 is known."""
+    """Return the problem of a file with a known SHA-256."""
 
     def found(problem: str, what: str, examined: Mapping[str, Any] | None = None) -> list[Finding]:
         return [
@@ -376,7 +328,7 @@ def _verify_listed(path: Path, sha256: str, listed_in: str, entry: ShardEntry | 
 
 
 def _verify_unlisted(path: Path) -> list[Finding]:
-    """Return what is wrong with a file of a folder whose SHA-256 is not known."""
+    """Return the problem of a file in a folder without a known SHA-256."""
     if path.is_symlink():
         return [Finding(file=path, problem="damaged", what=LINKED)]
     return _damage(path, examine_file(path))
@@ -394,7 +346,7 @@ def _unfinished(folder: Path) -> list[Finding]:
 
 
 def _pending(folder: Path) -> list[Finding]:
-    """Return the run that is to replace a folder as a finding, if there is one."""
+    """Return the run that will replace a folder as a finding, if there is one."""
     return [
         Finding(file=finding.file.parent, problem="pending", what=f"is to replace it; {finding.what}")
         for finding in _unfinished(hidden(folder))
@@ -402,7 +354,7 @@ def _pending(folder: Path) -> list[Finding]:
 
 
 def _finished(folder: Path) -> tuple[ShardEntry, ...]:
-    """Return the shards that the journal of an unfinished run lists."""
+    """Return the shards in the journal of an unfinished run."""
     try:
         journal = read_journal(folder)
     except BadData:
@@ -420,7 +372,7 @@ def _left(file: Path) -> Finding:
 
 
 def _strangers(folder: Path, known: set[str], name: str) -> Iterator[Finding]:
-    """Yield the other files in a folder of files with such names."""
+    """Yield the foreign files in a folder whose own files match `name`."""
     leftover = re.compile(half_written(rf"{name}|{SUMS}|{re.escape(MANIFEST)}|{re.escape(JOURNAL)}"))
     for found in _names(folder):
         if found not in known and not leftover.fullmatch(found):
