@@ -61,7 +61,7 @@ _MOST_LISTED = 13
 
 
 class Decision(NamedTuple):
-    """Whether a stage runs, why, and the error of omitting the rest, relative to the peak (0: nothing changes)."""
+    """Whether a stage runs, why, and the error of what it omits, relative to the peak (0: nothing changes)."""
 
     runs: bool
     why: str
