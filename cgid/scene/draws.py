@@ -97,11 +97,10 @@ class Drawn:
 
     Attributes
     ----------
-    labels : (n_signals,)
     values : by the names of `parameter_units`, each (n_signals,), nan where not drawn; restitution as requested
     specimen : equal for equal particles or equal taps, (n_signals,)
     shapes : index in `SHAPES` of a tap, -1 for an impact, (n_signals,)
-    scene : the scene of this block
+    scene : that of this block, with its randomised settings drawn
     """
 
     labels: NDArray[np.str_]

@@ -177,7 +177,6 @@ class SolvedImpacts:
     Attributes
     ----------
     pulses : n pulses: forces [N] and durations [s] of spheres of 1 m
-    labels : (n,)
     columns : `PARAMETERS` in SI units, with the restitution as solved, and `MAKING`: the requested restitution and the
         retardation time of the sphere's material [s]; each (n,)
     made : scene, seed, mesh and steps of the solution

@@ -291,7 +291,6 @@ class Blows:
 
     Attributes
     ----------
-    labels : (n_signals,)
     parameters : drawn and derived, each (n_signals,), nan where not applicable; onset is the time of touch in the
         frame, peak and duration are those of the first hit
     specimen : equal for pulses of equal particles or equal taps, (n_signals,)

@@ -172,7 +172,6 @@ class Columns:
 
     Attributes
     ----------
-    labels : (n_signals,)
     specimen : equal for impacts of equal particles, (n_signals,)
     values : by the names of `Plan.column_units`, each (n_signals,); nan where not applicable or not measurable
     n_unmeasured : number of signals with a feature that cannot be measured
