@@ -59,7 +59,7 @@ class Ringing:
 
 
 def ringing_modes(decays: list[Floats], rate: float, n_modes: int, highest: float, of_filters: Complex) -> Ringing:
-    """Return at most `n_modes` modes of the decays, the loudest first, and none that does not stand out of the noise.
+    """Return at most `n_modes` modes of the decays that stand out of the noise, the loudest first.
 
     rate and highest frequency are in Hz. of_filters are poles of the upper half-plane [rad/s] that are no modes.
     """

@@ -116,7 +116,7 @@ def heaviest_impact(
 
 
 def problem_of_weight(section: ImpactSection, target: Target, population: Population) -> str | None:
-    """Return the error of the scene's gravity for this population; None if every impact rebounds."""
+    """Return an error message if gravity leaves an impact of this population without a rebound, else None."""
     if section.gravity is None:
         return None
     try:
@@ -130,7 +130,7 @@ def problem_of_weight(section: ImpactSection, target: Target, population: Popula
 
 
 def problem_on_plate(target: Target, theory: str, population: Population, thickness: str) -> str | None:
-    """Return the error of this population on this target; None unless the target is a plate too thin for it.
+    """Return an error message if the target is a plate too thin for this population, else None.
 
     thickness is the key of the plate's thickness in the scene file.
     """

@@ -178,7 +178,7 @@ class SamplingSection(Section):
         return {key: value for key, value in content.items() if self.samples or key not in frame}
 
     def frame_problems(self, is_stream: bool) -> list[str]:
-        """Return the frame settings that are missing, or given although there is no frame."""
+        """Return error messages for frame settings that are missing, or given although there is no frame."""
         if is_stream:
             return [
                 f"sampling.{name}: must be left out of a stream, whose length is stream.duration"

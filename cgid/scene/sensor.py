@@ -294,7 +294,7 @@ class BackgroundSection(Section):
         return self
 
     def problems(self, sensor: Sensor, sampling_rate: float) -> list[str]:
-        """Return the errors of this background for a sensor and a sampling rate [Hz]."""
+        """Return error messages for this background with a sensor and a sampling rate [Hz]."""
         quantity, nyquist = sensor.quantity, sampling_rate / 2
         found = []
         for index, line in enumerate(self.hum):
@@ -328,7 +328,7 @@ class BackgroundSection(Section):
 
 
 def _complaints(path: str, read: Callable[[Any], float], values: Iterable[Any]) -> list[str]:
-    """Return the errors of values that cannot be read."""
+    """Return error messages for unreadable values."""
     found = []
     for value in values:
         try:

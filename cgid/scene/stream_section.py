@@ -107,7 +107,7 @@ class MixtureSection(Section):
         return self
 
     def problems(self, labels: tuple[str, ...]) -> list[str]:
-        """Return the errors of these shares for a scene with these labels."""
+        """Return error messages for shares that do not fit a scene with these labels."""
         known = ", ".join(labels)
         found = [
             f"stream.mixture.{label}: must be a label of a population, one of {known}"
@@ -154,7 +154,7 @@ class StreamSection(Section):
         return self
 
     def problems(self, populations: tuple[Population, ...], sensor: Sensor, sampling_rate: float) -> list[str]:
-        """Return the conflicts with a stream, whose rocks share one time axis and one sensor."""
+        """Return error messages for settings that conflict with a stream of one time axis and one sensor."""
         labels = tuple(sorted({population.label for population in populations}))
         found = [] if self.mixture is None or not labels else self.mixture.problems(labels)
         if sensor.relative_noise > 0:
