@@ -1,4 +1,4 @@
-"""Many impacts and what senses them: a scene file, its populations, its signals."""
+"""Scene files, and the signals of many impacts that a sensor records."""
 
 from cgid.scene.calibration import Calibration, calibrated
 from cgid.scene.calibration_blow import Blow

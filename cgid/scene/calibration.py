@@ -1,4 +1,4 @@
-"""On-site calibration: a tap test or a few drops of known mass set the gain or the modes of a scene."""
+"""On-site calibration: fit the gain or the modes of a scene to a tap test or to drops of known mass."""
 
 from __future__ import annotations
 
@@ -20,33 +20,32 @@ from cgid.scene.schema import Scene, parse_scene
 from cgid.scene.sections import TailBeamSection
 from cgid.validation import Floats
 
-#: Without an anti-alias filter or a bandwidth modes are sought up to this share of the sampling rate.
+#: Without an anti-alias filter or a bandwidth, modes are sought up to this share of the sampling rate.
 _HEARD = 0.45
-#: Fewest samples of free ringing for each mode, and in any case.
+#: Fewest samples of free ringing, for each mode and in total.
 _SAMPLES_A_MODE, _LEAST_SAMPLES = 8, 64
-#: Modes sought beyond those asked for, so that one which stands for two others displaces none.
+#: Modes sought in addition, so that one that stands for two others displaces none.
 _SPARE = 2
-#: Searches of the residual, and modes more that each may find.
+#: Searches of the residual, and modes that each may add.
 _ROUNDS, _MODES_A_ROUND = 3, 2
-#: If a blow explains less of the motion, something else has caused it.
+#: A blow that explains less of the motion did not cause it.
 _LEAST_EXPLAINED = 0.02
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Calibration:
-    """A calibrated scene, and how well it explains the blows.
+    """A calibrated scene and the quality of the fit.
 
     Attributes
     ----------
     scene : Scene
-        With `sensor.gain`, or with the modes found in `tail_beam.modes`.
+        With `sensor.gain`, or with the fitted modes in `tail_beam.modes`.
     gain : float
-        Recorded over synthesised; 1 where modes were looked for, whose participation holds it.
+        Recorded over synthesised; 1 for fitted modes, whose participation includes it.
     explained : ndarray, (n_blows,)
         Share of each recording's energy about its mean that the scene explains.
     delays : ndarray, (n_blows,)
-        [s] For a hammer the delay of the motion's channel to the force's; for a drop the time of touch in the
-        recording.
+        For a hammer, delay of the motion's channel to the force's; for a drop, time of touch in the recording [s].
     """
 
     scene: Scene
@@ -58,34 +57,34 @@ class Calibration:
 def calibrated(
     scene: Scene, blows: Sequence[Blow], *, modes: int | None = None, band: tuple[float, float] | None = None
 ) -> Calibration:
-    """Return a scene whose gain or modes are those of recorded blows: a tap test, or drops of known mass.
+    """Fit the gain or the modes of a scene to recorded blows: a tap test, or drops of known mass.
 
-    With neither `modes` nor `band` the beam stays as it is, and `sensor.gain` becomes the factor between the recordings
-    and what the scene makes of the same blows, by least squares over all samples. Every recording has the same weight,
-    over its largest sample; offsets and delays are fitted as well. Noise in a hammer's channel goes into the gain: some
-    0.7 % a blow where it is 1 % of the peak of a contact of 5 to 10 samples.
+    Without `modes` and `band` only `sensor.gain` is fitted: the factor between the recordings and the synthesised
+    motion of the same blows, by least squares over all samples. Each recording is scaled by its largest sample, so all
+    have the same weight. Offsets and delays are fitted as well. Noise in a hammer's channel biases the gain: by some
+    0.7 % per blow where it is 1 % of the peak of a contact of 5 to 10 samples.
 
-    With `modes` or `band` the beam is measured. Poles come from the free ringing of all blows together, then
-    frequencies, damping ratios, delays and real participations from least squares over the whole recordings, including
-    contact and sensor chain. All blows must fall on one place.
+    With `modes` or `band` the modes are fitted. Initial poles come from the free ringing of all blows together. Least
+    squares over the whole recordings, including contact and sensor chain, then give frequencies, damping ratios, delays
+    and real participations. All blows must fall on one point.
 
-    Such blows determine only the participation `shape_impact shape_sensor / modal_mass`. It is written with
-    `shape_impact` 1, `shape_sensor` 1 or -1 and `modal_mass` one over its size; signals of taps do not depend on this
-    split. How far the beam gives way under a rock does: by `shape_impact^2 / modal_mass`, which then equals the size of
-    the participation. That is right for blows next to the sensor. Elsewhere it assumes that the beam is as compliant
-    there as at the sensor, on average over modes as good a guess as any; for a mode with a node near the sensor it is
-    too stiff. With blows at both places, take the masses of those at the impact point and keep the participation by
-    `shape_sensor`. A recorder with a wrong scale shifts the masses by its factor.
+    Such blows determine only the participation `shape_impact shape_sensor / modal_mass`. It is stored as `shape_impact`
+    1, `shape_sensor` 1 or -1 and `modal_mass` the inverse of its size. Signals of taps do not depend on this split, but
+    the compliance of the beam under a rock does: it follows `shape_impact^2 / modal_mass`, here the size of the
+    participation. This is right for blows next to the sensor. Elsewhere it assumes the compliance at the sensor: on
+    average over modes as good a guess as any, but too stiff for a mode with a node near the sensor. With blows at both
+    points, take the masses from those at the impact point and adjust `shape_sensor` to keep the participation. A scale
+    error of the recorder changes the masses by its factor.
 
     Parameters
     ----------
     scene : Scene
-        Of a motion, with a beam: its sensor is that of the recordings except for the gain.
+        With a beam and a sensor of motion: that of the recordings except for the gain.
     blows : sequence of Blow
     modes : int, optional
-        How many modes to find, the loudest ones. Modes that are left out shift those near to them.
+        Number of modes, the loudest ones. Omitted modes shift those near them.
     band : tuple of float, optional
-        Lowest and highest frequency of the modes that are kept [Hz]; without `modes` all that stand out of the noise.
+        Frequency range of the modes to keep [Hz]; without `modes` all that stand out of the noise.
 
     Returns
     -------
@@ -94,13 +93,13 @@ def calibrated(
     Raises
     ------
     InvalidValue
-        No blows, blows on several places for modes, or a quantity, rate or band that does not fit the scene.
+        No blows, blows on several points for modes, or a quantity, rate or band that does not fit the scene.
     BadData
-        A recording is too short, too noisy or clipped, or begins too late, or the blows do not explain it.
+        A recording is too short, too noisy, clipped or starts too late, or the blows do not explain it.
 
     Examples
     --------
-    A tap test with an instrumented hammer. Here a scene with two modes plays the beam, and its force the hammer:
+    A tap test with an instrumented hammer, simulated with a scene of two modes and its force:
 
     >>> from cgid.scene import Blow, calibrated, parse_scene, synthesise, varied
     >>> from cgid.signals import Signal
@@ -134,7 +133,7 @@ def calibrated(
         validation.count("modes", modes)
     _require_band(scene, band)
     struck = [prepared(scene, blow) for blow in blows]
-    # Many small matrices: threads would spend their time waiting for each other.
+    # Many small matrices: more threads would only wait for each other.
     with threadpool_limits(1):
         if modes is None and band is None:
             return _with_gain(scene, blows, struck)
@@ -157,7 +156,7 @@ def _checked(scene: Scene, blows: Sequence[Blow]) -> list[Blow]:
 
 
 def _highest(scene: Scene) -> float:
-    """Return up to which frequency the recorder hears [Hz]."""
+    """Return the highest frequency that the recorder passes [Hz]."""
     sensor = scene.sensor
     edges = [_HEARD * scene.sampling.sampling_rate]
     edges += [] if sensor.anti_alias is None else [sensor.anti_alias.frequency]
@@ -196,7 +195,7 @@ def _fit(
 
 
 def _point(beam: TailBeamSection, blow: Blow) -> tuple[float, float]:
-    """Return where a blow fell; measured modes have only one place."""
+    """Return the point of a blow; measured modes have only one."""
     if blow.impact_point is not None:
         place = blow.impact_point
         for axis, at, size in (("x", place[0], beam.length), ("y", place[1], beam.width)):
@@ -219,7 +218,7 @@ def _with_modes(
     if len({blow.impact_point for blow in blows}) > 1:
         raise InvalidValue("impact_point must be the same for all blows where modes are measured; calibrate each place")
     rate, sensor = scene.sampling.sampling_rate, scene.sensor
-    # With a band, modes outside it are fitted as well, so that they do not disturb those inside.
+    # Modes outside the band are fitted as well, so that they do not disturb those inside.
     fit = _identified(scene, struck, n_modes if band is None else None)
     kept = _kept(fit, n_modes, band)
     each = np.eye(fit.amounts.size)
@@ -241,9 +240,9 @@ def _with_modes(
 
 
 def _identified(scene: Scene, struck: list[PreparedBlow], n_modes: int | None) -> Fit:
-    """Return the least squares by this many modes, or by all that stand out of the noise.
+    """Return the least-squares fit of this many modes, or of all that stand out of the noise.
 
-    Close modes ring as one at first, so the residual is searched again.
+    Close modes look like one at first, so the residual is searched again.
     """
     _require_length(scene, struck, n_modes)
     most = MOST_MODES if n_modes is None else n_modes + _SPARE
@@ -276,7 +275,7 @@ def _require_length(scene: Scene, struck: list[PreparedBlow], n_modes: int | Non
 
 
 def _ringing(scene: Scene, struck: list[PreparedBlow], samples: list[Floats], most: int) -> Ringing:
-    """Return a guess of the modes that ring in recordings or residuals."""
+    """Return a first guess of the modes in recordings or residuals."""
     decays = [part[blow.decay :] for part, blow in zip(samples, struck, strict=True)]
     filters = np.concatenate([np.empty(0, complex), *(part.poles for part in scene.sensor.filters)])
     return ringing_modes(decays, scene.sampling.sampling_rate, most, _highest(scene), filters)
@@ -288,7 +287,7 @@ def _refitted(scene: Scene, struck: list[PreparedBlow], fit: Fit, modes: Ringing
 
 
 def _kept(fit: Fit, n_modes: int | None, band: tuple[float, float] | None) -> list[int]:
-    """Return which modes are kept, in order of frequency: those that explain most."""
+    """Return the indices of the modes that explain most, in order of frequency."""
     low, high = band or (0.0, np.inf)
     frequency = fit.modes.frequency
     inside = np.flatnonzero((frequency >= low) & (frequency <= high) & (fit.amounts != 0))

@@ -18,20 +18,20 @@ from cgid.signals import Signal
 from cgid.units import STANDARD_GRAVITY
 from cgid.validation import Floats
 
-#: Samples kept before a blow, and at most after its beginning.
+#: Samples kept before the start of a blow, and at most after it.
 _BEFORE, _BEHIND = 32, 1 << 15
-#: Fewest samples before a blow: they show its noise and the offset.
+#: Fewest samples before a blow: they show noise and offset.
 _QUIET = 8
-#: A hammer's force is taken from where it first passes this share of its peak, or this multiple of its noise, to where
-#: it last does, with a margin of samples on both sides, on the outer ones of which it is tapered to zero.
+#: A hammer's force extends from the first to the last sample above this share of its peak and this multiple of its
+#: noise, with a margin of samples on both sides; the outermost samples taper to zero.
 _FORCE_FLOOR, _NOISE_FLOOR, _MARGIN, _TAPER = 1e-3, 4.0, 8, 3
-#: A peak below this multiple of the noise is no blow.
+#: Lowest peak of a blow over the noise.
 _STANDS_OUT = 8.0
-#: Largest delay between the channels of hammer and sensor [samples].
+#: Largest delay between hammer and sensor channels [samples].
 _CHANNELS_APART = 4.0
-#: A drop may have touched this many samples, plus this share of its contact, before its motion is first seen.
+#: Touch may precede the first visible motion of a drop by this many samples plus this share of its contact.
 _UNSEEN, _UNSEEN_SHARE = 8.0, 0.5
-#: Share of the flight after a drop that is kept: the sphere falls again.
+#: Share of the flight after a drop that is kept, because the sphere falls again.
 _FLIGHT = 0.8
 #: A filter has settled after this many of its time constants.
 _CALM = 3.0
@@ -46,22 +46,21 @@ class Blow:
     Parameters
     ----------
     motion : Signal
-        Of the scene's sensor, with a quiet stretch before the blow.
+        From the scene's sensor, with a quiet stretch before the blow.
     force : Signal, optional
-        Recorded with it by the hammer, on the same clock and equally long, above 0 where it pushes.
+        Recorded by the hammer with the same clock and length, above 0 where it pushes.
     impact : Impact, optional
-        Instead of a force, a drop of known mass: one impact, as on `scene.body`, from `free_fall_velocity` of its
-        height.
+        A drop of known mass in place of a force: one impact on `scene.body` at the `free_fall_velocity` of its height.
     impact_point : tuple of float, optional
-        Where it fell, x and y [m]; that of the scene by default, if it is one place.
+        Where it fell, x and y [m]; by default that of the scene, if it is a single point.
     force_filtered : bool
-        Whether the force went through the same anti-alias filter (or bandwidth) as the motion, as both channels of one
-        recorder do. The filter then cancels.
+        Whether the force passed the same anti-alias filter (or bandwidth) as the motion, as in two channels of one
+        recorder. The filter then cancels.
 
     Raises
     ------
     InvalidValue
-        Both or neither of force and impact, another unit or number of samples of the force, more than one impact.
+        Both or neither of force and impact, wrong unit or length of the force, more than one impact.
     """
 
     motion: Signal
@@ -99,25 +98,21 @@ class PreparedBlow:
     """A blow prepared for the fit: cut out, without its mean, over its largest sample."""
 
     samples: Floats
-    first: int  # sample of the recording on which the cut begins
+    first: int  # first sample of the cut in the recording
     level: float  # the divisor of the samples, in the SI unit of the sensor
-    pulse: Pulses  # the force: one, which serves any number of frames
-    onset: float  # sample of the cut on which the force seems to begin, except for one of the shifts
+    pulse: Pulses  # one force, for any number of frames
+    onset: float  # apparent start of the force in the cut [samples], to be corrected by one of the shifts
     shifts: Floats  # [samples], (n_shifts,)
     decay: int  # from this sample on the beam rings freely
     filters: tuple[Resonance | LowPass, ...]  # between force and recorded motion, in addition to the beam
-    limited: bool  # whether the zero-phase low-pass of the sensor lies between them, too
+    limited: bool  # whether the sensor's zero-phase low-pass lies between them as well
 
 
 def prepared(scene: Scene, blow: Blow) -> PreparedBlow:
     """Return a blow prepared for the fit.
 
-    Raises
-    ------
-    InvalidValue
-        Quantity or rate differ from those of the scene.
-    BadData
-        The recording is clipped or begins too late, or no blow stands out of it.
+    Raises `InvalidValue` if quantity or rate differ from those of the scene, and `BadData` if the recording is clipped
+    or starts too late, or if no blow stands out of it.
     """
     motion, sensor, rate = blow.motion, scene.sensor, scene.sampling.sampling_rate
     if motion.quantity != sensor.quantity:
@@ -178,9 +173,9 @@ def _require_noise_below(before: Floats, level: float, name: str) -> None:
 
 
 def _first_motion(samples: Floats, name: str) -> int:
-    """Return the sample before which there is noise and from which there is motion, up to the largest one.
+    """Return the sample at which noise turns into motion, up to the largest sample.
 
-    Where two stretches of white noise, each with its own variance, are likeliest to meet: Maeda (1985), Zisin 38, 365.
+    It is the likeliest boundary of two stretches of white noise with different variances: Maeda (1985), Zisin 38, 365.
     """
     peak = int(np.argmax(np.abs(samples)))
     if peak < 2 * _QUIET:
@@ -196,7 +191,7 @@ def _first_motion(samples: Floats, name: str) -> int:
 
 
 def _hammered(force: Signal, rate: float) -> tuple[int, int, Pulses]:
-    """Return the first sample of a hammer's force, the first one after it, and the force itself."""
+    """Return the first sample of a hammer's force, the sample after its end, and the force itself."""
     samples = np.asarray(force.in_si().samples, np.float64)
     samples = samples - np.median(samples)
     peak, lowest = float(samples.max()), float(-samples.min())
@@ -210,7 +205,7 @@ def _hammered(force: Signal, rate: float) -> tuple[int, int, Pulses]:
     if lowest > peak:
         raise BadData(f"{force.name}: force must be above 0 where it pushes, its peak is below; use Signal.inverted()")
     strong = np.flatnonzero(np.abs(samples) > max(_NOISE_FLOOR * noise, _FORCE_FLOOR * peak))
-    # Noise passes the floor now and then, far from the blow: whatever a quiet stretch separates from it is left out.
+    # Noise passes the floor occasionally, so parts that a quiet stretch separates from the blow are left out.
     at = int(np.searchsorted(strong, np.argmax(samples)))
     gaps = np.diff(strong) > 2 * _MARGIN
     begins = np.flatnonzero(gaps[:at])
@@ -225,14 +220,14 @@ def _hammered(force: Signal, rate: float) -> tuple[int, int, Pulses]:
 
 
 class _RecordedForce:
-    """The force of a hammer, band-limited interpolation of its samples."""
+    """The force of a hammer: band-limited interpolation of its samples."""
 
     def __init__(self, samples: Floats, rate: float) -> None:
         from scipy.interpolate import CubicSpline
         from scipy.signal import resample
 
         self.contact_duration = self.end_of_contact = np.array([(samples.size - 1) / rate])
-        # Zeros keep the transform from seeing a jump where the end meets the beginning.
+        # Zeros avoid a jump where the end of the period meets its start.
         padded = np.concatenate([samples, np.zeros(samples.size)])
         finer = resample(padded, _FINER * padded.size)[: _FINER * (samples.size - 1) + 1]
         self._force = CubicSpline(np.arange(finer.size) / (_FINER * rate), finer)

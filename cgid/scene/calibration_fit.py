@@ -1,12 +1,12 @@
-"""The modes of a beam from recorded blows: first guesses from how it rings, then least squares over whole recordings.
+"""Fit the modes of a beam to recorded blows: first guesses from free ringing, then least squares over whole recordings.
 
-ESPRIT (Roy & Kailath 1989, IEEE Trans. ASSP 37, 984) on all decays together gives more poles than there are modes, once
-over the whole band and twice over its lower parts, where a mode turns slowly. Out of these poles one after the other is
-picked that explains most of what is left, as long as chance would not explain as much.
+ESPRIT (Roy & Kailath 1989, IEEE Trans. ASSP 37, 984) on all decays together yields more poles than there are modes:
+once for the whole band and twice for its lower parts, where a mode turns slowly. A greedy search then picks the pole
+that explains most of the rest, as long as chance would not explain as much.
 
-The fit solves directly for what is linear: the participation of the modes, or the gain. Frequencies, damping ratios and
-delays follow by Gauss-Newton steps on the remainder (variable projection, Golub & Pereyra 1973, with the derivative of
-Kaufman 1975, BIT 15, 49).
+The linear unknowns, participations or gain, are solved for directly. Gauss-Newton steps on the residual give
+frequencies, damping ratios and delays (variable projection, Golub & Pereyra 1973, with the derivative of Kaufman 1975,
+BIT 15, 49).
 """
 
 from __future__ import annotations
@@ -24,23 +24,23 @@ from cgid.validation import Floats
 
 Complex = NDArray[np.complex128]
 
-#: Factors of decimation: the whole band, a quarter of it, a sixteenth.
+#: Decimation factors: the whole band, a quarter and a sixteenth of it.
 _DECIMATIONS = (1, 4, 16)
-#: Share of a decimated band that its filter leaves clean, and samples at its beginning that are not.
+#: Decimation filter: clean share of the decimated rate, and spoilt samples at the start.
 _CLEAN_BAND, _UNCLEAN_START = 0.4, 6
-#: Most samples of the window that is moved along the decays, and fewest of a decay.
+#: Longest sliding window and shortest decay [samples].
 _WINDOW, _SHORTEST = 192, 48
-#: Poles asked for beyond the number of modes.
+#: Additional poles beyond the number of modes.
 _BEYOND = (4, 12)
-#: Poles are asked for as if there were at most this many modes: more would be noise.
+#: The model order assumes at most this many modes: more would be noise.
 _MOST_ASKED = 20
-#: A mode of a structure has a damping ratio between these.
+#: Range of damping ratios of structural modes.
 DAMPING_RATIOS = (1e-4, 0.3)
-#: Most modes where the caller does not limit them.
+#: Most modes if the caller sets no limit.
 MOST_MODES = 40
-#: Samples of a decay that are used.
+#: Longest part of a decay that is used [samples].
 _LONGEST = 8192
-#: Below this share of the energy no more poles are picked: synthetic recordings have no noise.
+#: No more poles are picked below this share of the energy, because synthetic recordings may have no noise.
 NOTHING_LEFT = 1e-7
 
 
@@ -59,10 +59,9 @@ class Ringing:
 
 
 def ringing_modes(decays: list[Floats], rate: float, n_modes: int, highest: float, of_filters: Complex) -> Ringing:
-    """Return at most `n_modes` modes that ring in decays, the loudest first; fewer if no more stand out of the noise.
+    """Return at most `n_modes` modes of the decays that stand out of the noise, the loudest first.
 
-    The sampling rate and the highest frequency are in Hz. of_filters are poles of the upper half-plane [rad/s] that
-    ring as well but are no modes.
+    rate and highest frequency are in Hz. of_filters are poles of the upper half-plane [rad/s] that are no modes.
     """
     length = min(_LONGEST, *(len(decay) for decay in decays))
     together = np.stack([decay[:length] for decay in decays])
@@ -91,12 +90,12 @@ def _decimated(decays: Floats, factor: int) -> Floats:
 
 
 def _poles(decays: Floats, rate: float, n_modes: int, factor: int) -> Complex:
-    """Return the poles [rad/s] of the upper half-plane, of models of several orders."""
+    """Return the poles of the upper half-plane [rad/s] from models of several orders."""
     n_samples = decays.shape[1]
     window = min(_WINDOW, n_samples // 2)
     if n_samples < _SHORTEST:
         return np.empty(0, complex)
-    # The left singular vectors of all Hankel matrices side by side are the eigenvectors of this.
+    # Its eigenvectors are the left singular vectors of the concatenated Hankel matrices.
     rows = np.concatenate([np.lib.stride_tricks.sliding_window_view(decay, window) for decay in decays])
     vectors = np.linalg.eigh(rows.T @ rows)[1][:, ::-1]
     found = []
@@ -110,7 +109,7 @@ def _poles(decays: Floats, rate: float, n_modes: int, factor: int) -> Complex:
 
 
 def _picked(decays: Floats, poles: Complex, of_filters: Complex, rate: float, n_modes: int) -> Complex:
-    """Return the poles that explain the decays (n_samples, n_decays), those first that explain most."""
+    """Return the poles that explain the decays (n_samples, n_decays), in descending order of explained energy."""
     n_samples, n_decays = decays.shape
     time = np.arange(n_samples)[:, None] / rate
     basis = _orthogonal(np.exp(of_filters * time), np.empty((n_samples, 0)))
@@ -124,7 +123,7 @@ def _picked(decays: Floats, poles: Complex, of_filters: Complex, rate: float, n_
         best = int(np.argmax(heard))
         energy = float((left**2).sum())
         rest = max(energy - heard[best], 1e-300)
-        # The Bayesian information criterion: amplitude and phase in every decay, frequency and damping of all.
+        # Bayesian information criterion: amplitude and phase for each decay, one frequency and damping for all.
         chance = (2 * n_decays + 2) * np.log(decays.size)
         if energy < NOTHING_LEFT * before or decays.size * np.log(energy / rest) < chance:
             break
@@ -135,11 +134,11 @@ def _picked(decays: Floats, poles: Complex, of_filters: Complex, rate: float, n_
 
 
 def _orthogonal(pairs: Complex, basis: Floats) -> Floats:
-    """Return an orthonormal basis of the part of real and imaginary parts that is orthogonal to a basis."""
+    """Return an orthonormal basis of the real and imaginary parts after projecting out another basis."""
     parts = np.concatenate([pairs.real, pairs.imag], axis=1)
     parts = parts[:, np.abs(parts).max(axis=0, initial=0.0) > 0]
     size = np.linalg.norm(parts, axis=0)
-    for _ in range(2):  # once is not orthogonal to rounding
+    for _ in range(2):  # one pass is not orthogonal to rounding
         parts = parts - basis @ (basis.T @ parts)
     parts = parts[:, np.linalg.norm(parts, axis=0) > 1e-6 * size]
     return np.linalg.qr(parts)[0] if parts.size else parts
@@ -147,25 +146,25 @@ def _orthogonal(pairs: Complex, basis: Floats) -> Floats:
 
 #: Error of the response.
 _TOLERANCE = 1e-6
-#: Samples of a blow in which its delay is sought.
+#: Samples of a blow used to find its delay.
 _ALIGNED = 2048
-#: Steps of the derivatives: frequency in half-widths of the mode, log of the damping ratio, samples.
+#: Step of the derivatives: frequency in half-widths of the mode, log of the damping ratio, samples.
 _STEP = 1e-3
-#: Most steps of a fit: one that needs more has a mode too many, and the others are found all the same.
+#: Most steps of a fit: if it needs more, there is a mode too many, but the others are already found.
 _MOST_STEPS = 20
-#: How far a fit may move: in half-widths, in logs of the damping ratio, in samples.
+#: Bounds of the fit: in half-widths, in logs of the damping ratio, in samples.
 _FAR, _FAR_DAMPING, _FAR_DELAY = 3.0, 1.5, 2.0
 
 
 @dataclass(frozen=True)
 class Fit:
-    """The least squares of some blows."""
+    """The least-squares fit of some blows."""
 
     modes: Resonators
     amounts: Floats  # of the rows of participation, (n_columns,)
-    delays: Floats  # from where each blow was seen to begin [samples], (n_blows,)
+    delays: Floats  # relative to the detected start of each blow [samples], (n_blows,)
     remains: list[Floats]  # the residual of each blow, over its largest sample
-    losses: Floats  # energy that would be left in addition without each column, (n_columns,)
+    losses: Floats  # additional residual energy without each column, (n_columns,)
 
     def only(self, which: NDArray[np.bool_]) -> Ringing:
         """Return some of the modes."""
@@ -178,7 +177,7 @@ class Fit:
 
     @property
     def significant(self) -> NDArray[np.bool_]:
-        """Which columns explain more than chance: amount, frequency and damping ratio are three numbers."""
+        """Which columns explain more than chance; each has three numbers: amount, frequency and damping ratio."""
         n = sum(rest.size for rest in self.remains)
         return np.asarray(n * np.log1p(self.losses / max(self.energy, 1e-300)) > 3 * np.log(n))
 
@@ -200,7 +199,7 @@ def columns(
 
 
 class _Rows:
-    """The force of a blow as often as there are frames."""
+    """The force of a blow, repeated for each frame."""
 
     def __init__(self, blow: PreparedBlow, n: int) -> None:
         self.contact_duration = np.broadcast_to(blow.pulse.contact_duration.ravel(), (n,))
@@ -223,7 +222,7 @@ def aligned(
     clearest = int(np.argmax([part.max() / energy for part, energy in zip(explained, energies, strict=True)]))
     best = int(np.argmax(explained[clearest]))
     amounts = _solved(squares[clearest][best], products[clearest][best])
-    # Half a period later with the other sign looks much the same: the others follow the sign of the clearest one.
+    # A shift by half a period with the opposite sign fits almost as well, so the clearest blow sets the sign.
     for _ in range(3):
         places = [
             int(np.argmin(np.einsum("i,sij,j->s", amounts, g, amounts) - 2 * h @ amounts))
@@ -242,13 +241,13 @@ def _shortened(blow: PreparedBlow) -> PreparedBlow:
 
 
 def _solved(squares: Floats, products: Floats) -> Floats:
-    """Return the amounts of least squares; two equal columns share theirs."""
+    """Return the least-squares amounts; two equal columns share theirs."""
     return np.asarray((np.linalg.pinv(squares, rcond=1e-12, hermitian=True) @ products[..., None])[..., 0])
 
 
 @dataclass(frozen=True)
 class _Model:
-    """All blows, explained by modes whose frequencies and damping ratios may be free; see `refined`."""
+    """The model of all blows, with free or fixed frequencies and damping ratios; see `refined`."""
 
     blows: Sequence[PreparedBlow]
     sensor: Sensor
@@ -262,14 +261,14 @@ class _Model:
         return self.modes.frequency.size if self.free else 0
 
     def at(self, unknowns: Floats) -> Resonators:
-        """Return the modes for unknowns: frequencies, damping ratios, delays."""
+        """Return the modes for the unknowns: frequencies, damping ratios, delays."""
         if not self.free:
             return self.modes
         n, f, zeta = self.n_moved, self.modes.frequency, self.modes.damping_ratio
         return Ringing(f * (1 + zeta * unknowns[:n]), zeta * np.exp(unknowns[n : 2 * n]))
 
     def sound(self, unknowns: Floats) -> Floats:
-        """Return the columns of all blows one after the other, (n_samples, n_columns)."""
+        """Return the concatenated columns of all blows, (n_samples, n_columns)."""
         modes, delays = self.at(unknowns), unknowns[2 * self.n_moved :]
         parts = [
             columns(blow, self.sensor, self.rate, modes, rows, delay)[0]
@@ -294,7 +293,7 @@ class _Model:
         amounts = np.linalg.lstsq(triangle, basis.T @ self.samples, rcond=None)[0]
         slopes = []
         n = self.n_moved
-        # A column depends only on its own mode, a blow only on its own delay: all of a kind are moved together.
+        # A column depends only on its own mode, a blow only on its own delay, so all of a kind move in one step.
         for first in (0, n) if self.free else ():
             slopes.append((self.sound(_moved(unknowns, first, first + n)) - sound) / _STEP * amounts)
         late = (self.sound(_moved(unknowns, 2 * n, unknowns.size)) - sound) @ amounts / _STEP
@@ -323,10 +322,10 @@ def refined(
     *,
     free: bool,
 ) -> Fit:
-    """Return the least squares of all blows from a first guess of modes and delays [samples].
+    """Return the least-squares fit of all blows, starting from a first guess of modes and delays [samples].
 
-    participation holds for each blow the columns whose amounts are sought, (n_columns, n_modes): the unit matrix for
-    each mode by itself. If free, frequencies and damping ratios are sought as well.
+    participation holds the columns of each blow whose amounts are sought, (n_columns, n_modes): the unit matrix for
+    separate modes. If free, frequencies and damping ratios are fitted as well.
     """
     from scipy.optimize import least_squares
 

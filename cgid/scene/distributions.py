@@ -1,4 +1,4 @@
-"""Distributions of the numbers of a population, all drawn by the inverse of their distribution function.
+"""Distributions of the numbers of a population, all drawn by inversion of their distribution function.
 
 One uniform number gives one value, so values do not depend on how many are drawn at once.
 """
@@ -16,7 +16,7 @@ from cgid.scene.units import LIMITS, Number
 from cgid.units import DIMENSIONS, parse
 from cgid.validation import Floats
 
-#: The smallest and largest uniform numbers that are ever drawn (`cgid.scene.draws`).
+#: The smallest and largest uniform numbers (`cgid.scene.draws`).
 SMALLEST_UNIFORM, LARGEST_UNIFORM = 2.0**-54, 1 - 2.0**-53
 
 
@@ -25,12 +25,12 @@ class _Distribution(BaseModel):
 
     @abstractmethod
     def quantile(self, uniform: Floats) -> Floats:
-        """Return the values below which these shares of the draws lie."""
+        """Return the quantiles at these probabilities."""
 
     @property
     def extremes(self) -> tuple[float, float]:
         """The smallest and the largest value that can ever be drawn."""
-        with np.errstate(all="ignore"):  # an overflow is infinite, and beyond all bounds
+        with np.errstate(all="ignore"):  # an overflow is infinite, beyond all bounds
             low, high = self.quantile(np.array([SMALLEST_UNIFORM, LARGEST_UNIFORM]))
         return float(low), float(high)
 
@@ -63,7 +63,7 @@ class Choice(_Distribution):
         return self
 
     def quantile(self, uniform: Floats) -> Floats:
-        """Return the value whose stretch of the weights holds the uniform number."""
+        """Return the value whose interval of the cumulative weights holds the uniform number."""
         weights = np.ones(len(self.values)) if self.weights is None else np.array(self.weights)
         edges = np.cumsum(weights) / weights.sum()
         edges[np.flatnonzero(weights)[-1] :] = 1.0
@@ -71,7 +71,7 @@ class Choice(_Distribution):
 
     @property
     def extremes(self) -> tuple[float, float]:
-        """The smallest and largest value, whatever their weights."""
+        """The smallest and largest value, regardless of weights."""
         return min(self.values), max(self.values)
 
 
@@ -87,7 +87,7 @@ class _Bounded(_Distribution):
 
 
 class Uniform(_Bounded):
-    """Every value between two bounds has the same probability."""
+    """Uniform between two bounds."""
 
     distribution: Literal["uniform"]
 
@@ -115,7 +115,7 @@ class LogUniform(_Bounded):
 
 
 class _Truncatable(_Distribution):
-    """A distribution that may be truncated: it draws only between its bounds."""
+    """A distribution that may be truncated to its bounds."""
 
     lowest: float | None = None
     highest: float | None = None
@@ -135,7 +135,7 @@ class _Truncatable(_Distribution):
 
     @property
     def _probabilities(self) -> tuple[float, float]:
-        with np.errstate(all="ignore"):  # far beyond the bulk powers overflow, and the function is 0 or 1
+        with np.errstate(all="ignore"):  # powers overflow in the far tails, where the function is 0 or 1
             return (
                 0.0 if self.lowest is None else self._cumulative(self.lowest),
                 1.0 if self.highest is None else self._cumulative(self.highest),
@@ -172,7 +172,7 @@ class Normal(_Truncatable):
 
 
 class Lognormal(_Truncatable):
-    """The logarithm is Gaussian: half of the draws lie below `median`, `sigma` is the deviation of the logarithm."""
+    """The logarithm is Gaussian, with standard deviation `sigma`; half of the draws lie below `median`."""
 
     distribution: Literal["lognormal"]
     median: float = Field(gt=0)
@@ -186,9 +186,9 @@ class Lognormal(_Truncatable):
 
 
 class RosinRammler(_Truncatable):
-    """Rosin & Rammler (1933): `1 - exp(-(x / characteristic)^uniformity)` lies below x.
+    """Rosin & Rammler (1933): the share below x is `1 - exp(-(x / characteristic)^uniformity)`.
 
-    The law was found for the *mass* that passes a sieve; here it is the share of the impacts.
+    The law was found for the *mass* that passes a sieve; here it applies to the number of impacts.
     """
 
     distribution: Literal["rosin-rammler"]
@@ -207,7 +207,7 @@ _MEASURED = ("value", "values", "lowest", "highest", "mean", "deviation", "media
 
 
 def measured(dimension: str) -> BeforeValidator:
-    """Return the reader of a distribution of this dimension: units become SI, a bare number is a constant."""
+    """Return a validator that converts the units of a distribution to SI; a bare number becomes a constant."""
 
     def read(content: Any) -> Any:
         if not isinstance(content, dict):
@@ -240,7 +240,7 @@ Distribution = Annotated[
     Constant | Choice | Uniform | LogUniform | Normal | Lognormal | RosinRammler,
     Field(discriminator="distribution"),
 ]
-#: The names that a scene file may use; the paths of errors leave them out.
+#: The names in a scene file; the paths of errors omit them.
 DISTRIBUTION_NAMES = (
     "constant",
     "choice",
@@ -254,14 +254,14 @@ DISTRIBUTION_NAMES = (
 
 
 def measured_within(dimension: str) -> AfterValidator:
-    """Return the check that a distribution stays above 0 and within the `LIMITS` of its dimension."""
+    """Return a validator that keeps a distribution above 0 and within the `LIMITS` of its dimension."""
     lowest, highest = LIMITS[dimension]
     unit = next(iter(DIMENSIONS[dimension]))
     return within(lowest, highest, f"must be above 0, within {lowest:g} and {highest:g} {unit}", unit)
 
 
 def within(lowest: float, highest: float, rule: str, unit: str = "") -> AfterValidator:
-    """Return the check that a distribution can never draw a value outside `lowest..highest`."""
+    """Return a validator that rejects a distribution with possible values outside `lowest..highest`."""
 
     def check(distribution: _Distribution) -> _Distribution:
         low, high = distribution.extremes

@@ -1,9 +1,9 @@
-"""What a scene draws: the numbers of every rock, tap and sensor, for frames and for recordings.
+"""The random numbers of a scene: rocks, taps and sensor, for frames and recordings.
 
 Random numbers have addresses: (seed, purpose, block of 256 samples) always gives the same ones. Philox is a
 counter-based generator (Salmon et al. 2011). Its key is the seed and the purpose, its counter the block and, in a
-stream, the recording, so a sample comes out the same whatever the shard, the worker or the order. White noise, of which
-there is far more, has a Philox kernel of its own (`cgid.scene.noise`).
+stream, the recording, so a sample does not depend on shard, worker or order. White noise, of which far more is needed,
+has its own Philox kernel (`cgid.scene.noise`).
 """
 
 from __future__ import annotations
@@ -22,20 +22,20 @@ from cgid.validation import Floats
 
 #: Samples that share one address.
 BLOCK = 256
-#: What numbers are drawn for; a new purpose is a new number.
+#: Purposes of random numbers; a new purpose gets a new number.
 PARAMETERS, NOISE, TAPS, SECOND_HITS, CLIPPING, RANDOMISED = 1, 2, 3, 4, 5, 6
 IMPACT_POINTS, ARRIVALS, HUM, COLOURED, RECORDED = 16, 17, 18, 19, 20
 
 PARTICLE = ("density", "youngs_modulus", "poisson_ratio", "radius")
-#: The columns of the numbers of a rock, in order. A fall has one number, whether it is a height or a speed.
+#: The columns of a rock's numbers, in order. Height and speed of a fall share one number.
 FALL = (*PARTICLE, "restitution", "drop_height")
-#: The columns of purposes that not every scene has.
+#: The columns of optional purposes.
 _LATER = {
     TAPS: ("peak_force", "contact_duration"),
     SECOND_HITS: ("second_hit_delay", "second_hit_ratio"),
     CLIPPING: ("clipped_at",),
 }
-#: The columns of what is drawn for a whole block; a new one goes to the end.
+#: The columns of settings drawn for a whole block; append new ones.
 _OF_BLOCKS = ("sampling_rate", "relative_noise", "bandwidth")
 
 #: The stored parameters of every scene and their units.
@@ -51,24 +51,24 @@ PARAMETER_UNITS = {
     "peak_force": "N",
     "contact_duration": "s",
 }
-#: Parameters that only some scenes have; each batch states its own sampling rate.
+#: Parameters of some scenes; the sampling rate is not among them, because each batch states its own.
 _MORE_UNITS = {"second_hit_delay": "s", "second_hit_ratio": "1", "clipped_at": "1"}
 POINT_UNITS = {"impact_x": "m", "impact_y": "m"}
 #: Settings of the sensor that a scene may draw for each block.
 RANDOMISED_UNITS = {"relative_noise": "1", "bandwidth": "Hz"}
-#: A low-pass with an edge above this share of the sampling rate would cut into what the frame cannot hold anyway (its
-#: transition is half as wide as its frequency): the sensor then counts as unlimited.
+#: A low-pass with an edge above this share of the sampling rate counts as unlimited: its transition, half as wide as
+#: its frequency, reaches beyond the band of the frame.
 UNLIMITED = 0.45
 
 
 def require_seed(seed: int) -> None:
-    """Raise `InvalidValue` if the seed is not within 0 and 2^63 - 1."""
+    """Raise `InvalidValue` unless the seed lies within 0 and 2^63 - 1."""
     if not 0 <= seed < 2**63:
         raise InvalidValue(f"seed must lie between 0 and 2^63 - 1, got {seed}")
 
 
 def generator(seed: int, purpose: int, block: int, recording: int = 0) -> np.random.Generator:
-    """Return the generator of one address; raises as `require_seed`. `recording` numbers those of a stream."""
+    """Return the generator of one address; raises as `require_seed`. `recording` is the number within a stream."""
     require_seed(seed)
     key = np.array([seed, purpose], np.uint64)
     # The lower two words of the counter count the numbers drawn.
@@ -93,19 +93,14 @@ def parameter_units(scene: Scene) -> dict[str, str]:
 
 @dataclass(frozen=True)
 class Drawn:
-    """What is drawn for one block, before any law of impact is applied.
+    """The drawn numbers of one block, before any law of impact is applied.
 
     Attributes
     ----------
-    labels : ndarray of str, (n_signals,)
-    values : dict of ndarray, each (n_signals,)
-        By the names of `parameter_units`, nan where one is not drawn; the restitution is the one asked for.
-    specimen : ndarray of uint64, (n_signals,)
-        Equal for an equal particle or an equal tap.
-    shapes : ndarray of int, (n_signals,)
-        Of a tap its number in `SHAPES`, of an impact -1.
-    scene : Scene
-        The scene as it holds in this block.
+    values : by the names of `parameter_units`, each (n_signals,), nan where not drawn; restitution as requested
+    specimen : equal for equal particles or equal taps, (n_signals,)
+    shapes : index in `SHAPES` of a tap, -1 for an impact, (n_signals,)
+    scene : that of this block, with its randomised settings drawn
     """
 
     labels: NDArray[np.str_]
@@ -126,7 +121,7 @@ class Drawn:
 
 
 def drawn_block(scene: Scene, seed: int, block: int) -> Drawn:
-    """Return what is drawn for one block of 256 frames."""
+    """Return the drawn numbers of one block of 256 frames."""
     here, sources = settled(scene, seed, block), scene.sources
     numbers = numbers_of(seed, block)
     weights = np.array([source.weight for source in sources])
@@ -152,11 +147,11 @@ def drawn_block(scene: Scene, seed: int, block: int) -> Drawn:
 def quantities_of(
     sources: Sequence[Population | Tap], which: NDArray[np.intp], numbers: Mapping[str, Floats], names: Iterable[str]
 ) -> dict[str, Floats]:
-    """Return what rocks and taps draw: the one place where uniform numbers become quantities.
+    """Convert uniform numbers to the quantities of rocks and taps; no other function does.
 
-    which is the source of each rock or tap, (n,). numbers holds uniform numbers by the name of the quantity, each (n,);
-    a velocity takes the number of the drop height. The named quantities are in SI units, nan where a source has none;
-    a drop height comes with its velocity.
+    which is the source index, (n,). numbers holds uniform numbers by the name of the quantity, each (n,); a velocity
+    uses the number of the drop height. The named quantities are in SI units, nan where a source has none; a drop height
+    also sets the velocity.
     """
     values = {name: np.full(which.size, np.nan) for name in names}
     for index, source in enumerate(sources):
@@ -170,7 +165,7 @@ def quantities_of(
 
 
 def settled(scene: Scene, seed: int, block: int) -> Scene:
-    """Return the scene as it holds in one block, with its randomised settings drawn; the scene itself if none are."""
+    """Return the scene of one block, with its randomised settings drawn; the scene itself if none are."""
     if scene.randomise is None:
         return scene
     numbers = dict(zip(_OF_BLOCKS, uniforms(seed, block, len(_OF_BLOCKS), RANDOMISED)[:, :1], strict=True))
@@ -201,13 +196,13 @@ def onset_of(scene: Scene, number: Floats) -> Floats:
 
 
 def levels_of(scene: Scene, names: Iterable[str]) -> dict[str, Floats]:
-    """Return those of the names that are settings of the block's sensor (`RANDOMISED_UNITS`), nan where it has none."""
+    """Return the settings of the block's sensor among the names (`RANDOMISED_UNITS`), nan where unset."""
     levels = {name: getattr(scene.sensor, name) for name in names if name in RANDOMISED_UNITS}
     return {name: np.full(BLOCK, np.nan if level is None else level) for name, level in levels.items()}
 
 
 def points_of_impact(scene: Scene, seed: int, block: int, recording: int = 0) -> dict[str, Floats]:
-    """Return where each rock of a block first hits the beam [m], by name; nothing unless the beam's sizes are known."""
+    """Return the point of the first hit of each rock of a block [m], by name; empty without a beam of known size."""
     if scene.panel is None:
         return {}
     assert scene.tail_beam is not None and scene.tail_beam.impact_point is not None
@@ -219,7 +214,7 @@ def points_of_impact(scene: Scene, seed: int, block: int, recording: int = 0) ->
 def specimen_of(particle: list[Floats]) -> NDArray[np.uint64]:
     """Mix the numbers of a particle or a tap into one 64-bit number (the finaliser of splitmix64, Steele et al. 2014).
 
-    An equal particle has the same number in every population, scene and dataset.
+    Equal particles have the same number in every population, scene and dataset.
     """
     mixed = np.zeros(particle[0].shape, np.uint64)
     for values in particle:

@@ -1,10 +1,10 @@
-"""Impacts at the extremes of a population: what a scene must rule out, and where gravity counts.
+"""Impacts at the extremes of a population: invalid scenes, and where gravity matters.
 
-In the dimensionless equation a body's weight is `gamma = g L / v^2`. Without it the impact comes from closed forms and
-the table, with it every impact is integrated. If it is left out, peak force, contact duration, restitution and every
-sample of the pulse are wrong by less than `2.4 gamma / e` of the peak, the duration, the restitution and the peak, with
-the restitution e without weight. The coefficient is measured against integrated impacts for e from 0.05 to 1
-(`tests/test_plan.py`); the restitution takes the largest share of it (2.34 gamma / e at e = 0.05).
+In the dimensionless equation a body's weight is `gamma = g L / v^2`. Impacts without it come from closed forms and the
+table; impacts with it are integrated. Leaving it out changes peak force, contact duration, restitution and, relative to
+the peak, every sample of the pulse by less than `2.4 gamma / e`, with the restitution e without weight. The coefficient
+is measured against integrated impacts for e from 0.05 to 1 (`tests/test_plan.py`); the restitution takes the largest
+share of it (2.34 gamma / e at e = 0.05).
 """
 
 from __future__ import annotations
@@ -35,18 +35,18 @@ from cgid.physics.materials import Material
 from cgid.scene.sections import ImpactSection, Population
 from cgid.validation import Floats
 
-#: Largest relative error from leaving gravity out, unless the scene gives its own.
+#: Default of the largest relative error from leaving gravity out.
 GRAVITY_TOLERANCE = 1e-3
-#: The largest of the relative errors over gamma / e.
+#: Largest relative error over gamma / e.
 _ERROR = 2.4
-#: Zener's lambda up to which every restitution of a scene can be followed (from 49 on some cannot). His theory holds
-#: to 1.5: there the plate takes some 80 % of the speed, here all but a few parts in 1e8.
+#: Zener's lambda up to which the integration works for every restitution of a scene (from 49 on some fail). His theory
+#: holds to 1.5, where the plate takes some 80 % of the speed; here it takes all but a few parts in 1e8.
 HIGHEST_INELASTICITY = 30.0
 
 
 @contextmanager
 def unwarned() -> Iterator[None]:
-    """Draw in silence where a population reaches past Hertz's or Zener's range; `cgid check` says how often it does."""
+    """Silence warnings where a population exceeds Hertz's or Zener's range; `cgid check` counts these impacts."""
     with warnings.catch_warnings():
         for beyond in (HertzRangeWarning, ThinPlateWarning):
             warnings.simplefilter("ignore", beyond)
@@ -59,16 +59,16 @@ def tolerance_of(section: ImpactSection) -> float:
 
 
 def error_without_weight(impact: Impact, gravity: float) -> Floats:
-    """Return the bound on the relative error of weightless impacts, of their shape.
+    """Return the bound on the relative error of weightless impacts.
 
-    It does not hold for a thin plate, which takes from the rebound what the weight acts on: there weight always counts.
+    It does not hold for a thin plate, which absorbs the rebound that weight acts on: there weight always counts.
     """
     speed = impact.length_scale / impact.time_scale
     return np.asarray(_ERROR * gravity * impact.length_scale / (speed * speed) / impact.restitution)
 
 
 def largest_error(section: ImpactSection, target: Target, populations: Iterable[Population]) -> float:
-    """Return the bound on the error of leaving gravity out of any impact of these; 0 where a scene has no gravity."""
+    """Return the bound on the error of leaving gravity out of any impact; 0 for a scene without gravity."""
     if section.gravity is None:
         return 0.0
     if isinstance(target, ThinPlate):
@@ -78,7 +78,7 @@ def largest_error(section: ImpactSection, target: Target, populations: Iterable[
 
 
 def weighed(section: ImpactSection, **parts: Any) -> Impact:
-    """Return impacts with gravity where its effect passes the tolerance; each is judged by itself."""
+    """Return impacts, each with gravity if its effect exceeds the tolerance."""
     if section.gravity is None:
         return Impact(**parts)
     if isinstance(parts["target"], ThinPlate):
@@ -96,7 +96,7 @@ def weighed(section: ImpactSection, **parts: Any) -> Impact:
 def heaviest_impact(
     section: ImpactSection, target: Target, population: Population, *, with_weight: bool = False
 ) -> Impact:
-    """Return the impact of a population in which weight counts most: every number at its extreme.
+    """Return the impact of a population in which weight matters most: every number at its extreme.
 
     `gamma = g L / v^2` with `L = (m v^2 / K)^(2/5)` grows with mass and falls with stiffness and speed.
     """
@@ -116,7 +116,7 @@ def heaviest_impact(
 
 
 def problem_of_weight(section: ImpactSection, target: Target, population: Population) -> str | None:
-    """Return what is wrong with the gravity of this scene for this population; None where all of it rebounds."""
+    """Return an error message if gravity leaves an impact of this population without a rebound, else None."""
     if section.gravity is None:
         return None
     try:
@@ -130,9 +130,9 @@ def problem_of_weight(section: ImpactSection, target: Target, population: Popula
 
 
 def problem_on_plate(target: Target, theory: str, population: Population, thickness: str) -> str | None:
-    """Return what is wrong with this population on this target; None unless the target is a plate too thin for it.
+    """Return an error message if the target is a plate too thin for this population, else None.
 
-    thickness is the key of the scene file that gives it.
+    thickness is the key of the plate's thickness in the scene file.
     """
     if not isinstance(target, ThinPlate):
         return None
@@ -155,7 +155,7 @@ def _speeds(population: Population) -> tuple[float, float]:
     """Return the lowest and the highest speed of touch that can be drawn [m/s]."""
     if population.velocity is not None:
         return population.velocity.extremes
-    assert population.drop_height is not None  # the population has checked that it has one of the two
+    assert population.drop_height is not None  # the population has checked it
     low, high = population.drop_height.extremes
     return float(free_fall_velocity(low)), float(free_fall_velocity(high))
 

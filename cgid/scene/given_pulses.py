@@ -1,8 +1,8 @@
-"""Pulses that no law of a scene has made, as its sensor and recorder would have them: from another solver, or measured.
+"""Signals of given pulses, from another solver or measured, as sensor and recorder of a scene would record them.
 
-The shipped test set of other physics was solved by finite elements once, for spheres of 1 m. Without gravity an impact
-has no size: at the same speed a sphere of R times the radius, of a material whose damping time is R times as long, has
-R times the time and R^2 times the force.
+The shipped test set of other physics was solved once by finite elements, for spheres of 1 m. Without gravity an impact
+scales: at the same speed, R times the radius and R times the damping time of the material give R times the duration and
+R^2 times the force.
 """
 
 from __future__ import annotations
@@ -42,9 +42,9 @@ from cgid.scene.synthesis import batch_of, require_frames
 from cgid.signals import Batch
 from cgid.validation import Floats
 
-#: What follows from the pulses and may not be given with them.
+#: Parameters that follow from the pulses and may not be given.
 _OF_PULSES = ("peak_force", "contact_duration")
-#: The rules of parameters; any finite number may stand for a name that is not here.
+#: The rules of parameters; others may be any finite number.
 _RULES: dict[str, Callable[..., Floats]] = {
     "density": validation.positive,
     "youngs_modulus": validation.positive,
@@ -59,15 +59,15 @@ _RULES: dict[str, Callable[..., Floats]] = {
     "impact_x": validation.not_negative,
     "impact_y": validation.not_negative,
 }
-#: A number that every rule allows, to stand where none is known.
+#: A placeholder for unknown numbers that every rule allows.
 _ALLOWED = 0.25
-#: Columns of a file of solved impacts: what is stored with each signal, and what made the impact.
+#: Columns of a file of solved impacts: those stored with each signal, and those that produced the impact.
 PARAMETERS = ("density", "youngs_modulus", "poisson_ratio", "drop_height", "velocity", "restitution")
 MAKING = ("restitution_asked", "retardation_time")
-#: No file of solved impacts is larger [bytes].
+#: Largest file of solved impacts [bytes].
 _LARGEST_FILE = 64 << 20
 _MAKER = "python datasets/make_finite_element.py"
-#: Which of the numbers of a signal gives its radius; the first gives its population.
+#: Index of the random number of a signal's radius; the first one selects its population.
 _RADIUS = 1 + FALL.index("radius")
 
 
@@ -80,33 +80,32 @@ def synthesise_given(
     *,
     dtype: Literal["float32", "float64"] = "float32",
 ) -> Iterator[Batch]:
-    """Yield the signals of given pulses in batches of at most 256, as `synthesise` does for those of a scene.
+    """Yield the signals of given pulses in batches of at most 256, as `synthesise` does for a scene.
 
-    Frames, beam, sensor, noise and background are those of the scene, and so is every number drawn for them: signal k
-    has the onset and the noise of signal k of `synthesise` with the same seed. The pulses are used unchanged: there are
-    no second hits, and a beam is driven by the pulses but does not change them.
+    Frames, beam, sensor, noise and background are those of the scene, and so are the random numbers: signal k has the
+    onset and noise of signal k of `synthesise` with the same seed. The pulses are used unchanged: there are no second
+    hits, and the beam does not act back on them.
 
     Parameters
     ----------
     scene : Scene
         Its populations determine only which parameters are stored.
     pulses : SampledPulses
-        n of them, in newtons.
+        n pulses [N].
     labels : array_like of str, (n,)
     parameters : dict of array_like, each (n,), optional
-        What is known of each impact, by the names and in the units of `cgid.scene.draws.parameter_units`, else nan.
-        Onsets and points of impact are drawn by the scene where they are nan or left out. Peak and duration are those
-        of the pulses, levels of the sensor those of the scene.
+        Known parameters, with names and units of `cgid.scene.draws.parameter_units`; others are nan. Missing or nan
+        onsets and points of impact are drawn. Peak, duration and levels of the sensor may not be given.
     seed : int
-        Between 0 and 2^63 - 1.
+        From 0 to 2^63 - 1.
     dtype : {"float32", "float64"}
         Of the samples.
 
     Raises
     ------
     InvalidValue
-        There is no pulse, the number of labels or parameters differs, the scene has no such parameter, a parameter may
-        not be given or is impossible, or the scene makes recordings.
+        No pulses, wrong number of labels or parameters, an unknown, impossible or derived parameter, or a scene of a
+        stream.
     """
     validation.choice("dtype", dtype, ("float32", "float64"))
     require_frames(scene)
@@ -117,7 +116,7 @@ def synthesise_given(
     known = _known(parameters or {}, scene, n)
     asked = plan(scene, dtype=dtype)
     for first in range(0, n, BLOCK):
-        # A block is drawn whole: rows after the last pulse repeat it and are left out of the batch.
+        # Blocks are drawn whole: rows after the last pulse repeat it and are cut from the batch.
         rows = np.minimum(np.arange(first, first + BLOCK), n - 1)
         part = {name: values[rows] for name, values in known.items()}
         blows = _blows(asked, pulses.taken(rows), names[rows], part, seed, first // BLOCK)
@@ -162,7 +161,7 @@ def _blows(
     values |= {"peak_force": pulses.peak_force, "contact_duration": pulses.contact_duration, **known}
     values |= {name: np.where(np.isnan(values[name]), own, values[name]) for name, own in drawn.items()}
     values |= levels_of(here, values)
-    # Where the particle is not known, each counts as another specimen.
+    # Each unknown particle counts as a separate specimen.
     particle = [known.get(name, np.full(BLOCK, np.nan)) for name in PARTICLE]
     stranger = np.isnan(np.sum(particle, axis=0))
     number = block * BLOCK + np.arange(BLOCK, dtype=np.uint64)
@@ -177,14 +176,10 @@ class SolvedImpacts:
 
     Attributes
     ----------
-    pulses : SampledPulses
-        n of them: forces [N] and durations [s] of spheres of 1 m.
-    labels : ndarray of str, (n,)
-    columns : dict of ndarray, each (n,)
-        `PARAMETERS` in SI units, restitution as solved; and `MAKING`: the restitution asked for and the retardation
-        time of the sphere's material [s].
-    made : dict
-        Scene, seed, mesh and steps of the solution.
+    pulses : n pulses: forces [N] and durations [s] of spheres of 1 m
+    columns : `PARAMETERS` in SI units, with the restitution as solved, and `MAKING`: the requested restitution and the
+        retardation time of the sphere's material [s]; each (n,)
+    made : scene, seed, mesh and steps of the solution
     """
 
     pulses: SampledPulses
@@ -201,9 +196,9 @@ class SolvedImpacts:
         return self.pulses.stretched(radius**2, radius)
 
     def signals(self, scene: Scene, seed: int = 0) -> Iterator[Batch]:
-        """Yield the signals of a scene with these pulses in batches of at most 256; another seed gives other sizes.
+        """Yield the signals of a scene with these pulses in batches of at most 256; the seed determines the radii.
 
-        Radii are drawn as the scene draws them, onsets and noise as in `synthesise_given`.
+        Radii are drawn as in the scene, onsets and noise as in `synthesise_given`.
         """
         radius = radii(scene, self.labels, seed)
         known = {name: self.columns[name] for name in PARAMETERS} | {"radius": radius}
@@ -225,15 +220,7 @@ class SolvedImpacts:
 
     @classmethod
     def load(cls, path: str | Path) -> SolvedImpacts:
-        """Return the impacts of a file.
-
-        Raises
-        ------
-        NoInput
-            The file cannot be read.
-        BadData
-            It holds something else.
-        """
+        """Return the impacts of a file; raises `NoInput` if it cannot be read, `BadData` for other content."""
         content = read_regular(path, "solved impacts", _LARGEST_FILE, f"make them: {_MAKER}")
         try:
             with np.load(io.BytesIO(content), allow_pickle=False) as stored:
@@ -264,7 +251,7 @@ def _require_sound(labels: NDArray[Any], columns: Mapping[str, Floats], made: An
 
 
 def radii(scene: Scene, labels: NDArray[np.str_], seed: int) -> Floats:
-    """Return radii [m] as a scene draws them for labels; of populations that share a label the first counts."""
+    """Return radii [m] as a scene draws them for labels; the first population of a label counts."""
     found = np.empty(len(labels))
     laws = {population.label: population.radius for population in reversed(scene.populations)}
     for first in range(0, len(labels), BLOCK):

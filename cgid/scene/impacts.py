@@ -1,4 +1,7 @@
-"""From drawn numbers to pulses, impacts on a target or a vibrating beam and taps, and what a recorder shows of them."""
+"""Turn drawn numbers into pulses, and pulses into the recorder's response.
+
+Pulses come from impacts on a target or a vibrating beam, and from taps.
+"""
 
 from __future__ import annotations
 
@@ -53,26 +56,23 @@ class BeamModes:
         return np.asarray(self.modes.modal_mass)
 
     def shape_at(self, parameters: Mapping[str, Floats]) -> Floats:
-        """Return the shapes where each blow falls, (n, n_modes)."""
+        """Return the shapes at the point of each blow, (n, n_modes)."""
         if isinstance(self.modes, MeasuredModes):
             n = len(next(iter(parameters.values())))
             return np.broadcast_to(np.asarray(self.modes.shape_impact), (n, self.at_sensor.size))
         return self.modes.shape(parameters["impact_x"], parameters["impact_y"])
 
     def participation(self, parameters: Mapping[str, Floats]) -> Floats:
-        """Return how strongly each blow drives each mode as the sensor sees it, (n, n_modes) [1/kg]."""
+        """Return the participation of each mode, seen by the sensor, in each blow, (n, n_modes) [1/kg]."""
         return self.shape_at(parameters) * (self.at_sensor / self.modal_mass)
 
 
 def beam_modes(scene: Scene) -> BeamModes:
-    """Return the modes of a scene's tail beam as far as its recorder passes them; they are found only once.
+    """Return the modes of a scene's tail beam in the band of its recorder; the result is cached.
 
-    Raises
-    ------
-    InvalidValue
-        The beam has none there.
+    Raises `InvalidValue` if there are none.
     """
-    assert scene.tail_beam is not None  # a scene has checked that a motion has a beam
+    assert scene.tail_beam is not None  # the scene has checked it
     return _beam_modes(scene.tail_beam, scene.panel, highest_frequency(scene))
 
 
@@ -99,14 +99,14 @@ def _beam_modes(section: TailBeamSection, panel: TailBeam | None, highest: float
 
 @dataclass(frozen=True)
 class Recorder:
-    """The response of a scene's recorder; `modes` is None for a force, which has no gain either."""
+    """The response of a scene's recorder; for a force, `modes` and `gain` are None."""
 
     response: Response
     modes: BeamModes | None
     gain: float | None = None
 
     def participation(self, parameters: Mapping[str, Floats]) -> Floats | None:
-        """Return how strongly each blow drives each mode as the recorder shows it, (n, n_modes) [1/kg]."""
+        """Return the participation of each mode in each blow, including the gain, (n, n_modes) [1/kg]."""
         if self.modes is None:
             return None
         participation = self.modes.participation(parameters)
@@ -114,7 +114,7 @@ class Recorder:
 
 
 def recorder_of(asked: Plan) -> Recorder | None:
-    """Return what responds to the forces: beam and sensor; None where the forces themselves are recorded."""
+    """Return the response of beam and sensor; None where the forces themselves are recorded."""
     if not asked.responds:
         return None
     chain = asked.runs("sensor chain")
@@ -140,7 +140,7 @@ def _recorder(scene: Scene, beam: bool, chain: bool) -> Recorder:
 
 
 def impact_of(asked: Plan, values: Mapping[str, Floats], rows: NDArray[np.intp]) -> Impact:
-    """Return the impacts of some rows; a beam of known size gives way as a plate without edges."""
+    """Return the impacts of some rows; a beam of known size counts as an infinite plate."""
     scene = asked.scene
     parts = _collision(scene, values, rows)
     if not asked.runs("gravity"):
@@ -151,9 +151,9 @@ def impact_of(asked: Plan, values: Mapping[str, Floats], rows: NDArray[np.intp])
 def impacts_by_coupling(
     asked: Plan, impact: Impact, values: Mapping[str, Floats], rows: NDArray[np.intp]
 ) -> Iterator[tuple[NDArray[np.intp], Impact | ModalImpact, Callable[[NDArray[np.intp]], Impact | ModalImpact]]]:
-    """Yield groups of rows by how the beam gives way: the rows, their impacts, and what makes those of other rows.
+    """Yield groups of rows by coupling to the beam: the rows, their impacts, and a function from rows to impacts.
 
-    impact is what `impact_of` makes of all the rows.
+    impact holds those of all rows, as from `impact_of`.
     """
     through_modes = _through_modes(asked, impact, values, rows)
     plain, modal = rows[~through_modes], rows[through_modes]
@@ -168,7 +168,7 @@ def impacts_by_coupling(
 def _through_modes(
     asked: Plan, impact: Impact, values: Mapping[str, Floats], rows: NDArray[np.intp]
 ) -> NDArray[np.bool_]:
-    """Return which impacts feel the edges of the beam: its waves come back while they last, and matter."""
+    """Return which impacts feel the edges of the beam: waves return during contact, and lambda is not negligible."""
     scene = asked.scene
     if not asked.runs("coupling"):
         return np.zeros(rows.size, bool)
@@ -197,10 +197,10 @@ def _modal_impact_of(scene: Scene, values: Mapping[str, Floats], rows: NDArray[n
 
 
 def _residual_compliance(scene: Scene, highest: float) -> float:
-    """Return how far a panel gives way by the modes above a frequency [Hz], which follow a blow at once [m/N].
+    """Return the compliance of a panel from the modes above a frequency [Hz], which respond quasi-statically [m/N].
 
-    The real part of its mobility is 1/Z at every frequency, so the static compliance above w is `2 / (pi Z w)`. Of a
-    measured beam nothing is known above the last mode of its table.
+    The real part of its mobility is 1/Z at every frequency, so the static compliance above w is `2 / (pi Z w)`. For
+    measured modes nothing is known above the last one.
     """
     return 0.0 if scene.panel is None else 1 / (math.pi * math.pi * scene.panel.impedance * highest)
 
@@ -227,29 +227,29 @@ def _collision(scene: Scene, values: Mapping[str, Floats], rows: NDArray[np.intp
 class TapPulses:
     """Pulses of prescribed shapes, one for each row: a hammer, a calibration, a fault."""
 
-    shape: NDArray[np.intp]  # number of the shape in `SHAPES`, (n,)
+    shape: NDArray[np.intp]  # index in `SHAPES`, (n,)
     peak_force: Floats  # [N], (n,)
     contact_duration: Floats  # [s], (n,)
 
     @property
     def end_of_contact(self) -> Floats:
-        """When the force is over [s], (n,)."""
+        """Time from touch to separation [s]."""
         return self.contact_duration
 
     def add_to_frames(
         self, frames: NDArray[Any], sampling_rate: float | Floats, onset: Floats, *, tolerance: float = 0.0
     ) -> None:
-        """Add the pulses to frames (n, n_samples) in place, each from its time of touch [s] on; without any error."""
+        """Add the exact pulses to frames (n, n_samples) in place, each from its touch [s] on."""
         shapes = tuple(SHAPES.values())
         count("tap_pulses", len(frames))
         place, length = onset * sampling_rate, self.contact_duration * sampling_rate
-        # As for an impact, a sample on touch or on the end itself holds no force, not even that of a square pulse.
+        # As for an impact, samples exactly at touch and separation hold no force, even for a square pulse.
         first = np.clip(np.floor(place) + 1, 0, frames.shape[1]).astype(np.intp)
         behind = np.clip(np.ceil(place + length), first, frames.shape[1]).astype(np.intp)
         for row, frame in enumerate(frames):
             samples = np.arange(first[row], behind[row])
             share = (samples - place[row]) / length[row]
-            # Where a sample falls on the end, rounding may put it just behind.
+            # Rounding may put a sample on the end just past it.
             force = np.where(share < 1, shapes[self.shape[row]](share), 0.0)
             frame[first[row] : behind[row]] += self.peak_force[row] * force
 
@@ -259,12 +259,12 @@ Pulses = Impact | ModalImpact | TapPulses | SampledPulses
 
 @dataclass(frozen=True)
 class Strike:
-    """Pulses of one kind, each with its place in a block."""
+    """Pulses of one kind, with their rows in a block."""
 
-    rows: NDArray[np.intp]  # the signals of the block that they belong to, (n,)
+    rows: NDArray[np.intp]  # their signals in the block, (n,)
     pulses: Pulses
     onset: Floats  # time of touch in the frame [s], (n,)
-    ratio: Floats | None = None  # the factor of each, (n,)
+    ratio: Floats | None = None  # factor of each, (n,)
 
     def add_to_frames(self, frames: NDArray[Any], sampling_rate: float) -> None:
         """Add the pulses to the frames of the block, in place."""
@@ -278,7 +278,7 @@ class Strike:
         frames[self.rows] += own
 
     def add_response(self, frames: NDArray[Any], recorder: Recorder, parameters: Mapping[str, Floats]) -> None:
-        """Add what a recorder shows of the pulses to the frames of the block, in place."""
+        """Add the recorder's response to the pulses to the frames of the block, in place."""
         own = {name: values[self.rows] for name, values in parameters.items()}
         recorder.response.add_to_frames(
             frames, self.pulses, self.onset, recorder.participation(own), rows=self.rows, ratio=self.ratio
@@ -291,18 +291,11 @@ class Blows:
 
     Attributes
     ----------
-    labels : ndarray of str, (n_signals,)
-    parameters : dict of ndarray, each (n_signals,)
-        Drawn and derived, nan where one does not apply; onset is the time of touch in the frame, peak and duration are
-        those of the first hit.
-    specimen : ndarray of uint64, (n_signals,)
-        Equal for pulses of an equal particle, or of an equal tap.
-    strikes : tuple of Strike
-        What the frames are made of: impacts, taps, second hits.
-    plan : Plan
-        Of this block.
-    impact : Impact, optional
-        All impacts that a scene has drawn, as if a beam had no edges.
+    parameters : drawn and derived, each (n_signals,), nan where not applicable; onset is the time of touch in the
+        frame, peak and duration are those of the first hit
+    specimen : equal for pulses of equal particles or equal taps, (n_signals,)
+    strikes : impacts, taps and second hits
+    impact : all drawn impacts, as if a beam had no edges
     """
 
     labels: NDArray[np.str_]
@@ -314,11 +307,11 @@ class Blows:
 
     @property
     def scene(self) -> Scene:
-        """The scene as it holds in this block."""
+        """The scene of this block."""
         return self.plan.scene
 
     def add_to_frames(self, frames: NDArray[Any]) -> None:
-        """Add to each frame what the plan asks for, in place: the forces, or what beam and sensor make of them."""
+        """Add the forces, or the response of beam and sensor to them, to the frames in place, as planned."""
         recorder = recorder_of(self.plan)
         for strike in self.strikes:
             if recorder is None:
@@ -328,18 +321,18 @@ class Blows:
 
     @property
     def inelasticity(self) -> Floats:
-        """Zener's lambda of the impacts themselves, 0 for what goes through the modes of a beam, (n_impacts,)."""
+        """Zener's lambda of the first impacts, 0 for those coupled through modes, (n_impacts,)."""
         first = [strike.pulses for strike in self.strikes if strike.ratio is None]
         return np.concatenate([np.empty(0), *(p.inelasticity for p in first if isinstance(p, Impact))])
 
 
 def draw(scene: Scene, seed: int, block: int) -> Blows:
-    """Return the true pulses of one block of 256, as `blows_of`; of a stream as if its rocks fell into frames."""
+    """Return the true pulses of one block of 256, as `blows_of`; rocks of a stream as if they fell into frames."""
     return blows_of(Plan(scene=scene, outputs=frozenset(("pulses",))), seed, block)
 
 
 def blows_of(asked: Plan, seed: int, block: int) -> Blows:
-    """Return the pulses of one block of 256, silently where they pass the range of a theory (see `cgid check`)."""
+    """Return the pulses of one block of 256, without warnings beyond the range of a theory (see `cgid check`)."""
     drawn = drawn_block(asked.scene, seed, block)
     here, values = asked.for_block(drawn.scene), drawn.values
     strikes: list[Strike] = []
@@ -348,7 +341,7 @@ def blows_of(asked: Plan, seed: int, block: int) -> Blows:
         impacts = impacts_by_coupling(here, impact, values, drawn.fallen) if here.runs("pulses") else ()
         for rows, pulses, pulses_of in impacts:
             strikes += _strikes(here, pulses, pulses_of, rows, values)
-            # What a law delivers is what the pulse shows, and what was asked may differ from it.
+            # Store the delivered values; the requested restitution may differ.
             for name in STORED:
                 values[name][rows] = getattr(pulses, name)
         if here.runs("taps"):
@@ -364,7 +357,7 @@ def _strikes(
     rows: NDArray[np.intp],
     values: Mapping[str, Floats],
 ) -> Iterator[Strike]:
-    """Yield the first pulses of some signals, and the second ones of those that have one; nothing for none."""
+    """Yield the first pulses of some signals, then the second hits, if any."""
     if rows.size:
         yield Strike(rows, first, values["onset"][rows])
     if not asked.runs("second hits"):

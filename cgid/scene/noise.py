@@ -1,4 +1,4 @@
-"""Noise by address: every sample of every signal has its own, the same in however many pieces the signal is made.
+"""Addressed noise: each sample of each signal has its own noise, however the signal is split.
 
 White noise of the sensor, and the background of a scene: hum, coloured noise, a recording.
 """
@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import scipy  # which loads its parts when they are first used
+import scipy  # loads its submodules on first use
 from numpy.typing import NDArray
 
 from cgid.counting import count
@@ -29,41 +29,23 @@ from cgid.validation import Floats
 
 #: Samples of a signal that have an address: 93 hours at 51.2 kHz.
 MOST_SAMPLES = TILE // LANES << 32
-#: No sample of the noise is higher, in standard deviations: sqrt(2 ln 2^33) = 6.764, and room for rounding.
+#: Upper bound of the noise in standard deviations: sqrt(2 ln 2^33) = 6.764, and room for rounding.
 HIGHEST_NOISE = 6.77
 
 
 def add_noise(
     frames: NDArray[Any], level: Floats, seed: int, block: int, *, first_sample: int = 0, purpose: int = NOISE
 ) -> None:
-    """Add white Gaussian noise to frames, in place.
+    """Add white Gaussian noise of standard deviation `level` (n,) to float frames (n, n_samples), in place.
 
-    The noise of a sample depends only on seed, purpose, block, row and number of the sample: a window of a signal, or a
-    long recording piece by piece, has the noise that the whole would have. It is drawn in tiles of 512 samples, always
-    in float32; its tails end at 6.7 standard deviations. Python's lock is released meanwhile.
+    The noise of a sample depends only on seed, purpose, block, row and sample number: a window of a signal, or a long
+    recording made piecewise, has the noise of the whole. It is drawn in tiles of 512 samples, always in float32, and
+    its tails end at 6.7 standard deviations. The GIL is released.
 
-    Parameters
-    ----------
-    frames : (n, n_samples) array of float32 or float64
-        Signals, or a window of each.
-    level : (n,) array
-        Standard deviation of each, in the unit of the frames.
-    seed : int
-        Between 0 and 2^63 - 1.
-    block : int
-        Number of the block of signals, or of the recording.
-    first_sample : int
-        Where the window begins within its signals.
-    purpose : int
-        A number of `cgid.scene.draws`; each purpose has its own noise.
+    first_sample is the start of the window within its signals, block the number of the block of signals or of the
+    recording, purpose a number of `cgid.scene.draws` with its own noise. Raises `InvalidValue` if seed, block or window
+    is out of range.
 
-    Raises
-    ------
-    InvalidValue
-        The seed, the block or the window is out of range.
-
-    Examples
-    --------
     >>> whole, window = np.zeros((1, 1000)), np.zeros((1, 10))
     >>> add_noise(whole, np.ones(1), seed=1, block=0)
     >>> add_noise(window, np.ones(1), seed=1, block=0, first_sample=700)
@@ -80,7 +62,7 @@ def add_noise(
             f"samples with noise must lie between 0 and {MOST_SAMPLES - 1}, got {first_sample} to "
             f"{first_sample + frames.shape[1] - 1}"
         )
-    # The last word of the counter holds the purpose and what the block has above 32 bits.
+    # The last word of the counter holds the purpose and the upper bits of the block.
     high = purpose << 24 | block >> 32
     words = [np.uint64(word) for word in (block & 0xFFFFFFFF, high, seed & 0xFFFFFFFF, seed >> 32)]
     add_normal(frames, np.asarray(level, frames.dtype), first_sample, *words)
@@ -88,11 +70,11 @@ def add_noise(
 
 #: Samples of a recording that share one address.
 CHUNK = 1 << 16
-#: Largest denominator of the fraction that stands for the ratio of two sampling rates.
+#: Largest denominator of the ratio of two sampling rates.
 _LARGEST_TERM = 10_000
-#: Half width of the filter that changes a sampling rate, in periods of the lower one, and shape of its window.
+#: Half width of the resampling filter in periods of the lower rate, and beta of its Kaiser window.
 _HALF_PERIODS, _KAISER = 10, 5.0
-#: Blocks of 256 rocks from which the median peak of a scene is taken.
+#: Blocks of 256 rocks used for the median peak of a scene.
 _REFERENCE_BLOCKS = 4
 #: A blow has passed its peak within this many samples.
 _REFERENCE_SAMPLES = 2048
@@ -105,18 +87,18 @@ class Background:
     section: BackgroundSection
     quantity: str  # of the sensor
     sampling_rate: float  # [Hz]
-    recorded: Floats | None  # the recording that is mixed in, at this rate, with mean 0 and root mean square 1
+    recorded: Floats | None  # the recording at this rate, with mean 0 and root mean square 1
     recorded_level: float = 0.0  # its factor
 
     def in_frames(self, seed: int, block: int, n_samples: int) -> Floats:
-        """Return the background of the frames of one block, (`BLOCK`, n_samples), each with its own."""
+        """Return a separate background for each frame of one block, (`BLOCK`, n_samples)."""
         out = np.zeros((BLOCK, n_samples))
         numbers = uniforms(seed, block, len(self.section.hum), HUM) if self.section.hum else ()
         for line, amplitude, phases in zip(self.section.hum, self._amplitudes, numbers, strict=True):
             turns = line.frequency * np.arange(n_samples) / self.sampling_rate
             out += amplitude * _wave(turns + phases[:, None])
         if self.section.coloured is not None:
-            # Of a period at least twice as long as the frame, so that the ends of the frame are independent.
+            # A period of at least twice the frame, so that the ends of the frame are independent.
             length = 1 << (2 * n_samples - 1).bit_length()
             out += self._coloured(seed, block, 0, BLOCK, length)[:, :n_samples]
         if self.recorded is not None:
@@ -148,10 +130,10 @@ class Background:
         return self.section.amplitudes(self.quantity)
 
     def _segment(self, seed: int, recording: int, number: int) -> Floats:
-        """Return one of the segments that make up a recording's coloured noise, (2 `CHUNK`,).
+        """Return one segment of a recording's coloured noise, (2 `CHUNK`,).
 
-        Each spans two chunks, and two overlap in every chunk. They are faded by a sine, whose squares add up to 1, so
-        the power is the same everywhere.
+        Each spans two chunks, so two overlap in every chunk. They are faded by a sine, whose squares add up to 1, which
+        keeps the power constant.
         """
         return _faded_segment(self.section, self.quantity, self.sampling_rate, seed, recording, number)
 
@@ -164,8 +146,8 @@ class Background:
         power = self.section.coloured.at(frequency, self.quantity)
         parts = np.zeros((rows, 2 * frequency.size))
         add_noise(parts, np.ones(rows), seed, block, first_sample=number * parts.shape[1], purpose=COLOURED)
-        # The mean of a line of the periodogram 2 |X|^2 / (rate n) is then the density. The mean of a signal belongs to
-        # no frequency, and the line at half the rate is real and counts once.
+        # The expected periodogram 2 |X|^2 / (rate n) is then the density. The line at 0 Hz is left out; the line at
+        # half the rate is real and counts once.
         height = np.sqrt(power * self.sampling_rate * length / 4)
         height[0] = 0.0
         height[-1] *= 2.0
@@ -190,12 +172,12 @@ def _faded_segment(
 def reference_peak(scene: Scene) -> float:
     """Return the median peak of the first hits of a scene's rocks, drawn by the weights of their populations.
 
-    It sets the level of a recorded background, in the SI unit of the sensor, the same for all signals of a scene.
+    It sets the level of a recorded background for all signals of a scene, in the SI unit of the sensor.
     """
     asked = Plan(scene=scene, outputs=frozenset(("frames",)))
     peaks = [_peaks(blows_of(asked, 0, block)) for block in range(_REFERENCE_BLOCKS)]
     slope = 0.0 if scene.stream is None else scene.stream.inclination
-    # The normal velocity of a vertical fall is v cos(alpha), and the peak of a Hertz impact goes with its power 6/5.
+    # The normal velocity of a vertical fall is v cos(alpha), and the peak of a Hertz impact scales with v^(6/5).
     return float(np.median(peaks) * power(cos(slope), 1.2))
 
 
@@ -208,14 +190,10 @@ def _peaks(blows: Blows) -> Floats:
 
 
 def background_of(scene: Scene) -> Background | None:
-    """Return the background of a scene at its sampling rate; None where it has none.
+    """Return the background of a scene at its sampling rate; None if it has none.
 
-    Raises
-    ------
-    NoInput, BadData
-        The recording cannot be read, holds nothing but a constant, or has several channels and none is chosen.
-    MissingOption
-        The recording does not say its sampling rate, and neither does the scene.
+    Raises `NoInput` or `BadData` if the recording cannot be read, is constant, or has several channels and none is
+    chosen; `MissingOption` if neither the recording nor the scene gives its sampling rate.
     """
     section, sampling_rate = scene.background, scene.sampling.sampling_rate
     if section is None:
@@ -233,11 +211,11 @@ def _age(path: Path) -> int:
     try:
         return path.stat().st_mtime_ns
     except OSError:
-        return 0  # reading it reports what is wrong
+        return 0  # reading the file reports the error
 
 
 def _resampling_filter(factor: int) -> Floats:
-    """Return the low-pass that keeps the band of both sampling rates: a sinc in a Kaiser window, as scipy's default."""
+    """Return the low-pass for the band common to both sampling rates: a Kaiser-windowed sinc, as scipy's default."""
     half = _HALF_PERIODS * factor
     place = np.arange(-half, half + 1.0)
     angle = np.pi * place / factor

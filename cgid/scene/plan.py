@@ -1,9 +1,8 @@
-"""The plan: from a scene and what is asked of it, which stages run, which are skipped, and why.
+"""Decide which stages run for the requested outputs of a scene, and why.
 
-This is the only place that decides. Each stage has one function, from the plan to a `Decision`; whatever makes frames,
-recordings or tables asks `Plan.runs(stage)` for every stage. What depends on drawn numbers is decided where they are
-known: whether an impact has a closed form (`cgid.physics.curves`), feels gravity or feels the edges of a beam. The plan
-then says whether any impact may.
+Each stage has one function that turns the plan into a `Decision`; all code that makes frames, recordings or tables asks
+`Plan.runs(stage)`. Only what depends on drawn numbers is decided elsewhere: whether an impact has a closed form
+(`cgid.physics.curves`), feels gravity or feels the edges of a beam. The plan says whether any impact may.
 """
 
 from __future__ import annotations
@@ -26,7 +25,7 @@ from cgid.scene.draws import parameter_units
 from cgid.scene.extremes import largest_error, tolerance_of
 from cgid.scene.schema import Scene, samples_of
 
-#: What can be asked of a scene.
+#: The possible outputs, in processing order.
 OUTPUTS = ("parameters", "closed-form", "pulses", "frames", "recordings", "features")
 #: Properties of `Impact` and their units.
 QUANTITIES = {
@@ -40,30 +39,29 @@ QUANTITIES = {
     "dissipated_energy": "J",
     "radiated_energy": "J",
 }
-#: Quantities that the scene file gives for a tap.
+#: Quantities that the scene file specifies for a tap.
 OF_TAPS = ("peak_force", "contact_duration")
 #: Quantities that are stored with signals and features.
 STORED = ("restitution", "peak_force", "contact_duration")
-#: Prefix of the true numbers in a table of measured ones.
+#: Prefix of true values in a table of measured ones.
 TRUE = "true_"
 
-#: Error of the response over its largest sample: how fine a contact is cut, and which modes are too quiet to be run.
+#: Error of the response over its largest sample: sets the resolution of a contact and the modes too quiet to compute.
 RESPONSE_TOLERANCE = 3e-5
-#: Below this lambda a beam takes so little energy that what its edges send back is left out: the restitution changes by
-#: about lambda at most.
+#: Below this lambda echoes from the edges of a beam are ignored: they change the restitution by about lambda at most.
 NEGLIGIBLE_ECHO = 0.02
-#: Modes are found up to this multiple of the highest frequency that the recorder passes: they have a tail in its band.
+#: Modes are found up to this multiple of the recorder's highest frequency, because their tails reach into its band.
 BEYOND_BAND = 1.25
-#: Modes above it follow at once what a contact does that lasts long enough to feel the edges of a beam [Hz].
+#: Modes above this frequency respond quasi-statically to any contact long enough to feel the edges of a beam [Hz].
 HIGHEST_FELT = 20e3
-#: As long as an anti-alias filter passes this share of it, a frequency is in the band.
+#: A frequency is in the band if the anti-alias filter passes at least this share of its amplitude.
 _STILL_HEARD = 0.1
-#: More features than these are counted, not listed.
+#: Longer lists of features are abbreviated.
 _MOST_LISTED = 13
 
 
 class Decision(NamedTuple):
-    """Whether a stage runs, why, and the error of what it leaves out, relative to the peak (0: nothing changes)."""
+    """Whether a stage runs, why, and the error of what it omits, relative to the peak (0: nothing changes)."""
 
     runs: bool
     why: str
@@ -72,19 +70,14 @@ class Decision(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Plan:
-    """What is asked of a scene, and what runs for it; see `plan`.
+    """The requested outputs of a scene; see `plan`.
 
     Attributes
     ----------
-    scene : Scene
-    outputs : frozenset of str
-        Out of `OUTPUTS`.
-    features : tuple of str
-        Of `cgid.measure.features`; none unless features are asked for.
-    quantities : tuple of str
-        Of `QUANTITIES`: those asked for, or needed by what is asked for.
-    dtype : {"float32", "float64"}
-        Of samples that are kept.
+    outputs : out of `OUTPUTS`
+    features : out of `cgid.measure.features`; empty unless features are requested
+    quantities : out of `QUANTITIES`: those requested or needed for other outputs
+    dtype : of stored samples
     """
 
     scene: Scene
@@ -95,7 +88,7 @@ class Plan:
 
     @cached_property
     def decisions(self) -> dict[str, Decision]:
-        """The decision for each stage, in the order of the data."""
+        """The decision for each stage, in processing order."""
         return {stage: decide(self) for stage, decide in STAGES.items()}
 
     def runs(self, stage: str) -> bool:
@@ -104,36 +97,36 @@ class Plan:
 
     @property
     def responds(self) -> bool:
-        """Whether a beam or a sensor with poles of its own stands between the forces and the signals."""
+        """Whether a beam or a sensor with poles turns the forces into the signals."""
         return self.runs("tail beam") or self.runs("sensor chain")
 
     def for_block(self, scene: Scene) -> Plan:
-        """Return the plan of a block, whose scene has nothing left to be drawn."""
+        """Return the plan of a block, whose scene has nothing left to draw."""
         return self if scene is self.scene else replace(self, scene=scene)
 
     @property
     def kind(self) -> str:
-        """What comes out, in a word: the last of the outputs in the order of the data."""
+        """The last of the outputs in processing order."""
         return max(self.outputs, key=OUTPUTS.index)
 
     @property
     def signals(self) -> bool:
-        """Whether signals must be made at all."""
+        """Whether the outputs need signals."""
         return self.sensed or "pulses" in self.outputs
 
     @property
     def sensed(self) -> bool:
-        """Whether signals must be made as the sensor gives them."""
+        """Whether the outputs need signals as the sensor gives them."""
         return not self.outputs.isdisjoint(("frames", "recordings", "features"))
 
     @property
     def kept(self) -> bool:
-        """Whether whole signals are asked for."""
+        """Whether whole signals are requested."""
         return not self.outputs.isdisjoint(("pulses", "frames", "recordings"))
 
     @property
     def column_units(self) -> dict[str, str]:
-        """The columns of the table that is asked for, and their units; none where signals are kept."""
+        """The columns of the requested table and their units; empty where signals are kept."""
         if self.kept:
             return {}
         parameters = parameter_units(self.scene)
@@ -142,9 +135,9 @@ class Plan:
             measured = {name: FEATURES[name].unit_for(self.scene.sensor.unit) for name in self.features}
             return measured | {f"{TRUE}{name}": unit for name, unit in parameters.items()} | rate
         drawn = {name for source in self.scene.sources for name in source.laws} | {"onset"}
-        drawn |= {"velocity"} if self.scene.populations else set()  # a drop height comes with it
+        drawn |= {"velocity"} if self.scene.populations else set()  # which also follows from a drop height
         drawn |= set() if self.scene.randomise is None else set(self.scene.randomise.laws)
-        # A law, a plate or gravity may deliver another restitution.
+        # A law, a plate or gravity may change the delivered restitution.
         units = {
             "asked_restitution" if name == "restitution" else name: unit
             for name, unit in parameters.items()
@@ -168,31 +161,15 @@ def plan(
     quantities: Iterable[str] | None = None,
     dtype: Literal["float32", "float64"] = "float32",
 ) -> Plan:
-    """Return what runs for these outputs of a scene.
+    """Return the plan for these outputs of a scene.
 
-    Parameters
-    ----------
-    scene : Scene
-    outputs : iterable of str
-        "parameters": what is drawn. "closed-form": quantities of the impacts without their pulses. "pulses": forces
-        without beam and sensor. "frames": signals as the sensor gives them. "features": measured on such signals,
-        which are not kept unless frames are asked for, too. "recordings": all that a stream has, and a stream has
-        nothing else.
-    features : iterable of str, optional
-        Names out of `cgid.measure.features.FEATURES`, only with the output "features". By default all of the kind
-        that the sensor's quantity has, as far as sampling rate and frames allow.
-    quantities : iterable of str, optional
-        Names out of `QUANTITIES`, all by default; only with the output "closed-form".
-    dtype : {"float32", "float64"}
-        Of stored samples.
+    "parameters" are the drawn numbers, "closed-form" gives quantities of impacts without their pulses, "pulses" are
+    forces without beam and sensor, "frames" are signals as the sensor gives them. "features" are measured on such
+    signals, which are kept only if frames are requested as well. A stream has "recordings" and nothing else.
 
-    Raises
-    ------
-    InvalidValue
-        There is no such output, feature or quantity, or they contradict each other or the scene.
+    Features default to all of the sensor's kind that sampling rate and frames allow, quantities to all. Raises
+    `InvalidValue` for unknown names, and where the requests contradict each other or the scene.
 
-    Examples
-    --------
     >>> from cgid.scene import load_scene
     >>> from cgid.shipped import scene_path
     >>> asked = plan(load_scene(scene_path("reference")), ["closed-form"], quantities=["contact_duration"])
@@ -219,12 +196,9 @@ def plan(
 
 
 def supported_by(scene: Scene, features: Iterable[str]) -> tuple[str, ...]:
-    """Return those of the features that every frame of a scene is sampled fast and long enough for.
+    """Return the features that every frame of a scene supports by sampling rate and length.
 
-    Raises
-    ------
-    InvalidValue
-        None of them is.
+    Raises `InvalidValue` if there are none.
     """
     names = tuple(features)
     for rate in scene.extreme_rates:
@@ -238,7 +212,7 @@ def supported_by(scene: Scene, features: Iterable[str]) -> tuple[str, ...]:
 
 
 def _require_recordings(scene: Scene, outputs: frozenset[str]) -> None:
-    """Raise `InvalidValue` if anything but recordings is asked of a stream, or recordings of another scene."""
+    """Raise `InvalidValue` unless a stream makes only recordings, and other scenes make none."""
     if scene.stream is not None and outputs != {"recordings"}:
         raise InvalidValue(
             f"outputs of scene {scene.name} must be recordings, for it is a stream, got {', '.join(sorted(outputs))}; "
@@ -258,7 +232,7 @@ def _features(scene: Scene, features: Iterable[str] | None) -> tuple[str, ...]:
 
 
 def _quantities(quantities: Iterable[str] | None) -> tuple[str, ...]:
-    """Return the names of the quantities asked for, all for None; raise `InvalidValue` for unknown or repeated ones."""
+    """Return the requested names, all for None; raise `InvalidValue` for unknown or repeated ones."""
     if quantities is None:
         return tuple(QUANTITIES)
     names = (quantities,) if isinstance(quantities, str) else tuple(quantities)
@@ -270,8 +244,8 @@ def _quantities(quantities: Iterable[str] | None) -> tuple[str, ...]:
 
 
 def highest_frequency(scene: Scene) -> float:
-    """Return up to which frequency the modes of a scene's beam are found [Hz]."""
-    if scene.sensor.quantity == "force":  # they are not heard, but felt by the rocks that last till their echo
+    """Return the frequency up to which the modes of a scene's beam are found [Hz]."""
+    if scene.sensor.quantity == "force":  # modes are not recorded, but act on contacts that outlast their echo
         return HIGHEST_FELT
     anti_alias = scene.sensor.anti_alias
     if anti_alias is None:
@@ -282,7 +256,7 @@ def highest_frequency(scene: Scene) -> float:
     )
 
 
-# -- the stages: one decision each ------------------------------------------------------------------------
+# -- one decision per stage -------------------------------------------------------------------------------
 
 _NO_IMPACTS = Decision(False, "no populations: taps have no law of impact")
 _NO_SIGNALS = Decision(False, "no signals are asked for")
@@ -318,7 +292,7 @@ def _impacts(asked: Plan) -> Decision:
 
 
 def _damps_beyond(scene: Scene) -> bool:
-    """Return whether the law can deliver less restitution than the table of pulses holds."""
+    """Return whether the law can deliver a lower restitution than the table of pulses covers."""
     lowest = [source.restitution.extremes[0] for source in scene.populations if source.restitution is not None]
     if not lowest or scene.impact.law == "exact":
         return False
@@ -403,7 +377,7 @@ def _tail_beam(asked: Plan) -> Decision:
     if scene.panel is None:
         modes = f"the {len(scene.tail_beam.modes or ())} modes of the table"
     else:
-        # As many per hertz as a panel has at high frequencies: nothing is solved to make a plan.
+        # The asymptotic modal density: a plan solves nothing.
         highest = highest_frequency(scene)
         number = max(round(scene.panel.modal_density * highest), 1)
         modes = f"about {number} modes up to {highest:.3g} Hz, none further beyond the band"
@@ -495,7 +469,7 @@ def _measuring(asked: Plan) -> Decision:
     return Decision(True, f"{listed}; {fitted}, {'spectra' if spectral else 'no spectra'}")
 
 
-#: Every stage in the order of the data.
+#: Every stage in processing order.
 STAGES: Mapping[str, Callable[[Plan], Decision]] = {
     "arrivals": _arrivals,
     "impacts": _impacts,

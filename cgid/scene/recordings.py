@@ -1,4 +1,4 @@
-"""Recordings of a stream on disk; how much room they need is checked before any work is done."""
+"""Write recordings of a stream to disk; the required space is checked before any work is done."""
 
 from __future__ import annotations
 
@@ -30,18 +30,18 @@ from cgid.store.reading import Recording, is_recording
 from cgid.store.run import Goal, begun, check_output, is_single_file
 from cgid.store.verification import examine_whole
 
-#: The truth of an impact with what is needed to sort and write it [bytes],
+#: Memory for the truth of an impact, including sorting and writing [bytes],
 _IMPACT_BYTES = 500
-#: and the most that may be held in memory.
+#: and the limit for a whole recording [bytes].
 LARGEST_TRUTH = 1 << 30
-#: A folder with more files helps nobody.
+#: Most recordings in a folder.
 MOST_RECORDINGS = 100_000
-#: How far the number of Poisson arrivals may lie above what is expected [standard deviations].
+#: Allowed excess of Poisson arrivals over the expected number [standard deviations].
 _DEVIATIONS = 6.0
 
 
 def most_impacts(scene: Scene) -> float:
-    """Return a number of impacts that a recording will not pass: six deviations above the expected rocks."""
+    """Return a safe upper limit of the impacts in a recording: six deviations above the expected rocks."""
     assert scene.stream is not None
     stream = scene.stream
     rocks = float(arrivals_of(stream).expected(stream.duration))
@@ -51,7 +51,7 @@ def most_impacts(scene: Scene) -> float:
 
 
 def require_capacity(scene: Scene, dtype: str) -> None:
-    """Raise `InvalidValue` if a recording would not fit into a file, or its truth not into memory."""
+    """Raise `InvalidValue` if a recording would not fit into a file, or its truth into memory."""
     assert scene.stream is not None
     duration, impacts = scene.stream.duration, most_impacts(scene)
     samples = samples_of(scene)
@@ -72,7 +72,7 @@ def require_capacity(scene: Scene, dtype: str) -> None:
 
 
 def _cure(duration: float, excess: float, otherwise: str) -> str:
-    # A little more than there is room for, so that what is proposed passes.
+    # A small margin, so that the proposal passes.
     count = int(np.ceil(excess * 1.02))
     if count > MOST_RECORDINGS or duration / count < SHORTEST_RECORDING:
         return otherwise
@@ -97,27 +97,27 @@ def generate_recordings(
     scene : Scene
         With a `stream`.
     output : str or Path
-        Ending in .h5 or .hdf5: one file, for one recording. Else a folder of recording-00000.h5 and so on.
+        One file for a name in .h5 or .hdf5 (one recording); else a folder of recording-00000.h5 and so on.
     n_recordings : int
-        Each of the duration of the stream, with rocks and noise of its own.
+        Each has the duration of the stream, and its own rocks and noise.
     seed : int
     dtype : {"float32", "float64"}
         Of the samples.
     overwrite : bool
-        Whether old recordings may be replaced; they stay until all new ones are whole.
+        Replace existing recordings, once all new ones are complete.
     resume : bool
-        Go on with a run that was not finished; nothing is done where all is there.
+        Continue an unfinished run; a finished one is left as it is.
     progress : callable, optional
-        Called with a number of samples whenever so many more are done.
+        Called with the number of newly finished samples.
 
     Raises
     ------
     InvalidValue
         The scene has no stream, a number breaks its rule, or a recording would be too large.
     CannotCreate
-        The output exists, cannot be made, another run writes there, or the run to be resumed had other options.
+        The output exists, cannot be created or is in use by another run, or the run to resume had other options.
     NoInput, BadData
-        The recorded background of the scene cannot be used, or what is to be resumed is damaged.
+        The recorded background is unusable, or the output to resume is damaged.
     WriteFailed
         The disk is full; finished recordings of a folder stay, and the run can be resumed.
     """
@@ -186,12 +186,12 @@ def write_recording(
 
 
 def _description(plan: RecordingPlan, n_recordings: int) -> dict[str, Any]:
-    """Return all that the recordings of a folder depend on."""
+    """Return everything that determines the recordings of a folder."""
     return {"format": RECORDING_FORMAT, "n_recordings": n_recordings, **vars(plan)}
 
 
 def _description_of(path: Path) -> dict[str, Any] | None:
-    """Return the description of existing recordings; None for a folder that a run has not finished."""
+    """Return the description of existing recordings; None for an unfinished folder."""
     if not path.is_dir():
         examine_whole(path, RECORDING_FORMAT)
         return _description(_plan_of(path), 1)
@@ -202,7 +202,7 @@ def _description_of(path: Path) -> dict[str, Any] | None:
 
 
 def _plan_of(path: Path) -> RecordingPlan:
-    """Return how a recording was made."""
+    """Return the plan of an existing recording."""
     made = Recording(path)
     return RecordingPlan(
         n_samples=made.n_samples,

@@ -1,11 +1,11 @@
-"""The rocks of a stream: when they arrive, what they are, and how they bounce.
+"""The rocks of a stream: their arrivals, properties and rebounds.
 
-Arrivals are drawn stretch by stretch of the time axis. Rocks fly by formula from one impact to the next, one generation
-of rebounds after the other; nothing steps through time. They do not meet each other, do not spin, and the beam takes
-nothing of their speed along it.
+Arrivals are drawn stretch by stretch of the time axis. Rocks move from one impact to the next by formula, one
+generation of rebounds after the other, without time steps. They do not meet or spin, and the beam takes nothing of
+their speed along it.
 
-x runs from the held edge along the length, down the slope where the beam is inclined, y along the width. A beam known
-only by its measured modes has no points, and neither has a half space: nothing falls off these.
+x runs along the length from the held edge, down the slope of an inclined beam, and y across. A beam known only by
+measured modes has no points, nor has a half space; nothing falls off these.
 """
 
 from __future__ import annotations
@@ -36,8 +36,8 @@ from cgid.scene.stream_section import RateTable, StreamSection
 from cgid.units import STANDARD_GRAVITY
 from cgid.validation import Floats
 
-#: Most rocks expected in a stretch. As numbers are drawn by the inverse of their distribution at no more than
-#: 1 - 2^-53, a stretch then never holds more than a block of 256.
+#: Largest expected number of rocks in a stretch. Because their number is drawn by inversion at no more than 1 - 2^-53,
+#: a stretch never exceeds a block of 256.
 EXPECTED_ROCKS = 128.0
 #: Longest stretch [s]: its samples are held in memory.
 LONGEST_STRETCH = 16.0
@@ -50,8 +50,8 @@ class Stretch:
     start: float  # [s]
     stop: float
     times: Floats  # of the arrivals [s], in order, (n,)
-    block: int  # the address of the numbers of these rocks
-    rows: NDArray[np.intp]  # their rows in the block, (n,)
+    block: int  # address of the random numbers
+    rows: NDArray[np.intp]  # rows in the block, (n,)
 
 
 @dataclass(frozen=True)
@@ -62,7 +62,7 @@ class PoissonTimes:
 
     @cached_property
     def _knots(self) -> tuple[Floats, Floats, Floats]:
-        """Times, rates and the expected number of arrivals up to each time; the last rate holds for ever."""
+        """Times, rates and expected number of arrivals before each time; the last rate holds for ever."""
         times, values = np.array(self.table.times), np.array(self.table.values)
         if times[0] > 0:
             times, values = np.append(0.0, times), np.append(values[0], values)
@@ -77,18 +77,18 @@ class PoissonTimes:
         return np.asarray(before[piece] + (at - knots[piece]) * (values[piece] + np.interp(at, knots, values)) / 2)
 
     def time_of(self, expected: Floats) -> Floats:
-        """Return when this many arrivals are expected: the inverse of `expected`."""
+        """Return when this many arrivals are expected [s]: the inverse of `expected`."""
         knots, values, before = self._knots
         slopes = np.append(np.diff(values) / np.diff(knots), 0.0)
         piece = np.clip(np.searchsorted(before, expected, side="right") - 1, 0, knots.size - 1)
         more, rate = expected - before[piece], values[piece]
-        # The root of rate s + slope s^2 / 2 = more, written without cancellation.
+        # Solves rate s + slope s^2 / 2 = more, without cancellation.
         root = np.sqrt(np.maximum(rate * rate + 2 * slopes[piece] * more, 0.0))
         return np.asarray(knots[piece] + 2 * more / np.maximum(rate + root, np.finfo(np.float64).tiny))
 
     @property
     def length(self) -> float:
-        """Of a stretch [s]. It does not depend on the duration, so a longer recording begins with a shorter one."""
+        """Length of a stretch [s], independent of the duration, so a longer recording begins like a shorter one."""
         return min(EXPECTED_ROCKS / max(self.table.values), LONGEST_STRETCH)
 
     def stretches(self, duration: float, seed: int, recording: int) -> Iterator[Stretch]:
@@ -98,20 +98,20 @@ class PoissonTimes:
             first, last = self.expected([start, stop])
             counting, placing = uniforms(seed, block, 2, ARRIVALS, recording)
             number = int(np.searchsorted(_poisson_shares(float(last - first)), counting[0]))
-            # Given their number, the arrivals of a Poisson process are independent of each other.
+            # Given their number, Poisson arrivals are independent.
             times = np.clip(self.time_of(first + (last - first) * np.sort(placing[:number])), start, stop)
             yield Stretch(start, stop, times, block, np.arange(number))
 
 
 def _poisson_shares(expected: float) -> Floats:
-    """Return the shares of a Poisson distribution up to each number below `BLOCK`."""
+    """Return the cumulative Poisson distribution at each number below `BLOCK`."""
     terms = np.cumprod(np.append(exp(-expected), expected / np.arange(1.0, BLOCK)))
     return np.asarray(np.minimum(np.cumsum(terms), 1.0))
 
 
 @dataclass(frozen=True)
 class GivenTimes:
-    """Arrivals that the scene file lists."""
+    """Arrivals listed in the scene file."""
 
     times: tuple[float, ...]
 
@@ -134,18 +134,18 @@ class GivenTimes:
 
 
 def arrivals_of(stream: StreamSection) -> PoissonTimes | GivenTimes:
-    """Return when the rocks of a stream arrive."""
+    """Return the arrival times of a stream."""
     arrivals = stream.arrivals
     if arrivals.times is not None:
         return GivenTimes(arrivals.times)
-    assert arrivals.rate is not None  # the section has checked that it has one of the two
+    assert arrivals.rate is not None  # the section has checked it
     return PoissonTimes(arrivals.rate)
 
 
 def populations_of(scene: Scene, times: Floats, uniform: Floats) -> NDArray[np.intp]:
-    """Return the number of the population of rocks that arrive at these times [s], (n,).
+    """Return the population index of rocks that arrive at these times [s], (n,).
 
-    uniform holds a number between 0 and 1 for each. Labels follow the mixture at that time, populations within a label
+    uniform holds one number from 0 to 1 per rock. Labels follow the mixture at that time, populations within a label
     their weights.
     """
     shares = population_shares(scene, times)
@@ -176,22 +176,22 @@ def population_shares(scene: Scene, times: Floats) -> Floats:
 
 
 def on_beam(scene: Scene, x: Floats, y: Floats) -> NDArray[np.bool_]:
-    """Return which points [m] lie on the beam: all, where there are no points."""
+    """Return which points [m] lie on the beam; all, for a beam without points."""
     if scene.panel is None:
         return np.ones(x.shape, bool)
     return np.asarray((x >= 0) & (x <= scene.panel.length) & (y >= 0) & (y <= scene.panel.width))
 
 
-#: What is known of a rock before an impact.
+#: The state of a rock before an impact.
 COLUMNS = {
     "time": np.float64,  # of touch [s]
-    "rock": np.int64,  # its number in the recording
+    "rock": np.int64,  # number in the recording
     "bounce": np.int64,  # number of its earlier impacts
     "population": np.int64,
     "specimen": np.uint64,
     **dict.fromkeys((*PARTICLE, "restitution", "drop_height", "velocity"), np.float64),
     "slip": np.float64,  # speed down the slope [m/s]
-    "impact_x": np.float64,  # where it hits the beam [m]
+    "impact_x": np.float64,  # point of impact on the beam [m]
     "impact_y": np.float64,
 }
 
@@ -200,8 +200,8 @@ COLUMNS = {
 class Rocks:
     """Rocks before an impact, by the names of `COLUMNS`, each (n,).
 
-    The restitution is the one asked for, the velocity the normal one. drop_height is nan except for a first fall from a
-    height, impact_x and impact_y are nan where a beam has no points.
+    The restitution is the requested one, the velocity the normal one. drop_height is nan except for a first fall from a
+    height; impact_x and impact_y are nan for a beam without points.
     """
 
     columns: Mapping[str, NDArray[Any]]
@@ -213,12 +213,12 @@ class Rocks:
         return self.columns[name]
 
     def taken(self, rows: NDArray[Any]) -> Self:
-        """Return some of the rocks, by number or by a mask."""
+        """Return some of the rocks, by index or mask."""
         return type(self)({name: column[rows] for name, column in self.columns.items()})
 
     @classmethod
     def joined(cls, parts: Iterable[Rocks]) -> Self:
-        """Return the rocks of several batches, or no rocks, in one."""
+        """Concatenate the rocks of any number of batches."""
         listed = list(parts)
         return cls(
             {
@@ -256,16 +256,15 @@ def arriving(scene: Scene, stretch: Stretch, first: int, seed: int, recording: i
 def thrown_back(
     scene: Scene, rocks: Rocks, delivered: Floats, contact_duration: Floats, audible: NDArray[Any]
 ) -> Rocks:
-    """Return the rocks that are still followed after an impact, before the next one.
+    """Return the rocks still followed after an impact, before their next one.
 
-    A rock leaves with the normal speed `e v`, flies for `2 e v / (g cos alpha)`, and comes back with the same normal
-    speed, while gravity carries it down the slope: by `u t + g sin(alpha) t^2 / 2` from touch to touch. delivered is
-    the restitution of the impact, including what the target takes. Rocks whose impact is not audible are followed no
-    further.
+    A rock leaves with the normal speed `e v`, flies for `2 e v / (g cos alpha)` and returns with the same normal speed.
+    Gravity moves it down the slope by `u t + g sin(alpha) t^2 / 2` between touches. delivered is the restitution
+    including losses to the target. Rocks with inaudible impacts are dropped.
     """
     assert scene.stream is not None
     rebounds, slope = scene.stream.rebounds, scene.stream.inclination
-    assert rebounds is not None  # the plan asks for rebounds only where the scene has them
+    assert rebounds is not None  # ensured by the plan
     count("rebounds", len(rocks))
     velocity = delivered * rocks["velocity"]
     between = contact_duration + 2 * velocity / (STANDARD_GRAVITY * cos(slope))

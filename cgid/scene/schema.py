@@ -1,7 +1,7 @@
-"""The scene file: what falls on what, and what senses it; and scenes that vary another one.
+"""The scene file and variations of a scene.
 
-A scene is TOML, validated as a whole: every mistake is reported at once with its path. Numbers are in SI units, or
-strings with a unit.
+A scene is TOML: what falls, the target, and the sensor. The whole file is validated at once, and every mistake is
+reported with its path. Numbers are in SI units, or strings with a unit.
 """
 
 from __future__ import annotations
@@ -38,12 +38,12 @@ from cgid.validation import cut, shown
 
 #: Largest scene file [bytes] and most keys in it: 10,000 measured modes have 60,000.
 _LARGEST_FILE, _MOST_KEYS = 8 << 20, 100_000
-#: Most mistakes that are reported.
+#: Most mistakes in one report.
 _MOST_MISTAKES = 20
 
 
 class Scene(Section):
-    """A whole scene; see `load_scene`."""
+    """A complete scene; see `load_scene`."""
 
     name: str = Field(min_length=1, max_length=64)
     description: str = ""
@@ -69,7 +69,7 @@ class Scene(Section):
             if not elastic and population.restitution is None:
                 problems.append(f"populations.{index}.restitution: is missing, hunt-crossley dissipation needs it")
         problems += self._problems_of_beam()
-        if not problems:  # a beam that breaks rules cannot serve as target
+        if not problems:  # an invalid beam cannot serve as target
             thickness = "impact.target.thickness" if self.tail_beam is None else "tail_beam.thickness"
             for index, population in enumerate(self.populations):
                 problem = problem_on_plate(
@@ -126,21 +126,21 @@ class Scene(Section):
 
     @cached_property
     def panel(self) -> TailBeam | None:
-        """The tail beam, as far as it is given by its sizes."""
+        """The tail beam, if it is given by its dimensions."""
         if self.tail_beam is None or not isinstance(self.impact.target, TargetSection):
             return None
         return self.tail_beam.panel(self.impact.target.material)
 
     @cached_property
     def body(self) -> Target:
-        """The target of every impact: a beam of known size gives way as an endless plate."""
+        """The target of every impact; a beam of known size yields as an infinite plate."""
         if self.panel is not None:
             return self.panel.plate
         return self.impact.body
 
     @property
     def sources(self) -> tuple[Population | Tap, ...]:
-        """Populations and taps, in the order in which one is drawn."""
+        """Populations and taps, in the order used for drawing one."""
         return (*self.populations, *self.taps)
 
     @property
@@ -150,7 +150,7 @@ class Scene(Section):
 
     @property
     def extreme_rates(self) -> tuple[float, ...]:
-        """The sampling rate, or the lowest and the highest that are drawn [Hz]."""
+        """The sampling rate, or the lowest and the highest that can be drawn [Hz]."""
         drawn = None if self.randomise is None else self.randomise.sampling_rate
         return (self.sampling.sampling_rate,) if drawn is None else drawn.extremes
 
@@ -160,21 +160,21 @@ class Scene(Section):
 
     @property
     def text(self) -> str:
-        """The whole scene as JSON with sorted keys: what is stored in a dataset, and hashed."""
+        """The whole scene as JSON with sorted keys, as stored in datasets and hashed."""
         content = self.model_dump(mode="json", exclude_none=True)
-        # A part that a scene does not use leaves no trace, so a new kind of part changes the identity of no old scene.
+        # Unused parts are omitted, so adding a new kind of part does not change the identity of old scenes.
         if self.sensor.quantity == "force":
             del content["sensor"]["quantity"]
         return json.dumps({key: part for key, part in content.items() if part != []}, sort_keys=True)
 
-    @cached_property  # set by `parse_scene`; no field, because its place does not change the identity of a scene
+    @cached_property  # set by `parse_scene`; not a field, because it must not change the identity of a scene
     def folder(self) -> Path:
-        """Folder of the scene file: the paths in it are relative to this folder."""
+        """Folder of the scene file; paths in the file are relative to it."""
         return Path()
 
-    @cached_property  # every batch of signals bears it
+    @cached_property  # every batch of signals carries it
     def sha256(self) -> str:
-        """Identity of the scene: the hash of `text`, whatever the layout of the file."""
+        """Identity of the scene: the hash of `text`, independent of the layout of the file."""
         return hashlib.sha256(self.text.encode()).hexdigest()
 
 
@@ -186,19 +186,18 @@ def samples_of(scene: Scene) -> int:
 
 
 def load_scene(path: str | Path) -> Scene:
-    """Return the scene of a TOML file.
+    """Load a scene from a TOML file.
 
     Parameters
     ----------
     path : str or Path
-        The file.
 
     Raises
     ------
     NoInput
         The file cannot be read.
     BadData
-        It is no TOML, or breaks rules; one line for each, with its path in the file.
+        The file is not valid TOML or breaks rules; one line for each mistake, with its path in the file.
     """
     try:
         text = read_regular(path, "a scene file", _LARGEST_FILE, "give a .toml file").decode()
@@ -213,9 +212,20 @@ def load_scene(path: str | Path) -> Scene:
 
 
 def parse_scene(content: dict[str, Any], source: str = "scene", folder: Path | None = None) -> Scene:
-    """Return the scene of a mapping with the structure of the file; raises `BadData` as `load_scene`.
+    """Return the scene of a mapping with the structure of the file.
 
-    Its paths are relative to `folder`, by default to the working directory.
+    Parameters
+    ----------
+    content : dict
+    source : str
+        Name for error messages.
+    folder : Path, optional
+        Base of relative paths, by default the working directory.
+
+    Raises
+    ------
+    BadData
+        As in `load_scene`.
     """
     try:
         scene = Scene.model_validate(content)
@@ -238,8 +248,8 @@ def _path(location: tuple[int | str, ...]) -> str:
 
 
 def _secondary(entry: Any, found: Sequence[Any]) -> bool:
-    """Return whether this only follows from another mistake, or concerns the form of target that was not chosen."""
-    if entry["type"] == "too_short":  # of a list whose only rows are wrong
+    """Return whether an error only follows from another one, or concerns the form of target that was not chosen."""
+    if entry["type"] == "too_short":  # a list all of whose rows are invalid
         place = entry["loc"]
         return any(other["loc"][: len(place)] == place and len(other["loc"]) > len(place) for other in found)
     if "literal['rigid']" in entry["loc"]:
@@ -248,7 +258,7 @@ def _secondary(entry: Any, found: Sequence[Any]) -> bool:
 
 
 def _lines(entry: Any) -> list[str]:
-    """Return one line for each problem; problems of the whole scene come with their own paths."""
+    """Return one line for each problem; problems of the whole scene already carry their paths."""
     message = _message(entry)
     if not entry["loc"] and entry["type"] == "value_error":
         return message.split("\n")
@@ -274,7 +284,7 @@ def _message(entry: Any) -> str:
     return text
 
 
-#: Fewest samples before touch of a frame that is kept in seconds: baseline and noise are measured there.
+#: Fewest samples before touch with `keep_frame`: baseline and noise are measured there.
 LEAST_PRE_TRIGGER = 64
 _SECTIONS: dict[str, type[BaseModel]] = {"impact": ImpactSection, "sampling": SamplingSection, "sensor": Sensor}
 _LISTS: dict[str, type[BaseModel]] = {"populations": Population, "taps": Tap}
@@ -282,25 +292,25 @@ _OF_ITS_OWN = ("label", "weight")
 
 
 def varied(scene: Scene, *, keep_frame: bool = False, **changes: Any) -> Scene:
-    """Return a copy of a scene with some settings changed, checked like a file.
+    """Return a validated copy of a scene with some settings changed.
 
     Parameters
     ----------
     scene : Scene
     keep_frame : bool
-        With another `sampling_rate` the frame keeps its length in seconds before and after touch, with at least
-        `LEAST_PRE_TRIGGER` samples before touch; `samples` and `pre_trigger` must then be left out.
+        With a new `sampling_rate`, keep the durations before and after touch, with at least `LEAST_PRE_TRIGGER` samples
+        before touch; `samples` and `pre_trigger` must then be left out.
     **changes
-        Any key of `impact`, `sampling` or `sensor`, such as `stiffness`, `target`, `sampling_rate`, `range`; or any
-        key of a population or tap except label and weight, such as `radius`, `clipped_at`, which is then changed in all
-        of them that have such a key; or `name`, `description`. Values are those of a scene file (a number, a string
-        with a unit, a mapping) or objects of a scene. None removes an optional setting. `velocity` replaces
-        `drop_height` and vice versa; a given setting is no longer randomised.
+        `name`, `description`, or any key of `impact`, `sampling` or `sensor`, such as `stiffness`, `target`, `range`;
+        or any key of a population or tap except label and weight, such as `radius`, `clipped_at`, which changes in all
+        that have such a key. Values are those of a scene file (a number, a string with a unit, a mapping) or objects
+        of a scene; None removes an optional setting. `velocity` replaces `drop_height` and vice versa. A setting given
+        here is no longer randomised.
 
     Raises
     ------
     InvalidValue
-        There is no such setting in this scene, or nothing for `keep_frame` to do.
+        The scene has no such setting, or `keep_frame` does not apply.
     BadData
         The changed scene breaks rules.
 
@@ -329,7 +339,7 @@ def varied(scene: Scene, *, keep_frame: bool = False, **changes: Any) -> Scene:
 
 
 def _places(content: dict[str, Any], name: str) -> list[dict[str, Any]]:
-    """Return the parts of a scene that may have this key, and remove it from `randomise`."""
+    """Return the sections of a scene that may have this key, and remove it from `randomise`."""
     randomise = content.get("randomise", {})
     if name in RandomiseSection.model_fields and randomise.pop(name, None) is not None and not randomise:
         del content["randomise"]
@@ -351,7 +361,7 @@ def _kept_frame(scene: Scene, changes: dict[str, Any]) -> dict[str, Any]:
             f"got {', '.join(sorted(changes)) or 'nothing'}"
         )
     old = scene.sampling
-    # Read as the file would be: it may be a string with a unit.
+    # Parsed like the file, because it may be a string with a unit.
     new = varied(scene, sampling_rate=changes["sampling_rate"], bandwidth=None).sampling.sampling_rate
     ratio = new / old.sampling_rate
     before = max(LEAST_PRE_TRIGGER, round(old.pre_trigger * ratio))

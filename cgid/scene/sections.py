@@ -1,4 +1,4 @@
-"""The sections of a scene file, each checked by itself; `cgid.scene.schema` checks what must hold between them."""
+"""The sections of a scene file, each validated separately; `cgid.scene.schema` checks the rules between them."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from cgid.scene.distributions import Distribution, measured, measured_within, wi
 from cgid.scene.units import LIMITS, Acceleration, Density, Frequency, Length, Mass, Modulus, Number, Ratio, Whole
 from cgid.validation import Floats
 
-#: Force over its peak against time over the duration, strictly between 0 and 1. Their order numbers them.
+#: Force over its peak against time over the duration, strictly between 0 and 1. The order defines their indices.
 SHAPES: Mapping[str, Callable[[Floats], Floats]] = {
     "half-sine": lambda u: sin(np.pi * u),
     "square": np.ones_like,
@@ -56,32 +56,32 @@ _Length = Annotated[Distribution, measured("length"), measured_within("length")]
 
 
 class Section(BaseModel):
-    """A part of the file: no unknown keys, no nan."""
+    """A section of the file: no unknown keys, no nan."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
 
 class SecondHit(Section):
-    """The same pulse once more, `delay` after touch and `ratio` times as high; the two may overlap."""
+    """A repetition of the pulse, `delay` after touch and `ratio` times as high; the two may overlap."""
 
     delay: _Time
     ratio: Annotated[Distribution, measured("ratio"), _between(1e-3, 1e3)]
 
 
 class _Source(Section):
-    """What populations and taps have in common."""
+    """Base of populations and taps."""
 
     _DRAWN: ClassVar[tuple[str, ...]] = ()
 
     label: Annotated[str, AfterValidator(partial(validation.label, "label"))]
     weight: Number = Field(default=1.0, gt=0, le=1e9)
     second_hit: SecondHit | None = None
-    # Share of the peak at which the pulse is clipped, as if the sensor's range were too small for this impact.
+    # Share of the peak at which the pulse is clipped, as by a sensor whose range is too small.
     clipped_at: Annotated[Distribution, measured("ratio"), _between(1e-3, 1.0)] | None = None
 
     @property
     def laws(self) -> dict[str, Distribution]:
-        """The distributions of this section, by the name of what is drawn."""
+        """The distributions of this section, by the name of the drawn quantity."""
         found = {name: getattr(self, name) for name in (*self._DRAWN, "clipped_at")}
         if self.second_hit is not None:
             found |= {"second_hit_delay": self.second_hit.delay, "second_hit_ratio": self.second_hit.ratio}
@@ -89,7 +89,7 @@ class _Source(Section):
 
 
 class Population(_Source):
-    """Particles of one kind and the way they fall; several populations may share a label."""
+    """Particles of one kind and how they fall; several populations may share a label."""
 
     _DRAWN = ("density", "youngs_modulus", "poisson_ratio", "radius", "restitution", "drop_height", "velocity")
 
@@ -123,7 +123,7 @@ class Tap(_Source):
 
 
 class TargetSection(Section):
-    """The elastic half space that is hit, a thin plate if it has a thickness; `target = "rigid"` for a rigid wall."""
+    """The target: an elastic half space, or a thin plate if it has a thickness; `target = "rigid"` for a rigid wall."""
 
     density: Density = 7850.0
     youngs_modulus: Modulus
@@ -137,7 +137,7 @@ class TargetSection(Section):
 
     @property
     def body(self) -> HalfSpace | ThinPlate:
-        """The target itself."""
+        """The target as a body."""
         return (
             HalfSpace(material=self.material)
             if self.thickness is None
@@ -152,7 +152,7 @@ class ImpactSection(Section):
     dissipation: Literal["elastic", "hunt-crossley"]
     law: Law = "exact"
     target: TargetSection | Literal["rigid"]
-    # The pull during contact; left out of every impact that it changes by less than the tolerance.
+    # During contact; ignored for every impact that it changes by less than the tolerance.
     gravity: Acceleration | None = None
     gravity_tolerance: Ratio | None = Field(default=None, ge=0, le=0.1)
 
@@ -163,10 +163,10 @@ class ImpactSection(Section):
 
 
 class SamplingSection(Section):
-    """How the frame of an impact is cut; of a stream, which has no frames, the sampling rate alone."""
+    """How frames are sampled; for a stream, which has no frames, only the sampling rate."""
 
     sampling_rate: Frequency
-    # 0 if not given, as in a stream; the scene requires them where there are frames.
+    # 0 for a stream; required for frames.
     samples: Whole = Field(default=0, ge=16, le=2**20)
     pre_trigger: Whole = Field(default=0, ge=2)
     jitter: Number = Field(default=1.0, ge=0, le=1)
@@ -178,7 +178,7 @@ class SamplingSection(Section):
         return {key: value for key, value in content.items() if self.samples or key not in frame}
 
     def frame_problems(self, is_stream: bool) -> list[str]:
-        """Return the settings of a frame that are missing, or given although there is no frame."""
+        """Return error messages for frame settings that are missing, or given although there is no frame."""
         if is_stream:
             return [
                 f"sampling.{name}: must be left out of a stream, whose length is stream.duration"
@@ -197,7 +197,7 @@ class SamplingSection(Section):
 
 
 class RandomiseSection(Section):
-    """What is drawn anew for each block of 256 signals, in place of the fixed value of `sampling` or `sensor`."""
+    """Settings drawn for each block of 256 signals, in place of the fixed values of `sampling` or `sensor`."""
 
     sampling_rate: _Frequency | None = None
     relative_noise: Annotated[Distribution, measured("ratio"), _between(0.0, 1e6)] | None = None
@@ -211,7 +211,7 @@ class RandomiseSection(Section):
 
     @property
     def laws(self) -> dict[str, Distribution]:
-        """The distributions of this section, by the name of what is drawn."""
+        """The distributions of this section, by the name of the drawn setting."""
         found = {name: getattr(self, name) for name in type(self).model_fields}
         return {name: law for name, law in found.items() if law is not None}
 
@@ -219,19 +219,19 @@ class RandomiseSection(Section):
 _PLACE = within(0.0, LIMITS["length"][1], f"must lie between 0 and {LIMITS['length'][1]:g} m", "m")
 _Place = Annotated[Distribution, measured("length"), _PLACE]
 
-# Shapes may have any scale, which the modal mass then includes.
+# Shapes may have any scale; the modal mass includes it.
 _SHAPE = Field(ge=-1e6, le=1e6)
 
 
 class ImpactPoint(Section):
-    """Where the rocks hit, from the held edge along the length and along the width."""
+    """The point of impact: x along the length from the held edge, y along the width."""
 
     x: _Place
     y: _Place
 
 
 class SensorPoint(Section):
-    """Where the sensor sits."""
+    """The position of the sensor."""
 
     x: Annotated[Length, Field(ge=0)]
     y: Annotated[Length, Field(ge=0)]
@@ -246,7 +246,7 @@ class RibsSection(Section):
 
 
 class ModeRow(Section):
-    """A mode as a tap test gives it."""
+    """A mode measured in a tap test."""
 
     frequency: Frequency
     damping_ratio: Ratio = Field(gt=0, lt=1)
@@ -256,22 +256,15 @@ class ModeRow(Section):
 
 
 class TailBeamSection(Section):
-    """A rectangular panel, stiffened or not, or the modes that a tap test has measured.
+    """A rectangular panel, stiffened or not, or modes measured in a tap test.
 
-    Parameters
+    Attributes
     ----------
-    length, width, thickness : float, optional
-        Of the panel [m], length from the held edge.
-    edges : {"simply-supported", "clamped", "cantilever"}
-    damping_ratio : float
-        Of every mode.
-    ribs : RibsSection, optional
-    impact_point, sensor_point : optional
-        Of the panel.
-    modes : tuple of ModeRow, optional
-        Instead of a panel, frequencies ascending. In a file `modes = "modes.csv"` reads them from a table.
-    coupling : {"auto", "impedance", "modes"}
-        How the beam gives way under a rock: as an endless thin plate, through its modes, or whichever holds.
+    length, width, thickness : of the panel, length from the held edge [m]
+    damping_ratio : of every mode
+    impact_point, sensor_point : on the panel
+    modes : instead of a panel, frequencies ascending; in a file `modes = "modes.csv"` reads them from a table
+    coupling : how the beam yields under a rock: as an infinite thin plate, through its modes, or whichever applies
     """
 
     length: Length | None = None
@@ -332,7 +325,7 @@ class TailBeamSection(Section):
                     )
 
     def panel(self, material: Material) -> TailBeam | None:
-        """Return the panel made of a material; None where the modes are measured."""
+        """Return the panel, made of a material; None for measured modes."""
         if self.modes is not None:
             return None
         ribs = None if self.ribs is None else Ribs(**self.ribs.model_dump())
@@ -346,7 +339,7 @@ class TailBeamSection(Section):
 
     @cached_property
     def measured(self) -> MeasuredModes | None:
-        """The modes of the table."""
+        """The measured modes."""
         if self.modes is None:
             return None
         return MeasuredModes(
@@ -355,7 +348,7 @@ class TailBeamSection(Section):
 
 
 def with_table(content: dict[str, Any], folder: Path) -> dict[str, Any]:
-    """Return the content of a scene file, with the rows of the table in place of its name in `tail_beam.modes`."""
+    """Return the content of a scene file with the table named in `tail_beam.modes` replaced by its rows."""
     beam = content.get("tail_beam")
     if not isinstance(beam, dict) or not isinstance(beam.get("modes"), str):
         return content

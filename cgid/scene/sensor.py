@@ -1,7 +1,7 @@
-"""The `[sensor]` and `[background]` sections: how the force, or the motion of the beam, becomes a recorded signal.
+"""The `[sensor]` and `[background]` sections: from the force, or the motion of the beam, to a recorded signal.
 
-A background adds hum lines, coloured noise of a given spectrum, or a recording. Its parts are given as the sensor shows
-them, after its bandwidth, in the unit of its quantity; `cgid.scene.noise` makes the samples.
+A background adds hum lines, coloured noise of a given spectrum, or a recording. Its levels apply after the sensor's
+bandwidth, in the unit of its quantity; `cgid.scene.noise` makes the samples.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ QUANTITIES = {
     "velocity": ("speed", "m/s"),
     "displacement": ("length", "m"),
 }
-#: The keys in the unit of the quantity, and what follows its name in the name of their dimension.
+#: The keys in the unit of the quantity -> suffix of the name of their dimension.
 _LEVELS = {"absolute_noise": "", "noise_density": " noise density", "range": "", "offset": "", "drift": " per time"}
 
 
@@ -46,7 +46,7 @@ class Mounting(Section):
 
 
 class AntiAlias(Section):
-    """The low-pass before the converter, a Butterworth filter: `frequency` is where it is 3 dB down."""
+    """The Butterworth low-pass before the converter; `frequency` is its -3 dB point."""
 
     frequency: Frequency
     order: Whole = Field(default=8, ge=1, le=12)
@@ -62,30 +62,29 @@ class Sensor(Section):
     Parameters
     ----------
     quantity : {"force", "acceleration", "velocity", "displacement"}
-        The contact force itself, or the motion of the tail beam at the sensor.
+        The contact force, or the motion of the tail beam at the sensor.
     mounting : Mounting, optional
-        Its resonance amplifies frequencies near it.
+        Resonance that amplifies nearby frequencies.
     anti_alias : AntiAlias, optional
-        Causal: it delays the signal.
+        Causal low-pass; it delays the signal.
     bandwidth : float, optional
-        Edge of a zero-phase low-pass [Hz], where its gain is 1/2, with a raised-cosine transition half as wide; instead
-        of an anti-alias filter.
+        Half-amplitude frequency of a zero-phase low-pass [Hz], with a raised-cosine transition half as wide; excludes
+        `anti_alias`.
     gain : float, optional
-        Factor of a motion of the beam, below 0 for a sensor the other way up: what `calibrated` finds between
-        recordings and a beam known by its sizes. It does not change how the beam gives way to a rock.
+        Factor of a motion of the beam, negative for an inverted sensor. `calibrated` fits it to recordings where the
+        beam is known by its dimensions. It does not change how the beam yields to a rock.
     relative_noise : float
-        Standard deviation of the white noise over the largest sample of each signal; for a force over the true peak.
+        Standard deviation of white noise over the largest sample of each signal; for a force over the true peak.
     absolute_noise : float
-        Standard deviation of the white noise.
+        Standard deviation of white noise.
     noise_density : float
-        White noise in a band of 1 Hz; times sqrt(half the sampling rate) its standard deviation. The noises add in
-        power.
+        White noise per sqrt(Hz); its standard deviation is this times sqrt(sampling rate / 2). The noises add in power.
     offset, drift : float
-        Added to every sample; change of the offset in a second, from the first sample on.
+        Constant shift; change of the offset per second, from the first sample on.
     range : float, optional
-        Full scale: samples beyond +- this are clipped.
+        Full scale: samples are clipped at +- this value.
     bits : int, optional
-        Of the converter over its full scale; needs `range`.
+        Resolution of the converter over its full scale; needs `range`.
     """
 
     quantity: Literal["force", "acceleration", "velocity", "displacement"] = "force"
@@ -105,7 +104,7 @@ class Sensor(Section):
     @classmethod
     def _in_si(cls, value: Any, info: Any) -> Any:
         quantity = info.data.get("quantity")
-        if value is None or quantity is None:  # a wrong quantity is reported by itself
+        if value is None or quantity is None:  # an invalid quantity has its own error
             return value
         return parse(value, QUANTITIES[quantity][0] + _LEVELS[info.field_name])
 
@@ -128,7 +127,7 @@ class Sensor(Section):
 
     @property
     def filters(self) -> tuple[Resonance | LowPass, ...]:
-        """Mounting and anti-alias filter, which have poles."""
+        """The filters with poles: mounting and anti-alias."""
         parts: list[Resonance | LowPass] = []
         if self.mounting is not None:
             parts.append(Resonance(**self.mounting.model_dump()))
@@ -138,13 +137,13 @@ class Sensor(Section):
 
     @property
     def noisy(self) -> bool:
-        """Whether there is any noise to draw."""
+        """Whether the sensor adds noise."""
         return self.relative_noise > 0 or self.absolute_noise > 0 or bool(self.noise_density)
 
     def noise_level(self, peak: Floats, sampling_rate: float) -> Floats:
-        """Return the standard deviation of the noise for signals of these peaks."""
+        """Return the standard deviation of the noise for signals with these peaks."""
         density, relative = self.noise_density or 0.0, self.relative_noise * peak
-        # Not hypot, whose last digit is each C library's own.
+        # Not hypot, whose last digit differs between C libraries.
         steady = self.absolute_noise * self.absolute_noise + density * density * (sampling_rate / 2)
         return np.asarray(np.sqrt(relative * relative + steady))
 
@@ -152,7 +151,7 @@ class Sensor(Section):
         """Return the frames after the sensor's zero-phase low-pass."""
         if self.bandwidth is None:
             return frames
-        # Imported here because it compiles, and most scenes do not need it.
+        # Compiled on import, and most scenes do not need it.
         from cgid.scene import _fourier
 
         length = frames.shape[-1]
@@ -164,9 +163,9 @@ class Sensor(Section):
         return np.asarray(_fourier.filtered(frames.reshape(-1, length), gain)).reshape(frames.shape)
 
     def digitise(self, frames: NDArray[np.floating], sampling_rate: float, first: int = 0) -> None:
-        """Shift, round and clip the frames in place, as far as the sensor has offset, drift, bits and range.
+        """Apply offset, drift, range and bits to the frames in place.
 
-        first is the number of the first sample since the sensor was switched on.
+        first is the number of the first sample, counted from switching on the sensor.
         """
         if self.drift:
             frames += (self.drift / sampling_rate * np.arange(first, first + frames.shape[-1])).astype(frames.dtype)
@@ -183,13 +182,13 @@ class Sensor(Section):
 
 
 def clip(frames: NDArray[np.floating], level: Floats) -> None:
-    """Cut each frame off at +- its own level in place; a level of nan leaves it as it is."""
+    """Clip each frame at +- its own level in place; nan means no clipping."""
     rows = np.flatnonzero(np.isfinite(level))
     height = level[rows, None].astype(frames.dtype)
     frames[rows] = np.clip(frames[rows], -height, height)
 
 
-#: Largest recorded background, which is held in memory [bytes].
+#: Largest recorded background; it is held in memory [bytes].
 _LARGEST_RECORDING = 1 << 30
 
 
@@ -199,12 +198,12 @@ def _number_or_text(value: Any) -> Any:
     raise ValueError(f"must be a number or a string with a unit, got {value!r}")
 
 
-#: A number in the SI unit of the sensor's quantity, or a string with a unit: only the whole scene knows which one.
+#: A number in the SI unit of the sensor's quantity, or a string with a unit; read once the quantity is known.
 Sensed = Annotated[Any, AfterValidator(_number_or_text)]
 
 
 def _level(value: float | str, quantity: str, kind: str = "") -> float:
-    """Return a level in the SI unit of a quantity; raises `ValueError` for another unit, or what is not above 0."""
+    """Return a level in the SI unit of a quantity; raises `ValueError` for another unit or a level not above 0."""
     number = parse(value, QUANTITIES[quantity][0] + kind)
     if not 0 < number <= 1e15:
         raise ValueError(f"must be above 0 and at most 1e15 {QUANTITIES[quantity][1]}, got {number:g}")
@@ -219,9 +218,9 @@ class HumLine(Section):
 
 
 class ColouredNoise(Section):
-    """Gaussian noise of a one-sided amplitude density, linear between its points on logarithmic axes, 0 beyond.
+    """Gaussian noise of a one-sided amplitude density, linear between its points on logarithmic axes, 0 outside.
 
-    The density is that of a band of 1 Hz: "0.1 N/sqrt(Hz)", or a number in the SI unit.
+    The density is per sqrt(Hz): "0.1 N/sqrt(Hz)", or a number in the SI unit.
     """
 
     frequencies: tuple[Frequency, ...] = Field(min_length=2, max_length=100_000)
@@ -239,7 +238,7 @@ class ColouredNoise(Section):
         return self
 
     def densities(self, quantity: str) -> Floats:
-        """Return the power densities at the frequencies: the squares of the given ones, in SI units per Hz."""
+        """Return the power densities at the frequencies: the squares of the given densities, in SI units per Hz."""
         return np.array([_level(value, quantity, " noise density") for value in self.density]) ** 2
 
     def at(self, frequency: Floats, quantity: str) -> Floats:
@@ -247,7 +246,7 @@ class ColouredNoise(Section):
         knots = log(self.frequencies)
         place = log(frequency)
         level = exp(np.interp(place, knots, log(self.densities(quantity))))
-        # Compared as logarithms, so that the ends themselves belong to the band.
+        # Compare logarithms, so that the band includes its ends.
         return np.asarray(np.where((place >= knots[0]) & (place <= knots[-1]), level, 0.0))
 
     def power(self, quantity: str) -> float:
@@ -262,10 +261,10 @@ class ColouredNoise(Section):
 
 
 class RecordedBackground(Section):
-    """A recording without its mean, mixed in from a random start on and repeated without end.
+    """A recording without its mean, mixed in from a random start and repeated endlessly.
 
-    The signal-to-noise ratio is that of the median peak of the scene's impacts (first hits, drawn by the weights of the
-    populations) to the root mean square of the background.
+    The signal-to-noise ratio compares the median peak of the scene's impacts (first hits, drawn by the weights of the
+    populations) with the root mean square of the background.
     """
 
     path: str = Field(min_length=1, max_length=4096)
@@ -274,7 +273,7 @@ class RecordedBackground(Section):
     channel: str | None = None
 
     def file(self, folder: Path) -> Path:
-        """Return the file, which lies in a folder; raises `NoInput`, or `BadData` for a pipe, a device or too much."""
+        """Return the file in a folder; raises `NoInput`, or `BadData` for a pipe, a device or too large a file."""
         path = folder / self.path
         with told(str(path)):
             require_regular(path, "a recorded background", _LARGEST_RECORDING)
@@ -282,7 +281,7 @@ class RecordedBackground(Section):
 
 
 class BackgroundSection(Section):
-    """What is recorded in addition to impacts; at least one of its parts."""
+    """Signals recorded in addition to impacts; at least one of its parts."""
 
     hum: tuple[HumLine, ...] = Field(default=(), max_length=1000)
     coloured: ColouredNoise | None = None
@@ -295,7 +294,7 @@ class BackgroundSection(Section):
         return self
 
     def problems(self, sensor: Sensor, sampling_rate: float) -> list[str]:
-        """Return what is wrong with this background for a sensor and a sampling rate [Hz]."""
+        """Return error messages for this background with a sensor and a sampling rate [Hz]."""
         quantity, nyquist = sensor.quantity, sampling_rate / 2
         found = []
         for index, line in enumerate(self.hum):
@@ -319,7 +318,7 @@ class BackgroundSection(Section):
         return found
 
     def known_power(self, quantity: str) -> float:
-        """Return the mean square of hum and coloured noise, in SI units; a recording's depends on the impacts."""
+        """Return the mean square of hum and coloured noise in SI units; that of a recording depends on the impacts."""
         lines = sum(0.5 * _level(line.amplitude, quantity) * _level(line.amplitude, quantity) for line in self.hum)
         return lines + (0.0 if self.coloured is None else self.coloured.power(quantity))
 
@@ -329,7 +328,7 @@ class BackgroundSection(Section):
 
 
 def _complaints(path: str, read: Callable[[Any], float], values: Iterable[Any]) -> list[str]:
-    """Return the problems of values that cannot be read."""
+    """Return error messages for unreadable values."""
     found = []
     for value in values:
         try:

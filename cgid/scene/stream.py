@@ -1,4 +1,4 @@
-"""From a scene to a long recording and the truth of its impacts, stretch by stretch; memory holds one stretch."""
+"""Make a long recording of a scene and the truth of its impacts; memory holds one stretch at a time."""
 
 from __future__ import annotations
 
@@ -27,11 +27,11 @@ from cgid.validation import Floats
 
 
 class TimeAxis:
-    """The part of the time axis that is still being added to."""
+    """The part of the time axis that may still change."""
 
     def __init__(self) -> None:
-        self.first = 0  # number of the first sample that has not been taken
-        self.samples: Floats = np.zeros(0)  # from that one on; all later ones are 0
+        self.first = 0  # number of the first sample not yet taken
+        self.samples: Floats = np.zeros(0)  # from there on; later ones are 0
 
     def until(self, stop: int) -> Floats:
         """Return the samples from the first one to number `stop`, to be added to in place."""
@@ -41,7 +41,7 @@ class TimeAxis:
         return self.samples[: stop - self.first]
 
     def add(self, first: NDArray[np.int64], windows: NDArray[np.floating]) -> None:
-        """Add windows (n, width), each from its own sample on; what lies before the axis is lost."""
+        """Add windows (n, width), each at its first sample; parts before the axis are lost."""
         width = windows.shape[1]
         samples = self.until(int(first.max()) + width)
         for start, window in zip((first - self.first).tolist(), windows, strict=True):
@@ -49,13 +49,13 @@ class TimeAxis:
             samples[start + lost : start + width] += window[lost:]
 
     def taken(self, stop: int) -> Floats:
-        """Take the samples before number `stop` off the axis and return them."""
+        """Remove the samples before number `stop` from the axis and return them."""
         part = self.until(stop).copy()
         self.samples, self.first = self.samples[part.size :], stop
         return part
 
 
-#: Columns in the order in which they are stored, and their units.
+#: Columns in stored order, and their units.
 _UNITS = {"time": "s", "rock": "1", "bounce": "1"} | {
     name: unit for name, unit in PARAMETER_UNITS.items() if name != "onset"
 }
@@ -65,17 +65,19 @@ _NEIGHBOUR_UNITS = {"next_impact": "s", "overlapping": "1"}
 def impact_units(scene: Scene) -> dict[str, str]:
     """Return the columns of the truth of each impact, and their units.
 
-    time: of touch, from the first sample. rock: its number in the recording, by arrival. bounce: the number of its
-    earlier impacts. restitution: as delivered, including what the target takes. drop_height: nan except for a first
-    fall from a height. velocity: the normal one. next_impact: time to the next touch of any rock, nan for the last.
-    overlapping: 1 where the contact overlaps another. impact_x, impact_y: on a beam of known size.
+    - time: of touch, from the first sample on
+    - rock: its number in the recording, by arrival; bounce: number of its earlier impacts
+    - restitution: as delivered, including losses to the target; velocity: normal to the beam
+    - drop_height: nan except for a first fall from a height
+    - next_impact: time to the next touch of any rock, nan for the last; overlapping: 1 if contacts overlap
+    - impact_x, impact_y: on a beam of known size
     """
     place = {} if scene.panel is None else POINT_UNITS
     return {**_UNITS, **place, **_NEIGHBOUR_UNITS}
 
 
 def truth_of(scene: Scene, rocks: Rocks, delivered: Mapping[str, Floats]) -> dict[str, NDArray[Any]]:
-    """Return what is known of some impacts, except their neighbours; delivered is that of `add_impacts`."""
+    """Return the truth of some impacts, except their neighbours; delivered comes from `add_impacts`."""
     known = {**rocks.columns, **delivered}
     labels = np.array([population.label for population in scene.populations])
     truth = {name: known[name] for name in impact_units(scene) if name not in _NEIGHBOUR_UNITS}
@@ -88,7 +90,7 @@ def empty_truth(scene: Scene) -> dict[str, NDArray[Any]]:
 
 
 def joined(scene: Scene, parts: list[dict[str, NDArray[Any]]]) -> dict[str, NDArray[Any]]:
-    """Return the truth of a whole recording, with neighbours, from that of its parts in order."""
+    """Return the truth of a whole recording, with neighbours, from its parts in order."""
     truth = {name: np.concatenate([part[name] for part in parts]) for name in empty_truth(scene)}
     touch = truth["time"]
     separation = touch + truth["contact_duration"]
@@ -100,15 +102,15 @@ def joined(scene: Scene, parts: list[dict[str, NDArray[Any]]]) -> dict[str, NDAr
     return truth
 
 
-#: The low-pass of a pulse is followed for this many periods of its edge to either side; what is left of it there is
-#: under 1e-5 of the peak (`tests/test_stream.py`).
+#: A low-passed pulse is cut off this many periods of the edge frequency to either side, where less than 1e-5 of the
+#: peak is left (`tests/test_stream.py`).
 _FILTER_PERIODS = 64
 
 
 def add_impacts(asked: Plan, axis: TimeAxis, rocks: Rocks, recorder: Recorder | None) -> dict[str, Floats]:
-    """Add what the sensor gives of the impacts of some rocks to the time axis, and return what they deliver.
+    """Add the recorded impacts of some rocks to the time axis, and return the delivered quantities `STORED`, each (n,).
 
-    Overlapping impacts add up. They deliver the quantities `STORED`, each (n,).
+    Overlapping impacts add up.
     """
     delivered = {name: np.empty(len(rocks)) for name in STORED}
     if not len(rocks):
@@ -151,12 +153,12 @@ def _add_response(
     pulses: Impact | ModalImpact,
     columns: Mapping[str, Floats],
 ) -> None:
-    """Run the poles of beam and sensor from the first touch until the last ringing, or the recording, is over."""
+    """Run the poles of beam and sensor from the first touch to the end of the last ringing, or of the recording."""
     rate = scene.sampling.sampling_rate
     first, last = int(np.floor(columns["time"].min() * rate)), samples_of(scene)
     if first >= last:
         return
-    # The slowest of the poles falls to its share of the response's tolerance in this time.
+    # The slowest pole decays to its share of the response's tolerance in this time.
     poles = recorder.response.poles
     ringing = float(log(poles.size / RESPONSE_TOLERANCE) / -poles.real.max())
     end = columns["time"].max() + pulses.end_of_contact.max() + ringing
@@ -168,7 +170,7 @@ def _add_response(
 
 
 def lead(asked: Plan) -> int:
-    """Return how many samples before touch an impact may be in the recording: the low-pass has zero phase."""
+    """Return by how many samples an impact may precede its touch, because the low-pass has zero phase."""
     if not asked.runs("bandwidth"):
         return 0
     scene = asked.scene
@@ -177,9 +179,9 @@ def lead(asked: Plan) -> int:
 
 
 def hearing_limit(scene: Scene, background: Background | None) -> float:
-    """Return the peak force below which an impact drowns in noise and background and its rock is dropped [N].
+    """Return the peak force below which an impact is lost in noise and background and its rock is dropped [N].
 
-    0 where the sensor feels a motion, whose size does not follow from the force alone.
+    It is 0 for a sensor of motion, whose signal does not follow from the force alone.
     """
     if scene.sensor.quantity != "force":
         return 0.0
@@ -189,7 +191,7 @@ def hearing_limit(scene: Scene, background: Background | None) -> float:
 
 @dataclass(frozen=True)
 class Part:
-    """The next samples of a recording, and the truth of some impacts, which may come before or after their samples."""
+    """The next samples of a recording and the truth of some impacts, which may lie before or after these samples."""
 
     samples: NDArray[Any]
     truth: dict[str, NDArray[Any]]
@@ -212,9 +214,8 @@ def record(
     Returns
     -------
     Signal
-        The recording.
     dict of ndarray, each (n_impacts,)
-        The impacts in order of time: `cgid.scene.stream.impact_units`, label, specimen.
+        The impacts in order of time: the columns of `cgid.scene.stream.impact_units`, label and specimen.
 
     Raises
     ------
@@ -261,7 +262,7 @@ def parts_of_recording(scene: Scene, seed: int, number: int, *, dtype: Literal["
             loud = delivered["peak_force"] > audible
             coming = thrown_back(scene, now, delivered["restitution"], delivered["contact_duration"], loud)
         carried = Rocks.joined(waiting)
-        # Later impacts, and what the low-pass makes of them before they touch, lie behind this sample.
+        # Later impacts, including what the low-pass spreads ahead of touch, start after this sample.
         final = min(max(int(stretch.stop * scene.sampling.sampling_rate) - lead(asked), 0), n_samples)
         ready = [chain.recorded(axis, chunk) for chunk in range(done, final // CHUNK)]
         done = max(done, final // CHUNK)
@@ -272,7 +273,7 @@ def parts_of_recording(scene: Scene, seed: int, number: int, *, dtype: Literal["
 
 
 def _joined_truth(scene: Scene, parts: list[dict[str, NDArray[Any]]]) -> dict[str, NDArray[Any]]:
-    """Return the impacts of a stretch in order of time, those after the end of the recording left out."""
+    """Return the impacts of a stretch in order of time, without those after the end of the recording."""
     assert scene.stream is not None
     truth = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
     order = np.lexsort((truth["rock"], truth["time"]))
@@ -282,7 +283,7 @@ def _joined_truth(scene: Scene, parts: list[dict[str, NDArray[Any]]]) -> dict[st
 
 @dataclass(frozen=True)
 class _Chain:
-    """The stages after the pulses: noise, background, range and bits, chunk by chunk."""
+    """The stages after the pulses, chunk by chunk: noise, background, range and bits."""
 
     asked: Plan
     background: Background | None

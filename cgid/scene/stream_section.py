@@ -16,9 +16,9 @@ from cgid.validation import Floats
 
 #: Most rows of a table in a scene file.
 _MOST_ROWS = 100_000
-#: The lowest bandwidth over the sampling rate: every impact is then smeared over some 65,000 samples.
+#: Lowest bandwidth over the sampling rate; it spreads every impact over some 65,000 samples.
 _LEAST_BAND = 1 / 512
-#: Shares add up to one within this tolerance.
+#: Tolerance of the sum of shares.
 _SHARE_TOLERANCE = 1e-9
 
 
@@ -54,14 +54,14 @@ class RateTable(Section):
 
 
 def _read_rate(content: Any) -> Any:
-    """Read a bare rate as a constant one."""
+    """Convert a bare rate to a constant one."""
     if isinstance(content, dict | BaseModel):
         return content
     return {"times": [0.0], "values": [parse(content, "frequency")]}
 
 
 class ArrivalsSection(Section):
-    """When rocks arrive: at random (a Poisson process) with a rate, or at given times."""
+    """Arrivals of rocks: random (a Poisson process) with a rate, or at given times."""
 
     rate: Annotated[RateTable, BeforeValidator(_read_rate)] | None = None
     times: _Times | None = None
@@ -76,9 +76,9 @@ class ArrivalsSection(Section):
 
 
 class MixtureSection(Section):
-    """The share of labels among the arriving rocks against time; every key but `times` is a label.
+    """The shares of labels among the arriving rocks over time; every key but `times` is a label.
 
-    Shares are linear between the times, constant before the first and after the last. Labels without a row share the
+    Shares are linear between the times, constant before the first and after the last. Labels without a row divide the
     rest by the weights of their populations.
     """
 
@@ -107,7 +107,7 @@ class MixtureSection(Section):
         return self
 
     def problems(self, labels: tuple[str, ...]) -> list[str]:
-        """Return what is wrong with these shares for a scene of these labels."""
+        """Return error messages for shares that do not fit a scene with these labels."""
         known = ", ".join(labels)
         found = [
             f"stream.mixture.{label}: must be a label of a population, one of {known}"
@@ -124,19 +124,19 @@ class MixtureSection(Section):
         return found
 
     def at(self, label: str, times: Floats) -> Floats:
-        """Return the share of a label that has a row at these times [s]."""
+        """Return the share of a label with a row at these times [s]."""
         return np.asarray(np.interp(times, self.times, self.shares[label]))
 
 
 class ReboundsSection(Section):
-    """How long a rock is followed: for this many rebounds, and while its normal speed is at least this."""
+    """Rocks are followed for at most this many rebounds, and while their normal speed is at least this."""
 
     most: Whole = Field(default=5, ge=1, le=1000)
     least_speed: Speed = 0.1
 
 
 class StreamSection(Section):
-    """One long recording of rocks that come in a stream."""
+    """One long recording of a stream of rocks."""
 
     duration: Duration
     arrivals: ArrivalsSection
@@ -154,7 +154,7 @@ class StreamSection(Section):
         return self
 
     def problems(self, populations: tuple[Population, ...], sensor: Sensor, sampling_rate: float) -> list[str]:
-        """Return what cannot be combined with a stream, whose rocks share one time axis and one sensor."""
+        """Return error messages for settings that conflict with a stream of one time axis and one sensor."""
         labels = tuple(sorted({population.label for population in populations}))
         found = [] if self.mixture is None or not labels else self.mixture.problems(labels)
         if sensor.relative_noise > 0:

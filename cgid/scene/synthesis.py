@@ -1,4 +1,4 @@
-"""From a scene to signals, or to columns of a table, block by block, doing only what the plan says."""
+"""Make signals, or columns of a table, from a scene, block by block, running only the planned stages."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from cgid.scene.sensor import Sensor, clip
 from cgid.signals import Batch
 from cgid.validation import Floats
 
-#: Blocks measured at once: the fit shares its overhead among the signals of a batch.
+#: Blocks measured at once, to share the overhead of the fit.
 _TOGETHER = 4
 
 
@@ -41,21 +41,21 @@ def synthesise(
     ----------
     scene : Scene
     n_signals : int
-        How many, above 0.
+        Above 0.
     seed : int
-        Between 0 and 2^63 - 1. The same seed gives the same signals, in however many calls.
+        From 0 to 2^63 - 1. The same seed gives the same signals, over any number of calls.
     first : int
         Number of the first signal.
     dtype : {"float32", "float64"}
-        Of the samples. The noise is drawn as float32 either way, so both hold the same signals.
+        Of the samples. Noise is always drawn as float32, so both hold the same signals.
     outputs : iterable of str
         "frames", or "pulses" for the forces [N] without beam and sensor; see `cgid.scene.plan`.
 
     Yields
     ------
     Batch
-        Forces [N] or motions of the beam (`Sensor.unit`), labels, parameters, specimens. Where the scene randomises
-        its sampling rate each batch has its own.
+        Forces [N] or motions of the beam (`Sensor.unit`), labels, parameters, specimens. A randomised sampling rate
+        differs between batches.
 
     Raises
     ------
@@ -72,20 +72,20 @@ def synthesise(
 
 
 def blocks(n_signals: int, first: int) -> Iterator[tuple[int, slice]]:
-    """Yield the blocks that hold these signals, and which of each."""
+    """Yield the blocks that hold these signals, and the slice of each."""
     last = first + n_signals
     for block in range(first // BLOCK, (last - 1) // BLOCK + 1):
         yield block, slice(max(first - block * BLOCK, 0), min(last - block * BLOCK, BLOCK))
 
 
 def require_count(n_signals: int, first: int) -> None:
-    """Raise `InvalidValue` for less than one signal, or a first one before 0."""
+    """Raise `InvalidValue` for less than one signal, or a negative first one."""
     if n_signals < 1 or first < 0:
         raise InvalidValue(f"n_signals must be 1 or more and first 0 or more, got {n_signals} and {first}")
 
 
 def require_frames(scene: Scene) -> None:
-    """Raise `InvalidValue` for a scene that makes recordings."""
+    """Raise `InvalidValue` for a stream."""
     if scene.stream is not None:
         raise InvalidValue(
             f"scene {scene.name}: stream must be left out of a scene that frames are made of; make recordings of it "
@@ -94,7 +94,7 @@ def require_frames(scene: Scene) -> None:
 
 
 def batch_of(scene: Scene, blows: Blows, seed: int, block: int, part: slice) -> Batch:
-    """Return some signals of one block of a scene, with all that is known of them."""
+    """Return some signals of one block of a scene, with labels, parameters and specimens."""
     asked = blows.plan
     return Batch(
         signals=make_frames(blows, seed, block, asked.dtype)[part],
@@ -116,15 +116,15 @@ def make_frames(blows: Blows, seed: int, block: int, dtype: DTypeLike) -> NDArra
 def make_beginnings(
     blows: Blows, seed: int, block: int, dtype: DTypeLike, n_samples: int
 ) -> tuple[NDArray[Any], Floats]:
-    """Return the first samples of the frames of one block, (n_signals, n_samples), and a bound on the rest of each.
+    """Return the first samples of the frames of one block, (n_signals, n_samples), and upper bounds of the rest.
 
-    The samples are those of the whole frames to the last bit. All contacts must end within them or begin after the
-    frame. No sample of the rest lies above the bound, in the unit of the signals.
+    The samples equal those of the whole frames to the last bit. All contacts must end within them or begin after the
+    frame. The bounds are in the unit of the signals.
     """
     asked, sampling, sensor = blows.plan, blows.scene.sampling, blows.scene.sensor
     n_signals, rate = len(blows.labels), sampling.sampling_rate
     highest_behind = np.zeros(n_signals)
-    # The transform of a low-pass goes round the whole frame.
+    # The transform of a low-pass is periodic over the whole frame.
     filtered = asked.runs("bandwidth")
     frames: NDArray[Any] = np.zeros((n_signals, sampling.samples if filtered else n_samples), dtype)
     blows.add_to_frames(frames)
@@ -156,7 +156,7 @@ def make_beginnings(
 
 
 def _digitised_by(sensor: Sensor, sampling_rate: float, first: int, n_samples: int) -> float:
-    """Return by how much offset, drift and rounding may raise a sample from a first one on."""
+    """Return the largest increase of a sample, from a first one on, by offset, drift and rounding."""
     drift, step = (sensor.drift or 0.0) / sampling_rate, 0.0
     if sensor.range is not None and sensor.bits is not None:
         step = sensor.range / 2**sensor.bits  # half of one
@@ -172,13 +172,9 @@ class Columns:
 
     Attributes
     ----------
-    labels : ndarray of str, (n_signals,)
-    specimen : ndarray of uint64, (n_signals,)
-        Equal for impacts of an equal particle.
-    values : dict of ndarray, each (n_signals,)
-        Of `Plan.column_units`; nan where a number does not apply, or cannot be measured.
-    n_unmeasured : int
-        Signals of which a feature cannot be measured.
+    specimen : equal for impacts of equal particles, (n_signals,)
+    values : by the names of `Plan.column_units`, each (n_signals,); nan where not applicable or not measurable
+    n_unmeasured : number of signals with a feature that cannot be measured
     """
 
     labels: NDArray[np.str_]
@@ -191,21 +187,10 @@ class Columns:
 
 
 def columns_of(asked: Plan, n_signals: int, seed: int = 0, *, first: int = 0) -> Iterator[Columns]:
-    """Yield the columns of a plan, in batches of at most 1024 signals; nothing is made that no column needs.
+    """Yield the columns of a plan in batches of at most 1024 signals, making only what a column needs.
 
-    Features are those that `cgid.measure.features.extract` gives for float32 signals of `synthesise`.
-
-    Parameters
-    ----------
-    asked : Plan
-        For parameters, closed forms or features.
-    n_signals, seed, first : int
-        As in `synthesise`: the same numbers belong to the same signals.
-
-    Raises
-    ------
-    InvalidValue
-        A number breaks its rule, or the plan is one for signals.
+    Features equal those of `cgid.measure.features.extract` for float32 signals of `synthesise` with the same numbers.
+    Raises `InvalidValue` if a number breaks its rule, or the plan is one for signals.
     """
     require_count(n_signals, first)
     require_frames(asked.scene)
@@ -241,7 +226,7 @@ def _untimed(asked: Plan, seed: int, block: int, part: slice) -> Columns:
 
 @dataclass(frozen=True, eq=False)
 class _Block:
-    """A block, and which of its signals are asked for."""
+    """A block and its requested signals."""
 
     number: int
     part: slice
@@ -253,7 +238,7 @@ class _Block:
 
     @property
     def beginning(self) -> int:
-        """Samples of each frame that the features will most likely look at."""
+        """Number of samples of each frame that the features will most likely use."""
         sampling, names = self.blows.scene.sampling, self.blows.plan.features
         if self.blows.plan.runs("rest of the frames"):
             return sampling.samples
@@ -266,7 +251,7 @@ class _Block:
 
 
 def _measured(asked: Plan, n_signals: int, seed: int, first: int) -> Iterator[Columns]:
-    """Yield features; blocks of one sampling rate are measured together."""
+    """Yield features; blocks with the same sampling rate are measured together."""
     together = 1 if asked.scene.draws("sampling_rate") else _TOGETHER
     waiting: list[_Block] = []
     for block, part in blocks(n_signals, first):
@@ -305,7 +290,7 @@ def _features(asked: Plan, seed: int, drawn: list[_Block]) -> Columns:
 
 
 def _from_whole_frames(names: tuple[str, ...], seed: int, drawn: list[_Block], wanted: NDArray[np.bool_]) -> Floats:
-    """Return the features of the wanted signals, whose beginnings did not suffice, (n_wanted, n_features)."""
+    """Return the features of signals whose first samples did not suffice, (n_wanted, n_features)."""
     sampling, rows, place = drawn[0].blows.scene.sampling, [], 0
     for one in drawn:
         here = wanted[place : place + len(one.labels)]

@@ -9,8 +9,7 @@ from pydantic import BeforeValidator, Field, Strict
 
 from cgid import units
 
-#: Dimension -> lowest and highest value in SI units: wider than anything that falls, and within them no formula
-#: of an impact overflows.
+#: Dimension -> lowest and highest value in SI units: wider than any real impact, but no formula overflows within them.
 LIMITS: dict[str, tuple[float, float]] = {
     "density": (1e-3, 1e5),
     "modulus": (1e3, 1e15),
@@ -38,21 +37,21 @@ Modulus = Annotated[float, _reader("modulus"), _limits("modulus")]
 Length = Annotated[float, _reader("length"), _limits("length")]
 Frequency = Annotated[float, _reader("frequency"), _limits("frequency")]
 Mass = Annotated[float, _reader("mass"), _limits("mass")]
-#: A level in the unit of what the sensor feels, which it reads itself (`cgid.scene.sensor`).
+#: A level in the unit of the sensor's quantity, parsed by `cgid.scene.sensor`.
 Level = Annotated[float, Field(ge=0, le=LIMITS["force"][1])]
 Acceleration = Annotated[float, _reader("acceleration"), _limits("acceleration")]
-#: A recording is no shorter [s].
+#: Shortest recording [s].
 SHORTEST_RECORDING = 1e-3
-#: A place on the time axis of a recording, and its length: at most a day.
+#: A time in a recording, and its duration: at most a day.
 Moment = Annotated[float, _reader("time"), Field(ge=0, le=86_400)]
 Duration = Annotated[float, _reader("time"), Field(ge=SHORTEST_RECORDING, le=86_400)]
-#: From the horizontal: on a wall nothing falls.
+#: Angle to the horizontal [rad], less than vertical.
 Inclination = Annotated[float, _reader("angle"), Field(ge=0, le=1.5)]
 Speed = Annotated[float, _reader("speed"), _limits("speed")]
 Decibel = Annotated[float, _reader("decibel"), Field(ge=-200, le=200)]
-#: How often something happens, which may be never.
+#: A frequency of events, which may be 0.
 Rate = Annotated[float, _reader("frequency"), Field(ge=0, le=LIMITS["frequency"][1])]
-#: Without a dimension: a number as it stands, neither a string nor true or false.
+#: A dimensionless number; strings and booleans are rejected.
 Number = Annotated[float, Strict()]
 Whole = Annotated[int, Strict()]
 Ratio = Annotated[float, _reader("ratio")]
