@@ -92,12 +92,12 @@ class _Blow:
 
 
 class PulseOnsets:
-    """Find pulses in chunks of samples, in each channel by itself or, if `joint`, in all channels together.
+    """Find pulses in chunks of samples.
 
-    The noise is 1.4826 times the median absolute deviation; where most samples are equal, the smallest step below the
-    median. A recording shorter than `START_CHUNKS` is one window. High samples at most `dead_time` [s] apart belong to
-    one blow. A blow ends after `longest` samples at the latest; a signal that stays high starts no new one until it
-    falls.
+    Each channel counts by itself or, if `joint`, a pulse in one channel is one in all. The noise is 1.4826 times the
+    median absolute deviation; where most samples are equal, the smallest step below the median. A recording shorter
+    than `START_CHUNKS` is one window. High samples at most `dead_time` [s] apart belong to one blow. A blow ends after
+    `longest` samples at the latest; a signal that stays high starts no new one until it falls.
 
     Attributes
     ----------
