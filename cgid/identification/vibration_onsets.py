@@ -230,7 +230,7 @@ class VibrationOnsets:
         return blow
 
     def end_of(self, onset: Onset, samples: Floats) -> int:
-        """Return the number of samples from the onset to the end of an event, -1 if it ends after these samples (n,)."""
+        """Return the duration of an event in samples from its onset, -1 if it is longer than these samples (n,)."""
         n_hops = samples.size // self.hop
         if n_hops < 2:
             return -1
