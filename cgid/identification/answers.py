@@ -118,7 +118,7 @@ def identify_events(
 ) -> list[Answer]:
     """Return one answer for each detected impact, in order; frames of one shape form one batch.
 
-    `channels` names the channels that the events number. Raises as `identify`.
+    `channels` holds the names of the channels of the recording. Raises as `identify`.
     """
     sensors = question.heard_by(model, channels)
     answers: dict[int, Answer] = {}

@@ -32,7 +32,7 @@ DEAD_TIME = 2e-3
 VIBRATION_DEAD_TIME = SHORTEST_EVENT
 #: Highest sampling rate [Hz]; no recorder of impacts is faster, and frames would fill the memory.
 FASTEST = 2e7
-#: Samples processed together (about), so that they and their derived arrays fit into the processor's cache.
+#: Approximate number of samples processed together, so that they and their derived arrays fit into the cache.
 _TOGETHER = 1 << 16
 #: A recording is clipped throughout if more than this share of its samples lies at its limits.
 _CLIPPED_SHARE = 0.5
@@ -57,15 +57,15 @@ class ImpactDetector:
     n_channels : int
     kind : {"pulse", "vibration"}
     dead_time : float, optional
-        Later samples within this time belong to the same impact [s]. Pulses: from the last high sample, by default
-        `DEAD_TIME`. Vibrations: from the onset, by default `VIBRATION_DEAD_TIME`, at least 4 ms.
+        Samples within this time belong to the same impact [s]. For pulses, it counts from the last high sample and is
+        `DEAD_TIME` by default; for vibrations, from the onset, `VIBRATION_DEAD_TIME` by default, at least 4 ms.
     joint : bool
         Whether an impact in any channel is one in all, and an event has the frames of all channels.
 
     Attributes
     ----------
     pre_trigger : int or None
-        Samples of each frame that are certainly before touch; None where each pulse shows it.
+        Samples of each frame that are certainly before touch; None if it follows from each pulse.
     n_samples, n_quiet : int
         Length of a frame, and of its part before the onset. The frame of a longer pulse is longer.
 
@@ -107,7 +107,7 @@ class ImpactDetector:
             self._onsets, start = PulseOnsets(rate, n_channels, dead_time, self._framing.longest, joint), PULSE_START
         else:
             self._onsets, start = VibrationOnsets(rate, n_channels, dead_time, joint), VIBRATION_START
-        # `_samples` begins with number `_first` of the recording; `_blocks` are not joined to it yet.
+        # `_samples` begins at index `_first` of the recording; `_blocks` are not joined to it yet.
         self._samples: NDArray[Any] = np.empty((n_channels, 0), np.float32)
         self._first = 0
         self._blocks: list[NDArray[Any]] = []
@@ -120,7 +120,7 @@ class ImpactDetector:
 
     @property
     def known_until(self) -> int:
-        """Sample number before which all impacts have been returned."""
+        """Index of the sample before which all impacts have been returned."""
         if self._ended:
             return self._fed
         reach = max(self._taken - self._onsets.lag - self._framing.reach(self._framing.length), 0)

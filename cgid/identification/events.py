@@ -14,7 +14,7 @@ from cgid.measure.vibration import SHORTEST_EVENT
 from cgid.signals import Signal
 from cgid.validation import Floats
 
-#: Returns the samples (n_channels, n) of a recording between two numbers, as far as they exist.
+#: Returns the samples (n_channels, n) of a recording between two indices, as far as they exist.
 Read = Callable[[int, int], Floats]
 
 #: Frames of vibrations begin this long before the impact and end this long after its onset: enough for every
@@ -33,7 +33,7 @@ _LATE = 0.5e-3
 #: A detected impact must rise this many standard deviations above the quiet part of its frame. The limit is lower than
 #: elsewhere, because the previous blow may still ring there.
 FOUND_LIMIT = 2.0
-#: From this many samples before an impact, missing ones can be mirrored.
+#: With at least this many samples before an impact, missing ones are mirrored.
 _ENOUGH = 8
 #: A clipped value is at least this share of the largest deviation.
 _CLIPPED_SHARE = 0.5
@@ -47,7 +47,7 @@ class Onset:
     ----------
     row : unit of dead time and neighbours: the channel, or 0 for joint channels
     channel : where it was found; of joint channels, the one with the strongest signal
-    sample : number in the recording
+    sample : index in the recording
     noise : of a vibration, the energy of the noise in each band; of a pulse, the baseline of each channel
     last : of a pulse, its last high sample so far
     closed : whether no later sample can belong to it
@@ -73,15 +73,15 @@ class Event:
     Attributes
     ----------
     channel : where it was heard; of joint channels, the one with the strongest signal
-    onset, end : number in the recording of its first sample, and of the first sample after it
+    onset, end : index in the recording of its first sample, and of the first sample after it
     samples : the frame, (n_samples,) or (n_channels, n_samples); the baseline replaces the next impact, and fills the
         frame after the end of the recording; a quiet part that is too short is extended by mirroring
-    pre_trigger : samples of the frame that are certainly before touch; None where the pulse itself must show it
+    pre_trigger : samples of the frame that are certainly before touch; None if it follows from the pulse itself
     overlapping : whether another impact begins before this one is over, or this one before the previous is over
     clipped : whether three samples in a row hold the highest or lowest value
     cut : whether the recording begins or ends within the impact
     problem : why the impact cannot be measured, if the frame does not show it; else empty
-    detection_limit : argument of `cgid.measure.features.extract_array`
+    detection_limit : for `cgid.measure.features.extract_array`
     """
 
     channel: int
@@ -118,7 +118,7 @@ class Event:
 
 
 def frames_alike(events: Sequence[Event]) -> Iterator[tuple[list[int], NDArray[Any]]]:
-    """Yield the events that can be measured in one batch: their numbers and their stacked frames.
+    """Yield the events that can be measured in one batch: their indices and their stacked frames.
 
     These have the same frame shape, sampling rate, `pre_trigger` and `detection_limit`.
     """
@@ -183,7 +183,7 @@ class Framing:
         return round(_LATE * self.sampling_rate)
 
     def reach(self, length: int) -> int:
-        """Return the distance of onsets from which the next impact has no part in a frame of this length."""
+        """Return the distance from which a later onset has no part in a frame of this length."""
         return length + self.late + 1
 
 
@@ -205,7 +205,7 @@ class FrameCutter:
     def cut(self, onset: Onset, following: Onset | None, samples: NDArray[Any], first: int, stop: int | None) -> Event:
         """Return the event of an onset.
 
-        `following` is the next onset of its row, if any. `samples` (n_channels, n) begin with number `first` of the
+        `following` is the next onset of its row, if any. `samples` (n_channels, n) begin at index `first` of the
         recording and cover the frame. `stop` is the length of the recording, once it is over.
         """
         framing, length = self._framing, self._framing.length_of(onset)
@@ -276,7 +276,7 @@ class FrameCutter:
 
 
 def _is_clipped(deviation: Floats) -> bool:
-    """Return whether an impact (n,), without its baseline, holds its highest or lowest value for three samples."""
+    """Return whether an impact (n,), without its baseline, holds an extreme value for three samples."""
     least = _CLIPPED_SHARE * np.abs(deviation).max()
     for extreme in (deviation.max(), deviation.min()):
         at = deviation == extreme

@@ -40,7 +40,7 @@ _HOP_TIME = 0.5e-3
 _ROUNDING = 1e-6
 #: Length of the windows for the estimates of baseline and noise [s], and its minimum [samples].
 _WINDOW_TIME, _SHORTEST_WINDOW = 20e-3, 64
-#: Samples used of each window, about.
+#: Approximate number of samples used of each window.
 _LOOKED_AT = 128
 _CHUNK_WINDOWS = 10
 #: The baseline is the median over this many windows to either side (0.18 s in all), because it may drift.
@@ -51,7 +51,7 @@ _NOISE_WINDOWS = 100
 _RISING_WINDOWS = 10
 #: Number of chunks needed for the first estimates.
 START_CHUNKS = 2
-#: Two peaks of at least this share of the highest are separate if the signal falls to that share in between.
+#: Two peaks are separate if both reach this share of the highest, and the signal falls to that share in between.
 _PEAK, _VALLEY = 0.5, 0.25
 
 
@@ -83,7 +83,7 @@ class _Ringing:
 
 @dataclass
 class _Blow:
-    """A blow in progress: the numbers of its high samples, and their heights and limits in each channel of its row."""
+    """A blow in progress: the indices of its high samples, and their heights and limits in each channel of its row."""
 
     onset: Onset
     places: list[NDArray[np.intp]] = field(default_factory=list)
@@ -190,7 +190,7 @@ class PulseOnsets:
         return _Levels(length, baseline, limit, highest, lowest)
 
     def _high_in(self, channel: int, samples: Floats, levels: _Levels) -> NDArray[np.intp]:
-        """Return the numbers of the samples (n,) of a channel that exceed noise and ringing."""
+        """Return the indices of the samples (n,) of a channel that exceed noise and ringing."""
         parts = [np.empty(0, np.intp)]
         ringing, length = self._ringing[channel], levels.length
         baselines, limits = levels.baseline[channel], levels.limit[channel]

@@ -44,7 +44,7 @@ class Question:
     batch : number of impacts to collect before identification; 1: no waiting
     share_time : window of a gangue share [s]; None: `SHARE_TIME`
     share_step : time between the ends of successive windows of shares [s]; None: half a window
-    gangue : labels that count as gangue; by default "gangue"
+    gangue : labels of rocks that must not be drawn; by default "gangue"
     gangue_cost : of one drawn gangue impact, in lost coal impacts; None: 1
     """
 
@@ -75,7 +75,7 @@ class Question:
         validation.positive("step", self.step, "s")
         validation.positive("gangue_cost", self.cost_of_gangue)
 
-    # -- how a label is decided -----------------------------------------------------------------------
+    # -- decision -------------------------------------------------------------------------------------
 
     def check(self, model: Model) -> None:
         """Raise `InvalidValue` if the model lacks a label or the coverage, or does not use the drop height."""
@@ -100,7 +100,7 @@ class Question:
         held = "both" if len(labels) == 2 else f"these {len(labels)}"
         return f"{' or '.join(labels)}: the prediction set at coverage {self.coverage:g} holds {held}"
 
-    # -- what is answered for -------------------------------------------------------------------------
+    # -- models and channels --------------------------------------------------------------------------
 
     def require_use(self, model: Model) -> None:
         """Raise `InvalidValue` for a vote time with a model of impacts, or a dead time with a model of windows."""
@@ -129,7 +129,7 @@ class Question:
             model.equalisation(sensor)
         return [*self.sensors] * (len(channels) // len(self.sensors))
 
-    # -- the gangue share -----------------------------------------------------------------------------
+    # -- gangue share ---------------------------------------------------------------------------------
 
     @property
     def share_length(self) -> float:

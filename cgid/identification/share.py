@@ -2,21 +2,22 @@
 
 The mean of the probabilities does not estimate the share. A model trained on as much gangue as coal gives .3 to a coal
 that might well be gangue; among such coal alone, the mean stays at .3. The estimate is therefore by likelihood
-(Saerens, Latinne & Decaestecker 2002). With probability p from a model trained at a share s, an impact is r = p / (1 -
-p) * (1 - s) / s times as likely a gangue as a coal. Its likelihood at a share q is
+(Saerens, Latinne & Decaestecker 2002). With probability p from a model trained at a share s, an impact is r times as
+likely a gangue as a coal. Its likelihood at a share q is L:
 
-    1 - q + q r
+    r = p / (1 - p) * (1 - s) / s
+    L = 1 - q + q r
 
-The product over the window, times a uniform prior, is the posterior density of q. It treats the impacts as independent
-and the model as good as in its test. If rocks bounce, or on another rig, the interval is too narrow.
+The product of L over the window, times a uniform prior, is the posterior density of q. It assumes independent impacts
+that the model answers as well as those of its test. If rocks bounce, or on another rig, the interval is too narrow.
 
 Going on takes the next impact, whatever it is. A gangue costs `gangue_cost`, because it must be carried, washed and
 dumped. Shutting leaves it; a coal left behind costs 1, the unit. Per impact, going on costs
 
     gangue_cost * q - (1 - q)
 
-more than shutting. This is linear in q, so its expectation needs only the mean of q. Its sign changes at q = 1 / (1 +
-gangue_cost). If the share is known and only rises, waiting beyond that never pays.
+more than shutting. This is linear in q, so its expectation needs only the mean of q. Its sign changes at
+q = 1 / (1 + gangue_cost). If the share is known and only rises, waiting beyond that never pays.
 """
 
 from __future__ import annotations
@@ -71,7 +72,8 @@ class ShareWindow:
     """The impacts of the last `length` seconds, and their gangue share.
 
     `trained_share` in (0, 1) is that of gangue in the training of the model. `weight` in (0, 1] is that of one answer,
-    because overlapping windows repeat each other: 1 end to end, one half for half overlap. Raises `InvalidValue`.
+    because overlapping windows repeat each other: 1 end to end, 0.5 for half overlap. Raises `InvalidValue`
+    for numbers outside of these ranges.
 
     Examples
     --------

@@ -33,19 +33,19 @@ RISE_OVER_NOISE = 3.2
 _NOW, _BEFORE = 3, 8
 #: A blow affects the rise for this many hops. After that, another blow within the dead time is detectable.
 _REACH = 8
-#: Hops of a window for the noise, which is the mean energy of a band (20 ms, a period of the mains).
+#: Length of the windows for the noise, a mean energy in each band [hops]: 20 ms, a period of the mains.
 _WINDOW_HOPS = 40
 #: Windows of a chunk.
 _CHUNK_WINDOWS = 10
 #: The noise is this quantile of this many latest windows (0.4 s), because something rings in most of the others.
 _QUIET_SHARE, _WINDOWS_KEPT = 0.2, 20
-#: The quantile is multiplied by this: the mean over the lowest fifth of white noise in such windows.
+#: Ratio of the mean to this quantile, for white noise in windows of that many hops.
 _QUIET_FACTOR = 1.2
 #: Number of chunks needed for the first estimate of the noise.
 START_CHUNKS = 2
 #: Energy below this share of the maximum so far is rounding, not vibration.
 _ROUNDING = 1e-10
-#: Largest scaled sample, and smallest energy.
+#: Upper limit of scaled samples, lower limit of energies.
 _LARGEST, _TINY = np.float32(1e15), np.float32(1e-30)
 #: An event ends when its energy over that of the noise has fallen to this share of its maximum, or to this value.
 END_SHARE, END_OVER_NOISE = 0.01, 2.0
