@@ -1,4 +1,4 @@
-"""The rows of answers: impacts or windows, gangue shares, turns and a summary, as text or one JSON object a line."""
+"""Rows of answers: impacts or windows, gangue shares, turns and a summary, as text or one JSON object per line."""
 
 from __future__ import annotations
 
@@ -15,19 +15,14 @@ if TYPE_CHECKING:
     from cgid.identification.question import Question
     from cgid.identification.share import Share, Turn
 
-#: Version of the lines that --json prints: since 2 each has its kind, and there are others than impacts.
+#: Version of the lines that --json prints: since 2 each has a kind, and there are kinds besides impacts.
 ANSWERS_VERSION = 2
 _ROW = "{:>12}  {:<12} {:>11}  {:>8}  {}"
 _TITLES = _ROW.format("time [s]", "label", "probability", "novelty", "source")
 
 
 class AnswerLines:
-    """Prints one row each, with its kind in JSON.
-
-    Parameters
-    ----------
-    as_json : bool
-    """
+    """Print one row at a time, with its kind in JSON."""
 
     def __init__(self, as_json: bool) -> None:
         self.as_json = as_json
@@ -56,7 +51,7 @@ class AnswerLines:
             }
             self._json(content | ({} if truth is None else {"truth": truth}))
             return
-        if not self._titled:  # once, above the first row
+        if not self._titled:
             say(_TITLES)
             self._titled = True
         notes = [*([answer.problem] if answer.problem else []), *marks_of(answer)]
@@ -88,7 +83,7 @@ class AnswerLines:
         say(f"# gangue share {told}, {span}, {share.n_impacts} answers{unknown}  {source}")
 
     def turn(self, source: str, turn: Turn, gangue_cost: float) -> None:
-        """Print that going on has begun to cost more than it brings, or less again."""
+        """Print that going on begins to cost more than shutting, or less again."""
         if self.as_json:
             content = {
                 "kind": "shut" if turn.shut else "open",
@@ -109,20 +104,20 @@ class AnswerLines:
         say(f"{word} {turn.time:.6g} s: {says} ({share} where a gangue costs {gangue_cost:g} coal)  {source}")
 
     def summary(self, source: str, tally: RecordingTally, duration: float, start_time: Any = None) -> None:
-        """Print what a recording held."""
+        """Print the summary of a recording."""
         if self.as_json:
             self._json({"kind": "summary", "source": source, "duration_s": duration, **tally.content(start_time)})
             return
         say(f"# {source}: {tally.text()} in {duration:.6g} s")
 
     def warning(self, source: str, message: str) -> None:
-        """Print on stderr, and in JSON, what is wrong with a recording that can be read nevertheless."""
+        """Print a warning about a readable recording, on stderr and in JSON."""
         say(f"cgid: warning: {message}", err=True)
         if self.as_json:
             self._json({"kind": "warning", "source": source, "message": message})
 
     def delay(self, source: str, behind: float, message: str) -> None:
-        """Print on stderr, and in JSON, how far the answers are behind a live stream [s]."""
+        """Print how far the answers are behind a live stream [s], on stderr and in JSON."""
         say(f"cgid: warning: {source}: {behind:.1f} s behind: {message}", err=True)
         if self.as_json:
             self._json({"kind": "delay", "source": source, "behind_s": behind, "message": message})
@@ -141,7 +136,7 @@ class RecordingTally:
         self.n_outside = 0
 
     def add(self, answers: Iterable[Answer]) -> None:
-        """Count some more."""
+        """Count more answers."""
         for answer in answers:
             self.labels[answer.label] += 1
             self.marks.update(marks_of(answer))
@@ -149,7 +144,7 @@ class RecordingTally:
 
     @property
     def total(self) -> int:
-        """All answers."""
+        """Number of answers."""
         return self.labels.total()
 
     def content(self, start_time: Any) -> dict[str, Any]:
@@ -172,7 +167,7 @@ class RecordingTally:
 
 
 def marks_of(answer: Answer) -> list[str]:
-    """Return what is special about the frame of an answer, in words."""
+    """Return the marks of an answer's frame in words."""
     marked = {"overlapping": answer.overlapping, "clipped": answer.clipped, "cut off": answer.cut}
     return [name for name, holds in marked.items() if holds]
 
@@ -181,27 +176,17 @@ def _number(value: float) -> str:
     return "-" if value != value else f"{value:.3f}"
 
 
-#: At most this many rows wait for one that can be measured.
+#: Most rows that wait for a measurable one.
 _MOST_HELD = 1000
-#: This many channels without impacts are named one by one.
+#: Up to this many silent channels are named one by one.
 _MOST_SILENT = 3
 
 
 class RecordingRows:
-    """Prints the answers for the channels of one recording that one model answers for.
+    """Print the answers of one model for the channels of one recording.
 
-    Parameters
-    ----------
-    source : str
-        The recording's name.
-    model : Model
-    channels : sequence of str
-    question : Question
-    lines : AnswerLines
-    keep : bool
-        Whether answers, shares and turns are kept.
-    always : bool
-        Whether everything is printed at once; else rows wait for one that can be measured, and shares for a second row.
+    `keep` stores answers, shares and turns. Unless `always`, rows wait for a measurable one, and shares for a second
+    row.
     """
 
     def __init__(
@@ -237,7 +222,7 @@ class RecordingRows:
             self.threshold = self._watch.threshold
 
     def feed(self, answers: Sequence[Answer], until: float) -> None:
-        """Print the next answers, and the shares of windows that end by now [s]."""
+        """Print the next answers, and the shares of the windows that end by `until` [s]."""
         self.tally.add(answers)
         if self._keep:
             self.answers += answers
@@ -249,12 +234,9 @@ class RecordingRows:
             self._print_shares(self._watch.feed(answers, until))
 
     def finish(self, duration: float, silent: Sequence[str] = (), start_time: Any = None) -> None:
-        """Print the rest at the end of a recording of a duration [s], and which channels were silent.
+        """Print the rest at the end of a recording of this duration [s], and its silent channels.
 
-        Raises
-        ------
-        BadData
-            There was nothing, or nothing could be measured; never of a live stream.
+        Raises `BadData` if there was no answer or none could be measured; never for a live stream.
         """
         from cgid.errors import BadData
 
@@ -277,7 +259,7 @@ class RecordingRows:
             self.lines.summary(self.source, self.tally, duration, start_time)
 
     def name(self, channel: str) -> str:
-        """Return source and channel in one word; the first channel has no name in JSON."""
+        """Return source and channel in one word; in JSON, the first channel has no name."""
         plain = channel == "1" and (self.lines.as_json or len(self.channels) == 1)
         return self.source if plain else f"{self.source} channel {channel}"
 
@@ -288,7 +270,7 @@ class RecordingRows:
         self._held_answers = []
 
     def _print_shares(self, more: Iterable[Share | Turn]) -> None:
-        """Print shares and turns; a recording of one impact has none unless they were asked for."""
+        """Print shares and turns; a recording of one impact has none unless an option asks for them."""
         self._held_shares += more
         if not (self._always or self._question.asks_for_shares or self.tally.total > 1):
             return

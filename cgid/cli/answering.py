@@ -1,4 +1,4 @@
-"""What `cgid predict` and `cgid monitor` are asked: the options, the question that they state, and the model."""
+"""Common to `cgid predict` and `cgid monitor`: the options, the question that they state, and the model."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ F = TypeVar("F", bound=Callable[..., Any])
 
 
 def answering_options(command: F) -> F:
-    """Add the options that choose the model and say what is asked of it."""
+    """Add the options that choose the model and state the question."""
     options: list[Callable[[Any], Any]] = [
         click.option(
             "--model", "model_path", type=PATH, help="Model file; the default model of the quantity if not given."
@@ -58,9 +58,9 @@ def answering_options(command: F) -> F:
 def question_of(
     options: dict[str, Any], dead_time: float | None, **more: Any
 ) -> tuple[Models, Question, dict[str, Any]]:
-    """Return the models, what is asked of them, and the options that are left: those that say how to read.
+    """Return the models, the question, and the remaining options, which say how to read.
 
-    The dead time is in seconds; `more` are fields of the question that no option gives.
+    The dead time is in seconds; `more` are fields of the question without an option.
     """
     from cgid import validation
     from cgid.identification.question import Question
@@ -95,7 +95,7 @@ def parse_cost(text: str) -> tuple[str, float]:
 
 
 def warn_of_rate(name: str, rate: float, model: Any) -> None:
-    """Say so if a model was not trained at a sampling rate [Hz]."""
+    """Warn if a model was not trained at a sampling rate [Hz]."""
     low, high = model.sampling_rates
     if not model.covers(rate):
         trained = f"{low:g}" if low == high else f"{low:g} to {high:g}"
@@ -103,9 +103,9 @@ def warn_of_rate(name: str, rate: float, model: Any) -> None:
 
 
 class Models:
-    """The model asked for; else the default model of each quantity, loaded and checked when a signal needs it.
+    """The given model; else the default model of each quantity, loaded and checked when a signal needs it.
 
-    A mass or a drop height means a force.
+    A mass or a drop height implies a force.
     """
 
     def __init__(self, path: str | None, question: Question) -> None:
@@ -124,7 +124,7 @@ class Models:
         return self._models[quantity]
 
     def name(self, model: Model) -> str:
-        """Return the name of a model's file, or which of the default models it is."""
+        """Return the file name of a model, or which default model it is."""
         if self._path is not None:
             return Path(self._path).name
         return "default model" + (" that knows the drop height" if model.known else f" of {model.quantity}")
@@ -135,7 +135,7 @@ class Models:
 
 
 def warn_of_model(source: str, name: str, sampling_rate: float, model: Model, question: Question) -> None:
-    """Warn of what a model was not trained for: the sampling rate [Hz] of a signal, or a sensor without a name."""
+    """Warn if a model was not trained for the sampling rate [Hz] of a signal, or needs the name of its sensor."""
     if model.sensors and not question.sensors:
         known = ", ".join(model.sensors)
         say(
@@ -150,7 +150,7 @@ def warn_of_model(source: str, name: str, sampling_rate: float, model: Model, qu
 
 
 def _load(path: str | None, drop_height: float | None) -> Model:
-    """Return the model asked for; else the default one, or its sister that knows the drop height."""
+    """Return the given model; else the default one, or its variant with the drop height."""
     from cgid import shipped
     from cgid.errors import NoInput
     from cgid.identification.model import Model
@@ -162,7 +162,7 @@ def _load(path: str | None, drop_height: float | None) -> Model:
 
 
 def _default_for(quantity: str | None) -> Model:
-    """Return the default model for a quantity; what is neither force nor acceleration counts as a force."""
+    """Return the default model for a quantity; anything but an acceleration counts as a force."""
     from cgid import shipped
     from cgid.errors import NoInput
     from cgid.identification.model import Model

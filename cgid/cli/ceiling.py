@@ -1,4 +1,4 @@
-"""`cgid ceiling`: the highest accuracy that is possible in a scene, and what a better rig would bring."""
+"""`cgid ceiling`: the highest possible accuracy in a scene, and the gain from a better rig."""
 
 from __future__ import annotations
 
@@ -77,7 +77,7 @@ def ceiling(
 
 
 def _checked(path: Path, overwrite: bool) -> Path:
-    """Return the path of a picture once it is sure that it can be written."""
+    """Return the path of a picture after checking that it can be written."""
     from cgid.files import check_new
     from cgid.plots import require_matplotlib
 

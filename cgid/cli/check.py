@@ -1,4 +1,4 @@
-"""`cgid check`: validate a scene and preview what it would make."""
+"""`cgid check`: validate a scene and preview its impacts."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import click
 from cgid.cli.options import PATH, print_json
 from cgid.cli.output import say
 
-#: Blocks of 256 impacts that are drawn for the preview.
+#: Blocks of 256 impacts in the preview.
 _BLOCKS = 16
 
 
@@ -24,7 +24,7 @@ def check(scene: str, seed: int, as_json: bool) -> None:
     from cgid.scene.noise import background_of
 
     loaded = load_scene(shipped.scene_path(scene))
-    background_of(loaded)  # reports a recording that cannot be read
+    background_of(loaded)  # raises if its recording cannot be read
     preview = _preview(loaded, seed)
     if loaded.stream is not None:
         preview |= _stream(loaded)
@@ -61,7 +61,7 @@ def _preview(scene: Any, seed: int) -> dict[str, Any]:
     draws = [draw(scene, seed, block) for block in range(_BLOCKS)]
     units = parameter_units(scene)
     if scene.stream is not None:
-        del units["onset"]  # of a frame
+        del units["onset"]  # it belongs to a frame
     values = {name: np.concatenate([d.parameters[name] for d in draws]) for name in units}
     sampling_rate = np.repeat([d.scene.sampling.sampling_rate for d in draws], BLOCK)
     labels, counts = np.unique(np.concatenate([d.labels for d in draws]), return_counts=True)
@@ -84,7 +84,7 @@ def _preview(scene: Any, seed: int) -> dict[str, Any]:
 
 
 def _tail_beam(scene: Any) -> dict[str, float]:
-    """Return the facts about a scene's tail beam; nothing if it has none."""
+    """Return the facts about a scene's tail beam; empty without one."""
     from cgid.scene.impacts import beam_modes
 
     if scene.tail_beam is None:
@@ -100,7 +100,7 @@ def _tail_beam(scene: Any) -> dict[str, float]:
 
 
 def _randomised(scene: Any) -> dict[str, tuple[float, float]]:
-    """Return the smallest and largest value of what is drawn for each block."""
+    """Return the smallest and largest value of each quantity that is drawn per block."""
     if scene.randomise is None:
         return {}
     units = {"sampling_rate": "Hz", "relative_noise": "1", "bandwidth": "Hz"}
@@ -139,9 +139,9 @@ def _shares(draws: list[Any], values: dict[str, Any], sampling_rate: Any, scene:
 
 
 def _stream(scene: Any) -> dict[str, Any]:
-    """Return what a scene with a stream makes, and the shares of its labels over the recording.
+    """Return the contents of a scene with a stream, and its label shares over the recording.
 
-    Raises the errors of `generate` for a recording that is too long or a background that cannot be read.
+    Raises as `generate` for a recording that is too long, or a background that cannot be read.
     """
     import numpy as np
 
@@ -153,7 +153,7 @@ def _stream(scene: Any) -> dict[str, Any]:
     require_capacity(scene, "float32")
     background, duration = background_of(scene), scene.stream.duration
     noise = scene.sensor.noise_level(np.zeros(()), scene.sampling.sampling_rate)
-    # The mixture at every time, weighted by the rocks that arrive then.
+    # The mixture over time, weighted by the arrival rate of the rocks.
     times = (np.arange(1000) + 0.5) / 1000 * duration
     expected = arrivals_of(scene.stream).expected(np.linspace(0, duration, 1001))
     shares = population_shares(scene, times) @ np.diff(expected) / max(expected[-1], 1e-300)

@@ -17,7 +17,7 @@ from cgid.cli.options import (
 )
 from cgid.cli.output import say
 
-#: Most impacts, or channels, that cannot be measured and are reported one by one.
+#: Up to this many unmeasurable impacts or channels are reported one by one.
 _MOST_REPORTED = 3
 
 
@@ -70,7 +70,7 @@ def features(
                 errors.append(error)
         if len(errors) == len(signals):
             raise errors[0]
-        # A channel without impacts does not hide the others.
+        # A channel without impacts must not hide the others.
         _warn([str(error) for error in errors], path, "channels")
 
     return each_file(files, treat, strict=strict)
@@ -100,7 +100,7 @@ def _print_table() -> None:
 def _print(
     signal: Any, names: tuple[str, ...] | None, remove_baseline: bool, dead_time: float | None, as_json: bool
 ) -> None:
-    """Print the impacts of one channel; those that cannot be measured have no numbers, but a reason."""
+    """Print the impacts of one channel; unmeasurable ones have a reason instead of numbers."""
     from cgid.errors import BadData, InvalidValue
     from cgid.identification.detection import find_impacts
     from cgid.measure.features import extract_array, kind_for, kind_of
@@ -141,7 +141,7 @@ def _print(
 
 
 def _chosen(names: tuple[str, ...] | None, kind: Any, sampling_rate: float, n_samples: int) -> tuple[str, ...]:
-    """Return the given features, by default all of the kind that rate and frames allow."""
+    """Return the given features, by default all of the kind that the sampling rate and the frames allow."""
     from cgid.measure.features import choose, require_supported, supported
 
     if names is not None:

@@ -11,12 +11,12 @@ import click
 from cgid.cli.options import PATH, crew_options, print_json, progress_bar, require_one_crew
 from cgid.cli.output import say
 
-#: Options for tables, with the output they ask for, and the options that choose the columns.
+#: Options for tables and their outputs; and the options that choose the columns, with the table that they need.
 _ONLY = {"features_only": "features", "closed_form_only": "closed-form", "parameters_only": "parameters"}
 _WHICH = {"features": "features_only", "quantities": "closed_form_only"}
-#: Options for signals on the disk.
+#: Options for stored signals.
 _OF_SIGNALS = ("dtype", "shard_signals", "compression", "jobs", "scheduler")
-#: Those of them that recordings do not have, and their defaults.
+#: Those among them that do not apply to recordings, and their defaults.
 _OF_MANY = {"jobs": 1, "scheduler": None, "shard_signals": 4096, "compression": "none"}
 #: Arguments of `generate_recordings` and `generate`.
 _OF_RECORDINGS = ("output", "n_signals", "seed", "overwrite", "resume", "dtype")
@@ -89,7 +89,7 @@ def generate(context: click.Context, /, scene: str, **options: Any) -> None:
 
 
 def _checked_output(context: click.Context) -> str:
-    """Return the output that is asked for; refuse options that contradict each other, before any work is done."""
+    """Return the requested output; refuse contradictory options before any work is done."""
     options = context.params
     given = {name for name in options if context.get_parameter_source(name) is click.core.ParameterSource.COMMANDLINE}
     only = [name for name in _ONLY if options[name]]
@@ -234,7 +234,7 @@ def _explain(asked: Any, n_signals: int, as_json: bool) -> None:
 
 
 def _require_recordings(scene: Any, options: dict[str, Any]) -> None:
-    """Raise `InvalidValue` for options that no recording has."""
+    """Raise `InvalidValue` for options that do not apply to recordings."""
     from cgid.errors import InvalidValue
 
     for name, default in _OF_MANY.items():

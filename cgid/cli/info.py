@@ -1,4 +1,4 @@
-"""`cgid info`: what is in this dataset, table, model or recording."""
+"""`cgid info`: show the contents of a dataset, table, model or recording."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ import click
 from cgid.cli.options import PATH, print_json
 from cgid.cli.output import say
 
-#: Samples of all channels that are held in memory; longer recordings are read block by block.
+#: Most samples of all channels held in memory; longer recordings are read block by block.
 _MOST_HELD = 1 << 24
-#: What an archive's first entry begins with is so long [bytes]; its name follows: that of a model's header.
+#: Length of the header of an archive's first entry [bytes], and the name that follows it in a model file.
 _LOCAL_HEAD, _HEADER = 30, b"header.npy"
 
 
@@ -105,7 +105,7 @@ def _model(file: str) -> dict[str, Any]:
     header = model.header
     training = header.pop("training")
     metrics = training.pop("metrics", {})
-    for table in ("selection", "domain_shift", "beside_force"):  # the card prints them
+    for table in ("selection", "domain_shift", "beside_force"):  # the model card prints these
         training.pop(table, None)
     shown = ("accuracy", "accuracy_interval_95", "recall", "brier_score", "expected_calibration_error")
     return {
@@ -119,7 +119,7 @@ def _model(file: str) -> dict[str, Any]:
 
 
 def _is_model(file: str) -> bool:
-    """Return whether a file is named like an archive and is none of plain arrays: then it is a model, or was one."""
+    """Return whether a file is named like an archive but does not hold plain arrays: an intact or damaged model."""
     from pathlib import Path
 
     if not file.endswith(".npz"):
@@ -129,7 +129,7 @@ def _is_model(file: str) -> bool:
             start = stream.read(_LOCAL_HEAD + len(_HEADER))
     except OSError:
         return True
-    # The directory at the end of an archive may be made to take long.
+    # The directory at the end of a crafted archive may take long to read.
     return not start.startswith(b"PK") or start[_LOCAL_HEAD:] == _HEADER
 
 
@@ -148,7 +148,7 @@ def _recording(file: str, sampling_rate: float | None, unit: str | None, variabl
 
 
 def _held_channels(recording: Any) -> dict[str, Any]:
-    """Return what is in each channel of a recording that may be held in memory."""
+    """Return the statistics of each channel of a recording that fits into memory."""
     import numpy as np
 
     from cgid.errors import BadData
@@ -175,7 +175,7 @@ def _held_channels(recording: Any) -> dict[str, Any]:
 
 
 def _long_channels(recording: Any) -> dict[str, Any]:
-    """Return what is in each channel of a long recording, which is read block by block; a median would hold it all."""
+    """Return the statistics of each channel of a long recording, block by block; no median, which needs all samples."""
     from collections import Counter
 
     import numpy as np
@@ -221,7 +221,7 @@ def _facts(recording: Any, channel: Any, n_samples: int, dtype: str) -> dict[str
 
 
 def _made(file: str) -> dict[str, Any]:
-    """Return what a recording that cgid has made says about itself; nothing for any other."""
+    """Return what a recording made by cgid says about itself; empty for any other."""
     from collections import Counter
 
     from cgid.store.reading import Recording, is_recording

@@ -29,10 +29,10 @@ from cgid.cli.train import train
 from cgid.cli.verify import verify
 from cgid.errors import CgidError, MissingExtra
 
-#: Number of threads for numba, which cannot be imported if it is below 1.
+#: Number of threads for numba, whose import fails below 1.
 _THREADS = "NUMBA_NUM_THREADS"
 _INTERRUPTED, _INTERNAL, _OUTPUT_FAILED, _NO_INPUT, _BAD_DATA = 130, 70, 74, 66, 65
-#: Messages of loaders, threads, C++ and HDF5 when memory runs short.
+#: Error messages of loaders, threads, C++ and HDF5 that mean a lack of memory.
 _MEMORY_SHORT = (
     "failed to map segment",
     "cannot allocate memory",
@@ -82,7 +82,7 @@ def run(arguments: list[str] | None = None) -> int:
         say("cgid: interrupted; nothing half-written is left", err=True)
         return _INTERRUPTED
     except (BrokenPipeError, SystemExit):
-        # The reader of our output has closed it (click turns that into SystemExit).
+        # The reader of our output has closed it; click turns that into SystemExit.
         drop(sys.stdout)
         return 0
     except OSError as error:
@@ -91,7 +91,7 @@ def run(arguments: list[str] | None = None) -> int:
         if _is_adrift():
             say("cgid: error: the current folder must exist, it has been removed; go to another one", err=True)
             return _NO_INPUT
-        # Files of ours raise a CgidError, so this is the standard output.
+        # Our own files raise a CgidError, so this is the standard output.
         with contextlib.suppress(OSError, AttributeError):
             sys.stdout.flush()
         drop(sys.stdout)
@@ -114,7 +114,7 @@ def run(arguments: list[str] | None = None) -> int:
 
 
 def _memory_is_short(error: BaseException | None) -> bool:
-    """Return whether an error, or one that led to it, is a lack of memory, which libraries report in many ways."""
+    """Return whether an error or one of its causes is a lack of memory, which libraries report in many ways."""
     while error is not None:
         if isinstance(error, MemoryError) or getattr(error, "errno", None) == errno.ENOMEM:
             return True

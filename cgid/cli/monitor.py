@@ -1,4 +1,4 @@
-"""`cgid monitor`: a live stream, its impacts and gangue share as they come, and when to shut the window."""
+"""`cgid monitor`: a live stream, its impacts and gangue share as they arrive, and when to shut the window."""
 
 from __future__ import annotations
 
@@ -23,18 +23,18 @@ from cgid.cli.options import PATH, dead_time_in_seconds
 if TYPE_CHECKING:
     from cgid.identification.question import Question
 
-#: At most this much may wait [bytes],
+#: Most data in the queue [bytes].
 MOST_WAITING = 128 << 20
-#: and this much of it is taken at once: what is made of it takes many times more.
+#: Most data taken at once [bytes], because processing takes many times more memory.
 MOST_TAKEN = 8 << 20
-#: Blocks are joined until they last this long [s]: short ones cost more than they hold,
+#: Blocks are joined until they last this long [s], because short ones cost more than they contain,
 LEAST_TIME = 0.05
-#: but after this time they are not waited for [s].
+#: but for at most this time [s].
 _PATIENCE = 0.1
 
 
 class UnbufferedInput:
-    """A file descriptor as a binary file that returns what there is; a thread that waits in it can be left behind."""
+    """A file descriptor as a binary file without a buffer; a thread that waits in it can be abandoned."""
 
     def __init__(self, descriptor: int) -> None:
         self._descriptor = descriptor
@@ -48,28 +48,20 @@ class UnbufferedInput:
         return b"".join(parts)
 
     def read1(self, size: int) -> bytes:
-        """Return what has come, at most this many bytes; none at the end."""
+        """Return the available bytes, at most this many; none at the end."""
         return os.read(self._descriptor, size)
 
 
 class Inbox:
-    """Reads blocks (n_channels, n_samples) in a thread of its own, so that the stream can go on meanwhile.
+    """Read blocks (n_channels, n_samples) in a separate thread, so that the stream continues meanwhile.
 
-    Parameters
-    ----------
-    blocks : iterable of ndarray
-        What it raises is raised again for who takes the blocks, after those before it.
-    sampling_rate : float
-        [Hz].
-    most_waiting : int
-        This much may wait [bytes]; then the stream is not read on until there is room, and its source has to wait.
+    An exception of `blocks` is raised again for the consumer, after the blocks before it. If more than `most_waiting`
+    bytes wait, reading stops and the source has to wait.
 
     Attributes
     ----------
-    n_taken : int
-        Samples of each channel that were taken out.
-    held_up : bool
-        Whether the stream ever had to wait.
+    n_taken : samples of each channel that the consumer has taken
+    held_up : whether the stream ever had to wait
     """
 
     def __init__(self, blocks: Iterable[NDArray[Any]], sampling_rate: float, most_waiting: int = MOST_WAITING) -> None:
@@ -84,7 +76,7 @@ class Inbox:
         self.held_up = False
 
     def __iter__(self) -> Iterator[NDArray[Any]]:
-        """Yield all that has come, joined, as soon as there is some; may be asked for once."""
+        """Yield all waiting blocks, joined, as soon as there are some; may be called once."""
         Thread(target=self._read, daemon=True).start()
         while (block := self._next()) is not None:
             self.n_taken += block.shape[1]
@@ -94,9 +86,9 @@ class Inbox:
 
     @property
     def behind(self) -> float:
-        """How far the answers are behind the stream [s]: never more than what waits.
+        """Delay of the answers behind the stream [s], at most the duration of the waiting samples.
 
-        Nor more than the clock is ahead of what was taken: a stream that comes faster than time is no live one.
+        It also is at most the lead of the clock over the samples taken: a stream faster than real time is not live.
         """
         return max(min(self._n_waiting / self._rate, self._clock - self.n_taken / self._rate), 0.0)
 
@@ -114,7 +106,7 @@ class Inbox:
                     self._n_waiting += block.shape[1]
                     self._size += block.nbytes
                     self._changed.notify_all()
-        except BaseException as error:  # whoever takes the blocks says it
+        except BaseException as error:  # raised again for the consumer
             self._fault = error
         finally:
             with self._changed:
@@ -122,9 +114,9 @@ class Inbox:
                 self._changed.notify_all()
 
     def _next(self) -> NDArray[Any] | None:
-        """Return the blocks that wait as one, None at the end."""
+        """Return the waiting blocks as one, None at the end."""
         with self._changed:
-            # Waits end now and then, so that an interruption is heard.
+            # Waits have a timeout, so that an interruption is noticed.
             while not self._changed.wait_for(lambda: self._waiting or self._ended, 1.0):
                 pass
             self._changed.wait_for(lambda: self._ended or self._n_waiting >= LEAST_TIME * self._rate, _PATIENCE)
@@ -140,9 +132,9 @@ class Inbox:
         return blocks[0] if len(blocks) == 1 else np.concatenate(blocks, axis=1)
 
 
-#: A share is printed this many times within its window.
+#: A share is printed this many times per window.
 _STEPS = 10
-#: Answers that are less far behind than this keep up [s].
+#: Answers less than this far behind keep up [s].
 _BEHIND = 1.0
 
 
@@ -197,7 +189,7 @@ def monitor(
 
 
 def _follow(live: Any, scale: float, models: Models, question: Question, lines: AnswerLines) -> None:
-    """Print what a stream holds until it ends or is interrupted."""
+    """Print the answers for a stream until it ends or is interrupted."""
     from cgid.identification.stream import factor_of, identify_blocks, scaled
     from cgid.units import quantity_of
 
@@ -225,7 +217,7 @@ def _follow(live: Any, scale: float, models: Models, question: Question, lines: 
 
 
 class _Delay:
-    """Reports how far the answers are behind the stream when it gets worse, and when it is over."""
+    """Report the delay of the answers behind the stream when it grows, and when it is over."""
 
     def __init__(self, source: str, lines: AnswerLines) -> None:
         self._source, self._lines = source, lines
@@ -233,7 +225,7 @@ class _Delay:
         self._held_up = False
 
     def see(self, inbox: Inbox) -> None:
-        """Look at what waits, and report a change."""
+        """Check the queue and report a change."""
         behind = inbox.behind
         if behind >= max(_BEHIND, 2 * self._said):
             self._said = behind
@@ -248,14 +240,14 @@ class _Delay:
 
 @contextmanager
 def _opened(stream: str) -> Iterator[Any]:
-    """Open a stream so that what has come is there at once."""
+    """Open a stream whose data is available at once."""
     from cgid.errors import NoInput
 
     if stream == "-" and sys.stdin is None:
         raise NoInput("stdin: the standard input must be open, it is closed; pipe a stream in, or name one")
     with ExitStack() as stack:
         try:
-            # A standard input that is closed has no descriptor.
+            # A closed standard input has no descriptor.
             file = sys.stdin if stream == "-" else stack.enter_context(Path(stream).open("rb", buffering=0))
             opened = UnbufferedInput(file.fileno())
         except (OSError, ValueError, AttributeError) as error:

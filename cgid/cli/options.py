@@ -1,4 +1,4 @@
-"""What several commands share: options, reading of inputs, errors one file at a time, JSON lines, progress."""
+"""Shared by several commands: options, reading of inputs, errors per file, JSON lines, progress."""
 
 from __future__ import annotations
 
@@ -21,17 +21,17 @@ if TYPE_CHECKING:
 F = TypeVar("F", bound=Callable[..., Any])
 #: Version of the lines that --json prints.
 JSON_VERSION = 1
-#: Longest dead time [ms]: no struck body rings for longer.
+#: Longest dead time [ms]; no struck body rings for longer.
 LONGEST_DEAD_TIME = 1e4
 
 
 class PathName(click.types.StringParamType):
-    """The name of a file or folder; an empty one, as from an unset variable of the shell, is an error."""
+    """The name of a file or folder; an empty one, as from an unset shell variable, is an error."""
 
     name = "path"
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
-        """Return the name, or fail as wrong usage."""
+        """Return the name, or fail with a usage error."""
         if value == "":
             self.fail("a name must not be empty; give one, or leave it out", param, ctx)
         return super().convert(value, param, ctx)
@@ -51,7 +51,7 @@ def _options(*options: Callable[[Any], Any]) -> Callable[[F], F]:
     return add
 
 
-#: The options for reading a recording.
+#: Options for reading a recording.
 reading_options = _options(
     click.option("--rate", "sampling_rate", type=float, help="Sampling rate [Hz], where the file does not say it."),
     click.option("--unit", help="Unit of the samples (N, kN, g, m/s^2, ...), where the file does not say it."),
@@ -63,13 +63,13 @@ reading_options = _options(
     click.option("--invert", is_flag=True, help="Turn the signal over: impacts must point upwards."),
     click.option("--dead-time", type=float, help="Ringing after a blow [ms]; 2 for pulses, 5 for vibrations."),
 )
-#: The options of a command that reads recordings and prints their contents.
+#: Options of commands that read recordings and print their contents.
 recording_options = _options(
     reading_options,
     click.option("--json", "as_json", is_flag=True, help="One JSON object a line."),
     click.option("--strict", is_flag=True, help="Stop at the first file that fails."),
 )
-#: The options for worker processes and clusters; `require_one_crew` refuses both at once.
+#: Options for worker processes and clusters; `require_one_crew` refuses both at once.
 crew_options = _options(
     click.option("--jobs", type=int, default=1, show_default=True, help="Worker processes."),
     click.option("--scheduler", help="Of a dask cluster, such as tcp://192.168.0.7:8786: its workers do the work."),
@@ -105,7 +105,7 @@ def open_file(
     variable: str | None,
     index: int | None = None,
 ) -> RecordingFile:
-    """Return the recording of a file, opened with these options."""
+    """Open a recording with these options."""
     from cgid.recordings import open_recording
 
     if index is not None:
@@ -114,9 +114,9 @@ def open_file(
 
 
 def asks_for_whole_dataset(path: str, *, index: int | None, **given: Any) -> bool:
-    """Return whether this is a dataset and no single signal of it is chosen.
+    """Return whether this is a dataset without a chosen signal.
 
-    Refuses the options for reading a recording, because a dataset describes itself.
+    Refuse the options for reading a recording, because a dataset describes itself.
     """
     from cgid.recordings import is_dataset
 
@@ -130,7 +130,7 @@ def asks_for_whole_dataset(path: str, *, index: int | None, **given: Any) -> boo
 
 
 def dead_time_in_seconds(milliseconds: float | None) -> float | None:
-    """Return the dead time [s]; refuse one outside the valid range."""
+    """Return the dead time [s]; refuse one outside of the valid range."""
     if milliseconds is None:
         return None
     if not 0 <= milliseconds <= LONGEST_DEAD_TIME:
@@ -141,7 +141,7 @@ def dead_time_in_seconds(milliseconds: float | None) -> float | None:
 def each_file(files: Iterable[str], treat: Callable[[str], None], *, strict: bool = False) -> int:
     """Treat every file; report the error of one and go on, or stop if `strict`.
 
-    Return the exit code of the first that failed.
+    Return the exit code of the first failed file.
     """
     code = 0
     for file in files:
@@ -163,7 +163,7 @@ def say_error(error: CgidError) -> None:
 
 def print_json(content: dict[str, Any], version: int = JSON_VERSION) -> None:
     """Print one object as a line of JSON; values that are not finite become null."""
-    # JSON escapes all characters that are not ASCII and all control characters but this one.
+    # JSON escapes all other control characters, and all characters that are not ASCII.
     say(json.dumps({"version": version, **_finite(content)}).replace("\x7f", "\\u007f"))
 
 

@@ -1,9 +1,9 @@
 """The standard streams and interruptions of a command.
 
-Everything that a command prints goes through `say`, so that no text of a file can control the terminal.
+Commands print only through `say`, so that no text of a file can control the terminal.
 
-Python raises KeyboardInterrupt wherever it happens to be, and loses it where nothing can be raised, such as in the
-callbacks of weak references, of which h5py has many. So an interruption is noted as well, and long work asks for it.
+Python raises KeyboardInterrupt at an arbitrary place, and loses it where nothing can be raised, such as in callbacks of
+weak references, of which h5py has many. So interruptions are also noted, and long work asks for them.
 """
 
 from __future__ import annotations
@@ -26,21 +26,21 @@ _noted = threading.Event()
 
 
 def open_missing() -> None:
-    """Open the null device for every standard stream that is closed.
+    """Open the null device for every closed standard stream.
 
-    Otherwise the next file that is opened, such as a dataset, becomes the standard output of every C library.
+    Otherwise the next opened file, such as a dataset, becomes the standard output of every C library.
     """
     for descriptor in range(3):
         try:
             os.fstat(descriptor)
         except OSError:
-            os.open(os.devnull, os.O_RDWR)  # takes the lowest free descriptor, which is this one
+            os.open(os.devnull, os.O_RDWR)  # takes the lowest free descriptor: this one
     if sys.stderr is None:
         sys.stderr = open(os.devnull, "w", encoding="utf-8")  # noqa: PTH123, SIM115 - until the process ends
 
 
 def drop(stream: TextIO | None) -> None:
-    """Discard what a stream still buffers; otherwise Python would fail again when it closes the stream."""
+    """Discard the buffer of a stream; otherwise Python would fail again when it closes the stream."""
     if stream is not None:
         with contextlib.suppress(OSError, ValueError):
             nowhere = os.open(os.devnull, os.O_WRONLY)
@@ -49,9 +49,9 @@ def drop(stream: TextIO | None) -> None:
 
 
 def say(text: str, *, err: bool = False) -> None:
-    """Print one line on stdout or stderr, with the escapes of characters that would control a terminal.
+    """Print one line on stdout or stderr; escape characters that would control a terminal.
 
-    A stderr that cannot be written, on a full disk for example, is ignored.
+    A stderr that cannot be written, for example on a full disk, is ignored.
     """
     try:
         click.echo(printable(text), err=err)
@@ -65,7 +65,7 @@ def say(text: str, *, err: bool = False) -> None:
 
 @contextmanager
 def heard() -> Iterator[None]:
-    """Note interruptions within this context; has no effect outside of the main thread."""
+    """Note interruptions within this context; no effect outside of the main thread."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return

@@ -102,19 +102,9 @@ def plot(
 
 
 class _Finder:
-    """Finds the impacts of each channel, as pulses or vibrations depending on its quantity.
+    """Find the impacts of each channel, as pulses or vibrations.
 
-    Parameters
-    ----------
-    sampling_rate : float
-        [Hz].
-    channels : sequence of Channel
-    kind : {"pulse", "vibration"} or None
-        None: depends on the quantity of each channel.
-    dead_time : float or None
-        [s].
-    begin : float
-        Time of the first sample [s].
+    `kind` None chooses by the quantity of each channel. `begin` is the time of the first sample [s].
     """
 
     def __init__(
@@ -197,10 +187,7 @@ def _require_order(begin: float, end: float | None) -> None:
 def _between(recording: RecordingFile, begin: float, end: float | None) -> Iterator[NDArray[Any]]:
     """Yield the blocks of the recording between two times [s].
 
-    Raises
-    ------
-    InvalidValue
-        The recording ends before `begin`, or there is no sample between the two.
+    Raises `InvalidValue` if the recording ends before `begin`, or there is no sample between the two.
     """
     from cgid.errors import InvalidValue
 

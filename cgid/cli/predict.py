@@ -1,4 +1,4 @@
-"""`cgid predict`: one row for each impact found, the gangue share, a summary; and the page that --report asks for."""
+"""`cgid predict`: one row for each impact found, the gangue share, a summary; and the page for --report."""
 
 from __future__ import annotations
 
@@ -35,21 +35,9 @@ if TYPE_CHECKING:
 
 
 class Pages:
-    """What the page is to hold, gathered while recordings are read.
+    """Collect the contents of the report page while recordings are read.
 
-    Parameters
-    ----------
-    path : str
-        Of the page.
-    overwrite : bool
-        Whether an old one may be replaced.
-
-    Raises
-    ------
-    CannotCreate
-        There may be no page of this name.
-    MissingExtra
-        matplotlib is not installed.
+    Raises `CannotCreate` if the page cannot be written there, `MissingExtra` without matplotlib.
     """
 
     def __init__(self, path: str, overwrite: bool) -> None:
@@ -65,7 +53,7 @@ class Pages:
     def add(
         self, recording: RecordingFile, passing: _Passing, model: Model, model_name: str, rows: RecordingRows
     ) -> None:
-        """Take what was printed of a recording."""
+        """Add the printed answers of a recording."""
         from cgid.report import Report, model_facts, recording_facts
 
         assert passing.stream is not None
@@ -86,7 +74,7 @@ class Pages:
         self._reports.append(report)
 
     def write(self) -> bool:
-        """Write the page; return whether there was something to write."""
+        """Write the page; return whether it has contents."""
         from cgid.report import write_report
 
         if self._reports:
@@ -95,7 +83,7 @@ class Pages:
 
 
 class _Passing:
-    """What is kept of the blocks of a recording that pass by: how many samples, and a drawing of the first channels."""
+    """Count the samples of a recording as its blocks pass, and draw its first channels."""
 
     def __init__(self, recording: RecordingFile, numbers: list[int], draw: bool) -> None:
         self.n_samples = 0
@@ -109,7 +97,7 @@ class _Passing:
             self.stream = OverviewStream(recording.sampling_rate, len(self.channels))
 
     def see(self, block: Any) -> None:
-        """Look at a block, (n_channels, n_samples)."""
+        """Take a block, (n_channels, n_samples)."""
         self.n_samples += block.shape[1]
         if self.stream is not None:
             self.stream.feed(block[: len(self.channels)])
@@ -117,7 +105,7 @@ class _Passing:
 
 @dataclass(frozen=True, kw_only=True)
 class _Prediction:
-    """What every file is treated with."""
+    """The settings for all files."""
 
     models: Models
     question: Question
@@ -125,12 +113,9 @@ class _Prediction:
     pages: Pages | None
 
     def recording(self, recording: RecordingFile) -> None:
-        """Print the answers for a recording, which is read block by block: once for each model its channels need.
+        """Print the answers for a recording, read block by block, once for each model that its channels need.
 
-        Raises
-        ------
-        CgidError
-            It cannot be read, is of another quantity, or nothing in it can be measured.
+        Raises `CgidError` if it cannot be read, is of another quantity, or has no measurable impact.
         """
         groups: dict[int, tuple[Model, list[int]]] = {}
         for number, channel in enumerate(recording.channels):
@@ -148,12 +133,12 @@ class _Prediction:
                 self.lines.warning(recording.source, warning)
         if len(errors) == len(groups):
             raise errors[0]
-        # Channels of another quantity do not hide those that can be answered for.
+        # Channels of another quantity must not hide those with answers.
         for unanswered in errors:
             self.lines.warning(recording.source, str(unanswered))
 
     def _channels(self, recording: RecordingFile, model: Model, numbers: list[int]) -> None:
-        """Print the answers for those channels of a recording that one model answers for."""
+        """Print the answers for the channels of a recording that use this model."""
         from cgid.identification.stream import identify_blocks, model_blocks
 
         question, lines, source, rate = self.question, self.lines, recording.source, recording.sampling_rate
@@ -174,7 +159,7 @@ class _Prediction:
             self.pages.add(recording, passing, model, self.models.name(model), rows)
 
     def dataset(self, path: str) -> None:
-        """Print the answer for every signal of a dataset, and say how many are right."""
+        """Print the answer for every signal of a dataset, and how many are right."""
         from cgid.errors import BadData
         from cgid.identification.answers import identify_frames
         from cgid.store import Dataset
@@ -226,7 +211,7 @@ class _Prediction:
         self.lines.answer(fitting.name, 1, answer)
 
     def _heights(self, path: str, batch: Batch, model: Model) -> Floats | float | None:
-        """Return the drop heights that a batch stores, for a model that needs them; else the one given."""
+        """Return the stored drop heights of a batch if the model needs them; else the given one."""
         from cgid.errors import InvalidValue
         from cgid.identification.drop_height import drop_heights
 
@@ -238,7 +223,7 @@ class _Prediction:
 
 @dataclass
 class _Tally:
-    """How many of the labelled impacts of a dataset were answered how."""
+    """Counts of the answers for the labelled impacts of a dataset."""
 
     measured: int = 0
     right: int = 0
@@ -254,7 +239,7 @@ class _Tally:
         if not answer.probabilities:
             return
         self.measured += 1
-        # Judged by the most probable label, so that the figure is that of the model card.
+        # The most probable label counts, so that the figure agrees with the model card.
         self.right += max(answer.probabilities, key=lambda label: answer.probabilities[label]) == truth
         if answer.prediction_set is not None:
             self.covered = (self.covered or 0) + (truth in answer.prediction_set)
@@ -264,7 +249,7 @@ class _Tally:
         from cgid.identification.share import wilson_interval
 
         share = self.right / self.measured
-        # Impacts of one specimen are no independent trials.
+        # Impacts of one specimen are not independent trials.
         low, high = wilson_interval(share, min(self.measured, len(self.specimens)))
         text = (
             f"accuracy of the most probable label {share:.4f} (95 % interval {low:.4f} to {high:.4f}) "

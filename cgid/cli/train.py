@@ -139,7 +139,7 @@ def _from_signals(data: list[str], options: dict[str, Any]) -> tuple[Any, list[A
 
 
 def _from_recordings(manifest: str, others: list[str], options: dict[str, Any]) -> tuple[Any, list[Any]]:
-    """Return the training on recordings, and the errors of those that could not be read."""
+    """Return the training on recordings, and the errors of unreadable ones."""
     from cgid.identification.labelled_recordings import record
     from cgid.identification.manifest import read_manifest
     from cgid.identification.training import train as train_model
@@ -163,7 +163,7 @@ def _from_recordings(manifest: str, others: list[str], options: dict[str, Any]) 
             own = {name: options[name] for name in names}
             training = train_model(rows, synthetic=synthetic, progress=progress, **own)
     except CgidError:
-        for failure in rows.failures:  # the unreadable recordings may be what is missing
+        for failure in rows.failures:  # the unreadable recordings may be the missing ones
             say_error(failure)
         raise
     return training, list(rows.failures)
@@ -253,7 +253,7 @@ def _share(metrics: dict[str, Any]) -> str:
 
 
 def _refuse_stray_options(context: click.Context, stray: dict[str, str], recorded: bool) -> None:
-    """Refuse options that have no meaning for the data, instead of ignoring them."""
+    """Refuse options that do not apply to the data, instead of ignoring them."""
     for name, flag in stray.items():
         if context.get_parameter_source(name) is click.core.ParameterSource.COMMANDLINE:
             reason = (

@@ -1,4 +1,4 @@
-"""`cgid verify`: find what is damaged in datasets, recordings, tables and models, and repair it."""
+"""`cgid verify`: find damage in datasets, recordings, tables and models, and repair it."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import click
 from cgid.cli.options import PATH, each_file, print_json, progress_bar
 from cgid.cli.output import say
 
-#: Problems that are reported only.
+#: Problems that are only reported.
 _KEPT = ("pending", "foreign")
 
 
@@ -45,12 +45,12 @@ def verify(data: tuple[str, ...], repair: bool, scene: str | None, as_json: bool
 
 
 def _verify_model(path: str, as_json: bool) -> None:
-    """Say that a model is whole, or raise what is wrong with it; models cannot be repaired."""
+    """Report an intact model, or raise its damage; models cannot be repaired."""
     from cgid.errors import BadData
     from cgid.identification.model import Model
 
     try:
-        if Path(path).is_fifo():  # reading it would wait for ever
+        if Path(path).is_fifo():  # reading it would never end
             raise BadData(f"{path}: must be a regular file; copy it to one first")
         Model.load(path)
     except BadData as error:
@@ -94,7 +94,7 @@ def _line(file: Path, problem: str, what: str) -> dict[str, Any]:
 
 
 def _tell(path: str, kind: str, n_files: int, lines: list[dict[str, Any]], whole: bool, as_json: bool) -> None:
-    """Print the findings in one of the inputs, and what was done about them."""
+    """Print the findings in one input, and the actions taken."""
     if as_json:
         print_json({"source": path, "kind": kind, "files": n_files, "whole": whole, "findings": lines})
         return

@@ -1,4 +1,4 @@
-"""The answer for an impact: its label, the probabilities, and whether it lies within the training of the model."""
+"""The answer for an impact: its label, the probabilities, and whether it lies in the training range of the model."""
 
 from __future__ import annotations
 
@@ -25,32 +25,21 @@ from cgid.validation import UNKNOWN, Floats
 
 @dataclass(frozen=True, kw_only=True)
 class Answer:
-    """What the model says of one impact, or of one window.
+    """The model's answer for one impact or one window.
 
     Attributes
     ----------
-    time : float
-        Of the impact in its recording, or of the start of the window [s].
-    label : str
-        The decision; "unknown" when the impact is outside of what was trained, could not be measured, or is rejected
-        because its prediction set is not a single label.
-    probabilities : dict
-        Of each label of the model; empty when the impact could not be measured.
-    novelty : float
-        Distance from the training, 1 at its edge; nan when the impact could not be measured.
-    in_training_range : bool
-        Whether the novelty is at most 1 and the sampling rate one that the model was trained at.
-    problem : str
-        Why there is no known label, or why to doubt it; else empty.
-    prediction_set : tuple of str or None
-        The labels that cannot be ruled out at the coverage asked for; None without a coverage or a measurement.
-    channel : str
-        Name of the channel; those of a window of several are joined by "+".
-    end : float
-        When the impact has died away, or the window ends [s]; nan where it is not known.
-    overlapping, clipped, cut : bool
-        Whether another impact began before this one had died away, samples stand at the limit of the recorder, and
-        the recording begins or ends within it.
+    time, end : of the impact or window in the recording [s]; the end is nan where it is not known
+    label : the decision; "unknown" if outside of the training range, unmeasurable, or rejected by the prediction set
+    probabilities : of each label; empty when the impact could not be measured
+    novelty : distance from the training data, 1 at its edge; nan when the impact could not be measured
+    in_training_range : whether the novelty is at most 1 and the model was trained at this sampling rate
+    problem : why the label is unknown or doubtful; else empty
+    prediction_set : labels that cannot be ruled out at the coverage; None without a coverage or a measurement
+    channel : channel name; a window of several channels joins their names by "+"
+    overlapping : whether another impact began before this one had died away
+    clipped : whether samples stand at the limit of the recorder
+    cut : whether the recording begins or ends within the impact
     """
 
     time: float
@@ -68,28 +57,17 @@ class Answer:
 
     @property
     def probability(self) -> float:
-        """Of the most probable label, or of the one decided for; nan when nothing was measured."""
+        """Probability of the label, or of the most probable label if it is "unknown"; nan when nothing was measured."""
         if not self.probabilities:
             return float("nan")
         return self.probabilities.get(self.label, max(self.probabilities.values()))
 
 
 def suited(signal: Signal, model: Model, mass: float | None = None) -> Signal:
-    """Return the signal in the quantity and unit of the model.
+    """Convert the signal to the quantity and unit of the model.
 
-    Parameters
-    ----------
-    signal : Signal
-    model : Model
-    mass : float, optional
-        Of the accelerated striker [kg]; turns an acceleration into a force.
-
-    Raises
-    ------
-    MissingOption
-        The unit of the signal is not known.
-    BadData
-        It is another quantity than the model's.
+    `mass` [kg] of the accelerated striker turns an acceleration into a force. Raises `MissingOption` if the unit is
+    unknown, `BadData` for another quantity than the model's.
     """
     if signal.unit is None:
         raise MissingOption(
@@ -121,25 +99,10 @@ def _unit_options(model: Model) -> str:
 
 
 def identify(signal: Signal, model: Model, question: Question | None = None, **fields: Any) -> list[Answer]:
-    """Return one answer for each impact in a recording.
+    """Return one answer for each impact in a recording, given in the quantity and unit of the model (`suited`).
 
-    Parameters
-    ----------
-    signal : Signal
-        In the quantity and unit of the model (`suited`).
-    model : Model
-    question : Question, optional
-    **fields
-        Of the question, in place of its own: `costs={"gangue": 3.0}`, `coverage=0.9`, `drop_height=1.5` [m] ...
-
-    Raises
-    ------
-    BadData
-        There is no impact at all.
-    MissingOption
-        The model needs the drop height.
-    InvalidValue
-        The model has no use for the drop height, or a choice is one that it cannot serve.
+    `fields` override those of the question, such as `costs={"gangue": 3.0}` or `drop_height=1.5` [m]. Raises `BadData`
+    without any impact, `MissingOption` without a needed drop height, `InvalidValue` for choices the model cannot serve.
     """
     question = replace(question or Question(), **fields)
     if model.kind == "window":
@@ -153,9 +116,9 @@ def identify(signal: Signal, model: Model, question: Question | None = None, **f
 def identify_events(
     events: Sequence[Event], model: Model, question: Question, *, channels: Sequence[str] = ("1",)
 ) -> list[Answer]:
-    """Return one answer for each impact that was found, in their order; those with frames alike in one batch.
+    """Return one answer for each detected impact, in order; frames of one shape form one batch.
 
-    `channels` are the names of the channels that the events number; else as `identify`.
+    `channels` holds the names of the channels of the recording. Raises as `identify`.
     """
     sensors = question.heard_by(model, channels)
     answers: dict[int, Answer] = {}
@@ -202,8 +165,8 @@ def identify_frames(
 ) -> list[Answer]:
     """Return one answer for each frame (n_signals, n_samples) of a single impact; raises as `identify`.
 
-    The drop height is one number or one for each frame [m]; of the question, only how a label is decided counts. The
-    equalisation makes up for the sensor's response.
+    The drop height is one number, or one for each frame [m]. Only the decision settings of the question count. The
+    equalisation corrects the sensor's response.
     """
     known = known_columns(model.known, len(frames), drop_height)
     if frames.shape[1] < MINIMUM_FRAME:
@@ -242,7 +205,7 @@ def identify_frames(
 def answers_from(
     probabilities: Floats, novelties: Floats, model: Model, question: Question, sampling_rate: float
 ) -> Iterator[Answer]:
-    """Return an iterator over answers at time 0, from probabilities (n, n_labels) and novelties (n,)."""
+    """Yield answers at time 0 from probabilities (n, n_labels) and novelties (n,)."""
     untrained = "" if model.covers(sampling_rate) else f"not trained at {sampling_rate:g} Hz"
     for row, (label, labels) in enumerate(zip(*question.labels(model, probabilities), strict=True)):
         novelty = float(novelties[row])
@@ -259,5 +222,5 @@ def answers_from(
 
 
 def unmeasured(problem: str, time: float = 0.0) -> Answer:
-    """Return the answer for what cannot be measured."""
+    """Return the answer for an impact or window that cannot be measured."""
     return Answer(time=time, label=UNKNOWN, probabilities={}, novelty=float("nan"), problem=problem)

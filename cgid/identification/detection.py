@@ -1,8 +1,8 @@
-"""Impacts in a recording, found as it comes: each with its onset, its end and a frame.
+"""Streaming impact detection: each impact with its onset, its end and a frame.
 
-The finder is fed a recording as a whole, block by block or live, and gives the same answer in every case. There are two
-kinds of impact: pulses rise above a baseline (`pulse_onsets`), vibrations are a sudden rise of energy over ringing and
-noise (`vibration_onsets`).
+The detector gives the same result for a whole recording, for blocks and for a live stream. There are two kinds of
+impact: pulses rise above a baseline (`pulse_onsets`), vibrations are a sudden rise of energy over ringing and noise
+(`vibration_onsets`).
 """
 
 from __future__ import annotations
@@ -26,29 +26,29 @@ from cgid.measure.vibration import SHORTEST_EVENT
 from cgid.signals import Signal
 from cgid.validation import Floats, require_rate
 
-#: What follows within this time belongs to the same blow: a struck body rings [s].
+#: Later samples within this time belong to the same blow, because a struck body rings [s].
 DEAD_TIME = 2e-3
-#: The same for a vibration: of one that another follows sooner, too little is left to measure.
+#: The same for vibrations. If the next blow follows sooner, too little is left to measure.
 VIBRATION_DEAD_TIME = SHORTEST_EVENT
-#: No recorder of impacts is faster: frames would fill the memory [Hz].
+#: Highest sampling rate [Hz]; no recorder of impacts is faster, and frames would fill the memory.
 FASTEST = 2e7
-#: About this many samples are looked at together: they and what is made of them stay in the processor's cache.
+#: Approximate number of samples processed together, so that they and their derived arrays fit into the cache.
 _TOGETHER = 1 << 16
-#: A recording is clipped throughout if more than this share of its samples lies at its limits,
+#: A recording is clipped throughout if more than this share of its samples lies at its limits.
 _CLIPPED_SHARE = 0.5
-#: as every 64th of them shows.
+#: Every 64th sample is checked for clipping.
 _EVERY = 64
-#: A signal that falls this many times as far as it rises is upside down.
+#: A signal is upside down if it falls this many times as far as it rises.
 _UPSIDE_DOWN = 3.0
-#: What cures that.
+#: The remedy for a signal that is upside down.
 TURN_OVER = "turn it over with --invert, for pulses must point upwards"
 
 
 class ImpactDetector:
-    """Finds impacts in a recording of one or more channels, fed in blocks of any size.
+    """Find impacts in a recording of one or more channels, fed in blocks of any size.
 
-    What it finds does not depend on the blocks: everything moves in chunks counted from the first sample. Memory holds
-    some tenths of a second, however long the recording is.
+    The result does not depend on the blocks, because all processing happens in chunks counted from the first sample.
+    Memory holds some tenths of a second, however long the recording is.
 
     Parameters
     ----------
@@ -57,18 +57,17 @@ class ImpactDetector:
     n_channels : int
     kind : {"pulse", "vibration"}
     dead_time : float, optional
-        What comes this soon after an impact belongs to it [s]. Of a pulse `DEAD_TIME`, counted from its last high
-        sample; of a vibration `VIBRATION_DEAD_TIME`, counted from its onset, and 4 ms at least.
+        Samples within this time belong to the same impact [s]. For pulses, it counts from the last high sample and is
+        `DEAD_TIME` by default; for vibrations, from the onset, `VIBRATION_DEAD_TIME` by default, at least 4 ms.
     joint : bool
-        Whether all channels hear the same impacts: an event has the frames of all, and begins with what any hears.
-        Else each channel has its own.
+        Whether an impact in any channel is one in all, and an event has the frames of all channels.
 
     Attributes
     ----------
     pre_trigger : int or None
-        Samples of each frame that are surely before touch; None where each pulse shows it.
+        Samples of each frame that are certainly before touch; None if it follows from each pulse.
     n_samples, n_quiet : int
-        Of each frame, and of these before the onset. The frame of a pulse that takes longer is longer.
+        Length of a frame, and of its part before the onset. The frame of a longer pulse is longer.
 
     Examples
     --------
@@ -108,7 +107,7 @@ class ImpactDetector:
             self._onsets, start = PulseOnsets(rate, n_channels, dead_time, self._framing.longest, joint), PULSE_START
         else:
             self._onsets, start = VibrationOnsets(rate, n_channels, dead_time, joint), VIBRATION_START
-        # Samples from number `first` on, and blocks that are not among them yet.
+        # `_samples` begins at index `_first` of the recording; `_blocks` are not joined to it yet.
         self._samples: NDArray[Any] = np.empty((n_channels, 0), np.float32)
         self._first = 0
         self._blocks: list[NDArray[Any]] = []
@@ -121,19 +120,19 @@ class ImpactDetector:
 
     @property
     def known_until(self) -> int:
-        """All impacts that begin before this sample have been returned."""
+        """Index of the sample before which all impacts have been returned."""
         if self._ended:
             return self._fed
         reach = max(self._taken - self._onsets.lag - self._framing.reach(self._framing.length), 0)
         return min([reach, *(onset.sample for onset in self._pending)])
 
     def feed(self, block: ArrayLike) -> list[Event]:
-        """Take the next samples and return the impacts whose frames are complete by now, in order of time.
+        """Take the next samples and return the impacts whose frames are complete, in order of time.
 
         Parameters
         ----------
-        block : array_like, (n_channels, n)
-            Finite numbers; pulses point upwards. One channel may be (n,).
+        block : array_like, (n_channels, n) or, of one channel, (n,)
+            Finite numbers; pulses point upwards.
 
         Raises
         ------
@@ -143,7 +142,7 @@ class ImpactDetector:
             A sample is not finite or absurdly large.
         """
         samples = self._checked(block)
-        # A copy: the caller may use the block again.
+        # The caller may reuse the block.
         self._blocks.append(samples.copy())
         self._fed += samples.shape[1]
         if self._fed < self._needed:
@@ -156,12 +155,12 @@ class ImpactDetector:
             whole = (self._fed - self._taken) // chunk * chunk
             events += self._take(min(whole, max(together, self._needed - self._taken)))
             self._needed = self._taken + chunk
-        # Else what is left would hold all of a long block.
+        # A view would keep all of a long block in memory.
         self._samples = self._samples.copy()
         return events
 
     def finish(self) -> list[Event]:
-        """Return the impacts that are left when there are no more samples."""
+        """Return the remaining impacts at the end of the recording."""
         if self._ended:
             return []
         self._join()
@@ -174,12 +173,12 @@ class ImpactDetector:
         return self._complete(found)
 
     def is_upside_down(self, channel: int = 0) -> bool:
-        """Return whether a channel falls farther below its baseline than a pulse may, and hardly rises above it."""
+        """Return whether a channel falls more than three times as far below its baseline as it rises above it."""
         onsets = self._onsets
         return isinstance(onsets, PulseOnsets) and bool(onsets.fall[channel] > _UPSIDE_DOWN * onsets.rise[channel])
 
     def why_silent(self, channel: int = 0, unit: str | None = None) -> str:
-        """Return why no impact was found in a channel, and what to do; for a recording that is over."""
+        """Explain why a channel of a finished recording has no impact, and suggest a remedy."""
         limits, own = self._limits, f" {unit}" if unit else ""
         lowest, highest = float(limits.lowest[channel]), float(limits.highest[channel])
         if not lowest < highest:
@@ -221,7 +220,7 @@ class ImpactDetector:
         if samples.size:
             lowest, highest = samples.min(axis=1), samples.max(axis=1)
             least, most = float(lowest.min()), float(highest.max())
-            # Nan lies nowhere.
+            # The comparison is also false for nan.
             if not -LARGEST <= least <= most <= LARGEST:
                 raise BadData(
                     f"samples must be finite and lie within +-{LARGEST:g}, they reach from {least:.3g} to {most:.3g}; "
@@ -231,7 +230,7 @@ class ImpactDetector:
         return samples
 
     def _join(self) -> None:
-        """Append the blocks that have come to the samples."""
+        """Append the waiting blocks to the samples."""
         if self._blocks:
             kept = [self._samples] if self._samples.shape[1] else []
             n_kept = self._samples.shape[1]
@@ -254,7 +253,7 @@ class ImpactDetector:
         return events
 
     def _complete(self, found: list[Onset]) -> list[Event]:
-        """Return the events whose frames are complete with what has been taken."""
+        """Return the events whose frames are complete with the samples so far."""
         self._pending = sorted([*self._pending, *found], key=lambda onset: (onset.sample, onset.row))
         known = self._taken - self._onsets.lag
         stop = self._fed if self._ended else None
@@ -271,7 +270,7 @@ class ImpactDetector:
 
 
 class _Limits:
-    """How far the samples of each channel reach, and which share of them lies at these limits."""
+    """Track the extremes of each channel, and the share of its samples that lies there."""
 
     def __init__(self, n_channels: int) -> None:
         self.lowest, self.highest = np.full(n_channels, np.inf), np.full(n_channels, -np.inf)
@@ -279,11 +278,11 @@ class _Limits:
         self._counted = np.stack([self.lowest, self.highest])
 
     def widen(self, lowest: Floats, highest: Floats) -> None:
-        """Take the limits of some more samples."""
+        """Update the limits with those of more samples."""
         self.lowest, self.highest = np.minimum(self.lowest, lowest), np.maximum(self.highest, highest)
 
     def see(self, samples: NDArray[Any]) -> None:
-        """Count which of some samples (n_channels, n) lie at the limits."""
+        """Count the samples (n_channels, n) at the limits."""
         limits = np.stack([self.lowest, self.highest])
         self._counts[limits != self._counted] = 0
         self._counted = limits
@@ -292,12 +291,12 @@ class _Limits:
         self._seen += looked.shape[1]
 
     def share(self, channel: int) -> float:
-        """Return the share of the samples of a channel that lie at either limit."""
+        """Return the share of a channel's samples that lies at either limit."""
         return float(self._counts[:, channel].sum() / max(self._seen, 1))
 
 
 def find_impacts(signal: Signal, *, kind: ImpactKind = "pulse", dead_time: float | None = None) -> list[Event]:
-    """Return the impacts in a recording, in order: what `ImpactDetector` finds in it.
+    """Return the impacts in a recording, in order of time, as `ImpactDetector` finds them.
 
     A frame of a dataset (its `pre_trigger` is known) is one impact.
 
@@ -307,7 +306,7 @@ def find_impacts(signal: Signal, *, kind: ImpactKind = "pulse", dead_time: float
         Pulses point upwards.
     kind : {"pulse", "vibration"}
     dead_time : float, optional
-        [s], 0 or more; `DEAD_TIME` or `VIBRATION_DEAD_TIME` if not given.
+        [s], at least 0; by default `DEAD_TIME` or `VIBRATION_DEAD_TIME`.
 
     Returns
     -------

@@ -1,4 +1,4 @@
-"""The drop height, which a model may need besides the signal: from a dataset or from the user."""
+"""The drop height, a model input besides the signal: from a dataset or from the user."""
 
 from __future__ import annotations
 
@@ -13,19 +13,15 @@ from cgid.signals import Batch
 from cgid.units import STANDARD_GRAVITY
 from cgid.validation import Floats
 
-#: Everything that a model may need besides the signal, and its unit.
+#: Possible model inputs besides the signal, and their units.
 KNOWN: Mapping[str, str] = {"drop_height": "m"}
 
 
 def drop_heights(batch: Batch) -> Floats | None:
-    """Return how far each rock of a batch fell [m]; None where the batch does not store it.
+    """Return the drop height of each rock of a batch [m]; None if the batch does not store it.
 
-    Where only the velocity is stored, it is the height of a free fall, velocity^2 / (2 g).
-
-    Raises
-    ------
-    BadData
-        Some impacts have none, or it is not above 0.
+    A stored velocity gives the height of a free fall, velocity^2 / (2 g). Raises `BadData` if some impacts have
+    neither, or a height that is not above 0.
     """
     missing = np.full(len(batch), np.nan)
     height, velocity = (batch.parameters.get(name, missing) for name in ("drop_height", "velocity"))
@@ -43,22 +39,10 @@ def drop_heights(batch: Batch) -> Floats | None:
 
 
 def known_columns(known: tuple[str, ...], n_impacts: int, drop_height: ArrayLike | None) -> Floats:
-    """Return the columns that the model needs besides the features, (n_impacts, n_known).
+    """Return the model inputs besides the features, (n_impacts, n_known).
 
-    Parameters
-    ----------
-    known : tuple of str
-        What the model needs, out of `KNOWN`.
-    n_impacts : int
-    drop_height : float or array_like, (n_impacts,), optional
-        [m].
-
-    Raises
-    ------
-    MissingOption
-        The model needs it and it is not given.
-    InvalidValue
-        The model has no use for it, it is not above 0, or not one number for each impact.
+    The drop height is one number, or one for each impact [m]. Raises `MissingOption` if the model needs it and it is
+    not given, `InvalidValue` if the model does not use it, it is not above 0 or has another shape.
     """
     if drop_height is None:
         if "drop_height" in known:

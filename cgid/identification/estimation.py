@@ -1,8 +1,8 @@
-"""Parameters of pulses by maximum likelihood, their statistical bound, and posteriors for short pulses.
+"""Parameters of pulses by maximum likelihood, their Cramer-Rao bound, and posteriors for short pulses.
 
-The fitted restitution is the shape of the pulse: how much faster it rises than it falls. For the impact of a sphere on
-a half space that is the restitution. On recordings of real shocks it varies between .77 and 1 with the part that is
-fitted, the baseline and the resonance of the mounting: there it describes the pulse, not a material.
+The fitted restitution is the shape of the pulse: how much faster it rises than it falls. For a sphere on a half space
+it equals the restitution of the impact. On recordings of real shocks it varies between .77 and 1 with the fitted part,
+the baseline and the resonance of the mounting. There it describes the pulse, not a material.
 """
 
 from __future__ import annotations
@@ -23,28 +23,25 @@ from cgid.validation import Floats, require_rate
 
 __all__ = ["Bound", "Estimates", "Posterior", "Prior", "cramer_rao_bound", "estimate", "posterior"]
 
-#: Rows treated at once, and most nodes of a posterior.
+#: Rows processed at once, and most nodes of a posterior.
 _ROWS, _MOST_NODES = 512, 4096
-#: With a squared residual this many times that of the noise, the pulse is not of the family.
+#: If the squared residual is more than this many times that of the noise, the pulse is not of the family.
 FAMILY_LIMIT = 2.5
 
 
 @dataclass(frozen=True)
 class Estimates:
-    """Fitted damped-Hertz pulses, one a row, in the unit of the signal and seconds.
+    """Fitted damped-Hertz pulses, one per row, in the unit of the signal and seconds.
 
     Attributes
     ----------
-    peak, contact_duration, onset, restitution, baseline : ndarray, (n,)
-        The onset is the time of touch after the first sample. Above 1 the restitution is that of a pulse which rises
-        more slowly than it falls.
-    covariance : ndarray, (n, 5, 5)
-        Of ln(peak), ln(contact duration), onset [s], ln(restitution), baseline; zero where a parameter was given.
-    misfit : ndarray, (n,)
-        Goodness of fit: the squared residual over that of the noise, about 1 for a pulse of the family.
-    overload : ndarray, (n,)
-        Peak over the level at which the samples are cut off, minus 1; 0 where they are not.
-    converged : ndarray of bool, (n,)
+    peak, contact_duration, baseline : (n,)
+    onset : time of touch after the first sample [s], (n,)
+    restitution : above 1 for a pulse that rises more slowly than it falls, (n,)
+    covariance : (n, 5, 5) of ln(peak), ln(contact duration), onset [s], ln(restitution), baseline; 0 if given
+    misfit : squared residual over that of the noise, about 1 for a pulse of the family, (n,)
+    overload : peak over the clipping level, minus 1; 0 without clipping, (n,)
+    converged : (n,)
     """
 
     peak: Floats
@@ -64,22 +61,19 @@ class Estimates:
 
     @property
     def of_family(self) -> NDArray[np.bool_]:
-        """Whether the pulse may be a damped-Hertz one: `misfit` at most `FAMILY_LIMIT`."""
+        """Whether the pulse may be a damped-Hertz pulse: `misfit` at most `FAMILY_LIMIT`."""
         return np.asarray(self.misfit <= FAMILY_LIMIT)
 
 
 @dataclass(frozen=True)
 class Posterior:
-    """The posterior of the restitution of each pulse.
+    """Posterior of the restitution of each pulse.
 
     Attributes
     ----------
-    restitution : ndarray, (n, n_nodes)
-        Nodes, rising.
-    weight : ndarray, (n, n_nodes)
-        Probability of each; they add up to 1.
-    peak, contact_duration : ndarray, (n,)
-        Posterior means, in the unit of the signal and seconds.
+    restitution : nodes, ascending, (n, n_nodes)
+    weight : probability of each node, (n, n_nodes); each row sums to 1
+    peak, contact_duration : posterior means (n,), in the unit of the signal and seconds
     """
 
     restitution: Floats
@@ -98,13 +92,7 @@ class Posterior:
         return np.asarray(np.sqrt(np.sum(self.weight * (self.restitution - self.mean[:, None]) ** 2, axis=1)))
 
     def quantile(self, share: float) -> Floats:
-        """Return the restitution below which this share of the probability lies, (n,).
-
-        Raises
-        ------
-        InvalidValue
-            The share is not between 0 and 1.
-        """
+        """Return the quantile of the restitution, (n,), at a probability between 0 and 1."""
         if not 0 < validation.number("share", share) < 1:
             raise InvalidValue(f"share must lie between 0 and 1 (exclusive), got {share:g}")
         # Half of a node's probability lies on either side of it.
@@ -117,7 +105,7 @@ class Posterior:
         return np.asarray(start + part * (stop - start))
 
     def interval(self, coverage: float = 0.9) -> tuple[Floats, Floats]:
-        """Return the interval that holds the restitution with this probability, as much beyond either end."""
+        """Return the equal-tailed interval that contains the restitution with this probability."""
         return self.quantile(0.5 - 0.5 * coverage), self.quantile(0.5 + 0.5 * coverage)
 
 
@@ -133,32 +121,31 @@ def estimate(
     clip_level: ArrayLike | None = None,
     bandwidth: float | None = None,
 ) -> Estimates:
-    """Return the most likely damped-Hertz pulse of each signal.
+    """Fit the most likely damped-Hertz pulse to each signal.
 
-    Least squares under white noise, with Firth's penalty on the shape. Samples at the sensor's limit count as "at least
-    that much".
+    Least squares under white noise, with Firth's penalty on the shape. Clipped samples count as "at least this value".
 
     Parameters
     ----------
     samples : array_like, (n_samples,) or (n_signals, n_samples)
-        One positive pulse a row.
+        One positive pulse per row.
     sampling_rate : float
         [Hz].
     pre_trigger : int, optional
-        Samples before touch: baseline and noise are their mean and standard deviation. By default every sample up to
+        Samples before touch, whose mean is the baseline and whose standard deviation is the noise; by default all up to
         the foot of the pulse.
     noise : float or array_like, (n_signals,), optional
-        Standard deviation of the noise, where it is known.
+        Standard deviation of the noise, if known.
     fit_baseline : bool
-        Whether a constant is fitted together with the pulse (after the removal).
+        Whether to fit a constant together with the pulse (after the removal).
     remove_baseline : bool
-        Whether the mean before touch is taken off first.
+        Whether to subtract the mean before touch first.
     onset : float or array_like, (n_signals,), optional
-        Time of touch after the first sample [s], where it is known.
+        Time of touch after the first sample [s], if known.
     clip_level : float or array_like, (n_signals,), optional
-        The sensor's limit; by default it is where three samples or more stand level at the top.
+        Limit of the sensor; by default the top level that at least three samples share.
     bandwidth : float, optional
-        Edge of the sensor's low-pass [Hz], as in `cgid.scene.Sensor`: the pulse is fitted as seen through it.
+        Edge of the sensor's low-pass [Hz], as in `cgid.scene.Sensor`; the fit includes this filter.
 
     Raises
     ------
@@ -223,14 +210,14 @@ def posterior(
     samples, sampling_rate, pre_trigger, noise, bandwidth
         As in `estimate`.
     prior : Prior
-        Such as `Prior.from_draws` of the impacts that are expected.
+        For example `Prior.from_draws` of the expected impacts.
     n_nodes : int
-        Of the quadrature along the restitution.
+        Nodes of the quadrature along the restitution.
 
     Raises
     ------
     BadData, InvalidValue
-        As `estimate`; or there is no noise.
+        As `estimate`; `InvalidValue` also for a signal without noise.
     """
     validation.instance("prior", prior, Prior)
     validation.whole("n_nodes", n_nodes, 3, _MOST_NODES)

@@ -1,4 +1,4 @@
-"""Impacts that were found, each in a frame of one length, so that hundreds are identified in one batch."""
+"""Detected impacts, each in a frame of one length, so that hundreds are identified in one batch."""
 
 from __future__ import annotations
 
@@ -14,28 +14,28 @@ from cgid.measure.vibration import SHORTEST_EVENT
 from cgid.signals import Signal
 from cgid.validation import Floats
 
-#: Returns the samples (n_channels, n) of a recording between two numbers, as far as they are there.
+#: Returns the samples (n_channels, n) of a recording between two indices, as far as they exist.
 Read = Callable[[int, int], Floats]
 
-#: Frames of vibrations begin this long before the impact and last this long after its onset, enough for every
+#: Frames of vibrations begin this long before the impact and end this long after its onset: enough for every
 #: third-octave band [s].
 QUIET_TIME, EVENT_TIME = 10e-3, 150e-3
-#: The same for pulses,
+#: The same for pulses [s].
 PULSE_QUIET_TIME, PULSE_TIME = 5e-3, 15e-3
-#: with this many samples at least.
+#: Minimum of each of the two parts of a pulse frame [samples].
 _FEWEST = 200
-#: A longer pulse has a frame 4 or 16 times as long after its onset; what lasts longer is cut there.
+#: A longer pulse has a frame 4 or 16 times as long after its onset. Even longer pulses are cut there.
 _LONGER, _LONGEST = 4, 16
-#: The last part of what is before an impact may belong to it already [s].
+#: The last part before the onset may already belong to the impact [s].
 LEAD_TIME = 1e-3
-#: The onset of the next impact may be placed this late [s].
+#: The detected onset of the next impact may be this late [s].
 _LATE = 0.5e-3
-#: What was found has to rise this many standard deviations above what is before it in its own frame: less than
-#: elsewhere, because the ringing of the blow before may still go on there.
+#: A detected impact must rise this many standard deviations above the quiet part of its frame. The limit is lower than
+#: elsewhere, because the previous blow may still ring there.
 FOUND_LIMIT = 2.0
-#: This many samples before an impact can stand for others that are missing.
+#: With at least this many samples before an impact, missing ones are mirrored.
 _ENOUGH = 8
-#: What is held in clipping is at least this share of the largest deviation.
+#: A clipped value is at least this share of the largest deviation.
 _CLIPPED_SHARE = 0.5
 
 
@@ -45,20 +45,13 @@ class Onset:
 
     Attributes
     ----------
-    row : int
-        What dead time and neighbours are counted in: its channel, or 0 where all are one.
-    channel : int
-        Where it was found; where all are one, the channel that heard it most.
-    sample : int
-        From the first of the recording.
-    noise : ndarray, (n,)
-        Of a vibration: the energy of the noise in each band. Of a pulse: the baseline of each channel.
-    last : int or None
-        Of a pulse: its last high sample so far.
-    closed : bool
-        Whether no later sample can belong to it.
-    again : int or None
-        Sample at which another one is seen that followed so closely that they are one.
+    row : unit of dead time and neighbours: the channel, or 0 for joint channels
+    channel : where it was found; of joint channels, the one with the strongest signal
+    sample : index in the recording
+    noise : of a vibration, the energy of the noise in each band; of a pulse, the baseline of each channel
+    last : of a pulse, its last high sample so far
+    closed : whether no later sample can belong to it
+    again : sample of another impact that follows too closely to be separated
     """
 
     row: int
@@ -74,34 +67,21 @@ class Onset:
 class Event:
     """One impact in a recording.
 
+    A vibration ends when its energy has fallen to 1 % or to twice the noise, at the latest at the end of its frame or
+    at the next impact.
+
     Attributes
     ----------
-    channel : int
-        Where it was heard; where all channels are one, the one that heard it most.
-    onset, end : int
-        The first sample of it and the first behind it, from the first of the recording. A vibration is over when its
-        energy has fallen to 1 % or to twice the noise, at the latest at the end of its frame or at the next impact.
-    samples : ndarray, (n_samples,) or (n_channels, n_samples)
-        The frame. From shortly before the next impact (or from the end of the recording) on it holds the baseline.
-        Where the impact before it or the start of the recording is too near, the quiet part is mirrored to fill it.
-    sampling_rate : float
-        [Hz].
-    pre_trigger : int or None
-        Samples of the frame that are surely before touch; None where the pulse itself must tell.
-    overlapping : bool
-        Whether another impact begins before this one is over, or this one before the last is.
-    clipped : bool
-        Whether the largest value is held for three samples.
-    cut : bool
-        Whether the recording begins or ends within it.
-    problem : str
-        Why it cannot be measured, where the frame does not show it; else empty.
-    detection_limit : float
-        What `cgid.measure.features.extract_array` should ask of it.
-    unit : str or None
-        Of the samples, where known.
-    source : str
-        Name of the recording.
+    channel : where it was heard; of joint channels, the one with the strongest signal
+    onset, end : index in the recording of its first sample, and of the first sample after it
+    samples : the frame, (n_samples,) or (n_channels, n_samples); the baseline replaces the next impact, and fills the
+        frame after the end of the recording; a quiet part that is too short is extended by mirroring
+    pre_trigger : samples of the frame that are certainly before touch; None if it follows from the pulse itself
+    overlapping : whether another impact begins before this one is over, or this one before the previous is over
+    clipped : whether three samples in a row hold the highest or lowest value
+    cut : whether the recording begins or ends within the impact
+    problem : why the impact cannot be measured, if the frame does not show it; else empty
+    detection_limit : for `cgid.measure.features.extract_array`
     """
 
     channel: int
@@ -120,12 +100,12 @@ class Event:
 
     @property
     def time(self) -> float:
-        """Of the onset, from the first sample of the recording [s]."""
+        """Time of the onset in the recording [s]."""
         return self.onset / self.sampling_rate
 
     @property
     def signal(self) -> Signal:
-        """The frame as a signal; raises `InvalidValue` where it has several channels."""
+        """The frame as a signal; raises `InvalidValue` if it has several channels."""
         if self.samples.ndim > 1:
             raise InvalidValue(f"a signal must be of one channel, this event has {len(self.samples)}; take its samples")
         return Signal(
@@ -138,9 +118,9 @@ class Event:
 
 
 def frames_alike(events: Sequence[Event]) -> Iterator[tuple[list[int], NDArray[Any]]]:
-    """Yield the events that can be measured in one batch: their numbers, and their frames one upon the other.
+    """Yield the events that can be measured in one batch: their indices and their stacked frames.
 
-    Their frames are of one length and rate, and `pre_trigger` and `detection_limit` are the same.
+    These have the same frame shape, sampling rate, `pre_trigger` and `detection_limit`.
     """
     alike: dict[tuple[Any, ...], list[int]] = {}
     for number, event in enumerate(events):
@@ -152,22 +132,15 @@ def frames_alike(events: Sequence[Event]) -> Iterator[tuple[list[int], NDArray[A
 
 @dataclass(frozen=True)
 class Framing:
-    """How long frames are, in samples.
+    """Lengths of frames in samples.
 
     Attributes
     ----------
-    sampling_rate : float
-        [Hz].
-    quiet : int
-        Before the onset,
-    lead : int
-        of which this many may belong to the impact.
-    length, longest : int
-        From the onset on, and for the longest impact.
-    pre_trigger : int or None
-        See `Event`.
-    shortest : int
-        An impact that the recording ends sooner after its onset cannot be measured.
+    quiet : before the onset
+    lead : last part of `quiet`, which may already belong to the impact
+    length, longest : from the onset on, by default and for the longest impact
+    pre_trigger : see `Event`
+    shortest : an impact that the recording cuts off sooner after its onset cannot be measured
     """
 
     sampling_rate: float
@@ -180,7 +153,7 @@ class Framing:
 
     @classmethod
     def of(cls, kind: str, sampling_rate: float) -> Framing:
-        """Return the framing of a kind at a sampling rate [Hz]."""
+        """Return the framing for a kind of impact at a sampling rate [Hz]."""
         lead = max(round(LEAD_TIME * sampling_rate), 1)
         if kind == "pulse":
             quiet = max(round(PULSE_QUIET_TIME * sampling_rate), _FEWEST)
@@ -193,7 +166,7 @@ class Framing:
         return cls(sampling_rate, quiet, lead, length, length, quiet - lead, shortest)
 
     def length_of(self, onset: Onset) -> int:
-        """Return the samples that the frame of an impact, which is over, has from its onset on."""
+        """Return the length, from the onset on, of the frame for a completed impact."""
         length = self.length
         while onset.last is not None and length < self.longest and length <= onset.last + 1 - onset.sample:
             length *= _LONGER
@@ -201,16 +174,16 @@ class Framing:
 
     @property
     def n_samples(self) -> int:
-        """Of a whole frame."""
+        """Length of a whole frame."""
         return self.quiet + self.length
 
     @property
     def late(self) -> int:
-        """Samples by which the next impact may begin before its onset."""
+        """How far before its onset the next impact may begin [samples]."""
         return round(_LATE * self.sampling_rate)
 
     def reach(self, length: int) -> int:
-        """Return how far behind its onset an impact begins that has no part in a frame of a length from its onset."""
+        """Return the distance from which a later onset has no part in a frame of this length."""
         return length + self.late + 1
 
 
@@ -219,35 +192,21 @@ class _Ends(Protocol):
 
 
 class FrameCutter:
-    """Cuts the frames of impacts, which come in order of time.
+    """Cut the frames of impacts, which arrive in order of time.
 
-    Parameters
-    ----------
-    framing : Framing
-    ends : PulseOnsets or VibrationOnsets
-        Knows when an impact is over.
-    joint : bool
-        Whether frames are of all channels.
+    `ends` is the detector that knows when an impact is over. With `joint`, frames hold all channels.
     """
 
     def __init__(self, framing: Framing, ends: _Ends, joint: bool) -> None:
         self._framing, self._ends, self._joint = framing, ends, joint
-        # The impact before in each row, and whether it was still going on when the next began.
+        # The previous impact of each row, and whether it was still going on when the next began.
         self._before: dict[int, tuple[Onset, bool]] = {}
 
     def cut(self, onset: Onset, following: Onset | None, samples: NDArray[Any], first: int, stop: int | None) -> Event:
         """Return the event of an onset.
 
-        Parameters
-        ----------
-        onset : Onset
-        following : Onset or None
-            The next of its row, where there is one.
-        samples : ndarray, (n_channels, n)
-            Of the recording from number `first` on, as far as the frame reaches.
-        first : int
-        stop : int or None
-            Number of samples of the recording, once it is over.
+        `following` is the next onset of its row, if any. `samples` (n_channels, n) begin at index `first` of the
+        recording and cover the frame. `stop` is the length of the recording, once it is over.
         """
         framing, length = self._framing, self._framing.length_of(onset)
         before, running = self._before.get(onset.row, (None, False))
@@ -275,7 +234,7 @@ class FrameCutter:
             samples=frame if self._joint else frame[0],
             sampling_rate=framing.sampling_rate,
             pre_trigger=framing.pre_trigger,
-            # What is seen behind the frame may not be known yet: it depends on the blocks.
+            # Impacts seen after the frame do not count: whether they are known yet depends on the blocks.
             overlapping=running or interrupted or (onset.again is not None and onset.again < limit),
             clipped=_is_clipped(own[: end - onset.sample] - mine),
             cut=began_cut or ended_cut,
@@ -283,7 +242,7 @@ class FrameCutter:
         )
 
     def _frame(self, part: NDArray[Any], onset: Onset, start: int, length: int) -> tuple[NDArray[Any], Floats]:
-        """Return the frames (n_channels, n_samples) around a part from `start` on, and their baselines."""
+        """Return the frames (n_channels, n_samples) around a part that begins at `start`, and their baselines."""
         framing = self._framing
         quiet = part[:, : max(onset.sample - framing.lead - start, 0)]
         missing = framing.quiet - (onset.sample - start)
@@ -317,7 +276,7 @@ class FrameCutter:
 
 
 def _is_clipped(deviation: Floats) -> bool:
-    """Return whether an impact (n,), its baseline removed, holds its highest or lowest value for some samples."""
+    """Return whether an impact (n,), without its baseline, holds an extreme value for three samples."""
     least = _CLIPPED_SHARE * np.abs(deviation).max()
     for extreme in (deviation.max(), deviation.min()):
         at = deviation == extreme

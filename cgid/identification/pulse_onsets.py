@@ -1,15 +1,14 @@
-"""Where force pulses begin: what rises above the baseline, clear of the noise and of the ringing of the blow before.
+"""Onsets of force pulses: samples clear of the noise and of the ringing of earlier blows.
 
-A pulse points upwards from a baseline that may drift. It is found where the signal rises above
+A pulse points upwards from a baseline that may drift. It begins where the signal rises above
 
     max(6 sigma, a(t), b(t))
     a(t) = max over s < t of 0.05 h(s) exp(-(t - s) / 10 ms)
     b(t) = max over s < t of 2 d(s) exp(-(t - s) / 20 ms)
 
-with the noise sigma, the height h above the baseline and the depth d below it, where that is deeper than 6 sigma. a
-allows for echoes of a blow. b follows a ringing of 200 Hz or more: it swings below the baseline as far as above, and
-each swing renews the demand. Both decay, so a blow of any height hides nothing that comes some tens of milliseconds
-later.
+with the noise sigma, the height h above the baseline, and the depth d below it where it exceeds 6 sigma. a excludes the
+echoes of a blow. b excludes ringing of 200 Hz or more, which swings below the baseline as far as above; each swing
+renews it. Both decay, so no blow, however high, hides another some tens of milliseconds later.
 """
 
 from __future__ import annotations
@@ -26,39 +25,39 @@ from cgid.validation import Floats
 
 #: An impact rises above this many standard deviations of the noise.
 THRESHOLD_OVER_NOISE = 6.0
-#: A blow begins and ends where it passes this share of its own highest sample.
+#: A blow begins and ends where it crosses this share of its own peak.
 THRESHOLD_OVER_PEAK = 0.05
-#: After a blow, a new one must rise above `THRESHOLD_OVER_PEAK` of it, and above this many times the depth to which the
-#: signal swings below its baseline.
+#: A new blow must rise above `THRESHOLD_OVER_PEAK` of the previous one, and above this many times the depth to which
+#: the signal swings below its baseline.
 RISE_OVER_SWING = 2.0
 #: No ringing swings deeper than this many times the height of the blow before it.
 _DEEPEST = 2.0
-#: These demands decay with these time constants [s].
+#: Time constants of the decay of these two thresholds [s].
 ECHO_TIME, SWING_TIME = 10e-3, 20e-3
-#: They are updated at this interval [s].
+#: Update interval of these thresholds [s].
 _HOP_TIME = 0.5e-3
 #: Differences below this share of the largest sample so far are rounding: six steps of single precision.
 _ROUNDING = 1e-6
-#: Baseline and noise are estimated in windows of this length [s], or of this many samples,
+#: Length of the windows for the estimates of baseline and noise [s], and its minimum [samples].
 _WINDOW_TIME, _SHORTEST_WINDOW = 20e-3, 64
-#: from about this many samples of each.
+#: Approximate number of samples used of each window.
 _LOOKED_AT = 128
 _CHUNK_WINDOWS = 10
 #: The baseline is the median over this many windows to either side (0.18 s in all), because it may drift.
 _BASELINE_WINDOWS = 4
-#: The noise is the median over this many windows before the end of the chunk (2 s),
+#: The noise is the median over this many windows before the end of the chunk (2 s).
 _NOISE_WINDOWS = 100
-#: and at least the lowest of this many windows (0.2 s): noise that rises raises the threshold sooner.
+#: The noise is at least the lowest of this many windows (0.2 s), so that rising noise raises the threshold sooner.
 _RISING_WINDOWS = 10
-#: The first chunks wait until there are this many for the first estimates.
+#: Number of chunks needed for the first estimates.
 START_CHUNKS = 2
-#: A peak is a second one if both have this share of the highest, and the signal falls to that share in between.
+#: Two peaks are separate if both reach this share of the highest, and the signal falls to that share in between.
 _PEAK, _VALLEY = 0.5, 0.25
 
 
 @dataclass(frozen=True)
 class _Levels:
-    """Baseline, highest and lowest sample of each window, and what the noise asks for; each (n_channels, n_windows)."""
+    """Baseline, noise limit, highest and lowest sample of each window, all (n_channels, n_windows)."""
 
     length: int
     baseline: Floats
@@ -69,14 +68,14 @@ class _Levels:
 
 @dataclass
 class _Ringing:
-    """What the blows of a channel leave behind: what their echoes and swings demand of a new one, and their height."""
+    """State of a channel after its blows: the thresholds from echoes and swings, and the height of the blows."""
 
     echo: float = 0.0
     swing: float = 0.0
     peak: float = 0.0
 
     def decay(self, echo_factor: float, swing_factor: float) -> None:
-        """Let some time pass."""
+        """Multiply the state by the decay factors of some time."""
         self.echo *= echo_factor
         self.swing *= swing_factor
         self.peak *= swing_factor
@@ -84,7 +83,7 @@ class _Ringing:
 
 @dataclass
 class _Blow:
-    """A blow that goes on: its high samples so far, by number, with heights and limits of each channel of its row."""
+    """A blow in progress: the indices of its high samples, and their heights and limits in each channel of its row."""
 
     onset: Onset
     places: list[NDArray[np.intp]] = field(default_factory=list)
@@ -93,33 +92,19 @@ class _Blow:
 
 
 class PulseOnsets:
-    """Pulses, channel by channel or in all together, from chunks of samples.
+    """Find pulses in chunks of samples.
 
-    The noise is the median absolute deviation from the median, times 1.4826; where most samples are equal, the smallest
-    step below the median. A recording shorter than `START_CHUNKS` is one window.
-
-    Parameters
-    ----------
-    sampling_rate : float
-        [Hz].
-    n_channels : int
-    dead_time : float
-        High samples no further apart belong to the same blow [s].
-    longest : int
-        A blow ends after this many samples at the latest; what stays high is not a new one until it falls.
-    joint : bool
-        Whether a pulse in one channel is one in all.
+    Each channel counts by itself or, if `joint`, a pulse in one channel is one in all. The noise is 1.4826 times the
+    median absolute deviation; where most samples are equal, the smallest step below the median. A recording shorter
+    than `START_CHUNKS` is one window. High samples at most `dead_time` [s] apart belong to one blow. A blow ends after
+    `longest` samples at the latest; a signal that stays high starts no new one until it falls.
 
     Attributes
     ----------
-    chunk : int
-        Samples that are taken at once, or multiples of it; the first time `START_CHUNKS` at least.
-    lag : int
-        What begins this many samples before the end of what was taken may not be known yet.
-    rise, fall : ndarray, (n_channels,)
-        How far samples reach above the baseline and below it.
-    noise : ndarray, (n_channels,)
-        The latest estimate of its standard deviation.
+    chunk : `take` accepts multiples of this many samples, at first `START_CHUNKS` chunks or more
+    lag : onsets within this many samples of the end so far may not be known yet
+    rise, fall : largest deviation above and below the baseline so far, (n_channels,)
+    noise : latest estimate of its standard deviation, (n_channels,)
     """
 
     lag = 0
@@ -139,20 +124,14 @@ class PulseOnsets:
         self._largest = np.zeros((n_channels, 1))
         self._ringing = [_Ringing() for _ in range(n_channels)]
         self._open: list[_Blow | None] = [None] * len(self._rows)
-        # The last high sample of each row, whether its blow is closed or not.
+        # Also the last high sample of closed blows.
         self._last: list[int | None] = [None] * len(self._rows)
         self.rise, self.fall, self.noise = np.zeros((3, n_channels))
 
     def take(self, samples: Floats, read: Read, n_known: int | None = None) -> list[Onset]:
-        """Take the next chunks and return the pulses that begin in them.
+        """Take the next chunks (n_channels, k chunk) and return the pulses that begin in them.
 
-        Parameters
-        ----------
-        samples : ndarray, (n_channels, k chunk)
-        read : callable
-            Returns the samples (n_channels, n) between two numbers, as far as they are there.
-        n_known : int, optional
-            With the last chunk: samples that are really there.
+        `read` returns earlier samples. `n_known` marks the last chunk and is the number of its real samples.
         """
         ended = n_known is not None
         samples = samples[:, :n_known]
@@ -188,7 +167,7 @@ class PulseOnsets:
             stop = before + first + _CHUNK_WINDOWS
             if not self._taken:
                 stop = max(stop, START_CHUNKS * _CHUNK_WINDOWS)
-            # Of what comes after the chunk nothing is known yet.
+            # Windows after the chunk do not count: whether they are known yet depends on the blocks.
             stop = min(stop, medians.shape[1])
             chunk = slice(first, first + _CHUNK_WINDOWS)
             numbers = before + np.arange(first, min(chunk.stop, shape[1]))[:, None]
@@ -211,7 +190,7 @@ class PulseOnsets:
         return _Levels(length, baseline, limit, highest, lowest)
 
     def _high_in(self, channel: int, samples: Floats, levels: _Levels) -> NDArray[np.intp]:
-        """Return the numbers of the samples (n,) of a channel that stand clear of noise and ringing."""
+        """Return the indices of the samples (n,) of a channel that exceed noise and ringing."""
         parts = [np.empty(0, np.intp)]
         ringing, length = self._ringing[channel], levels.length
         baselines, limits = levels.baseline[channel], levels.limit[channel]
@@ -229,11 +208,11 @@ class PulseOnsets:
         return np.concatenate(parts) + self._taken
 
     def _pass(self, n_samples: int, ringing: _Ringing) -> None:
-        """Let some samples pass without anything above the noise."""
+        """Let the ringing decay over samples within the noise."""
         ringing.decay(math.exp(-n_samples * self._echo_rate), math.exp(-n_samples * self._swing_rate))
 
     def _needed(self, heights: Floats, limit: float, ringing: _Ringing) -> Floats:
-        """Return the height that each sample (n,) must pass to be high; the ringing is left as it is behind them."""
+        """Return the threshold of each sample (n,), and update the ringing."""
         hops = np.arange(0, heights.size, self._hop)
         peaks, depths = np.maximum.reduceat(heights, hops), -np.minimum.reduceat(heights, hops)
         factors = math.exp(-self._hop * self._echo_rate), math.exp(-self._hop * self._swing_rate)
@@ -243,7 +222,7 @@ class PulseOnsets:
             ringing.decay(*factors)
             ringing.peak = max(ringing.peak, peak)
             ringing.echo = max(ringing.echo, THRESHOLD_OVER_PEAK * peak)
-            # A swing deeper than any ringing is the beginning of a blow downwards.
+            # A swing deeper than any ringing is the beginning of a downward blow.
             if limit < depth < _DEEPEST * ringing.peak:
                 ringing.swing = max(ringing.swing, RISE_OVER_SWING * depth)
         return np.repeat(needed, self._hop)[: heights.size]
@@ -251,7 +230,7 @@ class PulseOnsets:
     # -- blows ----------------------------------------------------------------------------------------
 
     def _grouped(self, row: int, places: NDArray[np.intp], samples: Floats, levels: _Levels, read: Read) -> list[Onset]:
-        """Return the blows that begin with some of these high samples."""
+        """Return the blows that begin with these high samples."""
         if not places.size:
             return []
         found, channels, inside = [], np.array(self._rows[row])[:, None], places - self._taken
@@ -283,12 +262,12 @@ class PulseOnsets:
         return self._taken - latest > self._gap or self._taken >= onset.sample + self._longest
 
     def end_of(self, onset: Onset, samples: Floats) -> int:
-        """Return after how many samples from its onset on a blow is over."""
+        """Return the number of samples from its onset to the end of a blow."""
         assert onset.last is not None
         return onset.last + 1 - onset.sample
 
     def _close(self, row: int, read: Read) -> None:
-        """End the open blow of a row: it reaches from where it passes a share of its peak to where it falls below."""
+        """End the open blow of a row, and trim it to where it crosses a share of its peak."""
         blow = self._open[row]
         self._open[row] = None
         if blow is None:
@@ -306,7 +285,7 @@ class PulseOnsets:
 
 
 def _median_and_noise(windows: Floats, step: int) -> tuple[Floats, Floats]:
-    """Return both for windows (..., n_samples), from every `step`-th of their samples."""
+    """Return both for windows (..., n_samples), from every `step`-th sample."""
     looked = windows[..., ::step]
     median = np.median(looked, axis=-1)
     noise = 1.4826 * np.median(np.abs(looked - median[..., None]), axis=-1)
@@ -319,7 +298,10 @@ def _median_and_noise(windows: Floats, step: int) -> tuple[Floats, Floats]:
 
 
 def _typical(noises: Floats) -> Floats:
-    """Return the median noise (n_channels,) of windows (n_channels, n), of those that have any where most have none."""
+    """Return the median noise (n_channels,) over windows (n_channels, n).
+
+    If most windows of a channel have no noise, only the others count.
+    """
     found = np.median(noises, axis=1)
     for channel in np.flatnonzero(found == 0):
         some = noises[channel][noises[channel] > 0]
@@ -328,7 +310,7 @@ def _typical(noises: Floats) -> Floats:
 
 
 def _has_two_peaks(heights: Floats) -> bool:
-    """Return whether two high stretches have a valley between them."""
+    """Return whether two high parts are separated by a valley."""
     top = heights.max()
     high = np.flatnonzero(heights > _PEAK * top)
     low = np.flatnonzero(heights < _VALLEY * top)

@@ -1,4 +1,4 @@
-"""What is asked of a recording: one value for the command line, the API and a live stream."""
+"""The settings for identifying a recording, shared by the command line, the API and live streams."""
 
 from __future__ import annotations
 
@@ -15,56 +15,37 @@ from cgid.identification.model import Model
 from cgid.identification.windows import VOTE_TIME
 from cgid.validation import UNKNOWN, Floats
 
-#: This many impacts are identified at once: a batch costs little more than a single one.
+#: Impacts identified in one batch, which costs little more than a single one.
 BATCH = 256
-#: A gangue share looks back over this time by default [s].
+#: Default window of a gangue share [s].
 SHARE_TIME = 10.0
-#: A shorter time holds too few impacts, and an hour would have millions of shares [s].
+#: Shortest window of a share [s]: a shorter one holds too few impacts, and an hour would have millions of shares.
 SHORTEST_SHARE_TIME = 0.05
 
 
 @dataclass(frozen=True, kw_only=True)
 class Question:
-    """What is asked of every impact or window of a recording.
+    """Settings for every impact or window of a recording.
+
+    Costs and a coverage exclude each other: a single-label prediction set leaves nothing to decide. Raises
+    `InvalidValue` for this, and for numbers outside of their range.
 
     Attributes
     ----------
-    costs : dict
-        What missing a label costs: see `Model.decide`.
-    coverage : float or None
-        Share of the prediction sets that hold the truth; an impact whose set is not a single label is rejected.
-        None rejects nothing.
-    class_conditional : bool
-        Whether each label by itself has this coverage: `Model.prediction_set`.
-    drop_height : float or None
-        How far the rocks fell [m], for a model that needs to know.
-    mass : float or None
-        Of the accelerated striker [kg]; turns an acceleration into a force.
-    invert : bool
-        Whether pulses point downwards.
-    sensors : tuple of str
-        Which of the sensors that the model knows recorded it: one for all channels, or one for each.
-    dead_time : float or None
-        See `cgid.identification.detection.find_impacts` [s].
-    vote_time : float or None
-        Windows are decided on the mean of the logarithms of their probabilities over this time [s]; 0: each by itself;
-        None: `VOTE_TIME`.
-    batch : int
-        Impacts wait until there are this many; with 1 none waits.
-    share_time : float or None
-        How far a gangue share looks back [s]; None: `SHARE_TIME`.
-    share_step : float or None
-        From the end of the window of one share to that of the next [s]; None: half of a window.
-    gangue : tuple of str
-        The labels of what must not be drawn; none given: "gangue".
-    gangue_cost : float or None
-        Of one drawn gangue impact, in lost coal impacts; None: 1.
-
-    Raises
-    ------
-    InvalidValue
-        A number breaks its rule; or both costs and a coverage are given: a set of a single label leaves nothing to
-        decide.
+    costs : cost of missing each label, see `Model.decide`
+    coverage : share of prediction sets that hold the truth; rejects sets without exactly one label; None: no rejection
+    class_conditional : whether each label by itself has this coverage, see `Model.prediction_set`
+    drop_height : of the rocks, for a model that needs it [m]
+    mass : of the accelerated striker [kg]; turns an acceleration into a force
+    invert : whether pulses point downwards
+    sensors : names of sensors that the model knows: one for all channels, or one for each
+    dead_time : see `cgid.identification.detection.find_impacts` [s]
+    vote_time : windows are decided on the mean log-probability over this time [s]; 0: no voting; None: `VOTE_TIME`
+    batch : number of impacts to collect before identification; 1: no waiting
+    share_time : window of a gangue share [s]; None: `SHARE_TIME`
+    share_step : time between the ends of successive windows of shares [s]; None: half a window
+    gangue : labels of rocks that must not be drawn; by default "gangue"
+    gangue_cost : of one drawn gangue impact, in lost coal impacts; None: 1
     """
 
     costs: Mapping[str, float] = field(default_factory=dict)
@@ -94,10 +75,10 @@ class Question:
         validation.positive("step", self.step, "s")
         validation.positive("gangue_cost", self.cost_of_gangue)
 
-    # -- how a label is decided -----------------------------------------------------------------------
+    # -- decision -------------------------------------------------------------------------------------
 
     def check(self, model: Model) -> None:
-        """Raise `InvalidValue` if a model knows no such label, promises no such coverage or needs no drop height."""
+        """Raise `InvalidValue` if the model lacks a label or the coverage, or does not use the drop height."""
         self.labels(model, np.empty((0, len(model.labels))))
         if self.drop_height is not None:
             known_columns(model.known, 1, self.drop_height)
@@ -111,7 +92,7 @@ class Question:
         return [one[0] if len(one) == 1 else UNKNOWN for one in sets], [*sets]
 
     def doubt(self, labels: tuple[str, ...] | None) -> str:
-        """Return what is wrong with a prediction set; empty when nothing is."""
+        """Return why a prediction set does not decide; empty for a single label."""
         if labels is None or len(labels) == 1:
             return ""
         if not labels:
@@ -119,10 +100,10 @@ class Question:
         held = "both" if len(labels) == 2 else f"these {len(labels)}"
         return f"{' or '.join(labels)}: the prediction set at coverage {self.coverage:g} holds {held}"
 
-    # -- what is answered for -------------------------------------------------------------------------
+    # -- models and channels --------------------------------------------------------------------------
 
     def require_use(self, model: Model) -> None:
-        """Raise `InvalidValue` if a time is given that has no meaning for what a model decides on."""
+        """Raise `InvalidValue` for a vote time with a model of impacts, or a dead time with a model of windows."""
         kind, flag, given = "impact", "--vote", self.vote_time
         if model.kind == "window":
             kind, flag, given = "window", "--dead-time", self.dead_time
@@ -134,12 +115,9 @@ class Question:
         return max(VOTE_TIME if self.vote_time is None else self.vote_time, model.window_time)
 
     def heard_by(self, model: Model, channels: Sequence[str]) -> list[str | None]:
-        """Return the sensor of each channel, or of each group of channels that the model looks at together.
+        """Return the sensor of each channel, or of each group of channels that the model uses together.
 
-        Raises
-        ------
-        InvalidValue
-            There is another number of sensors, or the model knows none of this name.
+        Raises `InvalidValue` if the number of sensors does not match, or the model knows no sensor of this name.
         """
         if not self.sensors:
             return [None] * len(channels)
@@ -151,39 +129,39 @@ class Question:
             model.equalisation(sensor)
         return [*self.sensors] * (len(channels) // len(self.sensors))
 
-    # -- the gangue share -----------------------------------------------------------------------------
+    # -- gangue share ---------------------------------------------------------------------------------
 
     @property
     def share_length(self) -> float:
-        """How far a share looks back [s]."""
+        """Window of a share [s]."""
         return SHARE_TIME if self.share_time is None else self.share_time
 
     @property
     def step(self) -> float:
-        """From one share to the next [s]."""
+        """Time from one share to the next [s]."""
         return self.share_length / 2 if self.share_step is None else self.share_step
 
     @property
     def gangue_labels(self) -> tuple[str, ...]:
-        """The labels of what must not be drawn."""
+        """Labels that count as gangue."""
         return self.gangue or ("gangue",)
 
     @property
     def cost_of_gangue(self) -> float:
-        """Of one drawn gangue impact, in lost coal impacts."""
+        """Cost of one drawn gangue impact, in lost coal impacts."""
         return 1.0 if self.gangue_cost is None else self.gangue_cost
 
     @property
     def asks_for_shares(self) -> bool:
-        """Whether something is said of shares, so that they are wanted even of a single impact."""
+        """Whether an option asks for shares, so that even a single impact has them."""
         return bool(self.gangue) or self.share_time is not None or self.gangue_cost is not None
 
     def separates_gangue(self, model: Model) -> bool:
-        """Return whether a model separates gangue from something else."""
+        """Return whether a model separates gangue from other labels."""
         return 0 < len(set(self.gangue_labels) & set(model.labels)) < len(model.labels)
 
     def require_gangue(self, model: Model) -> None:
-        """Raise `InvalidValue` if a label of gangue is none of the model's, or is all of them."""
+        """Raise `InvalidValue` unless the model has all gangue labels, and others."""
         for label in self.gangue_labels:
             validation.choice("gangue label", label, model.labels)
         if not self.separates_gangue(model):

@@ -1,23 +1,23 @@
-"""How much of what falls is gangue: its share over a sliding window of impacts, and when to shut the window.
+"""The gangue share over a sliding window of impacts, and when to shut the window.
 
-The mean of the probabilities is no estimate of the share: a model that was trained on as much gangue as coal gives .3
-to a coal that might well be gangue, and among nothing but such coal the mean stays at .3. So the share is estimated by
-likelihood (Saerens, Latinne & Decaestecker 2002). An impact with probability p, from a model trained at a share s, is
-r = p / (1 - p) * (1 - s) / s times as likely a gangue as a coal; where a share q of all is gangue, its likelihood is
+The mean of the probabilities does not estimate the share. A model trained on as much gangue as coal gives .3 to a coal
+that might well be gangue; among such coal alone, the mean stays at .3. The estimate is therefore by likelihood
+(Saerens, Latinne & Decaestecker 2002). With probability p from a model trained at a share s, an impact is r times as
+likely a gangue as a coal. Its likelihood at a share q is L:
 
-    1 - q + q r
+    r = p / (1 - p) * (1 - s) / s
+    L = 1 - q + q r
 
-The product over the window, times an even prior density, is the density of q. It takes the impacts as independent, each
-as good as those that the model was tested on: where a rock bounces, or the rig is another one, the interval is too
-narrow.
+The product of L over the window, times a uniform prior, is the posterior density of q. It assumes independent impacts
+that the model answers as well as those of its test. If rocks bounce, or on another rig, the interval is too narrow.
 
-Going on takes the next impact whatever it is: a gangue costs `gangue_cost`, because it must be carried, washed and
-dumped. Shutting leaves it: a coal that stays behind costs 1, which is the unit. Going on costs
+Going on takes the next impact, whatever it is. A gangue costs `gangue_cost`, because it must be carried, washed and
+dumped. Shutting leaves it; a coal left behind costs 1, the unit. Per impact, going on costs
 
     gangue_cost * q - (1 - q)
 
-more than shutting, an impact. It is linear in q, so its expectation needs the mean of q alone, and its sign changes at
-q = 1 / (1 + gangue_cost). Where the share is known and only rises, waiting beyond that never pays.
+more than shutting. This is linear in q, so its expectation needs only the mean of q. Its sign changes at
+q = 1 / (1 + gangue_cost). If the share is known and only rises, waiting beyond that never pays.
 """
 
 from __future__ import annotations
@@ -36,11 +36,11 @@ from cgid.identification.model import Model
 from cgid.identification.question import Question
 from cgid.validation import Floats
 
-#: No impact is more certain than this, whatever its model says: a wrong one would outweigh all others.
+#: Probabilities are kept this far from 0 and 1: a single wrong certain answer would outweigh all others.
 SUREST = 1e-3
-#: How much of the density an interval holds.
+#: Probability of the share to lie in its interval.
 LEVEL = 0.95
-#: Shares at which the density is computed: evenly in the angle of share = sin^2(angle), so finer towards 0 and 1.
+#: Nodes of the density, evenly spaced in the angle of share = sin^2(angle): finer towards 0 and 1.
 _NODES = 401
 
 
@@ -50,19 +50,12 @@ class Share:
 
     Attributes
     ----------
-    time : float
-        End of the window [s].
-    start : float
-        Its begin [s]; impacts after it and up to `time` count.
-    share : float
-        Mean of its density; nan without any impact.
-    low, high : float
-        Shortest interval that holds the share with a probability of `LEVEL`; 0 and 1 without any impact.
-    n_impacts : int
-        That were identified.
-    n_unknown : int
-        That could not be measured or lie outside of the training, and are left out.
-    channel : str
+    time : end of the window [s]
+    start : its begin [s]; impacts after it and up to `time` count
+    share : posterior mean; nan without any impact
+    low, high : shortest interval of probability `LEVEL`; 0 and 1 without any impact
+    n_impacts : impacts that were identified
+    n_unknown : unmeasurable impacts or those outside of the training range, which do not count
     """
 
     time: float
@@ -76,27 +69,15 @@ class Share:
 
 
 class ShareWindow:
-    """The impacts of the last seconds, and the share of gangue among them.
+    """The impacts of the last `length` seconds, and their gangue share.
 
-    Parameters
-    ----------
-    length : float
-        [s], above 0.
-    trained_share : float
-        Of gangue in the training of the model, in (0, 1): `trained_share`.
-    weight : float
-        Of one answer, in (0, 1]. Windows that overlap repeat each other: end to end they count 1, overlapping by
-        half one half.
-    channel : str
-
-    Raises
-    ------
-    InvalidValue
-        A number breaks its rule.
+    `trained_share` in (0, 1) is that of gangue in the training of the model. `weight` in (0, 1] is that of one answer,
+    because overlapping windows repeat each other: 1 end to end, 0.5 for half overlap. Raises `InvalidValue`
+    for numbers outside of these ranges.
 
     Examples
     --------
-    Four impacts without any doubt: the mean of Beta(1 + 1, 3 + 1).
+    Four certain impacts give the mean of Beta(1 + 1, 3 + 1).
 
     >>> window = ShareWindow(10.0)
     >>> for time, probability in enumerate([0.0, 0.0, 1.0, 0.0]):
@@ -116,11 +97,11 @@ class ShareWindow:
         self._impacts: deque[tuple[float, float]] = deque()
 
     def add(self, time: float, probability: float) -> None:
-        """Take the answer for an impact at a time [s], in order of time: its probability of gangue, nan if unknown."""
+        """Take the gangue probability of an impact at a time [s], nan if unknown; calls come in order of time."""
         self._impacts.append((time, probability))
 
     def at(self, time: float) -> Share:
-        """Return the share in the window that ends at a time [s], and forget all before that window."""
+        """Return the share in the window that ends at a time [s], and forget all earlier impacts."""
         start = time - self.length
         while self._impacts and self._impacts[0][0] <= start:
             self._impacts.popleft()
@@ -142,8 +123,8 @@ class ShareWindow:
 def trained_share(model: Model, gangue: Collection[str]) -> float:
     """Return the share of some labels in the training of a model, as far as its card knows.
 
-    The impacts that judge are drawn as those that train, label by label; a model without them counts as trained on as
-    much of each label. Class weights make a label as frequent as its impacts count.
+    The share is that of the test impacts, which are drawn label by label like the training impacts. Without them, all
+    labels count as equally frequent. Class weights multiply the frequencies; balanced weights make them equal.
     """
     confusion = model.training.get("metrics", {}).get("confusion")
     weights = model.training.get("class_weights") or model.training.get("recorded", {}).get("class_weights")
@@ -158,7 +139,7 @@ def trained_share(model: Model, gangue: Collection[str]) -> float:
 
 @cache
 def _nodes() -> tuple[Floats, Floats]:
-    """Return shares from 0 to 1, and the breadth that each stands for."""
+    """Return shares from 0 to 1, and the width that each represents."""
     shares = np.sin(np.linspace(0.0, np.pi / 2, _NODES)) ** 2
     edges = np.concatenate([[0.0], (shares[1:] + shares[:-1]) / 2, [1.0]])
     return shares, np.diff(edges)
@@ -176,28 +157,24 @@ def _estimate(probabilities: Floats, trained_odds: float, weight: float) -> tupl
     densest = np.argsort(-masses, kind="stable")
     masses *= breadths
     masses /= masses.sum()
-    # The density has a single top (its logarithm is concave), so the densest shares are neighbours.
+    # The density has a single maximum (its logarithm is concave), so the densest shares are neighbours.
     held = densest[: int(np.searchsorted(np.cumsum(masses[densest]), LEVEL)) + 1]
     return float(masses @ shares), float(shares[held.min()]), float(shares[held.max()])
 
 
-#: Fewer impacts than these decide nothing: the even prior density would.
+#: Fewest impacts for a decision; with fewer, the uniform prior would decide.
 FEWEST_IMPACTS = 10
 
 
 @dataclass(frozen=True, kw_only=True)
 class Turn:
-    """Going on has begun to cost more than it brings, or less again.
+    """Going on begins to cost more than shutting, or less again.
 
     Attributes
     ----------
-    time : float
-        End of the first window that says so [s].
-    shut : bool
-        True: shut the window; False: going on pays again.
-    cost : float
-        Of going on, less that of shutting [lost coal impacts an impact].
-    share : Share
+    time : end of the first window that shows it [s]
+    shut : True: shut the window; False: going on pays again
+    cost : of going on minus shutting [lost coal impacts per impact]
     """
 
     time: float
@@ -207,27 +184,11 @@ class Turn:
 
 
 class Shutting:
-    """Watches the share of one channel and says when the expected cost of going on turns.
+    """Watch the share of one channel and report when the expected cost of going on changes sign.
 
-    Each window of impacts is judged by itself; only a change is reported. At first, going on pays.
+    Each window of impacts counts by itself. Initially, going on pays. Above the share `threshold`, going on costs more
+    than shutting. Raises `InvalidValue` unless `gangue_cost` [lost coal impacts per drawn gangue] is above 0.
 
-    Parameters
-    ----------
-    gangue_cost : float
-        Of one drawn gangue impact, in lost coal impacts; above 0.
-
-    Attributes
-    ----------
-    threshold : float
-        The share above which going on costs more than it brings.
-
-    Raises
-    ------
-    InvalidValue
-        The cost is not above 0.
-
-    Examples
-    --------
     >>> round(Shutting(3.0).threshold, 3)
     0.25
     """
@@ -238,11 +199,11 @@ class Shutting:
         self._shut = False
 
     def cost(self, share: Share) -> float:
-        """Return what going on costs more than shutting [lost coal impacts an impact]; nan without any impact."""
+        """Return the cost of going on minus shutting [lost coal impacts per impact]; nan without any impact."""
         return self.gangue_cost * share.share - (1.0 - share.share)
 
     def watch(self, share: Share) -> Turn | None:
-        """Return the turn that this window brings; None without a change, or with too few impacts."""
+        """Return the turn at this window; None without a change, or with too few impacts."""
         if share.n_impacts < FEWEST_IMPACTS:
             return None
         cost = self.cost(share)
@@ -253,21 +214,9 @@ class Shutting:
 
 
 class CavingWatch:
-    """Follows the answers of a recording, each channel for itself: a channel is a support with a window of its own.
+    """Follow the answers of a recording, each channel by itself: a channel is a support with its own window.
 
-    Parameters
-    ----------
-    model : Model
-    channels : sequence of str
-        Their names.
-    question : Question
-        Its share, step, labels and cost of gangue.
-    weight : float
-        See `ShareWindow`.
-
-    Examples
-    --------
-    See `cgid.cli.answer_rows`, which prints what `feed` and `finish` return.
+    The share window, its step, the labels and the cost of gangue come from the question; `weight` as in `ShareWindow`.
     """
 
     def __init__(self, model: Model, channels: Sequence[str], question: Question, weight: float = 1.0) -> None:
@@ -279,24 +228,18 @@ class CavingWatch:
             for name in channels
         }
         self._rules = {name: Shutting(question.cost_of_gangue) for name in channels}
-        #: The share above which going on costs more than it brings.
+        #: Share above which going on costs more than shutting.
         self.threshold = Shutting(question.cost_of_gangue).threshold
         self._waiting: deque[Answer] = deque()
         self._steps = 0
-        # Channels whose last window was empty, and has been returned.
+        # Channels whose last window was empty and has been returned.
         self._silent: set[str] = set()
 
     def feed(self, answers: Iterable[Answer], until: float) -> list[Share | Turn]:
-        """Return the shares of the windows that end by now, and the turns that they bring.
+        """Take the next answers, in order of time, and return the shares of completed windows and their turns.
 
-        Of windows without impacts only the first is returned, so a pause costs nothing, however long it is.
-
-        Parameters
-        ----------
-        answers : iterable of Answer
-            The next ones, in order of time.
-        until : float
-            All answers for what happened before this have come [s].
+        All answers before `until` [s] have arrived. Only the first of several empty windows is returned, so a pause of
+        any length costs nothing.
         """
         self._waiting.extend(answers)
         found: list[Share | Turn] = []
@@ -308,12 +251,12 @@ class CavingWatch:
         return found
 
     def finish(self, duration: float) -> list[Share | Turn]:
-        """Return the rest at the end of a recording of a duration [s]."""
+        """Return the rest at the end of a recording of this duration [s]."""
         found = self.feed((), duration)
         return found + list(self._at(duration)) if self._waiting or not self._steps else found
 
     def _pass_silence(self, until: float) -> None:
-        """Go on to the window of the next impact where all channels are silent, at most to the last one by now."""
+        """If all channels are silent, skip to the window of the next impact, or to the last completed one."""
         if len(self._silent) == len(self._windows):
             due = min(until, self._waiting[0].time) if self._waiting else until
             self._steps = max(self._steps, int(due / self._step) - 1)
@@ -336,21 +279,19 @@ class CavingWatch:
                 yield turn
 
     def _probability(self, answer: Answer) -> float:
-        """Return how probably an impact is gangue; nan outside of its training."""
+        """Return the probability of gangue; nan outside of the training range."""
         if not answer.novelty <= 1:
             return float("nan")
         return sum(answer.probabilities[label] for label in self._gangue)
 
 
-#: The 97.5 % point of the normal distribution.
+#: The 97.5 % quantile of the normal distribution.
 _Z = 1.959963984540054
 
 
 def wilson_interval(share: float, total: float) -> tuple[float, float]:
     """Return the 95 % score interval of a share of `total` independent trials (Wilson 1927).
 
-    Examples
-    --------
     >>> [round(end, 4) for end in wilson_interval(0.9, 100)]
     [0.8256, 0.9448]
     """

@@ -1,6 +1,6 @@
-"""Answers for a recording that comes in blocks: impacts or windows, many at once, in order of time.
+"""Answers for a recording that arrives in blocks: impacts or windows, in batches, in order of time.
 
-Memory holds what the detector holds and one batch of impacts, however long the recording is.
+Memory holds the state of the detector and one batch of impacts, however long the recording is.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from cgid.signals import Signal
 if TYPE_CHECKING:
     from cgid.recordings import RecordingFile
 
-#: No recorder of impacts is slower: a lower rate is in another unit, or is something else [Hz].
+#: Lowest sampling rate [Hz]; a lower one is in another unit, or not that of an impact recorder.
 SLOWEST = 10.0
 
 
@@ -39,14 +39,10 @@ class Step:
 
     Attributes
     ----------
-    answers : list of Answer
-        In order of time.
-    until : float
-        All answers for what happened before this have come [s].
-    silent : tuple of str
-        Why there is nothing to answer in a channel, one text each; at the end.
-    warnings : tuple of str
-        At the end.
+    answers : in order of time
+    until : all answers before this time have arrived [s]
+    silent : at the end, one reason for each channel without answers
+    warnings : at the end
     """
 
     answers: list[Answer]
@@ -61,23 +57,27 @@ def identify_recording(
     question: Question | None = None,
     **fields: Any,
 ) -> Iterator[Answer]:
-    """Return an iterator over the answers for a recording, in order of time; it is read block by block.
+    """Yield the answers for a recording, in order of time; it is read block by block.
 
     Parameters
     ----------
     recording : RecordingFile
-        As `cgid.recordings.open_recording` gives it; all of its channels in the model's quantity.
+        From `cgid.recordings.open_recording`; all channels in the quantity of the model.
     model : Model
     question : Question, optional
     **fields
-        Of the question, in place of its own: `invert=True`, `mass=2.5` [kg], `coverage=0.9` ...
+        Override those of the question, such as `invert=True`, `mass=2.5` [kg] or `coverage=0.9`.
+
+    Yields
+    ------
+    Answer
 
     Raises
     ------
     BadData
-        The recording is damaged, or of another quantity than the model.
+        The recording is damaged, or of another quantity than the model's.
     MissingOption
-        The unit of a channel or the drop height is needed and not given.
+        The unit of a channel, or the drop height that the model needs, is not given.
     """
     question = replace(question or Question(), **fields)
     blocks = model_blocks(recording, model, range(len(recording.channels)), question)
@@ -94,10 +94,10 @@ def model_blocks(
     *,
     seen: Callable[[NDArray[Any]], object] = lambda block: None,
 ) -> Iterator[NDArray[Any]]:
-    """Return an iterator over the blocks of some channels, in the model's quantity and unit; as `identify_recording`.
+    """Return an iterator over the blocks of some channels, in the quantity and unit of the model.
 
-    A wrong quantity or unit is an error at once, not when the first block is read. `seen` is called with each block of
-    these channels in their own units.
+    Raises as `identify_recording`; a wrong quantity or unit raises here, before the first block is read. `seen`
+    receives each block of these channels in their own units.
     """
     chosen, sign = list(rows), -1.0 if question.invert else 1.0
     channels = [recording.channels[row] for row in chosen]
@@ -114,19 +114,19 @@ def model_blocks(
 
 
 def factor_of(model: Model, unit: str | None, source: str, channel: str = "1", *, mass: float | None = None) -> float:
-    """Return the factor from samples in a unit to the model's quantity and unit; raises as `suited`."""
+    """Return the factor from samples in a unit to the quantity and unit of the model; raises as `suited`."""
     one = Signal(samples=np.ones(1), sampling_rate=1.0, unit=unit, source=source, channel=channel)
     return float(suited(one, model, mass).samples[0])
 
 
 def scaled(blocks: Iterable[NDArray[Any]], factors: Sequence[float]) -> Iterator[NDArray[Any]]:
-    """Return an iterator over blocks (n_channels, n_samples) whose channels are multiplied by factors."""
+    """Yield blocks (n_channels, n_samples) with channels multiplied by their factors."""
     if all(factor == 1.0 for factor in factors):
         yield from blocks
         return
     column = np.array(factors)[:, np.newaxis]
     for block in blocks:
-        with np.errstate(over="ignore"):  # the detector refuses what is no number then
+        with np.errstate(over="ignore"):  # the detector rejects infinite samples
             scaled_block = block * column.astype(block.dtype)
         yield scaled_block
 
@@ -139,27 +139,10 @@ def identify_blocks(
     question: Question,
     source: str = "signal",
 ) -> Iterator[Step]:
-    """Return an iterator over answers as they come.
+    """Return an iterator over the answers for blocks (n_channels, n_samples) in the unit of the model.
 
-    Parameters
-    ----------
-    blocks : iterable of ndarray, (n_channels, n_samples)
-        In the unit of the model.
-    sampling_rate : float
-        [Hz].
-    model : Model
-    channels : sequence of str
-        Names of the channels.
-    question : Question
-    source : str
-        Name of the recording.
-
-    Raises
-    ------
-    BadData
-        A model of windows looks at several channels together, and there are others; or the samples are absurd.
-    InvalidValue
-        The recording is sampled too slowly for what the model measures, or absurdly fast.
+    `source` names the recording. Raises `BadData` for absurd samples, or another number of channels than the model uses
+    together; `InvalidValue` for a sampling rate that is too low for the model's features, or absurdly high.
     """
     needed = max([SLOWEST, *(2 * FEATURES[name].highest_frequency for name in model.measured)])
     if sampling_rate < needed:
@@ -173,7 +156,7 @@ def identify_blocks(
 
 
 def _named(steps: Iterator[Step], source: str) -> Iterator[Step]:
-    """Yield steps; an error names the recording."""
+    """Yield the steps; errors name the recording."""
     try:
         yield from steps
     except (BadData, InvalidValue) as error:
@@ -191,7 +174,7 @@ def _impacts(
     question: Question,
     source: str,
 ) -> Iterator[Step]:
-    """Yield the answers for impacts: as soon as there is a batch of them, or nothing else to do."""
+    """Yield the answers for impacts: when a batch is full, or when no impact waits."""
     kind: ImpactKind = "pulse" if model.kind == "pulse" else "vibration"
     detector = ImpactDetector(sampling_rate, len(channels), kind=kind, dead_time=question.dead_time)
     waiting: list[Event] = []
@@ -217,12 +200,9 @@ def _impacts(
 
 
 def answering_channels(model: Model, channels: Sequence[str]) -> tuple[str, ...]:
-    """Return the names under which a model answers: that of each channel, or one for all that it looks at together.
+    """Return the names under which a model answers: one per channel, or one for all channels that it uses together.
 
-    Raises
-    ------
-    BadData
-        The model looks at another number of channels.
+    Raises `BadData` for another number of channels than the model uses.
     """
     if model.n_channels == 1:
         return tuple(channels)
@@ -235,7 +215,7 @@ def answering_channels(model: Model, channels: Sequence[str]) -> tuple[str, ...]
 
 
 def independence(model: Model, question: Question) -> float:
-    """Return the weight of one answer, in (0, 1]: windows that overlap and votes repeat each other."""
+    """Return the weight of one answer, in (0, 1]: overlapping windows and votes repeat each other."""
     return min(model.hop_time / question.vote_over(model), 1.0) if model.kind == "window" else 1.0
 
 
@@ -247,7 +227,7 @@ def _windows(
     question: Question,
     source: str,
 ) -> Iterator[Step]:
-    """Yield the answers for windows as they are complete."""
+    """Yield the answers for windows as they complete."""
     names = answering_channels(model, channels)
     votes = [RunningVote.over(question.vote_over(model), model.window_time, model.hop_time) for _ in names]
     sensors = question.heard_by(model, names)
@@ -281,7 +261,7 @@ def _judged(
     vote: RunningVote,
     equalisation: Sequence[Equalisation] | None,
 ) -> list[Answer]:
-    """Return one answer for each window (n_windows, n_channels, n_samples); what cannot be measured has no vote."""
+    """Return one answer for each window (n_windows, n_channels, n_samples); unmeasurable windows have no vote."""
     n_windows, n_channels, _ = windows.shape
     table = measure_windows(windows, sampling_rate, model.measured, equalisation).reshape(n_windows, n_channels, -1)
     inputs = table[:, :, : len(model.features)].reshape(n_windows, -1)
@@ -297,26 +277,20 @@ def _judged(
 
 
 class _Drifts:
-    """How far known sensors have drifted from their reference runs: the mean spectra of their channels.
+    """Drift of known sensors from their reference runs, from the mean spectra of their channels.
 
-    Parameters
-    ----------
-    model : Model
-    sensors : sequence of str or None
-        Of each channel, or of each group of channels that the model looks at together.
-    sampling_rate : float
-        [Hz].
+    `sensors` names the sensor of each channel, or of each group of channels that the model uses together.
     """
 
     def __init__(self, model: Model, sensors: Sequence[str | None], sampling_rate: float) -> None:
         self._model, self._sensors = model, sensors
-        # Windows that overlap repeat each other; the spectrum would seem more certain than it is.
+        # Overlapping windows repeat each other, and would make the spectrum seem more certain than it is.
         self._every = max(math.ceil(model.window_time / model.hop_time - 1e-9), 1) if model.hop_time else 1
         self._seen = [0] * len(sensors)
         self._spectra = [[MeanSpectrum(sampling_rate) for _ in range(model.n_channels)] if s else [] for s in sensors]
 
     def see(self, number: int, windows: NDArray[np.floating]) -> None:
-        """Look at the next windows (n_windows, n_channels, n_samples) of one of the sensors."""
+        """Take the next windows (n_windows, n_channels, n_samples) of one sensor."""
         apart = windows[-self._seen[number] % self._every :: self._every]
         self._seen[number] += len(windows)
         for channel, spectrum in enumerate(self._spectra[number]):

@@ -1,10 +1,10 @@
-"""Where blows begin in vibrations that ring on: the sudden rise of the energy in most bands.
+"""Onsets of blows in ringing vibrations: a sudden rise of the energy in most bands.
 
-A struck beam rings for longer than the next rock takes to fall, and motors hum all the time, so no level of the signal
-indicates a blow. But a blow brings energy within a millisecond in several frequency bands at once, while ringing only
-dies away and noise stays. In each of `BANDS` the energy of the coming 2 ms is divided by what was there
-in the 4 ms before, or by the noise of the band where that is more; the mean of the roots of these ratios, squared, is
-the rise. A root is used so that no single band decides: two modes that beat make one band swell, a blow most of them.
+A struck beam rings for longer than the next rock takes to fall, and motors hum all the time. So no level of the signal
+indicates a blow. But a blow brings energy to several frequency bands within a millisecond, while ringing only decays
+and noise is steady. In each of `BANDS`, the energy of the next 2 ms is divided by that of the 4 ms before, or by the
+noise of the band if that is more. The rise is the squared mean of the square roots of these ratios. The root keeps a
+single band from deciding: two beating modes swell one band, a blow most of them.
 """
 
 from __future__ import annotations
@@ -15,67 +15,56 @@ from numpy.typing import NDArray
 from cgid.identification.events import Onset, Read
 from cgid.validation import Floats
 
-#: Sums of a few energies need no more digits, and half the memory takes nearly half the time.
+#: Single precision suffices for sums of a few energies; halving the memory nearly halves the time.
 Singles = NDArray[np.float32]
 
-#: Energies are of windows of two hops, a hop apart [s]; a hop has at least this many samples,
+#: Energies are of windows of two hops, one hop apart. Length of a hop [s], and its minimum [samples].
 HOP_TIME, _SHORTEST_HOP = 0.5e-3, 8
-#: around these frequencies, as multiples of one over the window's length: 0.8 to 8 kHz with windows of 1 ms. Those
-#: above `HIGHEST` of the sampling rate are left out.
+#: Centre frequencies of the bands, as multiples of one over the window's length: 0.8 to 8 kHz with windows of 1 ms.
+#: Bands above `HIGHEST` times the sampling rate are left out.
 BANDS = (0.8, 1.6, 2.4, 3.2, 4.0, 5.0, 6.0, 8.0)
 HIGHEST = 0.45
-#: A blow is where the rise passes this,
+#: A blow is where the rise exceeds this.
 RISE = 3.0
-#: and the energy is this many times that of the noise. White noise alone does not reach it in ten minutes; at
-#: 10 kHz, where windows have few samples, it does two or three times.
+#: The energy of a blow is also this many times that of the noise. White noise alone does not reach it in ten minutes;
+#: at 10 kHz, where windows have few samples, it does two or three times.
 RISE_OVER_NOISE = 3.2
-#: Hops that are looked at from a place on, and before it with one hop between.
+#: Hops compared: from a place on, and before it, with one hop in between.
 _NOW, _BEFORE = 3, 8
-#: A blow affects the rise for this many hops; then another blow within the dead time can be seen.
+#: A blow affects the rise for this many hops. After that, another blow within the dead time is detectable.
 _REACH = 8
-#: The noise of a band is the mean energy of windows of this many hops (20 ms, a period of the mains),
+#: Length of the windows for the noise, a mean energy in each band [hops]: 20 ms, a period of the mains.
 _WINDOW_HOPS = 40
-#: this many of which make a chunk;
+#: Windows of a chunk.
 _CHUNK_WINDOWS = 10
-#: the one that this share of the latest windows (0.4 s) is below, for in most of the others something rings,
+#: The noise is this quantile of this many latest windows (0.4 s), because something rings in most of the others.
 _QUIET_SHARE, _WINDOWS_KEPT = 0.2, 20
-#: times this: the mean of that many hops of white noise over its lowest fifth.
+#: Ratio of the mean to this quantile, for white noise in windows of that many hops.
 _QUIET_FACTOR = 1.2
-#: The first chunks wait until there are this many for the noise.
+#: Number of chunks needed for the first estimate of the noise.
 START_CHUNKS = 2
-#: Energy below this share of the highest so far is rounding, not vibration.
+#: Energy below this share of the maximum so far is rounding, not vibration.
 _ROUNDING = 1e-10
-#: Samples are kept within this, energies above this.
+#: Upper limit of scaled samples, lower limit of energies.
 _LARGEST, _TINY = np.float32(1e15), np.float32(1e-30)
-#: The event is over when its energy, over that of the noise, has fallen to this share of its highest, or to this.
+#: An event ends when its energy over that of the noise has fallen to this share of its maximum, or to this value.
 END_SHARE, END_OVER_NOISE = 0.01, 2.0
-#: The onset is looked for in differences of the signal at no more than this rate [Hz].
+#: The onset is determined from differences of the signal at no more than this rate [Hz].
 _ONSET_RATE = 25_600.0
 
 
 class VibrationOnsets:
-    """Blows in vibrations, channel by channel or in all together, from chunks of samples.
+    """Find blows in vibrations in chunks of samples.
 
-    Parameters
-    ----------
-    sampling_rate : float
-        [Hz].
-    n_channels : int
-    dead_time : float
-        Nothing that rises within this time after a blow [s] is a new one; 4 ms at least.
-    joint : bool
-        Whether a blow in one channel is one in all.
+    Each channel counts by itself or, if `joint`, a blow in one channel is one in all. A rise within `dead_time` [s]
+    after a blow, at least 4 ms, is not a new one.
 
     Attributes
     ----------
-    hop : int
-        Samples from one window to the next.
-    chunk : int
-        Samples that are taken at once, or multiples of it; the first time `START_CHUNKS` at least.
-    lag : int
-        What begins this many samples before the end of what was taken may not be known yet.
-    steepest : ndarray, (n_channels,)
-        The highest rise so far; a blow is one above `RISE`.
+    hop : samples from one window to the next
+    chunk : `take` accepts multiples of this many samples, at first `START_CHUNKS` chunks or more
+    lag : onsets within this many samples of the end so far may not be known yet
+    steepest : highest rise so far, (n_channels,); a blow is above `RISE`
     """
 
     def __init__(self, sampling_rate: float, n_channels: int, dead_time: float, joint: bool) -> None:
@@ -101,9 +90,10 @@ class VibrationOnsets:
     # -- energies -------------------------------------------------------------------------------------
 
     def _scaled(self, samples: Floats) -> Singles:
-        """Return samples (n_channels, n) in single precision, about 1 in size.
+        """Return samples (n_channels, n) in single precision, of order 1.
 
-        Their zero is the first sample of each channel, their unit the largest of its first chunk that is not silent.
+        Zero is the first sample of each channel; the unit is the power of two above the largest sample of its first
+        chunk that is not silent.
         """
         if self._offset is None:
             self._offset = samples[:, :1].copy()
@@ -117,8 +107,8 @@ class VibrationOnsets:
     def _energies_of(self, samples: Singles) -> Singles:
         """Return the energies (n_channels, n_hops, n_bands) of the windows that end with each hop."""
         n_channels, n_samples = samples.shape
-        # A window is two hops, so every hop is turned into the half of two windows at once. Products are of matrices of
-        # one size, whatever the number of chunks, for the order of sums depends on it.
+        # A window is two hops, so each hop yields the halves of two windows at once. All matrices in the products have
+        # one size, whatever the number of chunks, because the order of sums depends on it.
         hops = samples.reshape(n_channels, -1, _CHUNK_WINDOWS * _WINDOW_HOPS, self.hop)
         halves = np.matmul(hops, self._atoms).reshape(n_channels, n_samples // self.hop, 4 * self.n_bands)
         early, late = halves[..., : 2 * self.n_bands], halves[..., 2 * self.n_bands :]
@@ -128,13 +118,13 @@ class VibrationOnsets:
         late *= late
         energies: Singles = late[..., : self.n_bands] + late[..., self.n_bands :]
         if self._n_hops == 0:
-            energies[:, 0] = energies[:, 1]  # there is nothing before the first hop
+            energies[:, 0] = energies[:, 1]  # nothing precedes the first hop
         return energies
 
     def _floors_of(self, energies: Singles, n_known: int) -> tuple[Singles, Singles]:
         """Return the noise and the rounding in each chunk, both (n_channels, n_chunks, n_bands).
 
-        Only the first `n_known` hops exist.
+        Only the first `n_known` hops are real.
         """
         n_channels, _, n_bands = energies.shape
         means = _window_means(energies)
@@ -144,7 +134,7 @@ class VibrationOnsets:
         n_kept = self._windows.shape[1]
         means = means[:, : n_known // _WINDOW_HOPS]
         if not n_kept and means.shape[1] < _CHUNK_WINDOWS:
-            # The recording is over before there are enough: shorter windows.
+            # The recording ends too early for full windows: take shorter ones.
             length = max(n_known // (2 * _CHUNK_WINDOWS), 1)
             shorter = energies[:, : n_known // length * length]
             means = shorter.reshape(n_channels, -1, length, n_bands).mean(axis=2)
@@ -161,7 +151,7 @@ class VibrationOnsets:
         return np.float32(_QUIET_FACTOR) * noise, np.float32(_ROUNDING) * most[:, 1:]
 
     def _rises_of(self, energies: Singles, noise: Singles, rounding: Singles) -> Singles:
-        """Return the rise at each hop (n_channels, n_hops), three hops late: it looks ahead by that much."""
+        """Return the rise at each hop (n_channels, n_hops), three hops late, because it looks ahead by that much."""
         n_channels, n_hops, n_bands = energies.shape
         joined = np.concatenate([self._energies, energies], axis=1)
         self._energies = joined[:, n_hops:]
@@ -176,7 +166,7 @@ class VibrationOnsets:
         ratio = now.reshape(shape)
         ratio /= before
         np.sqrt(ratio, out=ratio)
-        # Band by band: how numpy splits a sum depends on its shape.
+        # Sum band by band: how numpy splits a sum depends on its shape.
         rise = ratio[..., 0].copy()
         for band in range(1, n_bands):
             rise += ratio[..., band]
@@ -187,15 +177,9 @@ class VibrationOnsets:
     # -- blows ----------------------------------------------------------------------------------------
 
     def take(self, samples: Floats, read: Read, n_known: int | None = None) -> list[Onset]:
-        """Take the next chunks and return the blows that begin in them.
+        """Take the next chunks (n_channels, k chunk) and return the blows that begin in them.
 
-        Parameters
-        ----------
-        samples : ndarray, (n_channels, k chunk)
-        read : callable
-            Returns the samples (n_channels, n) between two numbers, as far as they are there.
-        n_known : int, optional
-            With the last chunk: samples that are really there.
+        `read` returns earlier samples. `n_known` marks the last chunk and is the number of its real samples.
         """
         n_hops = samples.shape[1] // self.hop
         known = n_hops if n_known is None else n_known // self.hop
@@ -206,7 +190,7 @@ class VibrationOnsets:
         rises = np.concatenate([self._rises, self._rises_of(energies, noise, rounding)], axis=1)
         first = self._n_hops - self._rises.shape[1]
         self._n_hops += n_hops
-        # A blow is placed where the rise is highest in three hops.
+        # A blow is at the maximum of the rise within three hops.
         n_decided = rises.shape[1] - 2 if n_known is None else rises.shape[1] - n_hops + known
         self._rises = rises[:, n_decided:]
         rows = rises.max(axis=0, keepdims=True) if self._joint else rises
@@ -220,7 +204,7 @@ class VibrationOnsets:
                     continue
                 top = place + int(np.argmax(rows[row, place : min(place + 3, there)]))
                 channel = int(np.argmax(rises[:, top])) if self._joint else row
-                # The chunk with which the place was decided.
+                # The chunk that decided the place.
                 chunk = (first + place + 2 - (self._n_hops - n_hops)) // (self.chunk // self.hop)
                 own = noise[channel, min(chunk, noise.shape[1] - 1)]
                 found.append(self._blow(row, channel, first + top, own, read))
@@ -246,7 +230,7 @@ class VibrationOnsets:
         return blow
 
     def end_of(self, onset: Onset, samples: Floats) -> int:
-        """Return after how many of these samples (n,) from its onset on an event is over, -1 if it is not."""
+        """Return the duration of an event in samples from its onset, -1 if it is longer than these samples (n,)."""
         n_hops = samples.size // self.hop
         if n_hops < 2:
             return -1
@@ -266,15 +250,15 @@ class VibrationOnsets:
 
 
 def _single(samples: Floats) -> Singles:
-    """Return samples in single precision, limited to those whose square is finite."""
+    """Return samples in single precision, limited so that their squares are finite."""
     with np.errstate(over="ignore"):
         return np.clip(samples.astype(np.float32), -_LARGEST, _LARGEST)
 
 
 def _window_means(energies: Singles) -> Singles:
-    """Return the means (n_channels, n_windows, n_bands) of the energies (n_channels, n_hops, n_bands) of windows."""
+    """Return the mean energies of windows (n_channels, n_windows, n_bands) from (n_channels, n_hops, n_bands)."""
     n_channels, n_hops, n_bands = energies.shape
-    # Adding halves, which are long rows, until five hops are left is several times faster than numpy's mean.
+    # Adding halves, which are long rows, down to five hops is several times faster than numpy's mean.
     sums = energies.reshape(n_channels, n_hops // _WINDOW_HOPS, _WINDOW_HOPS * n_bands)
     while sums.shape[2] > 5 * n_bands:
         half = sums.shape[2] // 2
@@ -283,10 +267,10 @@ def _window_means(energies: Singles) -> Singles:
 
 
 def _atoms(hop: int) -> Floats:
-    """Return what turns the samples of a hop into its share of the windows that begin and that end with it.
+    """Return the matrix (hop, 4 n_bands) from the samples of a hop to its part in the two windows that contain it.
 
-    (hop, 4 n_bands): for a window's first half cosines and sines of all bands, then the same for its second. Constants
-    and slow curves, up to the second degree, have no energy at all.
+    Columns: cosines and sines of all bands for the first half of a window, then for its second half. Constants and slow
+    curves, up to the second degree, have no energy.
     """
     length = 2 * hop
     place = np.arange(length)
@@ -300,17 +284,11 @@ def _atoms(hop: int) -> Floats:
 
 
 def onset_in(samples: Floats, width: int) -> int:
-    """Return where in the samples (n,) a vibration begins: where one variance, before, becomes another.
+    """Return where a vibration begins in the samples (n,): where one variance changes to another.
 
-    The place that makes the differences of the samples most likely as two stretches of noise: Akaike's criterion, after
-    Maeda, "A method for reading and checking phase times in autoprocessing system of seismic wave data", Zisin 38
-    (1985).
-
-    Parameters
-    ----------
-    samples : ndarray, (n,)
-    width : int
-        This many samples are averaged before their difference is taken.
+    The place maximises the likelihood of the differences of the samples as two stretches of noise: Akaike's criterion,
+    after Maeda, "A method for reading and checking phase times in autoprocessing system of seismic wave data", Zisin 38
+    (1985). Averages over `width` samples precede the differences.
     """
     if width > 1:
         sums = np.append(0.0, np.cumsum(samples - samples[:1]))

@@ -1,7 +1,7 @@
 """A recording in windows of one length, block by block, and votes of several windows.
 
-Where impacts are too dense to be separated, windows are identified instead. They do not depend on the blocks of the
-recording: window k starts at sample k hops.
+Windows replace impacts where these are too dense to be separated. They do not depend on the blocks of the recording:
+window k starts at sample k * hop.
 """
 
 from __future__ import annotations
@@ -20,24 +20,24 @@ from cgid.measure.filters import Equalisation
 from cgid.measure.frames import MINIMUM_FRAME
 from cgid.validation import Floats
 
-#: The default length of a window [s].
+#: Default length of a window [s].
 WINDOW_TIME = 0.1
-#: Probabilities are averaged over this time by default [s].
+#: Default time over which probabilities are averaged [s].
 VOTE_TIME = 0.5
-#: No window is longer [s]: it is held in memory.
+#: Longest window [s], because it is held in memory.
 LONGEST_WINDOW = 10.0
-#: The next window begins after this share of one at least, and within `LONGEST_WINDOW`.
+#: Shortest hop, as a share of the window; the longest is `LONGEST_WINDOW`.
 FINEST_HOP = 0.01
-#: At most this many windows vote together: each of them is added up for each vote.
+#: Most windows in a vote, because each vote sums all of them.
 _MOST_VOTING = 10_000
-#: At most this many windows are yielded at once: measuring them takes memory.
+#: Most windows yielded at once, because measuring them takes memory.
 _MOST_WINDOWS = 512
-#: Lower probabilities count as this one: no window alone rules a label out.
+#: Lower probabilities count as this one, so that no single window rules a label out.
 LEAST_PROBABILITY = 1e-6
 
 
 def require_times(window_time: float, hop_time: float) -> None:
-    """Raise `InvalidValue` unless windows of this length [s] can start this far from each other [s]."""
+    """Raise `InvalidValue` unless the length of windows [s] and the hop between their starts [s] are valid."""
     validation.positive("window_time", window_time, "s")
     validation.positive("hop_time", hop_time, "s")
     if window_time > LONGEST_WINDOW:
@@ -51,30 +51,17 @@ def require_times(window_time: float, hop_time: float) -> None:
 
 @dataclass(frozen=True)
 class Grid:
-    """Where windows lie, in samples.
-
-    Attributes
-    ----------
-    length : int
-        Of a window.
-    hop : int
-        From the start of one to that of the next.
-    """
+    """Length of a window and hop between the starts of windows, in samples."""
 
     length: int
     hop: int
 
     @classmethod
     def at(cls, sampling_rate: float, window_time: float, hop_time: float) -> Grid:
-        """Return the grid at a sampling rate [Hz] of windows of a length [s] that start a hop [s] from each other.
+        """Return the grid at a sampling rate [Hz] for a window length and a hop [s].
 
-        Raises
-        ------
-        InvalidValue
-            A time is not above 0, or a window holds too few samples.
+        Raises `InvalidValue` if a time is not above 0, or a window has too few samples.
 
-        Examples
-        --------
         >>> Grid.at(44_100.0, 0.1, 0.05)
         Grid(length=4410, hop=2205)
         """
@@ -91,31 +78,11 @@ class Grid:
 def windows_of(
     blocks: Iterable[NDArray[np.floating]], sampling_rate: float, window_time: float, hop_time: float
 ) -> Iterator[tuple[NDArray[np.int64], NDArray[np.floating]]]:
-    """Return an iterator over the windows of a recording that lie in it as a whole, as soon as they are complete.
+    """Yield the first samples (n_windows,) and the complete windows (n_windows, n_channels, n_samples) of a recording.
 
-    Parameters
-    ----------
-    blocks : iterable of ndarray, (n_channels, n_samples)
-        The recording, one block after the other, of any lengths. Only what the next window needs is kept.
-    sampling_rate : float
-        [Hz].
-    window_time, hop_time : float
-        Length of a window, and from the start of one to that of the next [s].
+    Blocks (n_channels, n_samples) may have any length; only the samples that the next window needs are kept. Windows
+    are read-only views, at most 512 at once. Raises as `Grid.at`.
 
-    Yields
-    ------
-    first_samples : ndarray of int, (n_windows,)
-        Where they start in the recording.
-    windows : ndarray, (n_windows, n_channels, n_samples)
-        A view that must not be written to; at most 512 windows.
-
-    Raises
-    ------
-    InvalidValue
-        A time is not above 0, or a window holds too few samples.
-
-    Examples
-    --------
     >>> blocks = np.arange(10.0)[None, :7], np.arange(10.0)[None, 7:]
     >>> for first, windows in windows_of(blocks, 1.0, 6.0, 2.0):
     ...     print(first, windows[:, 0, 0], windows.shape)
@@ -124,7 +91,7 @@ def windows_of(
     """
     grid = Grid.at(sampling_rate, window_time, hop_time)
     waiting: list[NDArray[np.floating]] = []
-    start = held = number = 0  # first sample that waits, how many wait, and the next window
+    start = held = number = 0  # first sample in `waiting`, number of samples there, next window
     for block in blocks:
         waiting.append(block)
         held += block.shape[1]
@@ -138,7 +105,7 @@ def windows_of(
             first = grid.hop * np.arange(first_window, last_window, dtype=np.int64)
             yield first, np.swapaxes(views[:, first[0] - start : first[-1] - start + 1 : grid.hop], 0, 1)
         number = complete
-        # Samples between windows that are further apart than they are long do not wait.
+        # Also drop samples between windows that are further apart than they are long.
         gone = min(number * grid.hop - start, held)
         waiting, start, held = [samples[:, gone:].copy()], start + gone, held - gone
 
@@ -149,22 +116,10 @@ def measure_windows(
     names: tuple[str, ...],
     equalisation: Sequence[Equalisation] | None = None,
 ) -> Floats:
-    """Return the features of windows, those of the first channel before those of the second.
+    """Return the features of windows (n_windows, n_channels, n_samples) as (n_windows, n_channels * n_features).
 
-    Parameters
-    ----------
-    windows : ndarray, (n_windows, n_channels, n_samples)
-    sampling_rate : float
-        [Hz].
-    names : tuple of str
-        Out of `cgid.measure.features.FEATURES`.
-    equalisation : sequence of Equalisation, optional
-        Corrections of the sensor's response, one for each channel.
-
-    Returns
-    -------
-    ndarray, (n_windows, n_channels * n_features)
-        nan where a window cannot be measured.
+    The features of the first channel come first; nan where a window cannot be measured. `equalisation` corrects the
+    response of each channel's sensor.
     """
     own = [None] * windows.shape[1] if equalisation is None else equalisation
     channels = zip(np.moveaxis(windows, 1, 0), own, strict=True)
@@ -173,10 +128,8 @@ def measure_windows(
 
 
 def columns_of(names: Sequence[str], chosen: Sequence[str], n_columns: int) -> list[int]:
-    """Return the columns of some features in a table that holds all `names` for one channel after the other.
+    """Return the columns of the chosen features in a table that holds all `names` of one channel after the other.
 
-    Examples
-    --------
     >>> columns_of(("a", "b", "c"), ("c", "a"), 6)
     [2, 0, 5, 3]
     """
@@ -185,13 +138,7 @@ def columns_of(names: Sequence[str], chosen: Sequence[str], n_columns: int) -> l
 
 
 class RunningVote:
-    """Probabilities averaged over the last windows: the mean of their logarithms, as they come.
-
-    Parameters
-    ----------
-    n_windows : int
-        Over this many; at the beginning, over all so far.
-    """
+    """Running mean of log-probabilities over the last `n_windows` windows; at the beginning over all so far."""
 
     def __init__(self, n_windows: int) -> None:
         self.n_windows = validation.count("n_windows", n_windows)
@@ -200,10 +147,8 @@ class RunningVote:
 
     @classmethod
     def over(cls, vote_time: float, window_time: float, hop_time: float) -> RunningVote:
-        """Return the vote of the windows that lie in a time as a whole, at least one; all times in seconds.
+        """Return the vote over the windows that lie entirely within a time, at least one; all times in seconds.
 
-        Examples
-        --------
         >>> RunningVote.over(0.5, 0.1, 0.05).n_windows
         9
         """
@@ -215,12 +160,10 @@ class RunningVote:
         return cls(max(int((vote_time - window_time) / hop_time + 1e-9) + 1, 1))
 
     def feed(self, probabilities: Floats) -> Floats:
-        """Return the averaged probabilities for more windows, (n, n_labels); each row adds up to 1.
+        """Return the averaged probabilities for more windows, (n, n_labels); each row sums to 1.
 
-        The rows are the same to the last digit whatever the portions that they come in.
+        The rows are identical to the last digit however they are divided into calls.
 
-        Examples
-        --------
         >>> RunningVote(2).feed(np.array([[0.5, 0.5], [0.9, 0.1], [0.9, 0.1]])).round(2).tolist()
         [[0.5, 0.5], [0.75, 0.25], [0.9, 0.1]]
         """
@@ -228,7 +171,7 @@ class RunningVote:
         before = np.zeros((self.n_windows - 1, logs.shape[1])) if self._last is None else self._last
         both = np.concatenate([before, logs])
         total = np.zeros_like(logs)
-        for k in range(self.n_windows):  # in this order for every row
+        for k in range(self.n_windows):  # the same order for every row
             total += both[k : k + len(logs)]
         counts = np.minimum(self._seen + 1 + np.arange(len(logs)), self.n_windows)
         self._last, self._seen = both[len(logs) :], self._seen + len(logs)
