@@ -229,8 +229,11 @@ class Model:
 
         Parameters
         ----------
-        probabilities, coverage, class_conditional
-            See `Conformal.prediction_set`.
+        probabilities : ndarray, (n_impacts, n_labels)
+        coverage : float
+            In (0, 1).
+        class_conditional : bool
+            Guarantee the coverage for each label separately, and so for any mix; else for the mix of the training.
 
         Raises
         ------
