@@ -1,4 +1,4 @@
-"""The model card in Markdown (needs, quality and limits of a model), and writing model and card to disk."""
+"""Write models with their cards: the needs, the quality and the limits of a model, in Markdown."""
 
 from __future__ import annotations
 
@@ -357,7 +357,7 @@ def _chosen(row: Record) -> str:
 
 
 def domain_shift_table(rows: Sequence[Record]) -> list[str]:
-    """Return the table for other domains; rows have name, n, accuracy (None for strangers) and flagged_share."""
+    """Return the table of a model in other domains; rows have name, n, accuracy (or None) and flagged_share."""
     cells = [
         (
             plain(row["name"]),

@@ -94,7 +94,7 @@ class Model:
     known : tuple of str
         Known quantities needed besides the signal, from `cgid.identification.drop_height.KNOWN`.
     guards : tuple of str
-        Features that only measure novelty: larger is stranger.
+        Features that only measure novelty; larger is more novel.
     guard_limits : tuple of float
         99.9 % quantiles of the guards in the training.
     window_time, hop_time : float

@@ -113,7 +113,7 @@ class Drift:
     Attributes
     ----------
     level : mean over the bands [dB]
-    largest : difference in the band with the most certain difference [dB]
+    largest : difference in the band that differs most clearly [dB]
     frequency : centre of that band [Hz]
     certain : smallest difference in that band compatible with the variation between windows [dB]
     """

@@ -92,9 +92,11 @@ def select(
 ) -> list[dict[str, Any]]:
     """Compare families by cross-validation; return one row for each, as plain numbers for JSON.
 
-    All share the folds, stratified by label, which never divide a specimen. Standardisation, fit and calibration use
-    only the training part, with one thread. Times and sizes are those of the exported model, else of scikit-learn's and
-    its pickle; parallel folds take longer to fit. Raises `InvalidValue` if a label has fewer specimens than folds.
+    All share the folds, which are stratified by label and never divide a specimen. Fits use one thread and only the
+    training part; in parallel folds they take longer. `difference` is to the first candidate, `standard_error` over
+    paired specimens; `n_train` and `fit_s` are per fold; `predict_us` (one impact) and `size_bytes` are those of the
+    exported model, else of scikit-learn's and its pickle. Raises `InvalidValue` if a label has fewer specimens than
+    folds.
     """
     labels = measured.labels
     fewest = min(len(np.unique(measured.group[labels == label])) for label in np.unique(labels))

@@ -107,7 +107,7 @@ def train(
     features : iterable of str, optional
         Default: those in `cgid.identification.rows` for the quantity; for recordings the best of its sets.
     guards : iterable of str, optional
-        Features that only measure novelty (larger is stranger) and are left out of `features`. Default:
+        Features that only measure novelty (larger is more novel) and are left out of `features`. Default:
         `DEFAULT_GUARDS` for batches of pulses, else none. Not for recordings.
     known : iterable of str
         Known quantities from `cgid.identification.drop_height.KNOWN`. Not for recordings.
