@@ -338,7 +338,7 @@ def plain(name: object) -> str:
     r"""Escape a name from a file so that Markdown shows it literally.
 
     >>> print(plain("<b>a|b"), plain("_coal_wet_"))
-    \<b\>a\|b \_coal\_wet\_
+    \<b\>a\|b \_coal_wet\_
     """
     return _MARKS.sub(r"\\\g<0>", printable(str(name)))
 
@@ -357,7 +357,10 @@ def _chosen(row: Record) -> str:
 
 
 def domain_shift_table(rows: Sequence[Record]) -> list[str]:
-    """Return the table of a model in other domains; rows have name, n, accuracy (or None) and flagged_share."""
+    """Return the table of a model in other domains.
+
+    `rows` have name, n, accuracy (None for unknown labels) and flagged_share.
+    """
     cells = [
         (
             plain(row["name"]),

@@ -47,7 +47,7 @@ MOST_SYNTHETIC = 10
 class Slicing:
     """How recordings become rows: by window, with length and hop [s], or by impact.
 
-    For `dead_time` [s] see `cgid.identification.events.ImpactDetector`.
+    For `dead_time` [s] see `cgid.identification.detection.ImpactDetector`.
     """
 
     by: Literal["window", "impact"] = "window"
