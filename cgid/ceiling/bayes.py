@@ -146,7 +146,7 @@ def ceilings(
 ) -> tuple[Ceiling, ...]:
     """Return ceilings of the same signals for each value of `drop_height_known`; otherwise as `ceiling`.
 
-    The likelihoods take almost all of the time and do not depend on what is known. `n_nodes` are those along the shape.
+    The likelihoods take almost all of the time and do not depend on this. `n_nodes` are those along the shape.
     """
     check_covered(scene)
     validation.whole("n_signals", n_signals, 2, MOST_SIGNALS)  # one signal has no standard error

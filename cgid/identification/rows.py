@@ -275,7 +275,7 @@ def _known_of(batch: Batch) -> Floats:
     return heights[:, None]
 
 
-# -- synthetic rows beside recorded ones ------------------------------------------------------------------
+# -- synthetic rows among recorded ones -------------------------------------------------------------------
 #
 # A scene models the bodies, but not the gain and response of the recording sensor on its support. So the mean of each
 # level, over the labels in common, is shifted to that of the recordings. Only training rows determine the shifts.
