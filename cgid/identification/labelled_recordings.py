@@ -222,9 +222,9 @@ def record(
 ) -> Rows:
     """Return the rows of annotated recordings: the features of their windows or impacts.
 
-    The default features are all of `cgid.identification.rows.sets_for` that can be measured on every recording.
-    `progress` receives the number of rows measured. Raises `BadData` if no recording yields a row, `InvalidValue` for a
-    bad choice, and if strict the error of the first unreadable recording.
+    By default these are all of `cgid.identification.rows.sets_for` that can be measured on every recording. `progress`
+    receives the number of rows measured. Raises `BadData` if no recording yields a row or files of different groups are
+    equal, `InvalidValue` for a bad choice, and if strict the error of the first unreadable recording.
     """
     slicing, reading = slicing or Slicing(), reading or Reading()
     failures: list[CgidError] = []
