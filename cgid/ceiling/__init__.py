@@ -1,4 +1,4 @@
-"""The highest accuracy that is possible in a scene: Bayes' limit, learners below it, and a survey of better rigs."""
+"""The highest accuracy possible in a scene: the Bayes limit, learners below it, and a survey of better rigs."""
 
 from cgid.ceiling.bayes import Ceiling, ceiling, ceilings
 from cgid.ceiling.learner import Bracket, Learner, bracket

@@ -1,8 +1,8 @@
-"""The ceiling of a scene: the highest accuracy that anybody can reach who knows the scene and sees the signals.
+"""The ceiling of a scene: the highest accuracy possible given the scene and the signals.
 
 It is the accuracy of Bayes' rule on many synthetic signals. The probability of a signal under a population is the
-integral of its likelihood over the pulses of that population: along the shape by quadrature, over peak, duration and
-(where it is not known) onset by Laplace's approximation, with a density of the population from many draws.
+integral of its likelihood over the population's pulses: by quadrature along the shape, by Laplace's approximation over
+peak, duration and (if unknown) onset. The density of the pulses comes from many draws.
 """
 
 from __future__ import annotations
@@ -29,15 +29,15 @@ from cgid.scene.impacts import draw
 from cgid.signals import Batch
 from cgid.validation import Floats
 
-#: Most signals to judge on or to learn from: they take hours, and give the accuracy to 1e-4.
+#: Most signals to judge or train on: they take hours, and give the accuracy to 1e-4.
 MOST_SIGNALS = 10_000_000
 #: Draws for the density of one population.
 PRIOR_DRAWS = 1 << 19
-#: Their seed, which no user is likely to choose for the signals.
+#: Seed of these draws, unlikely to be chosen for the signals.
 _PRIOR_SEED = 0x5EED_0000_C9D1
-#: Populations whose draws are cached (8 MiB each); noise and sampling do not change them.
+#: Number of populations whose draws are cached (8 MiB each); noise and sampling do not change them.
 _KEPT = 8
-#: Nodes along the shape: with half as many the probability of a signal changes by up to .1, the accuracy by .0005.
+#: Nodes along the shape: half as many change the probability of a signal by up to .1, the accuracy by .0005.
 NODES = 33
 #: Signals integrated at once.
 _ROWS = 1024
@@ -54,7 +54,7 @@ class Ceiling:
     labels : tuple of str
     truth : ndarray of str, (n,)
     probabilities : ndarray, (n, n_labels)
-        Of each label given the signal.
+        Posterior of each label.
     """
 
     labels: tuple[str, ...]
@@ -73,7 +73,7 @@ class Ceiling:
 
     @property
     def hits(self) -> NDArray[np.bool_]:
-        """Whether the most probable label is the true one, (n,); the share must agree with the accuracy."""
+        """Whether the most probable label is the true one, (n,); their share must agree with the accuracy."""
         return np.asarray(np.array(self.labels)[self.probabilities.argmax(axis=1)] == self.truth)
 
     @property
@@ -92,7 +92,7 @@ class Ceiling:
         return np.asarray(np.sum((self.probabilities - true) ** 2, axis=1))
 
     def roc(self, label: str) -> tuple[Floats, Floats]:
-        """Return false and true positive rate of a label, as the threshold falls."""
+        """Return false and true positive rate of a label for falling thresholds."""
         validation.choice("label", label, self.labels)
         order = np.argsort(-self.probabilities[:, self.labels.index(label)], kind="stable")
         own = (self.truth == label)[order]
@@ -117,13 +117,13 @@ def ceiling(
     Parameters
     ----------
     scene : Scene
-        Of impacts on a half space or a rigid wall, with noise; its noise level is taken as known.
+        Impacts on a half space or a rigid wall, with noise of known level.
     n_signals : int
         At most `MOST_SIGNALS`; the standard error falls with the square root.
     seed : int
-        Of the signals.
+        Seed of the signals.
     drop_height_known : bool
-        Whether the speed at touch is known for each impact.
+        Whether the impact speed of each signal is known.
     progress : callable, optional
         Called with the number of signals done.
 
@@ -144,12 +144,12 @@ def ceilings(
     n_nodes: int = NODES,
     progress: Callable[[int], object] | None = None,
 ) -> tuple[Ceiling, ...]:
-    """Return the ceilings without and with known drop height, of the same signals; otherwise as `ceiling`.
+    """Return ceilings of the same signals for each value of `drop_height_known`; otherwise as `ceiling`.
 
-    The likelihoods take nearly all of the time and do not depend on what is known.
+    The likelihoods take almost all of the time and do not depend on this. `n_nodes` are those along the shape.
     """
     check_covered(scene)
-    validation.whole("n_signals", n_signals, 2, MOST_SIGNALS)  # of one there is no standard error
+    validation.whole("n_signals", n_signals, 2, MOST_SIGNALS)  # one signal has no standard error
     known = [
         [_Knowledge.of(scene, index, height) for index in range(len(scene.populations))] for height in drop_height_known
     ]
@@ -203,7 +203,7 @@ def check_covered(scene: Scene) -> None:
 
 @dataclass(frozen=True)
 class _Knowledge:
-    """The density of the pulses of one population, at unit speed where the speed is known."""
+    """The density of the pulses of one population, scaled to unit speed if the speed is known."""
 
     prior: Prior
     speed: tuple[Floats, Floats] | None
@@ -220,7 +220,7 @@ class _Knowledge:
         return cls(prior, (np.asarray(edges, np.float64), counts / counts.sum() / np.diff(edges)))
 
     def evidence(self, along: Profile, batch: Batch, log_speed: Floats) -> Floats:
-        """Return the logarithm of the probability of each signal."""
+        """Return the log probability of each signal."""
         peak_offset: Any = 0.0
         time_offset: Any = -np.log(batch.sampling_rate)
         own = np.zeros(len(batch))
@@ -231,13 +231,13 @@ class _Knowledge:
             cell = np.clip(np.searchsorted(edges, log_speed[:, 0], side="right") - 1, 0, len(density) - 1)
             inside = (log_speed[:, 0] >= edges[0]) & (log_speed[:, 0] <= edges[-1])
             own = np.log(np.where(inside, np.maximum(density[cell], 1e-12), 1e-12))
-        # A fit that misses its pulse gives nan; `_by_label` then uses the weights.
+        # A fit that misses its pulse gives nan, which `_by_label` replaces by the weights.
         with np.errstate(invalid="ignore"):
             return np.asarray(own + self.prior.evidence(along, peak_offset, time_offset))
 
 
 def _population_alone(scene: Scene, index: int) -> str:
-    """Return the text of a scene with one population, the target and nothing else of the rig."""
+    """Return the text of a scene with one population and the target, without the rest of the rig."""
     content = json.loads(scene.text)
     content["populations"] = [content["populations"][index]]
     frame = {"sampling_rate": 1e5, "samples": 64, "pre_trigger": 8}
@@ -255,7 +255,7 @@ def _draws(text: str, n_draws: int) -> dict[str, Floats]:
 
 
 def _joined(batches: Iterator[Batch]) -> Iterator[Batch]:
-    """Yield the batches joined to `_ROWS` signals: larger batches are faster."""
+    """Yield the batches joined to at least `_ROWS` signals, because larger batches are faster."""
     held: list[Batch] = []
     for batch in batches:
         held.append(batch)
@@ -279,7 +279,7 @@ def _one(held: list[Batch]) -> Batch:
 def _profiles(scene: Scene, batch: Batch, knowledge: list[_Knowledge], n_nodes: int) -> list[Profile]:
     """Return the likelihood along the shape for each population.
 
-    They share it unless the restitution of a population hardly varies, which then needs its own nodes.
+    The populations share it, unless the restitution of one hardly varies: then each has its own nodes.
     """
     sensor, sampling = scene.sensor, scene.sampling
     noise = sensor.noise_level(batch.parameters["peak_force"], batch.sampling_rate)
@@ -311,7 +311,7 @@ def _profiles(scene: Scene, batch: Batch, knowledge: list[_Knowledge], n_nodes: 
 
 
 def _by_label(scene: Scene, truth: NDArray[np.str_], evidence: Floats, weights: Floats) -> Ceiling:
-    # Without evidence the shares of the populations decide.
+    # Without evidence, use the shares of the populations.
     evidence = np.where(np.isfinite(evidence).all(axis=1, keepdims=True), evidence, weights)
     top = evidence.max(axis=1, keepdims=True)
     share = np.exp(evidence - top)

@@ -1,4 +1,4 @@
-"""The ceiling from below: the accuracy of a learner that gets the output of the estimator.
+"""The ceiling from below: the accuracy of a learner on the output of the estimator.
 
 It is judged on the signals of the ceiling, so that most of the statistical error cancels in the difference.
 """
@@ -20,11 +20,11 @@ from cgid.measure.features import extract_array
 from cgid.scene import Scene, synthesise
 from cgid.validation import Floats
 
-#: The learner gets the logarithms of these features.
+#: Features whose logarithms are the inputs of the learner.
 _POSITIVE = ("fitted_peak", "fitted_width", "fitted_restitution", "fitted_restitution_deviation")
 #: Fewest signals to train a learner on.
 FEWEST = 100
-#: Share of the training signals that decide between the learners, and neurons of the network.
+#: Share of the training signals held out to decide between the learners, and units of the network's layers.
 _HELD_BACK = 0.2
 _NEURONS = (32, 32)
 
@@ -36,13 +36,13 @@ class Learner:
     Attributes
     ----------
     n_signals : int
-        In its training.
+        Training signals.
     kind : str
-        "network" or "quadratic", whichever was better on signals held back from the training.
+        "network" or "quadratic", the better one on a held-out part of the training; "guess" if neither can be trained.
     hits : ndarray of bool, (n_test,)
-        Whether it was right. The answer for a signal that cannot be measured is the most frequent label.
+        Whether it was right. For a signal that cannot be measured the answer is the most frequent label.
     difference, difference_error : float
-        Accuracy of the ceiling's answers minus its own, on the same signals, and the standard error.
+        Accuracy of the ceiling's answers minus the learner's, on the same signals, and the standard error.
     regret, regret_error : float
         The same with the ceiling's probabilities in place of the truth, which reduces the statistical error.
     """
@@ -85,10 +85,8 @@ class Bracket:
 
 
 def sizes_up_to(highest: int) -> tuple[int, ...]:
-    """Return 1,000, 3,000, 10,000, ... and last `highest`.
+    """Return 1,000, 3,000, 10,000, ... and finally `highest`.
 
-    Examples
-    --------
     >>> sizes_up_to(20_000)
     (1000, 3000, 10000, 20000)
     """
@@ -117,13 +115,13 @@ def bracket(
     ----------
     scene : Scene
     sizes : tuple of int
-        Numbers of signals to train on; each set contains the smaller ones. Their seed differs from that of the test.
+        Numbers of training signals; each set contains the smaller ones. Their seed differs from that of the test.
     n_test, seed, drop_height_known
-        Of the ceiling, as in `ceiling`.
+        As in `ceiling`.
     permute_labels : bool
-        Whether to train on labels in random order, as a check: the accuracy must be that of guessing.
+        Train on permuted labels, as a check: the accuracy must be that of guessing.
     limit : Ceiling, optional
-        The ceiling of the same signals, if it is already known.
+        The ceiling of the same signals, if already known.
     progress : callable, optional
         Called with the number of signals done.
 
@@ -158,7 +156,7 @@ def _measured(
         with np.errstate(invalid="ignore", divide="ignore"):
             columns = [np.log(values)]
         if drop_height_known:
-            # By the velocity, which all scenes have: up to a constant it is the logarithm of the height.
+            # 2 ln(velocity), which all scenes have, is the logarithm of the height up to a constant.
             columns.append(2 * np.log(batch.parameters["velocity"])[:, None])
         rows.append(np.hstack(columns))
         labels.append(batch.labels)
@@ -170,7 +168,7 @@ def _measured(
 def _learn(inputs: Floats, labels: NDArray[np.str_], test: Floats, limit: Ceiling) -> Learner:
     from threadpoolctl import threadpool_limits
 
-    # Numbers, because scikit-learn before 1.8 cannot stop the training of a network early with labels of text.
+    # Numbers, because in scikit-learn before 1.8 early stopping of a network fails with string labels.
     names, numbers, counts = np.unique(labels, return_inverse=True, return_counts=True)
     sound = np.isfinite(inputs).all(axis=1)
     measured = np.isfinite(test).all(axis=1)
@@ -185,7 +183,7 @@ def _learn(inputs: Floats, labels: NDArray[np.str_], test: Floats, limit: Ceilin
 
 
 def _best(inputs: Floats, labels: NDArray[np.intp]) -> tuple[str, Any]:
-    """Return the learner that is better on signals held back, trained on all signals."""
+    """Return the learner that is better on a held-out part, retrained on all signals."""
     held = max(int(_HELD_BACK * len(inputs)), 1)
     scores = {}
     for kind in ("quadratic", "network"):

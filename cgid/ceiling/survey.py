@@ -1,4 +1,4 @@
-"""The survey of a rig: the ceiling against noise, sampling rate and spread of sizes."""
+"""The survey of a rig: the ceiling against noise, sampling rate and size spread."""
 
 from __future__ import annotations
 
@@ -15,20 +15,20 @@ from cgid.scene.impacts import draw
 from cgid.scene.sections import Population
 from cgid.validation import Floats
 
-#: The settings of a survey: signal over noise [dB], sampling rate [Hz], largest over smallest radius.
+#: Settings of a survey: signal over noise [dB], sampling rate [Hz], largest over smallest radius.
 SNRS = (15.0, 20.0, 25.0, 30.0, 40.0, 50.0)
 RATES = (10e3, 20e3, 50e3, 100e3, 200e3, 500e3, 1e6)
 SPREADS = (1.1, 1.5, 2.0, 4.0, 8.0, 16.0)
 #: Points of a survey, including the present setting.
 N_POINTS = 1 + len(SNRS) + len(RATES) + len(SPREADS)
-#: Fewest samples on a contact for which the integration is trusted (5 % quantile of the contacts).
+#: Fewest samples per contact (5 % quantile) for which the integration is trusted.
 FEWEST_SAMPLES = 5.0
-#: Lowest signal over noise [dB]. At 10 dB some of the initial fits miss the pulse, and the ceiling of scene peers is
-#: .012 too high, compared to brute force over 65,536 draws of each population; at 15 dB .002 to .005.
+#: Lowest signal over noise [dB]. At 10 dB some initial fits miss the pulse, and the ceiling of scene peers is .012 too
+#: high against brute force over 65,536 draws of each population; at 15 dB .002 to .005.
 LOWEST_SNR = 14.0
 #: Nodes along the shape: the error of the accuracy, up to .0005, is below the standard error of a survey.
 _NODES = 17
-#: Blocks of 256 impacts for the median noise and the contacts.
+#: Blocks of 256 impacts from which to estimate noise and contacts.
 _BLOCKS = 8
 
 
@@ -39,14 +39,14 @@ class Point:
     Attributes
     ----------
     axis : str
-        "snr" [dB], "sampling_rate" [Hz] or "size_spread" [1].
+        "present", "snr" [dB], "sampling_rate" [Hz] or "size_spread" [1].
     value : float
     accuracy, accuracy_error : float
-        Drop height not known; nan where the point is left out.
+        With unknown drop height; nan if the point is left out.
     accuracy_known, accuracy_known_error : float
-        Drop height known.
+        With known drop height.
     left_out : str
-        Why there is no ceiling, else empty.
+        Reason for a missing ceiling, else empty.
     """
 
     axis: str
@@ -65,13 +65,13 @@ class Survey:
     Attributes
     ----------
     scene : str
-        Its name.
+        Name of the scene.
     n_signals : int
-        At each point.
+        Signals at each point.
     present : dict of float
-        The value of the scene on each axis.
+        Value of the scene on each axis.
     here : Point
-        The scene as it is; its axis is "present".
+        The unchanged scene; its axis is "present".
     points : tuple of Point
     """
 
@@ -96,7 +96,7 @@ def survey(
     size_spreads: tuple[float, ...] = SPREADS,
     progress: Callable[[int], object] | None = None,
 ) -> Survey:
-    """Return the ceiling of a scene at other noise, sampling rates and spreads of size.
+    """Return the ceiling of a scene at other noise levels, sampling rates and size spreads.
 
     All points have the same rocks as far as possible, so that differences are more precise than the points.
 
@@ -104,14 +104,14 @@ def survey(
     ----------
     scene : Scene
     n_signals : int
-        At each point.
+        Signals at each point.
     seed : int
     snrs : tuple of float
-        Peak over the standard deviation of a sample's noise [dB].
+        Peak over standard deviation of a sample's noise [dB].
     sampling_rates : tuple of float
         [Hz]; the frame keeps its length in seconds.
     size_spreads : tuple of float
-        Largest over smallest radius, log-uniform about the present geometric mean of each population.
+        Largest over smallest radius, log-uniform about the geometric mean of each population.
     progress : callable, optional
         Called with the number of signals done.
 
@@ -128,7 +128,7 @@ def survey(
 
 
 def changed(scene: Scene, axis: str, value: float) -> Scene:
-    """Return the scene at another setting of one axis."""
+    """Return the scene with another setting on one axis."""
     if axis == "snr":
         return varied(scene, relative_noise=10 ** (-value / 20), absolute_noise=0.0)
     if axis == "sampling_rate":
@@ -170,7 +170,7 @@ def _point(
 
 
 def untrusted(scene: Scene) -> str:
-    """Return why Laplace's approximation fails in a scene; empty where it holds."""
+    """Return why Laplace's approximation fails in a scene, empty if it holds."""
     peak, duration = _contacts(scene)
     level = float(np.median(_decibels(scene, peak)))
     if level < LOWEST_SNR:
@@ -183,7 +183,7 @@ def untrusted(scene: Scene) -> str:
 
 def _contacts(scene: Scene) -> tuple[Floats, Floats]:
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # Hertz's range: `cgid check` says how often
+        warnings.simplefilter("ignore")  # `cgid check` reports how often Hertz's range is left
         drawn = [draw(scene, 0, block).parameters for block in range(_BLOCKS)]
     peak, duration = (np.concatenate([d[name] for d in drawn]) for name in ("peak_force", "contact_duration"))
     return peak, duration

@@ -1,4 +1,4 @@
-"""The model card, in Markdown: what a model needs, how good it is, and its limits; and writing both to disk."""
+"""Write models with their cards: the needs, the quality and the limits of a model, in Markdown."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ PICTURES = ("confusion", "reliability", "roc")
 #: Most features that a card lists.
 _MOST_NAMES = 60
 _SHAPES = {"pulse": "positive pulses", "vibration": "vibrations of both signs", "window": "recordings in windows"}
-#: Characters that Markdown or HTML interprets within a line; an underscore only beside a word.
+#: Characters that Markdown or HTML interprets within a line; an underscore only at the edge of a word.
 _MARKS = re.compile(r"[\\`*\[\]<>&|~]|\b_|_\b|(?<=_)_|_(?=_)")
 
 
@@ -32,14 +32,10 @@ _MARKS = re.compile(r"[\\`*\[\]<>&|~]|\b_|_\b|(?<=_)_|_(?=_)")
 
 
 def check_model_output(path: Path, *, plots: bool = False, overwrite: bool = False) -> Path:
-    """Return the path if a model may be written there; call it before any work is done.
+    """Return the path if a model may be written there; call this before any work.
 
-    Raises
-    ------
-    CannotCreate
-        The name does not end in .npz, the folder is missing, or there is a model already.
-    MissingExtra
-        Pictures are wanted and matplotlib is not installed.
+    Raises `CannotCreate` if the name does not end in .npz, the folder is missing or the model exists; `MissingExtra` if
+    plots are requested without matplotlib.
     """
     if path.suffix != ".npz":
         raise CannotCreate(f"{path}: the name of a model must end in .npz, got {path.suffix or 'no ending'!r}")
@@ -56,12 +52,8 @@ def check_model_output(path: Path, *, plots: bool = False, overwrite: bool = Fal
 def write_model(training: Training, path: Path, *, plots: bool = False, overwrite: bool = True) -> list[Path]:
     """Write pictures, card and model, all or nothing; return the files written.
 
-    Raises
-    ------
-    CannotCreate
-        The folder is not writable, or a name was taken meanwhile and is not to be overwritten.
-    WriteFailed
-        The disk is full or broken; an old model and its card stay unchanged.
+    Raises `CannotCreate` if the folder is not writable or a name was taken meanwhile; `WriteFailed` if the disk is full
+    or broken, which leaves an old model and its card unchanged.
     """
     pictures: dict[str, bytes] = {}
     if plots:
@@ -84,16 +76,7 @@ def write_model(training: Training, path: Path, *, plots: bool = False, overwrit
 
 
 def write_card(model: Model, name: str, pictures: tuple[str, ...] = ()) -> str:
-    """Return the card of a model.
-
-    Parameters
-    ----------
-    model : Model
-    name : str
-        Of the model file.
-    pictures : tuple of str
-        File names, relative to the card.
-    """
+    """Return the card of a model; `name` is that of the model file, `pictures` are relative to the card."""
     lines = [f"# Model card: {plain(name)}", ""]
     if model.training["labels_shuffled"]:
         lines += ["**Trained on shuffled labels: a check of the method, of no other use.**", ""]
@@ -212,7 +195,7 @@ def _judgement(model: Model) -> list[str]:
 
 
 def _votes(training: Record) -> list[str]:
-    """Return how rows, running votes and whole recordings did."""
+    """Return the accuracy of rows, running votes and whole recordings."""
     metrics = training["metrics"]
     recordings = metrics["recordings"]
     judged = [
@@ -248,7 +231,7 @@ def _calibration(model: Model) -> list[str]:
     metrics = model.training["metrics"]
     error, chance = metrics["expected_calibration_error"], metrics["calibration_error_by_chance"]
     if "recorded" in model.training:
-        # The errors of rows of one recording are correlated, so that chance alone makes more of them.
+        # Rows of one recording err together, so chance alone gives a larger calibration error.
         return [
             f"The expected calibration error is {error:.4f}; were all rows independent, perfectly calibrated "
             f"probabilities would show {chance:.4f} by chance, but those of one recording err together, so it is more.",
@@ -352,10 +335,8 @@ def _limits_of_recordings(model: Model) -> list[str]:
 
 
 def plain(name: object) -> str:
-    r"""Return a name from a file as Markdown that shows it literally.
+    r"""Escape a name from a file so that Markdown shows it literally.
 
-    Examples
-    --------
     >>> print(plain("<b>a|b"), plain("_coal_wet_"))
     \<b\>a\|b \_coal_wet\_
     """
@@ -376,7 +357,10 @@ def _chosen(row: Record) -> str:
 
 
 def domain_shift_table(rows: Sequence[Record]) -> list[str]:
-    """Return the table of a model elsewhere, of dicts of name, n, accuracy (None for strangers) and flagged_share."""
+    """Return the table of a model in other domains.
+
+    `rows` have name, n, accuracy (None for unknown labels) and flagged_share.
+    """
     cells = [
         (
             plain(row["name"]),
@@ -413,8 +397,8 @@ def selection_table(rows: Sequence[Record]) -> list[str]:
 def force_table(row: Record) -> list[str]:
     """Return the comparison of a model of vibrations with one of the contact force of the same impacts.
 
-    The dict has name (of the other model), n, accuracy, force_accuracy, difference, standard_error, and optionally
-    learner: a dict of name, n, accuracy, low and high of the best learner.
+    `row` has name (of the other model), n, accuracy, force_accuracy, difference, standard_error, and optionally
+    learner: name, n, accuracy, low and high of the best learner.
     """
     rows = [
         ("this model, on the vibration", row["n"], f"{row['accuracy']:.4f}"),

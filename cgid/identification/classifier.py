@@ -29,20 +29,9 @@ from cgid.workers import ALONE, Workers
 class ShrunkenDiscriminant(ClassifierMixin, BaseEstimator):  # type: ignore[misc]
     """Linear discriminant analysis with a shrunken covariance, for many features and few recordings.
 
-    It is scikit-learn's `LinearDiscriminantAnalysis(solver="lsqr", shrinkage="auto")` to rounding, in a fifth of the
-    time where features are many: a nested cross-validation fits it a thousand times.
-
-    Parameters
-    ----------
-    priors : ndarray, (n_classes,), optional
-        By default the shares of the classes.
-
-    Attributes
-    ----------
-    classes_, coef_, intercept_
-        As in scikit-learn.
-    covariance_ : ndarray, (n_features, n_features)
-        Of all classes.
+    Equal to scikit-learn's `LinearDiscriminantAnalysis(solver="lsqr", shrinkage="auto")` up to rounding, in a fifth of
+    the time for many features: a nested cross-validation fits it a thousand times. `priors` default to the class
+    shares; `covariance_`, (n_features, n_features), is common to the classes.
     """
 
     def __init__(self, priors: Floats | None = None) -> None:
@@ -54,7 +43,7 @@ class ShrunkenDiscriminant(ClassifierMixin, BaseEstimator):  # type: ignore[misc
         priors = np.bincount(encoded) / len(y) if self.priors is None else np.asarray(self.priors)
         means = np.stack([X[encoded == k].mean(axis=0) for k in range(len(self.classes_))])
         self.covariance_ = _shrunken_covariance(X - means[encoded], encoded, priors)
-        # A ridge near rounding makes the factor exist where a feature does not vary.
+        # A ridge near rounding, so that the factor exists if a feature is constant.
         ridge = 1e-10 * max(float(np.trace(self.covariance_)) / X.shape[1], np.finfo(float).tiny)
         factor = cho_factor(self.covariance_ + ridge * np.eye(X.shape[1]))
         coefficients = cho_solve(factor, means.T).T
@@ -65,17 +54,17 @@ class ShrunkenDiscriminant(ClassifierMixin, BaseEstimator):  # type: ignore[misc
         return self
 
     def decision_function(self, X: Floats) -> Floats:
-        """Return the scores of the classes; for two classes that of the second only."""
+        """Return the scores of the classes; for two classes only those of the second."""
         scores = X @ self.coef_.T + self.intercept_
         return np.asarray(scores[:, 0] if len(self.classes_) == 2 else scores)
 
 
 def _shrunken_covariance(centred: Floats, encoded: NDArray[np.intp], priors: Floats) -> Floats:
-    """Return the mean of the classes' covariances by their priors, each shrunken towards a diagonal one."""
+    """Return the mean of the classes' covariances by prior, each shrunken to a diagonal one."""
     weights, diagonal = np.empty(len(centred)), np.zeros(centred.shape[1])
     for k, prior in enumerate(priors):
         rows = centred[encoded == k]
-        spread = rows.std(axis=0)  # each feature over its deviation: units do not matter
+        spread = rows.std(axis=0)  # scaled features: units do not matter
         spread[spread <= 1e-12 * np.abs(rows).max(axis=0)] = 1.0
         share, variance = _shrinkage(rows / spread)
         weights[encoded == k] = prior * (1 - share) / len(rows)
@@ -85,9 +74,9 @@ def _shrunken_covariance(centred: Floats, encoded: NDArray[np.intp], priors: Flo
 
 
 def _shrinkage(centred: Floats) -> tuple[float, float]:
-    """Return the shrinkage of a covariance towards a multiple of the identity, and that multiple.
+    """Return the shrinkage of a covariance to a multiple of the identity, and that multiple (Ledoit & Wolf 2004).
 
-    Ledoit & Wolf (2004). All norms follow from the products of rows, which are fewer than the features.
+    All norms follow from the products of rows, which are fewer than the features.
     """
     n_rows, n_features = centred.shape
     products = centred @ centred.T
@@ -103,7 +92,7 @@ class _Perceptron(MLPClassifier):  # type: ignore[misc]
 
     def fit(self, X: Floats, y: NDArray[Any], sample_weight: Floats | None = None) -> _Perceptron:
         with warnings.catch_warnings():
-            # The number of iterations is a setting; convergence is not required.
+            # n_iterations is a setting; convergence is not required.
             warnings.simplefilter("ignore", ConvergenceWarning)
             super().fit(X, y, sample_weight)
         return self
@@ -133,7 +122,7 @@ def _linear(_: ImpactClassifier) -> Any:
 
 
 def _network(settings: ImpactClassifier) -> Any:
-    # L-BFGS on all impacts at once is better and steadier than Adam on batches in the same time.
+    # In the same time, L-BFGS on all impacts is better and more stable than Adam on batches.
     return _Perceptron(
         (settings.n_units, settings.n_units),
         activation="tanh",
@@ -150,41 +139,41 @@ class ImpactClassifier(ClassifierMixin, BaseEstimator):  # type: ignore[misc]
     Parameters
     ----------
     family : {"logistic", "boosting", "network", "linear"}
-        Logistic regression on the features and their products; histogram gradient boosting; a network of two hidden
-        layers; linear discriminant analysis with a shrunken covariance, for many features and few recordings.
+        Logistic regression on features and their products; histogram gradient boosting; network of two hidden layers;
+        linear discriminant analysis with a shrunken covariance, for many features and few recordings.
     linear : tuple of int
-        Columns that never get a logarithm; the others do where all training values are above 0.
+        Columns that never get a logarithm; the others do if all their training values are above 0.
     n_trees : int
         Boosting rounds.
     n_leaves : int
-        Largest number of leaves of a tree.
+        Most leaves of a tree.
     learning_rate : float
         Of boosting.
     n_units : int
-        Of each hidden layer of the network.
+        Units of each hidden layer of the network.
     n_iterations : int
-        Largest number of steps of the network's optimiser.
+        Most steps of the network's optimiser.
     calibration_folds : int
-        Folds for the calibration of probabilities (temperature scaling, Guo et al. 2017); 0 for no calibration.
+        Folds of the temperature scaling of probabilities (Guo et al. 2017); 0 for no calibration.
     class_weight : dict or "balanced", optional
-        Weight of an impact of each class, by default 1; "balanced" gives all classes the same total weight.
+        Weight of an impact of each class, default 1; "balanced" gives all classes the same total weight.
     rejects : bool
-        Whether to learn the training range, too, for `novelty`.
+        Learn the training range as well, for `novelty`.
     random_state : int
-        Of the folds and of the network's first weights.
+        Seed of the folds and the network's initial weights.
 
     Attributes
     ----------
     classes_ : ndarray
     standardiser_ : Standardiser
-    estimator_ : the fitted scikit-learn classifier of the family
+    estimator_ : fitted scikit-learn classifier of the family
     temperature_ : float
-        The divisor of the scores.
+        Divisor of the scores.
     neighbourhood_ : Neighbourhood
-        Only if it rejects.
+        Only if `rejects`.
     """
 
-    #: Family -> its estimator, from the settings of a classifier.
+    #: Family -> function that makes its estimator from a classifier's settings.
     ESTIMATORS: ClassVar[Mapping[str, Callable[[Any], Any]]] = {
         "logistic": _logistic,
         "boosting": _boosting,
@@ -224,8 +213,8 @@ class ImpactClassifier(ClassifierMixin, BaseEstimator):  # type: ignore[misc]
     ) -> ImpactClassifier:
         """Fit to features (n_impacts, n_features) and labels (n_impacts,).
 
-        Impacts of one of the `groups` (n_impacts,), usually a specimen, are never on both sides of a fold. The `crew`
-        fits the folds, one thread each: the sums of several threads would differ in their last digits.
+        A fold never divides one of the `groups` (n_impacts,), usually specimens. The `crew` fits the folds with one
+        thread each, because the number of threads would change the last digits of sums.
         """
         validation.choice("family", self.family, tuple(self.ESTIMATORS))
         validation.plain("X", X)
@@ -247,7 +236,7 @@ class ImpactClassifier(ClassifierMixin, BaseEstimator):  # type: ignore[misc]
         return self
 
     def decision_function(self, X: ArrayLike) -> Floats:
-        """Return the scores that become probabilities, (n_impacts, n_classes), or (n_impacts,) for two classes."""
+        """Return the scores behind the probabilities, (n_impacts, n_classes), or (n_impacts,) for two classes."""
         inputs = self._inputs(self._standardised(X))
         return np.asarray(self.estimator_.decision_function(inputs))
 
@@ -261,7 +250,7 @@ class ImpactClassifier(ClassifierMixin, BaseEstimator):  # type: ignore[misc]
         return np.asarray(self.classes_[best])
 
     def novelty(self, X: ArrayLike) -> Floats:
-        """Return the distance of each impact from the training, 1 at the limit, (n_impacts,)."""
+        """Return the distance of each impact from the training, (n_impacts,); 1 at the limit."""
         return self.neighbourhood_.novelty(self._standardised(X))
 
     def _standardised(self, X: ArrayLike) -> Floats:
@@ -273,7 +262,7 @@ class ImpactClassifier(ClassifierMixin, BaseEstimator):  # type: ignore[misc]
         return squares(standardised) if self.family == "logistic" else standardised
 
     def _class_weights(self, encoded: NDArray[np.intp]) -> Floats | None:
-        """Return the weight of an impact of each class; None where all are 1."""
+        """Return the weight of an impact of each class; None if all are 1."""
         if self.class_weight is None:
             return None
         if isinstance(self.class_weight, str):
@@ -305,7 +294,7 @@ class ImpactClassifier(ClassifierMixin, BaseEstimator):  # type: ignore[misc]
         else:
             counts = np.array([len(np.unique(groups[encoded == k])) for k in range(len(self.classes_))])
         folds = min(self.calibration_folds, int(counts.min()))
-        # A handful of impacts or of specimens of a class is too few to calibrate on.
+        # Too few impacts, or specimens of a class, to calibrate on.
         if folds < 2 or len(encoded) < 50 * folds or counts.min() < 5 * folds * (groups is not None):
             return 1.0
         kind = StratifiedKFold if groups is None else StratifiedGroupKFold
@@ -322,7 +311,7 @@ def _scores_left_out(
     fitting: tuple[ImpactClassifier, Floats, NDArray[np.intp], Floats | None],
     part: tuple[NDArray[np.intp], NDArray[np.intp]],
 ) -> Floats:
-    """Return the scores of the rows of a fold, from a fit to the other rows."""
+    """Return the scores of the rows of a fold by a fit to the other rows."""
     classifier, inputs, encoded, weights = fitting
     training, test = part
     with threadpool_limits(1):
@@ -331,15 +320,10 @@ def _scores_left_out(
 
 
 def best_temperature(scores: Floats, encoded: NDArray[np.intp], weights: Floats | None = None) -> float:
-    """Return the divisor of scores, of impacts left out, whose probabilities have the smallest log loss.
+    """Return the divisor of held-out scores whose probabilities have the smallest log loss.
 
-    Parameters
-    ----------
-    scores : ndarray, (n_impacts, n_classes) or (n_impacts,)
-        From a scikit-learn decision function.
-    encoded : ndarray of int, (n_impacts,)
-        Numbers of the true classes.
-    weights : ndarray, (n_impacts,), optional
+    `scores` are those of a scikit-learn decision function, (n_impacts, n_classes) or (n_impacts,); `encoded` holds the
+    numbers of the true classes.
     """
     rows = np.arange(len(encoded))
 
@@ -350,5 +334,5 @@ def best_temperature(scores: Floats, encoded: NDArray[np.intp], weights: Floats 
     return float(np.exp(minimize_scalar(loss, bounds=(-3.0, 3.0), method="bounded").x))
 
 
-#: The families of models, each exportable as plain numbers.
+#: The families of models; all can be exported as plain numbers.
 FAMILIES = tuple(ImpactClassifier.ESTIMATORS)

@@ -1,8 +1,8 @@
-"""Split conformal prediction: sets of labels with a guaranteed coverage, whatever the model.
+"""Split conformal prediction: sets of labels with guaranteed coverage for any model.
 
-Vovk, Gammerman & Shafer 2005; Lei et al. 2018. The score of a label is 1 minus its probability. A label belongs to the
-set of an impact when its score is at most the ceil((n + 1) coverage)-th smallest of the scores of the true labels of n
-calibration impacts, which neither train the model nor judge it.
+Vovk, Gammerman & Shafer 2005; Lei et al. 2018. The score of a label is 1 minus its probability. The set of an impact
+holds the labels with a score of at most the ceil((n + 1) coverage)-th smallest true-label score of n calibration
+impacts, which neither train nor judge the model.
 """
 
 from __future__ import annotations
@@ -24,13 +24,7 @@ COVERAGES = (0.80, 0.85, 0.90, 0.95, 0.99)
 class Conformal:
     """The scores of the true labels of the calibration impacts.
 
-    Attributes
-    ----------
-    scores : ndarray, (n_calibration,)
-        Within [0, 1], rising within each label.
-    labels : ndarray of int, (n_calibration,)
-        Numbers of the true labels, rising.
-    n_labels : int
+    `labels` holds the numbers of the true labels, rising; `scores` lie within [0, 1], rising within each label.
     """
 
     scores: Floats
@@ -48,14 +42,7 @@ class Conformal:
 
     @classmethod
     def fit(cls, probabilities: Floats, truth: NDArray[np.intp]) -> Conformal:
-        """Return the calibration by impacts that are exchangeable with future ones.
-
-        Parameters
-        ----------
-        probabilities : ndarray, (n_calibration, n_labels)
-        truth : ndarray of int, (n_calibration,)
-            Number of the true label.
-        """
+        """Calibrate on probabilities (n, n_labels) and true label numbers of impacts exchangeable with future ones."""
         scores = 1.0 - probabilities[np.arange(len(truth)), truth]
         order = np.lexsort((scores, truth))
         return cls(scores[order], truth[order].astype(np.int32), probabilities.shape[1])
@@ -63,10 +50,7 @@ class Conformal:
     def thresholds(self, coverage: float, *, class_conditional: bool = False) -> Floats:
         """Return the largest score of each label in a set, (n_labels,).
 
-        Raises
-        ------
-        InvalidValue
-            The coverage is not in (0, 1), or too high for the number of calibration impacts.
+        Raises `InvalidValue` if the coverage is not in (0, 1) or too high for the number of calibration impacts.
         """
         if not 0 < coverage < 1:
             raise InvalidValue(f"coverage must lie between 0 and 1 (exclusive), got {coverage:g}")
@@ -79,26 +63,16 @@ class Conformal:
     ) -> NDArray[np.bool_]:
         """Return which labels belong to the set of each impact, (n_impacts, n_labels).
 
-        Parameters
-        ----------
-        probabilities : ndarray, (n_impacts, n_labels)
-        coverage : float
-            Share of the sets that contain the true label, in (0, 1).
-        class_conditional : bool
-            Whether the coverage holds for each label separately (Mondrian), and so for any mix of labels; else it
-            holds for the mix of the calibration.
-
-        Raises
-        ------
-        InvalidValue
-            See `thresholds`.
+        `coverage`, in (0, 1), is the share of the sets that contain the true label. It holds for the label mix of the
+        calibration, or if `class_conditional` for each label separately (Mondrian), and so for any mix.
+        Raises as `thresholds`.
         """
         return np.asarray(1.0 - probabilities <= self.thresholds(coverage, class_conditional=class_conditional))
 
 
 def _threshold(scores: Floats, coverage: float) -> float:
     n = len(scores)
-    # Rounded first: in binary 100 x 0.07 is a little more than 7, and must not become 8.
+    # Round first: in binary 100 x 0.07 is slightly above 7, and must not become 8.
     rank = math.ceil(round((n + 1) * coverage, 9))
     if rank > n:
         raise InvalidValue(

@@ -1,7 +1,7 @@
-"""The classifiers as plain arrays: standardising, scores, probabilities and novelty, in numpy alone.
+"""The classifiers as plain arrays: standardisation, scores, probabilities and novelty. Needs numpy only.
 
-Training and prediction share this code. A family is one class with `scores(standardised) -> (n,) or (n, n_classes)`;
-its `arrays` are what a model file holds.
+Training and prediction share this code. Each family is a class with `scores(standardised)`, (n,) or (n, n_classes);
+its `arrays` are those of the model file.
 """
 
 from __future__ import annotations
@@ -20,14 +20,10 @@ from cgid.validation import Floats
 
 @dataclass(frozen=True)
 class Standardiser:
-    """Logarithms of features that are always positive, then zero mean and unit variance.
+    """Take logarithms of always-positive features, then scale to zero mean and unit variance.
 
-    Attributes
-    ----------
-    logarithmic : ndarray of bool, (n_features,)
-    floor : ndarray, (n_features,)
-        Smallest value of a logarithmic feature; smaller ones are raised to it.
-    mean, scale : ndarray, (n_features,)
+    `floor` is the smallest value of a logarithmic feature; smaller ones are raised to it. All attributes are
+    (n_features,).
     """
 
     logarithmic: NDArray[np.bool_]
@@ -37,10 +33,10 @@ class Standardiser:
 
     @classmethod
     def fit(cls, features: Floats, linear: Sequence[int] = ()) -> Standardiser:
-        """Return the standardiser of these rows; the columns named linear never get a logarithm."""
+        """Fit to rows; the columns in `linear` never get a logarithm."""
         logarithmic = np.asarray((features > 0).all(axis=0))
         logarithmic[list(linear)] = False
-        # A thousandth of the smallest training value: far outside, but with a finite logarithm.
+        # A thousandth of the smallest training value is far outside, but its logarithm is finite.
         floor = np.where(logarithmic, np.maximum(1e-3 * features.min(axis=0), np.finfo(float).tiny), 1.0)
         plain = cls(logarithmic, floor, np.zeros(features.shape[1]), np.ones(features.shape[1])).apply(features)
         spread = plain.std(axis=0)
@@ -54,13 +50,13 @@ class Standardiser:
 
 
 def squares(standardised: Floats) -> Floats:
-    """Return all features and all their products in pairs, (n, m + m (m + 1) / 2)."""
+    """Return all features and their pairwise products, (n, m + m (m + 1) / 2)."""
     rows, columns = np.triu_indices(standardised.shape[1])
     return np.hstack([standardised, standardised[:, rows] * standardised[:, columns]])
 
 
 def softmax(scores: Floats) -> Floats:
-    """Return probabilities from the scores of the classes; a single column is the second of two classes."""
+    """Return probabilities from scores (n, n_classes), or from scores (n,) of the second of two classes."""
     if scores.ndim == 1:
         scores = np.stack([np.zeros(len(scores)), scores], axis=1)
     weights = np.exp(scores - scores.max(axis=1, keepdims=True))
@@ -69,30 +65,26 @@ def softmax(scores: Floats) -> Floats:
 
 @dataclass(frozen=True)
 class Neighbourhood:
-    """Novelty: Mahalanobis' distance of a row to the nearest class, 1 where 99.9 % of the training lie inside.
+    """Novelty: Mahalanobis distance to the nearest class, scaled to be 1 at the 99.9 % quantile of the training.
 
-    Attributes
-    ----------
-    centres : ndarray, (n_classes, n_features)
-    whitening : ndarray, (n_classes, n_features, n_features)
-        Or a single one, (1, n_features, n_features), for all of them.
-    limit : float
+    `centres` are (n_classes, n_features), `whitening` (n_classes, n_features, n_features), or (1, n_features,
+    n_features) for all classes.
     """
 
     centres: Floats
     whitening: Floats
     limit: float
 
-    #: Share of the training impacts that lie inside.
+    #: Share of the training impacts inside the limit.
     INSIDE = 0.999
-    #: Added to the variances, so that directions in which the training hardly varies do not decide alone.
+    #: Added to the variances, so that directions of almost no variation do not dominate.
     RIDGE = 1e-3
 
     @classmethod
     def fit(cls, standardised: Floats, classes: NDArray[np.intp], covariance: Floats | None = None) -> Neighbourhood:
-        """Return the neighbourhood of these rows; `classes` are numbers from 0.
+        """Fit to rows and class numbers from 0.
 
-        Each class has a covariance of its own, unless one (n_features, n_features) is given for all of them.
+        Each class has its own covariance unless a common one, (n_features, n_features), is given.
         """
         centres, whitening = [], []
         for k in range(int(classes.max()) + 1):
@@ -107,21 +99,21 @@ class Neighbourhood:
         return cls(found.centres, found.whitening, max(limit, 1e-12))
 
     def novelty(self, standardised: Floats) -> Floats:
-        """Return the distance over the limit; above 1 is outside of the training range."""
+        """Return distance over limit; above 1 it is outside the training range."""
         offsets = standardised[None] - self.centres[:, None]
         white = offsets @ np.swapaxes(self.whitening, 1, 2)
         return np.asarray(np.sqrt(np.sum(white**2, axis=2)).min(axis=0) / self.limit)
 
 
 Arrays = Mapping[str, NDArray[Any]]
-#: Trees, and nodes from the root of one to a leaf: each row passes through all trees.
+#: Most trees, and nodes on a path from root to leaf: each row passes through all trees.
 _MOST_TREES, _LONGEST_WAY = 1 << 15, 256
 
 
 class Family(ABC):
     """A fitted classifier as arrays."""
 
-    #: The arrays, and the number of their axes.
+    #: Names of the arrays and their numbers of axes.
     AXES: ClassVar[Mapping[str, int]]
 
     def __init__(self, arrays: Arrays, n_features: int, n_classes: int) -> None:
@@ -135,20 +127,20 @@ class Family(ABC):
 
     @abstractmethod
     def check(self) -> None:
-        """Raise `BadData` unless the arrays can be used without harm."""
+        """Raise `BadData` unless the arrays are safe to use."""
 
     @abstractmethod
     def scores(self, standardised: Floats) -> Floats:
-        """Return the scores of the classes; one column for two classes: that of the second."""
+        """Return the scores of the classes; for two classes only those of the second."""
 
     @property
     @abstractmethod
     def width(self) -> int:
-        """Numbers held in memory for each row that is scored."""
+        """Number of values held in memory per row."""
 
     @property
     def n_scores(self) -> int:
-        """Columns of scores: one for two classes."""
+        """Number of score columns: one for two classes."""
         return 1 if self.n_classes == 2 else self.n_classes
 
     def _require(self, name: str, shape: tuple[int, ...]) -> None:
@@ -157,7 +149,7 @@ class Family(ABC):
 
 
 class Linear(Family):
-    """Linear in the features: Gaussians with one covariance, shrunken towards a diagonal one (Ledoit & Wolf 2004)."""
+    """Linear in the features: Gaussians with a common covariance shrunken to a diagonal (Ledoit & Wolf 2004)."""
 
     AXES: ClassVar[Mapping[str, int]] = {"coefficients": 2, "intercepts": 1}
 
@@ -167,13 +159,13 @@ class Linear(Family):
         return {"coefficients": estimator.coef_, "intercepts": estimator.intercept_}
 
     def check(self) -> None:
-        """Check that the shapes follow from the numbers of features and classes."""
+        """Check the shapes against the numbers of features and classes."""
         self._require("coefficients", (self.n_scores, self.width))
         self._require("intercepts", (self.n_scores,))
 
     @property
     def width(self) -> int:
-        """The features."""
+        """Number of features."""
         return self.n_features
 
     def scores(self, standardised: Floats) -> Floats:
@@ -186,11 +178,11 @@ class Linear(Family):
 
 
 class Logistic(Linear):
-    """Linear in the features and their products in pairs."""
+    """Linear in the features and their pairwise products."""
 
     @property
     def width(self) -> int:
-        """The features and their products."""
+        """Number of features and products."""
         return self.n_features + self.n_features * (self.n_features + 1) // 2
 
     def _terms(self, standardised: Floats) -> Floats:
@@ -198,7 +190,7 @@ class Logistic(Linear):
 
 
 class Boosting(Family):
-    """Sums of decision trees; all trees of all columns in one table of nodes."""
+    """Sums of decision trees; one table holds the nodes of all trees."""
 
     AXES: ClassVar[Mapping[str, int]] = {
         "baseline": 1,
@@ -213,7 +205,7 @@ class Boosting(Family):
 
     @staticmethod
     def export(estimator: Any) -> dict[str, NDArray[Any]]:
-        """Return the arrays of a fitted scikit-learn HistGradientBoostingClassifier without missing values."""
+        """Return the arrays of a fitted HistGradientBoostingClassifier without missing values."""
         roots, columns, tables = [], [], []
         first = 0
         for iteration in estimator._predictors:
@@ -225,7 +217,7 @@ class Boosting(Family):
                     (
                         np.where(leaf, 0, nodes["feature_idx"]).astype(np.int32),
                         np.where(leaf, 0.0, nodes["num_threshold"]),
-                        # A leaf is its own child: a walk that arrives there stays.
+                        # A leaf is its own child, so that a descent stays there.
                         np.where(leaf, own, nodes["left"].astype(np.int64) + first).astype(np.int32),
                         np.where(leaf, own, nodes["right"].astype(np.int64) + first).astype(np.int32),
                         np.where(leaf, nodes["value"], 0.0),
@@ -270,7 +262,7 @@ class Boosting(Family):
         self._check_ways(own[~leaf])
 
     def _check_ways(self, inner: NDArray[np.intp]) -> None:
-        """Raise unless each node except the roots has one parent, and every leaf is near enough."""
+        """Raise unless each node except the roots has one parent, and no leaf is too deep."""
         a = self.arrays
         parents = np.bincount(np.append(a["left"][inner], a["right"][inner]), minlength=len(a["feature"]))
         parents[a["roots"]] += 1
@@ -286,11 +278,11 @@ class Boosting(Family):
 
     @property
     def width(self) -> int:
-        """A node of each tree."""
+        """Number of trees: one node of each."""
         return len(self.arrays["roots"])
 
     def scores(self, standardised: Floats) -> Floats:
-        """Walk all trees at once, level by level, and add up their leaves in the order of training."""
+        """Descend all trees at once, level by level, and add their leaves in the order of training."""
         out = np.empty((len(standardised), self.n_scores))
         leaves = self.arrays["value"][self._walk(standardised)]
         for column in range(self.n_scores):
@@ -310,7 +302,7 @@ class Boosting(Family):
 
 
 class Network(Family):
-    """Two hidden layers of hyperbolic tangents."""
+    """Two hidden tanh layers."""
 
     AXES: ClassVar[Mapping[str, int]] = {
         "weights_1": 2,
@@ -323,14 +315,14 @@ class Network(Family):
 
     @staticmethod
     def export(estimator: Any) -> dict[str, NDArray[Any]]:
-        """Return the arrays of a fitted scikit-learn MLPClassifier with two hidden layers of tanh."""
+        """Return the arrays of a fitted MLPClassifier with two hidden tanh layers."""
         layers = enumerate(zip(estimator.coefs_, estimator.intercepts_, strict=True), start=1)
         return {
             f"{name}_{k}": array for k, pair in layers for name, array in zip(("weights", "biases"), pair, strict=True)
         }
 
     def check(self) -> None:
-        """Check that each layer has as many inputs as the one before it has outputs."""
+        """Check that the inputs of each layer match the outputs of the previous one."""
         n_inputs = self.n_features
         for layer, n_units in enumerate((len(self.arrays["biases_1"]), len(self.arrays["biases_2"]), self.n_scores), 1):
             self._require(f"weights_{layer}", (n_inputs, n_units))
@@ -339,11 +331,11 @@ class Network(Family):
 
     @property
     def width(self) -> int:
-        """The larger of the layers."""
+        """Size of the larger hidden layer."""
         return max(len(self.arrays[f"biases_{k}"]) for k in (1, 2))
 
     def scores(self, standardised: Floats) -> Floats:
-        """Return the sums of the last layer, before the softmax."""
+        """Return the output of the last layer before the softmax."""
         a = self.arrays
         hidden = np.tanh(standardised @ a["weights_1"] + a["biases_1"])
         hidden = np.tanh(hidden @ a["weights_2"] + a["biases_2"])
@@ -351,7 +343,7 @@ class Network(Family):
         return np.asarray(scores[:, 0] if self.n_scores == 1 else scores)
 
 
-#: By the name that the model file gives.
+#: The families by their names in model files.
 BY_NAME: Mapping[str, type[Boosting] | type[Linear] | type[Network]] = {
     "boosting": Boosting,
     "linear": Linear,

@@ -1,8 +1,7 @@
 """Nested cross-validation by group, for few recordings of many windows each.
 
-In the outer loop each group in turn is left out and only judges. In the inner loop, over the other groups, each group
-in turn is left out to choose a candidate and to calibrate its probabilities. So what judges never took part in a
-choice.
+The outer loop leaves out each group in turn to judge. The inner loop, over the other groups, leaves out each in turn to
+choose a candidate and calibrate its probabilities. So the judging group never takes part in a choice.
 """
 
 from __future__ import annotations
@@ -26,9 +25,9 @@ from cgid.identification.selection import preferred
 from cgid.validation import Floats
 from cgid.workers import ALONE, Workers
 
-#: Most folds: up to this number groups are left out one by one, more groups are left out in this many folds.
+#: Most folds: up to this number of groups each is a fold; more groups share this many folds.
 MOST_FOLDS = 20
-#: A candidate further down the list must be better by this; smaller differences of few recordings mean little.
+#: A later candidate must be better by this accuracy: with few recordings, smaller differences mean little.
 MARGIN = 0.01
 Weights = Mapping[str, float] | str | None
 
@@ -43,14 +42,14 @@ class Candidate:
 
 
 def candidates_for(sets: Sets, measured: Sequence[str], family: str) -> tuple[Candidate, ...]:
-    """Return a candidate for each set of features that were measured, at least some of them."""
+    """Return a candidate for each set of features of which at least one was measured."""
     found = {name: tuple(feature for feature in wanted if feature in measured) for name, wanted in sets.items()}
     return tuple(Candidate(name=name, features=own, family=family) for name, own in found.items() if own)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Lesson:
-    """The rows to learn from, and the settings."""
+    """The rows to train on, and the settings."""
 
     rows: Rows
     candidates: Sequence[Candidate]
@@ -59,7 +58,7 @@ class Lesson:
 
 
 class Choice(NamedTuple):
-    """The result of the inner loop: the best candidate, the accuracy of each, and the temperature of the best."""
+    """Result of the inner loop: the best candidate, the accuracy of each, and the temperature of the best."""
 
     best: int
     accuracies: tuple[float, ...]
@@ -67,14 +66,14 @@ class Choice(NamedTuple):
 
 
 class Judged(NamedTuple):
-    """The result of the outer loop: probabilities (n_recorded, n_labels), and the candidate of each fold."""
+    """Result of the outer loop: probabilities (n_recorded, n_labels), and the candidate of each fold."""
 
     probabilities: Floats
     chosen: tuple[int, ...]
 
 
 def require_groups(labels: NDArray[np.str_], group: NDArray[np.integer]) -> None:
-    """Raise `BadData` unless every label can be trained on and judged by different groups."""
+    """Raise `BadData` unless every label has one group to train and another to judge."""
     different = np.unique(labels)
     if len(different) < 2:
         raise BadData(
@@ -95,18 +94,18 @@ def require_groups(labels: NDArray[np.str_], group: NDArray[np.integer]) -> None
 
 
 def leave_groups_out(labels: NDArray[np.str_], group: NDArray[np.integer], seed: int) -> Iterator[NDArray[np.bool_]]:
-    """Yield the rows of each fold: a group, or several groups where there are many."""
+    """Yield a mask of the rows of each fold: one group, or several if there are many groups."""
     recorded = np.flatnonzero(group >= 0)
     groups = np.unique(group[recorded])
     if len(groups) <= MOST_FOLDS:
         for one in groups:
             yield group == one
         return
-    # No more folds than the rows of a label, which StratifiedGroupKFold spreads over them.
+    # StratifiedGroupKFold allows no more folds than the most frequent label has rows.
     n_folds = min(MOST_FOLDS, int(np.unique(labels[recorded], return_counts=True)[1].max()))
     splitter = StratifiedGroupKFold(n_folds, shuffle=True, random_state=seed)
     with warnings.catch_warnings():
-        # A rare label may be in some of the folds only.
+        # A rare label may be missing in some folds.
         warnings.simplefilter("ignore", UserWarning)
         folds = list(splitter.split(recorded, labels[recorded], group[recorded]))
     for _, test in folds:
@@ -116,7 +115,7 @@ def leave_groups_out(labels: NDArray[np.str_], group: NDArray[np.integer], seed:
 
 
 def choose_candidate(lesson: Lesson, crew: Workers = ALONE) -> Choice:
-    """Return the candidate that is best for groups left out, and its temperature (the inner loop)."""
+    """Return the best candidate for held-out groups, and its temperature (the inner loop)."""
     rows, weights = lesson.rows, lesson.weights
     labels, accuracies = np.unique(rows.labels), []
     truth = np.searchsorted(labels, rows.labels)
@@ -138,7 +137,7 @@ def choose_candidate(lesson: Lesson, crew: Workers = ALONE) -> Choice:
 
 
 def judge(lesson: Lesson, progress: Callable[[int], object] | None = None, crew: Workers = ALONE) -> Judged:
-    """Return the probabilities for each group of what was chosen and trained on the others (the outer loop)."""
+    """Return the probabilities for each group by the candidate chosen and trained on the others (the outer loop)."""
     rows = lesson.rows
     probabilities, chosen = np.empty((len(rows.labels), len(np.unique(rows.labels)))), []
     folds = list(leave_groups_out(rows.labels, rows.group, lesson.seed))
@@ -157,7 +156,7 @@ def judge(lesson: Lesson, progress: Callable[[int], object] | None = None, crew:
 
 
 def final(lesson: Lesson, choice: Choice, crew: Workers = ALONE) -> ImpactClassifier:
-    """Return the chosen candidate trained on all rows, with a novelty limit that groups left out keep."""
+    """Return the chosen candidate trained on all rows; its novelty limit comes from held-out groups."""
     rows = lesson.rows
     only = replace(lesson, candidates=(lesson.candidates[choice.best],))
     distances = list(crew.each(_distances, only, list(leave_groups_out(rows.labels, rows.group, lesson.seed))))
@@ -205,7 +204,7 @@ def _fitted(
     classifier = ImpactClassifier(
         candidate.family,
         linear=linear_columns(candidate.features * rows.n_channels),
-        calibration_folds=0,  # calibrated by groups left out
+        calibration_folds=0,  # held-out groups calibrate
         class_weight=weights,
         rejects=rejects,
         random_state=seed,
@@ -221,7 +220,7 @@ def _scores(candidate: Candidate, lesson: Lesson, fold: NDArray[np.bool_]) -> Fl
 
 
 def _row_weights(labels: NDArray[np.str_], weights: Weights) -> Floats | None:
-    """Return the weight of each row; None where all are 1."""
+    """Return the weight of each row; None if all are 1."""
     if weights is None:
         return None
     different, own, counts = np.unique(labels, return_inverse=True, return_counts=True)

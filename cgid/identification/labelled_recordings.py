@@ -1,4 +1,4 @@
-"""Rows of labelled recordings: open the files of a manifest, cut them into windows or impacts, and measure these.
+"""Measure labelled recordings: open the files of a manifest, cut them into windows or impacts, extract features.
 
 Memory holds one block of a recording at a time.
 """
@@ -33,14 +33,10 @@ from cgid.validation import Floats
 
 @dataclass(frozen=True, kw_only=True)
 class Reading:
-    """How to read recordings: what neither files nor manifest say, and what to do about unreadable files.
+    """Settings for reading recordings: metadata that files and manifest lack, and the handling of unreadable files.
 
-    Attributes
-    ----------
-    sampling_rate, unit, channels
-        See `cgid.recordings.open_recording`.
-    strict : bool
-        Whether the first recording that cannot be read is an error; else it is reported, and the others are read.
+    For the first three see `cgid.recordings.open_recording`. If `strict`, the first unreadable recording raises; else
+    it is reported and the others are read.
     """
 
     sampling_rate: float | None = None
@@ -49,7 +45,7 @@ class Reading:
     strict: bool = False
 
     def note(self, error: CgidError, failures: list[CgidError]) -> None:
-        """Keep the error of a recording, or raise it when strict."""
+        """Record the error of a recording, or raise it if strict."""
         if self.strict:
             raise error
         failures.append(error)
@@ -62,15 +58,8 @@ class Reading:
 class AnnotatedFile:
     """An open recording with the annotations of one choice of its channels.
 
-    Attributes
-    ----------
-    annotations : tuple of Annotation
-        By their start; they do not overlap.
-    recording : RecordingFile
-    unit : str
-        Of all of its channels.
-    digest : str
-        SHA-256 of the file.
+    The annotations are sorted by start and do not overlap. All channels have one unit. `digest` is the SHA-256 of the
+    file.
     """
 
     annotations: tuple[Annotation, ...]
@@ -79,7 +68,7 @@ class AnnotatedFile:
     digest: str
 
     def scale(self, annotation: Annotation, unit: str) -> float:
-        """Return the factor from the numbers of the file to a unit, before the recorder's gain."""
+        """Return the factor from the file's values to a unit, with the recorder's gain divided out."""
         units = UNITS[quantity_of(unit)]
         return units[self.unit] / units[unit] / annotation.gain
 
@@ -87,14 +76,10 @@ class AnnotatedFile:
 def open_all(
     manifest: Manifest, reading: Reading, failures: list[CgidError], *, references: bool = False
 ) -> list[AnnotatedFile]:
-    """Return the labelled recordings of a manifest, or its reference runs, all of one quantity and number of channels.
+    """Open the labelled recordings of a manifest, or its reference runs; all of one quantity and number of channels.
 
-    `failures` receives the errors of files that cannot be opened.
-
-    Raises
-    ------
-    BadData
-        No labelled recording can be opened, or two files of different groups have the same content.
+    `failures` receives the errors of files that cannot be opened. Raises `BadData` if no labelled recording can be
+    opened or two files of different groups have the same content.
     """
     files: list[AnnotatedFile] = []
     for own in _by_channels([one for one in manifest.annotations if one.reference == references]):
@@ -112,7 +97,7 @@ def open_all(
     first_with: dict[str, AnnotatedFile] = {}
     for file in files:
         first = first_with.setdefault(file.digest, file)
-        if first.annotations[0].group != file.annotations[0].group:  # one would train, and the other judge
+        if first.annotations[0].group != file.annotations[0].group:  # one would train, the other judge
             raise BadData(
                 f"{file.recording.source}: recordings of different groups must differ, it holds the same as "
                 f"{first.recording.source}; take one out, or give both one group"
@@ -121,9 +106,9 @@ def open_all(
 
 
 def annotated_blocks(file: AnnotatedFile, unit: str) -> Iterator[tuple[Annotation, Iterator[NDArray[np.floating]]]]:
-    """Yield each annotation with the blocks of its interval, in a unit and before the recorder's gain.
+    """Yield each annotation with the blocks of its interval, in a unit and with the gain divided out.
 
-    The file is read once: take the blocks of one annotation before the next one.
+    The file is read once: consume the blocks of an annotation before taking the next one.
     """
     rate = file.recording.sampling_rate
     bounds = [(round(one.start * rate), one.end * rate) for one in file.annotations]
@@ -133,7 +118,7 @@ def annotated_blocks(file: AnnotatedFile, unit: str) -> Iterator[tuple[Annotatio
 
 
 def _cut(blocks: Iterator[NDArray[Any]], bounds: Sequence[tuple[int, float]]) -> Iterator[tuple[int, NDArray[Any]]]:
-    """Yield interval number and samples of the parts of blocks in intervals that rise and do not overlap."""
+    """Yield interval number and samples of the parts of blocks within intervals, which rise and do not overlap."""
     start = k = 0
     for block in blocks:
         end = start + block.shape[1]
@@ -148,7 +133,7 @@ def _cut(blocks: Iterator[NDArray[Any]], bounds: Sequence[tuple[int, float]]) ->
 
 
 def _by_channels(annotations: Sequence[Annotation]) -> list[tuple[Annotation, ...]]:
-    """Return the annotations of the same channels of the same file together, by their start."""
+    """Group the annotations by file and channels, each group sorted by start."""
     together: dict[tuple[str, str], list[Annotation]] = {}
     for one in annotations:
         together.setdefault((str(one.path), str(one.channels)), []).append(one)
@@ -157,7 +142,7 @@ def _by_channels(annotations: Sequence[Annotation]) -> list[tuple[Annotation, ..
 
 def _opened(annotations: tuple[Annotation, ...], reading: Reading) -> AnnotatedFile:
     first = annotations[0]
-    with told(str(first.path)):  # a manifest may name anything, and a pipe would be copied
+    with told(str(first.path)):  # a manifest may name anything, even a pipe, which would be copied
         require_regular(first.path, "a recording of a manifest", LARGEST_STREAM)
     recording = open_recording(
         first.path,
@@ -199,13 +184,10 @@ def _require_alike(file: AnnotatedFile, first: AnnotatedFile) -> None:
 
 
 def reference_spectra(files: Sequence[AnnotatedFile], labelled: AnnotatedFile, window_time: float) -> dict[str, Floats]:
-    """Return the reference spectrum of each sensor, (n_channels, n_bands), from the windows of all of its runs.
+    """Return the reference spectrum of each sensor, (n_channels, n_bands), over the windows of all its runs.
 
-    Raises
-    ------
-    BadData
-        A run differs from a labelled recording in its quantity or number of channels, has another sampling rate than
-        other runs of its sensor, or holds no signal.
+    Raises `BadData` if a run differs from the labelled recordings in quantity or number of channels, differs from other
+    runs of its sensor in sampling rate, or holds no signal.
     """
     spectra: dict[str, list[MeanSpectrum]] = {}
     for file in files:
@@ -240,26 +222,9 @@ def record(
 ) -> Rows:
     """Return the rows of annotated recordings: the features of their windows or impacts.
 
-    Parameters
-    ----------
-    manifest : Manifest
-    features : sequence of str, optional
-        By default all of `cgid.identification.rows.sets_for` that can be measured on all recordings.
-    slicing : Slicing, optional
-    reading : Reading, optional
-    level_free : bool
-        Whether the default features are those in which the gain of the sensor cancels.
-    progress : callable, optional
-        Called with the number of rows measured.
-
-    Raises
-    ------
-    CgidError
-        When strict, the error of the first recording that cannot be read.
-    BadData
-        No recording can be read, none has a window or an impact, or two files in different groups are the same.
-    InvalidValue
-        A choice breaks its rule.
+    By default these are all of `cgid.identification.rows.sets_for` that can be measured on every recording. `progress`
+    receives the number of rows measured. Raises `BadData` if no recording yields a row or files of different groups are
+    equal, `InvalidValue` for a bad choice, and if strict the error of the first unreadable recording.
     """
     slicing, reading = slicing or Slicing(), reading or Reading()
     failures: list[CgidError] = []
@@ -284,7 +249,7 @@ def record(
 
 
 def _joined(measured: Sequence[_FileRows], cutting: _Cutting) -> Rows:
-    """Return the rows of all files together."""
+    """Concatenate the rows of all files."""
     annotations = [one for rows in measured for one in rows.annotations]
     sources, source = _numbered([one.name for one in annotations])
     groups, group = _numbered([one.group for one in annotations])
@@ -310,7 +275,7 @@ def _joined(measured: Sequence[_FileRows], cutting: _Cutting) -> Rows:
 
 
 def _numbered(words: list[str]) -> tuple[tuple[str, ...], NDArray[np.intp]]:
-    """Return the different words in their order, and the number of each word."""
+    """Return the distinct words in order of appearance, and the number of each word."""
     numbers = {word: number for number, word in enumerate(dict.fromkeys(words))}
     return tuple(numbers), np.array([numbers[word] for word in words], np.intp)
 
@@ -318,7 +283,7 @@ def _numbered(words: list[str]) -> tuple[tuple[str, ...], NDArray[np.intp]]:
 def _names(
     features: Sequence[str] | None, files: list[AnnotatedFile], slicing: Slicing, level_free: bool
 ) -> tuple[str, ...]:
-    """Return the features to measure: the given ones, or all of the sets that can be measured everywhere."""
+    """Return the features to measure: the given ones, or those of all sets that every recording supports."""
     rate = min(file.recording.sampling_rate for file in files)
     n_channels = len(files[0].recording.channels)
     if slicing.by == "impact" and n_channels > 1:
@@ -368,7 +333,7 @@ def _length(kind: Kind, rate: float, slicing: Slicing) -> int:
 
 @dataclass(frozen=True)
 class _Cutting:
-    """How rows are cut from a file and measured."""
+    """How to cut rows from a file and measure them."""
 
     names: tuple[str, ...]
     slicing: Slicing
@@ -422,7 +387,7 @@ def _windows(file: AnnotatedFile, cutting: _Cutting) -> Measured:
 
 
 def _impacts(file: AnnotatedFile, cutting: _Cutting) -> Measured:
-    """Yield annotation, times and features of the impacts in annotated intervals; the detector gets all samples."""
+    """Yield annotation, times and features of the impacts in annotated intervals; the detector sees all samples."""
     recording = file.recording
     detector = ImpactDetector(
         recording.sampling_rate,

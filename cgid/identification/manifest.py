@@ -1,8 +1,7 @@
-"""The manifest of labelled recordings: labels of files or intervals, and which of them belong to one group.
+"""The manifest of labelled recordings: labels of files or intervals, and the groups they belong to.
 
-A CSV file has one row for each interval and any of the columns in `COLUMNS`. A TOML file has one `[[recording]]` for
-each file, with keys of the same names; values at its top level hold for all recordings. Paths are relative to the
-manifest.
+A CSV file has one row per interval, with any of `COLUMNS`. A TOML file has one `[[recording]]` per file, with keys of
+the same names; top-level values apply to all recordings. Paths are relative to the manifest.
 """
 
 from __future__ import annotations
@@ -21,18 +20,18 @@ from cgid.errors import BadData, CgidError, InvalidValue
 from cgid.files import parse_toml, read_regular
 from cgid.units import quantity_of
 
-#: The columns of a row: a recording, or an interval of it.
+#: The columns of a row.
 COLUMNS = (
     *("path", "label", "start", "end", "group", "channel", "gain", "sensor", "reference", "rate", "unit"),
     "variable",
 )
-#: Characters of a label, group or sensor.
+#: Most characters of a label, group or sensor.
 _LONGEST_WORD = 100
-#: Largest manifest [bytes], and most keys of it.
+#: Largest size [bytes] and number of keys of a manifest.
 LARGEST_FILE, _MOST_KEYS = 16 << 20, 1_000_000
-#: Keys that may hold for all recordings of a TOML manifest.
+#: Keys that may apply to all recordings of a TOML manifest.
 _SHARED = ("group", "channel", "gain", "sensor", "rate", "unit", "variable")
-#: Most mistakes that are reported at once.
+#: Most mistakes reported at once.
 _MOST_MISTAKES = 20
 
 
@@ -45,25 +44,15 @@ class Annotation:
 
     Attributes
     ----------
-    path : Path
-    written : str
-        The path as the manifest has it.
-    label : str
-        Empty for a reference run.
-    group : str
-        What a split keeps together, such as a day or a support; by default the recording.
-    start, end : float
-        [s]; `end` is infinite where the recording ends.
-    channels : tuple or None
-        Numbers from 1 or names of the channels of a row; None for all.
-    gain : float
-        Divisor of the samples.
-    sensor : str
-        Sensor whose reference run equalises its response; empty for none.
-    reference : bool
-        Whether this is the reference run of the sensor.
-    sampling_rate, unit, variable
-        For files without them: see `cgid.recordings.open_recording`.
+    written : path as in the manifest
+    label : empty for a reference run
+    group : unit that splits keep together, such as a day or a support; default: the recording
+    start, end : [s]; `end` is infinite for the end of the recording
+    channels : numbers from 1, or names, of the channels of a row; None for all
+    gain : divisor of the samples
+    sensor : sensor whose reference run equalises the response; empty for none
+    reference : whether this is the reference run of the sensor
+    sampling_rate, unit, variable : for files without them, see `cgid.recordings.open_recording`
     """
 
     path: Path
@@ -91,7 +80,7 @@ class Annotation:
 
 
 def annotation_of(row: Mapping[str, Any], folder: Path, labels: tuple[str, ...] | None) -> Annotation:
-    """Return a checked row; paths are relative to the folder, `labels` are the allowed ones, None for any."""
+    """Return a checked row; paths are relative to `folder`, and `labels` are the allowed ones, None for any."""
     path = row.get("path")
     if not isinstance(path, str) or not path or "\0" in path:
         raise InvalidValue(f"path must be the name of a file, got {path!r}")
@@ -172,7 +161,7 @@ def _truth(name: str, value: Any) -> bool:
 
 
 def _channels(value: Any) -> tuple[int | str, ...] | None:
-    """Return the channels of a number or a name, of several in a list, or of a string with + between them."""
+    """Return the channels of a number or name, a list of these, or a string such as "1+2"."""
     if value is None:
         return None
     listed = value.split("+") if isinstance(value, str) else value if isinstance(value, list) else [value]
@@ -211,19 +200,19 @@ def contradictions(annotations: Sequence[Annotation]) -> list[str]:
 
 @dataclass(frozen=True, kw_only=True)
 class Manifest:
-    """The annotations of a manifest in the order of the file, reference runs among them; `source` is its name."""
+    """The annotations of a manifest, including reference runs, in the order of the file; `source` is its name."""
 
     source: str
     annotations: tuple[Annotation, ...] = ()
 
     @property
     def labels(self) -> tuple[str, ...]:
-        """Every label once, sorted."""
+        """The distinct labels, sorted."""
         return tuple(sorted({one.label for one in self.annotations if not one.reference}))
 
 
 def is_manifest(path: str | Path) -> bool:
-    """Return whether a file is a manifest, by its name, and in TOML, where it could be a scene, by its content."""
+    """Return whether a file is a manifest: any .csv, or a .toml (which could be a scene) with recordings."""
     path = Path(path)
     if path.suffix.lower() == ".csv":
         return True
@@ -236,14 +225,9 @@ def is_manifest(path: str | Path) -> bool:
 
 
 def read_manifest(path: str | Path) -> Manifest:
-    """Return a checked manifest; its recordings are not opened.
+    """Return a checked manifest, without opening its recordings.
 
-    Raises
-    ------
-    NoInput
-        The file cannot be read.
-    BadData
-        It is no manifest, or contradicts itself; one line for each mistake.
+    Raises `NoInput` if the file cannot be read; `BadData`, one line per mistake, if it is not a consistent manifest.
     """
     path = Path(path)
     rows, labels = _csv_rows(path) if path.suffix.lower() == ".csv" else _toml_rows(path)
@@ -273,7 +257,7 @@ def _text(path: Path) -> str:
 
 
 def _csv_rows(path: Path) -> tuple[list[Row], tuple[str, ...] | None]:
-    """Return the rows of a CSV manifest with their places in the file; it lists no labels."""
+    """Return the rows of a CSV manifest with their places in the file, and None: it lists no labels."""
     lines = [line if line.strip() and not line.lstrip().startswith("#") else "" for line in _text(path).splitlines()]
     header = next((line for line in lines if line), "")
     separator = max(",;\t", key=header.count)

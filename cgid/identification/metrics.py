@@ -1,4 +1,4 @@
-"""How good answers are: accuracy and its interval, calibration, prediction sets."""
+"""The quality of answers: accuracy and its interval, calibration, prediction sets."""
 
 from __future__ import annotations
 
@@ -20,33 +20,20 @@ if TYPE_CHECKING:
 
 #: Bins of the reliability diagram.
 _BINS = 10
-#: Running votes are judged over these times [s].
+#: Durations of the running votes that are judged [s].
 VOTE_TIMES = (0.5, 1.0)
-#: Fewest groups with misses (or hits) that show how much groups differ.
+#: Fewest groups with misses (or hits) from which to estimate how much groups differ.
 FEWEST_GROUPS = 3
 
 
 def evaluate(
     labels: NDArray[np.str_], probabilities: Floats, classes: tuple[str, ...], n_independent: int | None = None
 ) -> dict[str, Any]:
-    """Return the metrics of predictions, as plain numbers for JSON.
+    """Return the metrics of predictions, as plain numbers for JSON; `probabilities` are (n_impacts, n_classes).
 
-    Parameters
-    ----------
-    labels : ndarray of str, (n_impacts,)
-        The truth.
-    probabilities : ndarray, (n_impacts, n_classes)
-    classes : tuple of str
-    n_independent : int, optional
-        Number of independent impacts for the interval, such as that of the specimens.
-
-    Returns
-    -------
-    dict
-        accuracy and its 95 % interval (Wilson), recall of each class, Brier score (sum over the classes, so 0 to
-        2), log loss, expected calibration error, the value of it that perfectly calibrated probabilities have by
-        chance, area under the ROC curve, confusion (rows are the truth), reliability (mean confidence, accuracy and
-        count of each bin).
+    The accuracy has a 95 % Wilson interval for `n_independent` trials, such as the number of specimens; by default all
+    impacts. The Brier score is summed over the classes (0 to 2), the rows of the confusion are the truth, and each bin
+    of the reliability has mean confidence, accuracy and count.
     """
     names = np.array(classes)
     predicted = names[np.argmax(probabilities, axis=1)]
@@ -84,10 +71,10 @@ def reliability(confidence: Floats, hits: NDArray[np.bool_]) -> list[list[float]
 
 
 def calibration_error_by_chance(confidence: Floats) -> float:
-    """Return the expected calibration error of perfectly calibrated answers.
+    """Return the expected calibration error of perfectly calibrated answers: one of this size means nothing.
 
-    The number of right answers in a bin is normal about its mean with variance sum p (1 - p), and the mean absolute
-    deviation is sqrt(2 / pi) standard deviations: an error of this size means nothing.
+    The number of right answers in a bin is normal with variance sum p (1 - p) about its mean, and the mean absolute
+    deviation is sqrt(2 / pi) standard deviations.
     """
     variances = np.bincount(_place(confidence), confidence * (1 - confidence), _BINS)
     return float(np.sqrt(2 / np.pi * variances).sum() / len(confidence))
@@ -100,13 +87,10 @@ def evaluate_sets(
     conformal: Conformal,
     coverages: tuple[float, ...] = COVERAGES,
 ) -> list[dict[str, Any]]:
-    """Return the results of prediction sets, one row for each possible coverage, as plain numbers for JSON.
+    """Return the results of prediction sets, one row per attainable coverage, as plain numbers for JSON.
 
-    Returns
-    -------
-    list of dict
-        coverage asked, class_conditional, coverage achieved in all and of each label, shares of sets of a single
-        label, of several and of none, and the accuracy among those of a single label (None when there are none).
+    Each has the coverage asked for and achieved (overall and by label), the shares of sets with a single label, several
+    and none, and the accuracy of the single ones (None if there are none).
     """
     truth = labels[:, None] == np.array(classes)[None]
     rows: list[dict[str, Any]] = []
@@ -140,19 +124,12 @@ def _place(confidence: Floats) -> NDArray[np.int_]:
 
 
 def clustered_interval(hits: NDArray[np.bool_], group: NDArray[np.integer]) -> tuple[float, float]:
-    """Return the 95 % interval of a share of hits, where the hits of one group are not independent trials.
+    """Return the 95 % interval of a share of hits that are not independent within a group.
 
-    It is the score interval (Wilson 1927) for the number of independent trials that would vary as much as the groups do
-    (Korn & Graubard 1998): at least the number of groups, at most that of hits and misses. Where fewer than
-    `FEWEST_GROUPS` have all the misses (or all the hits), each group is one trial.
+    This is the score interval (Wilson 1927) for the number of independent trials with the variance observed between
+    groups (Korn & Graubard 1998): at least the number of groups, at most that of the hits and misses. If fewer than
+    `FEWEST_GROUPS` have all misses (or all hits), each group is one trial.
 
-    Parameters
-    ----------
-    hits : ndarray of bool, (n,)
-    group : ndarray of int, (n,)
-
-    Examples
-    --------
     >>> hits = np.array([1, 1, 1, 1, 0, 0, 1, 1], bool)
     >>> [round(end, 3) for end in clustered_interval(hits, np.array([0, 0, 1, 1, 2, 2, 3, 3]))]
     [0.301, 0.954]
@@ -171,7 +148,7 @@ def clustered_interval(hits: NDArray[np.bool_], group: NDArray[np.integer]) -> t
 
 
 def evaluate_recordings(rows: Rows, probabilities: Floats) -> dict[str, Any]:
-    """Return the metrics of rows, of whole recordings and of running votes; their intervals count groups."""
+    """Return the metrics of rows, whole recordings and running votes; their intervals count groups."""
     classes = np.unique(rows.labels)
     metrics = evaluate(rows.labels, probabilities, tuple(classes.tolist()))
     hits = classes[np.argmax(probabilities, axis=1)] == rows.labels
@@ -190,7 +167,7 @@ def _share(hits: NDArray[np.bool_], group: NDArray[np.integer]) -> dict[str, Any
 
 
 def _recordings(rows: Rows, probabilities: Floats) -> list[dict[str, Any]]:
-    """Return the vote of each recording: the label with the largest mean of logarithms of its rows."""
+    """Return the vote of each recording: the label with the largest mean log probability of its rows."""
     classes = np.unique(rows.labels)
     votes = []
     for source in np.unique(rows.source):
@@ -210,7 +187,7 @@ def _recordings(rows: Rows, probabilities: Floats) -> list[dict[str, Any]]:
 
 
 def _running(rows: Rows, probabilities: Floats, time: float) -> dict[str, Any]:
-    """Return how often the vote of the windows within a time [s] is right, over the recordings that are so long."""
+    """Return the accuracy of the vote of the windows within a time [s], over recordings at least this long."""
     assert rows.slicing is not None
     classes = np.unique(rows.labels)
     hits, group, short = [], [], 0
@@ -230,7 +207,7 @@ def _running(rows: Rows, probabilities: Floats, time: float) -> dict[str, Any]:
 def paired_difference(
     hits: NDArray[np.bool_], others: NDArray[np.bool_], specimen: NDArray[np.integer]
 ) -> tuple[float, float]:
-    """Return by how much more often `hits` holds than `others` for the same impacts, and the standard error.
+    """Return how much more often `hits` holds than `others` on the same impacts, and the standard error.
 
     The impacts of one specimen are one trial.
     """
@@ -241,6 +218,6 @@ def paired_difference(
 
 
 def _clustered_variance(deviations: Floats, cluster: NDArray[np.intp]) -> float:
-    """Return the variance of a mean: that of a ratio of sums over clusters, linearised (Cochran 1977, 6.3)."""
+    """Return the variance of a mean, as a linearised ratio of sums over clusters (Cochran 1977, 6.3)."""
     sums = np.bincount(cluster, deviations)
     return float(np.sum(sums**2)) * len(sums) / max(len(sums) - 1, 1) / len(deviations) ** 2

@@ -1,4 +1,4 @@
-"""The trained model: probabilities, novelty and prediction sets from features, in numpy alone."""
+"""The trained model: probabilities, novelty and prediction sets from features. Needs numpy only."""
 
 from __future__ import annotations
 
@@ -46,15 +46,13 @@ if TYPE_CHECKING:
 LARGEST_FILE = 64 << 20
 #: Longest message about a bad model file.
 _LONGEST_MESSAGE = 400
-#: Most numbers in memory at once while rows are answered.
+#: Limit of the numbers held in memory during prediction.
 _MOST_HELD = 1 << 20
 
 
 def inputs_of(features: tuple[str, ...], n_channels: int) -> tuple[str, ...]:
-    """Return the names of the inputs, channel after channel.
+    """Return the names of the inputs, channel by channel.
 
-    Examples
-    --------
     >>> inputs_of(("a", "b"), 2)
     ('a of channel 1', 'b of channel 1', 'a of channel 2', 'b of channel 2')
     """
@@ -64,9 +62,9 @@ def inputs_of(features: tuple[str, ...], n_channels: int) -> tuple[str, ...]:
 
 
 def _in_blocks(answer: Callable[[Floats], Floats], rows: Floats, width: int) -> Floats:
-    """Return the answers for rows, in blocks; `width` is the number of values in memory for a row."""
+    """Apply `answer` to blocks of rows, to limit memory; `width` is the number of values it holds per row."""
     most = max(1, _MOST_HELD // width)
-    # Overflow shows in the answer, which the caller checks.
+    # The caller checks the answer for overflow.
     with np.errstate(all="ignore"):
         if len(rows) <= most:
             return answer(rows)
@@ -83,27 +81,28 @@ class Model:
     labels : tuple of str
         In the order of the probabilities.
     features : tuple of str
-        What the probabilities follow from, out of `cgid.measure.features.FEATURES`.
+        Inputs of the classifier, from `cgid.measure.features.FEATURES`.
     unit : str
-        Of the signals it was trained on.
+        Unit of the training signals.
     sampling_rates : tuple of float
-        Lowest and highest it was trained for [Hz].
+        Lowest and highest sampling rate of the training [Hz].
     temperature, neighbourhood_limit : float
+        Divisor of the scores; distance at which the novelty is 1.
     arrays : dict of ndarray
     training : dict
-        How the model was made and how good it is: the content of the model card.
+        Origin and quality of the model: the content of the model card.
     known : tuple of str
-        Known quantities that it needs besides the signal, out of `cgid.identification.drop_height.KNOWN`.
+        Known quantities needed besides the signal, from `cgid.identification.drop_height.KNOWN`.
     guards : tuple of str
-        Features that only show whether an impact is like those of the training: the larger, the stranger.
+        Features that only measure novelty; larger is more novel.
     guard_limits : tuple of float
-        The values that 99.9 % of the training impacts stay below.
+        99.9 % quantiles of the guards in the training.
     window_time, hop_time : float
-        Length of a window and from the start of one to that of the next [s] in a model of windows; else 0.
+        Length and hop of the windows [s]; 0 unless it is a model of windows.
     n_channels : int
         Channels per answer; the features are measured on each of them.
     sensors : tuple of str
-        Sensors whose reference spectra the model holds.
+        Sensors with reference spectra in the model.
     """
 
     family: str
@@ -131,22 +130,22 @@ class Model:
 
     @property
     def quantity(self) -> str:
-        """Quantity of the signals it was trained on."""
+        """Quantity of the training signals."""
         return quantity_of(self.unit)
 
     @property
     def measured(self) -> tuple[str, ...]:
-        """The features to measure: those of the probabilities, then the guards."""
+        """Features to measure: those of the classifier, then the guards."""
         return self.features + self.guards
 
     @property
     def kind(self) -> Kind:
-        """The kind of its signals: pulses, vibrations, or windows of a recording."""
+        """Kind of the signals: pulse, vibration or window."""
         return kind_of(self.measured)
 
     @property
     def inputs(self) -> tuple[str, ...]:
-        """The inputs of the classifier: the features, channel after channel, then the known quantities."""
+        """Inputs of the classifier: the features, channel by channel, then the known quantities."""
         return inputs_of(self.features, self.n_channels) + self.known
 
     @property
@@ -156,7 +155,7 @@ class Model:
 
     @cached_property
     def conformal(self) -> Conformal | None:
-        """The calibration of prediction sets; None if there were too few specimens."""
+        """Calibration of the prediction sets; None if there were too few specimens."""
         if not self.arrays.keys() & {"conformal.scores", "conformal.labels"}:
             return None
         return Conformal(self.arrays["conformal.scores"], self.arrays["conformal.labels"], len(self.labels))
@@ -195,10 +194,10 @@ class Model:
         return found
 
     def novelty(self, inputs: Floats, guards: Floats | None = None) -> Floats:
-        """Return the novelty of each impact, (n_impacts,): above 1 it is outside of the training range.
+        """Return the novelty of each impact, (n_impacts,); above 1 it is outside the training range.
 
-        It is the largest of Mahalanobis' distance to the nearest class and the guards, each over the limit that 99.9 %
-        of the training impacts keep.
+        This is the largest of the Mahalanobis distance to the nearest class and the guards, each divided by the limit
+        that 99.9 % of the training impacts keep.
 
         Parameters
         ----------
@@ -223,20 +222,23 @@ class Model:
     def prediction_set(
         self, probabilities: Floats, coverage: float, *, class_conditional: bool = False
     ) -> NDArray[np.bool_]:
-        """Return the labels that cannot be ruled out for each impact, (n_impacts, n_labels).
+        """Return the labels that cannot be ruled out for each impact, bool (n_impacts, n_labels).
 
-        For impacts like those of the training, a share `coverage` of the sets contains the true label, however good
-        the probabilities are. A set may contain several labels or none.
+        For impacts like those of the training, a share `coverage` of the sets contains the true label, however good the
+        probabilities are. A set may contain several labels or none.
 
         Parameters
         ----------
-        probabilities, coverage, class_conditional
-            See `Conformal.prediction_set`.
+        probabilities : ndarray, (n_impacts, n_labels)
+        coverage : float
+            In (0, 1).
+        class_conditional : bool
+            Guarantee the coverage for each label separately, and so for any mix; else for the mix of the training.
 
         Raises
         ------
         InvalidValue
-            The model is not calibrated, or not on enough impacts for this coverage.
+            The model is not calibrated, or on too few impacts for this coverage.
         """
         if self.conformal is None:
             raise InvalidValue(
@@ -246,7 +248,7 @@ class Model:
         return self.conformal.prediction_set(probabilities, coverage, class_conditional=class_conditional)
 
     def equalisation(self, sensor: str) -> tuple[Equalisation, ...]:
-        """Return the equalisation that moves a sensor to the mean response of the training, for each channel.
+        """Return the equalisation of each channel of a sensor to the mean response of the training.
 
         Raises
         ------
@@ -259,7 +261,7 @@ class Model:
         return tuple(equalisations_of(self.references)[sensor])
 
     def covers(self, sampling_rate: float) -> bool:
-        """Return whether the model was trained at this sampling rate [Hz], within 1 %."""
+        """Return whether a sampling rate [Hz] lies in the range of the training, within 1 %."""
         return bool(0.99 * self.sampling_rates[0] <= sampling_rate <= 1.01 * self.sampling_rates[1])
 
     def decide(self, probabilities: Floats, costs: Mapping[str, float] | None = None) -> NDArray[np.str_]:
@@ -269,8 +271,8 @@ class Model:
         ----------
         probabilities : ndarray, (n_impacts, n_labels)
         costs : dict, optional
-            Cost of taking an impact of this label for another, by default 1. With coal 1 and gangue 3, an impact is
-            only taken for coal if coal is three times as probable.
+            Cost of mistaking an impact of this label for another; default 1. With coal 1 and gangue 3, the answer is
+            coal only if coal is three times as probable.
 
         Raises
         ------
@@ -304,19 +306,19 @@ class Model:
         references: Mapping[str, Floats] | None = None,
         **fields: Any,
     ) -> Model:
-        """Return the model of a classifier.
+        """Return the model of a fitted classifier.
 
         Parameters
         ----------
         classifier : ImpactClassifier
-            Fitted to the features, channel after channel, and the known quantities.
+            Fitted to the inputs: features, channel by channel, then known quantities.
         guards : dict of float, optional
             Limits of the guards.
         conformal : Conformal, optional
         references : dict of ndarray, each (n_channels, n_bands), optional
             Reference spectra of the sensors.
         **fields
-            Other attributes of a model: at least features, unit, sampling_rates and training.
+            Other attributes of the model: at least features, unit, sampling_rates and training.
         """
         guards = guards or {}
         standardiser, neighbourhood = classifier.standardiser_, classifier.neighbourhood_
@@ -328,7 +330,7 @@ class Model:
             arrays |= {"conformal.scores": conformal.scores, "conformal.labels": conformal.labels}
         if references:
             arrays["reference.spectra"] = np.stack(list(references.values()))
-        # C order, as in the file: the last digit of a product may depend on it.
+        # C order, as in the file: the last digit of a product may depend on the order.
         arrays = {name: np.ascontiguousarray(array) for name, array in arrays.items()}
         return cls(
             family=classifier.family,
@@ -363,14 +365,14 @@ class Model:
 
     @classmethod
     def load(cls, path: str | Path) -> Model:
-        """Return the model of a file, checked in full.
+        """Read a model file and check it completely.
 
         Raises
         ------
         NoInput
             The file cannot be read.
         BadData
-            It is no valid model file, damaged, or of another version.
+            The file is not a valid model file, is damaged, or has an unsupported version.
         """
         content = read_regular(path, "the model", LARGEST_FILE, "give a file made by cgid train")
         try:
@@ -378,18 +380,18 @@ class Model:
         except NewerSchema as error:
             raise NewerSchema(f"{path}: {error}") from None
         except (BadData, InvalidValue) as error:
-            # It may quote long texts of the file.
+            # The message may quote long texts of the file.
             told = textwrap.shorten(str(error), _LONGEST_MESSAGE, placeholder=" ...")
             raise BadData(f"{path}: no sound model: {told}; train it again with cgid train") from None
 
     @classmethod
     def from_bytes(cls, content: bytes) -> Model:
-        """Return the model of the content of a file, checked in full; raises `BadData` or `InvalidValue`."""
+        """Return the model of a file's content, checked completely; raises `BadData` or `InvalidValue`."""
         stored = arrays_of(content)
         name, text = next(stored, ("", None))
         if name != "header" or text is None or text.dtype != np.uint8 or text.ndim != 1:
             raise BadData("it must be an .npz archive that begins with a header of JSON")
-        # Before the arrays, whose types a later version may have extended.
+        # Read before the arrays, because a later version may allow further types.
         header = read_header(text)
         arrays = dict(stored)
         return cls(**fields_of(header, arrays), arrays=arrays)

@@ -1,8 +1,8 @@
-"""The model file: an uncompressed .npz archive of a JSON header and arrays of numbers, read without trusting it.
+"""The model file: an uncompressed .npz archive of a JSON header and numeric arrays, read without trusting it.
 
-Model files come from strangers. zipfile believes an archive's directory, and NumPy passes the header of an array to
-Python's parser. So here the directory must agree with the content byte by byte, array headers must look exactly as
-`numpy.savez` writes them, and a digest covers header and arrays. Whatever differs is refused.
+Model files may come from anyone. zipfile trusts the directory of an archive, and NumPy passes array headers to Python's
+parser. So here the directory must match the content byte by byte, array headers must look exactly as `numpy.savez`
+writes them, and a digest covers header and arrays. Any deviation is refused.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 
 # -- the archive ------------------------------------------------------------------------------------------
 
-#: Most arrays of a model, and longest directory of an archive with them [bytes].
+#: Most arrays of a model, and longest directory of its archive [bytes].
 MOST_ENTRIES, _LARGEST_DIRECTORY = 64, 64 * 128
 _NAME = re.compile(r"[a-z0-9_.]{1,64}\.npy")
 #: File type in the upper half of an entry's attributes: none or a regular file, never a link.
@@ -51,12 +51,9 @@ _ARRAY_HEADER = re.compile(
 
 
 def arrays_of(content: bytes) -> Iterator[tuple[str, NDArray[Any]]]:
-    """Yield name and array of each entry of an archive in its order, as read-only views of the content.
+    """Yield name and array of each entry of an archive in order, as read-only views of the content.
 
-    Raises
-    ------
-    BadData
-        The archive or an array is damaged, or not as `numpy.savez` writes it.
+    Raises `BadData` if the archive or an array is damaged, or not as `numpy.savez` writes it.
     """
     for name, stored in _entries(content):
         yield name.removesuffix(".npy"), _array(stored, name)
@@ -67,7 +64,7 @@ def _entries(content: bytes) -> Iterator[tuple[str, memoryview]]:
         raise BadData("it must be an .npz archive of numbers")
     whole = BadData("its archive must be whole and end with its directory; it is damaged or cut off")
     directory = struct.unpack_from("<L", content, len(content) - 10)[0] if len(content) > 22 else 0
-    # zipfile would read a directory of a million entries, or one in another place (ZIP64).
+    # zipfile would read a directory of a million entries, or one elsewhere (ZIP64).
     zip64 = content[-42:-38] == b"PK\x06\x07"
     if zip64 or content[-22:-18] != b"PK\x05\x06" or not 0 < directory <= _LARGEST_DIRECTORY:
         raise whole
@@ -104,7 +101,7 @@ def _array(stored: memoryview, name: str) -> NDArray[Any]:
         raise BadData(f"array {name} must hold numbers as numpy.savez writes them (float64, int32, int64 or bool)")
     descr, fortran, sides = (part.decode() for part in header.groups(b""))
     dtype, shape = np.dtype(descr), tuple(int(side) for side in sides.rstrip(",").split(", ") if side)
-    # Python's integers: the product cannot overflow.
+    # With Python's integers the product cannot overflow.
     if math.prod(shape) * dtype.itemsize != len(stored) - 10 - length or 0 in shape or len(shape) > _MOST_AXES:
         raise BadData(f"array {name} must hold at least one number, and as many as its shape {shape} says")
     array = np.frombuffer(stored, dtype, offset=10 + length).reshape(shape, order="F" if fortran == "True" else "C")
@@ -116,19 +113,19 @@ def _array(stored: memoryview, name: str) -> NDArray[Any]:
 # -- the header -------------------------------------------------------------------------------------------
 
 FORMAT = "cgid-model"
-#: 2: known quantities, guards, prediction sets, networks. 3: windows, several channels, reference spectra of sensors,
-#: linear discriminants. 4: a digest of header and arrays.
+#: 2: known quantities, guards, prediction sets, networks. 3: windows, several channels, reference spectra, linear
+#: discriminants. 4: a digest of header and arrays.
 SCHEMA_VERSION = 4
 _OLDEST_SCHEMA = 2
-#: What a header of schema 2 leaves out.
+#: Fields missing in schema 2.
 _SINCE_3: dict[str, Any] = {"window_time": 0.0, "hop_time": 0.0, "n_channels": 1, "sensors": []}
-#: The longest header [bytes]: a hundred bytes for each of twenty thousand recordings.
+#: Longest header [bytes]: 100 bytes for each of 20,000 recordings.
 LARGEST_HEADER = 2 << 20
-#: The deepest nesting of lists and objects; ours have seven levels.
+#: Deepest nesting of lists and objects; real headers have seven levels.
 _DEEPEST = 32
-#: The largest absolute value of any number: products of three such numbers are still finite.
+#: Largest absolute value of any number: products of three are still finite.
 _LARGEST_NUMBER = 1e100
-#: The required fields and their types.
+#: Required fields and their types.
 FIELDS: dict[str, type] = {
     "family": str,
     "labels": list,
@@ -147,23 +144,19 @@ FIELDS: dict[str, type] = {
     "sensors": list,
 }
 _LISTS_OF_NUMBERS = ("guard_limits", "sampling_rates")
-#: Further fields: the quantity follows from the unit, the others are checked when they are read.
+#: Further fields: the quantity follows from the unit, the others are checked on reading.
 _FURTHER_FIELDS = {"format", "schema_version", "quantity", "sha256"}
 
 
 class NewerSchema(BadData):
-    """The file has a later schema than this cgid reads; training the model again would not help."""
+    """The file has a later schema than this cgid reads; retraining the model would not help."""
 
 
 def read_header(stored: NDArray[Any]) -> dict[str, Any]:
-    """Return the header of a model file once its schema version is a known one.
+    """Return the header of a model file after checking its schema version.
 
-    Raises
-    ------
-    NewerSchema
-        A later cgid wrote it.
-    BadData
-        It is no JSON, repeats a key, or has another format or an older version.
+    Raises `NewerSchema` if a later cgid wrote it; `BadData` if it is not JSON, repeats a key, or has another format or
+    an unsupported older version.
     """
     if stored.size > LARGEST_HEADER:
         raise BadData(f"its header must be at most {LARGEST_HEADER >> 20} MiB, it is {stored.size / 2**20:.1f} MiB")
@@ -189,10 +182,7 @@ def read_header(stored: NDArray[Any]) -> dict[str, Any]:
 def fields_of(header: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> dict[str, Any]:
     """Return the fields of a model from a header, lists as tuples.
 
-    Raises
-    ------
-    BadData
-        A field is missing, unknown or of a wrong type; or header and arrays do not match the digest.
+    Raises `BadData` if a field is missing, unknown or of a wrong type, or the digest does not match.
     """
     version = header["schema_version"]
     if version >= 4 and header.get("sha256") != digest(header, arrays):
@@ -208,15 +198,14 @@ def fields_of(header: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> 
 
 
 def signed(header: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> bytes:
-    """Return the header as JSON, with the digest of header and arrays in it."""
+    """Return the header as JSON, including the digest of header and arrays."""
     return json.dumps({**header, "sha256": digest(header, arrays)}, sort_keys=True).encode()
 
 
 def digest(header: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> str:
-    """Return the SHA-256 of the header without its digest, and of names, types, shapes and numbers of the arrays.
+    """Return the SHA-256 of the header without its digest, and of names, types, shapes and values of the arrays.
 
-    It finds accidental changes, such as a flipped bit or features in another order. It is no protection against
-    somebody who computes it anew.
+    It detects accidental changes, such as a flipped bit or reordered features, but not deliberate ones.
     """
     fields = {name: value for name, value in header.items() if name != "sha256"}
     found = hashlib.sha256(json.dumps(fields, sort_keys=True).encode())
@@ -235,13 +224,13 @@ def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
 
 
 def _is_deeper(value: Any, levels: int) -> bool:
-    """Return whether lists and objects nest deeper than a number of levels."""
+    """Return whether lists and objects nest deeper than `levels`."""
     inner = value.values() if isinstance(value, dict) else value
     return levels == 0 or any(_is_deeper(one, levels - 1) for one in inner if isinstance(one, dict | list))
 
 
 def _is(value: Any, kind: type) -> bool:
-    """Return whether a JSON value is of a type; an integer may stand for a float, a bool for neither."""
+    """Return whether a JSON value has a type; an integer may stand for a float, a bool for neither."""
     if kind in (int, float):
         number = type(value) is int or (kind is float and type(value) is float)
         return number and abs(value) <= _LARGEST_NUMBER  # False for nan
@@ -251,17 +240,17 @@ def _is(value: Any, kind: type) -> bool:
 # -- the model --------------------------------------------------------------------------------------------
 
 MOST_CHANNELS = 64
-#: Arrays of every model, one number for each input: the attributes of the standardiser.
+#: Arrays of the standardiser, one value per input.
 STANDARDISER = ("logarithmic", "floor", "mean", "scale")
 MOST_LABELS, _MOST_SENSORS = 1000, 1000
-#: Characters of a label or of the name of a sensor.
+#: Most characters of a label or sensor name.
 _LONGEST_WORD = 100
-#: Families of earlier versions.
+#: Families of earlier versions, no longer supported.
 _DROPPED = ("discriminant",)
 
 
 def check_names(model: Model) -> None:
-    """Raise unless family, labels, features, guards and known quantities are valid names without duplicates."""
+    """Raise unless family, labels, features, guards and known quantities are valid and distinct."""
     if model.family in _DROPPED:
         families = ", ".join(map(repr, BY_NAME))
         raise BadData(f"family must be one of {families}, got {model.family!r}, which cgid 0.2 no longer has")
@@ -290,7 +279,7 @@ def check_names(model: Model) -> None:
 
 
 def check_numbers(model: Model) -> None:
-    """Raise unless the numbers and the arrays that all families share are finite and fit each other."""
+    """Raise unless the numbers and the arrays common to all families are finite and consistent."""
     rates = validation.positive("sampling_rates", model.sampling_rates, "Hz")
     if rates.shape != (2,) or rates[0] > rates[1]:
         raise BadData("sampling_rates must be the lowest and the highest")
@@ -305,7 +294,7 @@ def check_numbers(model: Model) -> None:
 
 
 def check_training(model: Model) -> None:
-    """Raise unless the entries of the training record that answers and reports use are of the right kind."""
+    """Raise unless the entries of the training record that answers and reports use have the right type."""
     training, n_labels = model.training, len(model.labels)
     metrics, recorded = training.get("metrics", {}), training.get("recorded", {})
     if not isinstance(metrics, Mapping) or not isinstance(recorded, Mapping):
@@ -338,12 +327,12 @@ def _is_word(value: object) -> bool:
 
 
 def _check_arrays(model: Model) -> None:
-    """Raise unless the arrays are those of the model's family, and all numbers are finite."""
+    """Raise unless the arrays are those of the model's family and all values are finite."""
     arrays, n, n_classes = model.arrays, len(model.inputs), len(model.labels)
     shapes: dict[str, tuple[tuple[int, ...], ...]] = {
         **{f"standardiser.{name}": ((n,),) for name in STANDARDISER},
         "neighbourhood.centres": ((n_classes, n),),
-        "neighbourhood.whitening": ((n_classes, n, n), (1, n, n)),  # one for each class, or one for all
+        "neighbourhood.whitening": ((n_classes, n, n), (1, n, n)),  # one per class, or one for all
     }
     for name, possible in shapes.items():
         if name not in arrays or arrays[name].shape not in possible:
@@ -364,7 +353,7 @@ def _check_arrays(model: Model) -> None:
 
 
 def _check_windows(model: Model) -> None:
-    """Raise unless windows, channels and the reference spectra of sensors fit each other."""
+    """Raise unless windows, channels and reference spectra are consistent."""
     if isinstance(model.n_channels, bool) or not 1 <= model.n_channels <= MOST_CHANNELS:
         raise BadData(f"n_channels must lie between 1 and {MOST_CHANNELS}, got {model.n_channels}")
     if model.n_channels > 1 and (model.guards or model.known):

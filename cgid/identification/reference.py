@@ -1,9 +1,9 @@
 """The reference run of a sensor: its mean spectrum, the equalisation from it, and the drift of a session.
 
-Two sensors, or one on two supports, differ in their response, and 4 dB more here and less there cost more accuracy than
-any noise. So each sensor records the same kind of flow once, its reference run. The model keeps the mean spectra of
-these runs. Before anything is measured, a signal is equalised from the spectrum of its sensor to the mean of all
-sensors (`cgid.measure.filters.Equalisation.between`).
+Two sensors, or one on two supports, differ in their response, and differences of 4 dB cost more accuracy than any
+noise. So each sensor records the same kind of flow once, its reference run, and the model keeps the mean spectra.
+Before any measurement, a signal is equalised from the spectrum of its sensor to the mean of all sensors
+(`cgid.measure.filters.Equalisation.between`).
 """
 
 from __future__ import annotations
@@ -21,9 +21,9 @@ from cgid.measure.spectra import MEL_BANDS
 from cgid.measure.windows import WindowBatch
 from cgid.validation import Floats, require_rate
 
-#: Distance of a session from the reference run of its sensor that causes a warning [dB].
+#: Drift of a session that causes a warning [dB].
 LARGEST_DRIFT = 3.0
-#: The warning allows for this number of standard errors, because few blows make an uncertain spectrum.
+#: Standard errors that the warning allows for: the spectrum of few impacts is uncertain.
 _STANDARD_ERRORS = 2.0
 #: Windows measured at once.
 _ROWS = 32
@@ -32,17 +32,10 @@ Equalisations = Mapping[str, Sequence[Equalisation]]
 
 
 class MeanSpectrum:
-    """The mean power of a run in each mel band, added up window by window.
+    """The mean power of a run in each mel band, accumulated by window.
 
-    Parameters
-    ----------
-    sampling_rate : float
-        [Hz]. Bands above half of it get the level of the highest band below.
-
-    Raises
-    ------
-    InvalidValue
-        The sampling rate leaves no band.
+    Bands above half the sampling rate [Hz] get the level of the highest band below it. Raises `InvalidValue` if the
+    rate leaves no band.
     """
 
     def __init__(self, sampling_rate: float) -> None:
@@ -57,7 +50,7 @@ class MeanSpectrum:
         self._sum, self._squares = np.zeros(self.n_bands), np.zeros(self.n_bands)
 
     def feed(self, windows: NDArray[np.floating]) -> None:
-        """Add windows (n_windows, n_samples) that do not overlap; those without a signal are skipped."""
+        """Add non-overlapping windows (n_windows, n_samples); those without a signal are skipped."""
         for first in range(0, len(windows), _ROWS):
             batch = WindowBatch(windows[first : first + _ROWS], self.sampling_rate)
             kept = np.setdiff1d(np.arange(len(batch.samples)), list(batch.problems()))
@@ -68,18 +61,12 @@ class MeanSpectrum:
 
     @property
     def levels(self) -> Floats:
-        """Logarithm (base 10) of the mean square in each of `MEL_BANDS`, (n_bands,).
-
-        Raises
-        ------
-        BadData
-            No window had a signal.
-        """
+        """Log10 of the mean square in each of `MEL_BANDS`, (n_bands,); `BadData` if no window had a signal."""
         return self._for_all_bands(np.log10(self._mean))
 
     @property
     def deviations(self) -> Floats:
-        """Standard error of the levels from the variation between windows [dB], infinite for one window, (n_bands,)."""
+        """Standard error of the levels from the variation between windows [dB], (n_bands,); infinite for one window."""
         mean, n = self._mean, self.n_windows
         if n < 2:
             return np.full(len(MEL_BANDS), np.inf)
@@ -99,10 +86,7 @@ class MeanSpectrum:
 def target_spectrum(references: Iterable[ArrayLike]) -> Floats:
     """Return the target of all equalisations: the mean of the reference spectra, (n_bands,).
 
-    Raises
-    ------
-    InvalidValue
-        There is no spectrum, or one does not have a number for each band.
+    Raises `InvalidValue` if there is no spectrum or one has a wrong number of bands.
     """
     rows = [validation.real("reference spectrum", row) for row in references]
     if not rows or any(row.shape != (len(MEL_BANDS),) for row in rows):
@@ -124,18 +108,14 @@ def equalisations_of(spectra: Mapping[str, Floats]) -> Equalisations:
 
 @dataclass(frozen=True, kw_only=True)
 class Drift:
-    """How a session differs from the reference run of its sensor.
+    """The difference of a session from the reference run of its sensor.
 
     Attributes
     ----------
-    level : float
-        The mean over the bands [dB].
-    largest : float
-        The difference of the band that differs most [dB].
-    frequency : float
-        Centre of that band [Hz].
-    certain : float
-        The smallest difference of it that is compatible with the variation between windows [dB].
+    level : mean over the bands [dB]
+    largest : difference in the band that differs most clearly [dB]
+    frequency : centre of that band [Hz]
+    certain : smallest difference in that band compatible with the variation between windows [dB]
     """
 
     level: float
@@ -144,7 +124,7 @@ class Drift:
     certain: float
 
     def warning(self, sensor: str) -> str | None:
-        """Return a warning of one line, None if the drift is small enough."""
+        """Return a one-line warning, or None if the drift is small enough."""
         if self.certain <= LARGEST_DRIFT:
             return None
         return (
@@ -157,11 +137,11 @@ class Drift:
 def drift(session: MeanSpectrum, reference: ArrayLike) -> Drift:
     """Return the drift of a session from the reference spectrum (n_bands,) of its sensor.
 
-    Another flow looks like a drift, too: the session must have a flow like that of the reference run.
+    The session needs a flow like that of the reference run, because another flow looks like a drift.
     """
     held = slice(0, session.n_bands)
     difference = 10.0 * (session.levels - validation.real("reference", reference))[held]
-    # The band with the most certain difference, not one that a single blow has raised.
+    # The band with the most certain difference, not one raised by a single impact.
     certain = np.maximum(np.abs(difference) - _STANDARD_ERRORS * session.deviations[held], 0.0)
     place = int(np.argmax(certain)) if certain.any() else int(np.argmax(np.abs(difference)))
     return Drift(

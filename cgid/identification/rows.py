@@ -1,7 +1,6 @@
-"""Labelled rows: what every training learns from, whether the signals come from scenes, datasets or recordings.
+"""Labelled rows, the input of every training: each holds the features of one impact or one window.
 
-A row holds the features of one impact or of one window of a recording. `measure` makes rows of labelled batches;
-`cgid.identification.labelled_recordings.record` makes them of the recordings of a manifest.
+`measure` makes rows from labelled batches, `cgid.identification.labelled_recordings.record` from recordings.
 """
 
 from __future__ import annotations
@@ -30,32 +29,25 @@ from cgid.units import UNITS, quantity_of
 from cgid.validation import Floats
 from cgid.workers import ALONE, Workers
 
-#: Guards of a model of pulses: how badly a pulse fits the shape of one. They show strangers, not materials.
+#: Guards of a model of pulses: how badly a signal fits the shape of a pulse. They show novelty, not the material.
 DEFAULT_GUARDS = ("misfit", "overload")
-#: Features of a model of pulses: the fitted pulse, and how certain its shape is.
+#: Features of a model of pulses: the fitted pulse, and the uncertainty of its shape.
 DEFAULT_FEATURES = ("fitted_peak", "fitted_width", "shrunken_restitution", "shrunken_restitution_deviation")
-#: Features of a model of vibrations, where sampling rate and frame allow: levels by frequency, over all of the frame
-#: and while the force still acts. They depend on the gain, because the strength of a blow tells most.
+#: Features of a model of vibrations, where sampling rate and frame allow: levels by frequency, over the whole frame and
+#: while the force acts. They depend on the gain, because the strength of the impact is the most informative.
 DEFAULT_VIBRATION_FEATURES = (
     *(f"level_{middle}_hz" for middle in THIRD_OCTAVES),
     *(f"early_level_{low}_{high}_hz" for low, high in EARLY_BANDS),
 )
-#: Synthetic rows of a label for each recorded one; more would drown what was measured.
+#: Synthetic rows of a label per recorded one; more would outweigh the measurements.
 MOST_SYNTHETIC = 10
 
 
 @dataclass(frozen=True, kw_only=True)
 class Slicing:
-    """How recordings become rows.
+    """How recordings become rows: by window, with length and hop [s], or by impact.
 
-    Attributes
-    ----------
-    by : {"window", "impact"}
-        What a row is.
-    window_time, hop_time : float
-        Length of a window, and from the start of one to that of the next [s].
-    dead_time : float or None
-        Of impacts [s]: see `cgid.identification.events.ImpactDetector`.
+    For `dead_time` [s] see `cgid.identification.detection.ImpactDetector`.
     """
 
     by: Literal["window", "impact"] = "window"
@@ -74,38 +66,20 @@ class Rows:
 
     Attributes
     ----------
-    names : tuple of str
-        Features, measured on each of `n_channels` channels.
-    features : ndarray, (n_rows, n_channels * n_names)
-        Channel after channel.
-    labels : ndarray of str, (n_rows,)
-    group : ndarray of int, (n_rows,)
-        Rows of one group are never on both sides of a split: the specimen of a synthetic impact, or the number of a
-        group of recordings in `groups`. Below 0: a synthetic row beside recorded ones, which never judges.
-    source : ndarray of int, (n_rows,)
-        The scene, dataset or annotated interval of each row, a number in `sources`.
-    sources, groups : tuple of str
-    digests : tuple of str
-        SHA-256 of scenes, datasets or files.
-    known_names : tuple of str
-        Known quantities, out of `cgid.identification.drop_height.KNOWN`.
-    known : ndarray, (n_rows, n_known)
-    unit : str
-    sampling_rates : tuple of float
-        Lowest and highest [Hz].
-    n_channels : int
-    slicing : Slicing or None
-        None for rows of scenes and datasets.
-    time : ndarray, (n_rows,)
-        Start of a window, or time of an impact, in its recording [s].
-    references : dict of ndarray, each (n_channels, n_bands)
-        Reference spectra of the sensors.
-    left_out : int
-        Rows that could not be measured.
-    failures : tuple of CgidError
-        Recordings that could not be read.
-    warnings : tuple of str
-        Damage in other recordings, and intervals without a row; one line each.
+    names : features, measured on each of `n_channels` channels
+    features : (n_rows, n_channels * n_names), channel by channel
+    group : unit that splits keep together, (n_rows,): the specimen of a synthetic impact, or a number in `groups`;
+        below 0 for synthetic rows among recorded ones, which never judge
+    source : number in `sources` of the scene, dataset or annotated interval of each row, (n_rows,)
+    digests : SHA-256 of scenes, datasets or files
+    known : values of `known_names`, which are from `cgid.identification.drop_height.KNOWN`, (n_rows, n_known)
+    sampling_rates : lowest and highest [Hz]
+    slicing : None for rows of scenes and datasets
+    time : start of a window, or time of an impact, in its recording [s], (n_rows,)
+    references : reference spectra of the sensors, each (n_channels, n_bands)
+    left_out : number of rows that could not be measured
+    failures : errors of unreadable recordings
+    warnings : damage of the other recordings, and intervals without a row; one line each
     """
 
     names: tuple[str, ...]
@@ -130,11 +104,11 @@ class Rows:
 
     @property
     def kind(self) -> Kind:
-        """What the features are measured on."""
+        """Kind of signal that the features describe."""
         return kind_of(self.names)
 
     def __getitem__(self, chosen: NDArray[np.bool_]) -> Rows:
-        """Return some of the rows."""
+        """Return the rows of a mask."""
         columns = {name: getattr(self, name) for name in ("features", "labels", "group", "source", "known", "time")}
         return replace(self, **{name: column[chosen] for name, column in columns.items() if len(column)})
 
@@ -143,7 +117,7 @@ class Rows:
         return replace(self, names=names, features=self.columns(names))
 
     def columns(self, names: Sequence[str]) -> Floats:
-        """Return the columns of some features, channel after channel."""
+        """Return the columns of some features, channel by channel."""
         return self.features[:, columns_of(self.names, names, self.features.shape[1])]
 
     def inputs(self, names: Sequence[str]) -> Floats:
@@ -158,7 +132,7 @@ Sets = Mapping[str, tuple[str, ...]]
 
 @cache
 def _sets(kind: Kind) -> Sets:
-    """Return the sets of features of a kind, by name; the first is preferred where none is clearly better.
+    """Return the feature sets of a kind by name; the first is preferred unless another is clearly better.
 
     In a set whose name ends in "level-free" the gain of the sensor cancels.
     """
@@ -175,7 +149,7 @@ def _sets(kind: Kind) -> Sets:
     plain = set(own) - starting("mel", "relative", "even", "level")
     shape = plain - {"window_level", "window_peak"}  # free of the gain
     wanted = {
-        # First, because no gain ever stayed the same for long.
+        # First, because in practice no gain stays the same for long.
         "even bands and shape, level-free": starting("relative_even", "even_deviation") | shape,
         "even bands and shape": starting("even") | plain,
         "mel bands and shape": starting("mel") | plain,
@@ -186,7 +160,7 @@ def _sets(kind: Kind) -> Sets:
 
 
 def sets_for(kind: Kind, *, level_free: bool = False) -> Sets:
-    """Return the sets of features that a training on recordings chooses from; on request only level-free ones."""
+    """Return the feature sets that a training on recordings chooses from, optionally only level-free ones."""
     own = _sets(kind)
     return {name: names for name, names in own.items() if name.endswith("level-free")} if level_free else own
 
@@ -199,7 +173,7 @@ def union_of(sets: Sets) -> tuple[str, ...]:
 def chosen_for(batches: Iterable[Batch], features: Iterable[str] | None) -> tuple[Iterator[Batch], tuple[str, ...]]:
     """Return the batches unchanged, and the features to measure on them.
 
-    By default they follow from the quantity, and from what sampling rate and frame of the first batch allow.
+    The default depends on the quantity, and on sampling rate and frame of the first batch.
     """
     batches = iter(batches)
     if features is not None:
@@ -222,7 +196,7 @@ def default_guards(features: Iterable[str]) -> tuple[str, ...]:
 
 
 def linear_columns(features: Sequence[str]) -> tuple[int, ...]:
-    """Return the columns that never get a logarithm: they are logarithms already, or may have either sign."""
+    """Return the columns that never get a logarithm: they already are logarithms, or may have either sign."""
     return tuple(column for column, name in enumerate(features) if FEATURES[name].linear)
 
 
@@ -239,12 +213,8 @@ def measure(
 ) -> Rows:
     """Return the rows of labelled batches; memory holds one batch of signals, or a few for each worker.
 
-    Raises
-    ------
-    BadData
-        There is no signal, batches differ in their quantity, or they lack a known quantity.
-    InvalidValue
-        A feature or a known quantity does not exist.
+    Raises `BadData` if there is no signal, or batches differ in their unit or lack a known quantity; `InvalidValue` for
+    an unknown feature or known quantity.
     """
     batches, names = chosen_for(batches, features)
     for name in known:
@@ -305,18 +275,15 @@ def _known_of(batch: Batch) -> Floats:
     return heights[:, None]
 
 
-# -- synthetic rows beside recorded ones ------------------------------------------------------------------
+# -- synthetic rows among recorded ones -------------------------------------------------------------------
 #
-# A scene knows the bodies, but not the gain and the response of somebody's sensor on somebody's support. So the mean
-# of each level, over the labels that both have, is moved onto that of the recordings. These shifts are found on what
-# trains, never on what judges.
+# A scene models the bodies, but not the gain and response of the recording sensor on its support. So the mean of each
+# level, over the labels in common, is shifted to that of the recordings. Only training rows determine the shifts.
 
 
 def is_level(feature: str) -> bool:
     """Return whether a feature is a level, to which a gain or a response adds a constant.
 
-    Examples
-    --------
     >>> is_level("level_1000_hz"), is_level("relative_level_1000_hz"), is_level("decay_time")
     (True, True, False)
     """
@@ -326,12 +293,8 @@ def is_level(feature: str) -> bool:
 def in_unit(batches: Iterable[Batch], unit: str, features: Iterable[str]) -> Iterator[Batch]:
     """Yield synthetic batches in the unit of the recordings.
 
-    Where only levels are measured, the quantity may differ, because `adapted` moves the levels.
-
-    Raises
-    ------
-    InvalidValue
-        The quantity differs, and a feature is not a level and has the unit of the signal.
+    The quantity may differ if only levels are measured, because `adapted` shifts them. Raises `InvalidValue` if it
+    differs and another feature depends on the unit of the signal.
     """
     for batch in batches:
         factor = 1.0
@@ -350,13 +313,7 @@ def in_unit(batches: Iterable[Batch], unit: str, features: Iterable[str]) -> Ite
 
 
 def mixed(recorded: Rows, synthetic: Rows, seed: int) -> Rows:
-    """Return recorded and synthetic rows together; the groups of synthetic rows are -1.
-
-    Raises
-    ------
-    BadData
-        A synthetic label is not one of the recordings'.
-    """
+    """Join recorded and synthetic rows, these in group -1; raises `BadData` if a synthetic label was not recorded."""
     labels = np.unique(recorded.labels)
     strange = np.setdiff1d(synthetic.labels, labels)
     if strange.size:
@@ -375,7 +332,7 @@ def mixed(recorded: Rows, synthetic: Rows, seed: int) -> Rows:
 
 
 def adapted(rows: Rows) -> Rows:
-    """Return the rows with the levels of synthetic ones moved onto those of the others."""
+    """Return the rows with the levels of synthetic rows shifted to those of the recorded ones."""
     synthetic = rows.group < 0
     if not synthetic.any():
         return rows
@@ -385,12 +342,9 @@ def adapted(rows: Rows) -> Rows:
 
 
 def shift(names: tuple[str, ...], features: Floats, labels: NDArray[np.str_], synthetic: NDArray[np.bool_]) -> Floats:
-    """Return what `adapted` adds to synthetic rows, (n_features,): 0 for features that are no level.
+    """Return the shift that `adapted` adds to synthetic rows, (n_features,); 0 for features that are not levels.
 
-    Raises
-    ------
-    BadData
-        Synthetic and recorded rows have no label in common.
+    Raises `BadData` if synthetic and recorded rows have no label in common.
     """
     both = np.intersect1d(labels[synthetic], labels[~synthetic])
     if not both.size:
@@ -398,7 +352,7 @@ def shift(names: tuple[str, ...], features: Floats, labels: NDArray[np.str_], sy
             f"scenes and recordings must have a label in common, got {', '.join(np.unique(labels[synthetic]))} and "
             f"{', '.join(np.unique(labels[~synthetic]))}; name them alike in the manifest"
         )
-    # Label by label, so that another mix of materials is not taken for another response.
+    # By label, so that another mix of materials does not look like another response.
     differences = [
         features[~synthetic & (labels == label)].mean(axis=0) - features[synthetic & (labels == label)].mean(axis=0)
         for label in both
@@ -407,7 +361,7 @@ def shift(names: tuple[str, ...], features: Floats, labels: NDArray[np.str_], sy
 
 
 def thinned(labels: NDArray[np.str_], recorded: NDArray[np.str_], seed: int) -> NDArray[np.bool_]:
-    """Return which synthetic rows are kept: at most `MOST_SYNTHETIC` for each recorded row of their label."""
+    """Return a mask of the synthetic rows to keep: at most `MOST_SYNTHETIC` per recorded row of the same label."""
     order = np.random.default_rng(seed).permutation(len(labels))
     kept = np.zeros(len(labels), bool)
     for label in np.unique(recorded):

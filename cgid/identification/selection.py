@@ -1,4 +1,4 @@
-"""The comparison of all families of classifiers by cross-validation, on the same folds."""
+"""Comparison of all families of classifiers by cross-validation on the same folds."""
 
 from __future__ import annotations
 
@@ -24,16 +24,16 @@ from cgid.identification.rows import Rows, linear_columns
 from cgid.validation import Floats
 from cgid.workers import ALONE, Workers
 
-#: Another family must be better by this accuracy.
+#: A later family must be better by this accuracy.
 MARGIN = 0.003
-#: Most impacts of a fold that support vector machines learn from: their cost grows with the square of it.
+#: Most training impacts of support vector machines in a fold: the cost grows with their square.
 SUPPORT_VECTOR_IMPACTS = 10_000
-#: Predictions of one impact, to time it.
+#: Repetitions for the time of one prediction.
 _REPEATS = 50
 
 
 class _Forest(RandomForestClassifier):  # type: ignore[misc]
-    """A random forest with a decision function for the calibration: logarithms of probabilities."""
+    """A random forest with a decision function for the calibration: log probabilities."""
 
     def decision_function(self, X: Floats) -> Floats:
         logs = np.log(np.maximum(self.predict_proba(X), 0.5 / len(self.estimators_)))
@@ -53,8 +53,8 @@ class Rival(ImpactClassifier):
 class Candidate:
     """One family in the comparison.
 
-    `make` returns an unfitted classifier from the columns without logarithm and the seed, `exportable` is whether a
-    model file can hold it, and `most` the largest number of impacts of a fold to train on.
+    `make` returns an unfitted classifier from the columns without logarithm and the seed, `exportable` says whether a
+    model file can hold it, and `most` is the largest number of training impacts in a fold.
     """
 
     name: str
@@ -92,33 +92,11 @@ def select(
 ) -> list[dict[str, Any]]:
     """Compare families by cross-validation; return one row for each, as plain numbers for JSON.
 
-    All families share the folds, which are stratified by label and never divide a specimen. Standardising, fitting
-    and calibrating use the training part of a fold only, with one thread.
-
-    Parameters
-    ----------
-    measured : Rows
-    candidates : tuple of Candidate
-        The others are compared with the first.
-    n_folds : int
-    seed : int
-        Of the folds and the classifiers.
-    progress : callable, optional
-        Called with the name of each candidate before it starts.
-    crew : Workers
-        See `cgid.workers.workers`. Folds that run at the same time take longer to fit.
-
-    Returns
-    -------
-    list of dict
-        name, exportable, accuracy, its difference from the first's with the standard error of paired specimens,
-        brier_score, expected_calibration_error, n_train (of a fold), fit_s (one fold), predict_us (one impact: the
-        exported model, else scikit-learn's), size_bytes (of the model file, else of the pickle), chosen.
-
-    Raises
-    ------
-    InvalidValue
-        A label has fewer specimens than there are folds.
+    All share the folds, which are stratified by label and never divide a specimen. Fits use one thread and only the
+    training part; in parallel folds they take longer. `difference` is to the first candidate, `standard_error` over
+    paired specimens; `n_train` and `fit_s` are per fold; `predict_us` (one impact) and `size_bytes` are those of the
+    exported model, else of scikit-learn's and its pickle. Raises `InvalidValue` if a label has fewer specimens than
+    folds.
     """
     labels = measured.labels
     fewest = min(len(np.unique(measured.group[labels == label])) for label in np.unique(labels))
@@ -196,7 +174,7 @@ def _judge_fold(
         start = time.perf_counter()
         classifier.fit(inputs[training], measured.labels[training], measured.group[training])
         seconds = time.perf_counter() - start
-        # Sending every classifier between processes would be slow: a forest is large.
+        # Sending all classifiers between processes would be slow: a forest is large.
         return classifier.predict_proba(inputs[test]), seconds, classifier if kept else None
 
 

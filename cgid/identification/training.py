@@ -1,8 +1,8 @@
-"""The training of a model: choose features, fit, calibrate, judge on what the fit has not seen.
+"""Train a model: choose features, fit, calibrate, and judge on unseen specimens or groups.
 
-There is one training, `train`, for all labelled rows, and two ways of judging. Scenes and datasets have thousands of
-specimens: some are held out to judge, some to calibrate prediction sets. A manifest has a few groups of recordings:
-each group in turn is left out, in a nested cross-validation (`cgid.identification.grouped`).
+`train` handles all labelled rows, but judges them in two ways. Scenes and datasets have thousands of specimens: some
+are held out to judge, some to calibrate prediction sets. A manifest has a few groups of recordings: a nested
+cross-validation leaves out one group at a time (`cgid.identification.grouped`).
 """
 
 from __future__ import annotations
@@ -55,25 +55,18 @@ from cgid.workers import ALONE, Workers
 TEST_SHARE = 0.25
 #: Share of the specimens that only calibrate the prediction sets.
 CALIBRATION_SHARE = 0.1
-#: Smallest limits of guards that may be 0 in all of the training: a pulse cut off by 5 % is accepted.
+#: Lower bounds for the limits of guards that may be 0 in all of the training: 5 % of clipping is accepted.
 LEAST_LIMITS = {"overload": 0.05}
-#: Fewest specimens of a label to calibrate on; with fewer all of them train. A coverage of .95 takes 19.
+#: Fewest calibration specimens of a label; below it all of them train. A coverage of .95 takes 19.
 FEWEST_CALIBRATION_SPECIMENS = 20
 
 
 @dataclass(frozen=True)
 class Training:
-    """A trained model and its answers for the rows that judged it.
+    """A trained model, its metrics, and its answers for the test rows.
 
-    Attributes
-    ----------
-    model : Model
-    metrics : dict
-        See `cgid.identification.metrics.evaluate` and `evaluate_sets` (under "prediction_sets").
-    test_labels : ndarray of str, (n_test,)
-    test_probabilities : ndarray, (n_test, n_labels)
-    classifier : ImpactClassifier
-        The scikit-learn estimator behind the model.
+    For `metrics` see `cgid.identification.metrics.evaluate` and, under "prediction_sets", `evaluate_sets`.
+    `test_labels` are (n_test,), `test_probabilities` (n_test, n_labels).
     """
 
     model: Model
@@ -102,56 +95,55 @@ def train(
     progress: Callable[[int], object] | None = None,
     crew: Workers = ALONE,
 ) -> Training:
-    """Train a model on labelled impacts or windows and judge it on specimens or groups it has not seen.
+    """Train a model on labelled impacts or windows and judge it on unseen specimens or groups.
 
     Each fit uses one thread, so that the same data give the same model to the last digit on every machine.
 
     Parameters
     ----------
     data : iterable of Batch, or Rows
-        The batches of a dataset or scene, or rows: of recordings
-        (`cgid.identification.labelled_recordings.record`), or measured before (`cgid.identification.rows.measure`).
+        Batches of a dataset or scene; or rows, measured from batches (`cgid.identification.rows.measure`) or from
+        recordings (`cgid.identification.labelled_recordings.record`).
     features : iterable of str, optional
-        Names of features. By default those that `cgid.identification.rows` has for the quantity; for recordings one
-        of its sets is chosen.
+        Default: those in `cgid.identification.rows` for the quantity; for recordings the best of its sets.
     guards : iterable of str, optional
-        Features that only show how strange an impact is: the larger, the stranger. They are left out of `features`.
-        By default `DEFAULT_GUARDS` for batches of pulses, else none. Not for recordings.
+        Features that only measure novelty (larger is more novel) and are left out of `features`. Default:
+        `DEFAULT_GUARDS` for batches of pulses, else none. Not for recordings.
     known : iterable of str
-        Known quantities, out of `cgid.identification.drop_height.KNOWN`. Not for recordings.
+        Known quantities from `cgid.identification.drop_height.KNOWN`. Not for recordings.
     family : {"boosting", "logistic", "network", "linear"}, optional
-        By default logistic, for recordings linear.
+        Default: logistic; for recordings linear.
     test_share : float
         Share of the specimens held out, in (0, 1). Not for recordings.
     calibration_share : float
-        Share of the specimens that only calibrate the prediction sets, in [0, 1); 0 for none. Not for recordings.
+        Share of the specimens that only calibrate prediction sets, in [0, 1); 0 for none. Not for recordings.
     seed : int
-        Of the splits, the folds and the network.
+        Seed of splits, folds and network.
     judged_on : str, optional
-        The `source` of the batches that judge and calibrate; all others only train. By default every source does all.
+        `source` of the batches that judge and calibrate; the others only train. Default: every source does all.
     class_weights : dict or "balanced", optional
-        Weights of the labels: see `cgid.identification.classifier.ImpactClassifier`.
+        Weights of the labels, as in `cgid.identification.classifier.ImpactClassifier`.
     level_free : bool
-        Whether the set of features is chosen among those in which the gain of the sensor cancels. For recordings.
+        Choose only among feature sets in which the gain of the sensor cancels. For recordings.
     synthetic : Rows, optional
-        Impacts of scenes or datasets with the features and the unit of the recorded ones. They train, too, with their
-        levels moved to those of the recordings, and never judge.
+        Impacts of scenes or datasets, with the features and unit of the recorded ones. They train but never judge;
+        their levels are shifted to those of the recordings.
     shuffle_labels : bool
-        Whether to shuffle the labels of specimens or recordings first, to check the method: the accuracy must then be
-        that of guessing. With few recordings it is lower, because recordings of one material resemble each other.
+        Shuffle the labels of specimens or recordings first, as a check: the accuracy must then be that of guessing.
+        With few recordings it is lower, because recordings of one material resemble each other.
     selection : sequence of dict, optional
-        How the family was chosen (`cgid.identification.selection.select`), for the model card.
+        Comparison of families (`cgid.identification.selection.select`) for the model card.
     progress : callable, optional
-        Called with the number of signals measured; for recordings with 1 for each group judged.
+        Called with the number of signals measured; for recordings with 1 per group judged.
     crew : Workers
-        Measures, and fits folds: see `cgid.workers.workers`.
+        Measures signals and fits folds: see `cgid.workers.workers`.
 
     Raises
     ------
     BadData
-        There are fewer than two labels or too few groups, nothing to train on, or a known quantity is missing.
+        Fewer than two labels, too few groups, nothing to train on, or a missing known quantity.
     InvalidValue
-        A choice is unknown, a label has a single specimen, or a guard is no positive number.
+        An unknown choice, a label with a single specimen, or a guard that is not positive.
     """
     if isinstance(data, Rows):
         rows, names, limiting = data, tuple(features or ()), tuple(guards or ())
@@ -182,7 +174,7 @@ def train(
 
 @dataclass(frozen=True, kw_only=True)
 class _Fitted:
-    """What a way of judging returns: the classifier, its answers for rows that judged, and the record for the card."""
+    """A classifier, its answers for the rows that judged it, and the record for the model card."""
 
     classifier: ImpactClassifier
     features: tuple[str, ...]
@@ -202,7 +194,7 @@ def _measured(
     progress: Callable[[int], object] | None,
     crew: Workers,
 ) -> tuple[Rows, tuple[str, ...], tuple[str, ...]]:
-    """Return the rows of batches, and which of their columns are features and which are guards."""
+    """Return the rows of batches, and the names of their features and of their guards."""
     batches, names = chosen_for(batches, features)
     guards = default_guards(names) if guards is None else tuple(guards)
     guards = choose(guards) if guards else ()
@@ -212,14 +204,14 @@ def _measured(
 
 
 def _shuffled(rows: Rows, seed: int) -> Rows:
-    """Return the rows with labels shuffled among specimens or recordings, which the split keeps together."""
+    """Return the rows with labels permuted among specimens or recordings, the units that splits keep together."""
     unit = rows.group if rows.slicing is None else rows.source
     _, first, own = np.unique(unit, return_index=True, return_inverse=True)
     return replace(rows, labels=np.random.default_rng(seed).permutation(rows.labels[first])[own])
 
 
 def _require_labels(rows: Rows, class_weights: Weights) -> None:
-    """Raise unless there are two labels, in enough groups, and weights are positive and of these labels."""
+    """Raise unless there are two labels in enough groups, and the weights are positive and name these labels."""
     labels = np.unique(rows.labels)
     if rows.slicing is not None:
         require_groups(rows.labels, rows.group)
@@ -264,12 +256,9 @@ def _model(rows: Rows, fitted: _Fitted, record: Mapping[str, Any]) -> Model:
 def hold_out(
     labels: NDArray[np.str_], specimen: NDArray[np.integer], share: float = TEST_SHARE, seed: int = 0
 ) -> NDArray[np.bool_]:
-    """Return the impacts to hold out: whole specimens, the same share of each label.
+    """Return a mask of the impacts to hold out: whole specimens, the same share of each label.
 
-    Raises
-    ------
-    InvalidValue
-        The share is not between 0 and 1, or a label has too few specimens for one on either side.
+    Raises `InvalidValue` if the share is not in (0, 1) or a label has fewer than 2 specimens.
     """
     if not 0 < share < 1:
         raise InvalidValue(f"test share must lie between 0 and 1, got {share:g}")
@@ -293,14 +282,10 @@ def set_apart(
     share: float = CALIBRATION_SHARE,
     seed: int = 0,
 ) -> NDArray[np.bool_]:
-    """Return the impacts to calibrate on, out of those that do not judge: whole specimens, equal shares of labels.
+    """Return a mask of the impacts to calibrate on: whole specimens that do not judge, the same share of each label.
 
-    There are none when the share is 0 or less than `FEWEST_CALIBRATION_SPECIMENS` of a label.
-
-    Raises
-    ------
-    InvalidValue
-        The share is not between 0 and 1, or nothing is left to train on.
+    It is empty if the share is 0 or would give a label fewer than `FEWEST_CALIBRATION_SPECIMENS`.
+    Raises `InvalidValue` if the share is not in [0, 1) or nothing is left to train on.
     """
     if not 0 <= share < 1:
         raise InvalidValue(f"calibration share must lie between 0 and 1, got {share:g}")
@@ -311,7 +296,7 @@ def set_apart(
     left = 1 - len(np.unique(specimen[test])) / sum(counts)
     if share >= left:
         raise InvalidValue(f"test and calibration share must leave some to train on, got {1 - left:.3g} and {share:g}")
-    # With the seed of the test the same ranks of the same specimens would be drawn.
+    # The seed of the test would draw the same ranks of the same specimens.
     apart[~test] = hold_out(labels[~test], specimen[~test], share / left, seed + 1)
     return apart
 
@@ -319,7 +304,7 @@ def set_apart(
 def _split(
     rows: Rows, judged_on: str | None, test_share: float, calibration_share: float, seed: int
 ) -> dict[str, NDArray[np.bool_]]:
-    """Return the impacts that train, calibrate and judge."""
+    """Return masks of the impacts that train, calibrate and judge."""
     labels, specimen = rows.labels, rows.group
     home = np.ones(len(labels), bool)
     if judged_on is not None:
@@ -328,7 +313,7 @@ def _split(
     test, calibration = np.zeros_like(home), np.zeros_like(home)
     test[home] = hold_out(labels[home], specimen[home], test_share, seed)
     calibration[home] = set_apart(labels[home], specimen[home], test[home], calibration_share, seed)
-    # A specimen that judges trains nowhere, not even in another source.
+    # A specimen that judges or calibrates never trains, not even in another source.
     return {"train": ~np.isin(specimen, specimen[test | calibration]), "calibration": calibration, "test": test}
 
 
@@ -342,7 +327,7 @@ def _held_out(
     seed: int,
     crew: Workers,
 ) -> _Fitted:
-    """Return a classifier that some specimens train, others calibrate and others judge."""
+    """Fit on some specimens, calibrate on others, judge on the rest."""
     labels, specimen = rows.labels, rows.group
     training, calibration, test = parts["train"], parts["calibration"], parts["test"]
     inputs = np.ascontiguousarray(rows.inputs(names))
@@ -375,7 +360,7 @@ def _held_out(
 def _calibrated(
     classifier: ImpactClassifier, inputs: Floats, labels: NDArray[np.str_], specimen: NDArray[np.integer], seed: int
 ) -> Conformal | None:
-    """Return the calibration by one impact of each specimen: several of one are not independent."""
+    """Calibrate on one impact of each specimen, because impacts of one specimen are not independent."""
     if not len(labels):
         return None
     order = np.random.default_rng(seed).permutation(len(labels))
@@ -403,7 +388,7 @@ def _guard_limits(guards: tuple[str, ...], values: Floats) -> dict[str, float]:
 def _left_out(
     lesson: Lesson, synthetic: Rows | None, progress: Callable[[int], object] | None, crew: Workers
 ) -> _Fitted:
-    """Return a classifier of all rows; each group judges what was chosen and trained on the others."""
+    """Fit on all rows; each group judges the candidate chosen and trained on the others."""
     rows, adaptation = lesson.rows, {}
     if synthetic is not None:
         together = replace(lesson, rows=mixed(rows, synthetic, lesson.seed))
@@ -436,7 +421,7 @@ def _left_out(
 
 
 def _adaptation(recorded: Lesson, together: Rows, crew: Workers) -> dict[str, Any]:
-    """Return the number of synthetic impacts, how far they were moved, and the accuracy without them."""
+    """Return the number of synthetic impacts, the shifts of their levels, and the accuracy without them."""
     moved = shift(together.names, together.features, together.labels, together.group < 0)
     alone = judge(recorded, crew=crew).probabilities
     labels = recorded.rows.labels
