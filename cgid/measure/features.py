@@ -194,8 +194,7 @@ def extract_array(
     """Return features as a plain array (n_signals, n_features), without pandas; otherwise as `extract`.
 
     A peak must exceed `detection_limit` standard deviations of the noise before touch; lower it for impacts found in a
-    recording by other means. `equalisation` corrects the sensor's response before any measurement; it is not for
-    features of pulses.
+    recording by other means. `equalisation` corrects the sensor's response first; it does not apply to pulses.
     """
     names = choose(features)
     frames, rate = frames_of(samples, pre_trigger), require_rate(sampling_rate)
@@ -233,7 +232,7 @@ def problems_of(
     pre_trigger: int | None = None,
     detection_limit: float = DETECTION_LIMIT,
 ) -> dict[int, str]:
-    """Return, by row of frames (n_signals, n_samples), why it cannot be measured: broken rule, value and cure."""
+    """Map each row of frames that cannot be measured to the broken rule, its value and the remedy."""
     names = tuple(names)
     return _problems(_batches(frames, sampling_rate, names, pre_trigger, True, detection_limit), names)
 
@@ -304,10 +303,7 @@ def allow_truncation(names: Iterable[str]) -> bool:
 
 
 def samples_needed(names: Iterable[str], touch: Floats, duration: Floats) -> NDArray[np.intp]:
-    """Return the lengths of truncated frames that hold all windows of typical pulses, (n,).
-
-    `touch` and `duration` of the contact, each (n,), are in samples.
-    """
+    """Return the lengths of truncated frames that hold all windows of typical pulses, (n,); arguments in samples."""
     contacts, more = _FITTED if any(FEATURES[name].fitted for name in names) else _READ
     return np.ceil(touch + contacts * duration + more).astype(np.intp)
 

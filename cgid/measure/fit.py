@@ -79,13 +79,7 @@ def rows_of(values: NDArray[Any] | None, rows: Rows) -> Any:
 
 @dataclass(frozen=True, eq=False)
 class Start:
-    """Start of the search, each (n,).
-
-    Attributes
-    ----------
-    width : impulse over peak [samples]
-    place : column of the peak
-    """
+    """Start of the search: peak, width (impulse over peak) [samples] and place (column of the peak), each (n,)."""
 
     peak: Floats
     width: Floats
@@ -407,10 +401,7 @@ def first_guess(start: Start) -> Floats:
 
 
 class Problem:
-    """A window of samples and the curve to fit to it.
-
-    `onset` (n,) [samples] and the sensor's `response` (n_lags,) are None if unknown.
-    """
+    """A window of samples and the curve to fit to it; the onset [samples] and the sensor's response may be unknown."""
 
     def __init__(self, window: Window, fit_baseline: bool, onset: Floats | None, response: Floats | None) -> None:
         self.window, self.onset, self.fit_baseline = window, onset, fit_baseline

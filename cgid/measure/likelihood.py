@@ -62,10 +62,8 @@ class Bound:
 
     Attributes
     ----------
-    covariance : ndarray, (..., 5, 5)
-        Of ln(peak), ln(contact duration), onset [s], ln(restitution), baseline over peak; zero where known.
-    restitution : ndarray, (...)
-        Restitution of the pulse.
+    covariance : (..., 5, 5), of ln(peak), ln(duration), onset [s], ln(restitution), baseline over peak; zero if known
+    restitution : (...), of the pulse
     """
 
     covariance: Floats
@@ -368,14 +366,10 @@ class Prior:
 
     Attributes
     ----------
-    log_scales : ndarray, (n_cells, n_cells)
-        ln of the density of (ln P0 - 2 ln T0, ln T0); the first is independent of the size of the rock.
-    scale_edges : tuple of ndarray
-        First edge and width of the cells, each (2,).
-    log_shape : ndarray, (n_cells,)
-        ln of the density of s = ln e.
-    shape_edges : tuple of float
-        First edge and width of the cells.
+    log_scales : ln of the density of (ln P0 - 2 ln T0, ln T0), (n_cells, n_cells); the first is independent of size
+    scale_edges : first edge and width of its cells, each (2,)
+    log_shape : ln of the density of s = ln e, (n_cells,)
+    shape_edges : first edge and width of its cells
     """
 
     log_scales: Floats

@@ -46,7 +46,7 @@ _WIDE_RESTITUTION = (0.5, 0.25)
 
 
 def without_impact(samples: NDArray[np.floating], fit: PulseFit) -> dict[int, str]:
-    """Return, by row, the message for a fitted pulse that may be chance: broken rule, value and cure."""
+    """Map each row whose fitted pulse may be chance to the broken rule, its value and the remedy."""
     found: dict[int, str] = {}
     for row in np.flatnonzero(~(fit.evidence > EVIDENCE) | ~(fit.peak > 0)):
         explained = np.nan_to_num(fit.evidence[row])
@@ -66,8 +66,8 @@ def without_impact(samples: NDArray[np.floating], fit: PulseFit) -> dict[int, st
 class PulseBatch(Frames):
     """Single positive pulses in frames; each quantity is computed on first use.
 
-    Arguments are those of `Frames`. Without `pre_trigger`, each row is quiet up to the last sample below 1 % of the way
-    from its first samples to its largest.
+    Arguments are those of `Frames`. Without `pre_trigger`, each row is quiet up to shortly before its last sample below
+    1 % of the way from its first samples to its largest.
     """
 
     # -- before touch ---------------------------------------------------------------------------------
@@ -155,7 +155,7 @@ class PulseBatch(Frames):
     def crossings(self, level: float) -> tuple[Floats, Floats]:
         """Return where the pulse crosses a fraction of its peak, rising and falling [samples of the window].
 
-        They are at the first sample below the level outwards from the peak, linear between samples.
+        Outwards from the peak, the first sample below the level counts; linear between samples.
         """
         if level not in self._crossings:
             self._crossings[level] = self._crossings_at(np.full(len(self.samples), level))
@@ -301,7 +301,7 @@ class PulseBatch(Frames):
         return (certainty * self.fit.restitution + mean * deviation**-2) / total, total**-0.5
 
     def fit_problems(self) -> dict[int, str]:
-        """Return, by row that cannot be fitted, the broken rule, its value and the cure."""
+        """Map each row that cannot be fitted to the broken rule, its value and the remedy."""
         found = without_impact(self.samples, self.fit)
         last = self.samples.shape[1] - 1
         middle = self.fit.onset + 0.5 * self.fit.duration
@@ -352,7 +352,7 @@ class PulseBatch(Frames):
     # -- rows that cannot be measured -----------------------------------------------------------------
 
     def problems(self) -> dict[int, str]:
-        """Return, by row that cannot be measured, the broken rule, its value and the cure."""
+        """Map each row that cannot be measured to the broken rule, its value and the remedy."""
         found: dict[int, str] = {}
         first, last = self._edges
         count = last - first + 1

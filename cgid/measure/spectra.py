@@ -137,10 +137,7 @@ class EnergySpectrum:
 
     @classmethod
     def of(cls, samples: Floats, sampling_rate: float, finer: int = 1) -> EnergySpectrum:
-        """Return the spectra of rows of samples (n_signals, n_samples), zero-padded to a length with small factors.
-
-        The padded length is at least `finer` times that of the rows.
-        """
+        """Return the spectra of rows of samples, zero-padded to a fast length of at least `finer` times their own."""
         length = padded_length(finer * samples.shape[1])
         transform = np.fft.rfft(samples, n=length, axis=1)
         energy = transform.real**2 + transform.imag**2
@@ -244,13 +241,7 @@ class EnergySpectrum:
 
 @dataclass(frozen=True, eq=False)
 class PulseSpectrum:
-    """Power spectra of pulses, each at its own frequencies.
-
-    Attributes
-    ----------
-    frequency, power : (n_signals, n_bins); frequency in Hz, from 0
-    n_bins : bins of each row, (n_signals,); zero power follows
-    """
+    """Power spectra of pulses (n_signals, n_bins), each at its own frequencies [Hz] from 0; zero beyond `n_bins`."""
 
     frequency: Floats
     power: Floats
@@ -316,10 +307,9 @@ def hann(length: int) -> Floats:
 
 
 def frame_spectra(samples: Floats, length: int, sampling_rate: float) -> tuple[float, Floats]:
-    """Return the energy spectra of half-overlapping Hann-windowed frames of `length` samples.
+    """Return the width of a bin [Hz] and the energy spectra of half-overlapping Hann-windowed frames.
 
-    The results are the width of a bin [Hz], at most half the resolution of a frame, and the energy
-    (n_rows, n_frames, n_bins) [unit^2 s] of samples (n_rows, n_samples).
+    Energies are (n_rows, n_frames, n_bins) [unit^2 s]; a bin is at most half as wide as the resolution of a frame.
     """
     frames = np.lib.stride_tricks.sliding_window_view(samples, length, axis=1)[:, :: max(length // 2, 1)]
     spectrum = EnergySpectrum.of((frames * hann(length)).reshape(-1, length), sampling_rate, finer=2)

@@ -2,13 +2,13 @@
 
 A pulse of peak 1 is `g(u; s)` at the share u of its contact, with s = ln e. Reversed in time, the pulse of e is that of
 1/e (`tau -> -tau` changes the sign of the damping in `x'' = -x^(3/2) (1 + D x')`), so the family continues smoothly
-beyond e = 1. There it is a shape without a material, but lets estimates near 1 err to either side.
+beyond e = 1. No material has such a shape, but estimates near 1 may err to either side.
 
 In `w = (1 + sqrt(u) - sqrt(1 - u)) / 2` the curve is smooth up to touch and separation, where it rises as the power
 3/2 of time. It is tabulated with its derivatives on a grid of s and w, and extrapolated from the nearest node by a
 Taylor polynomial of order two: within 1e-5 of the peak for e from .2, 5e-5 from .1, 1.2e-4 at .05.
 
-The parameters of a fit are (peak, ln width, place = time of the peak, s, baseline), with the width impulse over peak.
+The parameters of a fit are (peak, ln width, place = time of the peak, s, baseline), where width is impulse over peak.
 They are nearly independent, while contact duration and onset of a damped pulse, which ends in the noise, are strongly
 correlated with s. The reported parameters are `PARAMETERS`.
 """
@@ -89,10 +89,7 @@ def _bend(values: Floats, axis: int) -> Floats:
 
 
 def relative_times(shape: Floats) -> tuple[Floats, Floats, Floats, Floats]:
-    """Return contact duration and time from touch to peak over the width (impulse over peak), and their slopes in s.
-
-    All four are (n,), for shapes s = ln e (n,).
-    """
+    """Return contact duration and time from touch to peak over the width (impulse over peak), and their slopes in s."""
     node, offset = _nearest(shape)
     value, slope, bend = np.moveaxis(_table()[1][node], -1, 0)
     at = value + offset[:, None] * (slope + 0.5 * offset[:, None] * bend)

@@ -4,9 +4,9 @@ A struck structure responds with an oscillation of both signs that begins at onc
 relative to a baseline and a noise from before touch, and use the event: the samples from the onset on.
 
 Most quantities use the event times `exp(-t / WINDOW_TIME)`, the exponential window of impact testing. Noise, the next
-impact and the end of the frame come late and have little weight, so the length of the frame hardly matters. Nor does
-the sampling rate, as long as the vibration lies well below half of it. Only skewness, kurtosis and flatness of the
-spectrum depend on the rate, for they use the whole spectrum (`EnergySpectrum`).
+impact and the end of the frame come late and have little weight, so the length of the frame hardly matters. Neither
+does the sampling rate, as long as the vibration lies well below half of it. Only skewness, kurtosis and flatness of the
+spectrum depend on the rate, because they use the whole spectrum (`EnergySpectrum`).
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ SHORTEST_EVENT = 5e-3
 ONSET_OVER_PEAK = 0.05
 #: or this many standard deviations of the noise if that is more, but at most the second share of its maximum.
 ONSET_OVER_NOISE, LATEST_ONSET = 5.0, 0.8
-#: Without `pre_trigger`, the quiet part ends this long before the onset [s].
+#: Without `pre_trigger`, the quiet part ends this long before the signal first leaves its level [s].
 QUIET_MARGIN = 1e-3
 #: Length of the early window [s], in which the force still acts.
 EARLY_TIME = 2e-3
@@ -189,7 +189,7 @@ class VibrationBatch(Frames):
     @cached_property
     def strong_moments(self) -> tuple[Floats, Floats]:
         """Mean of the square and of the fourth power over the strong part."""
-        # A running sum: the way a plain sum is split depends on the longest row of the batch.
+        # A running sum: the splitting of a plain sum depends on the longest row of the batch.
         square = self._strong**2
         second, fourth = (np.cumsum(power, axis=1)[:, -1] for power in (square, square**2))
         return np.asarray(second / self._n_strong), np.asarray(fourth / self._n_strong)
@@ -227,7 +227,7 @@ class VibrationBatch(Frames):
         top, after = size[rows, place], size[rows, place + 1]
         bend = before - 2 * top + after
         shift = np.where(bend < 0, 0.5 * (before - after) / np.where(bend < 0, bend, -1.0), 0.0)
-        # Never before the onset, whatever the parabola.
+        # A parabola must not yield a time before the onset.
         return np.asarray(np.maximum(place + np.clip(shift, -0.5, 0.5) + self._lead, 0.05) / self.sampling_rate)
 
     @cached_property
@@ -251,7 +251,7 @@ class VibrationBatch(Frames):
     def level(self, low: float, high: float) -> Floats:
         """Return log10 of the energy between two frequencies [Hz] in the windowed event.
 
-        The share of the noise, assumed white, is subtracted; at least that share and `LOWEST_SHARE` of all energy
+        The share of the noise, assumed white, is subtracted, but at least that share and `LOWEST_SHARE` of all energy
         remain.
         """
         return self._level(self.spectrum, self._noise_share, low, high)
@@ -270,7 +270,7 @@ class VibrationBatch(Frames):
     def _early(self) -> tuple[EnergySpectrum, Floats]:
         """Spectrum of the early window, and the energy of the noise in it [unit^2 s]."""
         count = min(max(round(EARLY_TIME * self.sampling_rate), 2), self.event.shape[1])
-        # Half a cosine bell: an event begins by itself, only its end needs a taper.
+        # Half a cosine bell: an event has its own onset, only its end needs a taper.
         window = np.cos(np.arange(count) * (0.5 * np.pi / count)) ** 2
         noise = self.noise**2 * (np.sum(window**2) / self.sampling_rate)
         return EnergySpectrum.of(self.event[:, :count] * window, self.sampling_rate, finer=4), noise
@@ -332,7 +332,7 @@ class VibrationBatch(Frames):
     # -- rows that cannot be measured -----------------------------------------------------------------
 
     def problems(self) -> dict[int, str]:
-        """Return, by row that cannot be measured, the broken rule, its value and the cure."""
+        """Map each row that cannot be measured to the broken rule, its value and the remedy."""
         found: dict[int, str] = {}
         for row in np.flatnonzero(np.ptp(self.samples, axis=1) == 0):
             found[int(row)] = constant_signal(self.samples[row, 0])

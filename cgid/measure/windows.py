@@ -52,10 +52,7 @@ SHORTEST_WINDOW = 2 * FRAME_TIME
 
 
 class WindowBatch:
-    """Windows (n_windows, n_samples) of a recording; each quantity is computed on first use.
-
-    No row depends on the other rows of the batch.
-    """
+    """Windows (n_windows, n_samples) of a recording; each quantity is computed on first use, each row by itself."""
 
     def __init__(self, samples: NDArray[np.floating], sampling_rate: float, remove_baseline: bool = True) -> None:
         self.samples = samples
@@ -66,7 +63,7 @@ class WindowBatch:
 
     @cached_property
     def swing(self) -> Floats:
-        """The samples, less the mean of the window if `remove_baseline`."""
+        """The samples, less the mean of each window if `remove_baseline`."""
         swing = self.samples.astype(np.float64)
         if self.remove_baseline:
             swing -= swing.mean(axis=1, keepdims=True)
@@ -230,7 +227,7 @@ class WindowBatch:
     # -- rows that cannot be measured -----------------------------------------------------------------
 
     def problems(self) -> dict[int, str]:
-        """Return, by row that cannot be measured, the broken rule, its value and the cure."""
+        """Map each row that cannot be measured to the broken rule, its value and the remedy."""
         found: dict[int, str] = {}
         constant = np.ptp(self.samples, axis=1) == 0
         for row in np.flatnonzero(constant | ~(self.mean_square > SMALLEST_RMS**2)):
@@ -269,7 +266,7 @@ _LEVEL = _window(
 def _triangular(
     of: str, band: str, source: str, bands: TriangularBands, measured: Callable[[WindowBatch], tuple[Floats, Floats]]
 ) -> tuple[Bank, Bank, Bank]:
-    """Return banks of the mean over the frames, that mean relative to the total level, and the deviation over the frames."""
+    """Return banks of the mean, of the mean relative to the total level, and of the deviation over the frames."""
     bank = partial(
         Bank,
         source=source,
