@@ -39,7 +39,7 @@ Batches = Mapping[Kind, PulseBatch | VibrationBatch | WindowBatch]
 
 #: All features by name, in column order.
 FEATURES = Table((*PULSE_FEATURES, *VIBRATION_FEATURES, *WINDOW_FEATURES))
-#: Quantities that swing about zero when a structure is struck (`level`: a sound file); all others are pulses.
+#: Quantities that swing about zero when a structure is struck (`level`: of a sound file); all others are pulses.
 SWINGING = ("acceleration", "velocity", "displacement", "pressure", "level")
 
 

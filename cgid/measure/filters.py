@@ -187,7 +187,7 @@ class Equalisation:
 
     @classmethod
     def between(cls, heard: ArrayLike, meant: ArrayLike) -> Equalisation:
-        """Return the equalisation of the sensor of `heard` to that of `meant`.
+        """Return the equalisation of a sensor (`heard`) to another one (`meant`).
 
         Both are mean spectra of reference runs, log10 of the mean square per band, (n_bands,).
 

@@ -74,7 +74,7 @@ def rows_of(values: NDArray[Any] | None, rows: Rows) -> Any:
     return None if values is None else values[rows]
 
 
-# -- what a fit starts from and returns ---------------------------------------------------------------
+# -- start and result of a fit ------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, eq=False)
@@ -259,7 +259,7 @@ def _window(
     beyond = (columns < 0) | (columns >= samples.shape[1])
     values = samples[rows[:, None], np.clip(columns, 0, samples.shape[1] - 1)] - offset[:, None]
     clipped = ~beyond & (values >= clip_level[:, None])
-    # Runs of samples become points.
+    # Each run of samples becomes one point.
     shape = (len(rows), length // run, run)
     return Window(
         rows=rows,
@@ -355,7 +355,7 @@ def _fit_block(
     # In units of its first peak, every pulse is of order 1.
     unit = start.peak
     sigma = np.maximum(noise / unit, _NOISE_FLOOR)
-    with np.errstate(all="ignore"):  # the fit of a frame without a pulse fails; `evidence` says so
+    with np.errstate(all="ignore"):  # the fit of a frame without a pulse fails; `evidence` shows it
         coarse = coarse_window(samples, start, offset, clip_level)
         guess = _coarse(coarse, first_guess(start), sigma, fit_baseline, onset)
         parts = []

@@ -72,7 +72,7 @@ class Frames:
 
     @cached_property
     def _surely_quiet(self) -> NDArray[np.intp]:
-        """Number of samples of each row that are certainly before touch, for frames without `pre_trigger`."""
+        """Number of samples of each row that are certainly before touch, if there is no `pre_trigger`."""
         raise NotImplementedError
 
     def _moments(self, count: NDArray[np.intp]) -> tuple[Floats, Floats]:
