@@ -1,1 +1,1 @@
-"""What is measured on a signal: frames, pulses, vibrations, windows, spectra, and the features made of them."""
+"""Measurements on signals: frames, pulses, vibrations, windows, spectra, and the features derived from them."""

@@ -1,7 +1,7 @@
-"""Features of impacts and windows: their names, whether a signal allows them, and their values.
+"""Features of impacts and windows: names, requirements and values.
 
-`FEATURES` is the table of all features by name; `cgid.measure.table` says how to add one. Only the features asked for
-are built and computed, and each measurement that they share is made once.
+`FEATURES` is the table of all features by name; `cgid.measure.table` explains how to add one. Only the requested
+features are computed, and measurements that several of them share are made once.
 """
 
 from __future__ import annotations
@@ -27,19 +27,19 @@ from cgid.validation import Floats, require_rate
 if TYPE_CHECKING:
     import pandas
 
-#: Samples, and rows, measured at once: enough to share the overhead of the fit, few enough for flat memory.
+#: Most samples and rows measured at once: enough to share the overhead of the fit, few enough to bound the memory.
 _SAMPLES, _ROWS = 1 << 21, 1024
-#: Samples of windows measured at once: their overlapping frames stay in the processor's cache.
+#: Most samples of windows measured at once: their overlapping frames fit in the processor's cache.
 _WINDOWED_SAMPLES = 1 << 17
-#: How far windows reach after touch, in contact durations and in samples: that of the quantities read off the samples
-#: (the run above 10 % once more), and that of the fit (its coarse window is at least 48 samples long).
+#: How far windows extend after touch, in contact durations and in samples: for quantities read off the samples (the
+#: run above 10 %, once more after its end), and for the fit (its coarse window has at least 48 samples).
 _READ, _FITTED = (2.0, 6), (2.25, 54)
 #: Signals by kind.
 Batches = Mapping[Kind, PulseBatch | VibrationBatch | WindowBatch]
 
-#: Every feature by name, in the order of the columns.
+#: All features by name, in column order.
 FEATURES = Table((*PULSE_FEATURES, *VIBRATION_FEATURES, *WINDOW_FEATURES))
-#: Quantities that swing about zero when a structure is struck (a level is that of a sound file); others are pulses.
+#: Quantities that swing about zero when a structure is struck (`level`: of a sound file); all others are pulses.
 SWINGING = ("acceleration", "velocity", "displacement", "pressure", "level")
 
 
@@ -47,12 +47,12 @@ SWINGING = ("acceleration", "velocity", "displacement", "pressure", "level")
 
 
 def kind_for(quantity: str | None) -> ImpactKind:
-    """Return what an impact looks like in a signal of this quantity, by default."""
+    """Return the default kind of impact in a signal of this quantity."""
     return "vibration" if quantity in SWINGING else "pulse"
 
 
 def kind_of(features: Iterable[str]) -> Kind:
-    """Return what kind of signal these features are measured on."""
+    """Return the kind of signal that these features are measured on."""
     kinds = {FEATURES[name].kind for name in features}
     kind: Kind
     for kind in ("window", "vibration"):
@@ -62,17 +62,11 @@ def kind_of(features: Iterable[str]) -> Kind:
 
 
 def choose(features: Iterable[str] | None, kind: Kind = "pulse") -> tuple[str, ...]:
-    """Return the names of features in their order; for None all of the kind that need no extra.
+    """Return the names of features in order; for None all of the kind that need no extra.
 
-    The name of a bank, such as `mel_*_hz`, stands for all of its columns.
+    The name of a bank, such as `mel_*_hz`, stands for all of its columns. Raise `InvalidValue` for an unknown or
+    repeated name, or if there is none.
 
-    Raises
-    ------
-    InvalidValue
-        A name is unknown or given twice, or there is none.
-
-    Examples
-    --------
     >>> choose(["level_total", "early_level_*_hz"])[:3]
     ('level_total', 'early_level_0_500_hz', 'early_level_500_1000_hz')
     """
@@ -88,7 +82,7 @@ def choose(features: Iterable[str] | None, kind: Kind = "pulse") -> tuple[str, .
 
 
 def require_known(name: str) -> None:
-    """Raise `InvalidValue` unless there is such a feature; the message lists similar names."""
+    """Raise `InvalidValue` for an unknown feature; the message lists similar names."""
     if not isinstance(name, str) or name not in FEATURES:
         import difflib
 
@@ -101,7 +95,7 @@ def require_known(name: str) -> None:
 
 
 def supported(features: Iterable[str], sampling_rate: float, n_samples: int) -> tuple[str, ...]:
-    """Return the features that can be measured at a sampling rate [Hz] on frames of `n_samples` samples."""
+    """Return the features that a sampling rate [Hz] and frames of `n_samples` samples allow."""
     return tuple(name for name in features if not _lack(FEATURES[name], sampling_rate, n_samples))
 
 
@@ -114,9 +108,9 @@ def require_supported(names: Iterable[str], sampling_rate: float, n_samples: int
 
 
 def _lack(feature: Feature, sampling_rate: float, n_samples: int) -> str:
-    """Return what a feature needs and the signal lacks; empty when it lacks nothing."""
+    """Return the requirement of a feature that the signal does not meet; empty if it meets all."""
     if sampling_rate < 2 * feature.highest_frequency:
-        # Rounded up, so that the cure works.
+        # Rounded up, so that the suggested rate is accepted.
         needed = np.ceil(2 * feature.highest_frequency)
         return f"needs a sampling_rate of {needed:.0f} Hz or more, got {sampling_rate:g} Hz: sample faster"
     if n_samples < feature.shortest_frame * sampling_rate:
@@ -149,26 +143,26 @@ def extract(
     sampling_rate : float
         [Hz].
     features : iterable of str, optional
-        Names of features or banks; all features of pulses by default. Only these are computed.
+        Names of features or banks; by default all features of pulses.
     pre_trigger : int, optional
-        Samples before touch; baseline and noise are their mean and standard deviation. By default every
-        sample up to the foot of the pulse (1 % of the way from the first samples to the largest).
+        Samples before touch, whose mean and standard deviation are baseline and noise. By default all samples up to
+        the foot of the pulse (1 % of the way from the first samples to the largest).
     remove_baseline : bool
-        Whether the baseline is subtracted before anything is measured.
+        Whether to subtract the baseline before measuring.
     invalid : {"raise", "nan"}
-        What to do with a signal that cannot be measured; a sample that is not finite is always an error.
+        Treatment of a signal that cannot be measured; a sample that is not finite is always an error.
 
     Returns
     -------
     pandas.DataFrame, (n_signals, n_features)
-        The units are in `FEATURES`.
+        Units as in `FEATURES`.
 
     Raises
     ------
     BadData
         A signal has no impact, is cut off, has too few samples on the pulse, or is not finite.
     InvalidValue
-        A feature is unknown or needs another sampling rate or longer frames, or a number breaks its rule.
+        A feature is unknown or needs another sampling rate or longer frames, or an argument is out of range.
 
     Examples
     --------
@@ -197,22 +191,10 @@ def extract_array(
     detection_limit: float = DETECTION_LIMIT,
     equalisation: Equalisation | None = None,
 ) -> Floats:
-    """Return features as plain numbers, without pandas; as `extract`.
+    """Return features as a plain array (n_signals, n_features), without pandas; otherwise as `extract`.
 
-    Parameters
-    ----------
-    samples, sampling_rate, features, pre_trigger, remove_baseline, invalid
-        As in `extract`.
-    detection_limit : float
-        A peak must exceed this many standard deviations of the noise before touch; lower for an impact that was
-        found in a recording by other means.
-    equalisation : Equalisation, optional
-        Correction of the sensor's response, applied before anything is measured.
-
-    Returns
-    -------
-    ndarray, (n_signals, n_features)
-        In the order of `features`.
+    A peak must exceed `detection_limit` standard deviations of the noise before touch; lower it for impacts found in a
+    recording by other means. `equalisation` corrects the sensor's response first; it does not apply to pulses.
     """
     names = choose(features)
     frames, rate = frames_of(samples, pre_trigger), require_rate(sampling_rate)
@@ -250,7 +232,7 @@ def problems_of(
     pre_trigger: int | None = None,
     detection_limit: float = DETECTION_LIMIT,
 ) -> dict[int, str]:
-    """Return why rows of frames (n_signals, n_samples) cannot be measured: the broken rule, the value and the cure."""
+    """Map each row of frames that cannot be measured to the broken rule, its value and the remedy."""
     names = tuple(names)
     return _problems(_batches(frames, sampling_rate, names, pre_trigger, True, detection_limit), names)
 
@@ -258,7 +240,7 @@ def problems_of(
 def _sound(
     frames: NDArray[np.floating], names: tuple[str, ...], make: Callable[[NDArray[np.floating]], Batches]
 ) -> tuple[dict[int, str], NDArray[np.intp], Batches]:
-    """Return the problems of the rows that cannot be measured, the other rows, and the batches of these."""
+    """Return the problems by row, the rows without a problem, and the batches of these rows."""
     batches = make(frames)
     found = _problems(batches, names)
     sound = np.setdiff1d(np.arange(len(frames)), list(found))
@@ -266,7 +248,7 @@ def _sound(
 
 
 def _measured(batches: Batches, names: tuple[str, ...], n_signals: int) -> Floats:
-    """Return the features of signals that can be measured, (n_signals, n_features)."""
+    """Return the features of measurable signals, (n_signals, n_features)."""
     count("features", n_signals * len(names))
     if not n_signals:
         return np.empty((0, len(names)))
@@ -293,7 +275,7 @@ def _batches(
 
 
 def _problems(batches: Batches, names: Iterable[str]) -> dict[int, str]:
-    """Return why rows cannot be measured: a fit demands less of a pulse than quantities read off the samples."""
+    """Return the problems by row; a fit demands less of a pulse than quantities read off the samples."""
     found: dict[int, str] = {}
     fitted = {FEATURES[name].fitted for name in names if FEATURES[name].kind == "pulse"}
     for batch in batches.values():
@@ -305,7 +287,7 @@ def _problems(batches: Batches, names: Iterable[str]) -> dict[int, str]:
 
 
 def _raise_first(found: dict[int, str], first_row: int, n_rows: int, n_signals: int) -> None:
-    """Raise `BadData` for the first row that cannot be measured; their numbers begin at `first_row`."""
+    """Raise `BadData` for the first row with a problem; row 0 of the block is signal `first_row`."""
     row, last_row = min(found), first_row + n_rows - 1
     where = f"signal {first_row + row}: " if n_signals > 1 else ""
     more = f" ({len(found)} of signals {first_row} to {last_row} cannot be measured)" if len(found) > 1 else ""
@@ -316,20 +298,12 @@ def _raise_first(found: dict[int, str], first_row: int, n_rows: int, n_signals: 
 
 
 def allow_truncation(names: Iterable[str]) -> bool:
-    """Return whether none of these features depends on samples far from the pulse."""
+    """Return whether all of these features are independent of samples far from the pulse."""
     return not any(FEATURES[name].whole_frame for name in names)
 
 
 def samples_needed(names: Iterable[str], touch: Floats, duration: Floats) -> NDArray[np.intp]:
-    """Return the length of a truncated frame that holds all windows of typical pulses, (n,).
-
-    Parameters
-    ----------
-    names : iterable of str
-        The features.
-    touch, duration : ndarray, (n,)
-        Of the contact [samples].
-    """
+    """Return the lengths of truncated frames that hold all windows of typical pulses, (n,); arguments in samples."""
     contacts, more = _FITTED if any(FEATURES[name].fitted for name in names) else _READ
     return np.ceil(touch + contacts * duration + more).astype(np.intp)
 
@@ -341,30 +315,11 @@ def extract_truncated(
     pre_trigger: int,
     highest_after: Floats,
 ) -> tuple[Floats, NDArray[np.bool_]]:
-    """Return the features of pulses in truncated frames, and where they are certain.
+    """Return the features of pulses in truncated frames (nan where not measurable), and where they are certain.
 
-    The peak is the largest sample of the whole frame; all else comes from windows around the pulse. So the features of
-    a truncated frame are those of the whole frame, to the last bit, if no later sample can exceed its peak and no
-    window extends past its end. Both are checked for each signal; elsewhere the whole frame is needed.
-
-    Parameters
-    ----------
-    samples : ndarray, (n_signals, n_truncated)
-    sampling_rate : float
-        [Hz].
-    names : tuple of str
-        Features of pulses.
-    pre_trigger : int
-        Samples before touch.
-    highest_after : ndarray, (n_signals,)
-        Upper bound of the missing samples.
-
-    Returns
-    -------
-    ndarray, (n_signals, n_features)
-        nan where nothing can be measured.
-    ndarray of bool, (n_signals,)
-        Where the whole frame gives the same numbers; False where nothing can be measured.
+    They are certain where no missing sample (at most `highest_after`, (n_signals,)) can exceed the peak and no window
+    extends past the end; there they equal those of the whole frame to the last bit. Elsewhere, and where nothing can be
+    measured, the whole frame is needed.
     """
     table, certain = np.full((len(samples), len(names)), np.nan), np.zeros(len(samples), bool)
     pulses = PulseBatch(samples, sampling_rate, pre_trigger)
@@ -381,6 +336,6 @@ def _certain(pulses: PulseBatch, names: tuple[str, ...], highest_after: Floats) 
     n_samples = pulses.samples.shape[1]
     certain = (pulses.peak + pulses.offset > highest_after) & (pulses.window_reach < n_samples)
     if any(FEATURES[name].fitted for name in names):
-        # A faint pulse is searched for in the whole frame.
+        # The search for a faint pulse covers the whole frame.
         certain &= (pulses.peak >= FAINT * pulses.noise) & (pulses.fit.reach < n_samples)
     return np.asarray(certain & allow_truncation(names))

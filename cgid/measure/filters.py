@@ -1,7 +1,7 @@
 """Filters: the FFT low-pass of a sensor, its impulse response, and the equalisation of one sensor to another.
 
-The FFT filter has zero phase and a brick wall or a tapered edge. A low-pass changes a clean damped-Hertz pulse of
-duration T as follows (`tests/test_filters.py` measures it):
+The FFT filter has zero phase and brick-wall (taper 0) or tapered edges. A low-pass changes a clean damped-Hertz pulse
+of duration T as follows (measured in `tests/test_filters.py`):
 
 | edge | taper | peak, restitution 1 / .5 | ringing T/10 before touch | ringing T before touch |
 |---|---|---|---|---|
@@ -10,8 +10,8 @@ duration T as follows (`tests/test_filters.py` measures it):
 | 2/T | 0 | +1.3 % / -6.8 % | 2.0 % / 7.9 % | 0.4 % / 2.0 % |
 | 2/T | 0.5 | +1.1 % / -7.3 % | 1.9 % / 7.3 % | 0.1 % / 0.3 % |
 
-The taper hardly helps the peak or the ringing near the pulse, but its ringing decays sooner. At restitution .3 an edge
-at 2/T costs 22 % of the peak, at 4/T about 1 %.
+A taper hardly improves the peak or the ringing near the pulse, but its ringing decays sooner. At restitution .3, an
+edge at 2/T costs 22 % of the peak, one at 4/T about 1 %.
 """
 
 from __future__ import annotations
@@ -28,19 +28,19 @@ from cgid.errors import InvalidValue
 from cgid.measure.spectra import MEL_BANDS, mel, padded_length
 from cgid.validation import Floats, require_rate
 
-#: Rows transformed at once: this many spectra stay in the processor's cache.
+#: Rows transformed at once: their spectra fit in the processor's cache.
 _ROWS = 32
-#: Width of the edge of a scene's sensor over its frequency.
+#: Width of the edge of a scene's sensor, over the edge frequency.
 SENSOR_TAPER = 0.5
-#: Lowest edge of an impulse response, over the sampling rate: no sensor rings for more than a million samples.
+#: Lowest edge of an impulse response over the sampling rate: limits the ringing to a million samples.
 _LOWEST_EDGE = 2.0**-14
-#: Most samples of a mixing matrix: it takes 2 GiB.
+#: Most samples of a mixing matrix (2 GiB).
 _MOST_MIXED = 1 << 14
-#: An impulse response is followed for this many periods of its edge, and down to this share of its largest value.
+#: Extent of an impulse response: periods of its edge, and smallest value over its largest.
 _RESPONSE_PERIODS, _RESPONSE_FLOOR = 64, 1e-5
-#: Largest gain of an equalisation [dB]: what a sensor does not record cannot be restored.
+#: Largest gain of an equalisation [dB]: it cannot restore what a sensor does not record.
 LARGEST_GAIN = 40.0
-#: The response of an equalisation has decayed after this [s]: its narrowest band is 70 Hz wide.
+#: Time in which the response of an equalisation decays [s]; its narrowest band is 70 Hz wide.
 _TAIL = 30e-3
 
 
@@ -51,7 +51,7 @@ def fft_filter(
     high: float | None = None,
     taper: float = 0.0,
 ) -> NDArray[np.floating]:
-    """Return the part of a signal that lies between two frequencies.
+    """Return the part of a signal between two frequencies.
 
     Parameters
     ----------
@@ -60,7 +60,7 @@ def fft_filter(
     sampling_rate : float
         [Hz].
     low, high : float, optional
-        Edges of the pass band [Hz]; None leaves that side open. `high` alone is a low-pass.
+        Edges of the pass band [Hz]; None leaves that side open.
     taper : float
         Width of each edge over its frequency, in [0, 1]. 0 is the brick wall of Yang, Zeng & Wan (2018);
         otherwise the gain falls like a raised cosine and is 1/2 at the edge.
@@ -68,14 +68,12 @@ def fft_filter(
     Returns
     -------
     ndarray, (..., n_samples)
-        Zero phase: nothing moves in time. The transform is circular: ringing that leaves one end of the frame enters
-        at the other.
+        With zero phase. The transform is circular: ringing that leaves the frame at one end enters at the other.
 
     Raises
     ------
     InvalidValue
-        The edges are not in order or above the Nyquist frequency, samples are masked or not finite, or the taper is
-        not in [0, 1].
+        Edges out of order or above the Nyquist frequency, samples masked or not finite, or taper outside [0, 1].
 
     Examples
     --------
@@ -132,20 +130,9 @@ def _below(frequency: Floats, edge: float, taper: float) -> Floats:
 def low_pass_response(sampling_rate: float, edge: float, taper: float = SENSOR_TAPER) -> Floats:
     """Return the impulse response of `fft_filter`'s low-pass from lag 0 on, (n_lags,); it is symmetric.
 
-    Parameters
-    ----------
-    sampling_rate, edge : float
-        [Hz].
-    taper : float
-        By default that of a scene's sensor.
+    Raise `InvalidValue` unless the edge (the sensor's bandwidth) [Hz] is within 2^-14 and 1/2 of the sampling rate
+    [Hz].
 
-    Raises
-    ------
-    InvalidValue
-        The edge, the bandwidth of the sensor, is not within 2^-14 and 1/2 of the sampling rate.
-
-    Examples
-    --------
     >>> response = low_pass_response(1e5, 1e4)
     >>> round(float(response[0] + 2 * response[1:].sum()), 4)  # gain at 0 Hz
     1.0
@@ -155,7 +142,7 @@ def low_pass_response(sampling_rate: float, edge: float, taper: float = SENSOR_T
     n = int(2 ** np.ceil(np.log2(_RESPONSE_PERIODS * sampling_rate / edge)))
     gain = filter_gain(np.asarray(np.fft.rfftfreq(n, 1 / sampling_rate), np.float64), sampling_rate, None, edge, taper)
     response = np.fft.irfft(gain, n=n)[: n // 2]
-    # Ringing below a hundred thousandth of the largest value is left out.
+    # Ringing below 1e-5 of the largest value is cut off.
     kept = np.flatnonzero(np.abs(response) > _RESPONSE_FLOOR * response[0])
     return np.asarray(response[: kept[-1] + 1])
 
@@ -163,10 +150,7 @@ def low_pass_response(sampling_rate: float, edge: float, taper: float = SENSOR_T
 def mixing_matrix(response: Floats, n_samples: int) -> Floats:
     """Return the matrix (n_samples, n_samples) that applies a symmetric impulse response to rows of samples.
 
-    Raises
-    ------
-    InvalidValue
-        There are too many samples for a matrix.
+    Raise `InvalidValue` for more than `_MOST_MIXED` samples.
     """
     if n_samples > _MOST_MIXED:
         raise InvalidValue(
@@ -181,20 +165,11 @@ def mixing_matrix(response: Floats, n_samples: int) -> Floats:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Equalisation:
-    """A gain for each mel band that makes the signals of one sensor like those of another.
+    """A gain [dB] for each mel band that makes the signals of one sensor like those of another.
 
-    Between the centres of the mel bands the gain is linear in dB over mel, beyond them it is constant. The filter has
-    minimum phase: nothing comes before its cause, and the resonance of a sensor's mount is removed in time, too.
-
-    Parameters
-    ----------
-    gains : ndarray, (n_bands,)
-        [dB], each within 40 dB of none.
-
-    Raises
-    ------
-    InvalidValue
-        The gains are not one finite number per band, or one is too large.
+    Between the centres of the mel bands the gain is linear in mel, beyond them it is constant. The filter has minimum
+    phase: it is causal and removes the resonance of a sensor's mount in time, too. Raise `InvalidValue` unless `gains`
+    (n_bands,) is one finite number per band, within 40 dB of 0.
     """
 
     gains: Floats
@@ -212,15 +187,10 @@ class Equalisation:
 
     @classmethod
     def between(cls, heard: ArrayLike, meant: ArrayLike) -> Equalisation:
-        """Return the equalisation of a sensor to another one.
+        """Return the equalisation of a sensor (`heard`) to another one (`meant`).
 
-        Parameters
-        ----------
-        heard, meant : array_like, (n_bands,)
-            Mean spectra of the reference runs of this sensor and of the other, log10 of the mean square per band.
+        Both are mean spectra of reference runs, log10 of the mean square per band, (n_bands,).
 
-        Examples
-        --------
         >>> n_bands = len(MEL_BANDS)
         >>> quiet, loud = np.full(n_bands, -2.0), np.full(n_bands, -1.4)
         >>> samples = np.sin(np.arange(400.0))[None]
@@ -230,11 +200,11 @@ class Equalisation:
         return cls(gains=10.0 * (validation.real("meant", meant) - validation.real("heard", heard)))
 
     def gain(self, frequency: Floats) -> Floats:
-        """Return the gain at frequencies [Hz], in dB."""
+        """Return the gain [dB] at frequencies [Hz]."""
         return np.asarray(np.interp(mel(frequency), mel(MEL_BANDS.centres), self.gains))
 
     def apply(self, samples: NDArray[np.floating], sampling_rate: float) -> Floats:
-        """Return rows of samples (n_rows, n_samples) as the other sensor would record them; their means stay."""
+        """Return rows of samples (n_rows, n_samples) as the other sensor would record them; means are kept."""
         n_samples = samples.shape[1]
         length = padded_length(n_samples + round(_TAIL * sampling_rate))
         mean = samples.mean(axis=1, keepdims=True, dtype=np.float64)
@@ -243,10 +213,10 @@ class Equalisation:
         return np.asarray(np.fft.irfft(spectrum, n=length, axis=1)[:, :n_samples] + mean)
 
     def _response(self, length: int, sampling_rate: float) -> NDArray[np.complex128]:
-        """Return the complex gain at the bins of a transform, of minimum phase by the cepstrum.
+        """Return the complex minimum-phase gain at the bins of a transform.
 
-        Oppenheim & Schafer, Discrete-Time Signal Processing: the part of the cepstrum before time 0 is folded onto the
-        part after it.
+        By the cepstrum, whose part before time 0 is folded onto the part after it (Oppenheim & Schafer, Discrete-Time
+        Signal Processing).
         """
         level = self.gain(np.asarray(np.fft.rfftfreq(length, 1 / sampling_rate), np.float64)) * (np.log(10.0) / 20.0)
         cepstrum = np.fft.irfft(level, n=length)

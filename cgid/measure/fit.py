@@ -1,8 +1,8 @@
 """The damped-Hertz pulse fitted to samples: windows, start values and maximum likelihood, batched over signals.
 
-Under white noise the most likely pulse is the one of least squares. A coarse fit on few points of every pulse comes
-first, then a fit on all samples around it. Levenberg and Marquardt's damping bounds each signal's steps; signals that
-have converged leave the batch.
+Under white noise the most likely pulse is the least-squares pulse. A coarse fit to few points of each pulse comes
+first, then a fit to all samples around it. Levenberg-Marquardt damping bounds each signal's steps; converged signals
+leave the batch.
 """
 
 from __future__ import annotations
@@ -27,67 +27,59 @@ from cgid.measure.template import (
 )
 from cgid.validation import Floats
 
-#: The first, coarse window extends this far before and after the peak, in widths (impulse over peak).
+#: Extent of the coarse window before and after the peak, in widths (impulse over peak).
 BEFORE, BEHIND = 1.5, 3.0
-#: The final one extends this far beyond the contact that the coarse fit found, but at most the second number after the
-#: peak: there less than 0.2 % of the peak is left at any restitution.
+#: Margin of the final window around the contact found by the coarse fit, and its largest extent after the peak, in
+#: widths: less than 0.2 % of the peak is left there at any restitution.
 _MARGIN, _FURTHEST = 0.35, 4.5
-#: Lengths are powers of this number.
+#: Window lengths are powers of this number.
 _STEP = 1.5
-#: Longer windows are averaged over equal runs of samples: hundreds of points are enough for a smooth curve.
+#: Longer windows are averaged over equal runs of samples: a few hundred points suffice for a smooth curve.
 _LONGEST = 320
 #: Points of a coarse window.
 _COARSE = 48
-#: Runs grow by this factor from the shortest to this share of the frame.
+#: Runs of `strongest_run`: growth factor, shortest [samples], longest over the frame.
 _GROWTH, _SHORTEST, _LONGEST_SHARE = 1.4, 3, 0.5
-#: A pulse's best run, over its width (impulse over peak), and its mean over the peak.
+#: Best run of a pulse over its width (impulse over peak), and mean of that run over the peak.
 _RUN_OVER_WIDTH, _MEAN_OVER_PEAK = 1.1, 0.74
-#: Largest steps: of ln(width), of the place over the width, of s.
+#: Largest steps of ln(width), of the place over the width, and of s.
 _LARGEST_STEPS = (0.4, 0.5, 0.7)
 _COARSE_ITERATIONS, _ITERATIONS = 7, 12
-#: A fit ends when the next step would gain less than this much of a half squared standard deviation.
+#: A fit ends when the next step would reduce the squared residual by less than this share of the noise variance.
 _TOLERANCE = 3e-3
-#: Share of Jeffreys' prior in the likelihood. Where the shape is only just determined (bound .03), estimates without it
-#: are a tenth to a fifth of a standard deviation too low, some far too low; with all of it they are as much too high.
+#: Weight of Jeffreys' prior. Where the shape is barely determined (bound .03), estimates are 0.1 to 0.2 standard
+#: deviations too low without the prior, some far too low, and as much too high with all of it.
 _FIRTH = 0.6
-#: Restitutions at which the searches begin, below which one a second search is made, and how much better it must be.
+#: Start restitutions of the two searches, the restitution below which the second is made, and by how many noise
+#: variances its cost must be lower.
 _FIRST_RESTITUTIONS, _DOUBTFUL, _SURE = (0.5, 0.2), 0.62, 12.0
-#: Rows fitted at once: their arrays must stay in the processor's cache.
+#: Rows fitted at once: their arrays must fit in the processor's cache.
 _ROWS = 1024
-#: Damping after a failed step is at least this: less changes no step.
+#: Least damping after a failed step: less would not change the step.
 _FELT = 0.3
 #: A search ends at this damping.
 _STUCK = 1e4
-#: Smallest noise, over the peak: the template is not more exact.
+#: Smallest noise over the peak: the accuracy of the template.
 _NOISE_FLOOR = 1e-5
-#: In the misfit, a deviation of this share of the peak counts as noise.
+#: Deviations of this share of the peak count as noise in the misfit.
 MODEL_ERROR = 1e-3
-#: A sample outside the window of this many standard deviations counts as a misfit of 1.
+#: A deviation of this many standard deviations outside the window counts as a misfit of 1.
 _OUTLIER = 5.5
 
 Rows = NDArray[np.intp] | slice
 
 
 def rows_of(values: NDArray[Any] | None, rows: Rows) -> Any:
-    """Return some rows of an array that may be missing."""
+    """Return some rows of an array, or None for None."""
     return None if values is None else values[rows]
 
 
-# -- what a fit starts from and returns ---------------------------------------------------------------
+# -- start and result of a fit ------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, eq=False)
 class Start:
-    """Where the search begins.
-
-    Attributes
-    ----------
-    peak : ndarray, (n,)
-    width : ndarray, (n,)
-        Impulse over peak [samples].
-    place : ndarray, (n,)
-        Column of the peak.
-    """
+    """Start of the search: peak, width (impulse over peak) [samples] and place (column of the peak), each (n,)."""
 
     peak: Floats
     width: Floats
@@ -100,30 +92,19 @@ class Start:
 
 @dataclass(frozen=True, eq=False)
 class PulseFit:
-    """Fitted pulses; times in samples of the frame.
+    """Fitted pulses; each attribute (n,) unless stated, times in samples of the frame.
 
     Attributes
     ----------
-    peak : ndarray, (n,)
-        Above the baseline, in the unit of the signal.
-    duration, onset, width : ndarray, (n,)
-        Contact duration, time of touch, impulse over peak [samples].
-    shape : ndarray, (n,)
-        s = ln e, beyond 0 for a pulse that rises more slowly than it falls.
-    baseline : ndarray, (n,)
-        0 unless it was fitted.
-    covariance : ndarray, (n, 5, 5)
-        Of `cgid.measure.template.PARAMETERS`, onset in samples; zero where a parameter was given.
-    misfit : ndarray, (n,)
-        Squared residual over what the noise explains, 1 on average for a pulse of the family (reduced chi-square); more
-        where a sample outside the pulse stands out.
-    clipped : ndarray of int, (n,)
-        Samples at the sensor's limit.
-    evidence : ndarray, (n,)
-        What the pulse explains of the samples, over the variance of the noise.
-    converged : ndarray of bool, (n,)
-    reach : ndarray of int, (n,)
-        The last sample that the fit uses; only the misfit depends on the whole frame.
+    peak : above the baseline, in the unit of the signal
+    duration, onset, width : contact duration, time of touch, impulse over peak [samples]
+    shape : s = ln e, above 0 for a pulse that rises more slowly than it falls
+    baseline : 0 unless fitted
+    covariance : (n, 5, 5), of `cgid.measure.template.PARAMETERS`, onset in samples; zero for given parameters
+    misfit : reduced chi-square, 1 on average for a pulse of the family; more if a sample outside the pulse stands out
+    clipped : number of samples at the sensor's limit
+    evidence : sum of squares that the pulse explains, over the variance of the noise
+    reach : last sample used by the fit; only the misfit depends on the whole frame
     """
 
     peak: Floats
@@ -146,14 +127,14 @@ class PulseFit:
 
     @classmethod
     def nothing(cls) -> PulseFit:
-        """Return no rows."""
+        """Return a fit without rows."""
         none = np.empty(0)
         return cls(
             *(none,) * 6, np.empty((0, 5, 5)), none, np.empty(0, np.intp), none, np.empty(0, bool), np.empty(0, np.intp)
         )
 
     def spread(self, places: NDArray[np.intp], n: int) -> PulseFit:
-        """Return n rows with these at their places; the others are nan, not clipped and not converged."""
+        """Return n rows with these at `places`; the others are nan, not clipped and not converged."""
         spread = {}
         for f in fields(self):
             held = getattr(self, f.name)
@@ -167,7 +148,7 @@ class PulseFit:
 
     @property
     def restitution(self) -> Floats:
-        """Restitution exp(s), above 1 where the pulse leans the other way."""
+        """Restitution exp(s), above 1 for a pulse that rises more slowly than it falls."""
         return np.exp(self.shape)
 
     @property
@@ -185,21 +166,13 @@ class Window:
 
     Attributes
     ----------
-    rows : ndarray of int, (n,)
-        Of the frames they are from.
-    values : ndarray, (n, n_points)
-    times : ndarray, (n, n_points)
-        [samples of the frame].
-    averaged : ndarray, (n,)
-        Samples per point.
-    outside, clipped : ndarray of bool, (n, n_points), or None
-        Points outside the frame, and points at the sensor's limit; None where there are none.
-    elsewhere : ndarray, (n,)
-        The largest magnitude of the samples outside the window.
-    run : int
-        Samples per point where they are equal for all rows by design; else 1.
-    reach : ndarray of int, (n,)
-        The last column of the window, in the frame or beyond it.
+    rows : rows of the frames, (n,)
+    values, times : (n, n_points); times in samples of the frame
+    averaged : samples per point, (n,)
+    outside, clipped : points outside the frame and at the sensor's limit, (n, n_points); None if there are none
+    elsewhere : largest magnitude of the samples outside the window, (n,)
+    run : samples per point if equal for all rows by design, else 1
+    reach : last column of the window, in the frame or beyond it, (n,)
     """
 
     rows: NDArray[np.intp]
@@ -226,16 +199,16 @@ def windows(
     unit: Floats | float = 1.0,
     averaged: bool = True,
 ) -> Iterator[Window]:
-    """Yield windows around pulses (peak, ln width, place, shape, baseline), those of similar length together.
+    """Yield windows around pulses (peak, ln width, place, shape, baseline), grouped by similar length.
 
-    Values are divided by `unit`; offset and limit are in the unit of the samples.
+    Values are divided by `unit`; `offset` and `clip_level` are in the unit of the samples.
     """
     offset, clip_level, unit = (np.broadcast_to(value, len(samples)) for value in (offset, clip_level, unit))
     width = np.exp(guess[:, 1])
     duration, lead, _, _ = relative_times(guess[:, 3])
     first = np.floor(guess[:, 2] - (lead + _MARGIN) * width).astype(np.intp) - 2
     lengths = np.minimum(duration + 2 * _MARGIN, lead + _MARGIN + _FURTHEST) * width
-    # Lengths come in steps, so that the window of a row does not depend on the other rows.
+    # Lengths come in steps, so that a row's window does not depend on the other rows.
     step = np.ceil(np.log(np.maximum(lengths, 1.0)) / np.log(_STEP)).astype(np.intp)
     for chosen in np.unique(step):
         rows = np.flatnonzero(step == chosen)
@@ -247,7 +220,7 @@ def windows(
 
 
 def coarse_window(samples: NDArray[np.floating], start: Start, offset: Floats, clip_level: Floats) -> Window:
-    """Return few points of every pulse, over its first peak, each a mean of as many samples as its width allows."""
+    """Return few points around each peak, each the mean of a run of samples as long as the pulse's width allows."""
     n, n_samples = samples.shape
     run = np.maximum(np.ceil((BEFORE + BEHIND) * start.width / _COARSE), 1).astype(np.intp)
     first = np.floor(start.place - BEFORE * start.width).astype(np.intp) - 1
@@ -286,7 +259,7 @@ def _window(
     beyond = (columns < 0) | (columns >= samples.shape[1])
     values = samples[rows[:, None], np.clip(columns, 0, samples.shape[1] - 1)] - offset[:, None]
     clipped = ~beyond & (values >= clip_level[:, None])
-    # Runs of samples become points.
+    # Each run of samples becomes one point.
     shape = (len(rows), length // run, run)
     return Window(
         rows=rows,
@@ -315,14 +288,8 @@ def _largest_elsewhere(
 def strongest_run(samples: NDArray[np.floating], offset: Floats) -> tuple[Floats, Floats, Floats]:
     """Return peak, width [samples] and place [samples] of the pulse that stands out most, each (n,).
 
-    It is where the mean over a run of samples is most significant: a box is within 6 % of the matched filter for these
-    pulses, and running sums make boxes of all lengths cheap.
-
-    Parameters
-    ----------
-    samples : ndarray, (n, n_samples)
-    offset : ndarray, (n,)
-        Subtracted from the samples.
+    It is where the mean over a run of samples is most significant. A box is within 6 % of the matched filter for these
+    pulses, and running sums make boxes of all lengths cheap. `offset` (n,) is subtracted first.
     """
     n, n_samples = samples.shape
     total = np.zeros((n, n_samples + 1))
@@ -355,25 +322,12 @@ def fit_pulses(
     clip_level: Floats | None = None,
     response: Floats | None = None,
 ) -> PulseFit:
-    """Return the pulse of the damped-Hertz family that is most likely in each frame.
+    """Return the most likely pulse of the damped-Hertz family in each row of samples, (n, n_samples).
 
-    Parameters
-    ----------
-    samples : ndarray, (n, n_samples)
-        One positive pulse per row.
-    start : Start
-    noise : ndarray, (n,)
-        Standard deviation of the white noise.
-    offset : ndarray, (n,), optional
-        Subtracted from the samples.
-    fit_baseline : bool
-        Whether a constant is fitted, too.
-    onset : ndarray, (n,), optional
-        Time of touch [samples], where it is known.
-    clip_level : ndarray, (n,), optional
-        Samples at or above it only say that the force was at least that (infinite where nothing is clipped).
-    response : ndarray, (n_lags,), optional
-        The sensor's symmetric impulse response, from lag 0: it filters the pulse, but not the noise.
+    `noise` (n,) is the standard deviation of the white noise, `offset` (n,) is subtracted first, `onset` (n,) [samples]
+    is the time of touch if known. Samples at or above `clip_level` (n,) are lower bounds of the force; infinite: not
+    clipped. `response` (n_lags,) is the sensor's symmetric impulse response from lag 0: it filters the pulse, not the
+    noise.
     """
     if not len(samples):
         return PulseFit.nothing()
@@ -401,7 +355,7 @@ def _fit_block(
     # In units of its first peak, every pulse is of order 1.
     unit = start.peak
     sigma = np.maximum(noise / unit, _NOISE_FLOOR)
-    with np.errstate(all="ignore"):  # the fit of a frame without a pulse fails; `evidence` says so
+    with np.errstate(all="ignore"):  # the fit of a frame without a pulse fails; `evidence` shows it
         coarse = coarse_window(samples, start, offset, clip_level)
         guess = _coarse(coarse, first_guess(start), sigma, fit_baseline, onset)
         parts = []
@@ -418,8 +372,8 @@ def _fit_block(
 def _coarse(window: Window, guess: Floats, sigma: Floats, fit_baseline: bool, onset: Floats | None) -> Floats:
     """Return parameters near the best ones, from few points.
 
-    Between e of .2 and .45 two shapes may both be locally best. The search begins from the higher side; the other
-    minimum is accepted only if it is better by more than noise can explain.
+    Between e of .2 and .45 two shapes may both be local optima. The search begins from the higher one; the other is
+    accepted only if it is better by more than noise can explain.
     """
 
     def search(rows: Rows, shape: float) -> tuple[Floats, Floats]:
@@ -441,41 +395,32 @@ def _coarse(window: Window, guess: Floats, sigma: Floats, fit_baseline: bool, on
 
 
 def first_guess(start: Start) -> Floats:
-    """Return initial parameters (peak over the first one, ln width, place, shape, baseline), (n, 5)."""
+    """Return initial parameters (peak over the start's peak, ln width, place, shape, baseline), (n, 5)."""
     one, none = np.ones(len(start.peak)), np.zeros(len(start.peak))
     return np.stack([one, np.log(start.width), start.place, none, none], axis=1)
 
 
 class Problem:
-    """A window of samples and the curve to be fitted to it.
-
-    Parameters
-    ----------
-    window : Window
-    fit_baseline : bool
-    onset : ndarray, (n,), optional
-        [samples].
-    response : ndarray, (n_lags,), optional
-    """
+    """A window of samples and the curve to fit to it; the onset [samples] and the sensor's response may be unknown."""
 
     def __init__(self, window: Window, fit_baseline: bool, onset: Floats | None, response: Floats | None) -> None:
         self.window, self.onset, self.fit_baseline = window, onset, fit_baseline
         self.free = free_parameters(onset is not None, fit_baseline)
-        #: A mean over a run of samples is the curve at its middle plus this share of its second difference.
+        #: The mean over a run of samples is the curve at its middle plus this share of its second difference.
         self.blur = (1 - window.run**-2) / 24 if window.run > 1 else 0.0
         self.mixing = None
         if response is not None:
             self.mixing = mixing_matrix(response, window.values.shape[1])
 
     def tied(self, parameters: Floats, rows: Rows = slice(None)) -> Floats:
-        """Return the parameters with the place that follows from a known onset."""
+        """Return the parameters, with the place that follows from a known onset."""
         if self.onset is not None:
             _, lead, _, _ = relative_times(parameters[:, 3])
             parameters[:, 2] = self.onset[rows] + lead * np.exp(parameters[:, 1])
         return parameters
 
     def residual(self, parameters: Floats, rows: Rows) -> tuple[Floats, Floats]:
-        """Return samples minus curve, (n, n_samples), and the slopes of the curve, (n, n_free, n_samples)."""
+        """Return samples minus curve (n, n_samples), and the slopes of the curve (n, n_free, n_samples)."""
         times = self.window.times[rows]
         model, slopes = pulse_and_slopes(parameters, times, self.onset is not None, self.fit_baseline)
         if self.mixing is not None:
@@ -486,7 +431,7 @@ class Problem:
         return self._weighted(residual, slopes, rows)
 
     def _weighted(self, residual: Floats, slopes: Floats, rows: Rows) -> tuple[Floats, Floats]:
-        """Leave out points outside the frame, and clipped samples that lie below the curve."""
+        """Ignore points outside the frame, and clipped samples below the curve."""
         ignored = rows_of(self.window.outside, rows)
         if self.window.clipped is not None:
             above = self.window.clipped[rows] & (residual < 0)
@@ -506,7 +451,7 @@ def _blurred(curves: Floats, share: float) -> Floats:
 def _search(
     problem: Problem, guess: Floats, sigma: Floats, iterations: int, first_damping: float
 ) -> tuple[Floats, Floats, Floats, NDArray[np.bool_]]:
-    """Return parameters, squared residual, information (times the variance of the noise) and what has converged."""
+    """Return parameters, squared residual, information (times the noise variance) and convergence of each row."""
     parameters = problem.tied(guess)
     n, free, variance = len(parameters), problem.free, sigma**2
     column = free.index(3)
@@ -550,7 +495,7 @@ def normal_equations(residual: Floats, slopes: Floats) -> tuple[Floats, Floats, 
 
 
 def _step(information: Floats, gradient: Floats, damping: Floats) -> tuple[Floats, Floats]:
-    """Return the damped step, and by how much it would reduce the squared residual of a linear model."""
+    """Return the damped step, and the reduction of the squared residual that a linear model predicts."""
     step = solve_scaled(information, gradient, (damping + 1e-10)[:, None, None])
     return step, np.sum(step * gradient, axis=1)
 
@@ -572,7 +517,7 @@ def _report(
     sigma: Floats,
     unit: Floats,
 ) -> PulseFit:
-    """Return the fitted pulses; noise and parameters are in units of the first peak."""
+    """Return the fitted pulses; `sigma` and `parameters` are in units of the start's peak."""
     window = problem.window
     peak, log_width, place, shape, baseline = parameters.T
     width = np.exp(log_width)

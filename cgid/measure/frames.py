@@ -1,4 +1,4 @@
-"""Signals in frames, one impact each, and the quiet part before it: what pulses and vibrations have in common."""
+"""Frames with one impact each, and the quiet part before it: the common base of pulses and vibrations."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from cgid import validation
 from cgid.errors import BadData
 from cgid.validation import Floats
 
-#: A frame holds at least the fewest samples of a pulse and one on either side.
+#: Fewest samples of a frame: those of the shortest pulse and one on either side.
 MINIMUM_FRAME = 6
-#: The squares of larger samples overflow.
+#: Largest sample: the squares of larger ones overflow.
 LARGEST = 1e150
 #: An impact must exceed this many standard deviations of the noise.
 DETECTION_LIMIT = 5.0
@@ -23,12 +23,8 @@ DETECTION_LIMIT = 5.0
 def frames_of(samples: ArrayLike, pre_trigger: int | None = None) -> NDArray[Any]:
     """Return samples as rows of float32 or float64, (n_signals, n_samples).
 
-    Raises
-    ------
-    BadData
-        They are not rows of at least `MINIMUM_FRAME` samples, or one is not finite or too large.
-    InvalidValue
-        They are not real numbers or are masked, or the pre-trigger is as long as a row.
+    Raise `BadData` for rows of fewer than `MINIMUM_FRAME` samples and for samples that are not finite or above
+    `LARGEST`; `InvalidValue` for samples that are not real or are masked, or a pre-trigger as long as a row.
     """
     frames = validation.plain("samples", samples)
     if frames.dtype not in (np.float32, np.float64):
@@ -49,24 +45,15 @@ def frames_of(samples: ArrayLike, pre_trigger: int | None = None) -> NDArray[Any
 
 
 def constant_signal(value: float) -> str:
-    """Return the problem of a signal that never changes."""
+    """Return the message for a signal that never changes."""
     return f"no impact: all samples are {value:g}; check the sensor and its cable"
 
 
 class Frames:
-    """Frames with an impact each; baseline and noise are those of the samples before touch.
+    """Frames (n_signals, n_samples) with one impact each; baseline and noise are those of the samples before touch.
 
-    Parameters
-    ----------
-    samples : ndarray, (n_signals, n_samples)
-    sampling_rate : float
-        [Hz].
-    pre_trigger : int or None
-        Samples before touch. None: each row's own number, found by the subclass.
-    remove_baseline : bool
-        Whether the mean before touch is subtracted.
-    detection_limit : float
-        An impact must exceed this many standard deviations of the noise before touch.
+    Without `pre_trigger` (samples before touch), the subclass finds a number for each row. An impact must exceed
+    `detection_limit` standard deviations of the noise before touch.
     """
 
     def __init__(
@@ -85,11 +72,11 @@ class Frames:
 
     @cached_property
     def _surely_quiet(self) -> NDArray[np.intp]:
-        """Number of samples of each row that are certainly before touch, where `pre_trigger` is not given."""
+        """Number of samples of each row that are certainly before touch, if there is no `pre_trigger`."""
         raise NotImplementedError
 
     def _moments(self, count: NDArray[np.intp]) -> tuple[Floats, Floats]:
-        """Return mean and standard deviation of the first samples of each row, 0 where there are fewer than two."""
+        """Return mean and standard deviation of the first samples of each row, 0 if there are fewer than two."""
         before = np.arange(self.samples.shape[1]) < count[:, None]
         mean = np.sum(self.samples, axis=1, where=before, dtype=np.float64) / np.maximum(count, 1)
         square = np.where(before, (self.samples - mean[:, None]) ** 2, 0.0).sum(axis=1, dtype=np.float64)
@@ -108,15 +95,15 @@ class Frames:
 
     @property
     def baseline(self) -> Floats:
-        """Mean before touch, 0 where fewer than two samples are before touch."""
+        """Mean before touch, 0 if there are fewer than two samples before touch."""
         return self._quiet[0]
 
     @cached_property
     def offset(self) -> Floats:
-        """What is subtracted from the samples: the baseline, or nothing."""
+        """The amount subtracted from the samples: the baseline, or 0."""
         return self.baseline if self.remove_baseline else np.zeros(len(self.samples))
 
     @property
     def noise(self) -> Floats:
-        """Standard deviation before touch, 0 where fewer than two samples are before touch."""
+        """Standard deviation before touch, 0 if there are fewer than two samples before touch."""
         return self._quiet[1]

@@ -1,14 +1,14 @@
-"""What samples say about a pulse: the Cramer-Rao bound, the likelihood along its shape, and priors of populations.
+"""What samples tell about a pulse: the Cramer-Rao bound, the likelihood along the shape, and priors of populations.
 
-The bound (Rao 1945, Cramer 1946) is how well any unbiased estimate can know the parameters of a pulse.
+The bound (Rao 1945, Cramer 1946) limits how well any unbiased estimate can know the parameters of a pulse.
 
-The profile is the likelihood of the shape s = ln e. At a given shape, peak, duration and onset are well determined and
-their likelihood is nearly Gaussian, so they are integrated by Laplace's approximation. Along the shape the likelihood
+The profile is the likelihood of the shape s = ln e. At a given shape, peak, duration and onset are well determined
+and their likelihood is nearly Gaussian, so Laplace's approximation integrates them. Along the shape the likelihood
 may be skewed or have two maxima; it is computed on a grid on which the standard deviation is the same everywhere.
 
 A prior is the density of peak, duration and shape in a population. Without the shape, peak and duration are the scales
 of an impact, `P0 = K L^(3/2)` and `T0 = L / v`. They follow from size, material and speed and do not depend on the
-loss, so their density and that of the shape are kept separately, as smoothed histograms of draws.
+loss. Their density and that of the shape are therefore kept separately, as smoothed histograms of draws.
 """
 
 from __future__ import annotations
@@ -37,19 +37,19 @@ from cgid.measure.template import (
 )
 from cgid.validation import Floats, rates
 
-#: Impacts of the bound computed at once, at most, and their samples.
+#: Most impacts of the bound computed at once, and most samples of them together.
 _ROWS, _SAMPLES = 64, 1 << 20
-#: Most samples of a contact: with more of them the bound only falls with their square root.
+#: Most samples of a contact: with more, the bound only falls as one over the square root of their number.
 MOST_SAMPLES = 1_000_000
-#: The band-limited pulse is followed this many contact durations beyond touch and separation.
+#: Extent of the band-limited pulse beyond touch and separation, in contact durations.
 _RINGING = 1.0
-#: The grid of a profile extends this many standard deviations of the shape to either side.
+#: Extent of a profile's grid to either side, in standard deviations of the shape.
 _REACH = 6.5
-#: Steps of the fit at each node of a profile, and rows of profiles computed at once.
+#: Evaluations of the fit at each node of a profile, and rows of profiles computed at once.
 _ITERATIONS, _PROFILED_ROWS = 5, 256
-#: Cells of the histograms of a prior, and the standard deviation of the smoothing in cells.
+#: Cells of a prior's histograms, and the standard deviation of the smoothing in cells.
 _CELLS, _SMOOTHING = 240, 1.2
-#: Lowest density over the largest: draws do not prove that something is impossible.
+#: Lowest density over the largest: draws cannot prove that something is impossible.
 _FLOOR = 1e-9
 
 
@@ -62,10 +62,8 @@ class Bound:
 
     Attributes
     ----------
-    covariance : ndarray, (..., 5, 5)
-        Of ln(peak), ln(contact duration), onset [s], ln(restitution), baseline over peak; zero where known.
-    restitution : ndarray, (...)
-        That of the pulse.
+    covariance : (..., 5, 5), of ln(peak), ln(duration), onset [s], ln(restitution), baseline over peak; zero if known
+    restitution : (...), of the pulse
     """
 
     covariance: Floats
@@ -112,32 +110,31 @@ def cramer_rao_bound(
     Parameters
     ----------
     contact_duration : array_like
-        [s].
+        [s]; at most `MOST_SAMPLES` samples.
     restitution : array_like
-        Within .05 and 20; above 1 a pulse that leans the other way.
+        Within .05 and 20; above 1 for a pulse that rises more slowly than it falls.
     noise : array_like
         Standard deviation of a sample over the peak.
     sampling_rate : array_like
-        [Hz]; `contact_duration * sampling_rate` are the samples in contact, at most `MOST_SAMPLES`.
+        [Hz]; one number if there is a bandwidth.
     bandwidth : float, optional
-        Edge of the sensor's low-pass [Hz], as in `cgid.scene.Sensor`; the white noise is added after it. Then the
-        sampling rate must be one number.
+        Edge of the sensor's low-pass [Hz], as in `cgid.scene.Sensor`; the white noise is added after it.
     onset_known : bool
         Whether the time of touch is known.
     fit_baseline : bool
-        Whether a constant is unknown, too; only the samples in contact count for it.
+        Whether a constant is unknown, too; then only the samples in contact count.
     onset : array_like
-        Where touch lies between two samples, 0 to 1.
+        Position of touch between two samples, 0 to 1.
 
     Returns
     -------
     Bound
-        Of the common shape of the parameters. Infinite where there are fewer samples than unknowns.
+        Of the common shape of the parameters; infinite where there are fewer samples than unknowns.
 
     Raises
     ------
     InvalidValue
-        A number breaks its rule.
+        An argument is out of range.
 
     Examples
     --------
@@ -186,7 +183,7 @@ def cramer_rao_bound(
 def _covariance(
     samples: Floats, shape: Floats, phase: Floats, response: Floats | None, onset_known: bool, fit_baseline: bool
 ) -> Floats:
-    """Return the covariance of pulses of peak 1 in noise of deviation 1, times in samples."""
+    """Return the covariance of pulses of peak 1 in noise of standard deviation 1, times in samples."""
     width = samples / relative_times(shape)[0]
     parameters = parameters_of(np.ones_like(shape), width, phase, shape)
     margin = 1 if response is None else int(_RINGING * samples.max()) + len(response)
@@ -198,7 +195,7 @@ def _covariance(
     if mixing is not None:
         slopes = slopes @ mixing
     if fit_baseline:
-        # Only the samples in contact: how many others there are is not a property of the pulse.
+        # Only the samples in contact: the number of others is not a property of the pulse.
         slopes = slopes * ((times > phase[:, None]) & (times < (phase + samples)[:, None]))[:, None]
     information = np.matmul(slopes, np.swapaxes(slopes, 1, 2))
     with np.errstate(all="ignore"):
@@ -212,17 +209,13 @@ def _covariance(
 
 @dataclass(frozen=True, eq=False)
 class Profile:
-    """The likelihood of some pulses on grids of the shape.
+    """The likelihood of pulses on grids of the shape s = ln e, each attribute (n, n_nodes).
 
     Attributes
     ----------
-    shape : ndarray, (n, n_nodes)
-        s = ln e at the nodes.
-    log_weight : ndarray, (n, n_nodes)
-        Logarithm of the likelihood integrated over peak, duration and onset, times the width of the node in s, plus a
-        constant for each row.
-    log_peak, log_duration : ndarray, (n, n_nodes)
-        The most likely ones there; duration in samples.
+    log_weight : ln of the likelihood integrated over peak, duration and onset, times the node's width in s, plus a
+        constant for each row
+    log_peak, log_duration : most likely values at the node; duration in samples
     """
 
     shape: Floats
@@ -254,26 +247,12 @@ def profile(
     clip_level: Floats | None = None,
     response: Floats | None = None,
 ) -> Profile:
-    """Return the likelihood along the shape.
+    """Return the likelihood along the shape of fitted pulses in samples (n, n_samples).
 
-    Parameters
-    ----------
-    samples : ndarray, (n, n_samples)
-    fit : PulseFit
-        Of these samples.
-    noise : ndarray, (n,)
-        Standard deviation, above 0.
-    lowest, highest : float
-        Bounds of the shape: beyond them the prior is zero.
-    n_nodes : int
-    offset, clip_level, response
-        As in `fit_pulses`.
-    n_quiet : ndarray, (n,), optional
-        The offset is the mean of this many samples, and as uncertain. None where it is certain.
-    onset : ndarray, (n,), optional
-        Time of touch [samples], where it is known.
-    onset_between : tuple of float, optional
-        Touch is equally likely at any time between these [samples], and impossible elsewhere; anywhere by default.
+    The prior is zero outside `lowest` and `highest`. With `n_quiet` (n,), the offset is only known as the mean of this
+    many samples; otherwise it is exact. Touch is equally likely within `onset_between` [samples] and impossible
+    outside; for None it may be anywhere. `noise` (n,) is above 0; `offset`, `onset`, `clip_level` and `response` are as
+    in `fit_pulses`.
     """
     shapes = _grid(fit, noise, lowest, highest, n_nodes)
     out = Profile(shapes, *(np.empty(shapes.shape) for _ in range(3)))
@@ -281,7 +260,7 @@ def profile(
         block = slice(first, first + _PROFILED_ROWS)
         guess = parameters_of(fit.peak[block], fit.width[block], fit.onset[block], fit.shape[block])
         own = (0.0 if offset is None else offset[block], np.inf if clip_level is None else clip_level[block])
-        # As long as the pulse would be at the lowest shape: a window without its tail could not speak against it.
+        # As long as the pulse of the lowest shape: a window without its tail could not rule out that shape.
         longest = guess.copy()
         longest[:, 3] = shapes[block, 0]
         for window in windows(samples[block], longest, *own, averaged=response is None):
@@ -300,14 +279,14 @@ def profile(
 
 
 def _grid(fit: PulseFit, noise: Floats, lowest: float, highest: float, n_nodes: int) -> Floats:
-    """Return nodes around the fitted shape, evenly spaced in the stabilised coordinate, within the bounds."""
+    """Return nodes around the fitted shape and within the bounds, evenly spaced in the stabilised coordinate."""
     shapes, coordinate = _stabilised()
     middle = np.interp(fit.shape, shapes, coordinate)
     reach = _REACH * noise / np.abs(fit.peak) / np.sqrt(fit.width)
     low, high = (np.interp(bound, shapes, coordinate) for bound in (lowest, highest))
     start = np.clip(middle - reach, low, high)
     stop = np.clip(middle + reach, low, high)
-    # For a shape far beyond the bounds nothing is left: then the grid lies along the nearer bound.
+    # A shape far beyond the bounds leaves no nodes; the grid then lies along the nearer bound.
     short = stop - start < 0.5 * reach
     start = np.where(short, np.clip(start - reach, low, high), start)
     stop = np.where(short, np.clip(stop + reach, low, high), stop)
@@ -323,9 +302,9 @@ def _at(
     hold: Floats | None,
     onset_between: tuple[float, float] | None,
 ) -> tuple[Floats, Floats, Floats]:
-    """Return log of the integrated likelihood, ln peak and ln duration at given shapes.
+    """Return the log of the integrated likelihood, ln peak and ln duration at given shapes.
 
-    `hold` is the number of points of which the baseline is the mean.
+    The baseline is as uncertain as a mean of `hold` points, (n,); for None it is 0.
     """
     parameters = guess.copy()
     parameters[:, 3] = shape
@@ -352,21 +331,21 @@ def _at(
         parameters = problem.tied(parameters)
     duration, lead, _, _ = relative_times(shape)
     log_peak = np.log(parameters[:, 0])
-    # In ln(peak), ln(duration) and, at this shape, the place, whose step is that of the onset.
+    # In terms of ln(peak), ln(duration) and the place, which at a given shape moves with the onset.
     sign, determinant = np.linalg.slogdet(information / sigma[:, None, None] ** 2)
     log_likelihood = -0.5 * squared / sigma**2 - 0.5 * (determinant + 2 * log_peak)
     if onset_between is not None:
         log_likelihood += _log_inside(parameters, lead, information / sigma[:, None, None] ** 2, onset_between)
-    # Where the samples do not determine all parameters, the fit has missed the pulse.
+    # The fit has missed the pulse where the samples do not determine all parameters.
     log_likelihood = np.where((sign > 0) & np.isfinite(log_likelihood), log_likelihood, -np.inf)
     return log_likelihood, log_peak, parameters[:, 1] + np.log(duration)
 
 
 def _log_inside(parameters: Floats, lead: Floats, information: Floats, between: tuple[float, float]) -> Floats:
-    """Return the logarithm of the probability of touch between two times, for a Gaussian likelihood."""
+    """Return the log probability of touch between two times, for a Gaussian likelihood."""
     width = np.exp(parameters[:, 1])
     onset = parameters[:, 2] - lead * width
-    # Of (peak, ln width, place, ...): touch moves with the width and the place.
+    # Slope of touch in (peak, ln width, place, ...): it moves with the width and the place.
     slope = np.zeros(information.shape[:2])
     slope[:, 1], slope[:, 2] = -lead * width, 1.0
     spread = solve_scaled(information, slope, 1e-12)
@@ -387,14 +366,10 @@ class Prior:
 
     Attributes
     ----------
-    log_scales : ndarray, (n_cells, n_cells)
-        Logarithm of the density of (ln P0 - 2 ln T0, ln T0): the first is free of the size of the rock.
-    scale_edges : tuple of ndarray
-        First edge and width of the cells, each (2,).
-    log_shape : ndarray, (n_cells,)
-        Logarithm of the density of s = ln e.
-    shape_edges : tuple of float
-        First edge and width of the cells.
+    log_scales : ln of the density of (ln P0 - 2 ln T0, ln T0), (n_cells, n_cells); the first is independent of size
+    scale_edges : first edge and width of its cells, each (2,)
+    log_shape : ln of the density of s = ln e, (n_cells,)
+    shape_edges : first edge and width of its cells
     """
 
     log_scales: Floats
@@ -404,9 +379,9 @@ class Prior:
 
     @classmethod
     def from_draws(cls, log_peak: Floats, log_duration: Floats, restitution: Floats) -> Prior:
-        """Return the density of draws, each (n,); a hundred thousand or more leave little noise.
+        """Return the density of draws, each (n,); 100,000 or more leave little noise.
 
-        The restitution must not depend on the other two within the population.
+        The restitution must be independent of the other two within the population.
         """
         log_peak, log_duration, restitution = validation.broadcast(
             log_peak=validation.real("log_peak", log_peak),
@@ -441,7 +416,7 @@ class Prior:
         return first + width * float(held[0]), first + width * float(held[-1] + 1)
 
     def log_density(self, log_peak: Floats, log_duration: Floats, shape: Floats) -> Floats:
-        """Return the logarithm of the density of (ln peak, ln duration, s) at points of any common shape."""
+        """Return ln of the density of (ln peak, ln duration, s) at points of any common shape."""
         size_free, time = _scales(log_peak, log_duration, shape)
         low, width = self.scale_edges
         first, step = self.shape_edges
@@ -452,19 +427,15 @@ class Prior:
     def evidence(
         self, along: Profile, log_peak_offset: Floats | float = 0.0, log_time_offset: Floats | float = 0.0
     ) -> Floats:
-        """Return the logarithm of the probability of each signal, (n,), plus a constant of the signal.
+        """Return ln of the probability of each signal, (n,), plus a constant of the signal.
 
-        Parameters
-        ----------
-        along : Profile
-        log_peak_offset, log_time_offset : ndarray, (n, 1), or float
-            Added to the profile's ln(peak) and ln(duration): its duration is in samples, and a known speed shifts
-            both.
+        The offsets, (n, 1) or float, are added to the profile's ln(peak) and ln(duration): its duration is in samples,
+        and a known speed shifts both.
         """
         return _log_sum(self._joint(along, log_peak_offset, log_time_offset))
 
     def log_posterior(self, along: Profile, log_time_offset: Floats | float = 0.0) -> Floats:
-        """Return the logarithm of the probability of each node, (n, n_nodes); offset as in `evidence`."""
+        """Return ln of the probability of each node, (n, n_nodes); offset as in `evidence`."""
         joint = self._joint(along, 0.0, log_time_offset)
         return np.asarray(joint - _log_sum(joint)[:, None])
 
@@ -487,7 +458,7 @@ def _scales(log_peak: Floats, log_duration: Floats, shape: Floats) -> tuple[Floa
 
 
 def _dimensionless(shape: Floats) -> tuple[Floats, Floats]:
-    """Return the logarithms of contact duration and peak force of the dimensionless pulse."""
+    """Return ln of contact duration and of peak force of the dimensionless pulse."""
     grid = np.linspace(np.log(family.LOWEST_RESTITUTION), 0.0, 1201)
     contact, peak_time, _ = family.times(np.exp(grid))
     peak = family.force(peak_time[:, None], np.exp(grid))[:, 0]
@@ -507,7 +478,7 @@ def _log_density(counts: Floats, cell: float) -> Floats:
 
 
 def _cell(place: Floats) -> tuple[NDArray[np.intp], Floats]:
-    """Return the cell whose middle lies below and the share of the way to the next; constant beyond the ends."""
+    """Return the cell whose middle is below a place and the share of the way to the next; constant beyond the ends."""
     inside = np.clip(place - 0.5, 0.0, _CELLS - 1.000001)
     cell = inside.astype(np.intp)
     return cell, inside - cell

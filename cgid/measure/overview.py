@@ -13,50 +13,40 @@ from cgid import validation
 from cgid.errors import BadData, InvalidValue
 from cgid.validation import Floats, require_rate
 
-#: Most columns of a waveform; it has at least half of them if the recording has that many samples.
+#: Most columns of a waveform; at least half of them are used if the recording has enough samples.
 WAVEFORM_COLUMNS = 4096
-#: Most columns of a spectrogram, and its approximate number of bands, evenly spaced in the logarithm of frequency.
+#: Most columns of a spectrogram, and approximate number of its bands, evenly spaced in log frequency.
 SPECTROGRAM_COLUMNS, SPECTROGRAM_BANDS = 1024, 200
-#: Segments of spectra are powers of two: at most this long [s],
+#: Longest segment of the spectra [s].
 LONGEST_SEGMENT_TIME = 0.2
-#: between these numbers of samples if the recording is long enough,
+#: Shortest and longest segment [samples], powers of two; shorter only for a recording that is shorter itself.
 SEGMENTS = (64, 8192)
-#: and this many times shorter than the recording.
+#: Least length of the recording over that of a segment, within these bounds.
 _SEGMENTS_IN_RECORDING = 64
 #: Shortest segment with a useful spectrum [samples].
 _SHORTEST_SEGMENT = 16
-#: Samples per channel, and segments, treated at once: bounds the memory whatever the size of the blocks.
+#: Samples per channel and segments processed at once: bounds the memory for blocks of any size.
 _SAMPLES_AT_ONCE, _SEGMENTS_AT_ONCE = 65536, 64
-#: Larger samples are not measurements, and their power overflows.
+#: Largest sample: larger ones are no measurements, and their power overflows.
 _LARGEST = 1e140
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Overview:
-    """The content of a picture of a recording; its size hardly depends on the length of the recording.
+    """The content of a recording's picture; its size hardly depends on the length of the recording.
 
     Attributes
     ----------
-    sampling_rate : float
-        [Hz].
-    n_samples : int
-        Of each channel.
-    waveform_step : int
-        Samples per column of the waveform; the last column may have fewer.
-    lowest, highest : ndarray, (n_channels, n_columns)
-        Smallest and largest sample of each column.
-    mean, deviation : ndarray, (n_channels,)
-        Of all samples; the deviation is the root of the mean squared distance from the mean.
-    frequency : ndarray, (n_bins,)
-        [Hz]; empty where the recording is too short for a spectrum.
-    spectrum : ndarray, (n_channels, n_bins)
-        One-sided power density [unit^2/Hz]: mean over Hann windows that overlap by half, each less its mean (Welch).
-    band_edges : ndarray, (n_bands + 1,)
-        Of the spectrogram [Hz]; a band is one bin or several. 0 Hz is left out.
-    time_edges : ndarray, (n_times + 1,)
-        Of the spectrogram [s]; all columns but the last have the same number of segments.
-    spectrogram : ndarray, (n_channels, n_bands, n_times)
-        Mean power density of each band and column [unit^2/Hz].
+    n_samples : per channel
+    waveform_step : samples per column of the waveform; the last column may have fewer
+    lowest, highest : smallest and largest sample of each column, (n_channels, n_columns)
+    mean, deviation : mean and standard deviation of all samples, (n_channels,)
+    frequency : (n_bins,) [Hz]; empty if the recording is too short for a spectrum
+    spectrum : one-sided power density, (n_channels, n_bins) [unit^2/Hz]; mean over half-overlapping Hann windows,
+        each less its mean (Welch)
+    band_edges : of the spectrogram, (n_bands + 1,) [Hz]; a band is one bin or several, without 0 Hz
+    time_edges : of the spectrogram, (n_times + 1,) [s]; all columns but the last have the same number of segments
+    spectrogram : mean power density, (n_channels, n_bands, n_times) [unit^2/Hz]
     """
 
     sampling_rate: float
@@ -85,26 +75,11 @@ class Overview:
 
 
 class OverviewStream:
-    """Computes the overview of a recording that comes in blocks, in constant memory.
+    """Compute the overview of a recording that comes in blocks, in constant memory (about 10 MB per channel).
 
-    The size of the blocks changes only the last digits of means and spectra.
+    The block size changes only the last digits of means and spectra. `source` names the recording in messages. Raise
+    `InvalidValue` for a rate [Hz] or a number of channels that is not positive.
 
-    Parameters
-    ----------
-    sampling_rate : float
-        [Hz], above 0.
-    n_channels : int
-        1 or more; each takes about 10 MB.
-    source : str
-        Name of the recording in messages.
-
-    Raises
-    ------
-    InvalidValue
-        A number breaks its rule.
-
-    Examples
-    --------
     >>> stream = OverviewStream(1000.0, 1)
     >>> for _ in range(3):
     ...     stream.feed(np.array([[0.0, 1.0, -2.0]]))
@@ -120,24 +95,14 @@ class OverviewStream:
         self._lowest = _Columns(np.minimum, (n_channels,), WAVEFORM_COLUMNS)
         self._highest = _Columns(np.maximum, (n_channels,), WAVEFORM_COLUMNS)
         self._mean, self._squares = np.zeros(n_channels), np.zeros(n_channels)
-        # The first samples wait until it is known whether the recording is short and needs shorter segments.
+        # The first samples wait: a short recording needs shorter segments.
         self._waiting: list[Floats] = []
         self._spectra: _Spectra | None = None
 
     def feed(self, block: NDArray[Any]) -> None:
-        """Take the next samples.
+        """Add finite samples (n_channels, n_samples); n_samples may be 0.
 
-        Parameters
-        ----------
-        block : ndarray, (n_channels, n_samples)
-            Finite numbers; any number of samples, also none.
-
-        Raises
-        ------
-        InvalidValue
-            The block has another number of channels.
-        BadData
-            A sample is so large that the power of the recording overflows.
+        Raise `InvalidValue` for another number of channels, `BadData` for a sample so large that its power overflows.
         """
         block = validation.plain("block", block)
         if block.ndim != 2 or len(block) != self._n_channels:
@@ -146,13 +111,7 @@ class OverviewStream:
             self._take(block[:, start : start + _SAMPLES_AT_ONCE].astype(np.float64))
 
     def overview(self) -> Overview:
-        """Return the overview of the samples so far; more may follow.
-
-        Raises
-        ------
-        BadData
-            Nothing has been fed.
-        """
+        """Return the overview of the samples so far; more may follow. Raise `BadData` without samples."""
         n_samples = self._lowest.taken
         if not n_samples:
             raise BadData(f"{self._source}: a picture needs at least one sample, there is none; record it again")
@@ -208,17 +167,10 @@ class OverviewStream:
 
 
 def segment_length(sampling_rate: float, n_samples: int | None) -> int:
-    """Return the number of samples in a segment of the spectra; 0 if the recording is too short for a spectrum.
+    """Return the samples in a segment of the spectra; 0 if the recording is too short for a spectrum.
 
-    Parameters
-    ----------
-    sampling_rate : float
-        [Hz].
-    n_samples : int or None
-        Of the recording; None if it is long.
+    `n_samples` is the length of the recording; None if it is long. The sampling rate is in Hz.
 
-    Examples
-    --------
     >>> segment_length(51200.0, None), segment_length(51200.0, 100_000), segment_length(51200.0, 10)
     (8192, 1024, 0)
     """
@@ -231,21 +183,15 @@ def segment_length(sampling_rate: float, n_samples: int | None) -> int:
 
 
 def _power_of_two(number: float) -> int:
-    """Return the largest power of two that is not above a number, at least 1."""
+    """Return the largest power of two not above a number, at least 1."""
     return 1 << max(int(number).bit_length() - 1, 0)
 
 
 class _Columns:
-    """An endless row of values in few columns, each of equally many values; when all are full, pairs are joined.
+    """A growing row of values in at most `most` (even) columns of `step` values each.
 
-    Parameters
-    ----------
-    join : numpy.ufunc
-        np.minimum, np.maximum or np.add.
-    shape : tuple of int
-        Of a value; values come along one more axis, the last.
-    most : int
-        Largest number of columns, even.
+    When all columns are full, `join` (np.minimum, np.maximum or np.add) merges pairs. Values have the given shape; they
+    come along one more axis, the last.
     """
 
     def __init__(self, join: np.ufunc, shape: tuple[int, ...], most: int) -> None:
@@ -254,7 +200,7 @@ class _Columns:
         self.step, self.taken = 1, 0
 
     def add(self, values: Floats) -> None:
-        """Take the next values, (*shape, n)."""
+        """Add the next values, (*shape, n)."""
         while values.shape[-1]:
             room = self._most * self.step - self.taken
             self._put(values[..., :room])
@@ -284,7 +230,7 @@ class _Columns:
 
 
 class _Spectra:
-    """Spectra of half-overlapping segments: their sum, and their sums in bands and columns of time."""
+    """Sums of the spectra of half-overlapping segments: over all, and in bands and columns of time."""
 
     def __init__(self, sampling_rate: float, n_channels: int, segment: int) -> None:
         self._rate, self._segment, self._hop = sampling_rate, segment, segment // 2
@@ -302,7 +248,7 @@ class _Spectra:
         self._rest = np.empty((n_channels, 0))
 
     def feed(self, samples: Floats) -> None:
-        """Take the next samples, (n_channels, n_samples)."""
+        """Add the next samples, (n_channels, n_samples)."""
         if not self._segment:
             return
         samples = np.concatenate([self._rest, samples], axis=1)
@@ -322,7 +268,7 @@ class _Spectra:
         return self._columns.values() / self._columns.counts()
 
     def time_edges(self) -> Floats:
-        """Return the edges of the columns [s]: each segment covers the hop in its middle."""
+        """Return the edges of the columns [s]; each segment covers the hop in its middle."""
         segments = np.append(0, np.cumsum(self._columns.counts()))
         return np.asarray((segments + 0.5) * (self._hop / self._rate))
 

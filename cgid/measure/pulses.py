@@ -1,7 +1,7 @@
 """Measurements on a batch of single pulses, such as contact forces, and their features (`PULSE_FEATURES`, at the end).
 
-Each quantity is computed once, when it is first needed. Everything is relative to a baseline from the samples before
-touch. After the peak is found, only a window around contact is looked at.
+Each quantity is computed on first use, relative to a baseline from the samples before touch. After the peak is found,
+only a window around contact is used.
 """
 
 from __future__ import annotations
@@ -18,35 +18,35 @@ from cgid.measure.spectra import PulseSpectrum
 from cgid.measure.table import Bank, Feature
 from cgid.validation import Floats
 
-#: A width needs this many samples between the 10 % crossings.
+#: Fewest samples between the 10 % crossings of a measurable width.
 MINIMUM_SAMPLES = 4
-#: A fit needs a pulse this wide (impulse over peak) [samples].
+#: Smallest width (impulse over peak) of a pulse that can be fitted [samples].
 MINIMUM_WIDTH = 1.5
-#: Recommended samples on a contact, for the cure in messages.
+#: Recommended number of samples in contact, for messages.
 WANTED_SAMPLES = 20
-#: The lower of the two levels from which contact is extrapolated to zero: over the noise, and its bounds over the peak.
-#: Without noise a damped pulse of restitution .5 comes out .2 % short, .4 1.2 %, .3 9 %: the tail of a strongly damped
-#: pulse lies below any level.
+#: Lower of the two levels from which contact is extrapolated to zero: over the noise, and its bounds over the peak.
+#: Without noise, the duration is .2 % too short at restitution .5, 1.2 % at .4 and 9 % at .3: the tail of a strongly
+#: damped pulse lies below any level.
 FOOT_OVER_NOISE, FOOT_LEVELS = 4.0, (0.01, 0.1)
-#: A peak below this many standard deviations of the noise does not locate the pulse.
+#: Smallest peak that locates the pulse [standard deviations of the noise].
 FAINT = 12.0
 #: Width (impulse over peak) of a typical pulse over its width at half the peak.
 _WIDTH_OVER_HALF_WIDTH = 1.08
-#: This many equal samples in a row at the top mean a sensor at its limit.
+#: Equal samples in a row at the top that indicate a sensor at its limit.
 _FLAT_TOP = 3
-#: A pulse must explain this much of the samples, over the variance of the noise: chance explains less.
+#: Smallest sum of squares that a pulse must explain, over the variance of the noise: chance explains less.
 EVIDENCE = 40.0
-#: Spectra end at this number over the contact duration: above, a clean pulse has nothing (a low-pass there changes the
-#: peak by less than 1 %), but noise has.
+#: Upper end of the spectra times the contact duration: above it a clean pulse has almost no energy (a low-pass there
+#: changes the peak by less than 1 %), but noise has.
 SPECTRUM_LIMIT = 4.0
-#: The bins of the spectrum are at least this much narrower than one over the window.
+#: Least length of a spectrum's transform over that of the contact (zero-padding).
 _ZERO_PADDING = 8
-#: Mean and standard deviation of the restitution of anything that falls on steel.
+#: Mean and standard deviation of the restitution of any material that falls on steel.
 _WIDE_RESTITUTION = (0.5, 0.25)
 
 
 def without_impact(samples: NDArray[np.floating], fit: PulseFit) -> dict[int, str]:
-    """Return, for each row whose fitted pulse may be chance, the rule it breaks, its value and the cure."""
+    """Map each row whose fitted pulse may be chance to the broken rule, its value and the remedy."""
     found: dict[int, str] = {}
     for row in np.flatnonzero(~(fit.evidence > EVIDENCE) | ~(fit.peak > 0)):
         explained = np.nan_to_num(fit.evidence[row])
@@ -64,10 +64,10 @@ def without_impact(samples: NDArray[np.floating], fit: PulseFit) -> dict[int, st
 
 
 class PulseBatch(Frames):
-    """Single positive pulses in frames; each quantity is computed when it is first needed.
+    """Single positive pulses in frames; each quantity is computed on first use.
 
-    Parameters are those of `Frames`. Without `pre_trigger`, each row is quiet up to where it is last below 1 % of the
-    way from its first samples to its largest.
+    Arguments are those of `Frames`. Without `pre_trigger`, each row is quiet up to shortly before its last sample below
+    1 % of the way from its first samples to its largest.
     """
 
     # -- before touch ---------------------------------------------------------------------------------
@@ -90,7 +90,7 @@ class PulseBatch(Frames):
 
     @cached_property
     def n_quiet(self) -> Floats:
-        """Number of samples before touch from which baseline and noise are computed."""
+        """Number of samples before touch that define baseline and noise."""
         if self.pre_trigger is not None:
             return np.full(len(self.samples), float(max(self.pre_trigger, 1)))
         return np.asarray(np.maximum(self._surely_quiet, 1), np.float64)
@@ -104,18 +104,18 @@ class PulseBatch(Frames):
 
     @cached_property
     def peak(self) -> Floats:
-        """The largest sample above the baseline."""
+        """Largest sample above the baseline."""
         return self._highest[1] - self.offset
 
     # -- the window around contact --------------------------------------------------------------------
 
     @cached_property
     def _edges(self) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-        """First and last sample of the run around the peak that is above 10 % of the peak."""
+        """First and last sample of the run around the peak above 10 % of the peak."""
         n_rows, n_samples = self.samples.shape
-        # Never above the largest sample: where nothing rises above the baseline, that sample is the run.
+        # At most the largest sample: where nothing rises above the baseline, that sample is the run.
         level = np.minimum(0.1 * self.peak + self.offset, self._highest[1]).astype(self.samples.dtype)
-        # Few samples are high: their flat indices form runs, which gaps and the ends of rows separate.
+        # Only a few samples are high: their flat indices form runs, separated by gaps and the ends of rows.
         high = np.flatnonzero(self.samples >= level[:, None])
         breaks = np.flatnonzero((np.diff(high) > 1) | (high[1:] % n_samples == 0)) + 1
         starts, stops = high[np.append(0, breaks)], high[np.append(breaks - 1, high.size - 1)]
@@ -125,7 +125,7 @@ class PulseBatch(Frames):
 
     @cached_property
     def window_reach(self) -> NDArray[np.intp]:
-        """The last sample of the window around contact, in the frame or beyond it."""
+        """Last sample of the window around contact, in the frame or beyond it."""
         first, last = self._edges
         return np.asarray(last + (last - first + 1) + 2)
 
@@ -133,8 +133,8 @@ class PulseBatch(Frames):
     def _window(self) -> tuple[Floats, NDArray[np.intp]]:
         """Samples around contact (n_signals, width), less the baseline, and the column of the first.
 
-        The window extends the run by a quarter of its length before and by its whole length after, for a damped pulse
-        has a long tail. Zeros follow, so a row does not depend on the other rows of the batch.
+        The window extends the run by a quarter of its length before and by its whole length after: a damped pulse has a
+        long tail. Zeros follow, so a row does not depend on the other rows of the batch.
         """
         first, last = self._edges
         start, stop = first - (last - first + 1) // 4 - 2, self.window_reach
@@ -155,14 +155,14 @@ class PulseBatch(Frames):
     def crossings(self, level: float) -> tuple[Floats, Floats]:
         """Return where the pulse crosses a fraction of its peak, rising and falling [samples of the window].
 
-        Linear between samples; outwards from the peak, the first sample below the level counts.
+        Outwards from the peak, the first sample below the level counts; linear between samples.
         """
         if level not in self._crossings:
             self._crossings[level] = self._crossings_at(np.full(len(self.samples), level))
         return self._crossings[level]
 
     def _crossings_at(self, level: Floats, power: float = 1.0) -> tuple[Floats, Floats]:
-        """Return both crossings of a level of each row; linear in a power of the pulse between samples."""
+        """Return both crossings of a level of each row, linear in a power of the pulse between samples."""
         window, columns = self._window[0], np.arange(self._window[0].shape[1])
         height, place = (level * self.peak)[:, None], self._peak_column[:, None]
         low = window < height
@@ -186,9 +186,9 @@ class PulseBatch(Frames):
     def contact(self) -> tuple[Floats, Floats]:
         """Touch and separation [samples of the window], extrapolated from two crossings near the foot.
 
-        An elastic pulse is close to sin^(3/2), so `arcsin(F^(2/3))` is nearly linear in time where contact begins and
-        ends: the line through two crossings meets zero there. The lower crossing is as low as the noise allows,
-        `FOOT_OVER_NOISE` standard deviations but within `FOOT_LEVELS`.
+        An elastic pulse is close to sin^(3/2), so `arcsin(F^(2/3))` is nearly linear in time near touch and separation;
+        the line through two crossings gives its zero. The lower crossing is as low as the noise allows: at
+        `FOOT_OVER_NOISE` standard deviations, but within `FOOT_LEVELS`.
         """
         low = np.clip(FOOT_OVER_NOISE * self.noise / self.peak, *FOOT_LEVELS)
         angle, angle_up = np.arcsin(low ** (2 / 3)), np.arcsin((3 * low) ** (2 / 3))
@@ -204,7 +204,7 @@ class PulseBatch(Frames):
 
     @cached_property
     def time_of_peak(self) -> Floats:
-        """Top of the parabola fitted to the samples around the peak above 80 % of it [samples of the window]."""
+        """Top of a parabola fitted around the peak to the samples above 80 % of it [samples of the window]."""
         window, place = self._window[0], self._peak_column
         rising, falling = self.crossings(0.8)
         offset = np.arange(window.shape[1]) - place[:, None]
@@ -222,7 +222,7 @@ class PulseBatch(Frames):
 
     @cached_property
     def _during_contact(self) -> Floats:
-        """The window with everything outside contact set to zero."""
+        """The window, zero outside contact."""
         touch, separation = self.contact
         columns = np.arange(self._window[0].shape[1])
         inside = (columns > touch[:, None]) & (columns < separation[:, None])
@@ -240,7 +240,7 @@ class PulseBatch(Frames):
 
     @cached_property
     def energy(self) -> Floats:
-        """Integral of the square during contact [unit^2 s]."""
+        """Integral of the squared pulse during contact [unit^2 s]."""
         return np.asarray(np.sum(self._during_contact**2, axis=1) / self.sampling_rate)
 
     # -- the fitted pulse -----------------------------------------------------------------------------
@@ -261,7 +261,7 @@ class PulseBatch(Frames):
 
     @cached_property
     def fit_start(self) -> Start:
-        """Start of the fit: the largest sample, or the strongest run of samples where the noise is as large."""
+        """Start of the fit: the largest sample, or the strongest run of samples for a faint peak."""
         faint = np.flatnonzero(self.peak < FAINT * self.noise)
         peak, place = self.peak.copy(), self._highest[0].astype(np.float64)
         width = np.empty(len(peak))
@@ -278,7 +278,7 @@ class PulseBatch(Frames):
 
     @cached_property
     def clip_level(self) -> Floats | None:
-        """Level above the baseline where the sensor was at its limit, infinite where it was not."""
+        """Level of the sensor's limit above the baseline, infinite for rows below it; None if no row reaches it."""
         place, highest = self._highest
         rows, flat = np.arange(len(place)), np.ones(len(place), bool)
         for step in range(1, _FLAT_TOP):
@@ -287,7 +287,7 @@ class PulseBatch(Frames):
 
     @cached_property
     def overload(self) -> Floats:
-        """Fitted peak over the level where the samples are clipped, minus 1; 0 where they are not."""
+        """Fitted peak over the clipping level, minus 1; 0 where samples are not clipped."""
         if self.clip_level is None:
             return np.zeros(len(self.samples))
         return np.maximum(self.fit.peak / self.clip_level - 1, 0.0)
@@ -301,7 +301,7 @@ class PulseBatch(Frames):
         return (certainty * self.fit.restitution + mean * deviation**-2) / total, total**-0.5
 
     def fit_problems(self) -> dict[int, str]:
-        """Return, for each row that cannot be fitted, the rule it breaks, its value and the cure."""
+        """Map each row that cannot be fitted to the broken rule, its value and the remedy."""
         found = without_impact(self.samples, self.fit)
         last = self.samples.shape[1] - 1
         middle = self.fit.onset + 0.5 * self.fit.duration
@@ -326,10 +326,10 @@ class PulseBatch(Frames):
 
     @cached_property
     def spectrum(self) -> PulseSpectrum:
-        """Of the contact alone, up to `SPECTRUM_LIMIT / duration`.
+        """Spectrum of the contact alone, up to `SPECTRUM_LIMIT / duration`.
 
-        The transform is zero-padded to a power of two that is at least `_ZERO_PADDING` times the row's own contact, so
-        a row does not depend on the others.
+        The transform is zero-padded to a power of two of at least `_ZERO_PADDING` times the row's own contact, so a row
+        does not depend on the others.
         """
         touch, separation = self.contact
         count("spectra", len(touch))
@@ -352,7 +352,7 @@ class PulseBatch(Frames):
     # -- rows that cannot be measured -----------------------------------------------------------------
 
     def problems(self) -> dict[int, str]:
-        """Return, for each row that cannot be measured, the rule it breaks, its value and the cure."""
+        """Map each row that cannot be measured to the broken rule, its value and the remedy."""
         found: dict[int, str] = {}
         first, last = self._edges
         count = last - first + 1
@@ -386,7 +386,7 @@ class PulseBatch(Frames):
 
 
 def _transition(pulses: PulseBatch, side: int) -> Floats:
-    """Return the time between 10 % and 90 % of the peak, rising (0) or falling (1) [s]."""
+    """Return the time between 10 % and 90 % of the peak [s], rising (side 0) or falling (1)."""
     return np.abs(pulses.crossings(0.9)[side] - pulses.crossings(0.1)[side]) / pulses.sampling_rate
 
 

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from cgid.errors import MissingExtra
 from cgid.validation import Floats
 
-#: Nominal mid-band frequencies of the third-octave bands [Hz] (IEC 61260-1:2014), as in their names. The exact ones
-#: are 1000 Hz times 10^(number / 10), counted from the second constant.
+#: Nominal mid-band frequencies of the third-octave bands [Hz] (IEC 61260-1:2014), as in feature names. The exact ones
+#: are 1000 Hz times 10^(number / 10), with numbers from `_FIRST_THIRD_OCTAVE` on.
 THIRD_OCTAVES = (
     *("31.5", "40", "50", "63", "80", "100", "125", "160", "200", "250", "315", "400", "500"),
     *("630", "800", "1000", "1250", "1600", "2000", "2500", "3150", "4000", "5000", "6300", "8000", "10000"),
@@ -24,12 +24,12 @@ _MEL_STEP, _MEL_BANDS = 100.0, 39
 _EVEN_STEP, _EVEN_BANDS = 150.0, 150
 #: Daubechies' wavelet with eight vanishing moments: its bands overlap little, and it is short.
 WAVELET = "db8"
-#: Number of times the band is halved, and the number of packets this makes.
+#: Number of halvings of the band, and of the resulting packets.
 LEVEL, N_PACKETS = 4, 16
-#: Logarithms of shares of an energy end here: anything smaller is rounding, not vibration.
+#: Smallest share of an energy: anything less is rounding, not vibration.
 LOWEST_SHARE = 1e-12
 
-#: Where the bands come from, for the table of features.
+#: Sources of the bands, for the table of features.
 THIRD_OCTAVE_SOURCE = "IEC 61260-1:2014 (exact mid-band frequencies, base ten, ideal edges)"
 MEL_SOURCE = "Davis & Mermelstein 1980 (mel bands); O'Shaughnessy 1987 (mel)"
 PACKET_SOURCE = (
@@ -39,10 +39,8 @@ PACKET_SOURCE = (
 
 
 def third_octave(number: int) -> tuple[float, float]:
-    """Return the edges of a third-octave band [Hz], counted from the first of `THIRD_OCTAVES`.
+    """Return the edges [Hz] of a third-octave band, numbered from the first of `THIRD_OCTAVES`.
 
-    Examples
-    --------
     >>> [round(edge, 2) for edge in third_octave(15)]
     [891.25, 1122.02]
     """
@@ -53,8 +51,6 @@ def third_octave(number: int) -> tuple[float, float]:
 def mel(frequency: Floats) -> Floats:
     """Return the mel of frequencies [Hz] (O'Shaughnessy 1987): even steps below 1 kHz, even ratios far above.
 
-    Examples
-    --------
     >>> float(mel(np.float64(1000.0)).round(2))
     999.99
     """
@@ -68,27 +64,22 @@ def frequency_of(mels: Floats) -> Floats:
 
 @dataclass(frozen=True, eq=False)
 class TriangularBands:
-    """A bank of overlapping triangular bands.
+    """A bank of overlapping triangular bands with `corners` (n_bands + 2,) [Hz]: lowest edge, centres, highest edge.
 
-    A band rises from the centre of the one below to its own and falls to the centre of the one above. So energy that
-    leaves one band enters the next: between the first and the last centre the bands add up to the whole.
-
-    Attributes
-    ----------
-    corners : ndarray, (n_bands + 2,)
-        Lowest edge, centres, highest edge [Hz], rising.
+    A band rises from the centre below to its own and falls to the centre above, so energy that leaves one band enters
+    the next: between the first and the last centre the bands add up to the whole.
     """
 
     corners: Floats
 
     @property
     def centres(self) -> Floats:
-        """Of the bands [Hz], (n_bands,)."""
+        """Centres of the bands [Hz], (n_bands,)."""
         return self.corners[1:-1]
 
     @property
     def labels(self) -> list[str]:
-        """The centres as they stand in the names of features."""
+        """The centres as in feature names."""
         return [f"{centre:.0f}" for centre in self.centres]
 
     def __len__(self) -> int:
@@ -99,29 +90,20 @@ class TriangularBands:
         return TriangularBands(self.corners[: max(int(np.searchsorted(self.corners, highest, side="right")), 2)])
 
     def sums(self, energy: Floats, spacing: float) -> Floats:
-        """Return the energy in each band.
+        """Return the energy in each band, (..., n_bands), from the energy in each bin, (..., n_bins).
 
-        Parameters
-        ----------
-        energy : ndarray, (..., n_bins)
-            In each bin; the first is centred at 0 Hz, the last must reach the highest edge.
-        spacing : float
-            Between bins [Hz].
-
-        Returns
-        -------
-        ndarray, (..., n_bands)
-            No row depends on the others (a matrix product would not guarantee that).
+        The first bin is centred at 0 Hz, the last must reach the highest edge; `spacing` is that of the bins [Hz]. No
+        row depends on the others, which a matrix product would not guarantee.
         """
         first, stop = (int(np.ceil(edge / spacing)) for edge in (self.corners[0], self.corners[-1]))
         stop = min(stop, energy.shape[-1])
         frequency = np.arange(first, stop) * spacing
-        # How far each bin is on the way from the corner below to the one above.
+        # Position of each bin between the corner below and the one above.
         gap = np.clip(np.searchsorted(self.corners, frequency, side="right") - 1, 0, len(self))
         rise = (frequency - self.corners[gap]) / np.diff(self.corners)[gap]
         begin = np.searchsorted(gap, np.arange(len(self) + 1))
         held = np.flatnonzero(np.diff(np.append(begin, gap.size)))
-        # Bins first: sums over them then run along all rows at once, yet each row is summed by itself.
+        # Bins first: the sums then run along all rows at once, but separately for each row.
         part = np.ascontiguousarray(energy.reshape(-1, energy.shape[-1])[:, first:stop].T)
         out = np.zeros((len(self) + 2, part.shape[1]))
         if held.size:
@@ -145,10 +127,9 @@ class EnergySpectrum:
 
     Attributes
     ----------
-    spacing : float
-        Width of a bin [Hz]; the first is centred at 0 Hz.
-    energy : ndarray, (n_signals, n_bins)
-        In each bin [unit^2 s]; the bins of a row add up to its sum of squares over the sampling rate (Parseval).
+    spacing : width of a bin [Hz]; the first is centred at 0 Hz
+    energy : in each bin, (n_signals, n_bins) [unit^2 s]; the bins of a row add up to its sum of squares over the
+        sampling rate (Parseval)
     """
 
     spacing: float
@@ -156,16 +137,7 @@ class EnergySpectrum:
 
     @classmethod
     def of(cls, samples: Floats, sampling_rate: float, finer: int = 1) -> EnergySpectrum:
-        """Return the spectra of rows of samples, zero-padded to a length with small factors.
-
-        Parameters
-        ----------
-        samples : ndarray, (n_signals, n_samples)
-        sampling_rate : float
-            [Hz].
-        finer : int
-            The padded length is at least this many times that of the rows.
-        """
+        """Return the spectra of rows of samples, zero-padded to a fast length of at least `finer` times their own."""
         length = padded_length(finer * samples.shape[1])
         transform = np.fft.rfft(samples, n=length, axis=1)
         energy = transform.real**2 + transform.imag**2
@@ -218,12 +190,11 @@ class EnergySpectrum:
     def standardised_moments(self) -> tuple[Floats, Floats]:
         """Third and fourth moment of the frequency about its mean, in standard deviations.
 
-        They depend on the sampling rate. The energy of a vibration that begins at once falls with the fourth power of
-        the frequency, so the sum over all bins grows with their number: the third moment like the logarithm of the
-        rate, the fourth in proportion to it.
+        They depend on the sampling rate: the energy of a vibration that begins at once falls with the fourth power of
+        the frequency, so the third moment grows like the logarithm of the rate, the fourth in proportion to it.
         """
         mean, deviation = self.moments
-        # A line within one bin has the width of that bin.
+        # A line within one bin is as wide as the bin.
         place = (self.frequency - mean[:, None]) / np.maximum(deviation, 0.1 * self.spacing)[:, None]
         share = self.energy / self.energy.sum(axis=1)[:, None]
         return np.asarray(np.sum(share * place**3, axis=1)), np.asarray(np.sum(share * place**4, axis=1))
@@ -236,9 +207,9 @@ class EnergySpectrum:
 
     @cached_property
     def flatness(self) -> Floats:
-        """Logarithm (base 10) of the geometric over the arithmetic mean above 0 Hz: 0 is flat.
+        """Log10 of the geometric over the arithmetic mean above 0 Hz; 0 is flat.
 
-        It depends on the sampling rate: the more of the spectrum holds little energy, the lower it is.
+        It depends on the sampling rate: the larger the faint part of the spectrum, the lower it is.
         """
         above = self.energy[:, 1:]
         mean = above.mean(axis=1)
@@ -248,11 +219,7 @@ class EnergySpectrum:
     def dominant(self, count: int, apart: float) -> Floats:
         """Return the frequencies of the strongest maxima [Hz], the strongest first, (n_signals, count).
 
-        Parameters
-        ----------
-        count : int
-        apart : float
-            Smallest distance between them [Hz]. Where there are fewer maxima, the last one is repeated.
+        They are at least `apart` [Hz] apart; if there are fewer maxima, the last one is repeated.
         """
         energy, rows = self.energy, np.arange(len(self.energy))
         padded = np.pad(energy, ((0, 0), (1, 1)), constant_values=-1.0)
@@ -274,15 +241,7 @@ class EnergySpectrum:
 
 @dataclass(frozen=True, eq=False)
 class PulseSpectrum:
-    """Power spectra of pulses, each at frequencies of its own.
-
-    Attributes
-    ----------
-    frequency, power : ndarray, (n_signals, n_bins)
-        The first bin is at 0 Hz [Hz].
-    n_bins : ndarray of int, (n_signals,)
-        Number of bins of each row; zero power follows.
-    """
+    """Power spectra of pulses (n_signals, n_bins), each at its own frequencies [Hz] from 0; zero beyond `n_bins`."""
 
     frequency: Floats
     power: Floats
@@ -311,12 +270,12 @@ class PulseSpectrum:
 
     @property
     def rolloff(self) -> Floats:
-        """Frequency below which 85 % of the energy lie [Hz]."""
+        """Frequency below which 85 % of the energy lies [Hz]."""
         return self._where(self.cumulative, self.cumulative >= 0.85, 0.85)
 
     @property
     def cutoff(self) -> Floats:
-        """Frequency where the spectrum first is 10 dB below its value at 0 Hz, or its last frequency [Hz]."""
+        """Frequency where the spectrum first is 10 dB below its value at 0 Hz; if nowhere, its last frequency [Hz]."""
         decibel = 10 * np.log10(np.maximum(self.power, 1e-30 * self.power[:, :1]) / self.power[:, :1])
         reached = (decibel <= -10.0) & (np.arange(decibel.shape[1]) < self.n_bins[:, None])
         last = self.frequency[np.arange(len(decibel)), self.n_bins - 1]
@@ -343,27 +302,14 @@ class PulseSpectrum:
 
 
 def hann(length: int) -> Floats:
-    """Return one period of the Hann bell, sampled so that it is never zero."""
+    """Return one period of the Hann window, sampled so that it is never zero."""
     return np.asarray(np.sin(np.pi * (np.arange(length) + 0.5) / length) ** 2)
 
 
 def frame_spectra(samples: Floats, length: int, sampling_rate: float) -> tuple[float, Floats]:
-    """Return the energy spectra of half-overlapping frames under Hann bells.
+    """Return the width of a bin [Hz] and the energy spectra of half-overlapping Hann-windowed frames.
 
-    Parameters
-    ----------
-    samples : ndarray, (n_rows, n_samples)
-    length : int
-        Of a frame [samples].
-    sampling_rate : float
-        [Hz].
-
-    Returns
-    -------
-    spacing : float
-        Width of a bin [Hz], at most half the resolution of a frame.
-    energy : ndarray, (n_rows, n_frames, n_bins)
-        [unit^2 s].
+    Energies are (n_rows, n_frames, n_bins) [unit^2 s]; a bin is at most half as wide as the resolution of a frame.
     """
     frames = np.lib.stride_tricks.sliding_window_view(samples, length, axis=1)[:, :: max(length // 2, 1)]
     spectrum = EnergySpectrum.of((frames * hann(length)).reshape(-1, length), sampling_rate, finer=2)
@@ -373,8 +319,6 @@ def frame_spectra(samples: Floats, length: int, sampling_rate: float) -> tuple[f
 def padded_length(wanted: int) -> int:
     """Return a length of at least `wanted` samples with a fast transform: four to eight times a power of two.
 
-    Examples
-    --------
     >>> padded_length(882), padded_length(1024)
     (896, 1024)
     """
@@ -393,22 +337,10 @@ def passage(running: Floats, share: float) -> Floats:
 
 
 def packet_energies(samples: Floats) -> Floats:
-    """Return the sum of squares of each wavelet packet, the lowest band first.
+    """Return the sum of squares of each wavelet packet, (n_rows, 16), the lowest band first.
 
-    Parameters
-    ----------
-    samples : ndarray, (n_rows, n_samples)
-        Zero-padded to a multiple of 16 samples and taken as periodic, so the energies of a row add up to its own.
-
-    Returns
-    -------
-    ndarray, (n_rows, 16)
-        Of bands of a sixteenth of half the sampling rate each.
-
-    Raises
-    ------
-    MissingExtra
-        PyWavelets is not installed.
+    Each packet spans a sixteenth of half the sampling rate. Samples (n_rows, n_samples) are zero-padded to a multiple
+    of 16 and taken as periodic, so the energies of a row add up to its own. Raise `MissingExtra` without PyWavelets.
     """
     try:
         import pywt

@@ -1,15 +1,14 @@
 """The table of features: entries of one feature, banks of many, and the lookup by name.
 
-An entry says what a feature is called, its unit, definition and source, and how it is measured. Entries stand in the
-module that measures them, below the batch that they read: `PULSE_FEATURES` in `pulses.py`, `VIBRATION_FEATURES` in
-`vibration.py`, `WINDOW_FEATURES` in `windows.py`. To add a feature, add a line there::
+An entry holds the name, unit, definition and source of a feature and how to measure it. Entries are at the end of the
+module that measures them: `PULSE_FEATURES` in `pulses.py`, `VIBRATION_FEATURES` in `vibration.py`, `WINDOW_FEATURES`
+in `windows.py`. To add a feature, add a line there::
 
     Feature("form_factor", "1", "peak_force times contact_duration over impulse", "cgid",
             lambda p: p.peak * p.duration / p.moments[0], positive=True),
 
-and, if it needs a new measurement, a property of the batch. Nothing else changes: extraction, models, tables of scenes
-and `cgid features` find it by its name. Features that differ in a band, a packet or a lag are one `Bank`; its columns
-are built when they are asked for.
+and, for a new measurement, a property of the batch. Extraction, models, tables of scenes and `cgid features` find it
+by its name. Features that differ in a band, a packet or a lag are one `Bank`, whose columns are built on first use.
 """
 
 from __future__ import annotations
@@ -23,13 +22,13 @@ import numpy as np
 
 from cgid.validation import Floats
 
-#: What an impact looks like: one positive pulse, or a vibration of both signs that decays.
+#: Kind of an impact: one positive pulse, or a decaying vibration of both signs.
 ImpactKind = Literal["pulse", "vibration"]
-#: What a feature is measured on: an impact, or a window of a recording with any number of impacts in it.
+#: Kind of a signal: an impact, or a window of a recording with any number of impacts.
 Kind = Literal[ImpactKind, "window"]
-#: Vibrations and windows need at least this bandwidth, half of the lowest sampling rate [Hz].
+#: Least bandwidth of vibrations and windows: half of the lowest sampling rate [Hz].
 LEAST_BANDWIDTH = 1000.0
-#: Part of the definition of features that depend on all of the spectrum, including its faint end.
+#: Part of the definition of features that depend on the whole spectrum, including its faint end.
 OF_THE_RATE = "taken up to half the sampling rate, on which it depends: compare at one rate"
 
 
@@ -39,28 +38,15 @@ class Feature:
 
     Attributes
     ----------
-    name : str
-    unit : str
-        `U` stands for the unit of the signal.
-    definition, source : str
-    measure : callable
-        From a `PulseBatch`, `VibrationBatch` or `WindowBatch` to one number per row.
-    fitted : bool
-        Whether it is read from the fitted pulse, which exists even where the samples alone do not show the pulse.
-    positive : bool
-        Whether it is without a unit but always above 0, so that its ratios count.
-    spectral : bool
-        Whether it is read from the spectrum.
-    whole_frame : bool
-        Whether it depends on samples far from the pulse.
-    kind : {"pulse", "vibration", "window"}
-        What it is measured on.
-    highest_frequency : float
-        Half the sampling rate must be at least this [Hz].
-    shortest_frame : float
-        A frame must last at least this long [s].
-    extra : str
-        The extra of cgid that it needs; such a feature is measured only when it is named.
+    unit : `U` stands for the unit of the signal
+    measure : from a `PulseBatch`, `VibrationBatch` or `WindowBatch` to one number per row
+    fitted : read from the fitted pulse, which exists even where the samples alone do not show the pulse
+    positive : without a unit but always above 0, so that ratios are meaningful
+    spectral : read from the spectrum
+    whole_frame : depends on samples far from the pulse
+    highest_frequency : lower limit of half the sampling rate [Hz]
+    shortest_frame : least duration of a frame [s]
+    extra : the extra of cgid that it needs; such a feature is measured only if named
     """
 
     name: str
@@ -83,33 +69,26 @@ class Feature:
         return (self.name,)
 
     def unit_for(self, signal_unit: str) -> str:
-        """Return the unit when the signal is in `signal_unit`."""
+        """Return the unit for a signal in `signal_unit`."""
         compound = self.unit != "U" and not signal_unit.isalpha()
         return self.unit.replace("U", f"({signal_unit})" if compound else signal_unit)
 
     @property
     def linear(self) -> bool:
-        """Whether its logarithm makes no sense: it is a logarithm already, or may have either sign."""
+        """Whether its logarithm is meaningless: it is a logarithm already, or may have either sign."""
         return self.unit.startswith("log10") or (self.unit == "1" and not self.positive)
 
 
 @dataclass(frozen=True, eq=False)
 class Bank:
-    """Features that differ only in a band, a packet or a lag: one entry, a column for each label.
+    """Features that differ only in a band, a packet or a lag: one entry with a column for each label.
 
     Attributes
     ----------
-    name : str
-        With `*` in place of the label: `mel_*_hz` has the column `mel_1000_hz`.
-    unit, definition, source : str
-        As in `Feature`; `*` in the definition stands for the label.
-    measure : callable
-        From a batch and the number of a column to one number per row.
-    labels : sequence of str
-    spectral, kind, extra
-        As in `Feature`.
-    highest_frequency, shortest_frame : float or sequence of float
-        As in `Feature`, for all columns or for each.
+    name : with `*` in place of the label: `mel_*_hz` has the column `mel_1000_hz`
+    definition : with `*` for the label
+    measure : from a batch and the number of a column to one number per row
+    highest_frequency, shortest_frame : as in `Feature`, for all columns or for each
     """
 
     name: str
@@ -126,11 +105,11 @@ class Bank:
 
     @cached_property
     def columns(self) -> tuple[str, ...]:
-        """The names of the columns."""
+        """Names of the columns."""
         return tuple(self.name.replace("*", label) for label in self.labels)
 
     def column(self, name: str) -> Feature | None:
-        """Return the feature of a column, None if the bank has no column of this name."""
+        """Return the feature of a column; None if the bank has no such column."""
         before, after = self.name.split("*")
         if not (name.startswith(before) and name.endswith(after)) or name not in self.columns:
             return None
@@ -149,7 +128,7 @@ class Bank:
         )
 
     def less(self, name: str, total: Feature) -> Bank:
-        """Return the bank of the levels minus a total level, from which the gain of the sensor cancels."""
+        """Return the bank of levels minus a total level, which cancels the gain of the sensor."""
         return Bank(
             name,
             "1",
@@ -165,12 +144,7 @@ class Bank:
 
 
 class Table(Mapping[str, Feature]):
-    """Features by name, in the order of the columns; those of a bank are built when they are asked for.
-
-    Parameters
-    ----------
-    entries : sequence of Feature or Bank
-    """
+    """Features by name, in column order; those of a bank are built on first use."""
 
     def __init__(self, entries: Sequence[Feature | Bank]) -> None:
         self.entries = tuple(entries)
@@ -193,10 +167,10 @@ class Table(Mapping[str, Feature]):
         return sum(len(entry.columns) for entry in self.entries)
 
     def names(self, kind: Kind) -> tuple[str, ...]:
-        """Return the features of a kind that need no extra."""
+        """Return the names of a kind's features that need no extra."""
         own = (entry for entry in self.entries if entry.kind == kind and not entry.extra)
         return tuple(name for entry in own for name in entry.columns)
 
     def expand(self, name: str) -> tuple[str, ...]:
-        """Return the columns of the bank of this name; any other name as it is."""
+        """Return the columns of the bank of this name; for any other name, the name alone."""
         return next((bank.columns for bank in self._banks if bank.name == name), (name,))

@@ -1,16 +1,16 @@
-"""The damped-Hertz pulse as a curve to be fitted: its values, its slopes, and the covariance of its parameters.
+"""The damped-Hertz pulse as a curve to fit: its values, its slopes, and the covariance of its parameters.
 
 A pulse of peak 1 is `g(u; s)` at the share u of its contact, with s = ln e. Reversed in time, the pulse of e is that of
-1/e (with `tau -> -tau` damping changes its sign in `x'' = -x^(3/2) (1 + D x')`), so the family continues smoothly
-beyond e = 1. There it is a shape and no material, but estimates near 1 may err to either side.
+1/e (`tau -> -tau` changes the sign of the damping in `x'' = -x^(3/2) (1 + D x')`), so the family continues smoothly
+beyond e = 1. No material has such a shape, but estimates near 1 may err to either side.
 
 In `w = (1 + sqrt(u) - sqrt(1 - u)) / 2` the curve is smooth up to touch and separation, where it rises as the power
-3/2 of time. It is tabulated on a grid of s and w with its derivatives, and extrapolated from the nearest node by its
+3/2 of time. It is tabulated with its derivatives on a grid of s and w, and extrapolated from the nearest node by a
 Taylor polynomial of order two: within 1e-5 of the peak for e from .2, 5e-5 from .1, 1.2e-4 at .05.
 
-The parameters of a fit are (peak, ln of its width, time of its peak, s = ln e, baseline), the width being impulse over
-peak: these are nearly independent, while contact duration and onset of a damped pulse, which ends in the noise, are
-strongly correlated with s. The reported parameters are `PARAMETERS`.
+The parameters of a fit are (peak, ln width, place = time of the peak, s, baseline), where width is impulse over peak.
+They are nearly independent, while contact duration and onset of a damped pulse, which ends in the noise, are strongly
+correlated with s. The reported parameters are `PARAMETERS`.
 """
 
 from __future__ import annotations
@@ -25,11 +25,11 @@ from cgid.validation import Floats
 
 #: Bounds of the shape s = ln e.
 LOWEST_SHAPE, HIGHEST_SHAPE = float(np.log(family.LOWEST_RESTITUTION)), -float(np.log(family.LOWEST_RESTITUTION))
-#: Steps of the grid between the lowest shape and 0, and between touch and separation.
+#: Steps of the grid from the lowest shape to 0, and from touch to separation.
 _SHAPES, _PLACES = 128, 256
-#: Nodes beyond s = 0: enough for central differences there.
+#: Nodes beyond s = 0, enough for central differences there.
 _BEYOND = 3
-#: Slopes are evaluated at least this far from touch and separation.
+#: Least distance from touch and separation at which slopes are evaluated.
 _EDGE = 1e-12
 
 
@@ -37,13 +37,8 @@ _EDGE = 1e-12
 def _table() -> tuple[tuple[Floats, ...], Floats]:
     """Return the curve and the times at the nodes, with derivatives.
 
-    Returns
-    -------
-    curve : tuple of ndarray, (n_nodes,)
-        g, g_w, g_ww, g_s, g_sw, g_ss at the nodes of s and w, flat.
-    times : ndarray, (n_shapes, 2, 3)
-        Contact duration, and the time from touch to the peak, over the width (impulse over peak), with two
-        derivatives in s.
+    The curve is g, g_w, g_ww, g_s, g_sw, g_ss, each flat over the nodes of s and w. The times (n_shapes, 2, 3) are
+    contact duration and time from touch to peak, over the width (impulse over peak), with two derivatives in s.
     """
     step = -LOWEST_SHAPE / _SHAPES
     shapes = LOWEST_SHAPE + step * np.arange(_SHAPES + 1)
@@ -55,7 +50,7 @@ def _table() -> tuple[tuple[Floats, ...], Floats]:
     curve = family.force(u * contact[:, None], restitution) / peak
     # The impulse of m x'' from 1 to -e is 1 + e.
     times = np.stack([contact, peak_time], axis=1) * (peak / (1 + restitution[:, None]))
-    # Beyond s = 0 the same, reversed.
+    # Beyond s = 0: the same, reversed.
     turned = slice(-2, -2 - _BEYOND, -1)
     curve = np.concatenate([curve, curve[turned, ::-1]])
     beyond = times[turned]
@@ -94,17 +89,7 @@ def _bend(values: Floats, axis: int) -> Floats:
 
 
 def relative_times(shape: Floats) -> tuple[Floats, Floats, Floats, Floats]:
-    """Return contact duration and time from touch to peak over the width (impulse over peak), and their slopes in s.
-
-    Parameters
-    ----------
-    shape : ndarray, (n,)
-        s = ln e.
-
-    Returns
-    -------
-    duration, peak_time, duration_slope, peak_time_slope : ndarray, (n,)
-    """
+    """Return contact duration and time from touch to peak over the width (impulse over peak), and their slopes in s."""
     node, offset = _nearest(shape)
     value, slope, bend = np.moveaxis(_table()[1][node], -1, 0)
     at = value + offset[:, None] * (slope + 0.5 * offset[:, None] * bend)
@@ -118,19 +103,9 @@ def relative_times(shape: Floats) -> tuple[Floats, Floats, Floats, Floats]:
 
 
 def curve(share: Floats, shape: Floats) -> tuple[Floats, Floats, Floats]:
-    """Return the pulse and its slopes in the share of the contact and in the shape; zero outside contact.
+    """Return the pulse over its peak and its slopes in share and shape, each (n, n_samples); zero outside contact.
 
-    Parameters
-    ----------
-    share : ndarray, (n, n_samples)
-        u: 0 at touch, 1 at separation.
-    shape : ndarray, (n,)
-        s = ln e.
-
-    Returns
-    -------
-    value, in_share, in_shape : ndarray, (n, n_samples)
-        Over the peak.
+    `share` (n, n_samples) is u, 0 at touch and 1 at separation; `shape` (n,) is s = ln e.
     """
     node, offset = _nearest(shape)
     turned = shape > 0
@@ -157,15 +132,15 @@ def curve(share: Floats, shape: Floats) -> tuple[Floats, Floats, Floats]:
 
 
 def _nearest(shape: Floats) -> tuple[NDArray[np.intp], Floats]:
-    """Return the nearest node of s (of -s beyond 0) and the distance from it."""
+    """Return the nearest node of s (of -s above 0) and the distance from it."""
     place = (-np.abs(shape) - LOWEST_SHAPE) * (_SHAPES / -LOWEST_SHAPE)
     node = np.clip(np.rint(place), 0, _SHAPES).astype(np.intp)
     return node, (place - node) * (-LOWEST_SHAPE / _SHAPES)
 
 
-#: Order of a reported covariance.
+#: Order of the parameters in a reported covariance.
 PARAMETERS = ("ln_peak", "ln_duration", "onset", "shape", "baseline")
-#: Shapes, and points in time, of the information of a densely sampled pulse.
+#: Shapes and points in time for the information of a densely sampled pulse.
 _GRID, _POINTS = 241, 300
 
 
@@ -177,20 +152,9 @@ def free_parameters(onset_known: bool, fit_baseline: bool) -> list[int]:
 def pulse_and_slopes(
     parameters: Floats, times: Floats, onset_known: bool = False, fit_baseline: bool = False
 ) -> tuple[Floats, Floats]:
-    """Return pulses (without baseline) and their slopes in the free parameters.
+    """Return pulses without baseline (n, n_samples), and their slopes in the free parameters (n, n_free, n_samples).
 
-    Parameters
-    ----------
-    parameters : ndarray, (n, 5)
-    times : ndarray, (n, n_samples)
-    onset_known : bool
-        Then the place follows from width and shape.
-    fit_baseline : bool
-
-    Returns
-    -------
-    pulse : ndarray, (n, n_samples)
-    slopes : ndarray, (n, n_free, n_samples)
+    From parameters (n, 5) and times (n, n_samples). With a known onset, the place follows from width and shape.
     """
     peak, log_width, place, shape, _ = parameters.T
     width = np.exp(log_width)[:, None]
@@ -218,12 +182,7 @@ def covariance_of(
 ) -> Floats:
     """Return the covariance of `PARAMETERS`, (n, 5, 5), for noise of variance 1; zero where a parameter is known.
 
-    Parameters
-    ----------
-    information : ndarray, (n, n_free, n_free)
-        Sums of products of the slopes.
-    parameters : ndarray, (n, 5)
-    onset_known, fit_baseline : bool
+    `information` (n, n_free, n_free) holds the sums of products of the slopes at the parameters (n, 5).
     """
     peak, log_width, _, shape, _ = parameters.T
     width = np.exp(log_width)
@@ -247,7 +206,7 @@ def solve_scaled(information: Floats, right: Floats, ridge: Floats | float) -> F
 
 
 def _scaled(information: Floats, ridge: Floats | float) -> tuple[Floats, Floats]:
-    """Return scales, and the information with ones on the diagonal, for peaks are newtons and shapes are ratios."""
+    """Return scales and the information with ones on the diagonal, since peaks are newtons and shapes are ratios."""
     scale = np.sqrt(np.maximum(np.einsum("nii->ni", information), 1e-300))
     unit = information / (scale[:, :, None] * scale[:, None, :])
     return scale, unit + ridge * np.eye(information.shape[1])
@@ -280,9 +239,9 @@ def shape_deviation(shape: Floats) -> Floats:
 def shape_penalty(shape: Floats) -> tuple[Floats, Floats, Floats]:
     """Return the logarithm of Jeffreys' prior of the shape, its slope and its curvature (never above 0).
 
-    The maximum of the likelihood is biased at first order: where e is small the shape is hardly determined, and
-    estimates drift to ever smaller values. Jeffreys' prior, one over the standard deviation of the shape, removes the
-    bias (Firth 1993, Biometrika 80).
+    The maximum of the likelihood is biased at first order: a small e is barely determined, and estimates drift to ever
+    smaller values. Jeffreys' prior, one over the standard deviation of the shape, removes the bias (Firth 1993,
+    Biometrika 80).
     """
     value, slope, curvature = shape_deviation(shape)
     return -value, -slope, np.minimum(-curvature, 0.0)

@@ -1,12 +1,12 @@
 """Measurements on a batch of vibrations, one impact each, and their features (`VIBRATION_FEATURES`, at the end).
 
-A struck structure answers with an oscillation of both signs that begins at once and decays. Everything here is
-relative to a baseline and a noise from before touch, and uses the event: the samples from the onset on.
+A struck structure responds with an oscillation of both signs that begins at once and decays. All quantities are
+relative to a baseline and a noise from before touch, and use the event: the samples from the onset on.
 
-Most quantities use the event times `exp(-t / WINDOW_TIME)`, the exponential window of impact testing. What comes late
-(noise, the next impact, the end of the frame) has little weight, so the length of the frame hardly matters. Nor does
-the sampling rate, as long as the vibration lies well below half of it; only skewness, kurtosis and flatness of the
-spectrum depend on the rate, for they use all of it (`EnergySpectrum`).
+Most quantities use the event times `exp(-t / WINDOW_TIME)`, the exponential window of impact testing. Noise, the next
+impact and the end of the frame come late and have little weight, so the length of the frame hardly matters. Neither
+does the sampling rate, as long as the vibration lies well below half of it. Only skewness, kurtosis and flatness of the
+spectrum depend on the rate, because they use the whole spectrum (`EnergySpectrum`).
 """
 
 from __future__ import annotations
@@ -36,35 +36,34 @@ from cgid.validation import Floats
 
 #: Time constant of the exponential window [s]. It widens a line by 1 / (pi WINDOW_TIME) = 21 Hz.
 WINDOW_TIME = 15e-3
-#: Maxima of the spectrum are at least this far apart [Hz]: several widths of a line.
+#: Least distance between maxima of the spectrum [Hz]: several widths of a line.
 APART = 100.0
-#: Length of the frames in which the delay of a band is measured [s].
+#: Length of the frames for the delay of a band [s].
 DELAY_FRAME = 10e-3
-#: The event ends this long after the onset: the window has fallen to 2e-6 [s].
+#: Longest event [s]: the window has then fallen to 2e-6.
 LONGEST_EVENT = 0.2
-#: A vibration needs this much after the onset [s].
+#: Shortest event [s].
 SHORTEST_EVENT = 5e-3
-#: The onset is where the signal first leaves the baseline by this share of its largest deviation,
+#: The onset is where the deviation from the baseline first exceeds this share of its maximum,
 ONSET_OVER_PEAK = 0.05
-#: or by this many standard deviations of the noise where that is more, but at most by the second share of the largest
-#: deviation.
+#: or this many standard deviations of the noise if that is more, but at most the second share of its maximum.
 ONSET_OVER_NOISE, LATEST_ONSET = 5.0, 0.8
-#: Without `pre_trigger`, the quiet part ends this long before the signal leaves it [s].
+#: Without `pre_trigger`, the quiet part ends this long before the signal first leaves its level [s].
 QUIET_MARGIN = 1e-3
-#: Length of the early window, in which the force still acts [s].
+#: Length of the early window [s], in which the force still acts.
 EARLY_TIME = 2e-3
-#: The fourth power of anything smaller underflows.
+#: Smallest peak: the fourth power of anything less underflows.
 SMALLEST_PEAK = 1e-75
-#: Share of the energy of an event in its strong part.
+#: Share of an event's energy in its strong part.
 STRONG_SHARE = 0.9
 #: Bands of the early window [Hz].
 EARLY_BANDS = ((0, 500), (500, 1000), (1000, 2000), (2000, 4000), (4000, 8000))
 
 
 class VibrationBatch(Frames):
-    """Vibrations in frames, one impact each; each quantity is computed when it is first needed.
+    """Vibrations in frames, one impact each; each quantity is computed on first use.
 
-    Parameters are those of `Frames`. Without `pre_trigger`, each row is quiet up to well before it first leaves its
+    Arguments are those of `Frames`. Without `pre_trigger`, each row is quiet up to well before it first leaves its
     initial level. No row depends on the other rows of the batch.
     """
 
@@ -72,17 +71,17 @@ class VibrationBatch(Frames):
 
     @property
     def n_quiet(self) -> NDArray[np.intp]:
-        """Number of samples before touch from which baseline and noise are computed."""
+        """Number of samples before touch that define baseline and noise."""
         if self.pre_trigger is not None:
             return np.full(len(self.samples), self.pre_trigger, np.intp)
         return self._surely_quiet
 
     @cached_property
     def _surely_quiet(self) -> NDArray[np.intp]:
-        """Samples up to well before the first that leaves the level before the largest deviation."""
+        """Number of samples up to well before the first that leaves the level before the largest deviation."""
         centre = self.samples.mean(axis=1, dtype=np.float64)
         place = np.argmax(np.abs(self.samples - centre[:, None]), axis=1)
-        # The first half of the samples before the largest deviation defines what is quiet.
+        # The first half of the samples before the largest deviation defines the quiet level.
         mean, noise = self._moments(place // 2)
         deviation = np.abs(self.samples - mean[:, None])
         threshold = _onset_threshold(deviation[np.arange(len(place)), place], noise)
@@ -103,12 +102,12 @@ class VibrationBatch(Frames):
 
     @cached_property
     def peak(self) -> Floats:
-        """The largest distance from the baseline."""
+        """Largest distance from the baseline."""
         return np.asarray(self._deviation.max(axis=1))
 
     @cached_property
     def first(self) -> NDArray[np.intp]:
-        """The first sample of the event."""
+        """First sample of the event."""
         return np.asarray(np.argmax(self._deviation > self._threshold[:, None], axis=1))
 
     @cached_property
@@ -117,7 +116,7 @@ class VibrationBatch(Frames):
 
     @cached_property
     def _lead(self) -> Floats:
-        """Time from the crossing of the threshold to the first sample of the event [samples], linear in between."""
+        """Time from crossing the threshold to the first sample of the event [samples], linear in between."""
         rows = np.arange(len(self.first))
         high = self._deviation[rows, self.first]
         low = np.where(self.first > 0, self._deviation[rows, np.maximum(self.first - 1, 0)], 0.0)
@@ -127,7 +126,7 @@ class VibrationBatch(Frames):
 
     @cached_property
     def event(self) -> Floats:
-        """Samples from the onset on, baseline removed; zeros after the end of the frame."""
+        """Samples from the onset on, less the baseline; zeros after the end of the frame."""
         n_samples = self.samples.shape[1]
         out = np.zeros((len(self.samples), min(n_samples, int(np.ceil(LONGEST_EVENT * self.sampling_rate)))))
         # Row by row: copying a slice is several times faster than gathering the same samples.
@@ -152,9 +151,9 @@ class VibrationBatch(Frames):
         return np.asarray(self.noise**2 * sums[self.n_event] / self.sampling_rate)
 
     def _running_energy(self, weight: Floats) -> Floats:
-        """Return the weighted energy of the event up to each sample [unit^2 s], less that of the noise.
+        """Return the weighted energy of the event up to each sample, less that of the noise [unit^2 s].
 
-        At most half of the energy is subtracted: what is called noise may be the decay of the previous impact.
+        At most half of the energy is subtracted: the noise before touch may be the decay of the previous impact.
         """
         square = self.event**2 * weight
         share = np.append(0.0, np.cumsum(weight))[self.n_event]
@@ -190,7 +189,7 @@ class VibrationBatch(Frames):
     @cached_property
     def strong_moments(self) -> tuple[Floats, Floats]:
         """Mean of the square and of the fourth power over the strong part."""
-        # A running sum: how a plain sum is split depends on the longest row of the batch.
+        # A running sum: the splitting of a plain sum depends on the longest row of the batch.
         square = self._strong**2
         second, fourth = (np.cumsum(power, axis=1)[:, -1] for power in (square, square**2))
         return np.asarray(second / self._n_strong), np.asarray(fourth / self._n_strong)
@@ -212,12 +211,12 @@ class VibrationBatch(Frames):
 
     @cached_property
     def time_to_peak(self) -> Floats:
-        """From the onset to the largest distance from the baseline [s]."""
+        """Time from the onset to the largest distance from the baseline [s]."""
         return np.asarray((np.argmax(self._deviation, axis=1) - self.first + self._lead) / self.sampling_rate)
 
     @cached_property
     def time_to_first_maximum(self) -> Floats:
-        """From the onset to the first maximum of the distance from the baseline [s], by a parabola there."""
+        """Time from the onset to the first maximum of the distance from the baseline [s], by a parabola there."""
         size = np.abs(self.event)
         falls = size[:, 1:] < size[:, :-1]
         falls[:, -1] = True
@@ -228,15 +227,15 @@ class VibrationBatch(Frames):
         top, after = size[rows, place], size[rows, place + 1]
         bend = before - 2 * top + after
         shift = np.where(bend < 0, 0.5 * (before - after) / np.where(bend < 0, bend, -1.0), 0.0)
-        # Never before the onset, however the parabola bends.
+        # A parabola must not yield a time before the onset.
         return np.asarray(np.maximum(place + np.clip(shift, -0.5, 0.5) + self._lead, 0.05) / self.sampling_rate)
 
     @cached_property
     def decay_time(self) -> Floats:
         """Time in which the energy falls by 60 dB, from where the energy to come is 5 and 15 dB down [s].
 
-        Schroeder's backward integral of the event without window, less the noise. It ends with the frame: for a
-        vibration that lasts longer than the frame the result is too short.
+        From Schroeder's backward integral of the event without window, less the noise. It ends with the frame, so it is
+        too short for a vibration that outlasts the frame.
         """
         running = self._running_energy(np.ones(self.event.shape[1]))
         five, fifteen = (passage(running, 1 - 10**-fall) for fall in (0.5, 1.5))
@@ -246,14 +245,14 @@ class VibrationBatch(Frames):
 
     @cached_property
     def spectrum(self) -> EnergySpectrum:
-        """Of the windowed event."""
+        """Spectrum of the windowed event."""
         return EnergySpectrum.of(self.event * self._window, self.sampling_rate)
 
     def level(self, low: float, high: float) -> Floats:
-        """Return the logarithm (base 10) of the energy between two frequencies [Hz] in the windowed event.
+        """Return log10 of the energy between two frequencies [Hz] in the windowed event.
 
-        The share of the noise, taken as white, is subtracted; at least that share and `LOWEST_SHARE` of the whole
-        energy are left.
+        The share of the noise, assumed white, is subtracted, but at least that share and `LOWEST_SHARE` of all energy
+        remain.
         """
         return self._level(self.spectrum, self._noise_share, low, high)
 
@@ -271,7 +270,7 @@ class VibrationBatch(Frames):
     def _early(self) -> tuple[EnergySpectrum, Floats]:
         """Spectrum of the early window, and the energy of the noise in it [unit^2 s]."""
         count = min(max(round(EARLY_TIME * self.sampling_rate), 2), self.event.shape[1])
-        # Half a cosine bell: an event has a beginning of its own, only its end needs a taper.
+        # Half a cosine bell: an event has its own onset, only its end needs a taper.
         window = np.cos(np.arange(count) * (0.5 * np.pi / count)) ** 2
         noise = self.noise**2 * (np.sum(window**2) / self.sampling_rate)
         return EnergySpectrum.of(self.event[:, :count] * window, self.sampling_rate, finer=4), noise
@@ -282,10 +281,10 @@ class VibrationBatch(Frames):
 
     @cached_property
     def clean_spectrum(self) -> EnergySpectrum:
-        """Of the windowed event, less the share of the noise in each bin, but never below 0."""
+        """Spectrum of the windowed event, less the share of the noise in each bin, at least 0."""
         energy = self.spectrum.energy
         clean = np.maximum(energy - (self._noise_share / (energy.shape[1] - 1))[:, None], 0.0)
-        # Where there is only noise, all of it counts.
+        # If there is only noise, all of it counts.
         return EnergySpectrum(self.spectrum.spacing, np.where((clean > 0).any(axis=1)[:, None], clean, energy))
 
     @cached_property
@@ -307,7 +306,7 @@ class VibrationBatch(Frames):
     def mel_delay(self) -> Floats:
         """Mean time after the onset of the energy in each of `MEL_BANDS` [s], (n_signals, n_bands).
 
-        From the windowed event in frames of `DELAY_FRAME` under Hann bells, the first centred at the onset.
+        From the windowed event in Hann-windowed frames of `DELAY_FRAME`, the first centred at the onset.
         """
         length = 2 * max(round(0.5 * DELAY_FRAME * self.sampling_rate), 1)
         padded = np.pad(self.event * self._window, ((0, 0), (length // 2, length // 2)))
@@ -333,7 +332,7 @@ class VibrationBatch(Frames):
     # -- rows that cannot be measured -----------------------------------------------------------------
 
     def problems(self) -> dict[int, str]:
-        """Return, for each row that cannot be measured, the rule it breaks, its value and the cure."""
+        """Map each row that cannot be measured to the broken rule, its value and the remedy."""
         found: dict[int, str] = {}
         for row in np.flatnonzero(np.ptp(self.samples, axis=1) == 0):
             found[int(row)] = constant_signal(self.samples[row, 0])
@@ -361,7 +360,7 @@ class VibrationBatch(Frames):
 
 
 def _onset_threshold(peak: Floats, noise: Floats) -> Floats:
-    """Return what a signal must exceed to have left its baseline."""
+    """Return the deviation above which a signal has left its baseline."""
     return np.maximum(ONSET_OVER_PEAK * peak, np.minimum(ONSET_OVER_NOISE * noise, LATEST_ONSET * peak))
 
 
@@ -392,7 +391,7 @@ _LEVELS = Bank(
     THIRD_OCTAVES,
     kind="vibration",
     highest_frequency=[max(high, LEAST_BANDWIDTH) for _, high in _OCTAVES],
-    # A frame resolves frequencies that are one over its length apart.
+    # A frame resolves frequencies one over its length apart.
     shortest_frame=[1 / (high - low) for low, high in _OCTAVES],
 )
 _EARLY_LEVELS = Bank(

@@ -1,11 +1,11 @@
 """Measurements on windows of a recording, and their features (`WINDOW_FEATURES`, at the end).
 
-A window is a stretch of a stationary recording: many bodies fall, slide and overlap, and no single impact is looked
-for. So there is no onset, no noise before touch and no end of a vibration.
+A window is a section of a stationary recording in which many bodies fall, slide and overlap. Single impacts are not
+located, so there is no onset, no noise before touch and no end of a vibration.
 
-A window is cut into frames of `FRAME_TIME` that half overlap, each under a Hann bell. Their mean spectrum says what
-sounds; how much they differ says how: single impacts differ, a steady rustle does not. Features with `relative` in
-their names, those without a unit and frequencies do not depend on the gain of the sensor.
+A window is cut into half-overlapping Hann-windowed frames of `FRAME_TIME`. Their mean spectrum describes the sources,
+the differences between frames the kind of sound: single impacts vary, a steady rustle does not. Features with
+`relative` in their names, frequencies and those without a unit do not depend on the gain of the sensor.
 """
 
 from __future__ import annotations
@@ -35,35 +35,24 @@ from cgid.measure.spectra import (
 from cgid.measure.table import LEAST_BANDWIDTH, OF_THE_RATE, Bank, Feature
 from cgid.validation import Floats
 
-#: Length of a frame [s]; the next begins half of it later.
+#: Length of a frame [s]; frames overlap by half.
 FRAME_TIME = 10e-3
-#: The envelope is the root mean square over this time [s].
+#: Averaging time of the envelope, a root mean square [s].
 ENVELOPE_TIME = 1e-3
-#: A blow is where the envelope is highest within `BLOW_TIME` to either side [s], and at least this many times its mean.
+#: A blow is a maximum of the envelope within `BLOW_TIME` [s] to either side, of at least this many times its mean.
 BLOW_TIME, BLOW_OVER_MEAN = 3e-3, 1.5
-#: The fourth power of anything smaller underflows.
+#: Smallest root mean square: the fourth power of anything less underflows.
 SMALLEST_RMS = 1e-70
 #: Third octaves of windows [Hz]: without an exponential window they cover the audible range.
 WINDOW_THIRD_OCTAVES = (*THIRD_OCTAVES, "12500", "16000", "20000")
-#: Lags of the correlation of the envelope with itself [s].
+#: Lags of the autocorrelation of the envelope [s].
 CORRELATION_LAGS = (2e-3, 5e-3, 10e-3)
 #: Shortest window [s]: three frames, half overlapping.
 SHORTEST_WINDOW = 2 * FRAME_TIME
 
 
 class WindowBatch:
-    """Windows of a recording; each quantity is computed when it is first needed.
-
-    No row depends on the other rows of the batch.
-
-    Parameters
-    ----------
-    samples : ndarray, (n_windows, n_samples)
-    sampling_rate : float
-        [Hz].
-    remove_baseline : bool
-        Whether the mean of a window is subtracted.
-    """
+    """Windows (n_windows, n_samples) of a recording; each quantity is computed on first use, each row by itself."""
 
     def __init__(self, samples: NDArray[np.floating], sampling_rate: float, remove_baseline: bool = True) -> None:
         self.samples = samples
@@ -74,7 +63,7 @@ class WindowBatch:
 
     @cached_property
     def swing(self) -> Floats:
-        """The samples, less the baseline."""
+        """The samples, less the mean of each window if `remove_baseline`."""
         swing = self.samples.astype(np.float64)
         if self.remove_baseline:
             swing -= swing.mean(axis=1, keepdims=True)
@@ -91,7 +80,7 @@ class WindowBatch:
 
     @cached_property
     def level(self) -> Floats:
-        """Logarithm (base 10) of the mean square."""
+        """Log10 of the mean square."""
         return np.asarray(np.log10(np.maximum(self.mean_square, np.finfo(np.float64).tiny)))
 
     @cached_property
@@ -140,15 +129,15 @@ class WindowBatch:
 
     @cached_property
     def log_envelope(self) -> Floats:
-        """Logarithm (base 10) of the envelope."""
+        """Log10 of the envelope."""
         return np.asarray(np.log10(np.maximum(self.envelope, 1e-6 * np.sqrt(self.mean_square)[:, None])))
 
     def envelope_quantile(self, share: float) -> Floats:
-        """Return a quantile of the envelope, as a logarithm (base 10)."""
+        """Return log10 of a quantile of the envelope."""
         return np.asarray(np.quantile(self.log_envelope, share, axis=1))
 
     def envelope_correlation(self, lag: float) -> Floats:
-        """Return the correlation of the envelope with itself a time [s] later."""
+        """Return the autocorrelation of the envelope at a lag [s]."""
         steps = min(max(round(lag / self._envelope_step), 1), self.envelope.shape[1] - 1)
         centred = self.envelope - self.envelope.mean(axis=1, keepdims=True)
         variance = np.maximum(np.square(centred).sum(axis=1), LOWEST_SHARE * self.mean_square)
@@ -175,7 +164,7 @@ class WindowBatch:
 
     @cached_property
     def spectrum(self) -> EnergySpectrum:
-        """Mean square in each bin [unit^2], the mean over the frames (Welch)."""
+        """Mean square in each bin [unit^2], averaged over the frames (Welch)."""
         spacing, power = self._frames
         return EnergySpectrum(spacing, np.asarray(power.mean(axis=1)))
 
@@ -192,12 +181,12 @@ class WindowBatch:
         return EnergySpectrum(spectrum.spacing, spectrum.energy * (self.sampling_rate / np.sum(bell**2)))
 
     def band_level(self, low: float, high: float) -> Floats:
-        """Return the logarithm (base 10) of the mean square between two frequencies [Hz]."""
+        """Return log10 of the mean square between two frequencies [Hz]."""
         return np.log10(np.maximum(self._fine_spectrum.between(low, high), self._floor))
 
     @cached_property
     def packets(self) -> Floats:
-        """Logarithm (base 10) of the mean square in each wavelet packet, (n_windows, n_packets)."""
+        """Log10 of the mean square in each wavelet packet, (n_windows, n_packets)."""
         power = packet_energies(self.swing) / self.swing.shape[1]
         return np.asarray(np.log10(np.maximum(power, self._floor[:, None])))
 
@@ -206,7 +195,7 @@ class WindowBatch:
         return np.maximum(LOWEST_SHARE * self.mean_square, np.finfo(np.float64).tiny)
 
     def _log_levels(self, bands: TriangularBands) -> Floats:
-        """Return the logarithms (base 10) of the mean square in each frame and band, (n_windows, n_frames, n_bands)."""
+        """Return log10 of the mean square in each frame and band, (n_windows, n_frames, n_bands)."""
         spacing, power = self._frames
         sums = bands.within(0.5 * self.sampling_rate).sums(power, spacing)
         return np.asarray(np.log10(np.maximum(sums, self._floor[:, None, None], out=sums), out=sums))
@@ -217,28 +206,28 @@ class WindowBatch:
 
     @cached_property
     def mel(self) -> tuple[Floats, Floats]:
-        """Mean and deviation of the logarithms (base 10) of `MEL_BANDS` over the frames, (n_windows, n_bands)."""
+        """Mean and standard deviation of log10 of `MEL_BANDS` over the frames, (n_windows, n_bands)."""
         return _over_frames(self._mel_levels)
 
     @cached_property
     def mel_power(self) -> Floats:
-        """Mean square in each of `MEL_BANDS` [unit^2], the mean over the frames, (n_windows, n_bands)."""
+        """Mean square in each of `MEL_BANDS`, averaged over the frames [unit^2], (n_windows, n_bands)."""
         return MEL_BANDS.within(0.5 * self.sampling_rate).sums(self.spectrum.energy, self.spectrum.spacing)
 
     @cached_property
     def even(self) -> tuple[Floats, Floats]:
-        """Mean and deviation of the logarithms (base 10) of `EVEN_BANDS` over the frames, (n_windows, n_bands)."""
+        """Mean and standard deviation of log10 of `EVEN_BANDS` over the frames, (n_windows, n_bands)."""
         return _over_frames(self._log_levels(EVEN_BANDS))
 
     @cached_property
     def flux(self) -> Floats:
-        """Change of the logarithms of the mel bands from frame to frame, root mean square over bands."""
+        """Change of the log10 mel bands from frame to frame, root mean square over bands."""
         return np.asarray(np.sqrt(np.square(np.diff(self._mel_levels, axis=1)).mean(axis=1).mean(axis=1)))
 
     # -- rows that cannot be measured -----------------------------------------------------------------
 
     def problems(self) -> dict[int, str]:
-        """Return, for each row that cannot be measured, the rule it breaks, its value and the cure."""
+        """Map each row that cannot be measured to the broken rule, its value and the remedy."""
         found: dict[int, str] = {}
         constant = np.ptp(self.samples, axis=1) == 0
         for row in np.flatnonzero(constant | ~(self.mean_square > SMALLEST_RMS**2)):
@@ -277,7 +266,7 @@ _LEVEL = _window(
 def _triangular(
     of: str, band: str, source: str, bands: TriangularBands, measured: Callable[[WindowBatch], tuple[Floats, Floats]]
 ) -> tuple[Bank, Bank, Bank]:
-    """Return mean, mean relative to the total level, and deviation over the frames of each band."""
+    """Return banks of the mean, of the mean relative to the total level, and of the deviation over the frames."""
     bank = partial(
         Bank,
         source=source,
@@ -311,7 +300,7 @@ _LEVELS = Bank(
     WINDOW_THIRD_OCTAVES,
     kind="window",
     highest_frequency=[max(high, LEAST_BANDWIDTH) for _, high in _OCTAVES],
-    # A Hann bell over the window makes a line two over its length wide.
+    # A Hann window over all samples makes a line two over its length wide.
     shortest_frame=[max(2 / (high - low), SHORTEST_WINDOW) for low, high in _OCTAVES],
 )
 _PACKETS = Bank(
