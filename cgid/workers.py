@@ -136,7 +136,7 @@ class Workers:
             while True:
                 if time.monotonic() - counted > _RECOUNT:
                     most, counted = max(2, 2 * self._threads()), time.monotonic()
-                for part in islice(rest, most - len(running)):
+                for part in islice(rest, max(0, most - len(running))):
                     running.append(self.client.submit(_do_alike, versions, function, given, part, pure=False))
                 if not running:
                     return
