@@ -266,9 +266,7 @@ class _Panel:
         return cls(along, across, np.asarray(stiffness / rigidities.mass, dtype=np.float64), mass)
 
     def _standard(self) -> tuple[Floats, Floats, Floats]:
-        """Return the standard form of `M v = v K / omega^2`, the factor of the stiffness, and the scale of the
-        products.
-        """
+        """Return the standard form of `M v = v K / omega^2`, the stiffness factor, and the scale of the products."""
         scale = 1 / np.sqrt(np.diag(self.stiffness))
         factor = self.stiffness * scale * scale[:, None]
         if not _modes.factorise(factor):
