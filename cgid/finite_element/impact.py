@@ -50,22 +50,21 @@ class FiniteElementImpact:
     ----------
     sphere : Sphere
     plate : ElasticPlate
-    velocity : float
-        [m/s], above 0.
-    retardation_time : float, optional
-        b of a Kelvin-Voigt sphere [s], stress = E (strain + b x strain rate). For a slow impact this is `Viscoelastic`
-        with A = 3/2 b times the sphere's share of the compliance.
+    velocity : float, above 0 [m/s]
+    retardation_time : float, optional [s]
+        b of a Kelvin-Voigt sphere, stress = E (strain + b x strain rate). For a slow impact this is `Viscoelastic` with
+        A = 3/2 b times the sphere's share of the compliance.
     elements : int, optional
-        Number over the radius of Hertz's contact: 7 give the peak force within about .5 %, 14 within .1 %.
-    element_size : float, optional
-        Edge of the elements at the contact [m], instead of `elements`.
+        Number over the radius of Hertz's contact: 7 give the peak force within about .5 %, 14 (default) within .1 %.
+    element_size : float, optional [m]
+        Edge of the elements at the contact, instead of `elements`.
     penalty : PenaltyContact, optional
         A soft contact instead of a hard one.
     method : {"auto", "explicit", "implicit"}, optional
         Explicit central differences, or implicit steps. "auto" chooses implicit where damping or a small contact would
         need more than 50,000 explicit steps.
-    time_step : float, optional
-        [s]; chosen by default.
+    time_step : float, optional [s]
+        By default chosen automatically.
 
     Raises
     ------
@@ -265,24 +264,22 @@ class History:
 
     Parameters
     ----------
-    contact_force : Signal
-        [N].
-    centre_displacement, mass_centre_displacement : Signal
-        Displacements towards the plate of the node at the sphere's centre (DCS in Yang et al. 2018) and of the mass
-        centre [m].
-    contact_radius : Signal
-        Radius of vanishing pressure [m], extrapolated from the outermost loaded nodes: by Hertz's law the squared
-        pressure is linear in the squared radius.
-    contact_pressure : Signal
-        Largest pressure [Pa].
-    sphere_energy, plate_energy : Signal
-        Internal (elastic) energies [J].
-    centre_node_force : Signal
-        Mass of the sphere times acceleration of its centre node [N]: the "dense vibration waves" of Yang et al. (2018).
-    radii, pressures : ndarray, (n_contact,)
-        Distance from the axis [m], and contact pressure there at the peak force [Pa].
-    contact_duration : float
-        From first to last touch [s]; a free plate may be hit repeatedly.
+    contact_force : Signal [N]
+    centre_displacement, mass_centre_displacement : Signal [m]
+        Towards the plate, of the node at the sphere's centre (DCS in Yang et al. 2018) and of the mass centre.
+    contact_radius : Signal [m]
+        Radius of vanishing pressure, extrapolated from the outermost loaded nodes: by Hertz's law the squared pressure
+        is linear in the squared radius.
+    contact_pressure : Signal [Pa]
+        Largest pressure.
+    sphere_energy, plate_energy : Signal [J]
+        Internal (elastic) energies.
+    centre_node_force : Signal [N]
+        Mass of the sphere times acceleration of its centre node: the "dense vibration waves" of Yang et al. (2018).
+    radii, pressures : ndarray, (n_contact,) [m], [Pa]
+        Distance from the axis, and contact pressure there at the peak force.
+    contact_duration : float [s]
+        From first to last touch; a free plate may be hit repeatedly.
     restitution : float
         Velocity of the mass centre away from the plate's initial position over impact velocity; negative if the sphere
         moves on downwards, slower than a free plate.
@@ -290,8 +287,7 @@ class History:
         Largest change of the total energy over the impact energy; None with damping.
     momentum_error : float
         Largest difference between the sphere's change of momentum and the contact impulse, over the initial momentum.
-    time_step : float
-        [s].
+    time_step : float [s]
     n_steps : int
     """
 

@@ -43,8 +43,8 @@ class ElasticPlate:
     ----------
     lower_face : {"fixed", "free"}
         Held, as in the simulations of Yang, Zeng & Wan (2018), or free, so that nothing holds the plate.
-    retardation_time : float, optional
-        Of a Kelvin-Voigt material, stress = E (strain + retardation time x strain rate) [s].
+    retardation_time : float, optional [s]
+        Of a Kelvin-Voigt material, stress = E (strain + retardation time x strain rate).
     """
 
     material: Material

@@ -45,8 +45,8 @@ class HalfSpace:
 class ThinPlate:
     """A plate of `material` and `thickness` [m], so wide that no wave returns from its edges during contact.
 
-    The point of impact moves at the speed `P / Z`, and flexural waves carry the energy away (Zener 1941, Phys. Rev. 59,
-    669).
+    The point of impact moves at the speed `P / Z`, and flexural waves carry the energy away
+    (Zener 1941, Phys. Rev. 59, 669).
     """
 
     material: Material

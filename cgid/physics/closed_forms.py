@@ -1,14 +1,14 @@
 """Closed forms of a Hunt-Crossley impact: restitution from damping, damping from restitution, and the peaks.
 
 The contact `m x'' = -K x^(3/2) (1 + chi x')` at impact speed v depends on one damping number, D = chi v. Its first
-integral (Hunt & Crossley 1975, J. Appl. Mech. 42, 440) relates D to the restitution e: `(1 + e) D = ln[(1 + D) / (1 - e
-D)]`. With `kappa = (1 - e) / (1 + e)` and `D = 2 t / (1 + e)` this becomes
+integral (Hunt & Crossley 1975, J. Appl. Mech. 42, 440) relates D to the restitution e:
+`(1 + e) D = ln[(1 + D) / (1 - e D)]`. With `kappa = (1 - e) / (1 + e)` and `D = 2 t / (1 + e)` this becomes
 
     coth(t) - 1/t = kappa,
 
 so t is the inverse Langevin function of kappa. This form does not cancel as e -> 1 or underflow as e -> 0. The same
-integral, `(2/5) x^(5/2) = G(1) - G(x')` with `G(u) = u/D - ln(1 + D u)/D^2`, gives the peaks, here in units of L and `K
-L^(3/2)`.
+integral, `(2/5) x^(5/2) = G(1) - G(x')` with `G(u) = u/D - ln(1 + D u)/D^2`, gives the peaks, here in units of L and
+`K L^(3/2)`.
 """
 
 from __future__ import annotations
@@ -81,17 +81,15 @@ def _logarithmic_slope(t: Floats) -> Floats:
 
 
 def damping_number(restitution: ArrayLike) -> Floats:
-    """Return the damping number D = chi v for a restitution.
+    """Return the damping number D = chi v for a restitution (rebound speed over impact speed).
 
     Parameters
     ----------
-    restitution : array_like
-        Rebound speed over impact speed, in (0, 1].
+    restitution : array_like, in (0, 1]
 
     Returns
     -------
-    ndarray
-        D; 0 for an elastic impact.
+    ndarray, 0 for an elastic impact
 
     Raises
     ------
@@ -108,17 +106,15 @@ def damping_number(restitution: ArrayLike) -> Floats:
 
 
 def delivered_restitution(damping: ArrayLike) -> Floats:
-    """Return the restitution that a damping number delivers, the inverse of `damping_number`.
+    """Return the restitution that a damping number D = chi v delivers, the inverse of `damping_number`.
 
     Parameters
     ----------
-    damping : array_like
-        D = chi v, 0 or more.
+    damping : array_like, 0 or more
 
     Returns
     -------
-    ndarray
-        Restitution in (0, 1].
+    ndarray, in (0, 1]
 
     Raises
     ------

@@ -42,34 +42,29 @@ class ModalImpact(Impact):
 
     Parameters
     ----------
-    sphere : Sphere
-        The falling body.
+    sphere, velocity, stiffness
+        As for `Impact`.
     target : HalfSpace
         Material of the structure, for the contact stiffness.
-    velocity : array_like
-        Normal impact speed [m/s], above 0.
-    stiffness : {"hertz", "rigid-sphere", "series"}
-        Theory of the contact stiffness (see `contact_stiffness`).
     dissipation : Elastic or HuntCrossley
         Loss in the material alone.
-    gravity : array_like
-        Pull towards the structure during and between contacts [m/s^2], 0 or more.
-    frequency : array_like, (n_modes,)
-        Undamped natural frequencies [Hz], ascending; may be empty.
-    damping_ratio : array_like, (n_modes,) or scalar
-        Above 0 and below 1.
-    compliance : array_like, (..., n_modes)
-        Squared shape at the point of impact over modal mass [1/kg], 0 or more; the leading axes are those of the
-        impacts.
-    residual_compliance : array_like
-        Static compliance of the omitted higher modes at the point of impact [m/N], 0 or more: the sum of `compliance /
-        (2 pi frequency)^2` over them, or `2 / (pi Z w)` for a thin plate of impedance Z, cut at w [rad/s].
-    window : array_like, optional
-        A new contact may begin up to this time after the first touch [s]; it is followed to its end. Default: 12 T0,
-        about four undamped contacts on a half space.
-    tolerance : float
-        Truncation error of the force polynomials over the peak force, from 1e-12 to 1e-4. Energies, restitution and
-        contact duration are far more accurate.
+    gravity : array_like, 0 or more [m/s^2]
+        Pull towards the structure during and between contacts.
+    frequency : array_like, (n_modes,) [Hz]
+        Undamped natural frequencies, ascending; may be empty.
+    damping_ratio : array_like, (n_modes,) or scalar, in (0, 1)
+    compliance : array_like, (..., n_modes), 0 or more [1/kg]
+        Squared shape at the point of impact over modal mass; the leading axes are those of the impacts.
+    residual_compliance : array_like, 0 or more [m/N]
+        Static compliance of the omitted higher modes at the point of impact: the sum of
+        `compliance / (2 pi frequency)^2` over them, or `2 / (pi Z w)` for a thin plate of impedance Z, cut at w
+        [rad/s].
+    window : array_like, optional [s]
+        Time after the first touch in which a new contact may begin; it is followed to its end. Default: 12 T0, about
+        four undamped contacts on a half space.
+    tolerance : float, 1e-12 to 1e-4
+        Truncation error of the force polynomials over the peak force. Energies, restitution and contact duration are
+        far more accurate.
 
     Raises
     ------
@@ -352,9 +347,9 @@ def solve(
 ) -> ModalCurves:
     """Solve contact and modes together, impact by impact; return their curves.
 
-    Frequencies [Hz] and damping ratios are (n_modes,), participation (squared shape over modal mass [1/kg]) is (n,
-    n_modes). The others are (n,): restitution and D of the Hunt-Crossley loss, weight `g L / v^2`, window [T0], mass
-    [kg] and T0 [s]. `tolerance` is the truncation error of the force in a step, over the peak force.
+    Frequencies [Hz] and damping ratios are (n_modes,), participation (squared shape over modal mass [1/kg]) is
+    (n, n_modes). The others are (n,): restitution and D of the Hunt-Crossley loss, weight `g L / v^2`, window [T0],
+    mass [kg] and T0 [s]. `tolerance` is the truncation error of the force in a step, over the peak force.
     """
     from cgid.physics import _coupled
 

@@ -50,15 +50,15 @@ class Impact:
         The falling body.
     target : HalfSpace, ThinPlate, Sphere or RIGID
         The body at rest.
-    velocity : array_like
-        Normal impact speed [m/s], above 0; for two spheres the relative speed.
+    velocity : array_like, above 0 [m/s]
+        Normal impact speed; for two spheres the relative speed.
     stiffness : {"hertz", "rigid-sphere", "series"}
         Theory of the contact stiffness (see `contact_stiffness`); no default.
     dissipation : Elastic, HuntCrossley or Viscoelastic
         Loss in the material; the loss to a thin plate is added to it.
-    gravity : array_like
-        Pull towards the target during contact [m/s^2], 0 or more. Neglected where it would change the speed by at most
-        3e-12 of the impact speed.
+    gravity : array_like, 0 or more [m/s^2]
+        Pull towards the target during contact. Neglected where it would change the speed by at most 3e-12 of the impact
+        speed.
 
     Raises
     ------
@@ -312,17 +312,16 @@ class Impact:
 
         Parameters
         ----------
-        times : array_like, (..., n_times)
-            Time since touch [s], along the last axis.
+        times : array_like, (..., n_times) [s]
+            Time since touch, along the last axis.
         dtype : {"float64", "float32"}
-            Type of the result.
         threads : int
             Number of threads that share the impacts.
 
         Returns
         -------
-        ndarray
-            [N], never negative, 0 outside contact. Shape of `times` for a single impact, otherwise the impacts' shape
+        ndarray [N]
+            Never negative, 0 outside contact. Shape of `times` for a single impact, otherwise the impacts' shape
             broadcast against the leading axes of `times`, then n_times.
         """
         return self._over_time(times, "force", self.force_scale, dtype, threads)
@@ -361,21 +360,18 @@ class Impact:
 
         Parameters
         ----------
-        sampling_rate : float
-            [Hz].
+        sampling_rate : float [Hz]
         n_samples : int
             Length of a frame.
-        onset : array_like
-            Time of touch relative to the start of the frame [s]; it may lie outside the frame.
+        onset : array_like [s]
+            Time of touch relative to the start of the frame; it may lie outside the frame.
         dtype : {"float64", "float32"}
-            Type of the result.
         threads : int
             Number of threads that share the impacts.
 
         Returns
         -------
-        ndarray, (*shape of the impacts and onset, n_samples)
-            [N].
+        ndarray, (*shape of the impacts and onset, n_samples) [N]
         """
         dtype = _output(dtype, self.force_scale)
         n_samples = validation.count("n_samples", n_samples)

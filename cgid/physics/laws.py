@@ -4,8 +4,8 @@ Every stiffness theory has the form `P = K delta^(3/2)`. Hertz's reduced modulus
 bodies, so the series theory of Yang et al. (2018) counts it twice; an independent finite-element run agrees with
 `"hertz"`. All three theories are available, and none is the default.
 
-The damping factors of a Hunt-Crossley contact, `P = K delta^(3/2) (1 + chi delta')`, differ in the damping number `D =
-chi v` for a restitution e. All but the exact one are approximations, good near e = 1:
+The damping factors of a Hunt-Crossley contact, `P = K delta^(3/2) (1 + chi delta')`, differ in the damping number
+`D = chi v` for a restitution e. All but the exact one are approximations, good near e = 1:
 `HuntCrossley.delivered_restitution` is the restitution that results. A new factor needs one more table entry.
 """
 
@@ -40,17 +40,14 @@ def contact_stiffness(reduced_radius: ArrayLike, reduced_modulus: ArrayLike, the
 
     Parameters
     ----------
-    reduced_radius : array_like
-        [m].
-    reduced_modulus : array_like
-        [Pa].
+    reduced_radius : array_like [m]
+    reduced_modulus : array_like [Pa]
     theory : {"hertz", "rigid-sphere", "series"}
         `K1 = 4/3 sqrt(R) E`; `K2 = 8 sqrt(3)/9 K1`; or both springs in series, `K1 / 1.75^(3/2)`.
 
     Returns
     -------
-    ndarray
-        [N/m^(3/2)].
+    ndarray [N/m^(3/2)]
 
     Examples
     --------
@@ -124,8 +121,8 @@ class HuntCrossley:
 
     Parameters
     ----------
-    restitution : array_like
-        Requested rebound speed over impact speed, in (0, 1].
+    restitution : array_like, in (0, 1]
+        Requested rebound speed over impact speed.
     law : str
         Relation of chi to the restitution: "exact", which delivers it, or one of the published factors "hunt-crossley",
         "herbert-mcwhannell", "lee-wang", "lankarani-nikravesh", "gonthier", "zhiying-qishao", "flores", "hu-guo".
@@ -184,12 +181,12 @@ class Viscoelastic:
 
     Parameters
     ----------
-    dissipative_constant : array_like, optional
-        A [s]. Brilliantov et al. (1996), Phys. Rev. E 53, 5382, call it `3/2 A`.
-    time_constant : array_like, optional
-        b [s] of a Kelvin-Voigt sphere, stress = E (strain + b x strain rate). Then `A = 3/2 b s`, with s the sphere's
-        share of the total compliance. The target is elastic, even if it is a sphere: for two viscoelastic spheres give
-        the dissipative constant of their contact.
+    dissipative_constant : array_like, optional, above 0 [s]
+        A. Brilliantov et al. (1996), Phys. Rev. E 53, 5382, call it `3/2 A`.
+    time_constant : array_like, optional, above 0 [s]
+        b of a Kelvin-Voigt sphere, stress = E (strain + b x strain rate). Then `A = 3/2 b s`, with s the sphere's share
+        of the total compliance. The target is elastic, even if it is a sphere: for two viscoelastic spheres give the
+        dissipative constant of their contact.
 
     Raises
     ------

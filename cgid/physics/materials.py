@@ -16,12 +16,9 @@ class Material:
 
     Parameters
     ----------
-    density : array_like
-        [kg/m^3], above 0.
-    youngs_modulus : array_like
-        [Pa], above 0.
-    poisson_ratio : array_like
-        Within (-1, 0.5).
+    density : array_like, above 0 [kg/m^3]
+    youngs_modulus : array_like, above 0 [Pa]
+    poisson_ratio : array_like, in (-1, 0.5)
 
     Raises
     ------

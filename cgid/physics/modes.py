@@ -139,10 +139,10 @@ class MeasuredModes:
 def read_measured_modes(path: str | Path) -> MeasuredModes:
     r"""Read a table of modes from a UTF-8 file of comma-separated values.
 
-    The first line names the columns with their units, in any order: `frequency [Hz]`, `damping_ratio [1]`, `modal_mass
-    [kg]`, `shape_impact [1]`, `shape_sensor [1]`; other columns are ignored. Each further line holds one mode; empty
-    lines and lines that begin with # are ignored. A file that cannot be opened raises `NoInput`; one that is not
-    regular, too large or invalid raises `BadData`, with the line of the error.
+    The first line names the columns with their units, in any order: `frequency [Hz]`, `damping_ratio [1]`,
+    `modal_mass [kg]`, `shape_impact [1]`, `shape_sensor [1]`; other columns are ignored. Each further line holds one
+    mode; empty lines and lines that begin with # are ignored. A file that cannot be opened raises `NoInput`; one that
+    is not regular, too large or invalid raises `BadData`, with the line of the error.
 
     >>> import tempfile
     >>> with tempfile.TemporaryDirectory() as folder:

@@ -7,8 +7,8 @@ Sound Vib. 31, 257). The degree rises until no frequency changes by more than `T
 within 3e-5 of the exact ones (1e-8 where all edges are held), a cantilever's shapes within .002.
 
 Two measures preserve precision up to degree 60. In each direction the functions are transformed to diagonalise both
-mass and bending, so that the stiffness, scaled to a unit diagonal, is well conditioned. The eigenvalue is `1 /
-omega^2`: rounding is then relative to the largest eigenvalue, that of the first mode.
+mass and bending, so that the stiffness, scaled to a unit diagonal, is well conditioned. The eigenvalue is
+`1 / omega^2`: rounding is then relative to the largest eigenvalue, that of the first mode.
 """
 
 from __future__ import annotations
@@ -65,9 +65,9 @@ class Rigidities:
 
         In the receptance `1/(4 pi^2) integral dk / (D(theta) k^4 - m omega^2)`, slightly damped, the integral over |k|
         is half the residue of its pole: `Z = 16 pi / integral_0^2pi dtheta / sqrt(m D(theta))`. With `t = tan theta`
-        this is a complete elliptic integral, given by the arithmetic-geometric mean: `Z = 8 sqrt(m sqrt(Dx Dy)) agm(1,
-        sqrt((1 + H / sqrt(Dx Dy)) / 2))`. For an isotropic plate it is `8 sqrt(B rho h)`: Cremer, Heckl & Petersson
-        (2005), Structure-Borne Sound, section 4.
+        this is a complete elliptic integral, given by the arithmetic-geometric mean:
+        `Z = 8 sqrt(m sqrt(Dx Dy)) agm(1, sqrt((1 + H / sqrt(Dx Dy)) / 2))`. For an isotropic plate it is
+        `8 sqrt(B rho h)`: Cremer, Heckl & Petersson (2005), Structure-Borne Sound, section 4.
         """
         mean = math.sqrt(self.along * self.across)
         return 8 * math.sqrt(self.mass * mean) * _agm(1.0, math.sqrt((1 + self.mixed / mean) / 2))

@@ -1,7 +1,7 @@
 """Sensitivity of peak force and displacement to the parameters of an impact, and the loss for a given restitution.
 
-There are two measures of sensitivity. The local one, `d ln P / d ln X`, is the percentage change of the response per
-per cent of the parameter: a property of the impact alone. The influence over a range, as in Yang, Zeng & Wan (2018),
+There are two measures of sensitivity. The local one, `d ln P / d ln X`, is the percentage change of the response for a
+1 % change of the parameter: a property of the impact alone. The influence over a range, as in Yang, Zeng & Wan (2018),
 section 4, varies one parameter over a range and holds the others: it depends as much on the range as on the impact.
 
 Where restitution is a result (viscoelastic sphere, thin plate), `dissipative_constant` and `plate_thickness` invert it.
@@ -74,7 +74,7 @@ def local_sensitivity(impact: Impact) -> Sensitivity:
     Raises
     ------
     InvalidValue
-        Dissipation, target or gravity are different: the exponents would differ.
+        Other dissipations and targets, and gravity: these have other exponents.
 
     Examples
     --------
@@ -128,8 +128,7 @@ def range_influence(impact: Impact, ranges: Mapping[str, ArrayLike]) -> Sensitiv
 
     Returns
     -------
-    Sensitivity
-        Scalars, 0 or more.
+    Sensitivity of scalars, 0 or more
 
     Raises
     ------
@@ -194,8 +193,7 @@ def response_grid(impact: Impact, parameters: Mapping[str, ArrayLike]) -> Impact
 
     Returns
     -------
-    Impact
-        Of shape (n_first, n_second, ...).
+    Impact of shape (n_first, n_second, ...)
 
     Raises
     ------
@@ -329,8 +327,7 @@ def plate_thickness(restitution: ArrayLike, impact: Impact) -> Floats:
 
     Returns
     -------
-    ndarray
-        In the broadcast shape of restitution and impact.
+    ndarray in the broadcast shape of restitution and impact
 
     Raises
     ------

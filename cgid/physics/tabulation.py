@@ -3,10 +3,10 @@
 `python -m cgid.physics.tabulation` writes `cgid/family.npz`. Each entry is accurate to about 1e-14; the remaining error
 comes from interpolation. `tests/test_family.py` checks the shipped file against a fresh evaluation.
 
-With `p = ln(1 + D x')` the equation `x'' = -x^(3/2) (1 + D x')` reads `p' = -D x^(3/2)`. Its first integral (Hunt &
-Crossley 1975) gives x in closed form, `(2/5) D^2 x^(5/2) = phi(p_end) - phi(p)` with `phi(p) = e^p - 1 - p`. So time is
-an integral over p of a known function. At a distance `y^5` from touch (p = ln(1 + D)) or back from separation (p = ln(1
-- e D)), the integrand is analytic in y: Gauss-Legendre quadrature reaches machine precision without solving a
+With `p = ln(1 + D x')` the equation `x'' = -x^(3/2) (1 + D x')` reads `p' = -D x^(3/2)`. Its first integral
+(Hunt & Crossley 1975) gives x in closed form, `(2/5) D^2 x^(5/2) = phi(p_end) - phi(p)` with `phi(p) = e^p - 1 - p`. So
+time is an integral over p of a known function. At a distance `y^5` from touch (p = ln(1 + D)) or back from separation
+(p = ln(1 - e D)), the integrand is analytic in y: Gauss-Legendre quadrature reaches machine precision without solving a
 differential equation.
 """
 

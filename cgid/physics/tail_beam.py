@@ -237,9 +237,9 @@ def smeared(material: Material, thickness: float, ribs: Ribs | None, spacing: fl
     """Return the rigidities of a skin with ribs at a `spacing` [m].
 
     Along the ribs a strip one spacing wide bends about the neutral axis of its T-section: the skin with the modulus of
-    a wide plate, `E / (1 - nu^2)`, the bar with E. Across them only the skin bends, and the bars twist with it: `H = D
-    + G J / (2 spacing)` (Huber's plate, Timoshenko & Woinowsky-Krieger 1959, Theory of Plates and Shells, sections
-    86-87). This holds for waves longer than about two spacings; shorter ones see each rib.
+    a wide plate, `E / (1 - nu^2)`, the bar with E. Across them only the skin bends, and the bars twist with it:
+    `H = D + G J / (2 spacing)` (Huber's plate, Timoshenko & Woinowsky-Krieger 1959, Theory of Plates and Shells,
+    sections 86-87). This holds for waves longer than about two spacings; shorter ones see each rib.
     """
     modulus, density, ratio = (
         float(np.asarray(value)) for value in (material.youngs_modulus, material.density, material.poisson_ratio)
