@@ -39,11 +39,10 @@ Progress = Callable[[float], object]
 class Records:
     """The motion at even intervals from first touch on.
 
-    interval, step : between records, and of the integration [s]
-    forces : contact force of each node [N], (n_records, n_contact)
-    values : (n_records, 9): displacements of the sphere's centre and mass centre [m], acceleration of its centre
-    [m/s^2], internal energies of sphere and plate and total kinetic energy [J], momenta of sphere and plate and impulse
-    of the contact force so far [N s]; upwards is positive
+    `interval` separates the records, `step` the integration steps [s]; `forces` are those of each contact node [N],
+    (n_records, n_contact). The columns of `values`, upwards positive: displacements of the sphere's centre and mass
+    centre [m], acceleration of its centre [m/s^2], internal energies of sphere and plate and total kinetic energy [J],
+    momenta of sphere and plate, and impulse of the contact force so far [N s].
     """
 
     interval: float
