@@ -1,4 +1,4 @@
-"""An impact by finite elements: independent of every theory of contact, to judge them by."""
+"""An impact by finite elements: an independent reference for the theories of contact."""
 
 from cgid.finite_element.impact import FiniteElementImpact, History
 from cgid.finite_element.mesh import ElasticPlate, PenaltyContact

@@ -1,8 +1,8 @@
-"""Stiffness and mass of elastic bodies of revolution, and the pair of bodies that touch.
+"""Stiffness and mass of axisymmetric elastic bodies, and the pair of bodies in contact.
 
-Elements are bilinear quadrilaterals with 2 x 2 Gauss points and lumped mass, as in the textbooks (Zienkiewicz & Taylor,
-The Finite Element Method, vol. 1, axisymmetric stress analysis): strains (u_r,r, u_z,z, u_r / r, u_r,z + u_z,r),
-volume element 2 pi r dr dz.
+Elements are bilinear quadrilaterals with 2 x 2 Gauss points and lumped mass (Zienkiewicz & Taylor, The Finite Element
+Method, vol. 1, axisymmetric stress analysis): strains (u_r,r, u_z,z, u_r / r, u_r,z + u_z,r), volume element 2 pi r dr
+dz.
 """
 
 from __future__ import annotations
@@ -23,28 +23,22 @@ from cgid.validation import Floats
 
 Flags = NDArray[np.bool_]
 
-#: Corners of the reference element, and its Gauss points of weight 1.
+#: Corners of the reference element, and its Gauss points, all of weight 1.
 _CORNERS = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
 _POINTS = _CORNERS / np.sqrt(3)
 #: Stiffest material [Pa].
 _STIFFEST = 1e15
-#: Above this Poisson's ratio bilinear elements are too stiff (they lock).
+#: Above this Poisson's ratio bilinear elements lock.
 _LOCKING = 0.45
 
 
 @dataclass(frozen=True, kw_only=True)
 class Body:
-    """Matrices of an elastic body; unknown 2 i is u_r of node i, unknown 2 i + 1 its u_z.
+    """Matrices of an elastic body; unknowns 2 i and 2 i + 1 are u_r and u_z of node i.
 
-    Parameters
-    ----------
-    mesh : Mesh
-    stiffness : scipy.sparse.csr_array, (2 n_nodes, 2 n_nodes)
-        [N/m].
-    mass : ndarray, (2 n_nodes,)
-        Lumped [kg].
-    fixed : ndarray of bool, (2 n_nodes,)
-        Unknowns that stay 0: u_r on the axis, and what is held.
+    stiffness : sparse [N/m], (2 n_nodes, 2 n_nodes)
+    mass : lumped [kg], (2 n_nodes,)
+    fixed : unknowns that stay 0, u_r on the axis and those of held nodes, (2 n_nodes,)
     """
 
     mesh: Mesh
@@ -54,17 +48,17 @@ class Body:
 
     @property
     def contact(self) -> Integers:
-        """The unknowns u_z of the nodes that may touch."""
+        """Unknowns u_z of the nodes that may touch."""
         return 2 * self.mesh.contact + 1
 
     @property
     def free(self) -> Integers:
-        """The unknowns that can move."""
+        """Unknowns that can move."""
         return np.flatnonzero(~self.fixed)
 
 
 def require_elements_fit(material: Material) -> None:
-    """Raise `InvalidValue` for a material that is an array, or nearly incompressible."""
+    """Raise `InvalidValue` for a material that is an array, too stiff, or nearly incompressible."""
     validation.number("density", material.density)
     modulus = validation.number("youngs_modulus", material.youngs_modulus)
     if modulus > _STIFFEST:
@@ -81,9 +75,9 @@ def require_elements_fit(material: Material) -> None:
 
 
 def body(mesh: Mesh, material: Material, *, volume: float, held: Integers | None = None) -> Body:
-    """Return the matrices of a body; `held` are nodes that cannot move.
+    """Return the matrices of a body; `held` lists the fixed nodes.
 
-    The masses are stretched to those of the true volume [m^3]: a sphere's mesh has corners and lacks .1 % of it.
+    The masses are scaled to the true volume [m^3]: the mesh of a sphere has corners and lacks .1 % of it.
     """
     fixed = np.zeros((len(mesh.nodes), 2), bool)
     fixed[mesh.nodes[:, 0] == 0, 0] = True
@@ -107,7 +101,7 @@ def highest_frequency(of: Body) -> float:
 
     root = of.mass[of.free] ** -0.5
     scaled = of.stiffness[of.free][:, of.free].multiply(root[:, None]).multiply(root[None, :]).tocsr()
-    start = np.ones(root.size)  # ARPACK would draw one
+    start = np.ones(root.size)  # ARPACK's default is random
     try:
         highest = linalg.eigsh(scaled, k=1, which="LM", tol=1e-6, v0=start, return_eigenvectors=False)[0]
     except linalg.ArpackError as error:
@@ -140,7 +134,7 @@ def element_matrices(mesh: Mesh, material: Material) -> tuple[Floats, Floats]:
 
 
 def _elasticity(material: Material) -> Floats:
-    """Return the matrix from strain to stress [Pa], in the order r, z, theta, rz."""
+    """Return the elasticity matrix [Pa] from strain to stress, in the order r, z, theta, rz."""
     modulus, nu = float(np.asarray(material.youngs_modulus)), float(np.asarray(material.poisson_ratio))
     first, second = modulus * nu / ((1 + nu) * (1 - 2 * nu)), modulus / (2 * (1 + nu))
     matrix = np.diag([2 * second, 2 * second, 2 * second, second])
@@ -150,17 +144,12 @@ def _elasticity(material: Material) -> Floats:
 
 @dataclass(frozen=True, kw_only=True)
 class Pair:
-    """Two bodies whose surfaces may touch node to node; the unknowns of the sphere come first.
+    """Two bodies in node-to-node contact; the unknowns of the sphere come first.
 
-    The nodes that may touch have no mass along z: it is moved to the nodes next to them (Khenous, Laborde & Renard
-    2008, Eur. J. Mech. A/Solids 27, 918). So two nodes meet without a shock, the contact force is a smooth function of
-    time, and no energy is lost.
+    Contact nodes have no mass along z: it is moved to the nodes next to them (Khenous, Laborde & Renard 2008, Eur. J.
+    Mech. A/Solids 27, 918). So nodes meet without a shock, the contact force is smooth in time, and no energy is lost.
 
-    Parameters
-    ----------
-    sphere, plate : Body
-    softness : float
-        Penetration over pressure [m/Pa]; 0 for a hard contact.
+    softness : penetration over pressure [m/Pa]; 0 for a hard contact
     """
 
     sphere: Body
@@ -169,12 +158,12 @@ class Pair:
 
     @property
     def n_sphere(self) -> int:
-        """Number of the sphere's unknowns."""
+        """Number of unknowns of the sphere."""
         return self.sphere.mass.size
 
     @cached_property
     def stiffness(self) -> Any:
-        """Matrix of both bodies, in blocks of 2 x 2 [N/m]."""
+        """Matrix of both bodies in 2 x 2 blocks [N/m]."""
         both = sparse.block_diag((self.sphere.stiffness, self.plate.stiffness), format="csr")
         blocks = sparse.bsr_array(both, blocksize=(2, 2))
         blocks.sort_indices()
@@ -182,12 +171,12 @@ class Pair:
 
     @cached_property
     def mass(self) -> Floats:
-        """Lumped masses [kg], 0 for u_z of nodes that may touch."""
+        """Lumped masses [kg]; 0 for u_z of nodes that may touch."""
         return np.concatenate([_relieved(body) for body in (self.sphere, self.plate)])
 
     @cached_property
     def highest_frequencies(self) -> tuple[float, float]:
-        """Of sphere and plate, each alone [rad/s]."""
+        """Highest natural frequencies of sphere and plate, each alone [rad/s]."""
         return highest_frequency(self.sphere), highest_frequency(self.plate)
 
     @cached_property
@@ -197,11 +186,11 @@ class Pair:
 
     @cached_property
     def touching(self) -> tuple[Integers, Integers]:
-        """The unknowns u_z of sphere and plate that may touch, (n_contact,) each."""
+        """Unknowns u_z of sphere and plate that may touch, (n_contact,) each."""
         return self.sphere.contact, self.plate.contact + self.n_sphere
 
     def parting_speed(self, sphere_momentum: float, plate_momentum: float) -> float:
-        """Return the speed at which the mass centres separate [m/s]; a plate that is held does not move."""
+        """Return the speed at which the mass centres separate [m/s]; a held plate does not move."""
         plate_speed = 0.0 if self._is_held else plate_momentum / self.mass[self.n_sphere + 1 :: 2].sum()
         return float(sphere_momentum / self.mass[1 : self.n_sphere : 2].sum() - plate_speed)
 
@@ -211,13 +200,13 @@ class Pair:
 
     @property
     def centre(self) -> int:
-        """The unknown u_z of the sphere's centre."""
+        """Unknown u_z of the sphere's centre."""
         nodes = self.sphere.mesh.nodes
         return 2 * self.sphere.mesh.nearest(0.0, float(nodes[:, 1].max()) / 2) + 1
 
     @cached_property
     def gap(self) -> Floats:
-        """Distance of the two surfaces before anything moves, (n_contact,) [m]."""
+        """Initial distance of the two surfaces, (n_contact,) [m]."""
         return np.asarray(self.sphere.mesh.nodes[self.sphere.mesh.contact, 1])
 
     @cached_property
@@ -227,7 +216,7 @@ class Pair:
 
     @cached_property
     def areas(self) -> Floats:
-        """Surface of each node, (n_contact,) [m^2]: the integral of its shape function over the plate."""
+        """Surface area of each node, (n_contact,) [m^2]: the integral of its shape function over the plate."""
         r = np.append(self.places, 2 * self.places[-1] - self.places[-2])
         left, here, right = np.append(0.0, r[:-2]), r[:-1], r[1:]
         return np.asarray(np.pi / 3 * ((here - left) * (left + 2 * here) + (right - here) * (2 * here + right)))
@@ -239,7 +228,7 @@ class Pair:
 
 
 def _relieved(body: Body) -> Floats:
-    """Return the masses, those of u_z of contact nodes moved to the nearest nodes behind them."""
+    """Return the masses, with those of u_z of contact nodes moved to the nearest nodes behind them."""
     mass, mesh = body.mass.copy(), body.mesh
     behind = np.setdiff1d(mesh.elements[np.isin(mesh.elements, mesh.contact).any(axis=1)], mesh.contact)
     for node in mesh.contact:

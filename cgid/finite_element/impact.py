@@ -1,4 +1,4 @@
-"""FiniteElementImpact: a sphere falls on a plate, both elastic and meshed; it assumes no theory of contact."""
+"""FiniteElementImpact: impact of a sphere on a plate, both elastic and meshed, without any theory of contact."""
 
 from __future__ import annotations
 
@@ -28,14 +28,14 @@ from cgid.physics.laws import Elastic
 from cgid.signals import Signal
 from cgid.validation import Floats
 
-#: Largest displacement over radius, where linear elasticity has long ended.
+#: Largest displacement over radius, far beyond the range of linear elasticity.
 _DEEPEST = 0.14
 METHODS = ("auto", "explicit", "implicit")
-#: Elements over the contact radius by default.
+#: Default number of elements over the contact radius.
 _ELEMENTS = 14
-#: Above this share of the compliance in the sphere, the mesh of the plate may grow faster.
+#: If the sphere has more than this share of the compliance, the plate's mesh may grow faster.
 _SPHERE_ALONE = 0.75
-#: "auto" takes implicit steps if the contact would need more explicit ones than this.
+#: "auto" chooses implicit steps if the contact needs more explicit ones than this.
 _MOST_EXPLICIT = 50_000
 
 
@@ -43,40 +43,39 @@ _MOST_EXPLICIT = 50_000
 class FiniteElementImpact:
     """One normal impact of an elastic sphere on an elastic plate, by axisymmetric finite elements.
 
-    Linear elasticity and small strains: node meets node where both were before the impact. Bilinear elements, lumped
-    mass, a contact without penetration, adhesion and friction, no gravity. Every parameter is a single number.
+    Linear elasticity and small strains: nodes are paired in the undeformed state. Bilinear elements, lumped mass; no
+    penetration, adhesion, friction or gravity. Every parameter is scalar.
 
     Parameters
     ----------
     sphere : Sphere
     plate : ElasticPlate
-    velocity : float
-        [m/s], above 0.
-    retardation_time : float, optional
-        b of a Kelvin-Voigt sphere [s], stress = E (strain + b x strain rate). For a slow impact that is `Viscoelastic`
-        with A = 3/2 b times the sphere's share of the compliance.
+    velocity : float, above 0 [m/s]
+    retardation_time : float, optional [s]
+        b of a Kelvin-Voigt sphere, stress = E (strain + b x strain rate). For a slow impact this is `Viscoelastic` with
+        A = 3/2 b times the sphere's share of the compliance.
     elements : int, optional
-        Over the radius of Hertz's contact: 7 give the peak force within about .5 %, 14 within .1 %.
-    element_size : float, optional
-        Edge of the elements at the contact [m], in place of `elements`.
+        Number over the radius of Hertz's contact: 7 give the peak force within about .5 %, 14 (default) within .1 %.
+    element_size : float, optional [m]
+        Edge of the elements at the contact, instead of `elements`.
     penalty : PenaltyContact, optional
-        A soft contact in place of a hard one.
+        A soft contact instead of a hard one.
     method : {"auto", "explicit", "implicit"}, optional
-        Explicit central differences, or implicit steps; "auto" takes the latter where damping, or a small contact,
-        would need more than 50,000 explicit steps.
-    time_step : float, optional
-        [s]; chosen by default.
+        Explicit central differences, or implicit steps. "auto" chooses implicit where damping or a small contact would
+        need more than 50,000 explicit steps.
+    time_step : float, optional [s]
+        By default chosen automatically.
 
     Raises
     ------
     InvalidValue
-        A number breaks its rule: a mesh too coarse, a plate thinner than the contact radius, a displacement beyond a
-        seventh of the radius.
+        A value is invalid, the mesh is too coarse, the plate is thinner than the contact radius, or the displacement
+        exceeds a seventh of the sphere's radius.
 
     Warns
     -----
     HertzRangeWarning
-        If the displacement passes a tenth of the radius, where small strains end.
+        The displacement exceeds a tenth of the sphere's radius, the limit of small strains.
 
     Examples
     --------
@@ -132,7 +131,7 @@ class FiniteElementImpact:
 
     @cached_property
     def hertz(self) -> Impact:
-        """The same impact on a half space by Hertz's theory, elastic."""
+        """The same impact on a half space, elastic, by Hertz's theory."""
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", HertzRangeWarning)
             return Impact(
@@ -145,12 +144,12 @@ class FiniteElementImpact:
 
     @property
     def contact_radius(self) -> float:
-        """The largest contact radius by Hertz's theory, `sqrt(R delta)` [m]: the mesh is made for it."""
+        """Largest contact radius by Hertz's theory, `sqrt(R delta)` [m], for which the mesh is made."""
         return float(np.sqrt(self._radius * self.hertz.peak_displacement))
 
     @property
     def asked_elements(self) -> float:
-        """Requested elements over the contact radius; next to the axis the mesh is up to a tenth coarser."""
+        """Requested elements over the contact radius; at the axis the mesh is up to a tenth coarser."""
         if self.element_size is not None:
             return self.contact_radius / self.element_size
         return _ELEMENTS if self.elements is None else self.elements
@@ -180,17 +179,17 @@ class FiniteElementImpact:
 
     @property
     def n_nodes(self) -> int:
-        """Nodes of both meshes."""
+        """Number of nodes of both meshes."""
         return self.pair.mass.size // 2
 
     @property
     def n_elements(self) -> int:
-        """Elements of both meshes."""
+        """Number of elements of both meshes."""
         return len(self.pair.sphere.mesh.elements) + len(self.pair.plate.mesh.elements)
 
     @property
     def stable_time_step(self) -> float:
-        """The largest step of the explicit method [s]."""
+        """Largest stable step of the explicit method [s]."""
         return stable_time_step(self.pair, self._retardation)
 
     @property
@@ -199,23 +198,27 @@ class FiniteElementImpact:
 
     @cached_property
     def chosen_method(self) -> str:
-        """The method that runs, "auto" resolved."""
+        """The method that runs, with "auto" resolved."""
         if self.method != "auto":
             return self.method
         return "implicit" if float(self.hertz.contact_duration) > _MOST_EXPLICIT * self.stable_time_step else "explicit"
 
     def run(self, progress: Progress | None = None) -> History:
-        """Return the course of the impact.
+        """Simulate the impact and return its history.
 
         Parameters
         ----------
         progress : callable, optional
-            Called now and then with the simulated time over the contact time of Hertz's theory.
+            Called repeatedly with the simulated time over Hertz's contact time.
+
+        Returns
+        -------
+        History
 
         Raises
         ------
         InvalidValue
-            The time step is beyond the explicit method's limit of stability, or the bodies never part.
+            The time step exceeds the stability limit of the explicit method, or the bodies never separate.
         """
         integrate = {"explicit": explicit, "implicit": implicit}[self.chosen_method]
         records = integrate(
@@ -236,7 +239,7 @@ class FiniteElementImpact:
 
 
 def _require_small_strain(strain: float) -> None:
-    """Raise `InvalidValue` or warn of a displacement that is too large a part of the radius."""
+    """Raise `InvalidValue` or warn if the displacement is too large relative to the radius."""
     if strain > _DEEPEST:
         raise InvalidValue(
             f"displacement over radius must not pass {_DEEPEST:g}, by Hertz's theory this impact reaches {strain:.3g}: "
@@ -253,39 +256,38 @@ def _require_small_strain(strain: float) -> None:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class History:
-    """The course of one impact. Signals begin at first touch, have one rate, and go on past the end of contact.
+    """The history of one impact.
 
-    `cgid.extract` takes their `samples` and `sampling_rate`. `cgid.fft_filter` is circular, and the sphere keeps
-    ringing: pad a signal with as many zeros in front as it has samples.
+    Signals begin at first touch, share one sampling rate, and extend beyond the end of contact. `cgid.extract` takes
+    their `samples` and `sampling_rate`. `cgid.fft_filter` is circular, and the sphere keeps ringing: before filtering,
+    prepend as many zeros as the signal has samples.
 
     Parameters
     ----------
-    contact_force : Signal
-        [N].
-    centre_displacement, mass_centre_displacement : Signal
-        Of the node at the sphere's centre (the paper's DCS) and of its mass centre, towards the plate [m].
-    contact_radius : Signal
-        Radius at which the pressure vanishes [m]: extrapolated from the outermost pressed nodes by Hertz's law that
-        the square of the pressure falls with the square of the radius.
-    contact_pressure : Signal
-        The largest [Pa].
-    sphere_energy, plate_energy : Signal
-        Internal (elastic) energies [J].
-    centre_node_force : Signal
-        Mass of the sphere times acceleration of the node at its centre [N]: the paper's "dense vibration waves".
-    radii, pressures : ndarray, (n_contact,)
-        Contact pressure over the distance from the axis [m], [Pa] at the moment of the largest force.
-    contact_duration : float
-        From first to last touch [s]; a free plate may be hit more than once.
+    contact_force : Signal [N]
+    centre_displacement, mass_centre_displacement : Signal [m]
+        Towards the plate, of the node at the sphere's centre (DCS in Yang et al. 2018) and of the mass centre.
+    contact_radius : Signal [m]
+        Radius of vanishing pressure, extrapolated from the outermost loaded nodes: by Hertz's law the squared pressure
+        is linear in the squared radius.
+    contact_pressure : Signal [Pa]
+        Largest pressure.
+    sphere_energy, plate_energy : Signal [J]
+        Internal (elastic) energies.
+    centre_node_force : Signal [N]
+        Mass of the sphere times acceleration of its centre node: the "dense vibration waves" of Yang et al. (2018).
+    radii, pressures : ndarray, (n_contact,) [m], [Pa]
+        Distance from the axis, and contact pressure there at the peak force.
+    contact_duration : float [s]
+        From first to last touch; a free plate may be hit repeatedly.
     restitution : float
-        Velocity of the mass centre away from the plate's first place, over the impact velocity: below 0 where it goes
-        on downwards, slower than a free plate.
+        Velocity of the mass centre away from the plate's initial position over impact velocity; negative if the sphere
+        moves on downwards, slower than a free plate.
     energy_error : float or None
         Largest change of the total energy over the impact energy; None with damping.
     momentum_error : float
-        Largest difference of the sphere's change of momentum and the contact's impulse, over its first momentum.
-    time_step : float
-        [s].
+        Largest difference between the sphere's change of momentum and the contact impulse, over the initial momentum.
+    time_step : float [s]
     n_steps : int
     """
 
@@ -370,7 +372,7 @@ def history(records: Records, pair: Pair, *, velocity: float, mass: float, is_da
 
 
 def _radius(pressures: Floats, places: Floats) -> Floats:
-    """Return where the square of the pressure, extrapolated over the square of the radius, is 0 [m]."""
+    """Return the radius at which the squared pressure, extrapolated over the squared radius, is 0 [m]."""
     touching = pressures > 0
     outermost = places.size - 1 - np.argmax(touching[:, ::-1], axis=1)
     inner = np.maximum(outermost - 1, 0)

@@ -1,10 +1,10 @@
 """The plate and the contact of a finite-element impact, and meshes of sphere and plate.
 
-Meshes lie in the half plane (r, z), graded towards the contact at (0, 0). The mesh of the sphere is that of a quarter
-plane, mapped: a Moebius map takes the corner of the quarter plane to the point of contact, infinity to the opposite
-pole, one side to the axis and the other to the surface. It keeps angles, so elements that are square in the quarter
-plane are nearly square in the sphere. There the mesh is a quarter of a disc, rings that grow like their radius out to
-the equator, and the same quarter disc turned inside out for the other half.
+Meshes lie in the half plane (r, z), graded towards the contact at (0, 0). The mesh of the sphere is a mapped mesh of a
+quarter plane. A Moebius map takes the corner of the quarter plane to the point of contact, infinity to the opposite
+pole, one side to the axis and the other to the surface. It preserves angles, so square elements stay nearly square. The
+mesh of the quarter plane has three parts: a quarter disc, rings that grow with their radius out to the equator, and the
+same quarter disc inverted for the other half.
 """
 
 from __future__ import annotations
@@ -22,14 +22,14 @@ from cgid.physics.materials import Material
 from cgid.validation import Floats
 
 LOWER_FACES = ("fixed", "free")
-#: Near the contact both bodies are meshed evenly, out to this many contact radii; only there the surfaces may touch.
+#: Both bodies are meshed evenly out to this many contact radii; only there may the surfaces touch.
 REACH = 2.3
-#: Largest number of nodes of a plate; more would take hours.
+#: Most nodes of a plate; more would take hours.
 MOST_NODES = 200_000
-#: Elements over the contact radius: with fewer than the first, pressure and radius rest on two or three nodes; the
-#: second give the peak force within 1 %.
+#: Elements over the contact radius: the fewest (with less, pressure and radius rest on two or three nodes), those for a
+#: peak force within 1 %, and the most.
 _FEWEST, _ONE_PERCENT, _MOST = 5, 7, 60
-#: Largest plate in contact radii: it is long a half space.
+#: Largest plate in contact radii; smaller ones already act as a half space.
 _LARGEST = 1e5
 
 Integers = NDArray[np.int64]
@@ -42,9 +42,9 @@ class ElasticPlate:
     Parameters
     ----------
     lower_face : {"fixed", "free"}
-        Whether the lower face is held, as in the simulations of Yang, Zeng & Wan (2018), or nothing holds the plate.
-    retardation_time : float, optional
-        Of a Kelvin-Voigt material, stress = E (strain + retardation time x strain rate) [s].
+        Held, as in the simulations of Yang, Zeng & Wan (2018), or free, so that nothing holds the plate.
+    retardation_time : float, optional [s]
+        Of a Kelvin-Voigt material, stress = E (strain + retardation time x strain rate).
     """
 
     material: Material
@@ -62,11 +62,11 @@ class ElasticPlate:
 
 @dataclass(frozen=True, kw_only=True)
 class PenaltyContact:
-    """Surfaces that penetrate each other, as in many finite-element programs, in place of a hard contact.
+    """Surfaces that penetrate each other, as in many finite-element programs, instead of a hard contact.
 
-    The pressure is `factor` x bulk modulus (the lower of both) / element size x penetration: the coarser the mesh, the
-    softer the contact. Element size is Hertz's contact radius over the number of elements.
-    LS-DYNA's default factor is .1 (LS-DYNA Theory Manual, chapter 29).
+    The pressure is `factor` x bulk modulus (the lower of both) / element size x penetration: a coarser mesh makes a
+    softer contact. The element size is Hertz's contact radius over the number of elements. The default factor of
+    LS-DYNA is .1 (LS-DYNA Theory Manual, chapter 29).
     """
 
     factor: float = 0.1
@@ -85,7 +85,7 @@ def bulk_modulus(material: Material) -> float:
 
 
 def hold_numbers(owner: object, unit: str, **rules: Callable[[str, ArrayLike, str], Floats]) -> None:
-    """Check that fields of a frozen dataclass are single numbers that keep their rules, and store them as floats."""
+    """Check that fields of a frozen dataclass are valid scalars, and store them as floats."""
     for name, rule in rules.items():
         object.__setattr__(owner, name, validation.number(name, getattr(owner, name), unit, rule))
 
@@ -94,14 +94,9 @@ def hold_numbers(owner: object, unit: str, **rules: Callable[[str, ArrayLike, st
 class Mesh:
     """Quadrilaterals of four nodes.
 
-    Parameters
-    ----------
-    nodes : ndarray, (n_nodes, 2)
-        r and z [m].
-    elements : ndarray of int, (n_elements, 4)
-        Nodes of each, anticlockwise in (r, z).
-    contact : ndarray of int, (n_contact,)
-        Nodes of the surface that may touch, from the axis outwards.
+    nodes : r and z [m], (n_nodes, 2)
+    elements : nodes of each, anticlockwise in (r, z), (n_elements, 4)
+    contact : surface nodes that may touch, from the axis outwards, (n_contact,)
     """
 
     nodes: Floats
@@ -117,12 +112,12 @@ def sphere_mesh(radius: float, contact_radius: float, elements: int) -> Mesh:
     """Return the mesh of a sphere on the plane z = 0, with this number of elements over the contact radius."""
     k = -(-round(REACH * elements) // 2)
     reach = contact_radius * 2 * k / elements
-    # On the surface r = 2 R y / (1 + y^2), y being the place on the side of the quarter plane.
+    # On the surface r = 2 R y / (1 + y^2), with y the coordinate on the side of the quarter plane.
     core = reach / radius / (1 + np.sqrt(1 - (reach / radius) ** 2))
     radii = np.exp(np.linspace(np.log(core), 0, 1 + round(-np.log(core) * 2 * k / (np.pi / 2))))
     disc, (square, shell) = _quarter_disc(k)
     rings = radii[1:, None] * disc[shell[-1]]
-    # Each part begins with the nodes that the part before ends with.
+    # Each part begins with the last nodes of the previous one.
     in_rings = np.vstack((shell[-1], disc.size + np.arange(rings.size).reshape(rings.shape)))
     above = disc.size + rings.size + np.arange(disc.size)
     above[shell[-1]] = in_rings[-1]
@@ -135,7 +130,7 @@ def sphere_mesh(radius: float, contact_radius: float, elements: int) -> Mesh:
 
 
 def plate_mesh(thickness: float, radius: float, contact_places: Floats, growth: float) -> Mesh:
-    """Return the mesh of a round plate below the plane z = 0, with nodes where those of the sphere may touch it.
+    """Return the mesh of a round plate below z = 0, with nodes opposite the sphere's contact nodes.
 
     Away from the contact, elements grow `growth` times as fast as those of the sphere.
     """
@@ -157,7 +152,7 @@ def plate_mesh(thickness: float, radius: float, contact_places: Floats, growth: 
 
 
 def require_fine_mesh(elements: float, contact_radius: float) -> None:
-    """Raise `InvalidValue` for a mesh too coarse for the contact, or needlessly fine."""
+    """Raise `InvalidValue` for a mesh that is too coarse for the contact, or needlessly fine."""
     if elements < _FEWEST:
         raise InvalidValue(
             f"the mesh must have at least {_FEWEST} elements over the contact radius of {contact_radius * 1e3:.3g} mm "
@@ -172,7 +167,7 @@ def require_fine_mesh(elements: float, contact_radius: float) -> None:
 
 
 def require_room(plate: ElasticPlate, contact_radius: float) -> None:
-    """Raise `InvalidValue` for a plate thinner than the contact radius, hardly wider than the contact, or boundless."""
+    """Raise `InvalidValue` for a plate thinner than the contact radius, hardly wider than the contact, or too large."""
     if plate.thickness < contact_radius:
         raise InvalidValue(
             f"thickness of the plate must be at least the contact radius, {contact_radius * 1e3:.3g} mm, got "
@@ -193,7 +188,7 @@ def require_room(plate: ElasticPlate, contact_radius: float) -> None:
 
 
 def _growing(first: float, growth: float, length: float, largest: float) -> Floats:
-    """Return the ends of steps that grow by a factor up to a largest one and fill a length."""
+    """Return the ends of steps that grow by a factor, up to `largest`, and fill `length`."""
     ends, step = [first], first
     while ends[-1] < length:
         step = min(step * growth, largest)
@@ -204,9 +199,10 @@ def _growing(first: float, growth: float, length: float, largest: float) -> Floa
 
 
 def _quarter_disc(k: int) -> tuple[NDArray[np.complex128], tuple[Integers, Integers]]:
-    """Return the nodes of a quarter of the unit disc, x - i y, and its two grids of them.
+    """Return the nodes of a quarter of the unit disc, x - i y, and its two grids of nodes.
 
-    k x k elements fill the corner, k x 2 k lie around them; the last row of these is the arc, its nodes the last ones.
+    k x k elements fill the corner, k x 2 k surround them; the last row of the latter is the arc, and its nodes come
+    last.
     """
     side, corner = 0.5, 0.37 * (1 - 1j)
     share = np.linspace(0, 1, k + 1)
@@ -227,7 +223,7 @@ def _cells(grid: Integers) -> Integers:
 
 
 def _mesh(places: NDArray[np.complex128], elements: Integers, contact: Integers) -> Mesh:
-    """Return the mesh of nodes at r + i z, every element turned anticlockwise."""
+    """Return the mesh of nodes at r + i z, with every element turned anticlockwise."""
     nodes = np.column_stack((places.real, places.imag))
     nodes[np.abs(nodes[:, 0]) < 1e-12 * nodes[:, 0].max(), 0] = 0.0
     corners = nodes[elements]

@@ -1,4 +1,4 @@
-"""Integration of a finite-element impact in time: explicit central differences, implicit steps, and their records."""
+"""Time integration of a finite-element impact: explicit central differences, implicit steps, and their records."""
 
 from __future__ import annotations
 
@@ -16,18 +16,18 @@ from cgid.finite_element.assembly import Body, Pair
 from cgid.finite_element.mesh import REACH
 from cgid.validation import Floats
 
-#: Explicit records per duration of a Hertz impact, and records between checks of whether the impact is over.
+#: Explicit records per duration of a Hertz impact, and records between checks for the end of the impact.
 PER_DURATION, AT_ONCE = 2000, 25
-#: The run goes on for this share of Hertz's duration after the contact, and never beyond this multiple of it.
+#: The run continues for this fraction of Hertz's duration after the contact, and ends at the latest at this multiple.
 AFTERWARDS, LONGEST = 0.25, 12.0
-#: Steps in the duration of a Hertz impact: fewer do not resolve it, more take hours.
+#: Fewest and most steps per duration of a Hertz impact: fewer do not resolve it, more take hours.
 FEWEST_STEPS, MOST_STEPS = 50, 1_000_000
-#: Explicit step over the stable one by default, and the fewest steps between records: a contact that begins or ends
-#: within a step costs energy like the square of the step, and few elements would allow large ones.
+#: Default explicit step over the stable one, and fewest steps between records: a contact that begins or ends within a
+#: step loses energy in proportion to the squared step, and a coarse mesh would allow large steps.
 _CAUTION, _FEWEST_PER_RECORD = 0.9, 2
-#: Implicit steps per duration by default: about .1 % of the peak force, .2 % of the duration.
+#: Default implicit steps per duration: errors of about .1 % of the peak force, .2 % of the duration.
 STEPS_PER_DURATION = 500
-#: Retardation times beyond this multiple of the duration make the sphere a rigid body.
+#: Retardation times beyond this multiple of the duration make a body rigid.
 _SLOWEST = 100.0
 #: Columns of `Records.values`, and those of the momenta of sphere and plate.
 N_VALUES, MOMENTA = 9, slice(6, 8)
@@ -39,16 +39,10 @@ Progress = Callable[[float], object]
 class Records:
     """The motion at even intervals from first touch on.
 
-    Parameters
-    ----------
-    interval, step : float
-        Between records, and of the integration [s].
-    forces : ndarray, (n_records, n_contact)
-        Contact force of each node [N].
-    values : ndarray, (n_records, 9)
-        Displacements of the sphere's centre and mass centre [m], acceleration of its centre [m/s^2], internal energies
-        of sphere and plate and kinetic energy of both [J], momentum of the sphere, of the plate, and impulse of the
-        contact force until then [N s]; upwards is positive.
+    `interval` separates the records, `step` the integration steps [s]; `forces` are those of each contact node [N],
+    (n_records, n_contact). The columns of `values`, upwards positive: displacements of the sphere's centre and mass
+    centre [m], acceleration of its centre [m/s^2], internal energies of sphere and plate and total kinetic energy [J],
+    momenta of sphere and plate, and impulse of the contact force so far [N s].
     """
 
     interval: float
@@ -65,14 +59,10 @@ def collected(
     duration: float,
     progress: Progress | None,
 ) -> Records:
-    """Return the records of a run; it ends a while after the last contact force, when the mass centres move apart.
+    """Return the records of a run; it ends a while after the last contact force, once the mass centres separate.
 
-    A free plate that swings could still hit the sphere again after that.
-
-    Raises
-    ------
-    InvalidValue
-        The contact outgrows the part of the mesh made for it, the bodies never part, or do so within a few steps.
+    A swinging free plate could still hit the sphere after that. `InvalidValue` is raised if the contact outgrows the
+    fine part of the mesh, or the bodies never separate, or do so within a few steps.
     """
     forces: list[Floats] = []
     values: list[Floats] = []
@@ -105,7 +95,7 @@ def collected(
 
 
 def _require_resolved(contact_duration: float, step: float) -> None:
-    """Raise `InvalidValue` for a contact of a few steps: a light plate ends it long before Hertz's theory would."""
+    """Raise `InvalidValue` for a contact of only a few steps: a light plate ends it long before Hertz's theory does."""
     if contact_duration < FEWEST_STEPS * step:
         raise InvalidValue(
             f"time_step must be at most a {FEWEST_STEPS}th of the contact, which lasted {contact_duration:.3g} s, got "
@@ -114,7 +104,7 @@ def _require_resolved(contact_duration: float, step: float) -> None:
 
 
 def require_times_fit(retardation: tuple[float, float], time_step: float | None, duration: float) -> None:
-    """Raise `InvalidValue` for a step, or retardation times, out of proportion to the duration of the contact [s]."""
+    """Raise `InvalidValue` if step or retardation times are out of proportion to the duration of the contact [s]."""
     if max(retardation) > _SLOWEST * duration:
         raise InvalidValue(
             f"retardation_time must be at most {_SLOWEST * duration:.3g} s, {_SLOWEST:g} times the contact of Hertz's "
@@ -131,11 +121,11 @@ def require_times_fit(retardation: tuple[float, float], time_step: float | None,
 
 
 def stable_time_step(pair: Pair, retardation: tuple[float, float]) -> float:
-    """Return the largest step that is stable [s].
+    """Return the largest stable step [s].
 
-    For central differences with velocities half a step late in the damping it is `2 / w (sqrt(1 + z^2) - z)`, `w` the
-    highest frequency of a body and `z = b w / 2` (Belytschko, Liu & Moran, Nonlinear Finite Elements, section 6.2).
-    Massless nodes, and contact between them, only lower the frequencies.
+    For central differences with damping by the velocities of half a step before, it is `2 / w (sqrt(1 + z^2) - z)`,
+    with `w` the highest frequency of a body and `z = b w / 2` (Belytschko, Liu & Moran, Nonlinear Finite Elements,
+    section 6.2). Massless nodes and the contact between them only lower the frequencies.
     """
     limits = []
     for frequency, delay in zip(pair.highest_frequencies, retardation, strict=True):
@@ -153,12 +143,9 @@ def explicit(
     time_step: float | None,
     progress: Progress | None,
 ) -> Records:
-    """Return the motion after the sphere touches at `velocity` [m/s], where it is about in contact for `duration` [s].
+    """Return the motion after touch at `velocity` [m/s]; `duration` [s] estimates the contact.
 
-    Raises
-    ------
-    InvalidValue
-        The step is beyond the limit of stability, or the bodies never part.
+    A step beyond the stability limit, or bodies that never separate, raise `InvalidValue`.
     """
     limit = stable_time_step(pair, retardation)
     if limit * MOST_STEPS < duration:
@@ -222,22 +209,17 @@ def implicit(
     time_step: float | None,
     progress: Progress | None,
 ) -> Records:
-    """Return the motion after the sphere touches at `velocity` [m/s], where it is about in contact for `duration` [s].
+    """Return the motion after touch at `velocity` [m/s]; `duration` [s] estimates the contact.
 
-    Second-order backward differences (BDF2) for displacements and velocities: they damp what they cannot resolve, so
-    massless nodes and strong damping do no harm.
-
-    Raises
-    ------
-    InvalidValue
-        The bodies never part.
+    Second-order backward differences (BDF2) for displacements and velocities damp what they cannot resolve, so massless
+    nodes and strong damping do no harm. Bodies that never separate raise `InvalidValue`.
     """
     step = duration / STEPS_PER_DURATION if time_step is None else time_step
     return collected(_implicit_chunks(pair, velocity, retardation, step), pair, step, step, duration, progress)
 
 
 class _Band:
-    """A symmetric matrix, factored as a band: here two to five times faster than a general sparse factor."""
+    """A symmetric matrix with a banded Cholesky factor: here two to five times faster than a general sparse factor."""
 
     def __init__(self, matrix: Any) -> None:
         from scipy.linalg import cholesky_banded
@@ -253,7 +235,7 @@ class _Band:
         self._factor = np.asfortranarray(cholesky_banded(band, lower=True))
 
     def solve(self, right: Floats) -> Floats:
-        """Return the solution for one right-hand side, or for a matrix of them."""
+        """Return the solution for one right-hand side or a matrix of them."""
         from scipy.linalg import lapack
 
         found, _ = lapack.dpbtrs(self._factor, right[self._order], lower=1)
@@ -263,7 +245,7 @@ class _Band:
 
 
 class _Mover:
-    """A body that takes a step: first without contact, then with the contact forces."""
+    """A body that steps first without contact, then with the contact forces."""
 
     def __init__(self, body: Body, mass: Floats, retardation: float, step: float, speed: float) -> None:
         free = body.free
@@ -276,13 +258,13 @@ class _Mover:
         pressed[self.contact, np.arange(self.contact.size)] = 1.0
         self.yielding = self._solve(pressed)
         self.axial = free % 2 == 1
-        # Before touch it moved at constant speed.
+        # Before touch the body moved at constant speed.
         self.v = np.where(self.axial, speed, 0.0)
         self.u = np.zeros(free.size)
         self._before = (self.u - step * self.v, self.v)
 
     def fly(self) -> Floats:
-        """Return the displacements after a step without contact; `move` then takes the step."""
+        """Return the displacements after a step without contact; `move` then completes the step."""
         (u, v), step = self._before, self.step
         self._late_u = (u - 4 * self.u) / (2 * step)
         late_v = (v - 4 * self.v) / (2 * step)
@@ -293,14 +275,14 @@ class _Mover:
         return np.asarray(self._ahead)
 
     def move(self, forces: Floats) -> None:
-        """Take the step under these contact forces."""
+        """Complete the step under these contact forces."""
         self._before = (self.u, self.v)
         self.u = self._ahead + self.yielding @ forces
         self.v = 1.5 / self.step * self.u + self._late_u
 
     @property
     def compliance(self) -> Floats:
-        """Displacement of contact nodes by forces on them, within a step."""
+        """Displacement of the contact nodes per force on them, within a step."""
         return np.asarray(self.yielding[self.contact])
 
     @property
@@ -310,7 +292,7 @@ class _Mover:
 
     @property
     def kinetic_energy(self) -> float:
-        """Of all nodes, vibration included [J]."""
+        """Kinetic energy of all nodes, including vibration [J]."""
         return float(self.v @ (self.mass * self.v)) / 2
 
 

@@ -1,4 +1,4 @@
-"""The two bodies of an impact: a sphere, and a half space, a thin plate, another sphere or a rigid wall."""
+"""The bodies of an impact: a sphere, and its target (half space, thin plate, second sphere or rigid wall)."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class Sphere:
 
 @dataclass(frozen=True, kw_only=True)
 class HalfSpace:
-    """An elastic half space of `material`, at rest and of infinite mass: a thick plate."""
+    """An elastic half space of `material`, at rest, of infinite mass: a model of a thick plate."""
 
     material: Material
 
@@ -43,10 +43,10 @@ class HalfSpace:
 
 @dataclass(frozen=True, kw_only=True)
 class ThinPlate:
-    """A plate of `material` and `thickness` [m], so wide that no wave comes back from its edges during contact.
+    """A plate of `material` and `thickness` [m], so wide that no wave returns from its edges during contact.
 
-    At the point of impact it yields at the speed `P / Z`, and flexural waves carry the energy away: Zener (1941),
-    Phys. Rev. 59, 669.
+    The point of impact moves at the speed `P / Z`, and flexural waves carry the energy away
+    (Zener 1941, Phys. Rev. 59, 669).
     """
 
     material: Material
@@ -59,7 +59,7 @@ class ThinPlate:
 
     @property
     def impedance(self) -> Floats:
-        """`Z = 8 sqrt(B rho h)`, `B = E h^3 / (12 (1 - nu^2))` [kg/s].
+        """`Z = 8 sqrt(B rho h)` with `B = E h^3 / (12 (1 - nu^2))` [kg/s].
 
         Examples
         --------
@@ -71,14 +71,14 @@ class ThinPlate:
 
 
 def impedance_of_unit_thickness(material: Material) -> Floats:
-    """Return Z / h^2 of a thin plate [kg/(s m^2)]."""
+    """Return `Z / h^2` of a thin plate [kg/(s m^2)]."""
     density = np.asarray(material.density, np.float64)
     return 8 * np.sqrt(density / (12 * material.plane_strain_compliance))
 
 
 @dataclass(frozen=True)
 class RigidWall:
-    """A flat wall that does not deform; use the constant `RIGID`."""
+    """A flat, undeformable wall; use the constant `RIGID`."""
 
 
 RIGID = RigidWall()
@@ -87,7 +87,7 @@ Target = HalfSpace | ThinPlate | Sphere | RigidWall
 
 
 def reduced_radius(sphere: Sphere, target: Target) -> Floats:
-    """Return R of the contact [m]: `1/R = 1/R1 + 1/R2`, R1 itself against a flat target (Yang 2018, Eq. 8)."""
+    """Return R of the contact [m]: `1/R = 1/R1 + 1/R2` (Yang 2018, Eq. 8), or R1 on a flat target."""
     radius = np.asarray(sphere.radius, np.float64)
     if not isinstance(target, Sphere):
         return radius
@@ -95,7 +95,7 @@ def reduced_radius(sphere: Sphere, target: Target) -> Floats:
 
 
 def reduced_modulus(sphere: Sphere, target: Target) -> Floats:
-    """Return E of the contact [Pa]: `1/E = (1 - nu1^2)/E1 + (1 - nu2^2)/E2`, no second term for a rigid wall."""
+    """Return E of the contact [Pa]: `1/E = (1 - nu1^2)/E1 + (1 - nu2^2)/E2`; a rigid wall has no second term."""
     compliance = sphere.material.plane_strain_compliance
     if not isinstance(target, RigidWall):
         compliance = compliance + target.material.plane_strain_compliance
@@ -103,12 +103,12 @@ def reduced_modulus(sphere: Sphere, target: Target) -> Floats:
 
 
 def sphere_share(sphere: Sphere, target: Target) -> Floats:
-    """Return the sphere's share in the compliance of both bodies, `(1 - nu1^2) E / E1`: 1 on a rigid wall."""
+    """Return the sphere's share of the total compliance, `(1 - nu1^2) E / E1`: 1 on a rigid wall."""
     return sphere.material.plane_strain_compliance * reduced_modulus(sphere, target)
 
 
 def reduced_mass(sphere: Sphere, target: Target) -> Floats:
-    """Return m of the relative motion [kg]: `1/m = 1/m1 + 1/m2`, m1 itself against a target at rest."""
+    """Return the reduced mass m [kg]: `1/m = 1/m1 + 1/m2` for two spheres, otherwise m1."""
     if not isinstance(target, Sphere):
         return sphere.mass
     return 1 / (1 / sphere.mass + 1 / target.mass)

@@ -1,13 +1,14 @@
-"""Closed forms of a Hunt-Crossley impact: restitution from damping and back, and the peaks.
+"""Closed forms of a Hunt-Crossley impact: restitution from damping, damping from restitution, and the peaks.
 
-The contact `m x'' = -K x^(3/2) (1 + chi x')` of impact speed v has one damping number, D = chi v. Its first integral
-(Hunt & Crossley 1975, J. Appl. Mech. 42, 440) links D and the restitution e by `(1 + e) D = ln[(1 + D) / (1 - e D)]`.
-With `kappa = (1 - e) / (1 + e)` and `D = 2 t / (1 + e)` this is
+The contact `m x'' = -K x^(3/2) (1 + chi x')` at impact speed v depends on one damping number, D = chi v. Its first
+integral (Hunt & Crossley 1975, J. Appl. Mech. 42, 440) relates D to the restitution e:
+`(1 + e) D = ln[(1 + D) / (1 - e D)]`. With `kappa = (1 - e) / (1 + e)` and `D = 2 t / (1 + e)` this becomes
 
     coth(t) - 1/t = kappa,
 
-so t is the inverse Langevin function of kappa: no cancellation as e -> 1, no underflow as e -> 0. The same integral,
-`(2/5) x^(5/2) = G(1) - G(x')` with `G(u) = u/D - ln(1 + D u)/D^2`, gives the peaks, here in units of L and `K L^(3/2)`.
+so t is the inverse Langevin function of kappa. This form does not cancel as e -> 1 or underflow as e -> 0. The same
+integral, `(2/5) x^(5/2) = G(1) - G(x')` with `G(u) = u/D - ln(1 + D u)/D^2`, gives the peaks, here in units of L and
+`K L^(3/2)`.
 """
 
 from __future__ import annotations
@@ -19,12 +20,12 @@ from cgid.elementary import exp, expm1, log1p, power
 from cgid.validation import Floats, not_negative
 from cgid.validation import restitution as valid_restitution
 
-_SMALL = 0.8  # above it coth(t) and 1/t differ enough to be subtracted
+_SMALL = 0.8  # above it, coth(t) - 1/t does not cancel
 _N_TERMS = 14
 
 
 def _langevin_series() -> Floats:
-    """Return c_k of `coth(t) - 1/t = sum of c_k t^(2k - 1)`, from its own equation `L' = 1 - L^2 - 2 L/t`."""
+    """Return c_k of `coth(t) - 1/t = sum of c_k t^(2k - 1)`, from the equation `L' = 1 - L^2 - 2 L/t`."""
     terms = [1 / 3]
     for k in range(2, _N_TERMS + 1):
         terms.append(-sum(terms[i] * terms[-1 - i] for i in range(k - 1)) / (2 * k + 1))
@@ -37,20 +38,8 @@ _PEAK_NEWTON_STEPS = 12
 
 
 def langevin(t: ArrayLike) -> tuple[Floats, Floats]:
-    """Return the Langevin function `coth(t) - 1/t` and its complement to 1, both to full precision.
+    """Return the Langevin function `L(t) = coth(t) - 1/t` and `1 - L(t)` for t >= 0, both to full precision.
 
-    Parameters
-    ----------
-    t : array_like
-        Zero or more.
-
-    Returns
-    -------
-    tuple of ndarray
-        `L(t)` and `1 - L(t)`, of the shape of `t`.
-
-    Examples
-    --------
     >>> value, complement = langevin(1.0)
     >>> round(float(value), 6), round(float(complement), 6)
     (0.313035, 0.686965)
@@ -60,21 +49,21 @@ def langevin(t: ArrayLike) -> tuple[Floats, Floats]:
     below = np.where(small, t, 0.0)
     series = below * np.polynomial.polynomial.polyval(below * below, _SERIES)
     large = np.where(small, 1.0, t)
-    # Past 2t = 700 the exponential overflows, and its term is zero to any precision.
+    # Beyond 2t = 700 the exponential overflows; its term is negligible.
     complement = 1 / large - 2 / expm1(np.minimum(2 * large, 700.0))
     return np.where(small, series, 1 - complement), np.where(small, 1 - series, complement)
 
 
 def inverse_langevin(kappa: ArrayLike, complement: ArrayLike) -> Floats:
-    """Return t with `coth(t) - 1/t = kappa`, given kappa and `1 - kappa` each to full precision."""
+    """Return t with `coth(t) - 1/t = kappa`; both kappa and `1 - kappa` must have full precision."""
     kappa, complement = np.broadcast_arrays(np.asarray(kappa, float), np.asarray(complement, float))
     # Jedynak (2015), Rheol. Acta 54, 29: within 1.5 % everywhere.
     t = kappa * (3 - 2.6 * kappa + 0.7 * kappa * kappa) / (complement * (1 + 0.1 * kappa))
     for _ in range(_NEWTON_STEPS):
         value, rest = langevin(t)
-        # Near 1 the difference of the complements has the digits, near 0 that of the values.
+        # Near 0 the values keep full precision, near 1 the complements.
         error = np.where(kappa < 0.5, value - kappa, complement - rest)
-        # The Newton step is taken in ln t, which cannot leave the positive axis.
+        # Newton in ln t keeps t positive.
         step = np.divide(error, _logarithmic_slope(t), out=np.zeros_like(t), where=t > 0)
         t = t * exp(-np.clip(step, -1, 1))
     return np.asarray(t)
@@ -92,22 +81,20 @@ def _logarithmic_slope(t: Floats) -> Floats:
 
 
 def damping_number(restitution: ArrayLike) -> Floats:
-    """Return the damping number D = chi v that gives this restitution.
+    """Return the damping number D = chi v for a restitution (rebound speed over impact speed).
 
     Parameters
     ----------
-    restitution : array_like
-        Rebound speed over impact speed, in (0, 1].
+    restitution : array_like, in (0, 1]
 
     Returns
     -------
-    ndarray
-        D, zero for an elastic impact.
+    ndarray, 0 for an elastic impact
 
     Raises
     ------
     InvalidValue
-        Outside (0, 1].
+        The restitution lies outside (0, 1].
 
     Examples
     --------
@@ -119,25 +106,23 @@ def damping_number(restitution: ArrayLike) -> Floats:
 
 
 def delivered_restitution(damping: ArrayLike) -> Floats:
-    """Return the restitution that a damping number delivers, the inverse of `damping_number`.
+    """Return the restitution that a damping number D = chi v delivers, the inverse of `damping_number`.
 
     Parameters
     ----------
-    damping : array_like
-        D = chi v, zero or more.
+    damping : array_like, 0 or more
 
     Returns
     -------
-    ndarray
-        Restitution in (0, 1].
+    ndarray, in (0, 1]
 
     Raises
     ------
     InvalidValue
-        A damping number below 0 or not finite.
+        A damping number is negative or not finite.
     """
     damping = np.minimum(not_negative("damping", damping), 1e300)
-    # D = (1 + L(t)) t is monotone; Newton in t from its two limits, t -> D at 0 and t -> (1 + D)/2.
+    # Newton on the monotone D = (1 + L(t)) t; the start value has both limits, t -> D at 0 and t -> (1 + D)/2.
     t = damping * ((1 + damping / 2) / (1 + damping))
     for _ in range(_NEWTON_STEPS):
         value, _complement = langevin(t)
@@ -148,9 +133,9 @@ def delivered_restitution(damping: ArrayLike) -> Floats:
 
 
 def logarithms(damping: ArrayLike, restitution: ArrayLike) -> tuple[Floats, Floats]:
-    """Return `ln(1 + D)` and `-ln(1 - e D)`, the second without the underflow of `1 - e D`.
+    """Return `ln(1 + D)` and `-ln(1 - e D)`.
 
-    Both logarithms add up to `(1 + e) D`, which is what keeps the digits of the second.
+    The second follows from their sum, `(1 + e) D`, which avoids the underflow of `1 - e D`.
     """
     damping = np.asarray(damping, dtype=np.float64)
     start = log1p(damping)
@@ -170,20 +155,12 @@ def exponential_rest(p: ArrayLike) -> Floats:
 
 
 def energy_below(damping: ArrayLike) -> Floats:
-    """Return `G(1) = 1/D - ln(1 + D)/D^2`, the energy stored at the largest displacement over `m v^2`.
+    """Return the energy stored at the largest displacement over `m v^2`: 1/2 for an elastic impact.
 
-    Parameters
-    ----------
-    damping : array_like
-        D = chi v, zero or more.
-
-    Returns
-    -------
-    ndarray
-        1/2 for an elastic impact, `(2/5) x_max^(5/2)` for any.
+    It is `G(1) = 1/D - ln(1 + D)/D^2 = (2/5) x_max^(5/2)`.
     """
     damping = np.asarray(damping, dtype=np.float64)
-    # D - ln(1 + D) = expm1(a) - a with a = ln(1 + D), which keeps its digits for small D.
+    # D - ln(1 + D) = expm1(a) - a with a = ln(1 + D), accurate for small D.
     rest = exponential_rest(log1p(damping))
     return _over_square(rest, damping, 0.5)
 
@@ -191,8 +168,6 @@ def energy_below(damping: ArrayLike) -> Floats:
 def peak_displacement(damping: ArrayLike) -> Floats:
     """Return the largest displacement, `(5/2 G(1))^(2/5)`.
 
-    Examples
-    --------
     >>> round(float(peak_displacement(0.0)), 12)  # (5/4)^(2/5)
     1.093362073943
     """
@@ -200,10 +175,7 @@ def peak_displacement(damping: ArrayLike) -> Floats:
 
 
 def peak_logarithm(damping: float | Floats) -> Floats:
-    """Return p = `ln(1 + D x')` where the force peaks.
-
-    It is the root of `(8/5) expm1(p) - p = expm1(a) - a` with `a = ln(1 + D)`.
-    """
+    """Return p = `ln(1 + D x')` at the peak force: the root of `(8/5) expm1(p) - p = expm1(a) - a`, `a = ln(1 + D)`."""
     a = log1p(np.asarray(damping, dtype=np.float64))
     energy = exponential_rest(a)
     p = np.where(a < 1, 5 / 6 * a * a, np.maximum(a - 0.47, 0.1))
@@ -213,10 +185,8 @@ def peak_logarithm(damping: float | Floats) -> Floats:
 
 
 def peak_force(damping: ArrayLike) -> Floats:
-    """Return the largest force; it comes before the largest displacement when damped.
+    """Return the largest force; with damping it precedes the largest displacement.
 
-    Examples
-    --------
     >>> round(float(peak_force(0.0)), 12)  # (5/4)^(3/5)
     1.143262629818
     """
@@ -228,6 +198,6 @@ def peak_force(damping: ArrayLike) -> Floats:
 
 
 def _over_square(values: Floats, damping: Floats, limit: float) -> Floats:
-    """Return values / D^2, and its limit for the smallest D; the square neither over- nor underflows."""
+    """Return values / D^2 without overflow or underflow of the square, and the limit for the smallest D."""
     safe = np.maximum(damping, 1e-150)
     return np.asarray(np.where(damping > 1e-150, values / safe / safe, limit))

@@ -1,4 +1,4 @@
-"""ModalImpact: an impact on a structure that is given by its modes, contact and modes solved together."""
+"""ModalImpact: an impact on a structure given by its modes; contact and modes are solved together."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ from cgid.physics.impact import Impact
 from cgid.physics.laws import Elastic, HuntCrossley
 from cgid.validation import Floats
 
-#: Gauss nodes and Chebyshev times of a step.
+#: Gauss nodes and Chebyshev times in a step.
 N_NODES, N_TIMES = 16, 32
-#: Phase [rad] of the fastest mode in a step: `J_32(8)` is 1e-16. Duration of a step over T0.
+#: Largest phase [rad] of the fastest mode in a step (`J_32(8)` is 1e-16), and the longest step [T0].
 _LARGEST_PHASE, _LONGEST_STEP = 16.0, 1.2
-#: Modes up to which an impact or two are not worth compiling.
+#: Up to this many modes, an impact or two are not worth compiling.
 _FEW_MODES = 256
-#: Steps of an impact for which memory is allocated at first, and the most steps in one piece of memory.
+#: Steps per impact allocated at first, and the most steps in one block of memory.
 _USUAL_STEPS, _PIECE = 64, 16384
 #: Default window for new contacts after the first touch [T0]: about four undamped contacts.
 USUAL_WINDOW = 12.0
@@ -33,63 +33,57 @@ USUAL_WINDOW = 12.0
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ModalImpact(Impact):
-    """A normal impact of a sphere on a structure that moves in its modes; numbers may be arrays, and they broadcast.
+    """A normal impact of a sphere on a structure given by its modes; parameters may be arrays and broadcast.
 
-    The structure yields at the point of impact, rings, and may swing back and hit the sphere again. No loss is counted
-    twice: rebound, material loss and energy of the structure add up to the energy of impact and the work of gravity.
-    Use it in place of an `Impact` on a thin plate if waves come back from the edges in time, or if the structure is no
-    plate; the two agree on a large plate with enough modes.
+    The structure yields at the point of impact, rings, and may swing back and hit the sphere again. Each loss counts
+    once: rebound, material loss and the structure's energy add up to the impact energy and the work of gravity. Use it
+    instead of an `Impact` on a thin plate where waves return from the edges in time, or where the structure is not a
+    plate. On a large plate with enough modes the two agree.
 
     Parameters
     ----------
-    sphere : Sphere
-        What falls.
+    sphere, velocity, stiffness
+        As for `Impact`.
     target : HalfSpace
-        The material of the structure, for the stiffness of the contact.
-    velocity : array_like
-        Normal impact speed [m/s], above 0.
-    stiffness : {"hertz", "rigid-sphere", "series"}
-        The theory of the contact stiffness (`cgid.physics.laws`).
+        Material of the structure, for the contact stiffness.
     dissipation : Elastic or HuntCrossley
         Loss in the material alone.
-    gravity : array_like
-        Pull towards the structure [m/s^2], 0 or more, during contact and between contacts.
-    frequency : array_like, (n_modes,)
-        Natural frequencies, undamped [Hz], ascending. There may be none.
-    damping_ratio : array_like, (n_modes,) or one number
-        Above 0 and below 1.
-    compliance : array_like, (..., n_modes)
-        Square of each mode's shape at the point of impact over its modal mass [1/kg], 0 or more. The axes before the
-        last are those of the impacts.
-    residual_compliance : array_like
-        Static compliance at the point of impact of the higher modes that are left out [m/N], 0 or more: the sum of
-        `compliance / (2 pi frequency)^2` over them, or `2 / (pi Z w)` of a thin plate of impedance Z, cut at
-        w [rad/s].
-    window : array_like, optional
-        Time from the first touch [s] within which a new contact may begin; it is then followed to its end. By default
-        12 times T0, about four undamped contacts on a half space.
-    tolerance : float
-        Truncation error of the polynomials of the force over its peak, from 1e-12 to 1e-4. Energies, restitution and
-        the duration of contact are far more accurate.
+    gravity : array_like, 0 or more [m/s^2]
+        Pull towards the structure during and between contacts.
+    frequency : array_like, (n_modes,) [Hz]
+        Undamped natural frequencies, ascending; may be empty.
+    damping_ratio : array_like, (n_modes,) or scalar, in (0, 1)
+    compliance : array_like, (..., n_modes), 0 or more [1/kg]
+        Squared shape at the point of impact over modal mass; the leading axes are those of the impacts.
+    residual_compliance : array_like, 0 or more [m/N]
+        Static compliance of the omitted higher modes at the point of impact: the sum of
+        `compliance / (2 pi frequency)^2` over them, or `2 / (pi Z w)` for a thin plate of impedance Z, cut at w
+        [rad/s].
+    window : array_like, optional [s]
+        Time after the first touch in which a new contact may begin; it is followed to its end. Default: 12 T0, about
+        four undamped contacts on a half space.
+    tolerance : float, 1e-12 to 1e-4
+        Truncation error of the force polynomials over the peak force. Energies, restitution and contact duration are
+        far more accurate.
 
     Raises
     ------
     InvalidValue
-        A number breaks its rule, shapes do not broadcast, the sphere does not rebound, or the impact lies outside the
-        range of double precision.
+        A value is invalid, shapes do not broadcast, the sphere does not rebound, or double precision cannot represent
+        the impact.
 
     Warns
     -----
     HertzRangeWarning
-        If the displacement passes a tenth of the radius.
+        The displacement exceeds a tenth of the radius.
 
     Notes
     -----
-    Modes far above the contact contribute compliance: leaving them out makes the structure too stiff, with an error
-    like the inverse of the highest frequency. Their residual compliance becomes one more mode, with the damping of the
-    last one, at sqrt(3) times its frequency: for the modes of a plate, whose compliances are spread evenly in
-    frequency, this is right to second order. On a wide plate, modes up to twice the inverse contact duration then give
-    the restitution of the thin-plate theory within .001 (lambda of .13 and .5).
+    Modes far above the contact contribute compliance: omitting them makes the structure too stiff, with an error
+    proportional to the inverse of the highest frequency. Their residual compliance becomes one more mode with the last
+    mode's damping, at sqrt(3) times its frequency. For a plate, whose compliances are spread evenly in frequency, this
+    is correct to second order. On a wide plate, modes up to twice the inverse contact duration then give the
+    restitution of the thin-plate theory within .001 (lambda of .13 and .5).
 
     Examples
     --------
@@ -148,7 +142,7 @@ class ModalImpact(Impact):
 
     @cached_property
     def _given(self) -> dict[str, Floats]:
-        """Numbers of the impact from its parts, broadcast to one shape."""
+        """Numbers of the impact, broadcast to one shape."""
         given = super()._given
         leading = np.empty(np.shape(self.compliance)[:-1])
         window = np.empty(()) if self.window is None else np.asarray(self.window)
@@ -158,7 +152,7 @@ class ModalImpact(Impact):
         return {name: np.broadcast_to(numbers, shape) for name, numbers in given.items()}
 
     def _modes(self, shape: tuple[int, ...]) -> tuple[Floats, Floats, Floats]:
-        """Return frequencies, damping ratios and compliances (*shape, n_modes), the residual one as last mode."""
+        """Return frequencies, damping ratios and compliances (*shape, n_modes); the residual mode comes last."""
         frequency = np.asarray(self.frequency, np.float64)
         damping = np.broadcast_to(np.asarray(self.damping_ratio, np.float64), frequency.shape)
         compliance = np.broadcast_to(np.asarray(self.compliance, np.float64), (*shape, frequency.size))
@@ -175,7 +169,7 @@ class ModalImpact(Impact):
 
     @cached_property
     def curves(self) -> ModalCurves:
-        """The dimensionless courses, one row for each impact in C order."""
+        """The dimensionless curves, one row per impact in C order."""
         shape, size = self.reduced_mass.shape, self.reduced_mass.size
         count("coupled_impacts", size)
         rigid = super().curves
@@ -184,7 +178,7 @@ class ModalImpact(Impact):
         return solve(
             frequency,
             damping_ratio,
-            # A copy: for a read-only array the kernel would be compiled once more.
+            # A copy: a read-only array would make the kernel compile again.
             np.array(compliance.reshape(size, frequency.size), order="C"),
             rigid.material_restitution,
             rigid.damping,
@@ -200,40 +194,40 @@ class ModalImpact(Impact):
 
     @property
     def restitution(self) -> Floats:
-        """Speed away from the structure's place at rest after the last contact, over impact speed.
+        """Speed away from the structure's rest position after the last contact, over impact speed.
 
-        Negative where the sphere goes on in the direction of the impact.
+        Negative where the sphere moves on in the direction of impact.
         """
         return self._result("restitution").copy()
 
     @property
     def contacts(self) -> NDArray[np.intp]:
-        """How many contacts began within the window."""
+        """Number of contacts that began within the window."""
         return self._result("contacts").astype(np.intp)
 
     @property
     def contact_duration(self) -> Floats:
-        """Time from touch to the end of the force of the first contact [s]."""
+        """Duration of the first contact [s]."""
         return self.time_scale * self._result("contact_time")
 
     @property
     def end_of_contact(self) -> Floats:
-        """Time from touch to the end of the force of the last contact [s]."""
+        """Time from first touch to the end of the last contact [s]."""
         return self.time_scale * self._result("end")
 
     @property
     def radiated_energy(self) -> Floats:
-        """Energy passed to the structure, the work of the force on it over all contacts [J]."""
+        """Work of the force on the structure over all contacts [J]."""
         return self._energy_scale * self._result("plate_energy")
 
     @property
     def modal_energy(self) -> Floats:
-        """The part of it still in the modes at the end of the last contact [J]."""
+        """Part of the radiated energy still in the modes at the end of the last contact [J]."""
         return self._energy_scale * self._result("modal_energy")
 
     @property
     def modal_dissipation(self) -> Floats:
-        """The part of it lost in the modes' damping until then [J]."""
+        """Part of the radiated energy lost to modal damping by then [J]."""
         return self.radiated_energy - self.modal_energy
 
     @property
@@ -243,23 +237,18 @@ class ModalImpact(Impact):
 
     @property
     def energy_error(self) -> Floats:
-        """Rebound, material loss and structure less the energy of impact and of the fall, over the energy of impact."""
+        """Error of the energy balance over the impact energy: rebound, losses and structure less impact and fall."""
         found = 0.5 * self.restitution**2 + self._result("plate_energy") + self._result("material_loss")
         return np.asarray(2 * (found - 0.5 - self._shaped(self.curves.weight) * self._result("end_level")))
 
 
 @dataclass(frozen=True)
 class ModalCurves(Curves):
-    """The courses of n impacts, in units of L, T0 and `K L^(3/2)`; all of them are integrated.
+    """The curves of n impacts, all integrated, in units of L, T0 and `K L^(3/2)`.
 
-    Attributes
-    ----------
-    results : ndarray, (n, n_results)
-        Columns `_coupled.RESULTS`.
-    course : ndarray, (n_steps, n_columns)
-        Force and displacement step by step, see `_coupled`.
-    begin, end : ndarray, (n,)
-        First step of each impact, and one past its last.
+    results : columns `_coupled.RESULTS`, (n, n_results)
+    course : force and displacement of each step, see `_coupled`, (n_steps, n_columns)
+    begin, end : first step of each impact, and one past its last
     """
 
     results: Floats
@@ -269,7 +258,7 @@ class ModalCurves(Curves):
 
     @cached_property
     def plain(self) -> NDArray[np.bool_]:
-        """False: no result is a closed form."""
+        """False: no result has a closed form."""
         return np.zeros(len(self.results), bool)
 
     @cached_property
@@ -279,7 +268,7 @@ class ModalCurves(Curves):
         return dict(zip(_coupled.RESULTS, self.results.T, strict=True))
 
     def result(self, name: str) -> Floats:
-        """Return a column of the results."""
+        """Return one column of the results."""
         return self._integrated[name]
 
     @property
@@ -288,13 +277,13 @@ class ModalCurves(Curves):
         return self.result("impulse")
 
     def taken(self, rows: NDArray[np.intp]) -> ModalCurves:
-        """Return the curves of these rows, in this order."""
+        """Return the curves of the given rows, in this order."""
         plain = super().taken(rows)
         numbers = (plain.material_restitution, plain.zeta, plain.inelasticity, plain.weight)
         return ModalCurves(*numbers, self.results[rows], self.course, self.begin[rows], self.end[rows])
 
     def require_rebound(self) -> None:
-        """Raise `InvalidValue` where the sphere does not leave again, or not within the reach of double precision."""
+        """Raise `InvalidValue` if a sphere does not rebound, or not within the range of double precision."""
         _ = self._integrated
 
     def _require_separation(self, rows: NDArray[np.intp], status: Floats) -> None:
@@ -319,7 +308,7 @@ class ModalCurves(Curves):
     def evaluate(
         self, times: Floats, time_scale: Floats, amplitude: Floats, quantity: Quantity, dtype: DTypeLike, threads: int
     ) -> NDArray[Any]:
-        """Return force or displacement at times (n, k) [s], shape (n, k), zero outside contact."""
+        """Return force or displacement at times (n, k) [s], shape (n, k); 0 outside contact."""
         from cgid.physics import _coupled
 
         out = np.empty(times.shape, dtype)
@@ -337,7 +326,7 @@ class ModalCurves(Curves):
         threads: int,
         tolerance: float = 0.0,
     ) -> None:
-        """Add the force of all contacts to each of the frames, in place; see `Curves.add_to_frames`."""
+        """Add the force of all contacts to the frames in place; see `Curves.add_to_frames`."""
         from cgid.physics import _coupled
 
         numbers = (frames, onset, step, self.course, self.begin, self.end, amplitude)
@@ -356,24 +345,11 @@ def solve(
     time_scale: Floats,
     tolerance: float,
 ) -> ModalCurves:
-    """Solve contact and modes together, impact by impact.
+    """Solve contact and modes together, impact by impact; return their curves.
 
-    Parameters
-    ----------
-    frequency, damping_ratio : ndarray, (n_modes,)
-        [Hz], undamped; below 1.
-    participation : ndarray, (n, n_modes)
-        Square of the shape at the point of impact over the modal mass [1/kg].
-    material_restitution, damping : ndarray, (n,)
-        Of the Hunt-Crossley loss.
-    weight : ndarray, (n,)
-        `g L / v^2`.
-    window : ndarray, (n,)
-        Of new contacts, over T0.
-    mass, time_scale : ndarray, (n,)
-        Of the sphere [kg], and T0 [s].
-    tolerance : float
-        Truncation error of the force in a step, over the largest force.
+    Frequencies [Hz] and damping ratios are (n_modes,), participation (squared shape over modal mass [1/kg]) is
+    (n, n_modes). The others are (n,): restitution and D of the Hunt-Crossley loss, weight `g L / v^2`, window [T0],
+    mass [kg] and T0 [s]. `tolerance` is the truncation error of the force in a step, over the peak force.
     """
     from cgid.physics import _coupled
 
@@ -382,11 +358,11 @@ def solve(
     longest = _longest_steps(angular, time_scale)
     parameters = np.stack([damping, weight, window, mass, time_scale, longest], axis=1)
     results = np.empty((len(mass), len(_coupled.RESULTS)))
-    # Sorted by the length of their steps: the free motion of the modes is tabulated once for each length.
+    # Sorted by step length: the kernel tabulates the free motion of the modes once per length.
     left = np.argsort(longest, kind="stable")
     bounds = np.zeros((2, len(mass)), np.intp)
     pieces, total = [], 0
-    # Interpreted, an impact takes a tenth of a second, and a second with some hundred modes.
+    # Interpreted, an impact takes a tenth of a second, or a second with some hundred modes.
     follow = kernel(_coupled, "follow", len(mass), FEW_SAMPLES // _FEW_MODES * angular.size)
     columns = _coupled.COEFFICIENTS + 2 * N_NODES
     while left.size:
@@ -408,11 +384,11 @@ def solve(
 
 
 def _longest_steps(angular: Floats, time_scale: Floats) -> Floats:
-    """Return the longest step of each impact [s], equal for as many impacts as possible."""
+    """Return the longest step of each impact [s], the same for as many impacts as possible."""
     allowed = _LONGEST_STEP * time_scale
     if not angular.size:
         return np.asarray(allowed)
     resolved = _LARGEST_PHASE / angular[-1]
-    # The least power of two that is not below resolved / allowed, 1 or more.
+    # Divide by the smallest power of two >= max(resolved / allowed, 1).
     fraction, exponent = np.frexp(np.maximum(resolved / allowed, 1.0))
     return np.asarray(np.ldexp(resolved, -(exponent - (fraction == 0.5))))

@@ -1,8 +1,9 @@
-"""Dimensionless curves of a batch of impacts, each by the cheapest exact way; kernels and threads that compute them.
+"""Dimensionless curves of a batch of impacts, each by the cheapest exact method; kernels and threads that compute them.
 
-Four numbers describe an impact: the material's restitution (which determines the Hunt-Crossley damping), zeta, lambda
-and gamma of `cgid.physics._taylor`. Where the last three are zero the impact is *plain*: its peaks are closed forms,
-and its pulse is in the shipped table (`cgid.family`) unless it is damped beyond it. Everything else is integrated.
+Four numbers describe an impact: the restitution of the material (which determines the Hunt-Crossley damping), and zeta,
+lambda and gamma of `cgid.physics._taylor`. Where the last three are 0, the impact is *plain*: its peaks have closed
+forms, and its pulse comes from the shipped table (`cgid.family`) unless its restitution is below the table's range. All
+other impacts are integrated.
 """
 
 from __future__ import annotations
@@ -26,34 +27,27 @@ from cgid.physics.closed_forms import damping_number, peak_displacement, peak_fo
 from cgid.validation import Floats
 
 Quantity = Literal["force", "displacement"]
-#: Smallest restitutions: below them the time scales of braking and of leaving lie too far apart for double precision.
+#: Smallest restitutions: below, the time scales of braking and of rebound are too far apart for double precision.
 LOWEST_RESTITUTION, LOWEST_ON_A_PLATE = 1e-30, 1e-14
-#: Stepping in time: the smallest error over the peak it serves, the steps of a contact for an error of 1, and the D up
-#: to which the method is stable with them.
+#: Time stepping: smallest error over the peak, steps per contact for an error of 1, and the largest D for stability.
 FINEST_STEPPED, _STEPS_FOR_ONE, _MOST_STEPPED_DAMPING = 1e-7, 4.0, 100.0
-#: Samples up to which nothing is compiled: these kernels are interpreted, and numpy evaluates the table.
+#: Up to this many samples nothing is compiled: kernels are interpreted, and numpy evaluates the table.
 FEW_SAMPLES = 4096
-#: Impacts up to which kernels are interpreted, until interpreting has taken this time [s].
+#: Up to this many impacts kernels are interpreted, until this much time [s] has gone into interpreting.
 _FEW_IMPACTS, _PATIENCE = 4, 2.0
 _spent = 0.0
-#: Rows below which another thread does not pay, and rows after which Python may react to an interruption.
+#: Fewest rows worth another thread, and most rows in one call, so that Python can react to an interruption.
 _LEAST, _MOST = 200, 1024
 
 
 @dataclass(frozen=True)
 class Curves:
-    """The curves of n impacts, in units of L, T0 and `K L^(3/2)`.
+    """The curves of n impacts, in units of L, T0 and `K L^(3/2)`; all fields are (n,).
 
-    Attributes
-    ----------
-    material_restitution : ndarray, (n,)
-        Restitution by Hunt-Crossley damping alone: 1 where the material is elastic or viscoelastic.
-    zeta : ndarray, (n,)
-        `A v / L` of a viscoelastic sphere.
-    inelasticity : ndarray, (n,)
-        Zener's lambda of a thin plate.
-    weight : ndarray, (n,)
-        `g L / v^2`.
+    material_restitution : by Hunt-Crossley damping alone; 1 for an elastic or viscoelastic material
+    zeta : `A v / L` of a viscoelastic sphere
+    inelasticity : Zener's lambda of a thin plate
+    weight : `g L / v^2`
     """
 
     material_restitution: Floats
@@ -63,12 +57,12 @@ class Curves:
 
     @cached_property
     def plain(self) -> NDArray[np.bool_]:
-        """Whether nothing but Hunt-Crossley damping acts."""
+        """Whether only Hunt-Crossley damping acts."""
         return np.asarray((self.zeta == 0) & (self.inelasticity == 0) & (self.weight == 0))
 
     @cached_property
     def tabulated(self) -> NDArray[np.bool_]:
-        """Whether the shipped table holds the pulse."""
+        """Whether the shipped table covers the pulse."""
         return self.plain & family.in_table(self.material_restitution)
 
     @cached_property
@@ -115,20 +109,20 @@ class Curves:
 
     @property
     def impulse(self) -> Floats:
-        """Integral of the force over the contact: `1 + e`, and with gravity the weight over that time."""
+        """Integral of the force over the contact: `1 + e`, plus the weight times the contact time."""
         pull = self.weight * self.times[0] if self.weight.any() else 0.0
         return np.asarray(1 + self.restitution + pull)
 
     @property
     def rebound(self) -> Floats:
-        """Restitution, and 0 where the sphere does not leave again."""
+        """Restitution, or 0 where the sphere does not rebound."""
         if self.plain.all():
             return self.restitution
         return np.where(self.plain, self.material_restitution, self._summary["restitution"])
 
     @cached_property
     def times(self) -> tuple[Floats, Floats, Floats]:
-        """Contact time, time of the peak force, time of the largest displacement."""
+        """Contact time, time of the peak force, and time of the largest displacement."""
         out = np.empty((3, self.plain.size))
         count("tabulated_times", np.count_nonzero(self.tabulated))
         if self.tabulated.any():
@@ -149,7 +143,7 @@ class Curves:
 
     @cached_property
     def _summary(self) -> dict[str, Floats]:
-        """The results of the reference path for the rows that the table does not hold, nan elsewhere."""
+        """Integrated results for the rows outside the table; nan elsewhere."""
         from cgid.physics import _taylor
 
         found = np.full((self.plain.size, len(_taylor.RESULTS)), np.nan)
@@ -160,17 +154,17 @@ class Curves:
 
     @cached_property
     def _integrated(self) -> dict[str, Floats]:
-        """The same, once every sphere is known to leave again."""
+        """The same results, after checking that every sphere rebounds."""
         rows = np.flatnonzero(~self.tabulated)
         self._require_separation(rows, self._summary["status"][rows])
         return self._summary
 
     def taken(self, rows: NDArray[np.intp]) -> Curves:
-        """Return the curves of these rows, in this order."""
+        """Return the curves of the given rows, in this order."""
         return Curves(self.material_restitution[rows], self.zeta[rows], self.inelasticity[rows], self.weight[rows])
 
     def require_rebound(self) -> None:
-        """Raise `InvalidValue` if a sphere does not leave again, or not within the range of double precision."""
+        """Raise `InvalidValue` if a sphere does not rebound, or not within the range of double precision."""
         lowest = np.where(self.inelasticity > 0, LOWEST_ON_A_PLATE, LOWEST_RESTITUTION)
         beyond = self.material_restitution < lowest
         if beyond.any():
@@ -206,7 +200,7 @@ class Curves:
     def evaluate(
         self, times: Floats, time_scale: Floats, amplitude: Floats, quantity: Quantity, dtype: DTypeLike, threads: int
     ) -> NDArray[Any]:
-        """Return force or displacement at times (n, k) [s], shape (n, k), zero outside contact."""
+        """Return force or displacement at times (n, k) [s], shape (n, k); 0 outside contact."""
         out = np.empty(times.shape, dtype)
         rows, rest = np.flatnonzero(self.tabulated), np.flatnonzero(~self.tabulated)
         count("table_pulses", rows.size)
@@ -239,20 +233,10 @@ class Curves:
         threads: int,
         tolerance: float = 0.0,
     ) -> None:
-        """Add a force pulse to each of the frames, in place.
+        """Add a force pulse to each of the frames (n, n_samples) in place.
 
-        Parameters
-        ----------
-        frames : ndarray of float32 or float64, (n, n_samples)
-        onset : ndarray, (n,)
-            Place of touch on the sample grid [samples].
-        step : ndarray, (n,)
-            Sampling interval over T0.
-        amplitude : ndarray, (n,)
-            [N].
-        threads : int
-        tolerance : float
-            Error over the peak allowed for pulses that are not in the table, which are then stepped in time.
+        `onset` is the touch on the sample grid [samples], `step` the sampling interval [T0], `amplitude` is in [N];
+        each (n,). Pulses outside the table are stepped in time if the `tolerance`, an error over the peak, permits.
         """
         rows, rest = np.flatnonzero(self.tabulated), np.flatnonzero(~self.tabulated)
         count("table_pulses", rows.size)
@@ -279,16 +263,17 @@ class Curves:
 
 
 def _samples_in_contact(touch: Floats, separation: Floats, n_samples: int) -> int:
-    """Return how many samples of frames lie between touch and separation, both in samples."""
+    """Return the number of frame samples between touch and separation, both in samples."""
     first = np.clip(np.floor(touch) + 1, 0, n_samples)
     return int(np.sum(np.clip(np.ceil(separation), first, n_samples) - first))
 
 
 def kernel(module: ModuleType, name: str, n_impacts: int, n_samples: int = 0) -> Callable[..., None]:
-    """Return a kernel of a module for this much work: compiled, or for an impact or two interpreted.
+    """Return a kernel for this much work: compiled, or interpreted for an impact or two.
 
-    Compiling takes seconds, once after installing; interpreted, a pulse takes milliseconds. Both do the same operations
-    in the same order, so they give the same bits. The work is that of the whole batch, not of the rows that need it.
+    Compiling takes seconds, once after installing; interpreting takes milliseconds per pulse. Both run the same
+    operations in the same order and return the same bits. Pass the size of the whole batch, not only of the rows that
+    need the kernel.
     """
     if n_impacts > _FEW_IMPACTS or n_impacts * n_samples > FEW_SAMPLES or _spent > _PATIENCE:
         compiled: Callable[..., None] = getattr(module, name)
@@ -306,7 +291,7 @@ def _interpret(module: ModuleType, name: str, *arguments: Any) -> None:
 
 @cache
 def _interpreted(module: ModuleType) -> dict[str, Callable[..., None]]:
-    """Return the kernels of a module as plain Python functions, which call each other as such."""
+    """Return the kernels of a module as plain Python functions that call each other."""
     names = dict(vars(module))
     for name, function in vars(module).items():
         if hasattr(function, "py_func"):
@@ -315,9 +300,9 @@ def _interpreted(module: ModuleType) -> dict[str, Callable[..., None]]:
 
 
 def in_threads(run: Callable[..., None], arguments: tuple[Any, ...], rows: NDArray[np.intp], threads: int) -> None:
-    """Call a kernel, which releases the interpreter's lock, for parts of the rows, in threads if there are several.
+    """Call a kernel, which releases the GIL, for parts of the rows, in threads if there are several.
 
-    No part takes long, so that Ctrl-C works.
+    Each part is short, so that Ctrl-C works.
     """
     threads = max(min(threads, -(-rows.size // _LEAST)), 1)
     parts = np.array_split(rows, max(threads, -(-rows.size // _MOST)))
@@ -325,7 +310,7 @@ def in_threads(run: Callable[..., None], arguments: tuple[Any, ...], rows: NDArr
 
 
 def in_parts(work: Callable[[NDArray[np.intp]], Any], parts: list[NDArray[np.intp]], threads: int) -> list[Any]:
-    """Return what work returns for each part that is not empty, in threads if there are several."""
+    """Return the results of `work` for each non-empty part, in threads if there are several."""
     parts = [part for part in parts if part.size]
     each = _pool(threads).map if min(threads, len(parts)) > 1 else map
     return list(each(work, parts))
@@ -333,5 +318,5 @@ def in_parts(work: Callable[[NDArray[np.intp]], Any], parts: list[NDArray[np.int
 
 @cache
 def _pool(threads: int) -> ThreadPoolExecutor:
-    """Return a pool that is kept: starting threads takes as long as a hundred pulses."""
+    """Return a cached pool: starting threads takes as long as a hundred pulses."""
     return ThreadPoolExecutor(threads, thread_name_prefix="cgid")

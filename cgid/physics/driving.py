@@ -1,4 +1,4 @@
-"""Contact forces on fine grids, and their effect on a pole over a sample: see `cgid.physics._response`."""
+"""Contact forces on fine grids, and their effect on a pole over one sample; see `cgid.physics._response`."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from cgid.elementary import Complex, complex_exp, complex_product, modulus, powe
 from cgid.errors import InvalidValue
 from cgid.validation import Floats
 
-#: Steps of a contact for an error of 1 (see `steps_for`), fewest steps of a contact, most steps of a sample.
+#: Steps per contact for an error of 1 (see `steps_for`), fewest steps per contact, most steps per sample.
 _STEPS_FOR_ONE, _LEAST_STEPS, _MOST_STRIDE = 4.0, 32, 1 << 16
-#: Share of the tolerance for the force itself.
+#: Share of the tolerance used for the force itself.
 _SHARE_OF_FORCE = 0.3
 
 
@@ -25,28 +25,28 @@ class Pulses(Protocol):
 
     @property
     def contact_duration(self) -> Floats:
-        """Of the first contact [s], (n,)."""
+        """Duration of the first contact [s], (n,)."""
 
     @property
     def end_of_contact(self) -> Floats:
-        """From the first touch to the last separation [s], (n,)."""
+        """Time from first touch to last separation [s], (n,)."""
 
     def add_to_frames(self, frames: NDArray[Any], sampling_rate: Any, onset: Any, *, tolerance: float) -> None:
-        """Add the forces to frames (n, n_samples), each at its own sampling rate, within an error over the peak."""
+        """Add the forces to frames (n, n_samples), each with its own sampling rate, within an error over the peak."""
 
 
 def steps_for(tolerance: float) -> int:
-    """Return the number of steps of a contact for this error over the largest sample.
+    """Return the number of steps per contact for this error over the largest sample.
 
-    The force is linear between steps after a correction by its second difference. The remaining error comes from touch
-    and separation, where the force goes as `t^(3/2)`, and falls with the power 5/2 of the number of steps.
+    The force is linear between steps, after a correction by its second difference. The remaining error comes from touch
+    and separation, where the force grows as `t^(3/2)`; it falls as the number of steps to the power -5/2.
     """
     return max(_LEAST_STEPS, int(np.ceil(_STEPS_FOR_ONE * power(tolerance, -0.4))))
 
 
 @dataclass(frozen=True)
 class DrivenSample:
-    """Effect of a sample of some steps on all poles; `Response._driven` describes the arrays."""
+    """Effect of one sample, divided into steps, on all poles; `Response._driven` describes the arrays."""
 
     polynomials: Floats
     shares: Floats
@@ -54,7 +54,7 @@ class DrivenSample:
 
 
 def driven_sample(poles: Complex, sampling_rate: float, stride: int, n_polynomials: int) -> DrivenSample:
-    """Return the effect of a sample of `stride` steps on these poles, by polynomials of the number of the step."""
+    """Return the effect of a sample of `stride` steps on the poles, as polynomials in the step number."""
     h = 1 / (sampling_rate * stride)
     # g0 = h (phi1 - phi2), g1 = h phi2 with phi1 = (e^x - 1) / x, phi2 = (e^x - 1 - x) / x^2.
     phi1, phi2 = _phi(poles * h)
@@ -62,7 +62,7 @@ def driven_sample(poles: Complex, sampling_rate: float, stride: int, n_polynomia
     drive = h * (phi1 - phi2) + complex_product(complex_exp(poles * h), edge)
     polynomials = np.zeros((stride, n_polynomials))
     shares = np.zeros((n_polynomials, poles.size), complex)
-    if stride <= n_polynomials:  # every step by itself
+    if stride <= n_polynomials:  # each step separately
         polynomials[:, :stride] = np.eye(stride)
         shares[:stride] = complex_product(drive, complex_exp(np.arange(stride)[::-1, None] * (poles * h)))
     else:
@@ -81,7 +81,7 @@ def _powers_by_legendre(c: Complex, n_polynomials: int) -> Complex:
 def _bessel(c: Complex, count: int) -> Complex:
     """Return the modified spherical Bessel functions i_0(c), i_1(c), ..., (count, n).
 
-    Miller's backward recurrence gives their ratios, `e^c = sum (2 n + 1) i_n(c)` their scale.
+    Miller's backward recurrence gives their ratios; `e^c = sum (2 n + 1) i_n(c)` gives the scale.
     """
     start = count + int(np.ceil(1.5 * modulus(c).max(initial=0.0))) + 30
     above = np.zeros((start + 2, *c.shape), complex)
@@ -98,7 +98,7 @@ def _bessel(c: Complex, count: int) -> Complex:
 
 @cache
 def polynomials_for(phase: float, tolerance: float) -> int:
-    """Return the number of polynomials for a pole that turns by this phase in a sample [rad]."""
+    """Return the number of polynomials for a pole that turns by `phase` [rad] in one sample."""
     n = np.arange(400)
     size = (2 * n + 1) * _bessel(np.array([phase / 2 + 0j]), n.size)[:, 0].real
     quiet = np.flatnonzero(size[2:] < 1e-2 * tolerance)
@@ -106,7 +106,7 @@ def polynomials_for(phase: float, tolerance: float) -> int:
 
 
 def _phi(x: Complex) -> tuple[Complex, Complex]:
-    """Return (e^x - 1) / x and (e^x - 1 - x) / x^2, by their series where these would cancel."""
+    """Return (e^x - 1) / x and (e^x - 1 - x) / x^2, by series for small x, where these would cancel."""
     small = modulus(x) < 0.5
     safe = np.where(small, 1.0, x)
     grown = complex_exp(safe) - 1
@@ -122,18 +122,10 @@ def _phi(x: Complex) -> tuple[Complex, Complex]:
 class Windows:
     """The forces of n pulses, each on its own grid with as many steps per sample as its contact needs.
 
-    Attributes
-    ----------
-    first, count : ndarray of int, (n,)
-        First sample of each grid, and its samples.
-    stride : ndarray of int, (n,)
-        Steps per sample, a power of 2.
-    strides : ndarray of int, (n_levels,)
-        The different strides, ascending.
-    level : ndarray of int, (n,)
-        Index of each stride among them.
-    force, drive : ndarray, (n, n_steps)
-        Force [N], and the force corrected for linear interpolation.
+    first, count : first sample of each grid, and number of samples, (n,)
+    stride : steps per sample, a power of 2, (n,)
+    strides, level : the distinct strides, ascending, and the index of each pulse's stride among them
+    force, drive : force [N], and the force corrected for linear interpolation, (n, n_steps)
     """
 
     first: NDArray[np.int64]
@@ -146,10 +138,10 @@ class Windows:
 
 
 def windows_of(pulses: Pulses, onset: Floats, sampling_rate: float, tolerance: float) -> Windows:
-    """Return the forces of pulses that touch at onset [s], on grids fine enough for the tolerance."""
+    """Return the forces of pulses that touch at `onset` [s], on grids fine enough for the tolerance."""
     duration = pulses.contact_duration * sampling_rate
     fraction, exponent = np.frexp(steps_for(tolerance) / duration)
-    needed = np.maximum(exponent - (fraction == 0.5), 0).astype(np.int64)  # the logarithm to base 2, rounded up
+    needed = np.maximum(exponent - (fraction == 0.5), 0).astype(np.int64)  # log2, rounded up
     if (needed >= 31).any() or (1 << needed.max(initial=0)) > _MOST_STRIDE:
         shortest = float(pulses.contact_duration.min())
         raise InvalidValue(
@@ -159,13 +151,13 @@ def windows_of(pulses: Pulses, onset: Floats, sampling_rate: float, tolerance: f
     stride = np.int64(1) << needed
     place = onset * sampling_rate
     first = np.floor(place).astype(np.int64)
-    # Two steps without force after the contact: the correction below still changes the last of them.
+    # Two steps without force follow the contact, as the correction below reaches past its end.
     length = np.floor(place + pulses.end_of_contact * sampling_rate + 2 / stride).astype(np.int64) + 1 - first
     force = np.zeros((len(onset), int((length * stride).max(initial=0)) + 1))
     pulses.add_to_frames(
         force, sampling_rate * stride, (place - first) / sampling_rate, tolerance=_SHARE_OF_FORCE * tolerance
     )
-    # Linear interpolation of a curve errs by a twelfth of its second difference on average.
+    # The mean error of linear interpolation is a twelfth of the second difference.
     drive = force.copy()
     drive[:, 1:-1] -= (force[:, 2:] - 2 * force[:, 1:-1] + force[:, :-2]) / 12
     strides, level = np.unique(stride, return_inverse=True)

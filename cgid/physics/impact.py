@@ -1,4 +1,4 @@
-"""Impact: a single impact or an array of them, each scaled from its dimensionless curve."""
+"""Impact: one impact or an array of them, each scaled from its dimensionless curve."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ from cgid.physics.curves import Curves, Quantity
 from cgid.physics.laws import Dissipation, Viscoelastic, contact_stiffness
 from cgid.validation import Floats
 
-#: A weight g L / v^2 below this, times e^0.6, is neglected: over the contact it changes the speed by 3e-12 of it.
+#: A weight g L / v^2 below this times e^0.6 is neglected: over the contact it changes the speed by a fraction of 3e-12.
 NEGLIGIBLE_WEIGHT = 1e-12
-#: Displacement over radius up to which Hertz's small-strain contact holds.
+#: Largest displacement over radius for Hertz's small-strain theory.
 HERTZ_LIMIT = 0.1
-#: Lambda up to which Zener's thin plate agrees with finer models.
+#: Largest lambda for which Zener's thin plate agrees with finer models.
 INELASTICITY_LIMIT = 1.5
-#: What happens beyond it, and what to do.
+#: Effect of a larger lambda, and the remedy.
 BEYOND_THIN_PLATE = (
     "the plate takes nearly all of the speed, the contact outlasts its waves' way to the edges, and force and rebound "
     "are not to be trusted; use a thicker plate, or couple the impact through the modes of the beam"
@@ -33,7 +33,7 @@ BEYOND_THIN_PLATE = (
 
 
 class HertzRangeWarning(UserWarning):
-    """The displacement is too large a part of the radius for Hertz's theory."""
+    """The displacement is too large relative to the radius for Hertz's theory."""
 
 
 class ThinPlateWarning(UserWarning):
@@ -42,36 +42,36 @@ class ThinPlateWarning(UserWarning):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Impact:
-    """A normal impact of a sphere on a target; every number may be an array, and they broadcast.
+    """A normal impact of a sphere on a target; all numbers may be arrays and broadcast.
 
     Parameters
     ----------
     sphere : Sphere
-        What falls.
+        The falling body.
     target : HalfSpace, ThinPlate, Sphere or RIGID
-        What it falls on, at rest.
-    velocity : array_like
-        Normal impact speed [m/s], above 0 (relative speed for two spheres).
+        The body at rest.
+    velocity : array_like, above 0 [m/s]
+        Normal impact speed; for two spheres the relative speed.
     stiffness : {"hertz", "rigid-sphere", "series"}
-        The theory of the contact stiffness (`cgid.physics.laws`); it has no default.
+        Theory of the contact stiffness (see `contact_stiffness`); no default.
     dissipation : Elastic, HuntCrossley or Viscoelastic
-        Loss in the material; the loss to a thin plate comes on top of it.
-    gravity : array_like
-        Pull towards the target during contact [m/s^2], 0 or more. It is neglected where it would change the speed
-        by no more than 3e-12 of the impact speed.
+        Loss in the material; the loss to a thin plate is added to it.
+    gravity : array_like, 0 or more [m/s^2]
+        Pull towards the target during contact. Neglected where it would change the speed by at most 3e-12 of the impact
+        speed.
 
     Raises
     ------
     InvalidValue
-        A number breaks its rule, a theory is unknown, shapes do not broadcast, the sphere does not rebound, or
-        the impact lies outside the range of double precision.
+        A value is invalid, a theory is unknown, shapes do not broadcast, the sphere does not rebound, or double
+        precision cannot represent the impact.
 
     Warns
     -----
     HertzRangeWarning
-        If the displacement passes a tenth of the radius.
+        The displacement exceeds a tenth of the radius.
     ThinPlateWarning
-        If Zener's lambda of a thin plate passes 1.5.
+        Zener's lambda of a thin plate exceeds 1.5.
 
     Examples
     --------
@@ -133,7 +133,7 @@ class Impact:
                 )
 
     def _warn_of_range(self) -> None:
-        # An elastic impact without weight is the deepest, and its depth needs no damping number.
+        # An elastic impact without weight is the deepest, and cheap: its depth needs no damping number.
         if np.any(self.curves.weight) or (1.1 * self.length_scale > HERTZ_LIMIT * self.reduced_radius).any():
             strain = (self.peak_displacement / self.reduced_radius).max(initial=0.0)
             if strain > HERTZ_LIMIT:
@@ -149,7 +149,7 @@ class Impact:
 
     @cached_property
     def _given(self) -> dict[str, Floats]:
-        """Numbers of the impact from its parts, broadcast to one shape."""
+        """Numbers of the impact, broadcast to one shape."""
         restitution, dissipative_constant = self.dissipation.loss(self.sphere, self.target)
         named = {
             "radius": bodies.reduced_radius(self.sphere, self.target),
@@ -174,22 +174,22 @@ class Impact:
 
     @cached_property
     def _weight(self) -> Floats:
-        """The weight `g L / v^2` [1]."""
+        """Dimensionless weight `g L / v^2`."""
         return self._given["gravity"] * self.length_scale / self._velocity**2
 
     @property
     def reduced_radius(self) -> Floats:
-        """R of the contact [m]."""
+        """Reduced radius R of the contact [m]."""
         return self._given["radius"]
 
     @property
     def reduced_modulus(self) -> Floats:
-        """E of the contact [Pa]."""
+        """Reduced modulus E of the contact [Pa]."""
         return self._given["modulus"]
 
     @property
     def reduced_mass(self) -> Floats:
-        """Mass of the relative motion [kg]."""
+        """Reduced mass m of the relative motion [kg]."""
         return self._given["mass"]
 
     @cached_property
@@ -214,17 +214,17 @@ class Impact:
 
     @cached_property
     def inelasticity(self) -> Floats:
-        """Zener's `lambda = m / (Z T0)` of a thin plate; 0 for any other target."""
+        """Zener's `lambda = m / (Z T0)` of a thin plate; 0 for other targets."""
         if not isinstance(self.target, ThinPlate):
             return _fixed(np.zeros(self.reduced_mass.shape))
         return _fixed(self.reduced_mass / (self.target.impedance * self.time_scale))
 
     @cached_property
     def curves(self) -> Curves:
-        """The dimensionless curves, one row for each impact in C order."""
+        """The dimensionless curves, one row per impact in C order."""
         restitution, constant = self._given["restitution"], self._given["dissipative_constant"]
-        # The stronger the damping, the longer the contact: about e^-0.6 in units of T0. A weight is neglected only
-        # where the table then holds the pulse.
+        # The contact grows with the damping, about as e^-0.6 T0. A weight is neglected only where the pulse then comes
+        # from the table.
         plain = (constant == 0) & (self.inelasticity == 0)
         weight = np.where(plain & (self._weight < NEGLIGIBLE_WEIGHT * power(restitution, 0.6)), 0.0, self._weight)
         return Curves(
@@ -236,21 +236,21 @@ class Impact:
 
     @property
     def restitution(self) -> Floats:
-        """Rebound speed over impact speed, as delivered by material and plate together."""
+        """Rebound speed over impact speed, from the losses in both material and plate."""
         return self._shaped(self.curves.restitution).copy()
 
     @property
     def peak_displacement(self) -> Floats:
         """Largest displacement, the approach of sphere and target [m].
 
-        Except on a thin plate, which yields, it is the displacement of the sphere's centre. Without any other loss than
-        Hunt-Crossley damping it is a closed form, `L (5/2 G(1))^(2/5)`.
+        Except on a thin plate, which yields, it is the displacement of the sphere's centre. With only Hunt-Crossley
+        damping it has the closed form `L (5/2 G(1))^(2/5)`.
         """
         return self.length_scale * self._shaped(self.curves.peak_displacement)
 
     @property
     def peak_force(self) -> Floats:
-        """Largest contact force [N]; with damping it comes before the largest displacement."""
+        """Largest contact force [N]; with damping it precedes the largest displacement."""
         return self.force_scale * self._shaped(self.curves.peak_force)
 
     @property
@@ -260,7 +260,7 @@ class Impact:
 
     @property
     def end_of_contact(self) -> Floats:
-        """Time from first touch to last separation [s]; a structure that swings back may hit the sphere again."""
+        """Time from first touch to last separation [s]: the contact duration, unless a `ModalImpact` touches again."""
         return self.contact_duration
 
     @property
@@ -280,25 +280,25 @@ class Impact:
 
     @property
     def rebound_velocity(self) -> Floats:
-        """Speed of separation, `e v` [m/s]."""
+        """Speed at separation, `e v` [m/s]."""
         return self.restitution * self._velocity
 
     @property
     def impulse(self) -> Floats:
-        """Integral of the force over the contact, `(1 + e) m v` and the weight over the contact [N s]."""
+        """Integral of the force over the contact, `(1 + e) m v` plus weight times contact time [N s]."""
         return self._shaped(self.curves.impulse) * self.reduced_mass * self._velocity
 
     @property
     def radiated_energy(self) -> Floats:
-        """Energy that a thin plate carries off, the integral of `P^2 / Z` [J]; 0 for any other target."""
+        """Energy that a thin plate carries away, the integral of `P^2 / Z` [J]; 0 for other targets."""
         return self._energy_scale * self._shaped(self.curves.plate_energy)
 
     @property
     def dissipated_energy(self) -> Floats:
-        """Energy lost in the material, `1/2 m v^2 (1 - e^2)` without a plate [J].
+        """Energy lost in the material; without plate and gravity `1/2 m v^2 (1 - e^2)` [J].
 
-        It is the energy of impact less rebound and plate, and with gravity the fall of the sphere during contact: the
-        sphere ends lower by its own displacement and by that of a plate.
+        It is the impact energy less rebound and plate. With gravity it includes the sphere's fall during contact, by
+        its own displacement and that of a plate.
         """
         e = self.restitution
         lost = 0.5 * self._energy_scale * (1 - e) * (1 + e) - self.radiated_energy
@@ -312,23 +312,22 @@ class Impact:
 
         Parameters
         ----------
-        times : array_like, (..., n_times)
-            Time since touch [s], along the last axis.
+        times : array_like, (..., n_times) [s]
+            Time since touch, along the last axis.
         dtype : {"float64", "float32"}
-            Of the result.
         threads : int
-            Threads that share the impacts.
+            Number of threads that share the impacts.
 
         Returns
         -------
-        ndarray
-            [N], zero outside contact, never attractive. Shape of `times` for a single impact, else the
-            impacts' shape broadcast against the leading axes of `times`, then n_times.
+        ndarray [N]
+            Never negative, 0 outside contact. Shape of `times` for a single impact, otherwise the impacts' shape
+            broadcast against the leading axes of `times`, then n_times.
         """
         return self._over_time(times, "force", self.force_scale, dtype, threads)
 
     def displacement(self, times: ArrayLike, *, dtype: DTypeLike = "float64", threads: int = 1) -> NDArray[Any]:
-        """Return the displacement, the approach of sphere and target [m], over time; as `force`."""
+        """Return the displacement, the approach of sphere and target [m], over time; see `force`."""
         return self._over_time(times, "displacement", self.length_scale, dtype, threads)
 
     def _over_time(
@@ -355,26 +354,24 @@ class Impact:
         dtype: DTypeLike = "float64",
         threads: int = 1,
     ) -> NDArray[Any]:
-        """Return the contact force on the even grid of a recorder, one frame for each impact.
+        """Return the contact force on the sample grid of a recorder, one frame per impact.
 
-        Only the samples in contact are computed. Values agree with `force` to rounding.
+        It computes only the samples in contact. The values equal those of `force` up to rounding.
 
         Parameters
         ----------
-        sampling_rate : float
-            [Hz].
+        sampling_rate : float [Hz]
         n_samples : int
             Length of a frame.
-        onset : array_like
-            Time of touch within the frame [s]; it may lie outside of the frame.
+        onset : array_like [s]
+            Time of touch relative to the start of the frame; it may lie outside the frame.
         dtype : {"float64", "float32"}
         threads : int
-            Threads that share the impacts.
+            Number of threads that share the impacts.
 
         Returns
         -------
-        ndarray, (*shape of the impacts and onset, n_samples)
-            [N].
+        ndarray, (*shape of the impacts and onset, n_samples) [N]
         """
         dtype = _output(dtype, self.force_scale)
         n_samples = validation.count("n_samples", n_samples)
@@ -394,15 +391,15 @@ class Impact:
         threads: int = 1,
         tolerance: float = 0.0,
     ) -> None:
-        """Add the contact force to frames in place; `force_frames` describes their shape.
+        """Add the contact force to frames in place; their shape is that of `force_frames`.
 
-        Each frame may have its own sampling rate. `tolerance` is an error allowed over the peak: pulses that are not in
-        the table are then stepped in time, twenty times faster.
+        Each frame may have its own sampling rate. `tolerance` is the permitted error over the peak force: with it,
+        pulses outside the table are stepped in time, twenty times faster.
 
         Raises
         ------
         InvalidValue
-            The frames have another shape, no float samples, or are not contiguous.
+            The frames have the wrong shape or type, or are not contiguous.
         """
         rate = validation.positive("sampling_rate", sampling_rate, "Hz")
         threads = validation.count("threads", threads)
@@ -410,14 +407,14 @@ class Impact:
         leading, index = self._broadcast_with(onset=touch, sampling_rate=rate)
         _require_frames(frames, leading)
         _output(frames.dtype, self.force_scale)
-        with np.errstate(over="ignore", divide="ignore"):  # touch or separation may lie beyond all samples
+        with np.errstate(over="ignore", divide="ignore"):  # touch or separation may lie far outside the frame
             place = np.broadcast_to(touch * rate, leading).ravel()
             step = 1 / (np.broadcast_to(rate, leading).ravel() * self.time_scale.ravel()[index])
         rows, height = frames.reshape(index.size, frames.shape[-1]), self.force_scale.ravel()[index]
         self._curves_of(leading, index).add_to_frames(rows, place, step, height, threads, tolerance)
 
     def _broadcast_with(self, **other: Floats) -> tuple[tuple[int, ...], NDArray[np.intp]]:
-        """Return the shape of the impacts and another array together, and the impact at each place."""
+        """Return the common shape of the impacts and other arrays, and the index of the impact at each position."""
         leading = validation.broadcast(impacts=self.reduced_mass, **other)[0].shape
         numbers = np.arange(self.reduced_mass.size).reshape(self.reduced_mass.shape)
         return leading, np.broadcast_to(numbers, leading).ravel()
@@ -445,14 +442,14 @@ def _require_frames(frames: NDArray[Any], leading: tuple[int, ...]) -> None:
 
 
 def _output(dtype: DTypeLike, amplitude: Floats) -> np.dtype[Any]:
-    """Return the requested type of samples, or raise if it cannot hold samples of this amplitude."""
+    """Return the requested sample type, or raise if it cannot hold samples of this amplitude."""
     try:
         wanted = np.dtype(dtype)
     except TypeError:
         wanted = np.dtype(object)
     if wanted not in (np.float32, np.float64):
         raise InvalidValue(f"dtype must be float32 or float64, got {dtype!r}")
-    # With these laws no dimensionless peak passes a thousand times its scale.
+    # With these laws no dimensionless peak exceeds 1000.
     if wanted == np.float32 and (amplitude > 1e-3 * np.finfo(np.float32).max).any():
         raise InvalidValue(f"float32 must hold the samples, got some near {amplitude.max():.3g}; use float64")
     return wanted

@@ -1,12 +1,12 @@
 """Contact laws: the stiffness of the contact, and the loss in the material.
 
-Every stiffness theory has the form `P = K delta^(3/2)`. Hertz's reduced modulus already holds the compliance of both
-bodies, so the paper's own series theory counts it twice, and an independent finite-element run agrees with `"hertz"`.
-All three are kept, and none is the default.
+Every stiffness theory has the form `P = K delta^(3/2)`. Hertz's reduced modulus already includes the compliance of both
+bodies, so the series theory of Yang et al. (2018) counts it twice; an independent finite-element run agrees with
+`"hertz"`. All three theories are available, and none is the default.
 
 The damping factors of a Hunt-Crossley contact, `P = K delta^(3/2) (1 + chi delta')`, differ in the damping number
-`D = chi v` that they assign to a restitution e. All but the exact one are approximations, good near e = 1:
-`HuntCrossley.delivered_restitution` is what an impact really has. A new factor is one more entry of the table.
+`D = chi v` for a restitution e. All but the exact one are approximations, good near e = 1:
+`HuntCrossley.delivered_restitution` is the restitution that results. A new factor needs one more table entry.
 """
 
 from __future__ import annotations
@@ -40,17 +40,14 @@ def contact_stiffness(reduced_radius: ArrayLike, reduced_modulus: ArrayLike, the
 
     Parameters
     ----------
-    reduced_radius : array_like
-        [m].
-    reduced_modulus : array_like
-        [Pa].
+    reduced_radius : array_like [m]
+    reduced_modulus : array_like [Pa]
     theory : {"hertz", "rigid-sphere", "series"}
-        `K1 = 4/3 sqrt(R) E`; `K2 = 8 sqrt(3)/9 K1`; both springs in series, `K1 / 1.75^(3/2)`.
+        `K1 = 4/3 sqrt(R) E`; `K2 = 8 sqrt(3)/9 K1`; or both springs in series, `K1 / 1.75^(3/2)`.
 
     Returns
     -------
-    ndarray
-        [N/m^(3/2)].
+    ndarray [N/m^(3/2)]
 
     Examples
     --------
@@ -75,7 +72,7 @@ def free_fall_velocity(height: ArrayLike, gravity: float = STANDARD_GRAVITY) -> 
     return np.asarray(np.sqrt(2 * pull * validation.not_negative("height", height, "m")))
 
 
-#: Damping number D = chi v of the requested restitution e, by the name of the law. Only "exact" delivers e.
+#: Damping number D = chi v for a requested restitution e, by law. Only "exact" delivers e.
 HUNT_CROSSLEY_LAWS: dict[str, Callable[[Floats], Floats]] = {
     "exact": damping_number,
     # Hunt & Crossley (1975), J. Appl. Mech. 42, 440.
@@ -95,13 +92,13 @@ HUNT_CROSSLEY_LAWS: dict[str, Callable[[Floats], Floats]] = {
     # Hu & Guo (2015), Multibody Syst. Dyn. 35, 131.
     "hu-guo": lambda e: 1.5 * (1 - e) / e,
 }
-#: An impact with more damping would lie outside the range of double precision anyway.
+#: Double precision cannot represent an impact with more damping anyway.
 _MOST_DAMPING = 1e100
 
 
 @dataclass(frozen=True)
 class Elastic:
-    """No loss in the material: except on a thin plate, the sphere leaves as fast as it came."""
+    """No loss in the material: except on a thin plate, the sphere rebounds at its impact speed."""
 
     @property
     def damping_number(self) -> Floats:
@@ -114,7 +111,7 @@ class Elastic:
         return np.ones(())
 
     def loss(self, sphere: Sphere, target: Target) -> tuple[Floats, Floats]:
-        """Return the restitution by Hunt-Crossley damping and the dissipative constant A [s], as for every law."""
+        """Return the restitution by Hunt-Crossley damping and the dissipative constant A [s]."""
         return np.ones(()), np.zeros(())
 
 
@@ -124,17 +121,16 @@ class HuntCrossley:
 
     Parameters
     ----------
-    restitution : array_like
-        Requested rebound speed over impact speed, in (0, 1].
+    restitution : array_like, in (0, 1]
+        Requested rebound speed over impact speed.
     law : str
-        How chi follows from the restitution: "exact", which delivers it, or one of the published factors
-        "hunt-crossley", "herbert-mcwhannell", "lee-wang", "lankarani-nikravesh", "gonthier", "zhiying-qishao",
-        "flores", "hu-guo".
+        Relation of chi to the restitution: "exact", which delivers it, or one of the published factors "hunt-crossley",
+        "herbert-mcwhannell", "lee-wang", "lankarani-nikravesh", "gonthier", "zhiying-qishao", "flores", "hu-guo".
 
     Raises
     ------
     InvalidValue
-        A restitution outside (0, 1], or an unknown law.
+        The restitution lies outside (0, 1], or the law is unknown.
 
     Examples
     --------
@@ -152,7 +148,7 @@ class HuntCrossley:
 
     @property
     def damping_number(self) -> Floats:
-        """D = chi v, for this law."""
+        """D = chi v by this law."""
         restitution = np.asarray(self.restitution, np.float64)
         with np.errstate(over="ignore"):
             damping = np.asarray(HUNT_CROSSLEY_LAWS[self.law](restitution))
@@ -164,7 +160,7 @@ class HuntCrossley:
 
     @property
     def delivered_restitution(self) -> Floats:
-        """The restitution that this damping really gives on a target that takes no energy."""
+        """Restitution that this damping delivers on a target that takes no energy."""
         if self.law == "exact":
             return np.asarray(self.restitution, np.float64)
         damping = self.damping_number
@@ -172,7 +168,7 @@ class HuntCrossley:
         return delivered_restitution(damping)
 
     def loss(self, sphere: Sphere, target: Target) -> tuple[Floats, Floats]:
-        """As `Elastic.loss`."""
+        """See `Elastic.loss`."""
         return self.delivered_restitution, np.zeros(())
 
 
@@ -180,22 +176,22 @@ class HuntCrossley:
 class Viscoelastic:
     """A viscoelastic sphere, `P = K (delta^(3/2) + A delta^(1/2) delta')` (Kuwabara & Kono 1987).
 
-    Restitution is a result: it falls with speed. Contact ends where the force has fallen to zero, while the
-    sphere is still flattened; there is no attraction. Give one of the two numbers.
+    Restitution is a result and falls with speed. Contact ends when the force reaches 0, while the sphere is still
+    flattened; the force is never attractive. Give exactly one of the two parameters.
 
     Parameters
     ----------
-    dissipative_constant : array_like, optional
-        A [s] as written above. (Brilliantov et al. 1996, Phys. Rev. E 53, 5382, write `3/2 A` for it.)
-    time_constant : array_like, optional
-        b [s] of a Kelvin-Voigt sphere, whose stress is that of the strain plus b times its rate. Then
-        `A = 3/2 b s`, where s is the sphere's share in the compliance of both bodies. The target is elastic, even if it
-        is a second sphere: for two viscoelastic spheres give the dissipative constant of their contact.
+    dissipative_constant : array_like, optional, above 0 [s]
+        A. Brilliantov et al. (1996), Phys. Rev. E 53, 5382, call it `3/2 A`.
+    time_constant : array_like, optional, above 0 [s]
+        b of a Kelvin-Voigt sphere, stress = E (strain + b x strain rate). Then `A = 3/2 b s`, with s the sphere's share
+        of the total compliance. The target is elastic, even if it is a sphere: for two viscoelastic spheres give the
+        dissipative constant of their contact.
 
     Raises
     ------
     InvalidValue
-        Neither or both are given, or a number is not above 0.
+        Neither or both are given, or a value is not above 0.
     """
 
     dissipative_constant: ArrayLike | None = None
@@ -210,7 +206,7 @@ class Viscoelastic:
         validation.hold(self, "dissipative_constant", "time_constant")
 
     def loss(self, sphere: Sphere, target: Target) -> tuple[Floats, Floats]:
-        """As `Elastic.loss`."""
+        """See `Elastic.loss`."""
         if self.time_constant is None:
             return np.ones(()), np.asarray(self.dissipative_constant, np.float64)
         time_constant = np.asarray(self.time_constant, np.float64)

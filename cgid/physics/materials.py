@@ -1,4 +1,4 @@
-"""Elastic materials: the paper's spheres and steel, and published ranges of rocks with their sources."""
+"""Elastic materials: the spheres and steel of Yang et al. (2018), and published ranges for rocks, with sources."""
 
 from __future__ import annotations
 
@@ -16,17 +16,14 @@ class Material:
 
     Parameters
     ----------
-    density : array_like
-        [kg/m^3], above 0.
-    youngs_modulus : array_like
-        [Pa], above 0.
-    poisson_ratio : array_like
-        Within (-1, 0.5).
+    density : array_like, above 0 [kg/m^3]
+    youngs_modulus : array_like, above 0 [Pa]
+    poisson_ratio : array_like, in (-1, 0.5)
 
     Raises
     ------
     InvalidValue
-        A value breaks its rule.
+        A value is out of range.
 
     Examples
     --------
@@ -54,9 +51,9 @@ class Material:
 
 @dataclass(frozen=True, kw_only=True)
 class MaterialRange:
-    """Lowest and highest published values of a rock, and where they were published.
+    """Lowest and highest published values for a rock, with their sources.
 
-    They are examples of measurements, not bounds: real rock also lies outside of them.
+    They are sample measurements, not bounds: real rock may lie outside.
     """
 
     density: tuple[float, float]
@@ -65,16 +62,16 @@ class MaterialRange:
     sources: tuple[str, ...]
 
 
-#: Yang, Zeng & Wan (2018), Shock and Vibration, Tables 1 and 2: 1 and 2 resemble coal, 3 and 4 gangue.
+#: Yang, Zeng & Wan (2018), Shock and Vibration, Tables 1 and 2: spheres 1 and 2 resemble coal, 3 and 4 gangue.
 YANG2018_SPHERES = {
     1: Material(density=1380.0, youngs_modulus=2.26e9, poisson_ratio=0.28),
     2: Material(density=1550.6, youngs_modulus=4.3e9, poisson_ratio=0.30),
     3: Material(density=2412.0, youngs_modulus=21.64e9, poisson_ratio=0.30),
     4: Material(density=2400.0, youngs_modulus=3.906e9, poisson_ratio=0.28),
 }
-#: The radius of all four spheres [m].
+#: Radius of all four spheres [m].
 YANG2018_RADIUS = 0.025
-#: The metal plate of the same tables; the values are those of EN 1993-1-1, section 3.2.6.
+#: The metal plate of the same tables, with the values of EN 1993-1-1, section 3.2.6.
 STEEL = Material(density=7850.0, youngs_modulus=210e9, poisson_ratio=0.30)
 
 _LIU = "Liu et al. 2021, Shock and Vibration, doi 10.1155/2021/7649459, Table 4"

@@ -20,28 +20,21 @@ Point = tuple[ArrayLike, ArrayLike]
 
 #: Columns of a table of measured modes, with their units.
 COLUMNS = {"frequency": "Hz", "damping_ratio": "1", "modal_mass": "kg", "shape_impact": "1", "shape_sensor": "1"}
-#: Largest table of modes [bytes].
+#: Largest file of modes [bytes].
 _LARGEST_FILE = 8 << 20
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Modes:
-    """Natural modes of a rectangular panel, as `TailBeam.modes` returns them.
+    """Natural modes of a rectangular panel, as returned by `TailBeam.modes`.
 
-    Mode r obeys `q_r'' + 2 zeta_r omega_r q_r' + omega_r^2 q_r = shape_r(impact) P / m_r`, and a point of
-    the panel moves by the sum of `shape_r(point) q_r`.
+    Mode r obeys `q_r'' + 2 zeta_r omega_r q_r' + omega_r^2 q_r = shape_r(impact) P / m_r`; a point of the panel moves
+    by the sum of `shape_r(point) q_r`.
 
-    Parameters
-    ----------
-    frequency : ndarray, (n_modes,)
-        Natural frequencies without damping [Hz], ascending.
-    damping_ratio : ndarray, (n_modes,)
-    modal_mass : ndarray, (n_modes,)
-        Integral of mass per area times shape squared [kg].
-    length, width : float
-        Of the panel [m].
-    shapes : SineShapes or PolynomialShapes
-        Over the unit square; the mean square of each is 1/4.
+    frequency : undamped natural frequencies [Hz], ascending, (n_modes,)
+    modal_mass : integral of mass per area times squared shape [kg], (n_modes,)
+    length, width : size of the panel [m]
+    shapes : functions over the unit square, each with mean square 1/4
     """
 
     frequency: Floats
@@ -55,47 +48,28 @@ class Modes:
         validation.hold(self, "frequency", "damping_ratio", "modal_mass")
 
     def shape(self, x: ArrayLike, y: ArrayLike) -> Floats:
-        """Return the shapes of all modes at points of the panel, dimensionless.
+        """Return the dimensionless shapes (*points, n_modes) of all modes at points of the panel.
 
-        Parameters
-        ----------
-        x, y : array_like
-            From the held edge along the length and from one side over the width [m]; they broadcast.
-
-        Returns
-        -------
-        ndarray, (*points, n_modes)
-
-        Raises
-        ------
-        InvalidValue
-            A point does not lie on the panel.
+        x [m] runs from the held edge along the length, y [m] from one side over the width; they broadcast. A point off
+        the panel raises `InvalidValue`.
         """
         along, across = validation.broadcast(x=on_panel("x", x, self.length), y=on_panel("y", y, self.width))
         values = self.shapes.at(along.ravel(), across.ravel())
         return values.reshape(*along.shape, self.frequency.size)
 
     def participation(self, impact: Point, sensor: Point) -> Floats:
-        """Return the participation of each mode between two points, `shape(impact) shape(sensor) / modal_mass`.
+        """Return `shape(impact) shape(sensor) / modal_mass` of each mode [1/kg], (*points, n_modes).
 
-        Parameters
-        ----------
-        impact, sensor : tuple of array_like
-            x and y [m] of the force and of the measured motion.
-
-        Returns
-        -------
-        ndarray, (*points, n_modes)
-            [1/kg].
+        `impact` and `sensor` are the points (x, y) [m] of the force and of the measured motion.
         """
         return self.shape(*impact) * self.shape(*sensor) / self.modal_mass
 
     def up_to(self, frequency: float) -> Modes:
-        """Return only the modes up to a frequency [Hz]; evaluating their shapes then costs less, too."""
+        """Return the modes up to a frequency [Hz]; evaluating fewer shapes costs less."""
         return self.taken(np.flatnonzero(self.frequency <= validation.not_negative("frequency", frequency, "Hz")))
 
     def taken(self, modes: NDArray[np.intp]) -> Modes:
-        """Return only the modes with these indices, ascending."""
+        """Return the modes with these indices, which must ascend."""
         return replace(
             self,
             frequency=self.frequency[modes],
@@ -106,7 +80,7 @@ class Modes:
 
 
 def on_panel(name: str, value: ArrayLike, extent: float) -> Floats:
-    """Return positions on the panel as a share of its side, or raise."""
+    """Return positions on the panel as a fraction of its side, or raise `InvalidValue`."""
     place = validation.real(name, value, "m")
     off = np.flatnonzero((place < 0) | (place > extent))
     if off.size:
@@ -119,23 +93,12 @@ def on_panel(name: str, value: ArrayLike, extent: float) -> Floats:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class MeasuredModes:
-    """Modes from a tap test, for one point of impact and one sensor.
+    """Modes from a tap test, for one point of impact and one sensor; all fields are (n_modes,).
 
-    Parameters
-    ----------
-    frequency : array_like, (n_modes,)
-        [Hz], above 0, ascending.
-    damping_ratio : array_like, (n_modes,)
-        Above 0, below 1.
-    modal_mass : array_like, (n_modes,)
-        [kg], above 0, in the scale of the shapes.
-    shape_impact, shape_sensor : array_like, (n_modes,)
-        Dimensionless, at the two places.
-
-    Raises
-    ------
-    InvalidValue
-        A value breaks its rule, or the columns are not equally long.
+    frequency : [Hz], above 0, ascending
+    damping_ratio : above 0 and below 1
+    modal_mass : [kg], above 0, consistent with the scale of the shapes
+    shape_impact, shape_sensor : dimensionless shapes at the two points
     """
 
     frequency: ArrayLike
@@ -156,14 +119,14 @@ class MeasuredModes:
         validation.hold(self, *COLUMNS)
 
     def participation(self) -> Floats:
-        """Return the participation of each mode, `shape_impact shape_sensor / modal_mass` [1/kg], (n_modes,)."""
+        """Return `shape_impact shape_sensor / modal_mass` of each mode [1/kg], (n_modes,)."""
         impact, sensor, mass = (
             np.asarray(getattr(self, name)) for name in ("shape_impact", "shape_sensor", "modal_mass")
         )
         return np.asarray(impact * sensor / mass)
 
     def up_to(self, frequency: float) -> MeasuredModes:
-        """Return only the modes up to a frequency [Hz]; there must be at least one."""
+        """Return the modes up to a frequency [Hz]; raise `InvalidValue` if there are none."""
         highest, natural = validation.positive("frequency", frequency, "Hz"), np.asarray(self.frequency)
         if natural[0] > highest:
             raise InvalidValue(
@@ -174,25 +137,13 @@ class MeasuredModes:
 
 
 def read_measured_modes(path: str | Path) -> MeasuredModes:
-    r"""Read a table of modes from a comma-separated file.
+    r"""Read a table of modes from a UTF-8 file of comma-separated values.
 
-    Parameters
-    ----------
-    path : str or Path
-        UTF-8 text. The first line names the columns, in any order, each with its unit: `frequency [Hz]`,
-        `damping_ratio [1]`, `modal_mass [kg]`, `shape_impact [1]`, `shape_sensor [1]`; other columns are ignored. One
-        line per mode follows; empty lines and lines that begin with # are ignored.
+    The first line names the columns with their units, in any order: `frequency [Hz]`, `damping_ratio [1]`,
+    `modal_mass [kg]`, `shape_impact [1]`, `shape_sensor [1]`; other columns are ignored. Each further line holds one
+    mode; empty lines and lines that begin with # are ignored. A file that cannot be opened raises `NoInput`; one that
+    is not regular, too large or invalid raises `BadData`, with the line of the error.
 
-    Raises
-    ------
-    NoInput
-        The file cannot be opened.
-    BadData
-        The file is not a regular one or too large, a column or a number is missing, the rows are not sorted, or a
-        number breaks its rule; the message names the line.
-
-    Examples
-    --------
     >>> import tempfile
     >>> with tempfile.TemporaryDirectory() as folder:
     ...     file = Path(folder) / "tap.csv"
@@ -228,11 +179,11 @@ def read_measured_modes(path: str | Path) -> MeasuredModes:
 
 
 def _places(path: str | Path, titles: list[str]) -> dict[str, int]:
-    """Return the cell of a line in which each column is."""
+    """Return the cell index of each column."""
     wanted = {name: f"{name} [{unit}]" for name, unit in COLUMNS.items()}
     for name, title in wanted.items():
         if titles.count(title) != 1:
-            # A scene may name any file of its reader: only a table of modes is quoted.
+            # A scene may name any file that its user can read: quote only a table of modes.
             is_table = any(other in titles for other in wanted.values())
             others = f"only {', '.join(map(repr, titles))}" if is_table else "none of the columns of a table of modes"
             found = "twice" if title in titles else others
@@ -241,7 +192,7 @@ def _places(path: str | Path, titles: list[str]) -> dict[str, int]:
 
 
 def _row(place: str, cells: list[str], places: dict[str, int]) -> dict[str, float]:
-    """Return the numbers of one mode, or raise `BadData` with the place."""
+    """Return the numbers of one mode, or raise `BadData` that names the place."""
     row = {}
     for name, index in places.items():
         cell = cells[index].strip() if index < len(cells) else ""
@@ -268,34 +219,13 @@ def _require_rule(name: str, value: ArrayLike) -> Floats:
 def frequency_response(
     frequency: ArrayLike, modes: Modes | MeasuredModes, participation: Floats, *, quantity: str
 ) -> NDArray[np.complex128]:
-    """Return motion over force at given frequencies, `exp(+j omega t)`.
+    """Return motion over force at frequencies [Hz], for `exp(+j omega t)`: complex, (*points, n_frequencies).
 
-    `sum participation (j omega)^n / (omega_r^2 - omega^2 + 2 j zeta_r omega_r omega)`, n = 0, 1, 2 for receptance,
-    mobility and accelerance: Ewins (2000), Modal Testing, section 2. Modes above the highest are missing,
-    which shows as a stiffness below them.
+    `sum participation (j omega)^n / (omega_r^2 - omega^2 + 2 j zeta_r omega_r omega)` with n = 0, 1, 2 for displacement
+    [m/N], velocity [m/s/N] and acceleration [m/s^2/N]: Ewins (2000), Modal Testing, section 2. Participation is
+    (*points, n_modes) [1/kg]. The omitted higher modes show as a stiffness below them.
 
-    Parameters
-    ----------
-    frequency : array_like, (n_frequencies,)
-        [Hz], 0 or more.
-    modes : Modes or MeasuredModes
-    participation : ndarray, (*points, n_modes)
-        `modes.participation(...)` [1/kg].
-    quantity : {"acceleration", "velocity", "displacement"}
-
-    Returns
-    -------
-    ndarray of complex, (*points, n_frequencies)
-        [m/s^2/N], [m/s/N] or [m/N].
-
-    Raises
-    ------
-    InvalidValue
-        A frequency is negative, the quantity unknown, or the participation is that of other modes.
-
-    Examples
-    --------
-    At its resonance one mode moves as the damping allows, a quarter period behind the force:
+    At resonance one mode moves as far as its damping allows, a quarter period behind the force:
 
     >>> modes = MeasuredModes(
     ...     frequency=[100.0], damping_ratio=[0.01], modal_mass=[50.0], shape_impact=[1.0], shape_sensor=[1.0]
@@ -314,5 +244,5 @@ def frequency_response(
         )
     natural = 2 * np.pi * natural
     each = (1j * omega) ** DERIVATIVES[quantity] / (natural**2 - omega**2 + 2j * damping * natural * omega)
-    # Not a matrix product, whose last bits depend on the library and its threads.
+    # Not a matrix product: its last bits depend on the library and its threads.
     return np.asarray(np.einsum("...m,fm->...f", participation, each))

@@ -1,14 +1,14 @@
-"""Bending of rectangular orthotropic plates: rigidities, mode shapes, and modes by Rayleigh and Ritz.
+"""Bending of rectangular orthotropic plates: rigidities, mode shapes, and modes by the Rayleigh-Ritz method.
 
-A shape is a sum of products of one-dimensional functions, integrals of Legendre polynomials that satisfy the held
-edges; free edges follow from the energy. The frequencies fall towards the true ones as the degree rises, at first
-exponentially, at last as the corner of a held and a free edge allows (cases in Leissa 1973, J. Sound Vib. 31, 257). The
-degree is raised until that changes no frequency by more than `TOLERANCE`, which leaves them within 3e-5 of the exact
-ones (1e-8 where all edges are held), and a cantilever's shapes within .002.
+A shape is a sum of products of one-dimensional functions: integrals of Legendre polynomials that satisfy the conditions
+at held edges; free edges follow from the energy. As the degree rises, the frequencies fall towards the exact ones,
+exponentially at first, later at the rate that the corner of a held and a free edge allows (cases in Leissa 1973, J.
+Sound Vib. 31, 257). The degree rises until no frequency changes by more than `TOLERANCE`. The frequencies are then
+within 3e-5 of the exact ones (1e-8 where all edges are held), a cantilever's shapes within .002.
 
-Polynomials of degree 60 would lose their digits, but for two measures. In each direction the functions are first
-transformed into those that diagonalise both mass and bending, so that the stiffness, scaled to a unit diagonal, is well
-conditioned. And the eigenvalue is `1 / omega^2`: rounding is relative to the largest, that of the first mode.
+Two measures preserve precision up to degree 60. In each direction the functions are transformed to diagonalise both
+mass and bending, so that the stiffness, scaled to a unit diagonal, is well conditioned. The eigenvalue is
+`1 / omega^2`: rounding is then relative to the largest eigenvalue, that of the first mode.
 """
 
 from __future__ import annotations
@@ -27,33 +27,25 @@ from cgid.validation import Floats
 
 Indices = NDArray[np.intp]
 
-#: A term that adds less than this to every mode (a shape's mean square is 1/4) is left out; together at most 1e-6.
+#: Terms that add less than this to every mode (mean square 1/4) are omitted; together they add at most 1e-6.
 _NEGLIGIBLE = 1e-7
-#: Largest relative change of a frequency when both degrees are raised by `_RISE`: the basis is then large enough.
+#: The basis is large enough if raising both degrees by `_RISE` changes no frequency by more than this fraction.
 TOLERANCE = 1e-5
 _RISE = 4
-#: Polynomials for each half wave that fits in, and some more for the edges.
+#: Polynomials per half wave, and additional ones for the edges.
 _PER_HALF_WAVE, _FOR_EDGES = math.pi / 2, 8
 
 
 @dataclass(frozen=True, kw_only=True)
 class Rigidities:
-    """Bending and twisting of an orthotropic plate [N m] and its mass per area [kg/m^2].
+    """Bending and twisting rigidities of an orthotropic plate [N m], and its mass per area [kg/m^2].
 
     Its energy per area is `(Dx wxx^2 + 2 D1 wxx wyy + Dy wyy^2 + 4 Dxy wxy^2) / 2`.
 
-    Parameters
-    ----------
-    along : float
-        Dx: bending along x, the ribs' own direction.
-    across : float
-        Dy.
-    coupling : float
-        D1, `nu D` of the skin.
-    twist : float
-        Dxy.
-    mass : float
-        Per area.
+    along : Dx, bending along x, the direction of the ribs
+    across : Dy
+    coupling : D1, `nu D` of the skin
+    twist : Dxy
     """
 
     along: float
@@ -64,17 +56,17 @@ class Rigidities:
 
     @property
     def mixed(self) -> float:
-        """`H = D1 + 2 Dxy` [N m] of waves in direction theta: `D(theta) = Dx c^4 + 2 H c^2 s^2 + Dy s^4`."""
+        """`H = D1 + 2 Dxy` [N m] in `D(theta) = Dx c^4 + 2 H c^2 s^2 + Dy s^4` for waves in direction theta."""
         return self.coupling + 2 * self.twist
 
     @property
     def impedance(self) -> float:
-        """Force over velocity at a point of the infinite plate [kg/s], a real number at every frequency.
+        """Force over velocity at a point of the infinite plate [kg/s], real at every frequency.
 
-        The receptance `1/(4 pi^2) integral dk / (D(theta) k^4 - m omega^2)` with a trace of damping reduces the
-        integral over |k| to half the residue of its pole: `Z = 16 pi / integral_0^2pi dtheta / sqrt(m D(theta))`. With
-        `t = tan theta` this is a complete elliptic integral, given by Gauss's arithmetic-geometric mean:
-        `Z = 8 sqrt(m sqrt(Dx Dy)) agm(1, sqrt((1 + H / sqrt(Dx Dy)) / 2))`, for an isotropic plate
+        In the receptance `1/(4 pi^2) integral dk / (D(theta) k^4 - m omega^2)`, slightly damped, the integral over |k|
+        is half the residue of its pole: `Z = 16 pi / integral_0^2pi dtheta / sqrt(m D(theta))`. With `t = tan theta`
+        this is a complete elliptic integral, given by the arithmetic-geometric mean:
+        `Z = 8 sqrt(m sqrt(Dx Dy)) agm(1, sqrt((1 + H / sqrt(Dx Dy)) / 2))`. For an isotropic plate it is
         `8 sqrt(B rho h)`: Cremer, Heckl & Petersson (2005), Structure-Borne Sound, section 4.
         """
         mean = math.sqrt(self.along * self.across)
@@ -82,7 +74,7 @@ class Rigidities:
 
 
 def _agm(a: float, b: float) -> float:
-    """Return Gauss's arithmetic-geometric mean of two positive numbers."""
+    """Return the arithmetic-geometric mean of two positive numbers."""
     while abs(a - b) > 1e-15 * a:
         a, b = (a + b) / 2, math.sqrt(a * b)
     return (a + b) / 2
@@ -92,10 +84,7 @@ def _agm(a: float, b: float) -> float:
 class SineShapes:
     """`sin(i pi x) sin(j pi y)` over the unit square: a simply supported panel.
 
-    Parameters
-    ----------
-    along, across : ndarray of int, (n_modes,)
-        i and j, half waves in x and y.
+    along, across : half waves i in x and j in y, (n_modes,)
     """
 
     along: Indices
@@ -109,22 +98,17 @@ class SineShapes:
         return out
 
     def taken(self, modes: Indices) -> SineShapes:
-        """Return only the modes of these numbers."""
+        """Return the modes with these indices."""
         return SineShapes(self.along[modes], self.across[modes])
 
 
 @dataclass(frozen=True, eq=False)
 class _Symmetry:
-    """The modes of one symmetry: their indices and their terms `P_i(2x - 1) P_j(2y - 1)`.
+    """The modes of one symmetry, with terms `P_i(2x - 1) P_j(2y - 1)`.
 
-    Parameters
-    ----------
-    modes : ndarray of int, (n_modes,)
-        Indices among all modes.
-    along, across : ndarray of int, (n_terms,)
-        i and j of each term.
-    coefficients : ndarray, (n_terms, n_modes)
-        Padded with zeros: the kernel takes four terms and sixteen modes at a time.
+    modes : indices among all modes, (n_modes,)
+    along, across : i and j of each term, (n_terms,)
+    coefficients : (n_terms, n_modes), zero-padded: the kernel takes four terms and sixteen modes at a time
     """
 
     modes: Indices
@@ -133,7 +117,7 @@ class _Symmetry:
     coefficients: Floats
 
     def kept(self, columns: Indices, numbers: Indices) -> _Symmetry:
-        """Return these columns with new indices, without negligible terms."""
+        """Return the given columns with new indices, without negligible terms."""
         coefficients = self.coefficients[:, columns]
         terms = np.flatnonzero(np.abs(coefficients).max(axis=1, initial=0.0) > _NEGLIGIBLE)
         more_terms, more_modes = -terms.size % 4, -columns.size % 16
@@ -147,15 +131,15 @@ class _Symmetry:
 
 @dataclass(frozen=True, eq=False)
 class PolynomialShapes:
-    """Sums of products of Legendre polynomials over the unit square, those of each symmetry together."""
+    """Sums of products of Legendre polynomials over the unit square, grouped by symmetry."""
 
     symmetries: tuple[_Symmetry, ...]
 
     @classmethod
     def of(cls, coefficients: list[Floats], order: Indices) -> PolynomialShapes:
-        """Return shapes given the coefficients (n_degrees_x, n_degrees_y, n_modes) of each symmetry.
+        """Return the shapes from the coefficients (n_degrees_x, n_degrees_y, n_modes) of each symmetry.
 
-        `order` is the index of the mode at each place, counted through all symmetries.
+        `order` lists the modes in their final order, by index counted through all symmetries.
         """
         place = np.empty(order.size, dtype=np.intp)
         place[order] = np.arange(order.size)
@@ -165,7 +149,7 @@ class PolynomialShapes:
             start += cube.shape[2]
             along, across = (index.ravel() for index in np.indices(cube.shape[:2]))
             table = cube.reshape(along.size, modes.size)
-            # Of a shape and its negative, the one whose largest coefficient is positive.
+            # Choose the sign that makes the largest coefficient positive.
             table = table * np.sign(table[np.abs(table).argmax(axis=0), np.arange(modes.size)])
             symmetries.append(_Symmetry(modes, along, across, table).kept(np.arange(modes.size), modes))
         return cls(tuple(symmetries))
@@ -181,7 +165,7 @@ class PolynomialShapes:
         return out
 
     def taken(self, modes: Indices) -> PolynomialShapes:
-        """Return only the modes with these indices."""
+        """Return the modes with these indices."""
         place = np.full(sum(symmetry.modes.size for symmetry in self.symmetries), -1)
         place[modes] = np.arange(modes.size)
         symmetries = []
@@ -196,12 +180,9 @@ Shapes = SineShapes | PolynomialShapes
 
 @dataclass(frozen=True, eq=False)
 class _Line:
-    """Functions of one coordinate u in [-1, 1] and the integrals of their products.
+    """Functions of one coordinate u in [-1, 1], and the integrals of their products.
 
-    Parameters
-    ----------
-    functions : ndarray, (n_degrees, n_functions)
-        Their coefficients in Legendre polynomials.
+    functions : coefficients in Legendre polynomials, (n_degrees, n_functions)
     """
 
     functions: Floats
@@ -209,7 +190,7 @@ class _Line:
     def integrals(self) -> tuple[Floats, Floats, Floats, Floats]:
         """Return the integrals of f f, f' f', f'' f'' and f'' f over [-1, 1], each (n_functions, n_functions).
 
-        Gauss's rule with as many nodes as degrees is exact for these.
+        Gauss quadrature with as many nodes as degrees is exact.
         """
         nodes, weights = gauss(len(self.functions))
         value, slope, bend = (
@@ -235,18 +216,18 @@ def _integrated(series: Floats) -> Floats:
 
 
 def _line(number: int, held: str) -> list[_Line]:
-    """Return `number` functions, even and odd ones separately where the line is symmetric.
+    """Return `number` functions; if the line is symmetric, even and odd ones separately.
 
-    Value and slope are zero where the line is held: at "both" ends, the "start", or "none". The second derivatives are
-    Legendre polynomials, transformed so that the integrals of f f are diagonal as well.
+    Value and slope are 0 where the line is held: at "both" ends, the "start", or "none". The second derivatives are
+    Legendre polynomials, transformed to diagonalise the integrals of f f as well.
     """
-    # Integrals of P_n from -1 vanish at +1 as well from the second degree on.
+    # From degree 2 on, the integrals of P_n from -1 also vanish at +1.
     degrees = np.arange(number) + (2 if held == "both" else 0)
     bends = np.zeros((degrees[-1] + 1, number))
     bends[degrees, np.arange(number)] = np.sqrt(degrees + 0.5)
     functions = _integrated(_integrated(bends))
     if held == "none":
-        functions[:2] = 0.0  # bending only; the motions of a rigid body are added below
+        functions[:2] = 0.0  # bending only; rigid-body motions are added below
     parts = [functions] if held == "start" else [functions[:, 0::2], functions[:, 1::2]]
     for parity, part in enumerate(parts):
         parts[parity] = matrix_product(part, eigenpairs(_Line(part).integrals()[0])[1])
@@ -259,14 +240,10 @@ def _line(number: int, held: str) -> list[_Line]:
 
 @dataclass(frozen=True, eq=False)
 class _Panel:
-    """One symmetry of a panel: stiffness over mass per area, and mass, in products of the functions of two lines.
+    """One symmetry of a panel: stiffness over mass per area, and mass, for products of the functions of two lines.
 
-    Parameters
-    ----------
-    stiffness : ndarray, (n_products, n_products)
-        In [rad^2/s^2], over the square [-1, 1] x [-1, 1].
-    mass : ndarray, (n_products,)
-        Of each product; by the choice of functions it is diagonal.
+    stiffness : [rad^2/s^2] over the square [-1, 1] x [-1, 1], (n_products, n_products)
+    mass : of each product (the functions make it diagonal), (n_products,)
     """
 
     along: _Line
@@ -289,7 +266,7 @@ class _Panel:
         return cls(along, across, np.asarray(stiffness / rigidities.mass, dtype=np.float64), mass)
 
     def _standard(self) -> tuple[Floats, Floats, Floats]:
-        """Return the standard form of `M v = v K / omega^2`, the factor of the stiffness, and the products' scale."""
+        """Return the standard form of `M v = v K / omega^2`, the stiffness factor, and the scale of the products."""
         scale = 1 / np.sqrt(np.diag(self.stiffness))
         factor = self.stiffness * scale * scale[:, None]
         if not _modes.factorise(factor):
@@ -299,13 +276,13 @@ class _Panel:
         return form, factor, scale
 
     def frequencies(self, highest: float) -> Floats:
-        """Return the natural frequencies up to the highest [rad/s], ascending."""
+        """Return the natural frequencies up to `highest` [rad/s], ascending."""
         return 1 / np.sqrt(eigenvalues(self._standard()[0], 1 / (highest * highest)))
 
     def modes(self, highest: float) -> tuple[Floats, Floats]:
-        """Return the frequencies up to the highest [rad/s] and the shapes, whose mean square is 1/4.
+        """Return the frequencies up to `highest` [rad/s] and the shapes, with mean square 1/4.
 
-        Of these the coefficients (n_degrees_x, n_degrees_y, n_modes) in products of Legendre polynomials.
+        The shapes are coefficients (n_degrees_x, n_degrees_y, n_modes) in products of Legendre polynomials.
         """
         form, factor, scale = self._standard()
         inverse, vectors = eigenpairs(form, 1 / (highest * highest))
@@ -319,12 +296,9 @@ class _Panel:
 def ritz_modes(
     rigidities: Rigidities, length: float, width: float, held: tuple[str, str], highest: float
 ) -> tuple[Floats, PolynomialShapes]:
-    """Return the natural frequencies up to the highest [rad/s], and the shapes, whose mean square is 1/4.
+    """Return the natural frequencies up to `highest` [rad/s] and the shapes, with mean square 1/4.
 
-    Parameters
-    ----------
-    held : tuple of str
-        Along x and along y where value and slope are zero: "both" ends, the "start", or "none".
+    `held` says for x and y where value and slope are 0: at "both" ends, the "start", or "none".
     """
     wave_number = [math.sqrt(highest * math.sqrt(rigidities.mass / d)) for d in (rigidities.along, rigidities.across)]
     numbers = [
@@ -336,7 +310,7 @@ def ritz_modes(
         lines = [_line(number, where) for number, where in zip(numbers, held, strict=True)]
         return [_Panel.of(x, y, rigidities, length, width) for x in lines[0] for y in lines[1]]
 
-    # A frequency that falls to the highest one as the degree rises lies barely above it before.
+    # A frequency just above the limit may fall below it as the degree rises.
     coarse = [panel.frequencies(1.001 * highest) for panel in panels()]
     while True:
         numbers = [number + _RISE for number in numbers]
@@ -351,12 +325,12 @@ def ritz_modes(
 
 
 def eigenvalues(matrix: Floats, lowest: float = -np.inf) -> Floats:
-    """Return the eigenvalues of a symmetric matrix (n, n) above the lowest, falling; the matrix is overwritten."""
+    """Return the eigenvalues above `lowest` of a symmetric matrix (n, n), descending; overwrites the matrix."""
     return _tridiagonal(matrix, lowest)[2]
 
 
 def eigenpairs(matrix: Floats, lowest: float = -np.inf) -> tuple[Floats, Floats]:
-    """Return the same and their unit vectors, (n, n_values)."""
+    """Return the eigenvalues, as `eigenvalues` does, and their unit vectors (n, n_values)."""
     diagonal, off_diagonal, values, factors = _tridiagonal(matrix, lowest)
     rows = np.empty((values.size, len(matrix)))
     _modes.vectors(diagonal, off_diagonal, values, rows)

@@ -1,9 +1,9 @@
 """From a contact force to the samples of a recorder, through a tail beam and a chain of sensors.
 
-All of it is linear, so all of it is one sum over poles: those of the beam's modes, and those of the sensor (mounting
+The whole chain is linear, so it is one sum over poles: those of the beam's modes, and those of the sensor (mounting
 resonance, anti-alias filter). Each pole is a resonator driven by the force. During contact the resonators run on a grid
-fine enough for the force (`cgid.physics.driving`); after it each rings as one exponential, and only the recorder's
-samples are computed. There is no internal rate to filter and decimate from.
+fine enough for the force (`cgid.physics.driving`). After it each rings as one exponential, computed only at the
+recorder's samples. There is no internal sampling rate, so nothing is filtered and decimated.
 """
 
 from __future__ import annotations
@@ -23,14 +23,14 @@ from cgid.physics.curves import in_parts
 from cgid.physics.driving import DrivenSample, Pulses, driven_sample, polynomials_for, windows_of
 from cgid.validation import Floats
 
-#: Quantities measured by a sensor on a beam, with the number of time derivatives of the displacement.
+#: Quantities that a sensor on a beam measures: the number of time derivatives of the displacement.
 DERIVATIVES = {"displacement": 0, "velocity": 1, "acceleration": 2}
 Quantity = Literal["force", "displacement", "velocity", "acceleration"]
 
-#: A filter's pole closer to another one than this, over its size, is moved away by as much: their residues would be
-#: large and cancel. So a mounting resonance may be shifted by up to .2 % if a mode has the same frequency.
+#: Relative distance below which a filter's pole is moved away from another pole, as their residues would be large and
+#: cancel. A mounting resonance may thus shift by up to .2 % if a mode has the same frequency.
 _APART = 1e-3
-#: Samples of the table of exponentials: with a hundred poles it fits into the cache.
+#: Samples in the table of exponentials: with a hundred poles it fits into the cache.
 _TABLE = 256
 
 
@@ -38,12 +38,8 @@ _TABLE = 256
 class Resonance:
     """A resonance of low-pass form, `w^2 / (s^2 + 2 zeta w s + w^2)`: a sensor on its mounting.
 
-    Parameters
-    ----------
-    frequency : float
-        [Hz], above 0.
-    damping_ratio : float
-        Above 0 and below 1.
+    frequency : [Hz], above 0
+    damping_ratio : above 0 and below 1
     """
 
     frequency: float
@@ -63,12 +59,8 @@ class Resonance:
 class LowPass:
     """A Butterworth low-pass, such as an anti-alias filter.
 
-    Parameters
-    ----------
-    frequency : float
-        At which it is 3 dB down [Hz].
-    order : int
-        1 to 12.
+    frequency : 3 dB cut-off [Hz]
+    order : 1 to 12
     """
 
     frequency: float
@@ -81,7 +73,7 @@ class LowPass:
 
     @property
     def poles(self) -> Complex:
-        """The poles of the upper half-plane and the real axis [rad/s]."""
+        """The poles in the upper half-plane and on the real axis [rad/s]."""
         angles = np.pi * (2 * np.arange((self.order + 1) // 2) + self.order + 1) / (2 * self.order)
         sine, cosine = sincos(angles)
         radius = 2 * np.pi * self.frequency
@@ -108,25 +100,16 @@ class Resonators(Protocol):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Response:
-    """The linear way from a contact force to a recorder.
+    """The linear path from a contact force to a recorder.
 
-    Parameters
-    ----------
-    sampling_rate : float
-        Of the recorder [Hz].
-    quantity : {"force", "displacement", "velocity", "acceleration"}
-        Measured by the sensor: the contact force itself, or the motion of a beam.
-    modes : object with `frequency` and `damping_ratio`, optional
-        Of the beam, (n_modes,); a force has none.
-    filters : tuple of Resonance and LowPass
-        Of the sensor and the recorder.
-    tolerance : float
-        Error allowed over the largest sample. It sets the steps of a contact and which poles are too quiet to matter.
+    `InvalidValue` is raised for a force with modes, a motion without, or a force without filters: nothing would
+    respond.
 
-    Raises
-    ------
-    InvalidValue
-        A force with modes or a motion without, or a force without any filter: then nothing responds.
+    sampling_rate : of the recorder [Hz]
+    quantity : measured by the sensor, the contact force itself or the motion of a beam
+    modes : of the beam; None for a force
+    filters : of the sensor and the recorder
+    tolerance : permitted error over the largest sample; sets the steps per contact and which quiet poles are omitted
     """
 
     sampling_rate: float
@@ -155,7 +138,7 @@ class Response:
 
     @cached_property
     def poles(self) -> Complex:
-        """All poles of the upper half-plane and the real axis [rad/s], those of the modes first."""
+        """All poles in the upper half-plane and on the real axis [rad/s], those of the modes first."""
         found = [np.empty(0, complex)] if self.modes is None else [self._mode_poles]
         for own in (part.poles for part in self.filters):
             taken = np.concatenate(found)
@@ -176,7 +159,7 @@ class Response:
         return self.poles[self.n_modes :]
 
     def _filtered(self, s: Complex, without: int | None = None) -> Complex:
-        """Return the gain of all filters at s; without one of their poles for the residue there."""
+        """Return the gain of all filters at s; omit one of their poles to get the residue there."""
         gain = np.ones(np.shape(s), complex)
         for number, pole in enumerate(self._filter_poles):
             both = pole.imag != 0
@@ -189,9 +172,9 @@ class Response:
 
     @cached_property
     def _residues(self) -> tuple[Complex, Complex]:
-        """Amplitude of each mode's pole, (n_modes,), and of the filters' poles, (n_modes or 1, n_filter_poles).
+        """Amplitudes of the modes' poles, (n_modes,), and of the filters' poles, (n_modes or 1, n_filter_poles).
 
-        Both for a participation of 1, and twice the residue where a pole stands for its conjugate, too.
+        Both are for a participation of 1, and twice the residue where a pole also stands for its conjugate.
         """
         fold = np.where(self.poles.imag != 0, 2.0, 1.0)
         after = np.array([self._filtered(pole, n) for n, pole in enumerate(self._filter_poles)], complex)
@@ -210,8 +193,8 @@ class Response:
     def _loudness(self) -> Floats:
         """Loudness of each mode after an impact, for a participation of 1.
 
-        The gain of the filters is that for a steady tone: at the pole itself it has no bound, where a pole of a filter
-        is close.
+        The gain of the filters is that for a steady tone: at the pole itself it is unbounded if a filter's pole is
+        close.
         """
         assert self.modes is not None
         size, k = modulus(self._mode_poles), DERIVATIVES[self.quantity]
@@ -219,17 +202,9 @@ class Response:
         return np.asarray(gain / size if k == 0 else gain if k == 1 else gain * size)
 
     def amplitudes(self, participation: Floats | None = None) -> tuple[Complex, Floats]:
-        """Return how strongly a force drives each pole, and which share of it passes without delay.
+        """Return how strongly a force drives each pole, (n, n_poles), and the share that passes without delay, (n,).
 
-        Parameters
-        ----------
-        participation : ndarray, (n, n_modes), optional
-            `shape(impact) shape(sensor) / modal mass` [1/kg]; none for a force.
-
-        Returns
-        -------
-        tuple of ndarray
-            (n, n_poles) and (n,).
+        Participation is `shape(impact) shape(sensor) / modal mass` [1/kg], (n, n_modes), or None for a force.
         """
         own, filters = self._residues
         if participation is None:
@@ -240,13 +215,9 @@ class Response:
         return np.concatenate([participation * own, mixed], axis=1), direct
 
     def frequency_response(self, frequencies: ArrayLike, participation: ArrayLike | None = None) -> Complex:
-        """Return the response to a force of unit amplitude at frequencies [Hz], complex, (n_frequencies,).
+        """Return the complex response to a unit force at frequencies [Hz], (n_frequencies,).
 
-        Parameters
-        ----------
-        frequencies : array_like, (n_frequencies,)
-        participation : array_like, (n_modes,), optional
-            As in `amplitudes`.
+        Participation is (n_modes,), or None for a force.
         """
         rows = None if participation is None else np.atleast_2d(np.asarray(participation, np.float64))
         amplitude, direct = self.amplitudes(rows)
@@ -258,7 +229,7 @@ class Response:
     def audible(self, participation: Floats | None) -> NDArray[np.intp]:
         """Return the poles that must run for these pulses, the longest ringing first.
 
-        The quietest modes are left out as long as they are together below the tolerance, over the loudest one, for
+        The quietest modes are omitted as long as their sum stays below the tolerance, relative to the loudest mode, for
         every pulse.
         """
         share = np.full(self.poles.size, np.inf)  # the poles of filters always run
@@ -281,22 +252,11 @@ class Response:
         ratio: Floats | None = None,
         threads: int = 1,
     ) -> None:
-        """Add the response to some pulses to the frames of the recorder, in place.
+        """Add the response to n pulses to the recorder's frames (n_rows, n_samples), in place.
 
-        Parameters
-        ----------
-        frames : ndarray of float32 or float64, (n_rows, n_samples)
-        pulses : Impact, TapPulses or ModalImpact
-            n of them.
-        onset : ndarray, (n,)
-            Time of touch in the frame [s]; it may lie before it.
-        participation : ndarray, (n, n_modes), optional
-        rows : ndarray of int, (n,), optional
-            The frame of each pulse; the pulses in order by default. A frame may have any number of them.
-        ratio : ndarray, (n,), optional
-            Factor of each force.
-        threads : int
-            Threads that share the frames.
+        Each pulse has an onset [s] (it may precede its frame), a participation (n_modes,), a frame in `rows` (by
+        default its own; a frame may have several pulses) and a factor `ratio` of its force. The threads share the
+        frames.
         """
         from cgid.physics import _response
 
@@ -353,7 +313,7 @@ class Response:
         count("mode_samples", sum(in_parts(run, np.array_split(np.arange(len(frames)), threads), threads)))
 
     def _driven(self, chosen: NDArray[np.intp], strides: NDArray[np.int64]) -> tuple[Floats, Floats, Floats]:
-        """Return the effect of a sample of each stride on the poles: polynomials, their shares and g1 of `_response`.
+        """Return the effect of a sample of each stride on the poles: polynomials, their shares, and g1 of `_response`.
 
         Shapes (n_levels, largest stride, n_polynomials), (n_levels, 2, n_polynomials, n_poles), (n_levels, 2, n_poles).
         """
@@ -361,13 +321,13 @@ class Response:
         polynomials = np.zeros((strides.size, strides[-1], self._n_polynomials))
         for level, stride in enumerate(strides.tolist()):
             polynomials[level, :stride] = levels[level].polynomials
-        # In one memory layout: the kernel is compiled for each.
+        # One memory layout: the kernel compiles for each.
         shares = np.ascontiguousarray(np.stack([level.shares[:, :, chosen] for level in levels]))
         return polynomials, shares, np.ascontiguousarray(np.stack([level.edge[:, chosen] for level in levels]))
 
     @cached_property
     def _rung(self) -> Floats:
-        """Ringing of every pole over the samples of a table and one more, (2, n_poles, `_TABLE` + 1)."""
+        """Ringing of every pole over the table's samples and one more, (2, n_poles, `_TABLE` + 1)."""
         grown = complex_exp((self.poles / self.sampling_rate)[:, None] * np.arange(_TABLE + 1))
         return np.stack([grown.real, grown.imag])
 
@@ -387,5 +347,5 @@ class Response:
 
 
 def _power(x: Complex, k: int) -> Complex:
-    """Return x^k for k of 0, 1 or 2."""
+    """Return x^k for k = 0, 1 or 2."""
     return np.ones_like(x) if k == 0 else x if k == 1 else complex_product(x, x)

@@ -1,4 +1,4 @@
-"""Contact forces given at points of time: computed by another program, or measured."""
+"""Contact forces given at discrete times: computed by another program, or measured."""
 
 from __future__ import annotations
 
@@ -15,17 +15,15 @@ from cgid.elementary import cos, sin, sincos
 from cgid.errors import InvalidValue
 from cgid.validation import Floats
 
-#: Fewest points of a pulse, those of a cubic spline.
+#: Fewest points of a pulse, as a cubic spline needs.
 FEWEST_POINTS = 4
-#: Points per interval next to the largest sample in the search for the peak, and the degree of the splines.
+#: Points per interval around the largest sample in the peak search, and the degree of the splines.
 _FINER, _CUBIC = 32, 3
 
 
 def shares_of_contact(n_points: int) -> Floats:
-    """Return points of a contact, 0 at touch and 1 at separation, close together at both ends: `(1 - cos) / 2`.
+    """Return fractions of a contact from 0 (touch) to 1 (separation), dense at both ends: `(1 - cos) / 2`.
 
-    Examples
-    --------
     >>> shares_of_contact(5).round(3).tolist()
     [0.0, 0.146, 0.5, 0.854, 1.0]
     """
@@ -35,26 +33,12 @@ def shares_of_contact(n_points: int) -> Floats:
 
 
 def smoothed(times: ArrayLike, forces: ArrayLike, contact_duration: float, shares: ArrayLike, knots: int = 8) -> Floats:
-    """Return the force [N] of one noisy pulse at shares of its contact, smoothed by least squares.
+    """Return the force [N] of one noisy pulse at fractions of its contact, smoothed by least squares.
 
-    The curve is the cubic spline in the angle of `SampledPulses`, with this many knots between touch and separation and
-    0 at both ends, that is closest to the samples, all of the same weight. Eight knots follow a damped impact within
-    .3 % of its peak and .1 % on average, and remove the steps of a force that come from a mesh in contact node by node.
-
-    Parameters
-    ----------
-    times, forces : array_like, (n_times,)
-        [s] since touch, rising, and [N]; forces outside contact are ignored.
-    contact_duration : float
-        [s].
-    shares : array_like, (n_points,)
-    knots : int
-
-    Raises
-    ------
-    InvalidValue
-        The times do not rise, there is not one force for each, or there are too few samples within contact for this
-        number of knots.
+    The curve is a cubic spline in the angle of `SampledPulses`, 0 at both ends, with `knots` knots in between; all
+    samples have equal weight. Eight knots follow a damped impact within .3 % of its peak and .1 % on average, and
+    remove the force steps of a mesh that makes contact node by node. Times since touch [s] must rise; forces outside
+    contact are ignored.
     """
     from scipy.interpolate import BSpline
 
@@ -70,7 +54,7 @@ def smoothed(times: ArrayLike, forces: ArrayLike, contact_duration: float, share
     inner = np.linspace(0, np.pi, knots + 2)
     ends = np.concatenate([[0.0] * _CUBIC, inner, [np.pi] * _CUBIC])
     basis = BSpline.design_matrix(_angle(since[inside] / lasts), ends, _CUBIC).toarray()
-    # The first and the last coefficient are the values at touch and separation: 0.
+    # The first and last coefficients are the values at touch and separation: 0.
     coefficients = np.zeros(basis.shape[1])
     coefficients[1:-1], _, rank, _ = np.linalg.lstsq(basis[:, 1:-1], course[inside])
     if rank < coefficients.size - 2:
@@ -80,7 +64,7 @@ def smoothed(times: ArrayLike, forces: ArrayLike, contact_duration: float, share
 
 
 def _angle(share: Floats) -> Floats:
-    """Return `arccos(1 - 2 share)`, twice the angle whose sine is the root of the share, by Newton's method."""
+    """Return `arccos(1 - 2 share)`, by Newton's method for half of it, whose sine is the root of the share."""
     late = share > 0.5
     sine = np.sqrt(np.where(late, 1 - share, share))
     square = sine * sine
@@ -102,27 +86,16 @@ def _require_course(times: Floats, forces: Floats) -> None:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SampledPulses:
-    """Pulses given by their forces at the same shares of each contact.
+    """Pulses given by their forces at the same fractions of each contact.
 
-    A cubic spline in the angle `arccos(1 - 2 share)` interpolates. In that angle a force is smooth, whether it begins
-    as the root of time (a viscoelastic sphere) or as its power 3/2. Negative values of the spline become 0.
+    They are interpolated by a cubic spline in the angle `arccos(1 - 2 share)`. In this angle a force is smooth, whether
+    it starts as the square root of time (a viscoelastic sphere) or as its power 3/2. Negative values of the spline
+    become 0.
 
-    Parameters
-    ----------
-    shares : array_like, (n_points,)
-        Of the contact, rising from 0 to 1, such as `shares_of_contact` gives.
-    forces : array_like, (n, n_points)
-        [N].
-    contact_duration : array_like, (n,)
-        [s].
+    shares : fractions of the contact, rising from 0 to 1, such as `shares_of_contact`, (n_points,)
+    forces : [N], not negative, (n, n_points)
+    contact_duration : [s], (n,)
 
-    Raises
-    ------
-    InvalidValue
-        Shapes do not match, the shares do not rise from 0 to 1, a force is negative, or a pulse has none.
-
-    Examples
-    --------
     >>> shares = shares_of_contact(33)
     >>> pulses = SampledPulses(shares=shares, forces=800 * np.sin(np.pi * shares)[None] ** 1.5, contact_duration=[5e-4])
     >>> pulses.force([[1.25e-4]]).round(1).tolist()
@@ -159,12 +132,12 @@ class SampledPulses:
 
     @property
     def end_of_contact(self) -> Floats:
-        """From touch to separation [s], (n,)."""
+        """Time from touch to separation [s], (n,)."""
         return self.contact_duration
 
     @cached_property
     def peak_force(self) -> Floats:
-        """The largest force [N], (n,), of the curve between the points."""
+        """Largest force of the interpolated curve [N], (n,)."""
         knots, largest = self._angles, np.argmax(self.forces, axis=1)
         low, high = knots[np.maximum(largest - 1, 0)], knots[np.minimum(largest + 1, knots.size - 1)]
         around = low[:, None] + (high - low)[:, None] * np.linspace(0, 1, 2 * _FINER + 1)
@@ -184,11 +157,11 @@ class SampledPulses:
         return np.array(each, np.float64) * self.contact_duration
 
     def taken(self, rows: NDArray[np.intp] | slice) -> SampledPulses:
-        """Return some of the pulses."""
+        """Return the given rows."""
         return replace(self, forces=self.forces[rows], contact_duration=self.contact_duration[rows])
 
     def stretched(self, force: ArrayLike, time: ArrayLike) -> SampledPulses:
-        """Return the pulses with forces and times multiplied, by one number or by one for each pulse, (n,)."""
+        """Return the pulses with forces and times multiplied by factors, scalar or (n,)."""
         factor = np.broadcast_to(validation.positive("force", force), (len(self),))
         stretch = np.broadcast_to(validation.positive("time", time), (len(self),))
         return replace(
@@ -198,9 +171,9 @@ class SampledPulses:
         )
 
     def force(self, times: ArrayLike) -> Floats:
-        """Return the forces [N] at times since touch [s], (n, n_times); zero outside contact.
+        """Return the forces [N] at times since touch [s], (n, n_times); 0 outside contact.
 
-        The times hold for all pulses, (n_times,) or one number, or one row for each pulse, (n, n_times).
+        Times are a scalar or (n_times,) for all pulses, or (n, n_times).
         """
         since = np.atleast_1d(validation.real("times", times, "s"))
         since = np.broadcast_to(since, (len(self), since.shape[-1]))
@@ -215,9 +188,9 @@ class SampledPulses:
     def add_to_frames(
         self, frames: NDArray[Any], sampling_rate: ArrayLike, onset: ArrayLike, *, tolerance: float = 0.0
     ) -> None:
-        """Add the pulses to frames (n, n_samples) in place, each from its time of touch [s] on.
+        """Add the pulses to frames (n, n_samples) in place, each from its onset [s].
 
-        Each frame may have its own sampling rate. The tolerance is not used.
+        Each frame may have its own sampling rate. The tolerance is unused.
         """
         count("sampled_pulses", len(frames))
         rate = np.broadcast_to(validation.positive("sampling_rate", sampling_rate, "Hz"), (len(self),))
@@ -235,7 +208,7 @@ class SampledPulses:
 
     @cached_property
     def _coefficients(self) -> Floats:
-        """Coefficients of the cubic of each interval, third power first, (n, 4, n_points - 1)."""
+        """Coefficients of the cubic of each interval, highest power first, (n, 4, n_points - 1)."""
         from scipy.interpolate import CubicSpline
 
         spline = CubicSpline(self._angles, self.forces, axis=1)

@@ -1,11 +1,11 @@
-"""Sensitivity of peak force and displacement to the parameters of an impact, and the loss for a wanted restitution.
+"""Sensitivity of peak force and displacement to the parameters of an impact, and the loss for a given restitution.
 
-There are two measures of sensitivity. The local one, `d ln P / d ln X`, is the per cent that the response changes for a
-per cent of the parameter: a property of the impact alone. The influence over a range, as in Yang, Zeng & Wan (2018),
-section 4, moves one parameter through a range and holds the others: it depends as much on the range as on the impact.
+There are two measures of sensitivity. The local one, `d ln P / d ln X`, is the percentage change of the response for a
+1 % change of the parameter: a property of the impact alone. The influence over a range, as in Yang, Zeng & Wan (2018),
+section 4, varies one parameter over a range and holds the others: it depends as much on the range as on the impact.
 
-Where restitution is a result, of a viscoelastic sphere or a thin plate, `dissipative_constant` and `plate_thickness`
-invert it. (For Hunt-Crossley damping the inverse is a closed form, `cgid.physics.closed_forms.damping_number`.)
+Where restitution is a result (viscoelastic sphere, thin plate), `dissipative_constant` and `plate_thickness` invert it.
+For Hunt-Crossley damping the inverse has a closed form, `cgid.physics.closed_forms.damping_number`.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from cgid.physics.laws import Elastic, HuntCrossley
 from cgid.physics.materials import Material
 from cgid.validation import Floats
 
-#: Parameters of the sphere and of the half space it falls on, with their units.
+#: Parameters of the sphere and of the half space, with their units.
 PARAMETERS = {
     "radius": "m",
     "density": "kg/m^3",
@@ -35,18 +35,18 @@ PARAMETERS = {
     "target_poisson_ratio": "",
 }
 _OF_TARGET = "target_"
-#: Bounds of zeta and of lambda in the search: from no visible loss to restitutions of 1e-5 and 1e-6.
+#: Search bounds of zeta and lambda: from negligible loss to restitutions of 1e-5 and 1e-6.
 _ZETA, _LAMBDA = (1e-17, 1e3), (1e-17, 15.0)
 
 
 @dataclass(frozen=True)
 class Sensitivity:
-    """Effect of each parameter on both responses of an impact, by parameter name.
+    """Dimensionless effect of each parameter on both responses of an impact.
 
     Parameters
     ----------
     peak_force, peak_displacement : dict of str to ndarray
-        Dimensionless. The parameters of the target are absent for a rigid wall.
+        By parameter name; a rigid wall has no target parameters.
     """
 
     peak_force: dict[str, Floats]
@@ -54,12 +54,12 @@ class Sensitivity:
 
 
 def local_sensitivity(impact: Impact) -> Sensitivity:
-    """Return `d ln P_max / d ln X` and `d ln delta_max / d ln X` for every parameter X; closed forms.
+    """Return `d ln P_max / d ln X` and `d ln delta_max / d ln X` for every parameter X, in closed form.
 
     With the share `s_i = c_i / (c_1 + c_2)` of each body in the compliance, `c_i = (1 - nu_i^2) / E_i`, they follow
-    from `P ~ R^2 rho^(3/5) c^(-2/5)` and `delta ~ R rho^(2/5) c^(2/5)` (Yang, Zeng & Wan 2018, Eq. 17-18):
-    R: 2 and 1; rho: 3/5 and 2/5; E_i: 2/5 s_i and -2/5 s_i; nu_i: 4/5 s_i nu_i^2 / (1 - nu_i^2) and its negative.
-    Stiffness theory, velocity and restitution cancel as long as they are held.
+    from `P ~ R^2 rho^(3/5) c^(-2/5)` and `delta ~ R rho^(2/5) c^(2/5)` (Yang, Zeng & Wan 2018, Eq. 17-18): R: 2 and 1;
+    rho: 3/5 and 2/5; E_i: 2/5 s_i and -2/5 s_i; nu_i: 4/5 s_i nu_i^2 / (1 - nu_i^2) and its negative. Stiffness theory,
+    velocity and restitution cancel if held constant.
 
     Parameters
     ----------
@@ -69,12 +69,12 @@ def local_sensitivity(impact: Impact) -> Sensitivity:
     Returns
     -------
     Sensitivity
-        Each value of the shape that sphere and target broadcast to.
+        Each value has the broadcast shape of sphere and target.
 
     Raises
     ------
     InvalidValue
-        Another dissipation, another target or gravity, which have other exponents.
+        Other dissipations and targets, and gravity: these have other exponents.
 
     Examples
     --------
@@ -117,19 +117,18 @@ def local_sensitivity(impact: Impact) -> Sensitivity:
 
 
 def range_influence(impact: Impact, ranges: Mapping[str, ArrayLike]) -> Sensitivity:
-    """Return how far each range moves the responses, `largest / smallest - 1`, the other parameters held.
+    """Return the effect of each range on the responses, `largest / smallest - 1`, with the other parameters held.
 
     Parameters
     ----------
     impact : Impact
-        The single impact whose parameters are held; any dissipation.
+        The single reference impact; any dissipation.
     ranges : mapping of str to array_like, (n_values,)
-        Values of each parameter of `PARAMETERS` to be moved, in its unit.
+        Values of each varied parameter of `PARAMETERS`, in its unit.
 
     Returns
     -------
-    Sensitivity
-        Scalars, zero or more.
+    Sensitivity of scalars, 0 or more
 
     Raises
     ------
@@ -158,7 +157,7 @@ def range_influence(impact: Impact, ranges: Mapping[str, ArrayLike]) -> Sensitiv
 
 
 def ordering(sensitivity: Mapping[str, ArrayLike]) -> tuple[str, ...]:
-    """Return the names by falling absolute value; equal ones keep their order.
+    """Return the names in descending order of absolute value; equal ones keep their order.
 
     Parameters
     ----------
@@ -183,30 +182,29 @@ def ordering(sensitivity: Mapping[str, ArrayLike]) -> tuple[str, ...]:
 
 
 def response_grid(impact: Impact, parameters: Mapping[str, ArrayLike]) -> Impact:
-    """Return the impacts over a grid of parameters: one gives a curve of the responses, two a response surface.
+    """Return the impacts over a grid of parameters: one parameter gives a curve, two a response surface.
 
     Parameters
     ----------
     impact : Impact
-        The single impact whose other parameters are held; any dissipation.
+        The single reference impact; any dissipation.
     parameters : mapping of str to array_like, (n,)
         Values of parameters of `PARAMETERS`, in their units; each is an axis of the grid, in this order.
 
     Returns
     -------
-    Impact
-        Impacts of shape (n_first, n_second, ...), with `peak_force`, `peak_displacement` and all else.
+    Impact of shape (n_first, n_second, ...)
 
     Raises
     ------
     InvalidValue
-        The impact is not a single one, its target is no half space or rigid wall, a parameter is unknown or missing in
-        this impact, or a value breaks the rule of its parameter.
+        The impact is not a single one, its target is neither a half space nor a rigid wall, a parameter is unknown or
+        missing in this impact, or a value is invalid.
 
     Warns
     -----
     HertzRangeWarning
-        If the displacement passes a tenth of the radius somewhere on the grid.
+        The displacement exceeds a tenth of the radius somewhere on the grid.
 
     Examples
     --------
@@ -248,18 +246,7 @@ def _materials(impact: Impact) -> dict[str, Material]:
 
 
 def parameters_of(impact: Impact) -> dict[str, Floats]:
-    """Return the values of an impact's parameters, by name and in the units of `PARAMETERS`.
-
-    Parameters
-    ----------
-    impact : Impact
-        Of a sphere on a half space or a rigid wall, which has no parameters.
-
-    Raises
-    ------
-    InvalidValue
-        Another target.
-    """
+    """Return the parameters of an impact on a half space or a rigid wall, by name, in the units of `PARAMETERS`."""
     values = {"radius": impact.sphere.radius, "density": impact.sphere.material.density}
     for body, material in _materials(impact).items():
         values[f"{body}youngs_modulus"] = material.youngs_modulus
@@ -287,19 +274,19 @@ def _spread(response: Floats) -> Floats:
 
 
 def dissipative_constant(restitution: ArrayLike, impact: Impact) -> Floats:
-    """Return A of a viscoelastic sphere [s] with which an impact has the wanted restitution.
+    """Return the constant A of a viscoelastic sphere [s] that gives an impact the requested restitution.
 
     Parameters
     ----------
     restitution : array_like
-        Below 1, below what a thin plate leaves if the target is one, and above about 1e-5.
+        Below 1, below the restitution of a thin plate if it is the target, and above about 1e-5.
     impact : Impact
         Bodies, velocity and stiffness; its own dissipation is replaced.
 
     Returns
     -------
     ndarray
-        For `Viscoelastic(dissipative_constant=...)`, of the shape of restitution and impact together.
+        For `Viscoelastic(dissipative_constant=...)`, in the broadcast shape of restitution and impact.
 
     Raises
     ------
@@ -329,24 +316,23 @@ def dissipative_constant(restitution: ArrayLike, impact: Impact) -> Floats:
 
 
 def plate_thickness(restitution: ArrayLike, impact: Impact) -> Floats:
-    """Return the thickness of a thin plate [m] with which an impact has the wanted restitution.
+    """Return the thickness of a thin plate [m] that gives an impact the requested restitution.
 
     Parameters
     ----------
     restitution : array_like
-        Below what the material's own loss leaves (1 if it is elastic) and above about 1e-6.
+        Below the restitution of the material alone (1 if elastic) and above about 1e-6.
     impact : Impact
-        Its target is a thin plate, whose own thickness is replaced.
+        On a thin plate, whose own thickness is replaced.
 
     Returns
     -------
-    ndarray
-        Of the shape of restitution and impact together.
+    ndarray in the broadcast shape of restitution and impact
 
     Raises
     ------
     InvalidValue
-        The target is no thin plate, or the restitution cannot be reached.
+        The target is not a thin plate, or the restitution cannot be reached.
     """
     validation.instance("impact", impact, Impact)
     validation.instance("impact.target", impact.target, ThinPlate)
@@ -356,7 +342,7 @@ def plate_thickness(restitution: ArrayLike, impact: Impact) -> Floats:
     def curves(inelasticity: Floats, rows: NDArray[np.intp]) -> Curves:
         return replace(on_half_space.curves.taken(rows), inelasticity=inelasticity)
 
-    # lambda = m / (Z T0), and Z goes with the square of the thickness.
+    # lambda = m / (Z T0), and Z is proportional to the square of the thickness.
     inelasticity = _sought(restitution, on_half_space, curves, _LAMBDA)
     impedance = on_half_space.reduced_mass / (inelasticity * on_half_space.time_scale)
     return np.sqrt(impedance / impedance_of_unit_thickness(impact.target.material))
@@ -368,7 +354,7 @@ def _sought(
     curves: Callable[[Floats, NDArray[np.intp]], Curves],
     between: tuple[float, float],
 ) -> Floats:
-    """Return the loss parameter, in the shape of restitution and impact, whose curves have the wanted restitution."""
+    """Return the loss parameter that gives the restitution, in the broadcast shape of restitution and impact."""
     from scipy.optimize import elementwise
 
     wanted, lossless = validation.broadcast(
@@ -388,7 +374,7 @@ def _sought(
             f"impact has without this loss, got {wanted[unreachable][0]:g}"
         )
     found = np.asarray(elementwise.find_root(excess, (low, high), args=(wanted, rows)).x)
-    # With gravity the restitution drops from some value to nothing: the sphere stays.
+    # With gravity the restitution drops to 0 abruptly, where the sphere stays on the target.
     missed = np.abs(excess(found, wanted, rows)) > 1e-9 * wanted
     if missed.any():
         last = wanted + excess(found - 1e-9, wanted, rows)

@@ -1,12 +1,12 @@
 """The exact dimensionless damped-Hertz pulse by quadrature, and the table of pulses made from it.
 
-`python -m cgid.physics.tabulation` writes `cgid/family.npz`. Each entry is right to about 1e-14; the remaining error is
-that of the interpolation. `tests/test_family.py` checks the shipped file against a fresh evaluation.
+`python -m cgid.physics.tabulation` writes `cgid/family.npz`. Each entry is accurate to about 1e-14; the remaining error
+comes from interpolation. `tests/test_family.py` checks the shipped file against a fresh evaluation.
 
-With `p = ln(1 + D x')` the equation `x'' = -x^(3/2) (1 + D x')` reads `p' = -D x^(3/2)`, and its first integral (Hunt &
-Crossley 1975) gives x in closed form, `(2/5) D^2 x^(5/2) = phi(p_end) - phi(p)` with `phi(p) = e^p - 1 - p`. So time is
-an integral over p of a known function. Counted from touch (p = ln(1 + D)) or back from separation (p = ln(1 - e D)) by
-a distance `y^5`, the integrand is analytic in y: Gauss-Legendre nodes reach machine precision without solving a
+With `p = ln(1 + D x')` the equation `x'' = -x^(3/2) (1 + D x')` reads `p' = -D x^(3/2)`. Its first integral
+(Hunt & Crossley 1975) gives x in closed form, `(2/5) D^2 x^(5/2) = phi(p_end) - phi(p)` with `phi(p) = e^p - 1 - p`. So
+time is an integral over p of a known function. At a distance `y^5` from touch (p = ln(1 + D)) or back from separation
+(p = ln(1 - e D)), the integrand is analytic in y: Gauss-Legendre quadrature reaches machine precision without solving a
 differential equation.
 """
 
@@ -20,28 +20,24 @@ from cgid.family import INTERVALS, LOWEST_RESTITUTION, ORDERS, POWERS, SEGMENTS,
 from cgid.physics.closed_forms import damping_number, exponential_rest, logarithms, peak_logarithm
 from cgid.validation import Floats
 
-# Measured with the sizes of `cgid.family`: the force is within 3e-11 of the peak at e = .05, 1e-12 from .1 on,
+# Measured with the sizes of `cgid.family`: the force error over the peak is 3e-11 at e = .05, 1e-12 from .1 on,
 # 1e-13 from .2 on.
 N_TIME_ORDERS = 14  # the time of the peak force has a branch point just above e = 1 and converges slowly
-#: The exponent of the cut between the two halves: near the largest displacement where e is large,
-#: late enough for the long tail where e is small (0.6 balances the errors of both halves).
+#: Exponent of the cut between the two halves: near the largest displacement for large e, late enough for the long tail
+#: for small e. 0.6 balances the errors of both halves.
 _CUT = 0.6
 _PANELS, _NODES = 6, 24
 _NEWTON_STEPS = 12
-# The elastic pulse is the limit D -> 0; this D differs from it by less than one part in 1e17.
+# The elastic pulse is the limit D -> 0; with this D it differs by a fraction below 1e-17.
 _ELASTIC = 1e-18
 
 
 @dataclass(frozen=True)
 class ReferencePulse:
-    """A dimensionless damped-Hertz pulse, evaluated by quadrature on demand.
+    """A dimensionless damped-Hertz pulse, evaluated by quadrature.
 
-    Attributes
-    ----------
-    restitution, damping : float
-        Two names of the one parameter.
-    compression_time, contact_time : float
-        Touch to largest displacement, and touch to separation, in units of T0 = L / v.
+    restitution, damping : equivalent values of the one parameter
+    compression_time, contact_time : touch to largest displacement, and touch to separation [T0 = L / v]
     """
 
     restitution: float
@@ -50,7 +46,7 @@ class ReferencePulse:
     contact_time: float
 
     def evaluate(self, times: Floats) -> tuple[Floats, Floats]:
-        """Return displacement and force at dimensionless `times`, zero outside contact."""
+        """Return displacement and force at dimensionless times, 0 outside contact."""
         times = np.asarray(times, dtype=np.float64)
         displacement, force = np.zeros(times.shape), np.zeros(times.shape)
         rising = (times > 0) & (times <= self.compression_time)
@@ -65,10 +61,8 @@ class ReferencePulse:
 
 
 def reference_pulse(restitution: float) -> ReferencePulse:
-    """Return the exact dimensionless pulse of this restitution, in (0, 1].
+    """Return the exact dimensionless pulse for a restitution in (0, 1].
 
-    Examples
-    --------
     >>> round(reference_pulse(0.5).contact_time, 12)
     3.603560584046
     """
@@ -78,7 +72,7 @@ def reference_pulse(restitution: float) -> ReferencePulse:
 
 
 def time_of_peak(restitution: float) -> float:
-    """Return the dimensionless time of the largest force (before that of the largest displacement)."""
+    """Return the dimensionless time of the largest force, which precedes the largest displacement."""
     branch = _Branch(float(damping_number(restitution)), restitution, "touch")
     distance = branch.length - peak_logarithm(branch.damping)
     return float(branch.time(np.asarray([distance**0.2]))[0])
@@ -95,7 +89,7 @@ class _Branch:
         self.end_rate = self.damping if self.from_touch else -np.expm1(-self.length)
         self.end_power = float(np.exp(self.length if self.from_touch else -self.length))
         edges = np.linspace(0, self.length**0.2, _PANELS + 1)
-        # A sphere that hardly rebounds turns on a scale of 1 in p, far shorter than its creep.
+        # A sphere that hardly rebounds turns around on a scale of 1 in p, far shorter than its creep.
         turning = self.length - np.array([40.0, 12.0, 4.0, 1.0])
         self.edges = np.sort(np.append(edges, turning[turning > 0] ** 0.2))
 
@@ -105,7 +99,7 @@ class _Branch:
             return -self.end_rate * np.expm1(-distance) - exponential_rest(-distance)
         if self.length < 1:
             return self.end_rate * np.expm1(distance) - exponential_rest(distance)
-        # e^(p_end) (e^distance - 1), written so that nothing overflows when e -> 0.
+        # e^(p_end) (e^distance - 1), without overflow as e -> 0.
         near = self.end_power * np.expm1(np.minimum(distance, 1.0))
         return distance - np.where(distance < 1, near, np.exp(distance - self.length) - self.end_power)
 
@@ -123,7 +117,7 @@ class _Branch:
         return 5 * inside**4 / (self.damping * force_over_power)
 
     def time(self, y: Floats) -> Floats:
-        """Return the time between the end of the branch and y, shape of y."""
+        """Return the time between the end of the branch and y, in the shape of y."""
         nodes, weights = np.polynomial.legendre.leggauss(_NODES)
         edges = np.minimum(self.edges, y[..., None])
         width = np.diff(edges)[..., None]
@@ -135,7 +129,7 @@ class _Branch:
         return float(self.time(np.asarray([self.length**0.2]))[0])
 
     def invert(self, times: Floats) -> Floats:
-        """Return y at these times, by Newton in `sqrt(time)`, which is nearly linear in y."""
+        """Return y at the given times, by Newton in `sqrt(time)`, which is nearly linear in y."""
         longest = self.length**0.2
         y = longest * np.sqrt(times / self.duration())
         for _ in range(_NEWTON_STEPS):
@@ -146,7 +140,7 @@ class _Branch:
 
 
 def tabulate() -> FamilyTable:
-    """Return the table of the family, made from scratch (half a minute)."""
+    """Compute the table of the family (half a minute)."""
     pulses = [[_columns(e) for e in nodes] for nodes in _nodes(ORDERS)]
     return FamilyTable(
         force=_series([[force for force, _ in interval] for interval in pulses]),
@@ -167,10 +161,10 @@ def _nodes(n_orders: int) -> list[list[float]]:
 
 
 def _powers(values: Floats) -> Floats:
-    """Return the coefficients of the powers of the polynomial through values at the Chebyshev points (last axis).
+    """Return the power-series coefficients of the polynomial through values at the Chebyshev points (last axis).
 
-    It goes through the Chebyshev series, whose terms fall off; the inverse of the Vandermonde matrix, or both
-    steps in one matrix, would lose five digits.
+    It takes the decreasing terms of the Chebyshev series as an intermediate step: inverting the Vandermonde matrix, or
+    both steps as one matrix, would lose five digits.
     """
     n = values.shape[-1]
     to_terms = 2 / n * np.polynomial.chebyshev.chebvander(_points(n), n - 1)
@@ -205,7 +199,7 @@ def _columns(e: float) -> tuple[Floats, Floats]:
 
 
 def main() -> None:
-    """Write the table beside `cgid/family.py`."""
+    """Write the table next to `cgid/family.py`."""
     made = tabulate()
     np.savez(TABLE_PATH, force=made.force, displacement=made.displacement, times=made.times)
     print(f"{TABLE_PATH.name}: {TABLE_PATH.stat().st_size / 1e3:.0f} kB")

@@ -18,13 +18,13 @@ from cgid.physics.modes import Modes, on_panel
 from cgid.physics.plates import Rigidities, Shapes, SineShapes, ritz_modes
 from cgid.validation import Floats
 
-#: Ends along x and along y where value and slope are zero, by the kind of edges; None is solved by a formula.
+#: Ends along x and y where value and slope are 0, by type of edges; None has a closed form.
 EDGES: dict[str, tuple[str, str] | None] = {
     "simply-supported": None,
     "clamped": ("both", "both"),
     "cantilever": ("start", "none"),
 }
-#: Largest number of modes, by the formula and by an eigenproblem.
+#: Largest number of modes, by closed form and by eigenproblem.
 MOST_MODES, MOST_RITZ_MODES = 20_000, 1_000
 _PI_TO_THE_FIFTH = 306.01968478528147
 
@@ -33,14 +33,8 @@ _PI_TO_THE_FIFTH = 306.01968478528147
 class Ribs:
     """Equal flat bars along the length of a skin, welded on edge to its back, evenly spaced over its width.
 
-    Parameters
-    ----------
-    number : int
-        1 or more.
-    depth : float
-        Perpendicular to the skin [m].
-    thickness : float
-        Of one bar [m].
+    depth : perpendicular to the skin [m]
+    thickness : of one bar [m]
     """
 
     number: int
@@ -57,7 +51,7 @@ class Ribs:
     def torsion_constant(self) -> float:
         """J of one bar [m^4], a rectangle `a >= b`: Timoshenko & Goodier (1970), Theory of Elasticity, section 109.
 
-        `J = a b^3 (1/3 - 64/pi^5 b/a sum_odd tanh(n pi a / (2 b)) / n^5)`, of which 12 terms leave 1e-8.
+        `J = a b^3 (1/3 - 64/pi^5 b/a sum_odd tanh(n pi a / (2 b)) / n^5)`; 12 terms give an error of 1e-8.
         """
         long, short = max(self.depth, self.thickness), min(self.depth, self.thickness)
         odd = np.arange(1, 25, 2)
@@ -71,10 +65,8 @@ class Ribs:
 class RibbedPlate(ThinPlate):
     """A thin plate whose ribs raise its impedance: the target of an `Impact` on a ribbed beam.
 
-    Parameters
-    ----------
-    ribbed_impedance : array_like
-        Impedance of skin and ribs together [kg/s]; `thickness` is the skin's.
+    thickness : of the skin [m]
+    ribbed_impedance : of skin and ribs together [kg/s]
     """
 
     ribbed_impedance: ArrayLike = np.nan
@@ -94,35 +86,17 @@ class RibbedPlate(ThinPlate):
 class TailBeam:
     """A rectangular panel that bends as a thin (Kirchhoff) plate, with its ribs smeared over the width.
 
-    Parameters
-    ----------
-    material : Material
-        Of one density, modulus and Poisson's ratio.
-    length : float
-        Along x [m], from the held edge of a cantilever to its free one.
-    width : float
-        Along y [m].
-    thickness : float
-        Of the skin [m].
-    edges : {"simply-supported", "clamped", "cantilever"}
-        All four alike, or held at x = 0 only.
-    damping_ratio : float
-        Of every mode, above 0 and below 1.
-    ribs : Ribs, optional
-
-    Raises
-    ------
-    InvalidValue
-        A value breaks its rule.
-
-    Notes
-    -----
-    Kirchhoff's plate has neither shear nor rotary inertia: its frequencies are about 5 % too high where the wavelength
-    is 12 thicknesses, 18 % at 6. Smeared ribs are valid for waves longer than `2 * rib_spacing`: see
+    Kirchhoff's plate has neither shear nor rotary inertia: its frequencies are about 5 % too high at a wavelength of 12
+    thicknesses, 18 % at 6. Smeared ribs are valid for waves longer than `2 * rib_spacing`: see
     `highest_smeared_frequency`.
 
-    Examples
-    --------
+    material : with scalar constants
+    length : along x [m], from the held edge of a cantilever to its free one
+    width : along y [m]
+    thickness : of the skin [m]
+    edges : "simply-supported" or "clamped" (all four), or "cantilever" (held at x = 0 only)
+    damping_ratio : of every mode, above 0 and below 1
+
     The plate of Yang, Zeng & Wan (2018), simply supported:
 
     >>> from cgid.physics.materials import STEEL
@@ -154,7 +128,7 @@ class TailBeam:
             object.__setattr__(self, name, validation.number(name, getattr(self, name), "m", validation.positive))
         damping = validation.damping_ratio("damping_ratio", self.damping_ratio)
         object.__setattr__(self, "damping_ratio", validation.number("damping_ratio", damping))
-        # Plain floats: a beam is hashed, so that its modes are computed once.
+        # Plain floats make the beam hashable, so that its modes are computed once.
         constants = ("density", "youngs_modulus", "poisson_ratio")
         plain = {name: validation.number(f"{name} of the beam", getattr(self.material, name)) for name in constants}
         object.__setattr__(self, "material", Material(**plain))
@@ -166,7 +140,7 @@ class TailBeam:
 
     @property
     def rib_spacing(self) -> float:
-        """Width over number of ribs [m]; infinite without any."""
+        """Width over number of ribs [m]; infinite without ribs."""
         return self.width / self.ribs.number if self.ribs else math.inf
 
     @cached_property
@@ -186,14 +160,14 @@ class TailBeam:
 
     @property
     def skin(self) -> ThinPlate:
-        """The skin alone, the target of a short impact between two ribs."""
+        """The skin alone: the target of a short impact between two ribs."""
         return ThinPlate(material=self.material, thickness=self.thickness)
 
     @property
     def plate(self) -> ThinPlate:
-        """The panel as a target of `Impact`: a plate without edges, with the impedance of skin and ribs.
+        """The panel as the target of an `Impact`: an unbounded plate with the impedance of skin and ribs.
 
-        Valid until waves come back (`echo_time`), and with ribs up to `highest_smeared_frequency`.
+        Valid until waves return (`echo_time`), and with ribs up to `highest_smeared_frequency`.
         """
         if self.ribs is None:
             return self.skin
@@ -201,7 +175,7 @@ class TailBeam:
 
     @property
     def impedance(self) -> float:
-        """Force over velocity where the infinite panel is hit [kg/s]: `Rigidities.impedance`."""
+        """Force over velocity at a point of the infinite panel [kg/s]: `Rigidities.impedance`."""
         return float(self.plate.impedance)
 
     @property
@@ -209,7 +183,7 @@ class TailBeam:
         """Modes per hertz at high frequencies, `4 mass / impedance` [1/Hz].
 
         The panel has `A / (4 pi^2)` waves with `k^2 = omega sqrt(m / D(theta))` per area of the wave-number plane, over
-        half a turn: the integral is the one in the impedance.
+        half a turn: the integral is that of the impedance.
         """
         return 4 * self.mass / self.impedance
 
@@ -225,17 +199,11 @@ class TailBeam:
         return wave_number * wave_number * math.sqrt(self.rigidities.across / self.mass_per_area) / (2 * math.pi)
 
     def echo_time(self, x: ArrayLike, y: ArrayLike, frequency: ArrayLike) -> Floats:
-        """Return the time at which flexural waves of a frequency come back from the nearest edge [s].
+        """Return the time [s] at which flexural waves of a frequency [Hz] return from the nearest edge to (x, y) [m].
 
         A packet travels at the group velocity `2 sqrt(omega) (D / m)^(1/4)`, straight to an edge and back. Higher
-        frequencies are faster: for an impact take its highest, about the inverse contact duration.
-
-        Parameters
-        ----------
-        x, y : array_like
-            Where it starts [m].
-        frequency : array_like
-            [Hz], above 0. All broadcast.
+        frequencies are faster: for an impact use its highest, about the inverse contact duration. The arguments
+        broadcast.
         """
         omega = 2 * np.pi * validation.positive("frequency", frequency, "Hz")
         times = []
@@ -248,16 +216,12 @@ class TailBeam:
         return np.minimum(*validation.broadcast(x=times[0], y=times[1]))
 
     def modes(self, highest_frequency: float) -> Modes:
-        """Return all modes up to a frequency [Hz]; they are cached.
+        """Return all modes up to a frequency [Hz], cached.
 
-        Simply supported panels have a closed form; for clamped and cantilever ones see `cgid.physics.plates`:
-        every frequency is above the exact one, by at most 3e-5 of it. Two hundred modes take a second, four hundred
-        some four, a thousand of a cantilever some forty.
-
-        Raises
-        ------
-        InvalidValue
-            There would be more than 20,000 modes (1,000 unless simply supported).
+        Simply supported panels have a closed form. Clamped and cantilever ones use `cgid.physics.plates`: every
+        frequency is above the exact one, by at most 3e-5 of it. Two hundred modes take a second, four hundred about
+        four, a thousand of a cantilever about forty. More than 20,000 (1,000 unless simply supported) raise
+        `InvalidValue`.
         """
         highest = validation.number("highest_frequency", highest_frequency, "Hz", validation.positive)
         expected, most = self.modal_density * highest, MOST_RITZ_MODES if EDGES[self.edges] else MOST_MODES
@@ -270,12 +234,12 @@ class TailBeam:
 
 
 def smeared(material: Material, thickness: float, ribs: Ribs | None, spacing: float) -> Rigidities:
-    """Return the rigidities of a skin and ribs a `spacing` [m] apart.
+    """Return the rigidities of a skin with ribs at a `spacing` [m].
 
-    Along the ribs a strip one spacing wide bends about the neutral axis of its T-section: the skin with the modulus
-    of a wide plate, `E / (1 - nu^2)`, the bar with E. Across them only the skin bends, and the bars twist along with
-    it: `H = D + G J / (2 spacing)` (Huber's plate, Timoshenko & Woinowsky-Krieger 1959, Theory of Plates and Shells,
-    sections 86-87). It holds for waves longer than about two spacings; shorter ones see each rib.
+    Along the ribs a strip one spacing wide bends about the neutral axis of its T-section: the skin with the modulus of
+    a wide plate, `E / (1 - nu^2)`, the bar with E. Across them only the skin bends, and the bars twist with it:
+    `H = D + G J / (2 spacing)` (Huber's plate, Timoshenko & Woinowsky-Krieger 1959, Theory of Plates and Shells,
+    sections 86-87). This holds for waves longer than about two spacings; shorter ones see each rib.
     """
     modulus, density, ratio = (
         float(np.asarray(value)) for value in (material.youngs_modulus, material.density, material.poisson_ratio)
@@ -316,8 +280,8 @@ def _modes(beam: TailBeam, highest: float) -> Modes:
 def _simply_supported(beam: TailBeam, highest: float) -> tuple[Floats, SineShapes]:
     """Return the frequencies [Hz] and shapes of Navier's solution.
 
-    `omega^2 = pi^4 / m (Dx (i/a)^4 + 2 H (i j / (a b))^2 + Dy (j/b)^4)`: Timoshenko & Woinowsky-Krieger (1959),
-    Theory of Plates and Shells, section 85; for an isotropic plate `omega = pi^2 sqrt(D / m) (i^2/a^2 + j^2/b^2)`.
+    `omega^2 = pi^4 / m (Dx (i/a)^4 + 2 H (i j / (a b))^2 + Dy (j/b)^4)`: Timoshenko & Woinowsky-Krieger (1959), Theory
+    of Plates and Shells, section 85; for an isotropic plate `omega = pi^2 sqrt(D / m) (i^2/a^2 + j^2/b^2)`.
     """
     rigidities, sides = beam.rigidities, (beam.length, beam.width)
     most = [
