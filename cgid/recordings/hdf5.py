@@ -45,10 +45,10 @@ _PACKING = {"scale_factor": 1.0, "add_offset": 0.0}
 def read_hdf5(path: Path, source: str, variable: str | None) -> Contents:
     """Return the channels of one array of an HDF5 file, or of several arrays of one length.
 
-    Statements come from the array, its groups and the root, the nearest first. Packed numbers are unpacked by
-    ``scale_factor`` and ``add_offset`` (CF conventions). Raises `BadData` if the file is damaged, is a dataset of cgid,
-    or holds no array or several; or if the array is in another file, declares more than is stored, or needs an
-    unavailable filter.
+    Rate, unit, start and channel names come from attributes and single values of the array, its groups and the root,
+    the nearest first; the rate else from an array of times next to it. Packed numbers are unpacked by ``scale_factor``
+    and ``add_offset`` (CF conventions). Raises `BadData` if the file is damaged, is a dataset of cgid, or holds no
+    array or several; or if the array is in another file, declares more than is stored, or needs an unavailable filter.
     """
     from cgid.store.description import RECORDING_FORMAT
     from cgid.store.foreign import array_blocks, survey

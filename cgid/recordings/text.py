@@ -101,7 +101,7 @@ class Body:
         """Yield rows (n, n_columns) in order, and whether they are the last ones.
 
         Fields in the columns `needed` must be finite numbers; in other columns, invalid fields become nan. Raises
-        `BadData` with sample and line if a needed field is invalid, a row has not as many fields as the first, or a
+        `BadData` with sample and line if a needed field is invalid, a row has more or fewer fields than the first, or a
         comment or an empty line stands among the rows, where a sample may be missing.
         """
         wanted = list(needed)
