@@ -1,7 +1,7 @@
-"""Tells coal from gangue by how a falling rock hits steel.
+"""Identify coal and gangue by the impact of a falling rock on steel.
 
-The public names are loaded when they are first used: `import cgid` alone pulls in neither numpy nor
-numba, scikit-learn, pandas or matplotlib.
+Public names are loaded on first use: `import cgid` alone imports neither numpy nor numba, scikit-learn, pandas or
+matplotlib.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from typing import Any
 
 __version__ = "0.2.0.dev0"
 
-#: Where each public name lives.
+#: Public name -> module that defines it.
 _HOMES = {
     "Batch": "cgid.signals",
     "Dataset": "cgid.store",

@@ -1,6 +1,6 @@
-"""Counters of the work done, for tests and benchmarks.
+"""Count the work done, for tests and benchmarks.
 
-`with counted() as counts:` collects; outside of it `count` returns at once.
+`with counted() as counts:` collects counts; outside of it `count` returns at once.
 """
 
 from __future__ import annotations
@@ -18,10 +18,10 @@ _lock = threading.Lock()
 
 @contextmanager
 def counted() -> Iterator[Counter[str]]:
-    """Collect what runs inside, by name.
+    """Collect the counts of the enclosed code, by name.
 
-    It covers this thread and those that run in a copy of its context. Counts inside another `counted` are added to the
-    outer one at the end.
+    This covers the current thread and threads that run in a copy of its context. At the end, the counts are also added
+    to an enclosing `counted`.
 
     Examples
     --------
@@ -42,19 +42,12 @@ def counted() -> Iterator[Counter[str]]:
 
 
 def counting() -> bool:
-    """Return whether counts are collected: only then is it worth computing a number to count."""
+    """Return whether counts are being collected; otherwise do not compute numbers to count."""
     return _counts.get() is not None
 
 
 def count(name: str, number: SupportsInt = 1) -> None:
-    """Add to a counter; once for a whole batch, never for each sample.
-
-    Parameters
-    ----------
-    name : str
-        What ran, in the plural.
-    number : int
-    """
+    """Add `number` to the counter `name` (a plural); call once per batch, never per sample."""
     counts = _counts.get()
     if counts is not None and int(number):
         with _lock:

@@ -1,15 +1,15 @@
-"""The errors a user can cause, each with the exit code of the command line.
+"""Errors that a user can cause, each with the exit code of the command line.
 
-Every message names the thing, the rule, the value with its unit, and the cure.
+Every message gives the object, the rule, the value with its unit, and the remedy.
 """
 
 from __future__ import annotations
 
 
 class CgidError(Exception):
-    """Base of every error that cgid raises on purpose; `exit_code` is what the command line returns.
+    """Base of all errors that cgid raises on purpose; `exit_code` is the exit code of the command line.
 
-    Each argument is a mistake and stands on a line of its own: a name in it may hold line breaks, too.
+    Each argument is one error and starts on a new line. Names in an error may contain line breaks, too.
     """
 
     exit_code = 70
@@ -25,13 +25,13 @@ class InvalidValue(CgidError, ValueError):
 
 
 class BadData(CgidError, ValueError):
-    """A file or a signal cannot be used as it is (exit code 65)."""
+    """A file or a signal is unusable (exit code 65)."""
 
     exit_code = 65
 
 
 class MissingOption(CgidError, ValueError):
-    """The file does not say something that an option must say (exit code 2)."""
+    """The file lacks information that an option must give (exit code 2)."""
 
     exit_code = 2
 
@@ -43,13 +43,13 @@ class NoInput(CgidError, FileNotFoundError):
 
 
 class MissingExtra(CgidError, ImportError):
-    """An optional library is needed and not installed (exit code 69)."""
+    """A required optional library is not installed (exit code 69)."""
 
     exit_code = 69
 
 
 class ClusterFailed(CgidError, ConnectionError):
-    """A cluster does not answer, has no workers, or has lost them; a worker process has died (exit code 69)."""
+    """A cluster does not respond, has no workers or lost them, or a worker process died (exit code 69)."""
 
     exit_code = 69
 
@@ -61,6 +61,6 @@ class CannotCreate(CgidError, OSError):
 
 
 class WriteFailed(CgidError, OSError):
-    """Writing broke off; nothing half-written is left (exit code 74)."""
+    """Writing failed; no partial output remains (exit code 74)."""
 
     exit_code = 74

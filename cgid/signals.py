@@ -1,4 +1,4 @@
-"""One signal, and a labelled batch of signals."""
+"""A single signal, and a labelled batch of signals."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from cgid.validation import require_rate
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Signal:
-    """One channel of samples, with everything one must know to read it.
+    """One channel of samples with its sampling rate, unit and origin.
 
     Parameters
     ----------
@@ -28,22 +28,22 @@ class Signal:
     unit : str or None
         One of `cgid.units.UNITS`; None if unknown.
     source : str
-        Where it came from: a file name.
+        Origin, such as a file name.
     channel : str
-        Which of the channels of the source.
+        Channel of the source.
     pre_trigger : int or None
-        Number of samples before touch, where known.
+        Number of samples before touch, if known.
     start_time : datetime or None
-        When the first sample was taken, where known.
+        Time of the first sample, if known.
     warnings : tuple of str
-        What of the source was damaged and left out.
+        Damaged parts of the source that were left out.
 
     Raises
     ------
     BadData
-        Samples are not one-dimensional, empty or not finite (the sample is named).
+        Samples are not one-dimensional, empty or not finite (the message names the sample).
     InvalidValue
-        The sampling rate, the unit or the pre-trigger breaks its rule, or samples are masked.
+        Sampling rate, unit or pre-trigger is invalid, or samples are masked.
     """
 
     samples: NDArray[Any]
@@ -80,17 +80,17 @@ class Signal:
 
     @property
     def name(self) -> str:
-        """Source and channel in one word."""
+        """Source, and the channel unless it is "1"."""
         return self.source if self.channel == "1" else f"{self.source} channel {self.channel}"
 
     @property
     def quantity(self) -> str | None:
-        """The physical quantity of the unit; None when the unit is unknown."""
+        """Physical quantity of the unit; None if the unit is unknown."""
         return None if self.unit is None else units.quantity_of(self.unit)
 
     @property
     def duration(self) -> float:
-        """Length of the recording [s]."""
+        """Duration [s]."""
         return len(self.samples) / self.sampling_rate
 
     def in_si(self) -> Signal:
@@ -114,13 +114,13 @@ class Signal:
         Parameters
         ----------
         mass : float
-            Of the whole accelerated body [kg]. Force is mass times acceleration only if that body is rigid
-            and nothing but the contact accelerates it.
+            Mass of the whole accelerated body [kg]. Force is mass times acceleration only if this body is rigid and
+            nothing but the contact accelerates it.
 
         Raises
         ------
         InvalidValue
-            The mass is not above 0, or the signal is no acceleration.
+            The mass is not above 0, or the signal is not an acceleration.
         """
         mass = validation.number("mass", mass, "kg", validation.positive)
         if self.quantity != "acceleration":
@@ -130,7 +130,7 @@ class Signal:
         return replace(self, samples=self.in_si().samples * mass, unit="N")
 
     def inverted(self) -> Signal:
-        """Return the signal with its sign changed."""
+        """Return the signal with the opposite sign."""
         return replace(self, samples=-self.samples)
 
 
@@ -149,9 +149,9 @@ class Batch:
     pre_trigger : int
         Number of samples before touch.
     specimen : ndarray of uint64, (n_signals,)
-        The same number for every impact of the same particle: such impacts must not be on both sides of a split.
+        Number of the particle; all impacts of a particle belong on the same side of a split.
     parameters : dict of ndarray, each (n_signals,)
-        What the signals were made from, where known.
+        Values from which the signals were made, if known.
     source : str
         Identity of the data, such as the SHA-256 of the scene.
 

@@ -1,4 +1,4 @@
-"""The units that users write: of samples, in the headers of files, in scene files and in options.
+"""Units that users write: of samples, in file headers, scene files and options.
 
 Inside the package every number is in the SI unit of its quantity.
 """
@@ -13,10 +13,10 @@ from typing import Any
 from cgid.errors import InvalidValue
 from cgid.validation import shown
 
-#: Standard gravity [m/s^2], the factor from g.
+#: Standard gravity [m/s^2], the factor of the unit g.
 STANDARD_GRAVITY = 9.80665
 
-#: What samples may measure: quantity -> its units -> factor to the SI unit, which comes first.
+#: Units of samples: quantity -> unit -> factor to the SI unit, which comes first.
 UNITS: Mapping[str, Mapping[str, float]] = {
     "force": {"N": 1.0, "kN": 1e3, "MN": 1e6, "mN": 1e-3, "lbf": 4.4482216152605},
     "acceleration": {
@@ -37,13 +37,13 @@ UNITS: Mapping[str, Mapping[str, float]] = {
     "level": {"FS": 1.0},
 }
 
-#: Every unit that samples may be in.
+#: All units of samples.
 KNOWN_UNITS = frozenset(unit for units in UNITS.values() for unit in units)
 
 _TIME = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0}
 _FREQUENCY = {"Hz": 1.0, "kHz": 1e3, "MHz": 1e6, "GHz": 1e9}
 
-#: What a scene file may state: dimension -> unit -> factor to the SI unit, which comes first.
+#: Units in scene files: dimension -> unit -> factor to the SI unit, which comes first.
 DIMENSIONS: dict[str, Mapping[str, float]] = {
     "density": {"kg/m^3": 1.0, "kg/m3": 1.0, "g/cm^3": 1e3, "g/cm3": 1e3, "t/m^3": 1e3},
     "modulus": UNITS["pressure"],
@@ -58,7 +58,7 @@ DIMENSIONS: dict[str, Mapping[str, float]] = {
     "angle": {"rad": 1.0, "deg": math.pi / 180},
     "decibel": {"dB": 1.0},
 }
-# A sensor has a noise density and a drift in units of what it measures.
+# Noise density and drift of a sensor are in units of its measured quantity.
 for _quantity in ("force", "acceleration", "speed", "length"):
     DIMENSIONS[f"{_quantity} noise density"] = {
         f"{unit}/sqrt(Hz)": factor for unit, factor in DIMENSIONS[_quantity].items()
@@ -69,7 +69,7 @@ DIMENSIONS["acceleration noise density"] = {
     "ug/sqrt(Hz)": 1e-6 * STANDARD_GRAVITY,
 }
 
-#: Units that programs write out or abbreviate in their own way, in small letters.
+#: Other spellings of units, in lower case -> unit.
 _WRITTEN_OUT = {
     **dict.fromkeys(("sec", "second", "seconds", "sekunden"), "s"),
     **dict.fromkeys(("msec", "milliseconds"), "ms"),
@@ -89,12 +89,7 @@ _NUMBER = re.compile(r"([-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+))(?:[eE]([-+]?[0-9]{1,9
 
 
 def quantity_of(unit: str) -> str:
-    """Return the quantity that a unit of samples belongs to.
-
-    Raises
-    ------
-    InvalidValue
-        The unit is unknown; the message lists the known ones.
+    """Return the quantity of a unit of samples; raise `InvalidValue` with the known units if it is unknown.
 
     Examples
     --------
@@ -109,7 +104,7 @@ def quantity_of(unit: str) -> str:
 
 
 def plain_unit(text: str) -> str:
-    """Return a unit as a file writes it without brackets and blanks around it, with the micro sign for a Greek mu.
+    """Return a unit from a file without surrounding brackets and blanks, with the micro sign for a Greek mu.
 
     Examples
     --------
@@ -120,7 +115,7 @@ def plain_unit(text: str) -> str:
 
 
 def known_unit(text: str) -> str | None:
-    """Return the unit of samples that a text stands for, None if there is none.
+    """Return the unit of samples that a text names, None if it names none.
 
     Examples
     --------
@@ -133,9 +128,9 @@ def known_unit(text: str) -> str | None:
 
 
 def seconds_of(unit: str) -> float | None:
-    """Return the factor from a unit of sample times to seconds, 1 without a unit, None if it is no such unit.
+    """Return the factor from a unit of sample times to seconds: 1 for "", None for any other unit.
 
-    Minutes and hours are none: as the label of a column "min" and "h" are more often a minimum and a height.
+    Minutes and hours are not accepted: as column labels "min" and "h" more often mean a minimum and a height.
 
     Examples
     --------
@@ -147,7 +142,7 @@ def seconds_of(unit: str) -> float | None:
 
 
 def hertz_of(unit: str) -> float | None:
-    """Return the factor from a unit of frequency, in any case, to Hz, 1 without a unit, None if it is another unit.
+    """Return the factor from a unit of frequency, in upper or lower case, to Hz: 1 for "", None for any other unit.
 
     Examples
     --------
@@ -162,10 +157,7 @@ def hertz_of(unit: str) -> float | None:
 def parse(value: Any, dimension: str) -> float:
     """Return a number, or a string with a unit such as "3.1 GPa", in the SI unit of its dimension.
 
-    Raises
-    ------
-    ValueError
-        No finite number, or a unit of another dimension.
+    Raises `ValueError` if it is not a finite number or has a unit of another dimension.
 
     Examples
     --------
@@ -182,7 +174,7 @@ def parse(value: Any, dimension: str) -> float:
             known = ", ".join(name or "no unit" for name in units)
             article = "an" if dimension[0] in "aeiou" else "a"
             raise ValueError(f"must be {article} {dimension} in {known}, got {shown(value)}")
-        # A power of ten goes into the exponent: "136.51 GPa" is the very number 136.51e9, without a second rounding.
+        # Powers of ten go into the exponent, to avoid a second rounding: "136.51 GPa" equals 136.51e9.
         factor, exponent = units[unit], int(match[2] or 0)
         power = round(math.log10(factor))
         if factor == float(f"1e{power}"):

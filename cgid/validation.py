@@ -1,4 +1,4 @@
-"""Checks of numbers, one message style: name, rule, value, unit."""
+"""Checks of values; every message gives name, rule, value and unit."""
 
 from __future__ import annotations
 
@@ -13,38 +13,21 @@ from numpy.typing import ArrayLike, NDArray
 from cgid.errors import InvalidValue
 
 Floats = NDArray[np.float64]
-#: Beyond these no recorder samples, and squares of times are no numbers any more [Hz].
+#: Limits of sampling rates [Hz]: no recorder exceeds them, and beyond them squares of times leave the range of floats.
 RATES = (1e-6, 1e12)
 
-#: What models answer strangers with: nothing that can be taught is called so.
+#: Answer of models for signals of no known class; not allowed as a label.
 UNKNOWN = "unknown"
-#: No label has more characters,
+#: Longest label [characters].
 LONGEST_LABEL = 100
-#: and these beside letters and digits of any script: labels stand in file headers, options, tables and pages.
+#: Allowed in labels besides letters and digits of any script. Labels appear in file headers, options, tables and pages.
 _LABEL_SIGNS = " _.-"
 
 
 def real(name: str, value: ArrayLike, unit: str = "") -> Floats:
-    """Return `value` as finite float64 numbers, or raise.
+    """Return `value`, a real scalar or array, as finite float64 of the same shape.
 
-    Parameters
-    ----------
-    name : str
-        What the number is called in the message.
-    value : array_like
-        A real scalar or array of any shape.
-    unit : str, optional
-        Shown behind the offending value.
-
-    Returns
-    -------
-    ndarray
-        float64, of the shape of `value`.
-
-    Raises
-    ------
-    InvalidValue
-        If a value is no real number, masked, nan or infinite.
+    Raises `InvalidValue` if a number is not real, masked, nan or infinite; the message uses `name` and `unit`.
     """
     try:
         given = plain(name, value)
@@ -60,9 +43,9 @@ def real(name: str, value: ArrayLike, unit: str = "") -> Floats:
 
 
 def plain(name: str, value: Any) -> NDArray[Any]:
-    """Return `value` as an array, whatever its type; raise `InvalidValue` where numbers are masked.
+    """Return `value` as an array of any type; raise `InvalidValue` if numbers are masked.
 
-    An array has no mask: what was masked would count as measured.
+    A plain array has no mask: masked numbers would count as measured.
     """
     masked = _masked(value)
     if masked:
@@ -73,8 +56,8 @@ def plain(name: str, value: Any) -> NDArray[Any]:
 
 
 def _masked(value: Any) -> int:
-    """Return how many numbers of an array, or of lists of arrays, are masked."""
-    ma = sys.modules.get("numpy.ma")  # NumPy loads it for the first who asks: without it there is no mask
+    """Return how many numbers are masked in an array, or in lists of arrays."""
+    ma = sys.modules.get("numpy.ma")  # NumPy loads it on first use: without it, nothing is masked
     if ma is not None and isinstance(value, ma.MaskedArray):
         return int(np.count_nonzero(ma.getmaskarray(value)))
     if ma is not None and isinstance(value, list | tuple):
@@ -83,7 +66,7 @@ def _masked(value: Any) -> int:
 
 
 def number(name: str, value: ArrayLike, unit: str = "", rule: Callable[[str, ArrayLike, str], Floats] = real) -> float:
-    """Return `value` as one float that keeps a rule, such as `positive`; raise `InvalidValue` also for an array."""
+    """Return `value` as one float that meets a rule, such as `positive`; raise `InvalidValue` also for an array."""
     checked = rule(name, value, unit)
     if checked.ndim:
         raise InvalidValue(f"{name} must be one number, got an array of shape {checked.shape}; take one out of it")
@@ -91,14 +74,14 @@ def number(name: str, value: ArrayLike, unit: str = "", rule: Callable[[str, Arr
 
 
 def positive(name: str, value: ArrayLike, unit: str = "") -> Floats:
-    """Return `value` as finite float64 numbers above zero, or raise `InvalidValue`."""
+    """Return `value` as finite float64 above zero, or raise `InvalidValue`."""
     numbers = real(name, value, unit)
     _require(numbers > 0, name, "must be above 0", numbers, unit)
     return numbers
 
 
 def not_negative(name: str, value: ArrayLike, unit: str = "") -> Floats:
-    """Return `value` as finite float64 numbers of zero or more, or raise `InvalidValue`."""
+    """Return `value` as finite float64 of zero or more, or raise `InvalidValue`."""
     numbers = real(name, value, unit)
     _require(numbers >= 0, name, "must be 0 or more", numbers, unit)
     return numbers
@@ -113,31 +96,31 @@ def between(name: str, value: ArrayLike, lowest: float, highest: float, unit: st
 
 
 def rates(name: str, value: ArrayLike, unit: str = "Hz") -> Floats:
-    """Return sampling rates [Hz] that some recorder could have, or raise `InvalidValue`."""
+    """Return sampling rates [Hz] within `RATES`, or raise `InvalidValue`."""
     return between(name, positive(name, value, unit), *RATES, unit)
 
 
 def require_rate(sampling_rate: float) -> float:
-    """Return a sampling rate [Hz] as `rates`, which is one number."""
+    """Return one sampling rate [Hz] within `RATES`, or raise `InvalidValue`."""
     return number("sampling_rate", sampling_rate, "Hz", rates)
 
 
 def poisson_ratio(name: str, value: ArrayLike) -> Floats:
-    """Return Poisson's ratio as float64 within (-1, 0.5), the range of a stable isotropic solid."""
+    """Return Poisson's ratios as float64 within (-1, 0.5), the range of stable isotropic solids."""
     numbers = real(name, value)
     _require((numbers > -1) & (numbers < 0.5), name, "must lie between -1 and 0.5 (exclusive)", numbers)
     return numbers
 
 
 def damping_ratio(name: str, value: ArrayLike) -> Floats:
-    """Return damping ratios as float64 within (0, 1): an oscillation that decays."""
+    """Return damping ratios as float64 within (0, 1): oscillations that decay."""
     numbers = positive(name, value)
     _require(numbers < 1, name, "must be below 1, where a mode ceases to ring", numbers)
     return numbers
 
 
 def ascending(name: str, values: Floats, unit: str = "") -> Floats:
-    """Return a row of numbers that does not fall, or raise `InvalidValue`."""
+    """Return numbers that do not decrease, or raise `InvalidValue`."""
     falling = np.flatnonzero(np.diff(values) < 0)
     if falling.size:
         at, unit = int(falling[0]), f" {unit}" if unit else ""
@@ -148,14 +131,14 @@ def ascending(name: str, values: Floats, unit: str = "") -> Floats:
 
 
 def restitution(name: str, value: ArrayLike) -> Floats:
-    """Return a coefficient of restitution as float64 within (0, 1]; at 0 the damping would be infinite."""
+    """Return coefficients of restitution as float64 within (0, 1]; at 0 the damping would be infinite."""
     numbers = real(name, value)
     _require((numbers > 0) & (numbers <= 1), name, "must lie above 0 and up to 1", numbers)
     return numbers
 
 
 def broadcast(**values: Floats) -> tuple[Floats, ...]:
-    """Return the named arrays broadcast against each other; the message of a failure names their shapes."""
+    """Return the named arrays broadcast against each other; error messages name their shapes."""
     try:
         return tuple(np.broadcast_arrays(*values.values()))
     except ValueError:
@@ -164,14 +147,14 @@ def broadcast(**values: Floats) -> tuple[Floats, ...]:
 
 
 def choice(name: str, value: str, allowed: tuple[str, ...] | dict[str, Any]) -> str:
-    """Return `value` if it is one of `allowed`; else raise with the list of names."""
+    """Return `value` if it is one of `allowed`, else raise `InvalidValue` with the allowed names."""
     if not isinstance(value, str) or value not in allowed:
         raise InvalidValue(f"{name} must be one of {', '.join(map(repr, allowed))}, got {shown(value)}")
     return value
 
 
 def label(name: str, value: Any) -> str:
-    """Return `value` as the name of a kind of bodies, or raise `InvalidValue`; the one rule for labels.
+    """Return `value` if it is a valid label of a class, or raise `InvalidValue`. All labels follow this rule.
 
     Examples
     --------
@@ -181,7 +164,7 @@ def label(name: str, value: Any) -> str:
     cgid.errors.InvalidValue: label must be 1 to 100 letters, digits, blanks, _, . or -, got 'coal, wet'; rename it
     """
     letters = "".join(sign for sign in value if sign not in _LABEL_SIGNS) if isinstance(value, str) else ""
-    # Behind a letter, what may stand in an identifier is a letter, a mark upon one, or a digit.
+    # After its first letter, an identifier may hold letters, combining marks and digits.
     if not letters or len(value) > LONGEST_LABEL or value != value.strip() or not f"a{letters}".isidentifier():
         raise InvalidValue(
             f"{name} must be 1 to {LONGEST_LABEL} letters, digits, blanks, _, . or -, got {value!r}; rename it"
@@ -192,12 +175,12 @@ def label(name: str, value: Any) -> str:
 
 
 def count(name: str, value: Any) -> int:
-    """Return `value` as a whole number of 1 or more, or raise `InvalidValue`."""
+    """Return `value` as an integer of 1 or more, or raise `InvalidValue`."""
     return whole(name, value, 1)
 
 
 def whole(name: str, value: Any, lowest: int, highest: int | None = None) -> int:
-    """Return `value` as a whole number within [lowest, highest], or raise `InvalidValue`."""
+    """Return `value` as an integer within [lowest, highest], or raise `InvalidValue`."""
     try:
         found = operator.index(value)
     except TypeError:
@@ -209,7 +192,7 @@ def whole(name: str, value: Any, lowest: int, highest: int | None = None) -> int
 
 
 def hold(owner: Any, *names: str) -> None:
-    """Give a frozen dataclass copies of its arrays that nobody can write to: what follows from them is kept."""
+    """Replace arrays of a frozen dataclass by read-only copies, so that values derived from them stay valid."""
     for name in names:
         value = getattr(owner, name)
         if np.ndim(value):
@@ -219,7 +202,7 @@ def hold(owner: Any, *names: str) -> None:
 
 
 def instance(name: str, value: Any, *types: type) -> None:
-    """Raise `InvalidValue` unless `value` is an object of one of the types."""
+    """Raise `InvalidValue` unless `value` is an instance of one of the types."""
     if not isinstance(value, types):
         names = " or ".join(allowed.__name__ for allowed in types)
         article = "an" if names[0] in "AEIOU" else "a"
@@ -227,14 +210,14 @@ def instance(name: str, value: Any, *types: type) -> None:
 
 
 def shown(value: Any) -> str:
-    """Write a value for a message: on one line, and cut where it is long."""
+    """Return a value as text for a message: on one line, cut if long."""
     if isinstance(value, int) and value.bit_length() > 64:
         return f"an integer of {value.bit_length()} bits"
     return cut(" ".join(repr(value).split()))
 
 
 def cut(text: str) -> str:
-    """Return the beginning of a text that is long, for a message."""
+    """Return a text for a message, cut after 80 characters."""
     return text if len(text) <= 80 else text[:80] + "..."
 
 

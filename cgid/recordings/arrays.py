@@ -1,4 +1,4 @@
-"""NPY files and NPZ archives by blocks: without pickle, and nothing is allocated because a header declares it."""
+"""Read NPY files and NPZ archives by blocks, without pickle and without allocating memory for declared sizes."""
 
 from __future__ import annotations
 
@@ -21,25 +21,17 @@ from cgid.recordings.recording import MAX_CHANNELS, MOST_NUMBERS, Contents, unde
 from cgid.recordings.statements import Value, Values
 from cgid.recordings.variables import Variable, contents_of
 
-#: A longer header [bytes] is damaged.
+#: Longest header [bytes]; a longer one is damaged.
 HEADER_SIZE = 1 << 16
 
 
 @dataclass(frozen=True, kw_only=True)
 class ArrayHead:
-    """What an NPY header states, with rows and columns as channels and samples.
+    """An NPY header, with rows and columns as channels and samples.
 
-    Attributes
-    ----------
-    shape : tuple of int
-        As written.
-    n_channels, n_samples : int
-    dtype : dtype
-        Of the numbers as written.
-    offset : int
-        Bytes before the first number.
-    by_sample : bool
-        Whether the numbers of one sample are stored together, not those of one channel.
+    shape, dtype : as written
+    offset : bytes before the first number
+    by_sample : whether the numbers of one sample are stored together, not those of one channel
     """
 
     shape: tuple[int, ...]
@@ -51,41 +43,25 @@ class ArrayHead:
 
     @property
     def size(self) -> int:
-        """Bytes of all numbers."""
-        # Exact in Python's integers: no declared shape overflows.
+        """Size of all numbers [bytes]."""
+        # Python integers: no declared shape overflows.
         return self.n_channels * self.n_samples * self.dtype.itemsize
 
     def decoded(self, raw: bytes, n_channels: int) -> NDArray[Any]:
-        """Return numbers written sample by sample, or all of one channel, as (n_channels, n_samples)."""
+        """Return raw numbers, sample by sample or all of one channel, as (n_channels, n_samples)."""
         numbers = np.frombuffer(raw, self.dtype).reshape(-1, n_channels).T
         as_is = self.dtype.kind == "f" and self.dtype.itemsize in (4, 8)
-        # A long double beyond float64 becomes infinite, and its sample is refused.
+        # Long doubles beyond float64 become infinite; such samples are rejected later.
         with np.errstate(all="ignore"):
             return np.array(numbers, dtype=self.dtype.newbyteorder("=") if as_is else np.float64, order="C")
 
 
 def read_npy(path: Path, source: str, variable: str | None) -> Contents:
-    """Return the channels of an NPY file.
+    """Return the channels of an NPY file, which holds one array: `variable` is not used.
 
-    Parameters
-    ----------
-    path : Path
-    source : str
-        Name of the file in messages.
-    variable : str or None
-        Not used: an NPY file holds one array.
-
-    Returns
-    -------
-    Contents
-        (n_samples,) is one channel. Two axes are (n_channels, n_samples), or (n_samples, n_channels) if the second is
-        shorter.
-
-    Raises
-    ------
-    BadData
-        The header is damaged; the type is not real numbers; the shape is empty, has more than two axes, or does not
-        match the size of the file.
+    (n_samples,) is one channel. Two axes are (n_channels, n_samples), or (n_samples, n_channels) if the second is
+    shorter. Raises `BadData` if the header is damaged, the type is not real numbers, or the shape is empty, has more
+    than two axes or does not match the file size.
 
     Examples
     --------
@@ -113,7 +89,7 @@ def read_npy(path: Path, source: str, variable: str | None) -> Contents:
 
 
 def array_head(start: bytes, source: str) -> ArrayHead:
-    """Return what the first `HEADER_SIZE` bytes of an NPY file declare; raises as `read_npy` does."""
+    """Parse the first `HEADER_SIZE` bytes of an NPY file; raises as `read_npy`."""
     shape, fortran_order, dtype, offset = _header(start, source)
     if dtype.kind not in "fiu":
         raise BadData(f"{source}: samples must be real numbers, got type {dtype}; save them as float64")
@@ -132,7 +108,7 @@ def array_head(start: bytes, source: str) -> ArrayHead:
 
 
 def require_size(head: ArrayHead, held: int, source: str) -> None:
-    """Raise `BadData` unless the numbers declared are those that follow the header, and at least one."""
+    """Raise `BadData` unless at least one number is declared and all numbers fill the `held` bytes after the header."""
     if not head.size:
         raise BadData(f"{source}: a recording must hold at least one sample, got shape {head.shape}; record it again")
     if head.size != held:
@@ -146,7 +122,7 @@ def require_size(head: ArrayHead, held: int, source: str) -> None:
 def _header(start: bytes, source: str) -> tuple[tuple[int, ...], bool, np.dtype[Any], int]:
     file = io.BytesIO(start)
     with warnings.catch_warnings():
-        # The header is a Python literal; a damaged one may warn about its syntax before it fails.
+        # The header is a Python literal: damaged ones may cause syntax warnings before they fail.
         warnings.simplefilter("ignore")
         try:
             version = npy_format.read_magic(file)
@@ -157,7 +133,7 @@ def _header(start: bytes, source: str) -> tuple[tuple[int, ...], bool, np.dtype[
                 (3, 0): npy_format.read_array_header_2_0,
             }[version]
             shape, fortran_order, dtype = read(file)
-        # The literal goes through Python's own parser, which fails on damaged text in many ways.
+        # Python's parser reads the literal and raises many kinds of errors on damaged text.
         except Exception:
             raise BadData(f"{source}: the header of the NPY file is damaged; copy or save it again") from None
     return shape, fortran_order, dtype, file.tell()
@@ -178,32 +154,32 @@ def _by_channel(file: BinaryIO, head: ArrayHead, length: int, channels: Sequence
         for channel in channels:
             file.seek(head.offset + (channel * head.n_samples + first) * head.dtype.itemsize)
             block.append(file.read(count * head.dtype.itemsize))
-        # If the file is cut while it is read, all channels keep one length.
+        # Keep all channels equally long if the file is cut while it is read.
         whole = min(map(len, block)) // head.dtype.itemsize * head.dtype.itemsize
         yield np.concatenate([head.decoded(raw[:whole], 1) for raw in block])
         first += count
 
 
 def _counts(head: ArrayHead, length: int, n_channels: int) -> Iterator[int]:
-    """Yield the number of samples to read each time."""
+    """Yield the number of samples of each read."""
     most = min(length, max(1, MOST_NUMBERS // n_channels))
     for first in range(0, head.n_samples, most):
         yield min(most, head.n_samples - first)
 
 
-#: A larger value [bytes] is an array, not a statement.
+#: Largest value [bytes] that may state something; larger ones are samples.
 _SMALL = 1 << 16
 
-#: An archive of more arrays is hostile.
+#: Most arrays in an archive; one with more is hostile.
 _MOST_MEMBERS = 10_000
 
-#: Deflate packs 1032 to 1 at best (zlib's technical details); an array that declares more is damaged.
+#: Best compression ratio of deflate (zlib technical details); an array that declares more is damaged.
 _BEST_PACKING = 1032
 
-#: Channels that are stored one after the other are unpacked side by side, but no more than this.
+#: Most channels, stored one after the other, to unpack at the same time.
 _MOST_SIDE_BY_SIDE = 64
 
-#: Bytes, and numbers, to unpack at once.
+#: Bytes, or numbers, to unpack at once.
 _PIECE = 1 << 18
 
 
@@ -211,23 +187,11 @@ _DAMAGED = ("the archive is damaged or cut off", "copy or save it again")
 
 
 def read_npz(path: Path, source: str, variable: str | None) -> Contents:
-    """Return the channels of an array in an NPZ archive.
+    """Return the channels of an array in an NPZ archive, or of several of one length.
 
-    Values such as ``fs`` or ``unit`` in the archive state rate and unit; an array of times of the same length gives the
-    sampling rate, too.
-
-    Parameters
-    ----------
-    path : Path
-    source : str
-        Name of the file in messages.
-    variable : str or None
-        The name of an array, or a pattern for several of one length; needed if the archive holds several.
-
-    Raises
-    ------
-    BadData
-        The archive is damaged (its checksums are compared when all has been read), or holds no array or several.
+    Values such as ``fs`` or ``unit`` give rate and unit; an array of times of the same length also gives the rate.
+    Raises `BadData` if the archive is damaged (checksums are compared at the end of reading), or holds no array, or
+    holds several and `variable` (a name or pattern) selects none.
     """
     variables: list[Variable] = []
     statements: dict[str, Values] = {}
@@ -247,7 +211,7 @@ def read_npz(path: Path, source: str, variable: str | None) -> Contents:
 
 
 def _variable(archive: zipfile.ZipFile, path: Path, member: zipfile.ZipInfo, source: str) -> Variable | None:
-    """Return an array of the archive that may be the recording; None if it is not of real numbers."""
+    """Return an array of the archive that may be the recording; None if it does not hold real numbers."""
     group, _, name = member.filename.removesuffix(".npy").rpartition("/")
     with archive.open(member) as file:
         start = file.read(HEADER_SIZE)
@@ -286,14 +250,14 @@ def _blocks(
     with ExitStack() as stack:
         files = [stack.enter_context(archive.open(name)) for _ in (channels if not head.by_sample else [0])]
         for file, channel in zip(files, channels, strict=False):
-            # By reading, as zipfile does not compare checksums after seeking.
+            # Read instead of seek: after seeking, zipfile does not compare checksums.
             _pass_over(file, head.offset + (0 if head.by_sample else channel * head.n_samples * width))
         most = min(length, max(1, _PIECE // together))
         for first in range(0, head.n_samples, most):
             size = min(most, head.n_samples - first) * together * width
             rows = np.concatenate([head.decoded(_exactly(file, size), together) for file in files])
             yield np.ascontiguousarray(rows[list(channels)]) if head.by_sample else rows
-        # The checksum is compared at the end of the array, after the last channel.
+        # zipfile compares the checksum at the end of the array, after the last channel.
         last = files[0 if head.by_sample else int(np.argmax(channels))]
         while last.read(_PIECE):
             pass
@@ -312,13 +276,13 @@ def _exactly(file: IO[bytes], size: int) -> bytes:
 
 
 def _value(raw: bytes) -> Value | None:
-    """Return a single number, a text or a list of texts; None if the array is something else."""
+    """Return a single number, a text or a list of texts; None for any other array."""
     try:
         with warnings.catch_warnings():
-            # A damaged header may warn about its syntax before it fails.
+            # Damaged headers may cause syntax warnings before they fail.
             warnings.simplefilter("ignore")
             array = npy_format.read_array(io.BytesIO(raw), allow_pickle=False)
-    # The header goes through Python's own parser, which fails on damaged text in many ways.
+    # Python's parser reads the header and raises many kinds of errors on damaged text.
     except Exception:
         return None
     if array.dtype.kind == "S":

@@ -1,7 +1,7 @@
-"""FLAC and OGG files by blocks: libsndfile decodes them, what it passes over in silence is checked here.
+"""Read FLAC and OGG files by blocks with libsndfile, and check what it ignores.
 
-libsndfile does not compare FLAC's checksum of all samples (RFC 9639, 8.2), nor does it say that pages of an Ogg file
-are missing (RFC 3533).
+libsndfile does not compare the FLAC checksum of all samples (RFC 9639, 8.2) and does not report missing pages of an Ogg
+file (RFC 3533).
 """
 
 from __future__ import annotations
@@ -19,40 +19,22 @@ from numpy.typing import NDArray
 from cgid.errors import BadData, MissingExtra
 from cgid.recordings.recording import Contents
 
-#: Samples of each channel to decode at once; before damage, samples are read to the last whole group of this size.
+#: Samples of each channel to decode at once; before damage, only whole groups of this size are read.
 _DECODED = 1024
 
-#: Samples of a channel that one byte of a file can hold at most: a FLAC frame of 65535 equal ones takes some 12.
+#: Most samples of a channel in one byte of a file: a FLAC frame of 65535 equal samples takes about 12 bytes.
 _BEST_PACKING = 1 << 13
 
-#: Bytes of a page of Ogg before its table of segments.
+#: Bytes of an Ogg page before its segment table.
 _PAGE_HEAD = 27
 _LAST_PAGE = 4
 
 
 def read_audio(path: Path, source: str, variable: str | None) -> Contents:
-    """Return the channels of a FLAC or OGG file.
+    """Return the channels of a FLAC or OGG file, which holds one recording: `variable` is not used.
 
-    Parameters
-    ----------
-    path : Path
-    source : str
-        Name of the file in messages.
-    variable : str or None
-        Not used: such a file holds one recording.
-
-    Returns
-    -------
-    Contents
-        With a full scale of 1.0, in "FS" unless the user gives a unit. If the file is damaged or cut off, the samples
-        before the damage and a warning.
-
-    Raises
-    ------
-    BadData
-        The head of the file is damaged.
-    MissingExtra
-        The library soundfile is not installed.
+    Full scale is 1.0, in "FS" unless the user gives a unit. A damaged or cut file gives the samples before the damage
+    and a warning. Raises `BadData` if the header is damaged, `MissingExtra` without soundfile.
     """
     try:
         import soundfile
@@ -83,7 +65,7 @@ class _Sound:
     warnings: list[str] = field(default_factory=list)
 
     def opened(self) -> Any:
-        # Opened by Python first, which says that a file is missing.
+        # Open with Python first: its error tells that a file is missing.
         self.path.open("rb").close()
         try:
             return self.library.SoundFile(str(self.path))
@@ -93,7 +75,7 @@ class _Sound:
             ) from None
 
     def blocks(self, length: int, channels: Sequence[int]) -> Iterator[NDArray[Any]]:
-        """Yield the samples of channels, and at the end warn of what is missing."""
+        """Yield the samples of channels; at the end warn of missing ones."""
         picked, count = list(channels), 0
         checksum = _Checksum.of(self.path)
         end = _ogg_end(self.path)
@@ -139,14 +121,14 @@ class _Sound:
 
 
 class _Checksum:
-    """MD5 of the samples of a FLAC file, to compare with the one in its header."""
+    """MD5 of the samples of a FLAC file, compared with the MD5 in its header."""
 
     def __init__(self, bits: int, expected: bytes) -> None:
         self._bits, self._expected, self._found = bits, expected, hashlib.md5(usedforsecurity=False)
 
     @classmethod
     def of(cls, path: Path) -> _Checksum | None:
-        """Return the checksum of no samples yet; None if the header has none."""
+        """Return the checksum before any samples; None if the header has none."""
         with path.open("rb") as file:
             head = file.read(42)
         if not head.startswith(b"fLaC") or len(head) < 42 or not any(head[26:42]):
@@ -154,25 +136,25 @@ class _Checksum:
         return cls(bits=((head[20] & 1) << 4 | head[21] >> 4) + 1, expected=head[26:42])
 
     def feed(self, frames: NDArray[np.int32]) -> None:
-        """Take samples (n, n_channels) at the top of 32 bits."""
+        """Add samples (n, n_channels) in the upper bits of 32."""
         numbers = np.ascontiguousarray(frames >> (32 - self._bits), "<i4")
         self._found.update(numbers.view(np.uint8).reshape(-1, 4)[:, : -(-self._bits // 8)].tobytes())
 
     @property
     def holds(self) -> bool:
-        """Whether the samples are those that were written."""
+        """Whether the checksum matches the header."""
         return self._found.digest() == self._expected
 
 
 def _reason(error: Exception) -> str:
-    # Without the name of the file, with which the message begins already.
+    # Remove the file name: the message already begins with it.
     return " ".join(str(error).rpartition("':")[2].split()).rstrip(".")[:120]
 
 
 def _ogg_end(path: Path) -> tuple[bool, int | None] | None:
-    """Return whether all pages of an Ogg file are there, and the samples of a channel, if its last page counts them.
+    """Return whether all pages of an Ogg file exist, and its samples per channel if the last page counts them.
 
-    None if it is no Ogg file.
+    Returns None if it is not an Ogg file.
     """
     position, flags, number, at = 0, 0, -1, 0
     is_vorbis = False

@@ -1,4 +1,4 @@
-"""From a file or a stream to a recording: the first bytes show the format, its reader is imported when needed."""
+"""Open files and streams as recordings: the first bytes show the format, whose reader is imported on demand."""
 
 from __future__ import annotations
 
@@ -24,36 +24,30 @@ from cgid.signals import Signal
 from cgid.units import quantity_of
 from cgid.validation import require_rate
 
-#: Bytes from the beginning of a file that show any format.
+#: First bytes of a file, enough to recognise any format.
 HEAD_SIZE = 1024
 
 HDF5_MAGIC = b"\x89HDF\r\n\x1a\n"
-#: Version and byte order at the end of the header of MATLAB's files. Version 7.3 says 2 and is HDF5.
+#: Version and byte order at the end of the header of MATLAB files. Version 7.3 has 2 and is HDF5.
 _MAT_MAGICS = (b"\x00\x01IM", b"\x01\x00MI")
-# The delimiter and the type of a data set, in columns: those of units, of coordinates and of functions come first.
+# Delimiter and type of a data set, in fixed columns. Data sets of units, coordinates or functions come first.
 _UFF = re.compile(rb"(?: {4}-1 *\r?\n)+(?: {3}(?:151|164)| {4}(?:15|18|55|58|82)| {2}(?:1858|24[0-9]{2}))[b \r\n]")
 _HDF5_SUFFIXES = (".h5", ".hdf5", ".hdf")
 
-#: A longer stream on the standard input [bytes] is refused: it is saved to the disk before it is read.
+#: Largest stream on the standard input [bytes]; streams are saved to disk before they are read.
 LARGEST_STREAM = 32 << 30
 _PIECE = 1 << 20
-#: A warning comes if nothing arrives for this long [s].
+#: Time without data until a warning [s].
 _PATIENCE = 5.0
 
 
 @dataclass(frozen=True)
 class Format:
-    """One format of files.
+    """One file format.
 
-    Attributes
-    ----------
-    name : str
-    matches : callable
-        Returns whether a file is of this format from its first `HEAD_SIZE` bytes.
-    reader : str
-        ``module:function`` in `cgid.recordings`.
-    takes_variable : bool
-        Whether a file may hold several arrays, one of which can be chosen.
+    matches : whether a file has this format, from its first `HEAD_SIZE` bytes
+    reader : ``module:function`` in `cgid.recordings`
+    takes_variable : whether a file may hold several arrays to choose from
     """
 
     name: str
@@ -62,7 +56,7 @@ class Format:
     takes_variable: bool = False
 
     def read(self, path: Path, source: str, variable: str | None) -> Contents:
-        """Return the contents of a file of this format; raises as `cgid.recordings.open_recording` does."""
+        """Return the contents of a file of this format; raises as `cgid.recordings.open_recording`."""
         if variable is not None and not self.takes_variable:
             raise InvalidValue(
                 f"{source}: a {self.name} file holds one recording, there is no variable {variable!r}; leave out "
@@ -78,11 +72,11 @@ def _starts(*magics: bytes) -> Callable[[bytes], bool]:
 
 
 def is_hdf5(head: bytes) -> bool:
-    """Return whether a file begins as HDF5 does; in MATLAB's files it follows a header of 512 bytes."""
+    """Return whether a file begins as HDF5, in MATLAB files after a header of 512 bytes."""
     return any(head[place:].startswith(HDF5_MAGIC) for place in (0, 512))
 
 
-#: The first format that matches counts; text matches everything.
+#: The first match counts; text matches everything.
 FORMATS: tuple[Format, ...] = (
     Format("NPY", _starts(b"\x93NUMPY"), "arrays:read_npy"),
     Format("WAV", _starts(*WAV_MAGICS), "wav:read_wav"),
@@ -101,10 +95,7 @@ FORMATS: tuple[Format, ...] = (
 def format_of(path: Path, source: str) -> Format:
     """Return the format of a regular file.
 
-    Raises
-    ------
-    BadData
-        The file is empty, or its name is that of a dataset and its content is not.
+    Raises `BadData` if the file is empty, or is text with the name of an HDF5 dataset.
     """
     with path.open("rb") as file:
         head = file.read(HEAD_SIZE)
@@ -121,8 +112,8 @@ def format_of(path: Path, source: str) -> Format:
 def is_dataset(path: str | Path) -> bool:
     """Return whether `path` is a directory, or an HDF5 file of cgid that is not a recording.
 
-    An HDF5 file that is too damaged to show what it is counts as a dataset. `cgid.store` reads such inputs. A path that
-    does not exist or cannot be opened is no dataset, and neither is "-", the standard input.
+    `cgid.store` reads such inputs. An HDF5 file too damaged to identify counts as a dataset. A path that does not exist
+    or cannot be opened does not, nor does "-", the standard input.
 
     Examples
     --------
@@ -134,7 +125,7 @@ def is_dataset(path: str | Path) -> bool:
     try:
         if Path(path).is_dir():
             return True
-        # Opening a pipe would swallow its first bytes, so only regular files are opened.
+        # Open only regular files: reading from a pipe would consume its first bytes.
         if not Path(path).is_file():
             return False
         with Path(path).open("rb") as file:
@@ -157,47 +148,46 @@ def open_recording(
     channel: int | str | Sequence[int | str] | None = None,
     variable: str | None = None,
 ) -> RecordingFile:
-    r"""Open a recording; the content shows the format, not the file's name.
+    r"""Open a recording; its content determines the format, not its name.
 
-    Text (CSV, TXT, ...) may use any of comma, semicolon, tab, bar and blanks between its columns, a decimal comma
-    unless the comma separates columns, comments above and below the numbers, header lines, UTF-8, UTF-16, GB 18030 or
-    Latin-1. A header such as ``time (ms), force [kN]`` gives names and units, ``# sampling_rate: 200 kHz`` and
-    ``# unit: N`` the rest. A time column is in seconds unless its header says ms or us, or holds times of day.
+    Text (CSV, TXT, ...): columns divided by comma, semicolon, tab, bar or blanks; a decimal comma unless commas divide
+    columns; comments above and below the numbers; header lines; UTF-8, UTF-16, GB 18030 or Latin-1. A header such as
+    ``time (ms), force [kN]`` gives names and units, ``# sampling_rate: 200 kHz`` and ``# unit: N`` the rest. Times are
+    in seconds unless the header says ms or us, or they are times of day.
 
-    LabVIEW measurement files (LVM): the channels of all segments that follow each other without a gap; `variable` is
-    the number of one segment, or the channel whose length and rate the others must have.
+    LVM (LabVIEW): the channels of all segments that follow each other without a gap. `variable` is the number of one
+    segment, or a channel, which selects all channels of its length and rate.
 
-    WAV (RIFF, RIFX, RF64) holds any number of channels; integers are scaled to a full scale of 1.0 and, like floats,
-    are in "FS" unless `unit` is given, which then is taken as the unit of the numbers between -1 and 1. FLAC and OGG
-    likewise (library soundfile).
+    WAV (RIFF, RIFX, RF64), FLAC and OGG (library soundfile): any number of channels. Integers are scaled to a full
+    scale of 1.0. The unit is "FS" unless `unit` is given, as the unit of numbers between -1 and 1.
 
-    NPY holds one channel, (n_samples,), or several: (n_channels, n_samples), unless the second axis is the
-    shorter one, which is then read as (n_samples, n_channels).
+    NPY: (n_samples,) is one channel. Two axes are (n_channels, n_samples), or (n_samples, n_channels) if the second is
+    shorter.
 
-    NPZ, HDF5 and MATLAB files (version 5 and up) hold arrays by name. If there are several besides times, `variable`
-    chooses: an array, a group or struct of arrays of one length, or a pattern such as ``ch*``. Rate, unit, start and
-    channel names are taken from attributes and single values (``fs``, ``dt``, ``unit``, ...), the nearest first, the
-    rate else from an array of times. A recording made by `cgid generate` holds one channel with its rate and unit.
+    NPZ, HDF5 and MATLAB (version 5 and up): named arrays. If there are several besides times, `variable` selects an
+    array, a group or struct of arrays of one length, or a pattern such as ``ch*``. Rate, unit, start and channel names
+    come from attributes and single values (``fs``, ``dt``, ``unit``, ...), the nearest first; the rate else from an
+    array of times. A recording made by `cgid generate` is one channel.
 
     TDMS (library nptdms): the channels of one group with their waveform properties; `variable` is a group or
-    ``group/channel``. Universal files (UFF, UNV, library pyuff): the data sets 58 over time; `variable` is the number
-    or the name of one. Parquet (library pyarrow): columns, as of a text file.
+    ``group/channel``. UFF, UNV (library pyuff): the data sets 58 over time; `variable` is the number or name of one.
+    Parquet (library pyarrow): columns, as in a text file.
 
-    If a WAV, FLAC, OGG, LVM or TDMS file is cut off, its whole samples are read, and `RecordingFile.warnings` say so.
+    A WAV, FLAC, OGG, LVM or TDMS file that is cut off gives its whole samples and `RecordingFile.warnings`.
 
     Parameters
     ----------
     path : str or Path
         The file; "-" is the standard input.
     sampling_rate : float, optional
-        [Hz], above 0; needed where the file does not state it. Where both do they must agree to 0.1 %, and this number,
-        which has not been rounded, is used.
+        [Hz]; required if the file does not state it. If both do, they must agree to 0.1 %, and this one, which is not
+        rounded, is used.
     unit : str, optional
-        Unit of the numbers, where the file does not state it; nothing is converted.
+        Unit of the numbers if the file does not state it; nothing is converted.
     channel : int, str or sequence of these, optional
-        Read only these channels: number from 1 (the time column does not count) or name in the header; "1+2" is both.
+        Channels to read: number from 1 (the time column does not count) or name in the header; "1+2" is both.
     variable : str, optional
-        Which of the arrays, tables or groups of the file to read.
+        Array, table or group of the file to read.
 
     Returns
     -------
@@ -208,13 +198,13 @@ def open_recording(
     NoInput
         The file does not exist or cannot be opened.
     BadData
-        The file is empty, damaged, a dataset or no recording; it contradicts itself or `unit`.
+        The file is empty, damaged, a dataset or not a recording; it contradicts itself or `unit`.
     MissingOption
         Neither the file nor `sampling_rate` gives the sampling rate.
     MissingExtra
         The format needs a library that is not installed.
     InvalidValue
-        `sampling_rate`, `unit`, `channel` or `variable` breaks its rule, or `sampling_rate` contradicts the file.
+        `sampling_rate`, `unit`, `channel` or `variable` is invalid, or `sampling_rate` contradicts the file.
 
     Examples
     --------
@@ -259,7 +249,7 @@ def read_recording(
     channel: int | str | Sequence[int | str] | None = None,
     variable: str | None = None,
 ) -> list[Signal]:
-    r"""Read a whole recording into memory: one `Signal` a channel, (n_samples,) each.
+    r"""Read a whole recording into memory: one `Signal` per channel, (n_samples,) each.
 
     Parameters and errors are those of `open_recording`. `BadData` is also raised if a number is missing or not finite,
     or if the recording does not fit in memory.
@@ -277,11 +267,11 @@ def read_recording(
     return open_recording(path, sampling_rate=sampling_rate, unit=unit, channel=channel, variable=variable).signals()
 
 
-# ---- streams: saved to a temporary file, as some formats have their index at the end ---------------------------------
+# ---- streams: saved to a temporary file, because some formats have their index at the end ----------------------------
 
 
 def _regular(path: str | Path, source: str) -> tuple[Path, ExitStack]:
-    """Return a regular file with the content; closing the stack removes it if it is a temporary copy."""
+    """Return a regular file with the content, and a stack that removes it if it is a temporary copy."""
     if not str(path):
         raise NoInput("the name of the recording must not be empty; give a file, or - for the standard input")
     try:
@@ -302,18 +292,18 @@ def _regular(path: str | Path, source: str) -> tuple[Path, ExitStack]:
                 )
             if path.exists() and not path.is_file():
                 return _saved(partial(path.open, "rb"), source)
-            # Opened once, so that its errors come before any others.
+            # Open it once, so that its errors come first.
             path.open("rb").close()
             return path, ExitStack()
     except (BadData, NoInput):
         raise
-    # A closed standard input and a NUL byte in the name are ValueErrors, a missing standard input has no buffer.
+    # ValueError: closed standard input, or a NUL byte in the name. AttributeError: standard input without a buffer.
     except (ValueError, AttributeError) as error:
         raise NoInput(f"{source!r}: the file cannot be opened ({error}); check the name") from None
 
 
 def _saved(opened: Callable[[], AbstractContextManager[Any]], source: str) -> tuple[Path, ExitStack]:
-    """Return a temporary file with the content of a stream, and the stack that removes it."""
+    """Save a stream to a temporary file; return its path and the stack that removes it."""
     waiting = Timer(_PATIENCE, _warn_of_waiting, [source])
     waiting.daemon = True
     waiting.start()
@@ -345,14 +335,14 @@ def _saved(opened: Callable[[], AbstractContextManager[Any]], source: str) -> tu
 
 
 def temporary_file(spool: ExitStack, *, needs_name: bool = False) -> tuple[Path, IO[bytes]]:
-    """Return the path of a temporary file and the open file, which goes when the stack closes or this process ends.
+    """Return path and handle of a temporary file, which is removed when the stack closes or this process ends.
 
-    Windows is untested; without /bin/sh the file stays if the process is killed.
+    Windows is untested. Without /bin/sh the file remains if the process is killed.
     """
     if not needs_name and Path("/proc/self/fd").is_dir():
         file = spool.enter_context(tempfile.TemporaryFile())  # noqa: SIM115
         return Path(f"/proc/self/fd/{file.fileno()}"), file
-    # HDF5 opens nothing without a name, and other systems than Linux open no file twice without one.
+    # HDF5 needs a file name, and outside Linux a file without a name cannot be opened twice.
     import subprocess
 
     kept = tempfile.NamedTemporaryFile(prefix="cgid-", suffix=".recording", delete=False)  # noqa: SIM115

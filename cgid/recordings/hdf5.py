@@ -1,4 +1,4 @@
-"""HDF5 files, of cgid or of others, MATLAB's v7.3 among them; `cgid.store` reads them in a process of its own."""
+"""Read HDF5 files of cgid and of others, including MATLAB v7.3; `cgid.store` reads them in a separate process."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 def read_own(path: Path) -> Contents:
-    """Return the one channel of a recording made by `cgid generate`."""
+    """Return the single channel of a recording made by `cgid generate`."""
     from cgid.store.reading import Recording
 
     recording = Recording(path)
@@ -45,28 +45,10 @@ _PACKING = {"scale_factor": 1.0, "add_offset": 0.0}
 def read_hdf5(path: Path, source: str, variable: str | None) -> Contents:
     """Return the channels of one array of an HDF5 file, or of several arrays of one length.
 
-    Parameters
-    ----------
-    path : Path
-        The file.
-    source : str
-        Name of the file in messages.
-    variable : str or None
-        Path of an array, of a group, or a pattern; None if there is one array only besides times.
-
-    Returns
-    -------
-    Contents
-        Two axes are channels and samples, the longer one that of the samples. The rate is that of attributes or single
-        values such as ``sampling_rate``, ``fs`` or ``dt`` of the array, its groups or the root, the nearest first; else
-        that of an array of times next to it. ``unit``, ``start_time`` and ``channel_names`` likewise. Numbers packed
-        after the Climate and Forecast conventions are unpacked by their ``scale_factor`` and ``add_offset``.
-
-    Raises
-    ------
-    BadData
-        The file is damaged, a dataset of cgid, or holds no array of numbers or several; or the array is in another
-        file, declares more than is stored, or is packed in a way that HDF5 does not know here.
+    Rate, unit, start and channel names come from attributes and single values of the array, its groups and the root,
+    the nearest first; the rate else from an array of times next to it. Packed numbers are unpacked by ``scale_factor``
+    and ``add_offset`` (CF conventions). Raises `BadData` if the file is damaged, is a dataset of cgid, or holds no
+    array or several; or if the array is in another file, declares more than is stored, or needs an unavailable filter.
     """
     from cgid.store.description import RECORDING_FORMAT
     from cgid.store.foreign import array_blocks, survey
@@ -106,5 +88,5 @@ def read_hdf5(path: Path, source: str, variable: str | None) -> Contents:
 
 
 def _number(value: Any) -> float:
-    """Return a number as it is, nan for anything else, so that the samples are refused."""
+    """Return a number unchanged, nan for anything else, so that the samples are rejected."""
     return float(value) if isinstance(value, int | float) else float("nan")

@@ -1,4 +1,4 @@
-"""A stream of samples as it comes: raw numbers or a WAV of unknown length on the standard input.
+"""Read samples while they arrive: raw numbers or a WAV of unknown length on the standard input.
 
 Nothing here is specific to Unix, but Windows is untested.
 """
@@ -19,9 +19,9 @@ from cgid.recordings.wav import ENDLESS, WAV_MAGICS, Coding, read_wave_head
 from cgid.units import quantity_of
 from cgid.validation import require_rate
 
-#: Numbers to take from the stream at once at most.
+#: Most numbers to read from the stream at once.
 _MOST_NUMBERS = 1 << 16
-#: The beginnings of files that can only be read as a whole.
+#: First bytes of formats that can only be read as whole files.
 _FILES = {
     b"\x93NUM": "an NPY file",
     b"PK\3\4": "an archive",
@@ -35,28 +35,13 @@ _FILES = {
 
 @dataclass(kw_only=True)
 class LiveStream:
-    """Samples that arrive while they are recorded; made by `live_stream`, read once by iterating over it.
+    """Samples that arrive while they are recorded; made by `live_stream`, iterated over once.
 
-    Attributes
-    ----------
-    file : binary file
-    coding : Coding
-        How a number is written.
-    n_channels : int
-    sampling_rate : float
-        [Hz].
-    unit : str or None
-        Of all channels; without one given, "FS" if integers are scaled to full scale or a WAV arrives.
-    source : str
-        Name of the stream in messages.
-    n_samples : int
-        Of each channel, that have arrived so far.
-    warnings : list of str
-        What was left out, one line each; complete when the stream has ended.
-    head : bytes
-        The first bytes of the samples, which were read to find out the format.
-    size : int or None
-        Bytes of sound in the stream; None if it goes on until it ends.
+    unit : of all channels; by default "FS" for a WAV and for integers, which are scaled to full scale
+    n_samples : of each channel so far
+    warnings : what was left out, one line each; complete when the stream has ended
+    head : first bytes of the samples, read to recognise the format
+    size : bytes of sound; None if only the end of the stream shows it
     """
 
     file: BinaryIO
@@ -71,12 +56,9 @@ class LiveStream:
     size: int | None = None
 
     def __iter__(self) -> Iterator[NDArray[Any]]:
-        """Yield what has arrived, (n_channels, n), as soon as there is a whole sample; never wait for a full block.
+        """Yield arrived samples, (n_channels, n), as soon as one is whole; never wait for a full block.
 
-        Raises
-        ------
-        BadData
-            A float is not finite: the message names the sample, those before it have been yielded. Or nothing came.
+        Raises `BadData` if the stream holds no samples, or at a float that is not finite, after the samples before it.
         """
         frame_size = self.n_channels * self.coding.width
         pending, left = self.head, self.size
@@ -102,7 +84,7 @@ class LiveStream:
             raise BadData(f"{self.source}: a stream must hold samples, it ended before the first; check what writes it")
 
     def _blocks(self, raw: bytes) -> Iterator[NDArray[Any]]:
-        """Yield the samples; raise at the first that is not finite, after yielding those before it."""
+        """Yield the samples; raise `BadData` at the first that is not finite, after those before it."""
         samples = self.coding.decoded(raw).reshape(-1, self.n_channels)
         broken = np.argwhere(~np.isfinite(samples))
         good = len(samples) if not len(broken) else int(broken[0, 0])
@@ -126,35 +108,12 @@ def live_stream(
     unit: str | None = None,
     source: str = "stdin",
 ) -> LiveStream:
-    """Return a stream of samples: a WAV by its header, anything else as raw numbers, channels interleaved.
+    """Return a stream of samples: a WAV by its header, anything else as raw numbers with interleaved channels.
 
-    Parameters
-    ----------
-    file : binary file
-        Such as ``sys.stdin.buffer``.
-    sampling_rate : float, optional
-        [Hz]; needed for raw numbers.
-    n_channels : int, optional
-        Needed for raw numbers.
-    sample_format : str, optional
-        Such as "s16le", "s24le", "s32le", "f32le", "u8"; needed for raw numbers.
-    unit : str, optional
-        Of the numbers: floats as they are, integers scaled to a full scale of 1.0.
-    source : str, optional
-        Name of the stream in messages.
-
-    Returns
-    -------
-    LiveStream
-
-    Raises
-    ------
-    MissingOption
-        Neither the stream nor the options state how to read it.
-    InvalidValue
-        An option breaks its rule or contradicts the WAV header.
-    BadData
-        The stream is empty, or its WAV header is damaged.
+    Raw numbers need `sampling_rate` [Hz], `n_channels` and a `sample_format` such as "s16le", "s24le", "f32le" or "u8".
+    Integers are scaled to a full scale of 1.0, floats are kept. Raises `MissingOption` if neither stream nor options
+    tell how to read it, `InvalidValue` if an option is invalid or contradicts the WAV header, `BadData` if the stream
+    is empty or its WAV header damaged.
 
     Examples
     --------
@@ -239,9 +198,9 @@ def _skip(file: BinaryIO, size: int) -> None:
 
 
 def _available(file: BinaryIO, most: int) -> bytes:
-    """Return what has arrived, at least one byte unless the stream has ended."""
+    """Return the bytes that have arrived, at least one unless the stream has ended."""
     if not most:
         return b""
-    # A buffered file waits until all has arrived; a raw one returns what there is.
+    # `read` of a buffered file waits for all bytes; its `read1`, and `read` of a raw file, do not.
     read = getattr(file, "read1", file.read)
     return read(most) or b""

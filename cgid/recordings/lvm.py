@@ -1,8 +1,8 @@
-"""LabVIEW measurement files (.lvm) by blocks: heads of tags, tab separated rows below them.
+"""Read LabVIEW measurement files (.lvm) by blocks: headers of tags, each above tab-separated rows.
 
-Segments that follow each other without a gap are one recording. The tags are those of National Instruments'
-"Specification for the LabVIEW Measurement File (.lvm)", tutorial 4139; where real files differ (times with decimal
-commas, missing separators), both are read.
+Segments that follow each other without a gap are one recording. The tags follow National Instruments' "Specification
+for the LabVIEW Measurement File (.lvm)", tutorial 4139. Deviations of real files (times with decimal commas, missing
+separators) are read, too.
 """
 
 from __future__ import annotations
@@ -30,41 +30,25 @@ from cgid.units import known_unit
 _END_OF_HEAD = "***End_of_Header***"
 _SEPARATORS = {"tab": "\t", "comma": ",", "semicolon": ";", "space": " "}
 
-#: Rows begin with a number or a separator; a letter or a star begins the head of the next segment.
+#: Rows begin with a number or a separator, the header of the next segment with a letter or a star.
 _HEAD = re.compile(r"^[A-Za-z*]", re.MULTILINE)
-#: A head has some twenty tags; a longer one [lines] is none.
+#: Longest header [lines]; usual ones have about twenty tags.
 _LONGEST_HEAD = 2000
 
-#: Larger values of x [s] count from 1904, not from the time stamp.
+#: Larger values of X0 [s] count from 1904, not from the time stamp.
 _SINCE_1904 = 1e8
-#: Delta_X gives the rate only if its printed digits are this fine.
+#: Delta_X gives the rate only if its rounding error is at most this part of it.
 _FINE = 1e-3
-#: The time between two segments that follow each other may differ from that of the samples by this part of a step, and
-#: by the resolution of the time stamps [s].
+#: Tolerances of the time between consecutive segments: in steps, and the resolution of the time stamps [s].
 _GAP, _STAMP = 1.5, 2e-6
 
 
 def read_lvm(path: Path, source: str, variable: str | None) -> Contents:
     """Return the channels of a LabVIEW measurement file.
 
-    Parameters
-    ----------
-    path : Path
-    source : str
-        Name of the file in messages.
-    variable : str or None
-        The number of a segment from 1; or the name of a channel, which stands for all of its length and rate.
-
-    Returns
-    -------
-    Contents
-        If the file is cut off, the whole rows and a warning.
-
-    Raises
-    ------
-    BadData
-        A head or a row is damaged; channels differ in length or rate, or segments do not follow each other, and
-        `variable` chooses none.
+    `variable` is the number of a segment from 1, or a channel, which selects all channels of its length and rate. A cut
+    file gives its whole rows and a warning. Raises `BadData` if a header or a row is damaged; without `variable` also
+    if channels differ in length or rate, or segments do not follow each other.
     """
     is_number = variable is not None and variable.isascii() and variable.isdigit() and len(variable) < 9
     lvm = _Lvm(path=path, source=source, only=int(variable) if variable is not None and is_number else None)
@@ -87,7 +71,7 @@ def read_lvm(path: Path, source: str, variable: str | None) -> Contents:
     }
     if path.stat().st_size > PIECE:
         return Contents(n_channels=len(channels), blocks=blocks, **about)
-    # A short file is read once, so that its length is known.
+    # Read a short file at once, so that its length is known.
     whole = list(blocks(PIECE, range(len(channels))))
     return Contents.of_array(np.concatenate([np.empty((len(channels), 0)), *whole], axis=1), **about)
 
@@ -97,10 +81,10 @@ def read_lvm(path: Path, source: str, variable: str | None) -> Contents:
 
 @dataclass(frozen=True, kw_only=True)
 class _Head:
-    """The head of the file, which holds for all segments.
+    """File header, valid for all segments.
 
-    `separator` is one character; `decimal_comma` is None if the head does not state it; `x_columns` is "no", "one" or
-    "multi": which columns hold values of x.
+    decimal_comma : None if the header does not state it
+    x_columns : "no", "one" or "multi": columns with values of x
     """
 
     separator: str
@@ -110,12 +94,12 @@ class _Head:
 
     @classmethod
     def of(cls, lines: Sequence[str], source: str) -> _Head:
-        """Return what the lines above the first end of a head say."""
+        """Parse the lines above the first end of a header."""
         separator = "\t"
         for line in lines:
             if line.startswith("Separator"):
                 named = line.removeprefix("Separator").strip().lower()
-                # A separator that is written as itself follows itself; if it is blank, nothing is left.
+                # The separator may be written literally, after a separator; of a tab nothing is left.
                 separator = _SEPARATORS.get(named) or named[:1] or "\t"
         tags = _tags(lines, separator)
         stated = {tag: (fields[1].strip() if len(fields) > 1 else "") for tag, fields in tags.items()}
@@ -136,9 +120,12 @@ class _Head:
 
 @dataclass(frozen=True, kw_only=True)
 class _Segment:
-    """One packet of rows and its head: `number` and first `line` count from 1, columns from 0; the first is that of x.
+    """A packet of rows and its header.
 
-    `tags` have each field in the column it belongs to, `labels` stand above the columns.
+    number : from 1
+    line : of the first row in the file, from 1
+    tags : fields of each tag, in the columns to which they belong; column 0 is that of x
+    labels : texts above the columns
     """
 
     number: int
@@ -150,7 +137,7 @@ class _Segment:
 
     @classmethod
     def of(cls, lines: Sequence[str], head: _Head, number: int, line: int, source: str) -> _Segment:
-        """Return what the lines of a segment's head say, the last of them with the labels of the columns."""
+        """Parse the header of a segment; its last line holds the labels of the columns."""
         tags = _tags(lines[:-1], head.separator)
         channels = [*tags.get("Channels", []), "", ""][1].strip()
         if not (channels.isascii() and channels.isdigit() and 0 < int(channels[:9]) < 10**6):
@@ -171,11 +158,11 @@ class _Segment:
         return 2 * channel + 1 if self.head.x_columns == "multi" else channel + 1
 
     def x_column(self, channel: int) -> int | None:
-        """Return the column of x of a channel, None without one."""
+        """Return the x column of a channel, None without one."""
         return {"no": None, "one": 0, "multi": 2 * channel}[self.head.x_columns]
 
     def field(self, tag: str, channel: int) -> str:
-        """Return what a tag says of a channel, "" if it says nothing."""
+        """Return the text of a tag for a channel, "" without one."""
         return _at(self.tags.get(tag, []), self.column(channel))
 
     def name(self, channel: int) -> str:
@@ -188,12 +175,12 @@ class _Segment:
         return int(text) if text.isascii() and text.isdigit() and len(text) < 19 else None
 
     def number_of(self, tag: str, channel: int) -> float | None:
-        """Return the number that a tag states of a channel."""
+        """Return the number of a tag for a channel, None without one."""
         text = self.field(tag, channel).replace(",", ".")
         return float(text) if NUMBER.fullmatch(text) else None
 
     def step(self, channel: int) -> tuple[float | None, bool]:
-        """Return Delta_X [s], and whether its printed digits are fine enough to give a rate."""
+        """Return Delta_X [s], and whether its printed digits are fine enough for a rate."""
         step = self.number_of("Delta_X", channel)
         if step is None or not (math.isfinite(step) and step > 0):
             return None, False
@@ -202,7 +189,7 @@ class _Segment:
         return step, 0.5 * 10.0 ** (int(exponent or 0) - places) <= _FINE * step
 
     def start_time(self, channel: int) -> datetime | None:
-        """Return when the first sample was taken."""
+        """Return the time of the first sample."""
         x0 = self.number_of("X0", channel) or 0.0
         stamp: datetime | None = datetime(1904, 1, 1)
         if x0 <= _SINCE_1904:
@@ -223,7 +210,7 @@ def _at(fields: Sequence[str], column: int) -> str:
 
 
 def _moment(date: str, time: str) -> datetime | None:
-    """Return a moment from such as 2013/02/19 and 09:51:39,197051012."""
+    """Return the datetime of texts such as 2013/02/19 and 09:51:39,197051012."""
     day = re.fullmatch(r"(\d{4})[/.-](\d\d?)[/.-](\d\d?)", date)
     clock = re.fullmatch(r"(\d\d?):(\d\d):(\d\d)(?:[.,](\d{1,6})\d*)?", time)
     if not day or not clock:
@@ -235,7 +222,7 @@ def _moment(date: str, time: str) -> datetime | None:
 
 
 def _channels_alike(segment: _Segment, named: str | None, source: str, warnings: list[str]) -> list[int]:
-    """Return the channels of one length and rate, from 0: those like the channel `named`, else all must be alike.
+    """Return the channels, from 0, like the channel `named` in length and rate; without a name all must be alike.
 
     Channels without samples are left out with a warning.
     """
@@ -279,7 +266,7 @@ def _listed(segment: _Segment, channels: Sequence[int]) -> str:
 
 @dataclass(frozen=True, kw_only=True)
 class _Lvm:
-    """The segments of a file; `only` is the number of the chosen one, None for all."""
+    """A file of segments; `only` is the number of the selected one, None for all."""
 
     path: Path
     source: str
@@ -287,11 +274,11 @@ class _Lvm:
     warnings: list[str] = field(default_factory=list)
 
     def beginning(self) -> tuple[_Segment, str]:
-        """Return the first chosen segment and its first rows."""
+        """Return the first selected segment and its first rows."""
         found, last = None, 0
         for segment, rows, _ in self._parts():
             if found is not None:
-                # The head of the next segment follows a head without rows.
+                # A header without rows is followed by the header of the next segment.
                 return found, rows if segment is found else ""
             last = segment.number
             if self.only in (None, segment.number):
@@ -305,9 +292,9 @@ class _Lvm:
         return found, ""
 
     def rate(self, segment: _Segment, channel: int, text: str) -> tuple[float | None, str, bool]:
-        """Return the sampling rate [Hz], where it is stated, and whether the column of x is fine enough to be checked.
+        """Return the sampling rate [Hz], its origin, and whether the x column is fine enough for checks.
 
-        Delta_X counts if its printed digits are fine enough, else the x of the first rows.
+        Delta_X gives the rate if its printed digits are fine enough, else the x of the first rows.
         """
         step, is_fine = segment.step(channel)
         stated = 1 / step if step is not None and is_fine else None
@@ -315,7 +302,7 @@ class _Lvm:
             times = self._rows(text, segment, [channel], 0, segment.line)[:, 0]
             if len(times) > 1 and (stated is None or is_resolved(times, 1 / stated)):
                 measured = rate_of(times, self.source)
-                # A few rounded times say less than a step of many digits.
+                # A few rounded times are less exact than a step of many digits.
                 if stated is not None and abs(measured - stated) * len(times) > measured:
                     require_one_rate((stated, "Delta_X"), (measured, "the column of x"), self.source)
                 return stated or measured, "Delta_X" if stated else "column of x", True
@@ -325,7 +312,7 @@ class _Lvm:
         return stated, "Delta_X", False
 
     def samples(self, first: _Segment, channels: Sequence[int], timed: float | None) -> Iterator[Floats]:
-        """Yield the samples of channels, (len(channels), n), segment after segment; `timed` is the rate [Hz] of x."""
+        """Yield samples, (len(channels), n), segment by segment; `timed` is the rate [Hz] of checked x."""
         at, count = first, 0
         clock = None if timed is None else EvenTimes(timed, self.source)
         for segment, text, line in self._parts():
@@ -334,7 +321,7 @@ class _Lvm:
             if segment.number > at.number:
                 self._require_end(at, channels[0], count)
                 self._require_next(at, segment, channels[0], count)
-                # Each segment may count its time from 0.
+                # Times may restart from 0 in each segment.
                 at, count, clock = segment, 0, None if timed is None else EvenTimes(timed, self.source)
             rows = self._rows(text, segment, channels, count, line)
             if clock is not None:
@@ -344,7 +331,7 @@ class _Lvm:
         self._require_end(at, channels[0], count)
 
     def _parts(self) -> Iterator[tuple[_Segment, str, int]]:
-        """Yield segments with pieces of their rows, each segment at least once, and the first line of the piece."""
+        """Yield segments with pieces of their rows, at least one each, and the first line of the piece."""
         with self.path.open("rb") as file:
             encoding = encoding_of(file.read(SNIFFED), self.source)
         above: list[str] | None = []
@@ -361,7 +348,7 @@ class _Lvm:
                     continue
                 end = text.find("\n", at) + 1 or len(text)
                 written, at, line = text[at:end].rstrip("\r\n"), end, line + 1
-                # Blocks of other data may stand in a head: binary ones, notes of the sender.
+                # Special blocks in a header hold other data, such as binary data or notes.
                 if special or written.startswith("***Start_Special***"):
                     special = not written.startswith("***End_Special***")
                     continue
@@ -385,7 +372,7 @@ class _Lvm:
             self.warnings.append(f"the head of segment {segment.number + 1} is cut off; what comes before it was read")
 
     def _head_of(self, above: list[str], segment: _Segment | None) -> _Head | None:
-        """Return the head of the file once the head of a segment is complete: the labels follow its end."""
+        """Return the file header if `above` is a complete segment header: its end and a line of labels."""
         if len(above) < 2 or not above[-2].startswith(_END_OF_HEAD):
             return None
         if segment is not None:
@@ -394,10 +381,10 @@ class _Lvm:
         return _Head.of(above[: ends[0]], self.source) if len(ends) > 1 else None
 
     def _rows(self, text: str, segment: _Segment, channels: Sequence[int], sample: int, line: int) -> Floats:
-        """Return rows as numbers, (n, n_columns): x, if it is written, and the channels."""
+        """Return rows as numbers, (n, n_columns): x, if present, and the channels."""
         x = segment.x_column(channels[0])
         columns = ([] if x is None else [x]) + [segment.column(channel) for channel in channels]
-        # If channels are of different length, the fields of the shorter ones are empty from their end on.
+        # If channels differ in length, the shorter ones have empty fields after their end.
         declared = segment.n_samples(channels[0])
         longest = max(segment.n_samples(channel) or 0 for channel in range(segment.n_channels))
         if declared is not None and declared < longest:
@@ -429,7 +416,7 @@ class _Lvm:
                 yield numbers
                 sample += 1
             elif number == unended:
-                # Only the very last line of the file has no line feed.
+                # Only the last line of the file has no line feed.
                 self.warnings.append(f"the last row (line {number}) is cut off and was left out")
                 return
             else:
@@ -437,7 +424,7 @@ class _Lvm:
 
     def _require_end(self, segment: _Segment, channel: int, count: int) -> None:
         declared = segment.n_samples(channel)
-        # Further packets of the declared length may follow without a head of their own.
+        # More packets of the declared length may follow without headers.
         if declared and (not count or count % declared):
             self.warnings.append(
                 f"segment {segment.number} declares {declared} samples and holds {count}; the file looks cut off or "
@@ -445,7 +432,7 @@ class _Lvm:
             )
 
     def _require_next(self, segment: _Segment, following: _Segment, channel: int, count: int) -> None:
-        """Raise unless a segment goes on where the one before ended, with the same channels."""
+        """Raise `BadData` unless a segment continues the one before with the same channels and rate."""
         step, _ = segment.step(channel)
         cure = f"pick one segment by --variable {segment.number}, {following.number}, ..."
         if following.n_channels != segment.n_channels or following.step(channel)[0] != step:

@@ -1,7 +1,7 @@
-"""MATLAB files of version 5 to 7.2: scipy turns them into an NPZ archive, which is read by blocks; 7.3 is HDF5.
+"""Read MATLAB files of version 5 to 7.2: scipy converts them to an NPZ archive, which is read by blocks; 7.3 is HDF5.
 
-scipy trusts files: nested structs in a damaged one can crash it. So it runs in a process of its own (this module as a
-program), with limits of time and memory.
+scipy trusts its input: nested structs in a damaged file can crash it. So it runs in a separate process (this module as
+a program) with limits of time and memory.
 """
 
 from __future__ import annotations
@@ -25,12 +25,12 @@ from cgid.recordings.arrays import read_npz
 from cgid.recordings.formats import temporary_file
 from cgid.recordings.recording import Contents
 
-#: Larger files [bytes] are refused, as scipy reads them whole.
+#: Largest file [bytes], as scipy reads files whole.
 LARGEST_FILE = 2 << 30
 
-#: Memory that reading may take [bytes]: the first number plus this multiple of the size of the file, at most the last.
+#: Memory limit [bytes]: the first number plus this multiple of the file size, at most the last number.
 _LEAST_MEMORY, _TIMES_THE_FILE, _MOST_MEMORY = 512 << 20, 100, 6 << 30
-#: Time that reading may take [s], and bytes of the file for each further second.
+#: Time limit [s], and file size [bytes] for each further second.
 _LEAST_TIME, _BYTES_A_SECOND = 60.0, 4 << 20
 
 _DEEPEST, _LONGEST_TEXT = 16, 4096
@@ -39,25 +39,9 @@ _DEEPEST, _LONGEST_TEXT = 16, 4096
 def read_mat(path: Path, source: str, variable: str | None) -> Contents:
     """Return the channels of one array of a MATLAB file, or of several arrays of one length.
 
-    Parameters
-    ----------
-    path : Path
-        The file, as ``save -v6`` and ``-v7`` write it. Fields of structs are named ``struct/field``.
-    source : str
-        Name of the file in messages.
-    variable : str or None
-        Name of an array, of a struct, or a pattern; None if there is one array only besides times.
-
-    Returns
-    -------
-    Contents
-        Two axes are channels and samples, the longer one that of the samples. The rate is that of single values such
-        as ``Fs`` or ``dt`` next to the array, else that of an array of times; ``unit`` likewise.
-
-    Raises
-    ------
-    BadData
-        The file is too large, cut off or damaged, or holds no real array or several.
+    The file is as written by ``save -v6`` or ``-v7``; fields of structs are named ``struct/field``. Rate and unit are
+    found as by `read_npz`. Raises `BadData` if the file is too large, cut off or damaged, or holds no real array or
+    several.
     """
     size = path.stat().st_size
     if size > LARGEST_FILE:
@@ -78,8 +62,8 @@ def read_mat(path: Path, source: str, variable: str | None) -> Contents:
 
 
 def _convert(path: Path, out: IO[bytes], source: str, size: int) -> None:
-    """Write the arrays of a MATLAB file as an NPZ archive in a process of its own."""
-    # The process finds its libraries where this one does, but never in the current folder.
+    """Write the arrays of a MATLAB file to an NPZ archive, in a separate process."""
+    # The process has the import paths of this one, but never the current folder.
     paths = [str(Path(__file__).parents[2]), *(os.path.abspath(entry) for entry in sys.path if entry)]  # noqa: PTH100
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(dict.fromkeys(paths)), "OPENBLAS_NUM_THREADS": "1"}
     try:
@@ -118,7 +102,7 @@ def _main(size: int) -> None:
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         found = stored = loadmat(sys.stdin.buffer, mat_dtype=True)
-        # With MATLAB's own types logical arrays show, but complex numbers lose their imaginary part.
+        # MATLAB types (mat_dtype) distinguish logical arrays, but drop the imaginary part of complex numbers.
         if any(issubclass(one.category, np.exceptions.ComplexWarning) for one in caught):
             stored = loadmat(sys.stdin.buffer, mat_dtype=False)
     with zipfile.ZipFile(sys.stdout.buffer, "w", allowZip64=True) as archive:
@@ -129,7 +113,7 @@ def _main(size: int) -> None:
 
 
 def _limit(memory: int) -> None:
-    """Limit the memory of this process [bytes]; only Unix can, elsewhere the time is the only limit."""
+    """Limit the memory of this process [bytes]; only Unix can, elsewhere time is the only limit."""
     with suppress(ImportError, OSError, ValueError):
         import resource
 
@@ -138,7 +122,7 @@ def _limit(memory: int) -> None:
 
 
 def _arrays(path: str, value: Any, stored: Any, depth: int) -> Iterator[tuple[str, NDArray[Any]]]:
-    """Yield the arrays of real numbers and the texts in a value, each with its path; cells and objects are left out."""
+    """Yield the real arrays and texts in a value with their paths; cells and objects are left out."""
     if type(value) is not np.ndarray or depth > _DEEPEST or not value.size:
         return
     if value.dtype.names:
@@ -151,13 +135,13 @@ def _arrays(path: str, value: Any, stored: Any, depth: int) -> Iterator[tuple[st
     elif value.dtype.kind in "fiu" and stored.dtype.kind != "c":
         rows = value.squeeze()
         if rows.ndim <= 2:
-            # Sample by sample, as an archive is read from its beginning to its end.
+            # Sample by sample, as archives are read from beginning to end.
             yield path, np.ascontiguousarray(rows if rows.ndim < 2 or rows.shape[0] >= rows.shape[1] else rows.T)
 
 
 if __name__ == "__main__":
     try:
         _main(int(sys.argv[1]))
-    # Whatever scipy does on a damaged file, the process that started this one receives one line.
+    # The parent process receives one line for any failure of scipy on a damaged file.
     except BaseException as error:
         sys.exit(f"{type(error).__name__}: {' '.join(str(error).split())}".rstrip(": "))

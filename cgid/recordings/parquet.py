@@ -1,4 +1,4 @@
-"""Parquet tables by row groups; pyarrow reads them."""
+"""Read Parquet tables by row groups, with pyarrow."""
 
 from __future__ import annotations
 
@@ -31,38 +31,20 @@ from cgid.units import known_unit, seconds_of
 _LONGEST_TEXT, _LONGEST_LIST = 16 << 20, 1 << 20
 #: Bytes of one column of a row group to read at once.
 _BUFFER = 1 << 20
-#: Longer metadata state no rate and no unit.
+#: Longest metadata value [bytes] that may state a rate or a unit.
 _LONGEST_VALUE = 200
-#: Only rows of equal numbers take less room, and they are no recording.
+#: Only rows of equal numbers are packed more densely, and they are not a recording.
 _MOST_ROWS_A_BYTE = 1000
-#: pandas gives this name to the column of an index without one.
+#: Prefix of the name that pandas gives to an unnamed index.
 _INDEX = "__index_level_"
 
 
 def read_parquet(path: Path, source: str, variable: str | None) -> Contents:
-    """Return the columns of a Parquet file as channels.
+    """Return the columns of a Parquet file as channels; it holds one table: `variable` is not used.
 
-    Parameters
-    ----------
-    path : Path
-        The file: flat columns of numbers; others are left out with a warning.
-    source : str
-        Name of the file in messages.
-    variable : str or None
-        Not used: a Parquet file holds one table.
-
-    Returns
-    -------
-    Contents
-        Names and units are written as in the header of a text file, or in a field's metadata (``unit``). The rate is
-        that of the column of times (numbers or timestamps), else that of the metadata of the file.
-
-    Raises
-    ------
-    BadData
-        The file is damaged, has no numbers, or its times are not even.
-    MissingExtra
-        pyarrow is not installed.
+    Columns without numbers are left out with a warning. Names and units are as in a text header, or in field metadata
+    (``unit``). The rate is that of the column of times (numbers or timestamps), else that of the file metadata. Raises
+    `BadData` if the file is damaged, has no numbers or uneven times; `MissingExtra` without pyarrow.
     """
     file = _Parquet(path, source)
     warnings, n_samples = list[str](), file.n_rows
@@ -130,7 +112,7 @@ def _rate_of(file: _Parquet, name: str, kind: str, values: dict[str, Value], sou
 
 
 class _Parquet:
-    """A table of a file; the file is open only while it is read."""
+    """A table in a file, which is open only during reading."""
 
     def __init__(self, path: Path, source: str) -> None:
         if find_spec("pyarrow") is None:
@@ -159,7 +141,7 @@ class _Parquet:
             yield one.name, "number" if is_number else "timestamp" if is_stamp else "other", _texts(one.metadata)
 
     def require_unique_names(self) -> None:
-        """Raise `BadData` if two columns have one name, as pyarrow then reads neither."""
+        """Raise `BadData` if two columns share a name: pyarrow then reads neither."""
         twice = next((name for name, count in Counter(self._schema.names).items() if count > 1), None)
         if twice is not None:
             raise BadData(f"{self._source}: columns must differ in name, {twice!r} is there twice; rename one")
@@ -171,7 +153,7 @@ class _Parquet:
         return value if isinstance(value, datetime) else None
 
     def blocks(self, names: Sequence[str], length: int) -> Iterator[NDArray[Any]]:
-        """Yield these columns, (len(names), at most length), float32 or float64; timestamps in s since the first."""
+        """Yield columns, (len(names), at most `length`), float32 or float64; timestamps in s from the first."""
         done, origins = 0, dict[str, int]()
         with self._opened() as file:
             for batch in file.iter_batches(length, columns=list(dict.fromkeys(names)), use_threads=False):
@@ -216,7 +198,7 @@ def _numbers(column: Any, origins: dict[str, int], name: str) -> NDArray[Any]:
 
 
 def _texts(metadata: dict[bytes, bytes] | None) -> dict[str, Value]:
-    """Return the metadata that are short texts."""
+    """Return the metadata values that are short, as text."""
     return {
         key.decode("utf-8", "replace"): value.decode("utf-8", "replace")
         for key, value in (metadata or {}).items()

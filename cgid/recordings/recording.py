@@ -1,4 +1,4 @@
-"""What a file states (`Contents`), joined with what the user states: a recording that is read block by block."""
+"""Recordings read block by block: the `Contents` of a file, combined with the user's statements."""
 
 from __future__ import annotations
 
@@ -16,51 +16,39 @@ from cgid.signals import Signal
 from cgid.units import UNITS, quantity_of
 from cgid.validation import require_rate
 
-#: What to do with a dataset where a recording is wanted.
+#: Advice for a dataset given in place of a recording.
 DATASET_CURE = "read it with cgid.store, or pick one of its signals with --index"
 
 #: Default length of a block [samples].
 BLOCK_LENGTH = 1 << 16
 
-#: A block holds at most this many numbers, however many channels there are.
+#: Most numbers in a block, of all channels together.
 MOST_NUMBERS = 1 << 22
 
-#: A file with more channels than this has its samples along the wrong axis.
+#: Most channels; a file with more has its samples along the wrong axis.
 MAX_CHANNELS = 4096
 
-#: Two statements of one sampling rate may differ by this part: more than clocks do, less than typing errors.
+#: Largest relative difference between two stated sampling rates: more than clock errors, less than typing errors.
 RATE_TOLERANCE = 1e-3
 
-#: From a block length and channels to blocks, (len(channels), at most length), from the first sample on.
+#: (block length, channels) -> blocks, (len(channels), at most length), from the first sample on.
 Blocks = Callable[[int, Sequence[int]], Iterator[NDArray[Any]]]
 
 
 @dataclass(frozen=True, kw_only=True)
 class Contents:
-    """The channels of a file and what the file itself states about them.
+    """Channels of a file, and what the file states about them.
 
-    Parameters
-    ----------
-    n_channels : int
-    blocks : callable
-        `blocks(length, channels)` yields the samples of these channels (numbers from 0) in order, as float32 or
-        float64 of shape (len(channels), at most length). Every call begins with the first sample.
-    n_samples : int or None
-        Of each channel; None if only reading shows it.
-    names : sequence of str
-        One a channel, "" where the file gives none.
-    units : sequence of str or None
-        One a channel, None where the file gives none that is known.
-    sampling_rate : float or None
-        [Hz], as the file states it.
-    rate_from : str
-        Where in the file the sampling rate is stated.
-    fallback_unit : str or None
-        The unit if neither the file nor the user gives one.
-    start_time : datetime or None
-        When the first sample was taken, as the file states it.
-    warnings : list of str
-        What is damaged and was left out, one line each; may grow while blocks are read.
+    blocks : `blocks(length, channels)` yields these channels (from 0) in order, as float32 or float64
+        (len(channels), at most length); every call begins with the first sample
+    n_samples : of each channel; None if only reading shows it
+    names : one per channel, "" if the file gives none
+    units : one per channel, None if the file gives no known one
+    sampling_rate : as stated by the file [Hz]
+    rate_from : place in the file that states the sampling rate
+    fallback_unit : unit if neither the file nor the user gives one
+    start_time : time of the first sample, as stated by the file
+    warnings : damaged parts that were left out, one line each; may grow during reading
     """
 
     n_channels: int
@@ -85,7 +73,7 @@ class Contents:
         return cls(n_channels=samples.shape[0], blocks=blocks, n_samples=samples.shape[1], **about)
 
     def require_channels(self, source: str) -> None:
-        """Raise `BadData` if there are no samples, or if rows and columns are exchanged."""
+        """Raise `BadData` if there are no samples, or if rows and columns look exchanged."""
         if not self.n_channels or self.n_samples == 0:
             raise BadData(f"{source}: a recording must hold at least one sample, there is none; record it again")
         if self.n_channels > MAX_CHANNELS:
@@ -99,14 +87,14 @@ class Contents:
         return self.names[index] if index < len(self.names) else ""
 
     def label(self, index: int) -> str:
-        """Return the name of a channel, or its number from 1 without one, or both if several have the name."""
+        """Return the name of a channel, its number from 1 if it has none, or both if the name is not unique."""
         if self.n_channels == 1 or not self.name(index):
             return str(index + 1)
         name = self.name(index)
         return name if self.names.count(name) == 1 else _numbered(index, name)
 
     def selected(self, channel: int | str, source: str) -> list[int]:
-        """Return the indices of the chosen channels: a number (from 1) or name, or several, as in 1+2."""
+        """Return the indices of the selected channels: a number from 1, a name, or several as in 1+2."""
         if not (isinstance(channel, str) and "+" in channel):
             return [self._index(channel, source)]
         try:  # a name may contain a plus sign
@@ -115,7 +103,7 @@ class Contents:
             return [self._index(part.strip(), source) for part in channel.split("+")]
 
     def _index(self, channel: int | str, source: str) -> int:
-        """Return the index of the channel of this number or name, or of both as `label` has them."""
+        """Return the index of a channel from its number, its name, or both as in `label`."""
         names = [self.name(index) for index in range(self.n_channels)]
         if isinstance(channel, str) and channel and names.count(channel) == 1:
             return names.index(channel)
@@ -123,7 +111,7 @@ class Contents:
         if channel in labels:
             return labels.index(str(channel))
         wanted = str(channel)
-        # Compared as text, as True would otherwise be the first channel.
+        # Compare as text: True would otherwise be channel 1.
         if wanted.isascii() and wanted.isdigit() and len(wanted) < 9:
             number = int(wanted)
             if 1 <= number <= len(names):
@@ -133,7 +121,7 @@ class Contents:
         raise InvalidValue(f"{source}: channel {channel!r} {fault}; choose one of {listed}{more} by --channel")
 
     def rate(self, given: float | None, source: str) -> float:
-        """Return the sampling rate [Hz] that file and user agree on."""
+        """Return the sampling rate [Hz] of file and user, which must agree."""
         stated = self.sampling_rate
         if stated is not None and not (np.isfinite(stated) and stated > 0):
             raise BadData(
@@ -154,7 +142,7 @@ class Contents:
         return given
 
     def unit(self, index: int, given: str | None, source: str) -> str | None:
-        """Return the unit of a channel that file and user agree on."""
+        """Return the unit of a channel of file and user, which must agree."""
         stated = self.units[index] if index < len(self.units) else None
         if given is None or stated is None:
             return given or stated or self.fallback_unit
@@ -172,7 +160,7 @@ def _numbered(index: int, name: str) -> str:
 
 
 def rates_agree(first: float, second: float) -> bool:
-    """Return whether two statements of one sampling rate [Hz] agree to 0.1 %.
+    """Return whether two sampling rates [Hz] agree to 0.1 %.
 
     Examples
     --------
@@ -183,7 +171,7 @@ def rates_agree(first: float, second: float) -> bool:
 
 
 def require_one_rate(first: tuple[float, str], second: tuple[float, str], source: str) -> None:
-    """Raise `BadData` unless two sampling rates [Hz] of one recording agree; each comes with what states it."""
+    """Raise `BadData` unless two sampling rates [Hz] of a recording agree; each comes with its origin."""
     if not rates_agree(first[0], second[0]):
         other = "" if first[1] == second[1] else f"{second[1]} says "
         raise BadData(
@@ -204,7 +192,7 @@ class Channel:
     Attributes
     ----------
     name : str
-        As the file states it, else its number from 1.
+        Name in the file, else number from 1.
     unit : str or None
         None if neither the file nor the user states it.
     """
@@ -214,27 +202,27 @@ class Channel:
 
     @property
     def quantity(self) -> str | None:
-        """The physical quantity of the unit; None when the unit is unknown."""
+        """Physical quantity of the unit; None if the unit is unknown."""
         return None if self.unit is None else quantity_of(self.unit)
 
 
 class RecordingFile:
-    """A recording that is read by blocks, so that it may be longer than memory; made by `open_recording`.
+    """A recording that is read by blocks and may be larger than memory; made by `open_recording`.
 
     Attributes
     ----------
     source : str
-        The file's name.
+        File name.
     format : str
         Such as "WAV".
     sampling_rate : float
         [Hz].
     channels : tuple of Channel
-        Those asked for.
+        The selected channels.
     n_samples : int or None
-        Of each channel, as the file says; None where only reading tells.
+        Of each channel, as the file states; None if only reading shows it.
     start_time : datetime or None
-        When the first sample was taken, where the file says it.
+        Time of the first sample, if the file states it.
     """
 
     def __init__(
@@ -259,12 +247,12 @@ class RecordingFile:
 
     @property
     def duration(self) -> float | None:
-        """Length of the recording [s]; None where only reading tells."""
+        """Duration [s]; None if only reading shows it."""
         return None if self.n_samples is None else self.n_samples / self.sampling_rate
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """What is damaged and was left out, one line each; complete once all blocks have been read."""
+        """Damaged parts that were left out, one line each; complete once all blocks have been read."""
         return tuple(f"{self.source}: {warning}" for warning in dict.fromkeys(self._contents.warnings))
 
     def blocks(self, length: int = BLOCK_LENGTH) -> Iterator[NDArray[Any]]:
@@ -273,10 +261,9 @@ class RecordingFile:
         Raises
         ------
         BadData
-            A number is not finite (channel and sample are named), or the file is damaged where nothing can be left
-            out.
+            A number is not finite (the message names channel and sample), or damage cannot be left out.
         NoInput
-            The file is gone or its rights have changed.
+            The file has disappeared or is no longer readable.
         """
         first = 0
         for block in self._blocks(length):
@@ -291,7 +278,7 @@ class RecordingFile:
             yield block
 
     def signals(self) -> list[Signal]:
-        """Return one `Signal` a channel, all of it in memory.
+        """Return one `Signal` per channel, all in memory.
 
         Raises
         ------
@@ -317,7 +304,7 @@ class RecordingFile:
 
     def _blocks(self, length: int) -> Iterator[NDArray[Any]]:
         count = 0
-        # Memory does not grow with the number of channels either.
+        # Memory must not grow with the number of channels either.
         length = min(length, max(MOST_NUMBERS // self._contents.n_channels, 1))
         with told(self.source):
             for block in self._contents.blocks(length, self._selected):
@@ -351,7 +338,7 @@ def _selected(contents: Contents, channel: int | str | Sequence[int | str] | Non
 
 @contextmanager
 def told(source: str) -> Iterator[None]:
-    """Turn errors of the system on opening or reading a file into `NoInput` of one line."""
+    """Turn system errors on opening or reading a file into a one-line `NoInput`."""
     try:
         yield
     except CgidError:
@@ -367,12 +354,12 @@ def told(source: str) -> Iterator[None]:
 
 @contextmanager
 def understood(source: str, fault: str, cure: str = "copy it again") -> Iterator[None]:
-    """Turn what a library raises on a damaged file into `BadData` of one line: source, fault, reason and cure."""
+    """Turn errors of a library on a damaged file into a one-line `BadData`: source, fault, reason and cure."""
     try:
         yield
     except (CgidError, FileNotFoundError, PermissionError):
         raise
-    # Libraries fail on damaged files with any exception, and hide the first one behind their own.
+    # On damaged files, libraries raise any exception, often chained to a first, more telling one.
     except Exception as raised:
         error: BaseException = raised
         while error.__context__ is not None:

@@ -1,4 +1,4 @@
-"""What the named values of a file state: attributes of HDF5, properties of TDMS, scalars of MATLAB."""
+"""Named values in files (HDF5 attributes, TDMS properties, MATLAB scalars) that state rate, unit, start or names."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from cgid.recordings.recording import require_one_rate
 from cgid.recordings.text_header import column_of
 from cgid.units import hertz_of, known_unit, plain_unit, seconds_of
 
-#: Values that files attach to names; a list has one value a channel.
+#: Values with names in a file; a list has one value per channel.
 Value = float | str | datetime | list[str]
 Values = Mapping[str, Value]
 
@@ -33,7 +33,7 @@ _UNIT_BEHIND = re.compile(r"[\s_([]+(k?hz|mhz|s|sec|ms|us|µs)[\s)\]]*$")
 
 
 def is_statement(name: str) -> bool:
-    """Return whether a value of this name could state a rate, a unit, a start, or the names of channels.
+    """Return whether a value of this name could state a rate, a unit, a start or channel names.
 
     Examples
     --------
@@ -44,12 +44,9 @@ def is_statement(name: str) -> bool:
 
 
 def stated_rate(values: Values, source: str) -> tuple[float, str] | None:
-    """Return the sampling rate [Hz] that the values state and the name that states it; None if none does.
+    """Return the stated sampling rate [Hz] and the name that states it, None without one.
 
-    Raises
-    ------
-    BadData
-        Two of them disagree, or one is no positive number.
+    Raises `BadData` if two statements disagree or one is not a positive number.
 
     Examples
     --------
@@ -82,7 +79,7 @@ def stated_rate(values: Values, source: str) -> tuple[float, str] | None:
 
 
 def stated_units(values: Values, n_channels: int) -> list[str | None]:
-    """Return the unit of each channel, None where none is stated or it is none of `cgid.units.UNITS`.
+    """Return the unit of each channel, None if none is stated or it is not in `cgid.units.UNITS`.
 
     Examples
     --------
@@ -108,7 +105,7 @@ def stated_names(values: Values, n_channels: int) -> list[str]:
 
 
 def stated_start(values: Values) -> datetime | None:
-    """Return when the first sample was taken; a number is no date, as its epoch is unknown.
+    """Return the time of the first sample; numbers are not accepted, as their epoch is unknown.
 
     Examples
     --------
@@ -129,7 +126,7 @@ def stated_start(values: Values) -> datetime | None:
 
 
 def stated_time_unit(name: str, values: Values) -> str:
-    """Return the unit of an array of times: the one attached to it, else the one in its name, else ""."""
+    """Return the unit of an array of times: its attribute, else the unit in its name, else ""."""
     for key, value in values.items():
         if _plain(key)[0] in _UNIT_NAMES and isinstance(value, str) and value.strip():
             return plain_unit(value)
@@ -138,8 +135,8 @@ def stated_time_unit(name: str, values: Values) -> str:
 
 
 def _plain(name: str) -> tuple[str, str]:
-    """Return a name without case and marks, and the unit it may carry."""
-    # FS is as often a full scale as a rate.
+    """Return the letters and digits of a name in lower case, "" if it states nothing, and the unit behind it."""
+    # FS means full scale as often as sampling rate.
     if name.strip() == "FS":
         return "", ""
     plain = _letters(name)
@@ -156,7 +153,7 @@ def _letters(name: str) -> str:
 
 
 def _rate_of(interval: float) -> float:
-    """Return the rate of an interval, rounded if the interval is that of a whole number: 1 / 1e-5 is below 100000."""
+    """Return the rate of an interval, rounded if a whole rate has the same interval: 1 / 1e-5 is below 100000."""
     if not interval:
         return np.inf
     rate = 1 / interval
@@ -165,7 +162,7 @@ def _rate_of(interval: float) -> float:
 
 
 def _number(value: Value, unit: str, factor_of: Callable[[str], float | None]) -> float | None:
-    """Return a value in the SI unit; its own unit counts before that of its name. None if it is no number."""
+    """Return a value in SI units, None if it is not a number; its own unit takes precedence over that in its name."""
     if isinstance(value, str):
         found = _NUMBER.fullmatch(value.replace("\u03bc", "µ"))
         if not found:

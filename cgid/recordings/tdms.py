@@ -1,4 +1,4 @@
-"""TDMS files of LabVIEW by blocks; nptdms reads them."""
+"""Read LabVIEW TDMS files by blocks, with nptdms."""
 
 from __future__ import annotations
 
@@ -19,15 +19,15 @@ from cgid.recordings.statements import Value, is_statement
 from cgid.recordings.variables import Variable, contents_of
 
 _LEAD_IN, _TAG = 28, b"TDSm"
-#: The length of a segment that is still being written.
+#: Declared length of a segment that is still being written.
 _UNKNOWN = 2**64 - 1
-#: nptdms reads a chunk of one channel whole; a longer one [samples] goes through a temporary file.
+#: nptdms reads a chunk of a channel whole; longer chunks [samples] go through a temporary file.
 _LONGEST_CHUNK = 1 << 18
 _CHUNKS = 4
 
 
 class _Tdms:
-    """An open file and what nptdms knows of it."""
+    """An open file with its nptdms object."""
 
     def __init__(self, path: Path, source: str) -> None:
         try:
@@ -41,7 +41,7 @@ class _Tdms:
         self.is_cut = _is_cut(self._file)
         self._file.seek(0)
         with self.understood():
-            # Given its handle, nptdms does not look for an index file next to it.
+            # Given a file handle, nptdms does not look for an index file.
             self.tdms = TdmsFile.open(self._file)
         self._spools: dict[str, BinaryIO] = {}
 
@@ -53,7 +53,7 @@ class _Tdms:
 
     @contextmanager
     def understood(self) -> Iterator[None]:
-        """Turn what nptdms raises into one line, and suppress what it logs."""
+        """Turn errors of nptdms into one line, and suppress its log."""
         from nptdms.log import log_manager
 
         level = log_manager.log_level
@@ -65,11 +65,11 @@ class _Tdms:
             log_manager.set_level(level)
 
     def blocks(self, channel: Any, length: int) -> Iterator[NDArray[Any]]:
-        """Yield the samples of a channel, (1, at most length)."""
+        """Yield the samples of a channel, (1, at most `length`)."""
         with self.understood():
             chunk = len(next(iter(channel.data_chunks()), ()))
         read = self._spooled(channel) if chunk > _LONGEST_CHUNK else channel.read_data
-        # Several chunks at once, as a part of a chunk costs as much as all of it.
+        # Read several chunks at once: part of a chunk costs as much as all of it.
         step = length * -(-max(_CHUNKS * chunk, length) // length) if chunk <= _LONGEST_CHUNK else length
         for first in range(0, len(channel), step):
             count = min(step, len(channel) - first)
@@ -85,7 +85,7 @@ class _Tdms:
                 yield samples[np.newaxis, begin : begin + length].astype(kept)
 
     def _spooled(self, channel: Any) -> Any:
-        """Return a function that reads samples of a channel from a temporary file."""
+        """Copy a channel to a temporary file; return a function that reads its samples from there."""
         spool, dtype = self._spools.get(channel.path), np.dtype(np.float64)
         if spool is None:
             spool = self._spools[channel.path] = tempfile.TemporaryFile()  # noqa: SIM115
@@ -101,30 +101,12 @@ class _Tdms:
 
 
 def read_tdms(path: Path, source: str, variable: str | None) -> Contents:
-    """Return the channels of one group of a TDMS file.
+    """Return the channels of one group of a TDMS file; an index file next to it is not used.
 
-    Parameters
-    ----------
-    path : Path
-        The file; an index file next to it is not used.
-    source : str
-        Name of the file in messages.
-    variable : str or None
-        Name of a group, of a channel (``group/channel``), or a pattern; None if only one group has numbers.
-
-    Returns
-    -------
-    Contents
-        Rate, unit and start time are those of the channels' waveform properties (``wf_increment``, ``unit_string``,
-        ``wf_start_time``), else of properties of group or file or of a channel of times. If the file is cut off, the
-        samples that are whole in all channels.
-
-    Raises
-    ------
-    BadData
-        The file is damaged, holds no numbers or several groups, or its channels are of different length or rate.
-    MissingExtra
-        nptdms is not installed.
+    Rate, unit and start come from waveform properties of the channels (``wf_increment``, ``unit_string``,
+    ``wf_start_time``), else from properties of group or file, or from a channel of times. A cut file gives the samples
+    that are whole in all channels. Raises `BadData` if the file is damaged, holds no numbers or several groups, or its
+    channels differ in length or rate; `MissingExtra` without nptdms.
     """
     file = _Tdms(path, source)
     warnings = []
@@ -164,7 +146,7 @@ def _values(properties: Any) -> dict[str, Value]:
         if not is_statement(name):
             continue
         if isinstance(value, np.datetime64):
-            # Timestamps of TDMS are in UTC; before year 1 or after 9999 there is no datetime.
+            # TDMS timestamps are in UTC; datetime covers only the years 1 to 9999.
             stamp = value.astype("datetime64[us]").item()
             if isinstance(stamp, datetime):
                 found[name] = stamp.replace(tzinfo=UTC)
@@ -174,14 +156,14 @@ def _values(properties: Any) -> dict[str, Value]:
 
 
 def _is_cut(file: BinaryIO) -> bool:
-    """Return whether the last segment ends before it should, by the lengths that all segments declare."""
+    """Return whether the last segment ends too early, by the declared lengths of all segments."""
     size, place = file.seek(0, 2), 0
     while place + _LEAD_IN <= size:
         file.seek(place)
         lead_in = file.read(_LEAD_IN)
         if not lead_in.startswith(_TAG):
-            return False  # damaged, not cut: nptdms says so
-        # Bit 6 of the table of contents: the numbers that follow have the high byte first.
+            return False  # damaged, not cut: nptdms reports it
+        # Bit 6 of the table of contents: the following numbers are big-endian.
         follows = int.from_bytes(lead_in[12:20], "big" if lead_in[4] & 0x40 else "little")
         if follows == _UNKNOWN:
             return True

@@ -1,6 +1,6 @@
-"""Text files (CSV, TXT, ...): the first piece shows header and layout, numpy's parser reads the rows piece by piece.
+"""Read text files (CSV, TXT, ...): the first piece shows header and layout, numpy parses the rows piece by piece.
 
-Only where numpy's parser fails are the rows read line by line, to name the damaged one.
+Only where numpy fails are rows parsed line by line, to name the damaged one.
 """
 
 from __future__ import annotations
@@ -34,40 +34,29 @@ from cgid.recordings.text_layout import (
 )
 from cgid.recordings.times import EvenTimes, Floats, rate_of, refined_rate, runs_evenly, seconds
 
-#: Characters that are read at once; the header must end within the first piece.
+#: Characters to read at once; the header must end within the first piece.
 PIECE = 1 << 20
 
-#: A longer line [characters] is no row: it would have more channels than a recording may have.
+#: Longest line [characters]: a longer row would have too many channels.
 _LONGEST_LINE = 1 << 18
 
-#: DOS ends a text with this character.
+#: End mark of DOS texts.
 _END_MARK = "\x1a"
 
 #: A comma in a row, before any comment.
 _COMMA = re.compile(r"^[^#%/\n]*,", re.MULTILINE)
 
-#: Names of a column that only numbers the rows.
+#: Names of columns that only number the rows.
 _NAMES_OF_COUNTERS = ("", "index", "no", "nr", "n", "i", "sample", "samples", "sample no", "point", "row", "序号")
 
 
 def read_text(path: Path, source: str, variable: str | None) -> Contents:
-    r"""Return the channels of a text file, with what its header and its time column say.
+    r"""Return the channels of a text file, with the statements of its header and its time column.
 
-    Layout and sampling rate are those of the first `PIECE` characters; every further piece is checked as it comes.
-
-    Parameters
-    ----------
-    path : Path
-    source : str
-        Name of the file in messages.
-    variable : str or None
-        Not used: a text holds one recording.
-
-    Raises
-    ------
-    BadData
-        The file is no text or holds no numbers; a row is uneven, cut off, or has a field that is no finite number
-        (the message names sample and line); the time column is not even or contradicts the stated sampling rate.
+    Layout and sampling rate are those of the first `PIECE` characters; each further piece is checked when it is read. A
+    text holds one recording: `variable` is not used. Raises `BadData` if the file is not text or holds no numbers; if a
+    row is uneven, cut off or has a field that is not a finite number (the message names sample and line); or if the
+    times are uneven or contradict the stated sampling rate.
 
     Examples
     --------
@@ -97,17 +86,8 @@ def read_text(path: Path, source: str, variable: str | None) -> Contents:
 class Body:
     """The rows of a text file: where they begin and how they are divided.
 
-    Parameters
-    ----------
-    path : Path
-    encoding : str
-    start : int
-        Characters above the first row.
-    first_line : int
-        Number of the line of the first row, from 1.
-    layout : Layout
-    source : str
-        Name of the file in messages.
+    start : characters above the first row
+    first_line : line number of the first row, from 1
     """
 
     path: Path
@@ -120,22 +100,15 @@ class Body:
     def pieces(self, needed: Sequence[int]) -> Iterator[tuple[Floats, bool]]:
         """Yield rows (n, n_columns) in order, and whether they are the last ones.
 
-        Parameters
-        ----------
-        needed : sequence of int
-            Columns whose fields must be finite numbers; in other columns a field that is no number becomes nan.
-
-        Raises
-        ------
-        BadData
-            A row has more or fewer fields than the first, a needed field is no finite number, or a comment or an
-            empty line stands among the rows, where a sample may be missing; the message names sample and line.
+        Fields in the columns `needed` must be finite numbers; in other columns, invalid fields become nan. Raises
+        `BadData` with sample and line if a needed field is invalid, a row has more or fewer fields than the first, or a
+        comment or an empty line stands among the rows, where a sample may be missing.
         """
         wanted = list(needed)
         layout, sample, line = self.layout, 0, self.first_line
         points, comment = False, None
         for written, is_last in whole_lines(self.path, self.encoding, self.source, self.start):
-            # Comments are fine after the last row; among the rows they may stand for samples.
+            # Comments are allowed after the last row; among the rows they may replace samples.
             held = _without_end(written)
             if held and comment is not None:
                 raise _among_rows(*comment, sample, self.source)
@@ -143,12 +116,12 @@ class Body:
                 comment = line + held.count("\n"), written[len(held) :].partition("\n")[0]
             text = with_seconds(held, layout)
             if not points:
-                # As long as all numbers are whole, the decimal mark is unknown.
+                # The decimal mark is unknown while all numbers are integers.
                 layout = with_decimal_mark(layout, text)
             points = points or "." in text
             rows = _parsed_at_once(text, layout) if text else np.empty((0, layout.n_columns))
             if rows is None or len(rows) < _n_lines(text) or not np.isfinite(rows[:, wanted]).all():
-                # Reading line by line either finds the fault or leaves out what made numpy's parser fail.
+                # Parsing line by line either finds the error or skips the text that numpy could not parse.
                 checked = list(_checked_rows(text, layout, wanted, sample, line, self.source))
                 rows = np.loadtxt(checked, comments=None, ndmin=2) if checked else np.empty((0, layout.n_columns))
             yield rows, is_last
@@ -160,7 +133,7 @@ class Body:
         with self.path.open("rb") as file:
             mark = file.read(2)
             size = file.seek(0, io.SEEK_END)
-            # An even distance keeps the two bytes of a character of UTF-16 together.
+            # An even offset keeps both bytes of a UTF-16 character together.
             file.seek(max(0, size - 2 * _LONGEST_LINE) // 2 * 2)
             raw = file.read()
         encoding = self.encoding
@@ -177,14 +150,9 @@ class Body:
 
 
 def whole_lines(path: Path, encoding: str, source: str, start: int = 0) -> Iterator[tuple[str, bool]]:
-    """Yield whole lines of a text file, about `PIECE` characters at a time, and whether they are the last ones.
+    """Yield whole lines, about `PIECE` characters at a time from character `start`, and whether they are the last ones.
 
-    Reading begins with the character `start`. Lines end with a line feed; only the very last line may lack it.
-
-    Raises
-    ------
-    BadData
-        A line is longer than any row.
+    Lines end with a line feed; only the last line may lack it. Raises `BadData` if a line is too long for a row.
     """
     with path.open(encoding=encoding, errors="replace") as file:
         rest, following = "", file.read(start + PIECE)[start:]
@@ -204,7 +172,7 @@ def whole_lines(path: Path, encoding: str, source: str, start: int = 0) -> Itera
 
 
 def with_decimal_mark(layout: Layout, text: str) -> Layout:
-    """Return the layout with a decimal comma if rows hold commas that do not divide columns."""
+    """Return the layout with a decimal comma if the rows hold commas that do not divide columns."""
     divided = layout.delimiter not in (",", MIXED) and (layout.n_columns > 1 or layout.trailing)
     is_decimal = divided and "," in text and _COMMA.search(text) is not None
     return replace(layout, decimal_comma=True) if is_decimal else layout
@@ -223,7 +191,7 @@ def _parsed_at_once(text: str, layout: Layout) -> Floats | None:
         return None
     if rows.shape[1] != layout.n_columns:
         return None
-    # Where blanks replace the delimiter, an empty field leaves no other trace than its delimiter.
+    # If blanks replace the delimiter, only the count of delimiters reveals an empty field.
     lost = delimiter is None and layout.trailing
     if lost and text.count(layout.delimiter or "") != rows.size:
         return None
@@ -233,7 +201,7 @@ def _parsed_at_once(text: str, layout: Layout) -> Floats | None:
 def _checked_rows(
     text: str, layout: Layout, needed: Sequence[int], sample: int, first_line: int, source: str
 ) -> Iterator[str]:
-    # Only the very last line may lack its line feed.
+    # Only the last line of the file may lack its line feed.
     unended = first_line + text.count("\n")
     for number, line in enumerate(text.removesuffix("\n").split("\n"), first_line):
         if is_comment(line):
@@ -256,7 +224,7 @@ def _checked_rows(
 
 
 def no_number(sample: int, line: int, column: int, field: str, source: str, cut: str = "") -> BadData:
-    """Return the error of a field that is no finite number."""
+    """Return the error for a field that is not a finite number."""
     shown = repr(field[:40]) if field else "empty"
     return BadData(
         f"{source}: every field must be a finite number, sample {sample} (line {line}) column {column + 1} is "
@@ -291,7 +259,7 @@ def _header_and_body(path: Path, encoding: str, source: str) -> tuple[Header, Bo
     with path.open(encoding=encoding, errors="replace") as file:
         piece = file.read(PIECE)
         if file.read(1):
-            # The last line of the piece may go on.
+            # The last line of the piece may be incomplete.
             piece = piece[: piece.rfind("\n") + 1] or piece
     above: deque[str] = deque()
     start, layout = 0, None
@@ -321,7 +289,7 @@ def _header_and_body(path: Path, encoding: str, source: str) -> tuple[Header, Bo
 
 
 def _lines(piece: str) -> Iterator[str]:
-    # `str.splitlines` also divides at other characters, and the lines would be counted differently from the rows.
+    # `str.splitlines` also splits at other characters: line numbers would differ from those of the rows.
     start = 0
     while start < len(piece):
         end = piece.find("\n", start) + 1 or len(piece)
@@ -330,20 +298,20 @@ def _lines(piece: str) -> Iterator[str]:
 
 
 def _corrected(layout: Layout, second: str, above: deque[str]) -> Layout:
-    """Return the layout of the first row, corrected by what the other lines show."""
+    """Return the layout of the first row, corrected by the other lines."""
     if layout.trailing:
         wider = replace(layout, n_columns=layout.n_columns + 1, trailing=False)
         named = read_header(above, wider).columns
-        # An empty last field is a missing number if other rows have one there or the header names it.
+        # An empty last field is a missing number if the next row has one there or the header names the column.
         if (named and named[-1].name) or wider.fields(second)[-1]:
             layout = wider
     return layout
 
 
 def _is_damaged_row(line: str, layout: Layout) -> bool:
-    """Return whether a line above the first row begins with a number as a row does, and breaks off into text."""
+    """Return whether a line above the first row begins with a number, like a row, and then breaks off into text."""
     fields = layout.fields(line)
-    # "2000 samples" above two columns of blanks is a comment.
+    # "2000 samples" above two columns divided by blanks is a comment.
     least = 3 if layout.delimiter is None else 2
     is_row = len(fields) == layout.n_columns >= least and not is_comment(line)
     return is_row and layout.number(fields[0]) is not None
@@ -372,7 +340,7 @@ def _assembled(header: Header, body: Body) -> Contents:
     kept = [index for index in range(rows.shape[1]) if index not in times and not _counts(columns, rows, index)]
     if not kept:
         raise BadData(f"{source}: a recording must hold a channel beside time, there is none; export it again")
-    # Gaps in a channel matter only to those who ask for it, but times must be whole.
+    # Gaps in a channel matter only if it is read, but times must be complete.
     finite: NDArray[np.bool_] = np.all(np.isfinite(rows), axis=0)
     if not finite[times].all():
         next(body.pieces(times))
@@ -409,23 +377,14 @@ def _assembled(header: Header, body: Body) -> Contents:
 
 
 def time_columns(columns: tuple[Column, ...], rows: Floats) -> list[int]:
-    """Return the indices of the columns of time, of which the first one counts.
+    """Return the indices of the time columns, of which the first one counts; `rows` are (n_samples, n_columns).
 
-    Parameters
-    ----------
-    columns : tuple of Column
-        From the header; empty without one.
-    rows : ndarray, (n_samples, n_columns)
-
-    Returns
-    -------
-    list of int
-        The first column with a name for time, else the first in a unit of time. Without a header, the first of
-        several columns if it increases in even steps. Then all other columns named time that increase in even steps:
-        some programs give each channel a time column of its own.
+    It is the first column with a name for time, else the first in a unit of time; without a header, the first of
+    several columns if it increases in even steps. Other columns named time follow if they do so, too: some programs
+    give each channel its own time column.
     """
     if len(columns) == 1 and " " in columns[0].name:
-        # Above a single column any comment looks like its name, even "time of day unknown".
+        # Any comment above a single column looks like its name, even "time of day unknown".
         return []
     named = [index for index, column in enumerate(columns) if column.is_named_time and column.known_unit in (None, "m")]
     if named:
@@ -475,7 +434,7 @@ def _agreed_rate(stated: Sequence[float], measured: float | None, source: str) -
             if min(rate, stated[0]) > 0:
                 require_one_rate((stated[0], "the header"), (rate, "the header"), source)
         return stated[0]
-    # Of several statements, such as those before and after decimation, the one that agrees with the times counts.
+    # Of several stated rates, such as before and after decimation, one must agree with the times.
     if min(stated) > 0 and not any(rates_agree(measured, rate) for rate in stated):
         require_one_rate((stated[0], "the header"), (measured, "the time column"), source)
     return measured

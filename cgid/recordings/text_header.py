@@ -1,4 +1,4 @@
-"""What the lines above the numbers of a text file say: names, units, sampling rate, start."""
+"""Parse the lines above the numbers of a text file: names, units, sampling rate, start."""
 
 from __future__ import annotations
 
@@ -32,23 +32,23 @@ _STATED_UNIT = re.compile(r"[\s#%;/\"]*(?i:units?|单位)[\s\"]*[:=][\s\"]*([^\s
 _COLUMNS_FOLLOW = re.compile(r"(?i:columns?|fields?|channels?|header)\s*[:=]\s*")
 _WORDS_WITH_BRACKETS = re.compile(r'"[^"]*"|[^\s()\[\]]+(?:\s*[(\[][^()\[\]]*[)\]])?|[(\[][^()\[\]]*[)\]]')
 
-#: Greek mu to the micro sign, full-width marks of Chinese headers to those of ASCII.
+#: Greek mu to the micro sign, full-width punctuation of Chinese headers to ASCII.
 _SAME = str.maketrans("\u03bc（）［］：；，＝　", "µ()[]:;,= ")
 
-#: A longer text is not the name of a column.
+#: Longest name of a column.
 _LONGEST_NAME = 200
 
 
 @dataclass(frozen=True, kw_only=True)
 class Column:
-    """Name and unit of a column as its header gives them, "" where it does not."""
+    """Name and unit of a column from its header, "" if missing."""
 
     name: str = ""
     unit: str = ""
 
     @property
     def is_named_time(self) -> bool:
-        """Whether the name is one for time."""
+        """Whether the name means time."""
         return bool(_TIME_NAME.match(self.name))
 
     @property
@@ -58,13 +58,13 @@ class Column:
 
     @property
     def known_unit(self) -> str | None:
-        """The unit if it is one of `cgid.units.UNITS`."""
+        """The unit if it is in `cgid.units.UNITS`, else None."""
         return known_unit(self.unit)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Header:
-    """What the lines above the numbers say; no columns if no line has as many fields as the rows.
+    """Statements above the numbers; no columns if no line has as many fields as the rows.
 
     Several lines may state a sampling rate [Hz].
     """
@@ -76,7 +76,7 @@ class Header:
 
 
 def column_of(text: str) -> Column:
-    """Return name and unit of one field of a header.
+    """Return name and unit of a field of a header.
 
     Examples
     --------
@@ -91,7 +91,7 @@ def column_of(text: str) -> Column:
     if found := _IN_BRACKETS.fullmatch(text):
         return Column(name=found[1].rstrip(" /_"), unit=found[2].strip())
     for mark in "/_ ":
-        # Units hold slashes, names rarely: so the first slash divides, but the last underscore or blank.
+        # Units contain slashes, names rarely do: split at the first slash, but at the last underscore or blank.
         name, _, unit = text.partition(mark) if mark == "/" else text.rpartition(mark)
         name, unit = name.strip(), unit.strip()
         is_time = _is_time_unit(unit) and _TIME_NAME.match(name)
@@ -101,10 +101,10 @@ def column_of(text: str) -> Column:
 
 
 def read_header(lines: Iterable[str], layout: Layout) -> Header:
-    """Return what `lines`, those above the first row, say about rows of this layout.
+    """Parse `lines`, those above the first row, for rows of this layout.
 
-    The last line that has as many fields as the rows names the columns; a line with a known unit or a name for time
-    is preferred. A line of units alone may follow the line of names.
+    The last line with as many fields as the rows names the columns; a line with a known unit or a name for time is
+    preferred. A line of units may follow the line of names.
     """
     header = Header()
     best: tuple[Column, ...] = ()
@@ -133,8 +133,8 @@ def _is_time_unit(text: str) -> bool:
 
 
 def _stated_rate(comment: str) -> float | None:
-    """Return the sampling rate [Hz] that a line states, as such or by its interval."""
-    with suppress(ValueError):  # two points in one number
+    """Return the sampling rate [Hz] that a line states, directly or by its interval."""
+    with suppress(ValueError):  # a number with two points
         if found := _STATED_RATE.fullmatch(comment):
             return float(found[2]) * (hertz_of(found[3] or found[1] or "") or 1.0)
         if found := _STATED_INTERVAL.fullmatch(comment):

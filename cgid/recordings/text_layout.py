@@ -1,4 +1,4 @@
-"""How a text file is written: its characters, the division of its rows into numbers, times of day among them."""
+"""Encoding and row layout of text files; times of day in rows."""
 
 from __future__ import annotations
 
@@ -10,38 +10,24 @@ from datetime import date, datetime, timedelta
 
 from cgid.errors import BadData
 
-#: Bytes that show the encoding; the header ends within them.
+#: First bytes, enough to recognise the encoding; the header ends within them.
 SNIFFED = 1 << 18
 
-# Characters that no text holds: all controls except tab, line and page breaks, and the end mark of DOS.
+# Characters not found in texts: all control characters except tab, line and page breaks, and the DOS end mark.
 _CONTROL = re.compile("[\0-\x08\x0e-\x19\x1b-\x1f\x7f]")
 
 _HIGH = re.compile(rb"[\x80-\xff]")
 
-#: Chinese characters in everyday use and full-width marks: GB 2312 rows 1 to 9 and its first level, rows 16 to 55.
+#: Full-width punctuation and common Chinese characters: GB 2312 rows 1 to 9 and its first level, rows 16 to 55.
 _COMMON_CHINESE = re.compile(rb"[\xa1-\xa9\xb0-\xd7][\xa1-\xfe]")
 
 
 def encoding_of(start: bytes, source: str) -> str:
-    r"""Return the encoding of a text that begins with these bytes.
+    """Return the encoding of a text from its first `SNIFFED` bytes; the last character may be incomplete.
 
-    Parameters
-    ----------
-    start : bytes
-        The first `SNIFFED`; the last character may be incomplete.
-    source : str
-        Name of the file in messages.
-
-    Returns
-    -------
-    str
-        "utf-8-sig" and "utf-16" by their marks, "utf-8" if the bytes are valid, "gb18030" if most of what is not ASCII
-        are common Chinese characters (LabVIEW writes in the code page of the system), else "latin-1".
-
-    Raises
-    ------
-    BadData
-        The bytes are no text.
+    "utf-8-sig" and "utf-16" are recognised by their marks, "utf-8" by valid bytes, "gb18030" if most bytes beyond ASCII
+    are common Chinese characters (LabVIEW writes in the code page of the system); else "latin-1". Raises `BadData` if
+    the bytes are not text.
 
     Examples
     --------
@@ -57,12 +43,12 @@ def encoding_of(start: bytes, source: str) -> str:
     elif start.isascii() or _decodes(start, "utf-8"):
         encoding = "utf-8"
     else:
-        # In western texts nearly every character beyond ASCII stands next to letters of ASCII; two in a row that happen
-        # to be a common Chinese character are rare. Chinese texts hold hardly anything else beyond ASCII.
+        # In western texts, nearly every character beyond ASCII is next to ASCII letters: two in a row that form a
+        # common Chinese character are rare. Chinese texts contain hardly any others beyond ASCII.
         common = sum(map(len, _COMMON_CHINESE.findall(start)))
         chinese = common > 0.7 * len(_HIGH.findall(start)) and _decodes(start, "gb18030")
         encoding = "gb18030" if chinese else "latin-1"
-    # UTF-16 without a mark shows by its zeros.
+    # UTF-16 without a mark is recognised by its zero bytes.
     if _CONTROL.search(start.decode(encoding, "replace")):
         raise BadData(
             f"{source}: the file is neither text nor of another format that is known; export it as text, WAV or HDF5"
@@ -72,17 +58,17 @@ def encoding_of(start: bytes, source: str) -> str:
 
 def _decodes(start: bytes, encoding: str) -> bool:
     try:
-        # The last character may be incomplete, as the bytes are only the first ones.
+        # Decode incrementally, as the last character may be incomplete.
         codecs.getincrementaldecoder(encoding)().decode(start)
     except UnicodeDecodeError:
         return False
     return True
 
 
-#: Numbers to the parsers of C and of Python alike; no underscores, no digits of other scripts.
+#: Numbers that C and Python both parse; no underscores, no digits of other scripts.
 NUMBER = re.compile(r"[+-]?(?:\d+(?:\.\d*)?|\.\d+)(?:e[+-]?\d+)?|[+-]?(?:nan|inf|infinity)", re.ASCII | re.IGNORECASE)
 
-#: The delimiter of columns that commas or blanks or both divide.
+#: Delimiter of columns divided by commas, blanks or both.
 MIXED = ", "
 
 _COMMENT = ("#", "%", "//")
@@ -91,20 +77,13 @@ _QUOTES = str.maketrans("\"'", "  ")
 
 @dataclass(frozen=True, kw_only=True)
 class Layout:
-    """How a row is divided into fields.
+    """Division of a row into fields.
 
-    Parameters
-    ----------
-    delimiter : str or None
-        One character, `MIXED`, or None for any run of blanks.
-    n_columns : int
-        Without the empty one after a trailing delimiter.
-    decimal_comma : bool
-        The decimal mark is a comma.
-    trailing : bool
-        Each row ends in a delimiter.
-    stamp : int or None
-        The column that holds times of day; they become seconds before a row is divided.
+    delimiter : one character, `MIXED`, or None for any run of blanks
+    n_columns : without the empty one after a trailing delimiter
+    decimal_comma : whether the decimal mark is a comma
+    trailing : whether each row ends in a delimiter
+    stamp : column with times of day, which become seconds before a row is divided
     """
 
     delimiter: str | None
@@ -114,7 +93,7 @@ class Layout:
     stamp: int | None = None
 
     def fields(self, line: str) -> list[str]:
-        """Return the fields of a row, without quotes and blanks around them.
+        """Return the fields of a row without quotes and surrounding blanks.
 
         Examples
         --------
@@ -130,7 +109,7 @@ class Layout:
         return fields[:-1] if self.trailing and not fields[-1] else fields
 
     def number(self, field: str) -> str | None:
-        """Return a field in the notation of Python, None if it is no number.
+        """Return a field in Python notation, None if it is not a number.
 
         Examples
         --------
@@ -138,12 +117,12 @@ class Layout:
         '1.5'
         """
         if self.decimal_comma:
-            # With both a point and a comma, one of them would divide thousands.
+            # With both a point and a comma, one would be a thousands separator.
             field = "" if "." in field else field.replace(",", ".")
         return field if NUMBER.fullmatch(field) else None
 
     def parser(self) -> tuple[str | None, dict[str, str]]:
-        """Return the delimiter for `numpy.loadtxt` and the characters to replace before."""
+        """Return the delimiter for `numpy.loadtxt`, and the characters to replace first."""
         replacements = {'"': " ", "'": " "}
         if self.decimal_comma:
             replacements[","] = "."
@@ -154,7 +133,7 @@ class Layout:
 
 
 def is_comment(line: str) -> bool:
-    """Return whether a line is blank or a comment: #, %, //, or ; without any number after it.
+    """Return whether a line is blank or a comment: #, %, //, or ; without any digit after it.
 
     Examples
     --------
@@ -168,9 +147,9 @@ def is_comment(line: str) -> bool:
 
 
 def layout_of(line: str) -> Layout | None:
-    """Return how `line` is divided if it is a row of numbers, else None.
+    """Return the layout of `line` if it is a row of numbers, else None.
 
-    Fields may be empty as long as one is a number: such a row is damaged, it is no header.
+    Fields may be empty if at least one is a number: such a row is damaged, not a header.
 
     Examples
     --------
@@ -194,18 +173,18 @@ def _candidates(line: str) -> Iterator[Layout]:
             return
     if "," not in line:
         tabbed = line.rstrip(" \r\n").split("\t")
-        # Blanks next to tabs, or several tabs in a row, align columns; they do not divide them.
+        # Blanks next to tabs, and several tabs in a row, only align columns.
         by_tab = len(tabbed) > 1 and all(len(field.split()) == 1 for field in tabbed)
         yield Layout(delimiter="\t" if by_tab else None, n_columns=0)
         return
-    # A comma next to a blank ends a field; a comma between two digits of a line with blanks is a decimal comma.
+    # A comma next to a blank ends a field; one between digits, in a line with blanks, is a decimal comma.
     if len(line.split()) > 1 and not re.search(r",\s|\s,", line.strip()):
         yield Layout(delimiter=None, n_columns=0, decimal_comma=True)
     yield Layout(delimiter=",", n_columns=0)
     yield Layout(delimiter=MIXED, n_columns=0)
 
 
-#: Days count from here, so that seconds keep their digits: 2^-23 s in our century.
+#: Days count from here: float64 seconds then resolve 2^-23 s until 2034.
 _FIRST_DAY = date(2000, 1, 1)
 
 _STAMP = re.compile(
@@ -215,7 +194,7 @@ _STAMP_BEFORE_COMMA = re.compile(_STAMP.pattern.replace("[.,](", "[.]("), re.ASC
 
 
 def stamped_layout_of(line: str, following: str) -> Layout | None:
-    """Return how `line` is divided if it is a row with one stamp, as is the next one; else None.
+    """Return the layout of `line` if it is a row with one stamp, like the next one; else None.
 
     Examples
     --------
@@ -231,7 +210,7 @@ def stamped_layout_of(line: str, following: str) -> Layout | None:
 
 
 def with_seconds(text: str, layout: Layout) -> str:
-    """Return rows with seconds in place of their stamps.
+    """Return rows with their stamps replaced by seconds.
 
     Examples
     --------
@@ -246,7 +225,7 @@ def with_seconds(text: str, layout: Layout) -> str:
 
 
 def stamped_moment(line: str) -> datetime | None:
-    """Return the moment of a row's stamp; None if it has no date.
+    """Return the datetime of a row's stamp; None if it has no date.
 
     Examples
     --------
@@ -265,9 +244,9 @@ def stamped_moment(line: str) -> datetime | None:
 
 
 def _layout(line: str) -> Layout | None:
-    """Return the layout of a row with one stamp and one number at least."""
+    """Return the layout of a row with one stamp and at least one number."""
     for pattern in (_STAMP_BEFORE_COMMA, _STAMP):
-        # With a whole number in place of the stamp, the other columns show the decimal mark.
+        # With an integer in place of the stamp, the other columns show the decimal mark.
         layout = layout_of(pattern.sub("0", line)) if len(pattern.findall(line)) == 1 else None
         if (
             layout is not None
@@ -283,7 +262,7 @@ def _seconds(found: re.Match[str], mark: str) -> str:
     try:
         days = (date(int(found[1]), int(found[2]), int(found[3])) - _FIRST_DAY).days if found[1] else 0
     except ValueError:
-        # There is no such day: left as it is, it is reported as a field that is no number.
+        # No such day: the unchanged stamp is later reported as a field that is not a number.
         return found[0]
     whole = 86400 * days + 3600 * int(found[4]) + 60 * int(found[5]) + int(found[6])
     if whole < 0:

@@ -1,4 +1,4 @@
-"""The sampling rate from the times of samples: in a column of a table, or in an array next to the samples."""
+"""Sampling rates from the times of samples, in a table column or in an array next to the samples."""
 
 from __future__ import annotations
 
@@ -16,17 +16,17 @@ if TYPE_CHECKING:
 
 Floats = NDArray[np.float64]
 
-#: Two steps may differ by this part of a step.
+#: Largest difference from the usual step, relative to it.
 EVENNESS = 0.01
 
-#: Uneven steps count as even times that were rounded only if a step is at least this many printed digits long.
+#: Uneven steps may be due to rounding only if a step spans at least this many units of the last printed digit.
 _COARSEST_STEP = 1.5
 
 _BLOCK_LENGTH = 1 << 18
 
 
 def seconds(unit: str, source: str) -> float:
-    """Return the factor from the unit of a time column to seconds, 1 without a unit; raises `BadData` otherwise."""
+    """Return the factor from the unit of a time column to seconds, 1 for ""; raise `BadData` for other units."""
     factor = seconds_of(unit)
     if factor is None:
         raise BadData(f"{source}: the time column must be in s, ms or us, its header says {unit!r}; convert it")
@@ -34,20 +34,10 @@ def seconds(unit: str, source: str) -> float:
 
 
 def rate_of(times: Floats, source: str) -> float:
-    """Return the sampling rate [Hz] of even times [s], (n - 1) / (last - first).
+    """Return the sampling rate [Hz] of two or more even times [s], (n - 1) / (last - first).
 
-    Parameters
-    ----------
-    times : ndarray, (n_samples,)
-        [s], two or more.
-    source : str
-        Name of the file in messages.
-
-    Raises
-    ------
-    BadData
-        The times do not increase, or their steps differ by more than 1 % beyond the rounding of the printed
-        digits; the message names the sample.
+    Raises `BadData` with the sample if the times do not increase, or if their steps differ by more than 1 % beyond the
+    rounding of the printed digits.
 
     Examples
     --------
@@ -63,7 +53,7 @@ def rate_of(times: Floats, source: str) -> float:
 
 
 def require_even(times: Floats, source: str, *, first: int = 0, step: float | None = None) -> None:
-    """Raise `BadData` as `rate_of` does; for a piece of a recording, give its `first` sample and the usual step [s].
+    """Raise `BadData` as `rate_of`; for a piece of a recording, `first` is its first sample, `step` the usual step [s].
 
     Examples
     --------
@@ -93,8 +83,8 @@ def require_even(times: Floats, source: str, *, first: int = 0, step: float | No
 
 
 def runs_evenly(times: Floats) -> bool:
-    """Return whether a column of numbers could be times: three or more in even steps."""
-    # Two rows have one step, which is always even.
+    """Return whether numbers could be times: three or more, increasing in even steps."""
+    # Two times have one step, which is always even.
     if len(times) < 3:
         return False
     with np.errstate(all="ignore"):
@@ -103,27 +93,19 @@ def runs_evenly(times: Floats) -> bool:
 
 
 def is_resolved(times: Floats, step: float) -> bool:
-    """Return whether times have enough printed digits to show whether their steps [s] are even."""
+    """Return whether times have enough printed digits to show if their steps [s] are even."""
     return bool(np.isfinite(times).all() and np.any(times)) and _COARSEST_STEP * _printed_digit(times) <= step
 
 
 class EvenTimes:
-    """A check of the times of a recording, piece by piece.
-
-    Parameters
-    ----------
-    sampling_rate : float
-        [Hz], of the whole recording.
-    source : str
-        Name of the file in messages.
-    """
+    """Check of the times of a recording, piece by piece; `sampling_rate` [Hz] is that of the whole recording."""
 
     def __init__(self, sampling_rate: float, source: str) -> None:
         self._step, self._source = 1 / sampling_rate, source
         self._count, self._last = 0, np.empty(0)
 
     def feed(self, times: Floats) -> None:
-        """Take the times [s] of the next samples; raises as `require_even`."""
+        """Check the times [s] of the next samples; raises as `require_even`."""
         joined = np.concatenate([self._last, times])
         if len(joined) > 1:
             require_even(joined, self._source, first=self._count - len(self._last), step=self._step)
@@ -132,10 +114,10 @@ class EvenTimes:
 
 
 def refined_rate(rate: float, first: float, last: float) -> float:
-    """Return the sampling rate [Hz] from the first and last time [s] of a recording, near the `rate` of its beginning.
+    """Return the sampling rate [Hz] from the first and last time [s] of a recording and the `rate` of its beginning.
 
-    The times of a recording lie a whole number of steps apart. The printed digits of n samples give the rate to
-    1 / n at worst, and the refined rate is never worse than that.
+    The times are a whole number of steps apart. The printed digits of n samples give the rate to 1 / n at worst; the
+    refined rate is never worse.
 
     Examples
     --------
@@ -151,19 +133,8 @@ def refined_rate(rate: float, first: float, last: float) -> float:
 def rate_of_vector(times: Variable, unit: str, source: str) -> float:
     """Return the sampling rate [Hz] of an array of even times, read once by blocks.
 
-    Parameters
-    ----------
-    times : Variable
-        One channel of two samples or more. An array stored as float32 may be as uneven as its rounding makes it.
-    unit : str
-        Of the times, "" for seconds.
-    source : str
-        Name of the times in messages.
-
-    Raises
-    ------
-    BadData
-        The times do not increase in even steps of 1 %, or are rounded too coarsely to show it.
+    `times` is one channel of two samples or more; float32 times may be uneven by their rounding. Raises `BadData` if
+    they do not increase in even steps of 1 %, or are rounded too coarsely to show it.
     """
     factor = seconds(unit, source)
     first = last = step = 0.0
@@ -179,7 +150,7 @@ def rate_of_vector(times: Variable, unit: str, source: str) -> float:
         if len(part) > 1:
             step = step or float(part[1:65537][-1] - part[0]) / (len(part[1:65537]))
             if not _is_even(part, step, float(np.finfo(block.dtype).eps)):
-                # Times rounded to printed digits may still be even; otherwise this names the sample.
+                # Times rounded to printed digits may still be even; if not, this names the sample.
                 rate_of(part, source)
         last = float(part[-1])
         count += len(block)
@@ -191,19 +162,19 @@ def rate_of_vector(times: Variable, unit: str, source: str) -> float:
 def _is_even(times: Floats, step: float, precision: float) -> bool:
     """Return whether all steps are equal within the rounding of the times."""
     rounding = 2 * precision * float(np.abs(times).max())
-    # Where the rounding is as large as a step, a missing sample would not show.
+    # With rounding as large as a step, a missing sample would go unnoticed.
     return step > 2 * rounding and bool(np.abs(np.diff(times) - step).max() <= EVENNESS * step + rounding)
 
 
 @np.errstate(all="ignore")
 def _typical_if_uneven(times: Floats, steps: Floats, typical: float | None = None) -> float | None:
-    """Return None if the steps are even, else the typical step."""
+    """Return the typical step if the steps are uneven, else None."""
     shortest, longest = float(steps.min()), float(steps.max())
     typical = typical or float(np.median(steps))
     if longest - typical <= EVENNESS * typical and typical - shortest <= EVENNESS * typical:
         return None
-    # Even times rounded to a digit q have steps of two neighbouring multiples of q and no third one. If a step is
-    # only one q long, a gap looks the same, so such times count as uneven.
+    # Even times rounded to a digit q have steps of two adjacent multiples of q and no others. If a step is only one q
+    # long, a gap looks the same, so such times count as uneven.
     digit = _printed_digit(times)
     if shortest >= _COARSEST_STEP * digit and longest - shortest <= digit + EVENNESS * typical:
         return None
@@ -211,10 +182,10 @@ def _typical_if_uneven(times: Floats, steps: Floats, typical: float | None = Non
 
 
 def _printed_digit(times: Floats) -> float:
-    """Return the last decimal place to which the latest times are printed, such as 1e-5."""
+    """Return the last printed decimal place of the latest times, such as 1e-5."""
     sizes = np.abs(times)
     largest = float(sizes.max())
-    # Times printed to a fixed number of significant digits lose one at each power of ten. The few after the last
+    # Times with a fixed number of significant digits lose a decimal place at each power of ten. The few after the last
     # power may all end in zeros by chance, so they count for one place only.
     last_power = 10.0 ** math.floor(math.log10(largest))
     return min(_last_digit(sizes[sizes >= last_power]), 10 * _last_digit(sizes[sizes >= largest / 2]))

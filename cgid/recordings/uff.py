@@ -1,4 +1,4 @@
-"""Universal files (UFF, UNV) of modal analysis: data sets 58, as text or with binary numbers; pyuff reads them whole.
+"""Read universal files (UFF, UNV) of modal analysis: data sets 58, text or binary, which pyuff reads whole.
 
 Layout: "Universal Dataset Number 58", SDRL of the University of Cincinnati, https://www.ceas3.uc.edu/sdrluff/.
 """
@@ -20,7 +20,7 @@ from cgid.errors import BadData, MissingExtra
 from cgid.recordings.recording import Contents, rates_agree, understood
 from cgid.units import known_unit, seconds_of
 
-#: Larger files [bytes] are refused, as pyuff reads them whole and takes several times their size.
+#: Largest file [bytes], as pyuff reads files whole and needs several times their size.
 LARGEST_FILE = 256 << 20
 
 _TIME_RESPONSE, _UNKNOWN_FUNCTION, _TIME_AXIS = 1, 0, 17
@@ -28,15 +28,16 @@ _EVEN, _REAL, _SINGLE = 1, (2, 4), 2
 _AXES = enumerate(("X", "Y", "Z", "RX", "RY", "RZ"), 1)
 _DIRECTIONS = {sign * number: f"{'-' if sign < 0 else '+'}{axis}" for number, axis in _AXES for sign in (1, -1)}
 _DATES = ("%d-%b-%y %H:%M:%S", "%d-%b-%Y %H:%M:%S", "%d-%b-%y", "%d-%b-%Y")
-#: pyuff takes the line end and the mark behind binary numbers for more of them [bytes].
+#: pyuff takes the line end and the mark after binary numbers for further numbers [bytes].
 _MARK = 16
 
 
 @dataclass(frozen=True, kw_only=True)
 class _DataSet:
-    """The header of a data set 58 as pyuff reads it, with its number among those of type 58 and its place in the file.
+    """Header of a data set 58, with the field names of pyuff.
 
-    Fields of the header keep their names in pyuff.
+    number : among the data sets 58, from 1
+    place : among all data sets of the file, from 0
     """
 
     number: int
@@ -45,17 +46,17 @@ class _DataSet:
 
     @property
     def n_samples(self) -> int:
-        """As declared."""
+        """Declared number of samples."""
         return int(self.header["num_pts"])
 
     @property
     def step(self) -> float:
-        """Between samples [s]."""
+        """Time between samples [s]."""
         return float(self.header["abscissa_inc"])
 
     @property
     def name(self) -> str:
-        """The first identification line, else the label of the ordinate."""
+        """First identification line, else the label of the ordinate."""
         return _text(self.header["id1"]) or _text(self.header["ordinate_axis_lab"])
 
     @property
@@ -65,7 +66,7 @@ class _DataSet:
 
     @property
     def start_time(self) -> datetime | None:
-        """The date of the third identification line, DD-MMM-YY and HH:MM:SS."""
+        """Date in the third identification line, DD-MMM-YY and HH:MM:SS."""
         for form in _DATES:
             with suppress(ValueError):
                 return datetime.strptime(self.header["id3"].strip(), form)
@@ -73,7 +74,7 @@ class _DataSet:
 
     @property
     def is_recording(self) -> bool:
-        """Whether these are samples over time."""
+        """Whether the data set holds samples over time."""
         function, abscissa = self.header["func_type"], self.header["abscissa_spec_data_type"]
         return function in (_TIME_RESPONSE, _UNKNOWN_FUNCTION) and abscissa in (_TIME_AXIS, 0, 1)
 
@@ -84,27 +85,10 @@ class _DataSet:
 def read_uff(path: Path, source: str, variable: str | None) -> Contents:
     """Return the channels of a universal file: its data sets 58 that are responses over time.
 
-    Parameters
-    ----------
-    path : Path
-    source : str
-        Name of the file in messages.
-    variable : str or None
-        Number of the data set, counting those of type 58 from 1, or its name; None takes all over time as channels,
-        which must be of one length and rate.
-
-    Returns
-    -------
-    Contents
-        The rate is that of the abscissa's increment, the unit that of the ordinate's label.
-
-    Raises
-    ------
-    BadData
-        The file is too large, cut off or damaged, or has no such data set; its numbers are complex, over uneven times
-        or over something else; data sets differ in length or rate.
-    MissingExtra
-        pyuff is not installed.
+    `variable` is the number of a data set 58, from 1, or its name; None takes all over time, which must agree in length
+    and rate. The rate comes from the increment of the abscissa, the unit from the label of the ordinate. Raises
+    `BadData` if the file is too large, cut off or damaged, has no such data set, or data sets differ; or if numbers are
+    complex, at uneven times or not over time. Raises `MissingExtra` without pyuff.
     """
     try:
         import pyuff
@@ -129,7 +113,7 @@ def read_uff(path: Path, source: str, variable: str | None) -> Contents:
     names = [one.name for one in chosen]
     return Contents.of_array(
         samples,
-        # Where the names do not differ, node and direction do.
+        # If the names are not unique, node and direction are.
         names=names if len(set(names)) == len(names) else [one.position for one in chosen],
         units=[known_unit(one.header["ordinate_axis_units_lab"]) for one in chosen],
         sampling_rate=_rate(first.step),
@@ -139,7 +123,7 @@ def read_uff(path: Path, source: str, variable: str | None) -> Contents:
 
 
 def _require_whole(path: Path, source: str) -> None:
-    """Raise `BadData` unless the file is small enough and ends with the mark of the end of a data set."""
+    """Raise `BadData` unless the file is small enough and ends with the end mark of a data set."""
     size = path.stat().st_size
     if size > LARGEST_FILE:
         raise BadData(
@@ -176,7 +160,7 @@ def _chosen(sets: Sequence[_DataSet], source: str, variable: str | None) -> list
 
 
 def _require_recordings(chosen: Sequence[_DataSet], source: str) -> None:
-    """Raise `BadData` unless all data sets are real samples over even times [s], of one length and rate."""
+    """Raise `BadData` unless all data sets are real samples at even times [s], of one length and rate."""
     first = chosen[0]
     for one in chosen:
         header = one.header
@@ -207,7 +191,7 @@ def _require_recordings(chosen: Sequence[_DataSet], source: str) -> None:
 
 
 def _samples(data_set: dict[str, Any], one: _DataSet, source: str) -> NDArray[Any]:
-    """Return the numbers of a data set, float32 if they are stored as such, if there are as many as it declares."""
+    """Return the numbers of a data set, float32 if stored so; raise `BadData` if they are not as many as declared."""
     binary, single = bool(data_set["binary"]), data_set["ord_data_type"] == _SINGLE
     found, more = data_set["data"], _MARK // (4 if single else 8) if binary else 0
     if not 0 < one.n_samples <= len(found) <= one.n_samples + more:
@@ -220,7 +204,7 @@ def _samples(data_set: dict[str, Any], one: _DataSet, source: str) -> NDArray[An
 
 
 def _rate(step: float) -> float:
-    """Return the sampling rate [Hz] of a step printed with six digits; a whole number where one is printed the same."""
+    """Return the sampling rate [Hz] of a step printed with six digits: a whole number if its step prints the same."""
     whole = round(1 / step) if 1 / step < 1e12 else 0
     return float(whole) if whole and f"{1 / whole:.5E}" == f"{step:.5E}" else 1 / step
 

@@ -1,4 +1,4 @@
-"""Files that hold named arrays: which of them are the recording, and what the file states about them."""
+"""Select the recording among the named arrays of a file, and collect the file's statements about it."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ from cgid.recordings.statements import (
 )
 from cgid.recordings.times import rate_of_vector
 
-#: Names of an array of times; a capital T is as often a temperature or a torque.
+#: Names of an array of times; a capital T may as well be a temperature or a torque.
 _TIME_NAME = re.compile(r"(?i:(?:.*[\s_.-])?(?:time|zeit)(?:[\s_.(\[-].*)?)|t(?:\s*[(\[].*|_(?:m|u|µ)?s)?")
-#: Names to list in a message.
+#: Most names in a message.
 _LISTED = 12
 Answer = TypeVar("Answer")
 
@@ -35,20 +35,11 @@ Answer = TypeVar("Answer")
 class Variable:
     """An array of numbers in a file.
 
-    Attributes
-    ----------
-    name : str
-    group : str
-        The path of the group that holds it, parts divided by slashes, "" at the top.
-    n_channels, n_samples : int
-    blocks : callable
-        As in `Contents`.
-    about : dict
-        Named values attached to it.
-    fault : str
-        Why its samples cannot be read, "" if they can.
-    warning : str
-        What of its samples is missing, "" if nothing is.
+    group : path of its group, parts divided by slashes, "" at the top
+    blocks : as in `Contents`
+    about : named values attached to it
+    fault : why its samples cannot be read, "" if they can
+    warning : which samples are missing, "" if none
     """
 
     name: str
@@ -67,7 +58,7 @@ class Variable:
 
     @property
     def is_time(self) -> bool:
-        """Whether its name is one for the times of samples."""
+        """Whether its name means the times of samples."""
         return self.n_channels == 1 and _TIME_NAME.fullmatch(self.name) is not None
 
     def __str__(self) -> str:
@@ -76,9 +67,9 @@ class Variable:
 
 
 def orientation(shape: Sequence[int]) -> tuple[int | None, int] | None:
-    """Return the axis of the channels (None for one channel) and that of the samples; None if there are more axes.
+    """Return the axes of the channels (None for one channel) and of the samples; None for more than two axes.
 
-    Axes of length 1 do not count. Of two axes the longer one is that of the samples, the second if both are equal.
+    Axes of length 1 do not count. The longer of two axes is that of the samples, the second if both are equal.
 
     Examples
     --------
@@ -108,28 +99,14 @@ def contents_of(
 ) -> Contents:
     """Return the recording among the arrays of a file.
 
-    Parameters
-    ----------
-    variables : sequence of Variable
-        All arrays of two samples or more.
-    statements : dict
-        Path of a group ("" is the top) -> named values in it or attached to it.
-    source : str
-        Name of the file in messages.
-    variable : str or None
-        The name of an array, of a group (its arrays of one channel each), or a pattern with * or ?; None if the file
-        holds only one array besides times. A name that is unique needs no path.
-    warnings : list of str
-        Of the file; those of the chosen arrays are added.
-    group_is_one : bool
-        Whether the arrays of a group are the channels of one recording.
-    is_cut : bool
-        Whether the file was cut off, so that some channels lost more than others; the shortest one counts.
+    variables : all arrays of two samples or more
+    statements : path of a group ("" is the top) -> named values in it or attached to it
+    variable : name of an array or of a group (its arrays of one channel), or a pattern with * or ?; a unique name
+        needs no path; None if there is only one array besides times
+    group_is_one : whether the arrays of a group are the channels of one recording
+    is_cut : whether the file was cut off; then channels may differ in length, and the shortest counts
 
-    Raises
-    ------
-    BadData
-        There is no array, several without a choice, or the chosen ones differ in length or rate.
+    Raises `BadData` if there is no array, several without a choice, or the chosen ones differ in length or rate.
     """
     chosen = _chosen(variables, source, variable, group_is_one)
     first = chosen[0]
@@ -208,7 +185,7 @@ def _listed(variables: Sequence[Variable]) -> str:
 
 
 def _levels(variable: Variable, statements: Mapping[str, Values]) -> Iterator[Values]:
-    """Yield the named values of the array itself, of its groups and of the top of the file."""
+    """Yield the named values of the array, of its groups and of the top of the file."""
     yield variable.about
     group = variable.group
     while group:
@@ -227,18 +204,18 @@ def _units(values: Values, n_channels: int) -> list[str | None] | None:
 
 
 class _Rates:
-    """The sampling rates of arrays, from the named values about them and from the times next to them."""
+    """Sampling rates of arrays, from named values about them and from times next to them."""
 
     def __init__(
         self, variables: Sequence[Variable], statements: Mapping[str, Values], source: str, warnings: list[str]
     ) -> None:
         self._times = [one for one in variables if one.is_time]
         self._statements, self._source, self._warnings = statements, source, warnings
-        # Times are read once, however many channels they belong to.
+        # Times are read only once for all their channels.
         self._measured: dict[str, float | None] = {}
 
     def of(self, variable: Variable) -> tuple[float | None, str]:
-        """Return the rate [Hz] and what states it; None if nothing does; raises `BadData` on contradictions."""
+        """Return the rate [Hz] and its origin, or None and "header"; raise `BadData` on contradictions."""
         stated = _first(list(_levels(variable, self._statements)), lambda values: stated_rate(values, self._source))
         found = [] if stated is None else [stated]
         for times in self._times:
@@ -275,7 +252,7 @@ def _hertz(rate: float | None) -> str:
 
 
 def _joined(chosen: Sequence[Variable], n_samples: int, source: str) -> Blocks:
-    """Return the blocks of several arrays of one channel each, `n_samples` long."""
+    """Return the blocks of several one-channel arrays, `n_samples` long."""
     nothing: NDArray[Any] = np.empty((1, 0))
 
     def blocks(length: int, channels: Sequence[int]) -> Iterator[NDArray[Any]]:
@@ -283,7 +260,7 @@ def _joined(chosen: Sequence[Variable], n_samples: int, source: str) -> Blocks:
         waiting = [next(stream, nothing) for stream in streams]
         left = n_samples
         while left:
-            # Each array may come in pieces of its own length.
+            # The pieces of the arrays may differ in length.
             n = min(left, *(piece.shape[1] for piece in waiting))
             if not n:
                 raise BadData(

@@ -1,4 +1,4 @@
-"""WAV files and the numbers in them, by blocks: whole frames are read, contradictions and cuts become warnings.
+"""Read WAV files by blocks: whole frames are read, contradictions and cuts become warnings.
 
 EBU Tech 3285 (broadcast WAV), EBU Tech 3306 (RF64), RFC 2361 (codings).
 """
@@ -21,16 +21,16 @@ from numpy.typing import NDArray
 from cgid.errors import BadData, InvalidValue
 from cgid.recordings.recording import MOST_NUMBERS, Contents
 
-#: How WAV files begin: little-endian, big-endian, and two with sizes of 64 bits.
+#: First bytes of WAV files: little-endian, big-endian, and two with 64-bit sizes.
 WAV_MAGICS = (b"RIFF", b"RIFX", b"RF64", b"BW64")
 
-#: From here on a size means "until the end": 0xFFFFFFFF by the standards; other programs write to pipes what their
-#: signed 32 bits hold, rounded down.
+#: Sizes from here on mean "until the end": 0xFFFFFFFF in the standards; into pipes, some programs write the largest
+#: signed 32-bit number, rounded down.
 ENDLESS = 0x7FFF0000
 
-#: Bytes to read of each chunk that matters; the rest is skipped.
+#: Bytes to read of each relevant chunk; the rest is skipped.
 _READ = {b"fmt ": 40, b"ds64": 28, b"fact": 4, b"bext": 338}
-#: No program writes more chunks before the sound; a hostile file could hold millions of empty ones.
+#: Most chunks before the sound; a hostile file could hold millions of empty ones.
 _MOST_CHUNKS = 1000
 
 _PCM, _FLOAT, _EXTENSIBLE = 1, 3, 0xFFFE
@@ -40,15 +40,10 @@ _WIDTHS = {"u": (1,), "i": (2, 3, 4, 8), "f": (4, 8)}
 
 @dataclass(frozen=True, kw_only=True)
 class Coding:
-    """How one number is written as bytes.
+    """Encoding of one number.
 
-    Parameters
-    ----------
-    kind : str
-        "u": unsigned integers around the middle of their range; "i": signed integers; "f": floats.
-    width : int
-        Bytes of a number: 1 if unsigned; 2, 3, 4 or 8; of a float 4 or 8.
-    big_endian : bool
+    kind : "u": unsigned integers around the middle of their range; "i": signed integers; "f": floats
+    width : bytes of a number: "u" 1; "i" 2, 3, 4 or 8; "f" 4 or 8
     """
 
     kind: Literal["u", "i", "f"]
@@ -59,10 +54,7 @@ class Coding:
     def of_name(cls, name: str) -> Coding:
         """Return the coding of a name such as "u8", "s16le", "s24be", "f32le"; little-endian by default.
 
-        Raises
-        ------
-        InvalidValue
-            The name is unknown; the message lists the known ones.
+        Raises `InvalidValue` with the known names if it is unknown.
 
         Examples
         --------
@@ -77,13 +69,11 @@ class Coding:
 
     @property
     def is_known(self) -> bool:
-        """Whether there are numbers of this width."""
+        """Whether `width` is valid for `kind`."""
         return self.width in _WIDTHS[self.kind]
 
     def decoded(self, raw: bytes) -> NDArray[Any]:
-        """Return the numbers of whole samples, (len(raw) // width,).
-
-        Integers become float64 with a full scale of 1.0, floats stay as they are.
+        """Return numbers, (len(raw) // width,): integers as float64 with a full scale of 1.0, floats unchanged.
 
         Examples
         --------
@@ -114,7 +104,7 @@ _NAMED = {"u8": Coding(kind="u", width=1)} | {
 
 
 def _of_three_bytes(raw: bytes, big_endian: bool) -> NDArray[np.int32]:
-    """Return numbers of 24 bits at the top of 32, so that they keep their sign."""
+    """Return 24-bit numbers in the upper bits of 32, so that they keep their sign."""
     three = np.frombuffer(raw, np.uint8).reshape(-1, 3)
     four = np.zeros((len(three), 4), np.uint8)
     little = sys.byteorder == "little"
@@ -127,22 +117,13 @@ def _of_three_bytes(raw: bytes, big_endian: bool) -> NDArray[np.int32]:
 
 @dataclass(frozen=True, kw_only=True)
 class WaveHead:
-    """What a WAV file or stream states before the sound.
+    """Statements of a WAV file or stream before the sound.
 
-    Attributes
-    ----------
-    n_channels : int
-    sampling_rate : float
-        [Hz].
-    coding : Coding
-    outer_size, data_size : int
-        [bytes] as declared, of all that follows the first 8 bytes and of the sound.
-    n_frames : int or None
-        Samples of a channel according to the chunk "fact".
-    start_time : datetime or None
-        From a broadcast chunk.
-    warnings : list of str
-        Contradictions within the head.
+    outer_size : declared bytes after the first 8
+    data_size : declared bytes of sound
+    n_frames : samples per channel according to the chunk "fact"
+    start_time : from a broadcast chunk
+    warnings : contradictions within the header
     """
 
     n_channels: int
@@ -163,21 +144,9 @@ class WaveHead:
 def read_wave_head(file: BinaryIO, skip: Callable[[int], object], source: str, start: bytes = b"") -> WaveHead:
     """Read up to the first byte of sound.
 
-    Parameters
-    ----------
-    file : binary file
-        At the first byte after `start`.
-    skip : callable
-        Skips a number of bytes of `file`: by seeking where that is possible, else by reading.
-    source : str
-        Name of the file in messages.
-    start : bytes
-        At most 12 that have been read already.
-
-    Raises
-    ------
-    BadData
-        It is no WAV, is cut off before the sound, or its sound is neither PCM nor float of a known width.
+    `file` is at the first byte after `start`, which holds at most 12 bytes read before. `skip` skips bytes of `file`,
+    by seeking if possible, else by reading. Raises `BadData` if it is not a WAV, is cut off before the sound, or its
+    sound is neither PCM nor float of a known width.
     """
     start += file.read(12 - len(start))
     order = ">" if start.startswith(b"RIFX") else "<"
@@ -193,7 +162,7 @@ def read_wave_head(file: BinaryIO, skip: Callable[[int], object], source: str, s
         if name == b"data":
             return _head(chunks, order, int(struct.unpack(order + "I", start[4:8])[0]), size, source)
         wanted = min(_READ.get(name, 0), size)
-        # Some programs write notes twice; the first one counts.
+        # Some programs write chunks twice; the first one counts.
         chunks.setdefault(name, file.read(wanted) if wanted else b"")
         skip(size - wanted + size % 2)
     raise BadData(
@@ -208,7 +177,7 @@ def _head(chunks: dict[bytes, bytes], order: str, outer_size: int, data_size: in
         raise BadData(f"{source}: a WAV file must say its format before the sound; export it again")
     tag, n_channels, rate, byte_rate, align, bits = struct.unpack(order + "HHIIHH", form[:16])
     if tag == _EXTENSIBLE and len(form) >= 26:
-        # The format proper is in the first two bytes of a GUID.
+        # The actual format is in the first two bytes of a GUID.
         tag = int(struct.unpack(order + "H", form[24:26])[0])
     width = align // n_channels if n_channels and align % n_channels == 0 else 0
     coding = Coding(kind="f" if tag == _FLOAT else "u" if width == 1 else "i", width=width, big_endian=order == ">")
@@ -229,7 +198,7 @@ def _head(chunks: dict[bytes, bytes], order: str, outer_size: int, data_size: in
             f"the header contradicts itself: {bits} bits do not take {width} bytes each; check the number of channels"
         )
     if len(chunks.get(b"ds64", b"")) >= 24:
-        # RF64 has its sizes here, as they do not fit into 32 bits.
+        # RF64 stores its 64-bit sizes here.
         outer_size, data_size = struct.unpack("<QQ", chunks[b"ds64"][:16])
     return WaveHead(
         n_channels=n_channels,
@@ -244,9 +213,9 @@ def _head(chunks: dict[bytes, bytes], order: str, outer_size: int, data_size: in
 
 
 def _start_time(broadcast: bytes) -> datetime | None:
-    """Return date and time of origin of a broadcast chunk: 10 characters at byte 320, 8 at byte 330."""
+    """Return the origination time from a broadcast chunk: date, 10 characters at byte 320, and time, 8 at byte 330."""
     with suppress(ValueError):
-        # Any of several characters may stand between the digits.
+        # Several separators are allowed between the digits.
         digits = [character if character.isdigit() else " " for character in broadcast[320:338].decode("ascii")]
         return datetime.strptime("".join(digits), "%Y %m %d%H %M %S")
     return None
@@ -256,27 +225,11 @@ def _start_time(broadcast: bytes) -> datetime | None:
 
 
 def read_wav(path: Path, source: str, variable: str | None) -> Contents:
-    """Return the channels of a WAV file.
+    """Return the channels of a WAV file (RIFF, RIFX or RF64), which holds one recording: `variable` is not used.
 
-    Parameters
-    ----------
-    path : Path
-        RIFF, RIFX or RF64 with integers of 8, 16, 24, 32 or 64 bits or floats of 32 or 64.
-    source : str
-        Name of the file in messages.
-    variable : str or None
-        Not used: a WAV file holds one recording.
-
-    Returns
-    -------
-    Contents
-        Integers scaled to a full scale of 1.0, floats as they are; both in "FS" unless the user gives a unit. If the
-        file is cut off, or was never closed, the whole samples and a warning.
-
-    Raises
-    ------
-    BadData
-        The file is cut off before the sound, is no WAV, or its encoding is none of the above.
+    Integers of 8, 16, 24, 32 or 64 bits are scaled to a full scale of 1.0, floats of 32 or 64 bits are kept; both are
+    in "FS" unless the user gives a unit. A file that is cut off or was never closed gives its whole samples and a
+    warning. Raises `BadData` if it is cut off before the sound, is not a WAV, or has another encoding.
     """
     with path.open("rb") as file:
         held = os.fstat(file.fileno()).st_size
@@ -311,9 +264,9 @@ def read_wav(path: Path, source: str, variable: str | None) -> Contents:
 
 
 def _size_of_sound(file: BinaryIO, head: WaveHead, start: int, held: int, warnings: list[str]) -> int:
-    """Return the bytes of whole frames in the file; warn where the declared sizes are wrong."""
+    """Return the bytes of whole frames in the file; warn of wrong declared sizes."""
     declared, follows = head.data_size, held - start
-    # A recorder that lost power, or a program that wrote to a pipe, never came back to fill in the size.
+    # Recorders that lose power, and programs that write to pipes, never fill in the size.
     never_closed = declared == 0 and follows > 0 and not _is_chunk(file, head, start, held)
     if never_closed or (declared >= ENDLESS and declared > follows):
         warnings.append(f"the file was not closed and does not say its length; all {follows} bytes of sound were read")
@@ -329,18 +282,18 @@ def _size_of_sound(file: BinaryIO, head: WaveHead, start: int, held: int, warnin
 
 
 def _check_end(file: BinaryIO, head: WaveHead, start: int, held: int, warnings: list[str]) -> None:
-    """Warn of what contradicts the size of the sound, if the file holds all of it."""
+    """Warn of contradictions to the size of the sound, if the file holds all of it."""
     n_frames, left = divmod(head.data_size, head.frame_size)
     if left:
         warnings.append(
             f"{head.data_size} bytes of sound are not whole frames of {head.frame_size}; the last {left} were left out"
         )
-    # Some programs count the numbers of all channels here.
+    # Some programs count the samples of all channels here.
     counted = head.n_frames or n_frames
     if counted not in (n_frames, n_frames * head.n_channels) and counted < ENDLESS:
         warnings.append(f"the header says {counted} samples a channel and there are {n_frames}; check the file")
     end = start + head.data_size
-    # A zero follows sound of an odd size, but some programs forget it.
+    # A zero byte follows sound of odd size, but some programs omit it.
     if end + end % 2 < held and not any(_is_chunk(file, head, at, held) for at in (end, end + 1)):
         warnings.append(
             f"{held - end} bytes behind the declared sound are no part of a WAV file and were left out; check the file"
@@ -352,7 +305,7 @@ def _check_end(file: BinaryIO, head: WaveHead, start: int, held: int, warnings: 
 
 
 def _is_chunk(file: BinaryIO, head: WaveHead, at: int, held: int) -> bool:
-    """Return whether a chunk begins at a byte and ends within the file."""
+    """Return whether a chunk begins at byte `at` and ends within the file."""
     file.seek(at)
     name, size = file.read(4), int.from_bytes(file.read(4), "big" if head.coding.big_endian else "little")
     return len(name) == 4 and all(32 <= byte < 127 for byte in name) and at + 8 + size <= held + 1
