@@ -78,7 +78,7 @@ def cgid_reference(impacts: Population) -> np.ndarray:
 
 
 def from_materials(n: int) -> Run:
-    """Return a function for n frames from radius, moduli, density, restitution and velocity, by `Impact.force_frames`."""
+    """Return a function that makes n frames from materials, radius, restitution and velocity: `Impact.force_frames`."""
     scene = load_scene(shipped.scene_path("peers"))
     blocks = [draw(scene, 0, block).parameters for block in range(-(-n // 256))]
     drawn = {name: np.concatenate([block[name] for block in blocks])[:n] for name in blocks[0]}
