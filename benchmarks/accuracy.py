@@ -1,10 +1,10 @@
-"""How near the models come to the ceiling of a scene, and what shuffled labels score.
+"""Accuracy of the models against the ceiling of a scene, and with shuffled labels.
 
     python benchmarks/accuracy.py [SCENE] [--signals 100000] [--test 20000] [--drop-height]
 
-Training and test signals are of different seeds, so no block of random numbers is in both. Every line is judged on the
-same test signals; the difference is ceiling minus model in right answers, paired, with its standard error: no model can
-be above the ceiling by more than chance. An impact that cannot be measured counts as a guess.
+Training and test signals have different seeds, so they share no block of random numbers. All lines use the same test
+signals. The difference is the paired number of right answers, ceiling - model, with its standard error; no model can
+exceed the ceiling except by chance. An impact that cannot be measured counts as a guess.
 """
 
 import argparse
@@ -26,7 +26,7 @@ EXACT = ("peak_force", "contact_duration", "restitution")
 
 
 def exact(scene: Scene, n: int, seed: int, drop_height: bool) -> np.ndarray:
-    """Return the logarithms of what no measurement knows exactly."""
+    """Return the logarithms of the parameters that no measurement knows exactly."""
     names = (*EXACT, "velocity") if drop_height else EXACT
     return np.concatenate(
         [np.log(np.stack([b.parameters[name] for name in names], axis=1)) for b in synthesise(scene, n, seed)]
@@ -34,7 +34,7 @@ def exact(scene: Scene, n: int, seed: int, drop_height: bool) -> np.ndarray:
 
 
 def inputs(measured: Rows) -> np.ndarray:
-    """Return features and what is known."""
+    """Return features and known parameters."""
     return np.hstack([measured.features, measured.known])
 
 
@@ -88,7 +88,7 @@ def main() -> None:
     linear = linear_columns(train.names)
     for family in FAMILIES:
         line(f"cgid, {family}", ImpactClassifier(family, linear=linear), inputs(train), train.labels, inputs(test))
-    # Judged on shuffled labels, too: a direction that noise has chosen may lie along the true one, or against it.
+    # Also judged on shuffled labels: a direction chosen by noise may lie along the true one, or against it.
     generator = np.random.default_rng(0)
     guess = ImpactClassifier(linear=linear).fit(inputs(train), generator.permutation(train.labels))
     hits = guess.predict(inputs(test)) == generator.permutation(test.labels)

@@ -1,17 +1,17 @@
-"""Bits that flip and files that are cut off: what readers make of them.
+"""Response of the readers to flipped bits and truncated files.
 
     python benchmarks/bit_flips.py            # every bit and every length of a small shard, and more: some minutes
     python benchmarks/bit_flips.py --bits 300 --lengths 100 --large-bits 100
 
-Every damaged file is read to its end: a shard by itself, a shard of 1 MB, and of a folder its shard, its manifest
-and the journal of an unfinished run. What comes back is
+Every damaged file is read to its end: a single shard, a shard of 1 MB, and the shard, the manifest and the journal (of
+an unfinished run) in a folder. The outcomes are
 
-    refused   one line says what is wrong
-    same      all numbers, labels and attributes are those of the file before: what flipped means nothing
-    CHANGED   something else, and not a word          ERROR, CRASH, HANG   no answer
+    refused   with a one-line error message
+    same      all numbers, labels and attributes are unchanged: the flipped bit has no meaning
+    CHANGED   other content without a message          ERROR, CRASH, HANG   no answer
 
-and may only be one of the first two. `cgid verify` must moreover find every one of them in a folder, whose manifest
-knows the SHA-256 of its shards. The reading is done in a process of its own, so that a crash or a hang is counted.
+Only the first two are allowed. `cgid verify` must also find all damage in a folder, whose manifest has the SHA-256 of
+its shards. A separate process reads the files, so that crashes and hangs are counted.
 """
 
 from __future__ import annotations
@@ -39,10 +39,10 @@ from cgid.store.description import read_manifest
 from cgid.store.run import JOURNAL, Journal, read_journal
 from cgid.store.verification import verify
 
-#: An answer that takes longer is none [s].
+#: Time limit of an answer [s].
 TIME_LIMIT = 20.0
 OUTCOMES = ("same", "refused", "CHANGED", "ERROR", "CRASH", "HANG")
-#: What a damaged file may come to.
+#: Allowed outcomes of a damaged file.
 SOUND = frozenset(("same", "refused"))
 
 Damage = Callable[[bytes], bytes]
@@ -50,7 +50,7 @@ Damage = Callable[[bytes], bytes]
 
 @dataclass(frozen=True)
 class Flip:
-    """One bit turned over."""
+    """One flipped bit."""
 
     bit: int
 
@@ -63,7 +63,7 @@ class Flip:
 
 @dataclass(frozen=True)
 class Cut:
-    """Only the beginning is left."""
+    """A file cut to its beginning."""
 
     length: int
 
@@ -73,24 +73,24 @@ class Cut:
 
 
 def some(numbers: int, wanted: int | None, seed: int = 2018) -> Iterable[int]:
-    """Return all whole numbers below `numbers`, or a sample of them in ascending order."""
+    """Return all whole numbers below `numbers`, or a sorted sample of them."""
     if wanted is None or wanted >= numbers:
         return range(numbers)
     return sorted(random.Random(seed).sample(range(numbers), wanted))
 
 
 def flips(file: Path, wanted: int | None = None) -> list[Damage]:
-    """Return flips of every bit of a file, or of some."""
+    """Return flips of every bit of a file, or of a sample."""
     return [Flip(bit) for bit in some(8 * file.stat().st_size, wanted)]
 
 
 def cuts(file: Path, wanted: int | None = None) -> list[Damage]:
-    """Return every length that a file can be cut to, or some."""
+    """Return cuts to every length of a file, or to a sample."""
     return [Cut(length) for length in some(file.stat().st_size, wanted)]
 
 
 def small_scene(samples: int = 16) -> Any:
-    """Return a scene of short text whose signals are short."""
+    """Return a scene with a short text and short signals."""
     rock = {"youngs_modulus": 3e9, "poisson_ratio": 0.3, "restitution": 0.5, "drop_height": 1, "radius": 0.02}
     return parse_scene(
         {
@@ -103,7 +103,7 @@ def small_scene(samples: int = 16) -> Any:
 
 
 def everything_in(path: Path) -> dict[str, Any]:
-    """Return all that a dataset gives to those who read it."""
+    """Return everything that a dataset gives to its readers."""
     dataset = Dataset(path)
     batches = list(dataset.batches())
     found = {name: np.concatenate([getattr(b, name) for b in batches]) for name in ("signals", "labels", "specimen")}
@@ -114,7 +114,7 @@ def everything_in(path: Path) -> dict[str, Any]:
 
 
 def is_same(found: dict[str, Any], expected: dict[str, Any]) -> bool:
-    """Return whether two readings hold the same to the last bit."""
+    """Return whether two readings are equal to the last bit."""
     if found.keys() != expected.keys():
         return False
     for name, value in expected.items():
@@ -128,9 +128,9 @@ def is_same(found: dict[str, Any], expected: dict[str, Any]) -> bool:
 
 
 def judge(target: Path, read: Callable[[], dict[str, Any]], damages: Sequence[Damage]) -> Counter[str]:
-    """Return how often what came of damage to `target`, which `read` reads, itself or as part of something.
+    """Count the outcomes of damage to `target`, which `read` reads directly or as part of a folder.
 
-    The file is as it was before when this returns.
+    The file is restored at the end.
     """
     whole, expected = target.read_bytes(), read()
     try:
@@ -148,12 +148,12 @@ def judge(target: Path, read: Callable[[], dict[str, Any]], damages: Sequence[Da
 def _outcomes(
     target: Path, whole: bytes, read: Callable[[], dict[str, Any]], expected: dict[str, Any], damages: Sequence[Damage]
 ) -> Iterator[str]:
-    """Yield what came of one damage after the other, until all are done or the process that reads has died."""
+    """Yield the outcome of each damage until all are done or the reading process has died."""
     reading, writing = os.pipe()
     child = os.fork()
     if not child:
         os.close(reading)
-        os.dup2(os.open(os.devnull, os.O_WRONLY), 2)  # what HDF5 says of damage is not ours to show
+        os.dup2(os.open(os.devnull, os.O_WRONLY), 2)  # hides HDF5's own messages
         for damage in damages:
             target.write_bytes(damage(whole))
             os.write(writing, bytes([OUTCOMES.index(_outcome(read, expected))]))
@@ -184,9 +184,9 @@ def _outcome(read: Callable[[], dict[str, Any]], expected: dict[str, Any]) -> st
 
 
 def journal_reader(folder: Path) -> Callable[[], dict[str, Any]]:
-    """Return a function that reads the journal of an unfinished run, as its resumption does.
+    """Return a function that reads the journal of an unfinished run, as a resumption does.
 
-    A finished file that the journal has lost is made again: that is told, and no silent change.
+    A finished file that the journal has lost is made again; this is reported, so it is no silent change.
     """
     known = [entry for journal in [read_journal(folder)] if journal is not None for entry in journal.entries]
 
@@ -202,7 +202,7 @@ def journal_reader(folder: Path) -> Callable[[], dict[str, Any]]:
 
 
 def verified(path: Path) -> dict[str, Any]:
-    """Return nothing of a dataset but that it is whole."""
+    """Verify a dataset and return nothing."""
     damage = verify(path).damage
     if damage:
         raise BadData(damage[0].what)
@@ -211,18 +211,11 @@ def verified(path: Path) -> dict[str, Any]:
 
 @dataclass(frozen=True, kw_only=True)
 class Subject:
-    """Something that is damaged, and read.
+    """A file to damage and to read.
 
-    Attributes
-    ----------
-    name : str
-    file : Path
-        Which is damaged.
-    read : callable
-        Returns what its readers get, or raises.
-    damages : list
-    sound : frozenset of str
-        What may come of it.
+    file : the file to damage
+    read : returns the content that readers receive, or raises
+    sound : allowed outcomes
     """
 
     name: str
@@ -232,14 +225,14 @@ class Subject:
     sound: frozenset[str] = SOUND
 
     def outcomes(self) -> Counter[str]:
-        """Return how often what came of it."""
+        """Count the outcomes."""
         return judge(self.file, self.read, self.damages)
 
 
 def subjects(
     folder: Path, bits: int | None, lengths: int | None, large_bits: int, verified_bits: int
 ) -> Iterator[Subject]:
-    """Yield what is damaged, made in an empty folder; None is every bit and every length."""
+    """Make the subjects in an empty folder and yield them; None stands for every bit and every length."""
     small = generate(small_scene(), folder / "small.h5", 8)
     damages = [*flips(small, bits), *cuts(small, lengths)]
     yield Subject(name="small shard", file=small, read=lambda: everything_in(small), damages=damages)
@@ -261,7 +254,7 @@ def subjects(
 
 
 def main() -> int:
-    """Print what came of each kind of damage; return 1 if any of it must not be."""
+    """Print the outcomes of each kind of damage; return 1 if any is not allowed."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
     parser.add_argument("--bits", type=int, help="of small files; all by default")
     parser.add_argument("--lengths", type=int, help="of small files; all by default")

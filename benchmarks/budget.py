@@ -1,9 +1,9 @@
-"""The run-time budget: where a signal's microseconds go, from parameters to the disk and on to the answer.
+"""The run-time budget of a signal [us], from parameters to the disk and to the answer.
 
     python benchmarks/budget.py [SCENE] [--signals N]
 
-Every stage is timed alone on the same blocks of 256 signals of the scene, one thread, the best of several rounds;
-the last column is its share of making a signal. Prints Markdown.
+Every stage is timed alone on the same blocks of 256 signals of the scene: one thread, best of several rounds. The last
+column is its share of the time to make a signal. Prints Markdown.
 """
 
 import argparse
@@ -77,7 +77,7 @@ def main() -> None:
         "probabilities and novelty": lambda: (model.probabilities(features), model.novelty(features, guards)),
     }
     cost = {name: microseconds(work, BLOCK) for name, work in (making | using).items()}
-    # The fit shares its overhead among the signals of a batch.
+    # The signals of a batch share the overhead of the fit.
     many = np.concatenate([batch.signals for batch in synthesise(scene, 2048)])
     fitted = partial(extract_array, many, rate, model.measured, pre_trigger=pre_trigger, invalid="nan")
     cost["features of the model, 2048 signals at once"] = microseconds(fitted, len(many))

@@ -1,12 +1,12 @@
-"""Processes that start at once with an empty cache of kernels, and caches that are damaged or cannot be: 0 failures.
+"""Concurrent start of processes with an empty kernel cache, and with damaged or impossible caches: 0 failures expected.
 
     python benchmarks/cold_start.py                          # 20 rounds of four processes, then every fault
     python benchmarks/cold_start.py --rounds 2 --kernels checksum          # the same in seconds
     python benchmarks/cold_start.py --rounds 2 --kernels beam              # with the largest kernels, minutes a round
 
-Processes wait until all have started, then compile (or read) and run the same kernels. One has failed if it does not
-end well, says anything, or if its result is not to the bit that of a process that has no cache. After every round and
-every fault that leaves a cache, a last process must find all kernels there and compile none.
+The processes wait until all have started, then compile (or read) and run the same kernels. A process fails if its exit
+code is not 0, if it prints anything, or if its result differs by a bit from that of a process without cache. After
+every round, and after every fault that leaves a cache, a last process must find all kernels there and compile none.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ def run():
     for batch in synthesise(load_scene(Path({scene!r})), 256, seed=1):
         yield batch.signals
 """
-#: What the processes run: code that defines `run`, which yields arrays.
+#: Code for the processes; it defines `run`, which yields arrays.
 KERNELS = {
     "checksum": """
 import numpy as np
@@ -58,7 +58,7 @@ print(json.dumps({"result": found, "read": read, "compiled": compiled}))
 
 @dataclass(frozen=True, kw_only=True)
 class Outcome:
-    """What became of a process: the SHA-256 of its arrays, and how many kernels it read and compiled."""
+    """The outcome of a process: SHA-256 of its arrays, and how many kernels it read and compiled."""
 
     result: str
     read: int
@@ -68,18 +68,12 @@ class Outcome:
 
 @dataclass(frozen=True, kw_only=True)
 class Processes:
-    """How processes are started.
+    """The way to start processes.
 
-    Attributes
-    ----------
-    kernels : str
-        A key of `KERNELS`.
-    surroundings : dict of str to (str or None)
-        Environment variables to be set, or taken away.
-    before : str
-        Code that runs first.
-    command : list of str
-        What starts Python.
+    kernels : a key of `KERNELS`
+    surroundings : environment variables to set, or to remove (None)
+    before : code that runs first
+    command : command that starts Python
     """
 
     kernels: str
@@ -88,7 +82,7 @@ class Processes:
     command: tuple[str, ...] = ()
 
     def run(self, number: int = 1) -> list[Outcome]:
-        """Start so many at once and return what became of them."""
+        """Start this many processes at once and return their outcomes."""
         environment = {name: text for name, text in (os.environ | self.surroundings).items() if text is not None}
         environment["PYTHONPATH"] = os.pathsep.join(filter(None, (str(ROOT), environment.get("PYTHONPATH"))))
         command = [*self.command, sys.executable, "-c", self.before + KERNELS[self.kernels] + _REST]
@@ -123,7 +117,7 @@ def cached(folder: Path, kernels: str) -> Processes:
 
 
 def uncached(kernels: str) -> str:
-    """Return the result of a process that cannot have a cache."""
+    """Return the result of a process without cache."""
     (outcome,) = cached(Path(os.devnull), kernels).run()
     if outcome.complaint or outcome.read:
         raise SystemExit(f"without a cache: {outcome}")
@@ -131,19 +125,19 @@ def uncached(kernels: str) -> str:
 
 
 def cold(folder: Path, kernels: str, expected: str, number: int = 4) -> list[str]:
-    """Start processes at once with an empty cache, then one that must find it filled; return what went wrong."""
+    """Start processes at once with an empty cache, then one that must find it filled; return the failures."""
     processes = cached(folder, kernels)
     wrong = failures(processes.run(number), expected)
     return wrong + left_whole(processes, expected)
 
 
 def failures(outcomes: list[Outcome], expected: str) -> list[str]:
-    """Return what went wrong in processes."""
+    """Return the failures of processes."""
     return [one.complaint or "another result" for one in outcomes if one.result != expected]
 
 
 def left_whole(processes: Processes, expected: str) -> list[str]:
-    """Return what a last process finds amiss with the cache that others left."""
+    """Return the faults that a last process finds in the cache of the others."""
     outcomes = processes.run()
     wrong = failures(outcomes, expected)
     return wrong or [f"{one.compiled} kernels were compiled again" for one in outcomes if one.compiled]
@@ -169,7 +163,7 @@ def _flipped_bit(path: Path) -> None:
 
 
 def _swapped(path: Path) -> None:
-    """Put in its place another kernel, whole as it is."""
+    """Replace a kernel by another intact kernel."""
     others = sorted(path.parent.iterdir())
     shutil.copyfile(others[(others.index(path) + 1) % len(others)], path)
 
@@ -183,7 +177,7 @@ def _gone(path: Path) -> None:
     path.unlink()
 
 
-#: What may befall every file of a cache, after which it is made whole again.
+#: Damage to every file of a cache, which is repaired afterwards.
 DAMAGES: dict[str, Callable[[Path], None]] = {
     "empty files": _empty,
     "truncated files": _truncated,
@@ -196,21 +190,13 @@ DAMAGES: dict[str, Callable[[Path], None]] = {
 
 
 def damage(folder: Path, change: Callable[[Path], None]) -> None:
-    """Do something to every compiled kernel below a folder."""
+    """Damage every compiled kernel below a folder."""
     for path in sorted(folder.glob("kernels-*/*")):
         change(path)
 
 
 def without_a_place(folder: Path, kernels: str) -> Iterator[tuple[str, Processes]]:
-    """Yield surroundings in which nothing can be kept.
-
-    Parameters
-    ----------
-    folder : Path
-        It is empty and may be filled.
-    kernels : str
-        A key of `KERNELS`.
-    """
+    """Yield environments in which nothing can be cached; `folder` is empty and may be filled."""
     usual: dict[str, str | None] = {"NUMBA_CACHE_DIR": None, "XDG_CACHE_HOME": None}
     for name, home in {"a home that is not there": "/proc/nowhere", "a home that is no folder": os.devnull}.items():
         yield name, Processes(kernels=kernels, surroundings=usual | {"HOME": home})
@@ -223,7 +209,7 @@ def without_a_place(folder: Path, kernels: str) -> Iterator[tuple[str, Processes
 
 
 def read_only(folder: Path, kernels: str) -> Processes | None:
-    """Return processes that may not write below a folder, None where nothing keeps the administrator from it."""
+    """Return processes that may not write below a folder; None if the system cannot restrict the administrator."""
     for path in (folder, *folder.rglob("*")):
         path.chmod(0o500 if path.is_dir() else 0o400)
     command: tuple[str, ...] = ()
@@ -235,7 +221,7 @@ def read_only(folder: Path, kernels: str) -> Processes | None:
 
 
 def _rows(kernels: str, rounds: int, number: int, folder: Path) -> Iterator[tuple[str, int, list[str]]]:
-    """Yield what was tried, with how many processes, and what went wrong."""
+    """Yield the trial, its number of processes, and its failures."""
     expected = uncached(kernels)
     wrong = [text for k in range(rounds) for text in cold(folder / str(k), kernels, expected, number)]
     yield f"{rounds} times {number} at once, empty cache", rounds * (number + 1), wrong
@@ -257,7 +243,7 @@ def _rows(kernels: str, rounds: int, number: int, folder: Path) -> Iterator[tupl
 
 
 def main() -> None:
-    """Print a line for all that is tried, and how many failures there were."""
+    """Print a line for each trial, and the number of failures."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--rounds", type=int, default=20)
     parser.add_argument("--processes", type=int, default=4)

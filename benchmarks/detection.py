@@ -1,18 +1,16 @@
-"""Finding impacts: precision, recall and onset error on streams with truth, and time for each sample.
+"""Detection of impacts: precision, recall and onset error on streams with known truth, and time per sample.
 
     python benchmarks/detection.py [--seconds 30] [--quick]
 
-Streams of the scene `caving` are made without noise; noise of 30 to 0 dB is added. What dB, loud, alone, precision and
-recall are is said in `tests/impact_truth.py`. Further rows are other noises, among them the scene's own background
-(hum, rumble and the sensor's noise), arrivals, sampling rates and beams. Onset errors, onset less touch, are in
-samples, of impacts that count: median, and from where to where nine of ten lie; the filter against aliasing delays,
-too.
+Streams of the scene `caving` are made without noise; then noise of 30 to 0 dB is added. `tests/impact_truth.py` defines
+dB, loud, alone, precision and recall. Further rows have other noises, among them the scene's own background (hum,
+rumble and sensor noise), arrivals, sampling rates and beams. Onset errors, onset - touch [samples], are those of
+impacts that count: the median and the range of the middle 90 %. They include the delay of the anti-aliasing filter.
 
-Then: 600 force pulses of the scene `reference`, whose peaks lie more than two decades apart, in one recording with
-white noise of 2 % of the lowest peak: how many are found, and how many events are none of them.
+Then: 600 force pulses of the scene `reference`, with peaks over more than two decades, in one recording with white
+noise of 2 % of the lowest peak: how many are found, and the number of false events.
 
-Then: events in ten minutes of white noise alone, and processor time for each sample and channel where nothing happens,
-and for each event more.
+Then: events in ten minutes of white noise; processor time per sample and channel without events, and per event.
 """
 
 import argparse
@@ -30,7 +28,7 @@ BLOCK = 65_536
 
 
 def onsets(samples: np.ndarray, sampling_rate: float) -> np.ndarray:
-    """Return the onsets that are found in a recording of one channel."""
+    """Return the detected onsets in a recording of one channel."""
     detector = ImpactDetector(sampling_rate, kind="vibration")
     events = []
     for start in range(0, samples.size, BLOCK):
@@ -83,7 +81,7 @@ def accuracy(seconds: float, quick: bool) -> None:
 
 
 def rate_of(sampling_rate: float) -> dict[str, dict]:
-    """Return the change to another sampling rate, with its filter against aliasing."""
+    """Return the change to another sampling rate, with its anti-aliasing filter."""
     edge = {"frequency": f"{min(10e3, 0.39 * sampling_rate):g} Hz", "order": 8}
     return {"sampling": {"sampling_rate": f"{sampling_rate:g} Hz"}, "sensor": {"anti_alias": edge}}
 

@@ -1,8 +1,8 @@
-"""Runs cgid's command line in forked copies of itself, each with its own faults, each to its interpreter's end.
+"""Runs cgid's command line in forked copies of this process, each with its own faults, up to the interpreter's exit.
 
-Starting Python and loading libraries takes seconds, a command milliseconds: so this process does the first once. Run by
-`benchmarks/faults.py`, which says what is asked for: a line of JSON on stdin for each command, one back on stdout when
-it has ended. A copy ends as a process of its own does, so that what crashes at exit is seen.
+Starting Python and importing libraries takes seconds, a command milliseconds, so this process imports once.
+`benchmarks/faults.py` starts it and defines the requests: one line of JSON on stdin per command, one on stdout when it
+has ended. A copy ends as an ordinary process does, so that crashes at exit are seen.
 """
 
 from __future__ import annotations
@@ -21,9 +21,9 @@ from contextlib import redirect_stderr, redirect_stdout
 from pathlib import Path
 from typing import Any
 
-#: A command that takes longer hangs [s].
+#: Time limit of a command [s].
 _LONGEST = 60
-#: What does not depend on where it is written is computed once: it takes minutes, and the disk comes after it.
+#: Computed once, since it takes minutes and does not depend on where it is written; the disk comes afterwards.
 _COMPUTED = (
     ("cgid.reproduction.output", "_contents"),
     ("cgid.ceiling.survey", "survey"),
@@ -51,7 +51,7 @@ def _kept(function: Any) -> Any:
 
 
 def _prepare(asked: dict[str, Any]) -> None:
-    """Make this process what was asked for: its streams, place, user, limits and faults."""
+    """Set streams, folder, user, limits and faults of this process as requested."""
     os.setpgid(0, 0)
     faulthandler.dump_traceback_later(_LONGEST, exit=True)
     for descriptor, name in ((1, asked["out"]), (2, asked["err"])):
@@ -68,7 +68,7 @@ def _prepare(asked: dict[str, Any]) -> None:
     if asked.get("gone"):
         Path.cwd().rmdir()
     if asked.get("size"):
-        # Beyond this size a write fails with EFBIG: the kernel's own doing.
+        # Beyond this size the kernel itself fails a write with EFBIG.
         signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
         resource.setrlimit(resource.RLIMIT_FSIZE, (asked["size"], asked["size"]))
     if asked.get("user"):
@@ -81,12 +81,12 @@ def _prepare(asked: dict[str, Any]) -> None:
 
 
 def _wait(children: list[int], asked: dict[str, Any]) -> dict[str, Any]:
-    """Return how the copies ended, how many calls they made below their folder, and how long they took [s]."""
+    """Return how the copies ended, their number of calls below the folder, and their time [s]."""
     began = time.perf_counter()
     if asked.get("interrupt_after") is not None:
         time.sleep(asked["interrupt_after"])
         os.kill(children[0], signal.SIGINT)
-    # Whatever hangs is dumped by its own faulthandler, and ends as a failure.
+    # A hanging copy is dumped by its own faulthandler and ends as a failure.
     codes = [os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) for child in children]
     calls = 0
     if "below" in asked:
@@ -105,11 +105,11 @@ def main() -> None:
     _compute_once()
     for line in sys.stdin:
         asked = json.loads(line)
-        if asked.get("here"):  # loads what the command needs, and keeps what it computes
+        if asked.get("here"):  # imports the command's libraries and keeps its results
             with Path(asked["err"]).open("w") as err, redirect_stdout(io.StringIO()), redirect_stderr(err):
                 answer: dict[str, Any] = {"codes": [run(asked["arguments"])], "calls": 0, "seconds": 0.0}
         else:
-            gc.freeze()  # else every copy looks through all that it shares when it ends, which takes seconds
+            gc.freeze()  # otherwise every copy scans all shared objects at exit, which takes seconds
             children = []
             for _ in range(asked.get("copies", 1)):
                 child = os.fork()

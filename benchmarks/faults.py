@@ -1,14 +1,13 @@
-"""What becomes of files when the disk does not obey: every command that writes, every call of it failing in turn.
+"""Disk faults: for every command that writes, each of its calls fails in turn.
 
     python benchmarks/faults.py                       # k = 1..50, ENOSPC and EACCES: half an hour
     python benchmarks/faults.py --most 5 --only table # some of it
 
-Each command runs with the k-th call by which it writes (open, write, fsync, rename, ...; `failing_calls.c`) failing:
-with ENOSPC as on a disk that is full from then on, with EACCES once. It runs where nothing is yet, and with --overwrite
-where good old files lie. Then it must have ended with exit code 73 or 74 and one line on stderr, what was there before
-must be there byte for byte, and nothing else; or, where it could do without the call, it must have made all that an
-undisturbed run makes. What a command leaves when a signal stops it at the k-th call is judged likewise: Ctrl-C (130)
-leaves what was there, kill -9 under every name either the old bytes or the new.
+In each run, the k-th writing call (open, write, fsync, rename, ...; `failing_calls.c`) fails: with ENOSPC as on a disk
+that is full from then on, with EACCES once. The command runs in an empty folder, and with --overwrite over older files.
+It must end with exit code 73 or 74 and one line on stderr and leave the old files, byte for byte, and no others. If it
+can do without the call, it must make everything that an undisturbed run makes. Signals at the k-th call are judged
+likewise: Ctrl-C (130) keeps the old files; kill -9 leaves under every name either the old bytes or the new.
 """
 
 from __future__ import annotations
@@ -31,7 +30,7 @@ from typing import Any
 
 ROOT = Path(__file__).parents[1]
 HERE = Path(__file__).parent
-#: Exit codes of what cannot be created, and of what could not be written.
+#: Exit codes of `CannotCreate` and `WriteFailed`.
 CANNOT_CREATE, WRITE_FAILED, INTERRUPTED = 73, 74, 130
 Files = dict[str, bytes]
 
@@ -40,17 +39,10 @@ Files = dict[str, bytes]
 class Command:
     """A command that writes.
 
-    Attributes
-    ----------
-    name : str
-    arguments : tuple of str
-        {here} is the folder that it writes into, {inputs} what it may read.
-    older : tuple of str
-        The arguments of the run whose files are overwritten.
-    unfinished : str
-        Pattern of the names of files that may stay behind a run that failed.
-    computes : bool
-        Whether it computes long, so that it has to run once in the server.
+    arguments : {here} is the folder for the output, {inputs} that of the input
+    older : arguments of the run that makes the files to overwrite
+    unfinished : pattern of the files that a failed run may leave
+    computes : whether it computes for long, so that it must run once in the server
     """
 
     name: str
@@ -65,7 +57,7 @@ def _command(name: str, arguments: str, *, older: str = "", **rest: Any) -> Comm
     return Command(name, tuple(words), tuple((older or arguments).split()), **rest)
 
 
-#: Shards that are whole, and what says that a run is not finished; or the same of a new folder beside the old.
+#: Complete shards and the marker of an unfinished run; or those of a new folder next to the old.
 _SHARDS = r"(data|\.data\.[^/]*)/(|shard-\d+\.h5|recording-\d+\.h5|unfinished\.jsonl)"
 _SIGNALS = "generate {inputs}/short.toml -n 48 --seed"
 _TABLE = "generate reference -n 400 --features-only --features peak_force,width_50 --seed"
@@ -100,18 +92,11 @@ COMMANDS = (
 
 @dataclass(frozen=True)
 class Ending:
-    """How a command ended.
+    """The end of a command.
 
-    Attributes
-    ----------
-    codes : list of int
-        Exit codes of all copies that ran at once, or minus the signal that ended them.
-    calls : int
-        By which it wrote.
-    seconds : float
-        [s]
-    out, err : str
-        What it printed; of several copies, the last one's.
+    codes : exit codes of all concurrent copies; minus the signal that ended one
+    calls : number of writing calls
+    out, err : printed text, of the last copy if there are several
     """
 
     codes: list[int]
@@ -124,14 +109,9 @@ class Ending:
 class Server:
     """Runs commands with faults, in copies of one process.
 
-    Parameters
-    ----------
-    folder : Path
-        For what the commands print, and for the library that makes calls fail.
-    around : sequence of str
-        A command that runs the server: such as unshare.
-    faults : bool
-        Whether calls are to be counted and to fail: that takes gcc.
+    folder : for printed text and the library that makes calls fail
+    around : command that runs the server, such as unshare
+    faults : whether to count calls and make them fail, which needs gcc
     """
 
     def __init__(self, folder: Path, around: Sequence[str] = (), *, faults: bool = True) -> None:
@@ -154,7 +134,7 @@ class Server:
         self.process.wait()
 
     def run(self, arguments: Sequence[str], **asked: Any) -> Ending:
-        """Return how a command ended; what may be asked for is in `fault_server.py`."""
+        """Run a command and return its end; `fault_server.py` lists the requests."""
         out, err = self._folder / "out.txt", self._folder / "err.txt"
         asked = {"arguments": list(arguments), "out": str(out), "err": str(err), **asked}
         assert self.process.stdin is not None and self.process.stdout is not None
@@ -179,7 +159,7 @@ def _built(folder: Path) -> Path:
 
 
 def files_in(folder: Path) -> Files:
-    """Return the content of every file below a folder by its name; folders end in / and have none."""
+    """Return the content of every file below a folder by name; folders end in / and have none."""
     found = {}
     for path in sorted(folder.rglob("*")):
         name = str(path.relative_to(folder))
@@ -189,18 +169,11 @@ def files_in(folder: Path) -> Files:
 
 @dataclass
 class Trial:
-    """A command, the files that it finds, and the files that it makes where nothing fails.
+    """A command, the files that it finds, and the files that an undisturbed run makes.
 
-    Attributes
-    ----------
-    command : Command
-    server : Server
-    inputs, here : Path
-        What it reads from and writes into.
-    old, new : dict of bytes
-        What lies there before and behind it.
-    calls : int
-        By which it writes.
+    inputs, here : folders of input and output
+    old, new : files before and after an undisturbed run
+    calls : number of writing calls
     """
 
     command: Command
@@ -212,10 +185,10 @@ class Trial:
     calls: int = 0
 
     def prepare(self, *, overwrite: bool) -> None:
-        """Run the command undisturbed, to know what it makes."""
+        """Run the command undisturbed to learn what it makes."""
         self._lay({})
         if overwrite:
-            # Any bytes would do, but for a folder, which must look like one of ours.
+            # Any bytes will do for a file; a folder must look like one of cgid.
             arguments = [word if word != "1" else "2" for word in self._words(self.command.older)]
             assert self.server.run(arguments).codes == [0], self.server.run(arguments).err
             self.old = files_in(self.here)
@@ -227,7 +200,7 @@ class Trial:
         self.new, self.calls = files_in(self.here), ended.calls
 
     def run(self, **faults: Any) -> Ending:
-        """Run the command with faults where the old files lie."""
+        """Run the command with faults over the old files."""
         self._lay(self.old)
         arguments = [*self._words(self.command.arguments), *(["--overwrite"] if self.overwrite else [])]
         return self.server.run(arguments, below=f"{self.here}/", **faults)
@@ -244,7 +217,7 @@ class Trial:
 
 
 def judge_failure(trial: Trial, ended: Ending) -> str:
-    """Return what is wrong with how a command ended of which a call failed, or nothing."""
+    """Return the fault in the end of a command with a failed call, or nothing."""
     left = files_in(trial.here)
     (code,) = ended.codes
     if code == 0:
@@ -258,7 +231,7 @@ def judge_failure(trial: Trial, ended: Ending) -> str:
 
 
 def judge_interruption(trial: Trial, ended: Ending) -> str:
-    """Return what is wrong with how a command ended when Ctrl-C was pressed, or nothing."""
+    """Return the fault in the end of a command after Ctrl-C, or nothing."""
     left = files_in(trial.here)
     (code,) = ended.codes
     if code == 0:
@@ -266,12 +239,12 @@ def judge_interruption(trial: Trial, ended: Ending) -> str:
     if code != INTERRUPTED or "Traceback" in ended.err:
         return f"exit code {code}: {ended.err[-300:]}"
     if left == trial.new:
-        return ""  # too late to stop anything
+        return ""  # the signal came too late
     return _not_as_before(trial, left)
 
 
 def judge_kill(trial: Trial, ended: Ending) -> str:
-    """Return what is wrong with what a killed command left, or nothing."""
+    """Return the fault in the files of a killed command, or nothing."""
     if ended.codes not in ([-signal.SIGKILL], [0]):
         return f"exit code {ended.codes}: {ended.err[-300:]}"
     for name, content in files_in(trial.here).items():
@@ -293,7 +266,7 @@ def _not_as_before(trial: Trial, left: Files) -> str:
     return ""
 
 
-#: What may happen at the k-th call: what the server is asked for, and who judges.
+#: Events at the k-th call: the request to the server, and the judge.
 FAULTS = {
     "ENOSPC": ({"errno": errno.ENOSPC, "lasting": 1}, judge_failure),
     "EACCES": ({"errno": errno.EACCES, "lasting": 0}, judge_failure),
@@ -303,7 +276,7 @@ FAULTS = {
 
 
 def sweep(trial: Trial, fault: str, calls: Sequence[int]) -> tuple[int, list[str]]:
-    """Let each of some calls fail in turn; return how many there were, and what was wrong."""
+    """Make each of some calls fail in turn; return their number, and the faults."""
     asked, judge = FAULTS[fault]
     wrong, done = [], 0
     for number in calls:
@@ -319,7 +292,7 @@ def sweep(trial: Trial, fault: str, calls: Sequence[int]) -> tuple[int, list[str
 
 @contextmanager
 def inputs(server: Server, folder: Path) -> Iterator[Path]:
-    """Yield a folder with what the commands read."""
+    """Yield a folder with the inputs of the commands."""
     scenes = ROOT / "datasets"
     folder.mkdir()
     reference = (scenes / "reference.toml").read_text()
@@ -333,7 +306,7 @@ def inputs(server: Server, folder: Path) -> Iterator[Path]:
 
 
 def load(server: Server, command: Command, folder: Path, inputs: Path) -> None:
-    """Have the server load what a command needs, so that each run of it takes milliseconds."""
+    """Load a command's libraries in the server, so that each run takes milliseconds."""
     here = folder / "load"
     here.mkdir()
     words = [word.replace("{here}", str(here)).replace("{inputs}", str(inputs)) for word in command.arguments]
@@ -343,7 +316,7 @@ def load(server: Server, command: Command, folder: Path, inputs: Path) -> None:
 
 
 def main() -> None:
-    """Print how often each command was disturbed, and whatever went wrong."""
+    """Print the number of disturbances of each command, and the faults."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--most", type=int, default=50, help="calls that fail, from the first")
     parser.add_argument("--only", default="", help="commands with this in their name")

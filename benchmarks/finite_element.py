@@ -1,23 +1,23 @@
-"""The finite-element reference: how exact, how long, how much memory, and what it says beside the theories.
+"""The finite-element reference: accuracy, time, memory, and comparison with the theories.
 
     python benchmarks/finite_element.py                              # all tables, and benchmarks/finite_element.png
     python benchmarks/finite_element.py --parts convergence --elements 7 14 28 56
     python benchmarks/finite_element.py --quick                      # fewer impacts, coarser meshes, no picture
 
-Spheres of Table 2 of Yang, Zeng & Wan (2018), 25 mm of radius, on the steel plate of 8 mm, its lower face fixed, with
-14 elements over the contact radius unless a table says otherwise. Parts:
+Spheres of Table 2 of Yang, Zeng & Wan (2018), radius 25 mm, on the steel plate of 8 mm with a fixed lower face; 14
+elements over the contact radius unless a table says otherwise. Parts:
 
 * convergence: peaks, seconds and memory against elements;
-* time: where the time of an impact goes;
-* methods: explicit beside implicit steps on one mesh, time against error, without damping and with it;
-* peers: assembly beside scikit-fem's (if installed), steps beside a loop with scipy's product and another contact;
-* theories: error of the three theories of contact stiffness over four spheres and five speeds;
-* penalty: what a soft contact does, by its factor and by the size of elements;
-* damping: Kelvin-Voigt spheres beside Kuwabara-Kono and Hunt-Crossley;
-* low-pass: the force by the acceleration of the sphere's centre, behind an FFT filter; the picture;
-* sizes: do the size of the sphere, radius and thickness of the plate, and what holds it matter?
+* time: breakdown of the time of an impact;
+* methods: explicit and implicit steps on one mesh, time against error, undamped and damped;
+* peers: assembly against scikit-fem (if installed), steps against a loop with scipy's product and another contact;
+* theories: errors of the three theories of contact stiffness over four spheres and five speeds;
+* penalty: effect of a soft contact, by its factor and by element size;
+* damping: Kelvin-Voigt spheres against Kuwabara-Kono and Hunt-Crossley;
+* low-pass: the force from the acceleration of the sphere's centre, after an FFT filter; the picture;
+* sizes: effect of the sphere's size, the plate's radius and thickness, and its support.
 
-One thread; seconds are processor time, the first run compiles. Times are of one machine: look at ratios.
+One thread; seconds are processor time, the first run compiles. Times depend on the machine: compare ratios.
 """
 
 from __future__ import annotations
@@ -65,7 +65,7 @@ Options = argparse.Namespace
 
 
 def theories(options: Options) -> None:
-    """Print the errors of the three theories over spheres and speeds, and the two yardsticks."""
+    """Print the errors of the three theories over spheres and speeds, by two measures."""
     spheres, speeds = ((1, 3), (2.0, 10.0)) if options.quick else ((1, 2, 3, 4), SPEEDS)
     table(
         "sphere", "m/s", "peak force [N]", "DCS [um]", "duration [us]", *(f"{name}: P / DCS / T" for name in THEORIES)
@@ -91,7 +91,7 @@ def theories(options: Options) -> None:
 
 
 def penalty(options: Options) -> None:
-    """Print what a soft contact makes of the peaks, and how soft it must be for the series theory."""
+    """Print the peaks with a soft contact, and the softness at which the series theory is right."""
     table("sphere", "m/s", "elements", "factor", "P / DCS / T over hard contact", "over K1", "over the series theory")
     fitting = []
     for sphere, speed in CORNERS[:1] if options.quick else (CORNERS[0], CORNERS[3]):
@@ -117,10 +117,10 @@ def _joined(ratios: Floats) -> str:
 
 
 def damping(options: Options) -> None:
-    """Print restitutions and loops of Kelvin-Voigt spheres beside two laws of damping.
+    """Print restitutions and loops of Kelvin-Voigt spheres against two laws of damping.
 
-    Kuwabara-Kono's constant follows from b without any fit. Hunt-Crossley is given the restitution that was found; how
-    it goes on with speed is told by the damping that fits at the lowest.
+    Kuwabara-Kono's constant follows from b without a fit. Hunt-Crossley receives the computed restitution; its change
+    with speed follows from the damping fitted at the lowest speed.
     """
     columns = (
         "restitution",
@@ -153,13 +153,13 @@ def damping(options: Options) -> None:
 
 
 def loop_error(damped: History, undamped: History, law: Impact, hertz: Impact) -> float:
-    """Return how far a law's loop lies from that of the finite elements, as parts of the peak force."""
+    """Return the distance of a law's loop from that of the finite elements, relative to the peak force."""
     found, said = loop(damped) - loop(undamped), loop(law) - loop(hertz)
     return float(np.abs(found - said).max())
 
 
 def loop(of: History | Impact) -> Floats:
-    """Return force over its peak at even displacements over their largest, there and back."""
+    """Return force / peak at even steps of displacement / largest displacement, there and back."""
     if isinstance(of, Impact):
         times = np.linspace(0.0, float(of.contact_duration), 4001)
         force, way = of.force(times), of.displacement(times)
@@ -173,7 +173,7 @@ def loop(of: History | Impact) -> Floats:
 
 
 def sizes(options: Options) -> None:
-    """Print the peaks over those of K1 for other spheres and plates."""
+    """Print the peaks, relative to K1, for other spheres and plates."""
     speed = 2.0
     cases: list[tuple[str, dict[str, Any]]] = [("the paper's plate", {})]
     for radius in (0.01, 0.05) if options.quick else (0.005, 0.01, 0.05):
@@ -199,7 +199,7 @@ def sizes(options: Options) -> None:
             row(sphere, name, _joined(over), beside, f"{history.restitution:.4f}", nodes, f"{seconds:.1f}")
 
 
-#: Name on the command line, heading and work of each part.
+#: Name on the command line, heading and function of each part.
 PARTS: dict[str, tuple[str, Callable[[Options], None]]] = {
     "convergence": ("Peaks, seconds and memory against elements over the contact radius", against_elements),
     "time": ("Where the time goes", where_time_goes),
@@ -214,7 +214,7 @@ PARTS: dict[str, tuple[str, Callable[[Options], None]]] = {
 
 
 def main() -> None:
-    """Run what was asked for and print Markdown."""
+    """Run the requested parts and print Markdown."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--parts", nargs="+", choices=PARTS, default=list(PARTS), metavar="PART", help=", ".join(PARTS))
     parser.add_argument(
@@ -224,7 +224,7 @@ def main() -> None:
     parser.add_argument("--quick", action="store_true", help="fewer impacts, no picture")
     parser.add_argument("--alone", help=argparse.SUPPRESS)
     options = parser.parse_args()
-    # Displacements of a tenth of the radius and more are part of the study.
+    # The study includes displacements of a tenth of the radius and more.
     warnings.simplefilter("ignore", HertzRangeWarning)
     if options.alone:
         print_alone(options.alone)

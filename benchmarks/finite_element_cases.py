@@ -1,4 +1,4 @@
-"""The impacts that `finite_element.py` computes, each at most once, and the theories beside them."""
+"""The impacts of `finite_element.py`, each computed at most once, and the theories for them."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from cgid.validation import Floats
 RADIUS, THICKNESS, PLATE_RADIUS = 0.025, 0.008, 0.229
 ELEMENTS = 14
 SPEEDS = (2.0, 4.0, 6.0, 8.0, 10.0)
-#: The ends of the paper's study: sphere and speed [m/s].
+#: The extremes of the paper's study: sphere and speed [m/s].
 CORNERS = ((1, 2.0), (1, 10.0), (3, 2.0), (3, 10.0))
 THEORIES = ("hertz", "rigid-sphere", "series")
 
@@ -47,7 +47,7 @@ def impact(
 
 @functools.cache
 def solved(sphere: int, velocity: float, **options: Any) -> tuple[History, float]:
-    """Return what an impact tells, and the seconds it took, mesh and all."""
+    """Return the history of an impact, and the seconds that it took, including the mesh."""
     start = time.process_time()
     history = impact(sphere, velocity, **options).run()
     return history, time.process_time() - start

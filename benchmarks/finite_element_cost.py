@@ -1,4 +1,4 @@
-"""What a finite-element impact costs: seconds and memory, where they go, other methods, other tools."""
+"""The cost of a finite-element impact: seconds and memory, their breakdown, other methods, other tools."""
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ from cgid.finite_element.steps import N_VALUES, stable_time_step
 from cgid.physics.materials import STEEL, YANG2018_SPHERES
 from cgid.validation import Floats
 
-#: Explicit runs of more steps than this are not made beside implicit ones.
+#: Explicit runs with more steps than this are skipped in the comparison with implicit runs.
 MOST_STEPS = 100_000
-#: Retardation times beside none, for explicit against implicit [s].
+#: Retardation times [s] besides 0, for explicit against implicit steps.
 DELAYS = (0.0, 0.2e-6, 2e-6)
 
 
@@ -50,7 +50,7 @@ def against_elements(options: argparse.Namespace) -> None:
 
 
 def alone(**case: Any) -> dict[str, Any]:
-    """Return what an impact in a process of its own tells."""
+    """Return the results of an impact in a separate process."""
     script = Path(__file__).with_name("finite_element.py")
     done = subprocess.run([sys.executable, script, "--alone", json.dumps(case)], capture_output=True, text=True)
     if done.returncode:
@@ -59,9 +59,9 @@ def alone(**case: Any) -> dict[str, Any]:
 
 
 def print_alone(case: str) -> None:
-    """Compute one impact and print what it tells as JSON."""
+    """Compute one impact and print its results as JSON."""
     options = json.loads(case)
-    solved(1, 10.0, elements=7)  # compiles, loads
+    solved(1, 10.0, elements=7)  # compiles, imports
     before = _memory(forget=True)
     start = time.process_time()
     asked = impact(**options)
@@ -83,7 +83,7 @@ def print_alone(case: str) -> None:
 
 
 def _memory(forget: bool = False) -> float:
-    """Return the most memory that this process ever held, or since it was to forget that [bytes]; Linux only."""
+    """Return the peak memory of this process, or the peak since its last reset [bytes]; Linux only."""
     process = Path("/proc/self")
     if forget:
         (process / "clear_refs").write_text("5")
@@ -91,7 +91,7 @@ def _memory(forget: bool = False) -> float:
 
 
 class Spy:
-    """Stands before the kernel of the steps: how long it runs, and in what states."""
+    """Wraps the kernel of the steps; records its run time and its states."""
 
     def __init__(self) -> None:
         self.seconds, self.steps, self.records = 0.0, 0, 0
@@ -109,7 +109,7 @@ class Spy:
 
 
 def where_time_goes(options: argparse.Namespace) -> None:
-    """Print the parts of the time of an undamped explicit impact."""
+    """Print the breakdown of the time of an undamped explicit impact."""
     parts = ("mesh", "matrices", "stability", "steps: product", "contact", "rest of the steps", "records", "rest")
     each = ("us: product", "contact", "rest of a step", "a record")
     table("elements", "s", *parts, "steps", *each, "nodes of sphere / plate", "sphere's stable step over the plate's")
@@ -145,7 +145,7 @@ def _matrices(ball: Any, slab: Any) -> Any:
 
 
 def _of_a_step(spy: Spy) -> Floats:
-    """Return the time of a step's product, its contact, all else in it, and of a record [s]; means over states seen."""
+    """Return the time of a step's product, contact and remainder, and of a record [s]; means over the seen states."""
     costs = []
     for matrix, contact, inertia, state in spy.calls[:: max(1, len(spy.calls) // 8)]:
         n, times = contact[3].size, max(20, 1_000_000 // len(matrix[2]))
@@ -180,7 +180,7 @@ def _contacts(matrix, contact, lag, state, scratch, times):  # type: ignore[no-u
 
 
 def timed(work: Callable[..., Any], *arguments: Any, rounds: int = 3) -> tuple[float, Any]:
-    """Return the least time of some rounds [s] and what came out; where there are more than one, the first compiles."""
+    """Return the least time of some rounds [s] and the result; with more than one round, the first compiles."""
     times, result = [], None
     for _ in range(rounds + (rounds > 1)):
         start = time.process_time()
@@ -219,7 +219,7 @@ def methods(options: argparse.Namespace) -> None:
 
 
 def peers(options: argparse.Namespace) -> None:
-    """Print assembly beside scikit-fem's, and steps beside scipy's product with another contact."""
+    """Print assembly against scikit-fem, and steps against scipy's product with another contact."""
     _assembly(options)
     table("elements", "stepped by", "us a step", "in the product", "over ours", "peak force [N]", "restitution")
     for elements in options.elements:
@@ -254,7 +254,7 @@ def _assembly(options: argparse.Namespace) -> None:
         except ImportError:
             row(elements, len(mesh.elements), f"{1e3 * own:.1f}", "not installed", "-", "-")
             continue
-        # Ours stretches the masses to those of a ball without corners.
+        # cgid scales the masses to those of a ball without corners.
         mass *= found.mass.sum() / mass.sum()
         apart = (
             abs(stiffness - found.stiffness).max() / abs(stiffness).max(),
@@ -270,7 +270,7 @@ def _largest(values: Floats) -> float:
 
 
 def statements(function: Callable[..., Any]) -> int:
-    """Return how many lines a function has, without its docstring, comments and empty lines."""
+    """Return the number of lines of a function without docstring, comments and blank lines."""
     text = inspect.getsource(function)
     if function.__doc__:
         text = text.replace(function.__doc__, "")

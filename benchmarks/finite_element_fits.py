@@ -1,4 +1,4 @@
-"""Shapes of the impacts of `datasets/finite_element.npz`: the family fitted to them, the laws and finer meshes beside.
+"""Shapes of the impacts of `datasets/finite_element.npz`, compared with the fitted family, the laws and finer meshes.
 
 A part of `finite_element_identification.py`.
 """
@@ -16,14 +16,14 @@ from cgid.scene.given_pulses import SolvedImpacts
 
 #: Classes of restitution in the tables of shape.
 EDGES = (0.1, 0.25, 0.35, 0.45, 0.55, 0.65, 1.0)
-#: Samples of a contact in the fit without noise, and the noise said to that fit, over the peak.
+#: Samples of a contact in the fit without noise, and the noise that the fit assumes, relative to the peak.
 SAMPLES, NO_NOISE = 400, 1e-3
-#: Over the contact radius and over Hertz's duration; stored are 12 and 250.
+#: Elements over the contact radius and steps over Hertz's duration; the stored impacts have 12 and 250.
 FINER_ELEMENTS, FINER_STEPS = 28, 1000
 
 
 def without_noise(pulses: SampledPulses) -> tuple[np.ndarray, float]:
-    """Return frames of pulses, all of one duration (nothing hangs on it) and peak 1, and their sampling rate."""
+    """Return frames of pulses of equal duration (it has no effect) and peak 1, and their sampling rate."""
     alike = pulses.stretched(1 / pulses.peak_force, 1 / pulses.contact_duration)
     frames = np.zeros((len(pulses), 4 * SAMPLES))
     alike.add_to_frames(frames, float(SAMPLES), np.full(len(pulses), 1.0))
@@ -39,7 +39,7 @@ def family_curve(found: Estimates, shape: tuple[int, ...], rate: float) -> np.nd
 
 @dataclass(frozen=True)
 class Fits:
-    """The family's best pulse beside each pulse without noise; errors of numbers are relative but for `restitution`."""
+    """The family's best pulse for each noiseless pulse; errors are relative, except for `restitution`."""
 
     explained: np.ndarray
     rms: np.ndarray
@@ -50,7 +50,7 @@ class Fits:
 
 
 def fits(impacts: SolvedImpacts) -> Fits:
-    """Return how well the family's best pulses lie on the impacts' own, over the contact of these."""
+    """Return how well the family's best pulses fit the impacts during contact."""
     frames, rate = without_noise(impacts.pulses)
     found = estimate(frames, rate, pre_trigger=SAMPLES // 2, noise=NO_NOISE)
     inside = slice(SAMPLES, 2 * SAMPLES + 1)
@@ -68,7 +68,7 @@ def fits(impacts: SolvedImpacts) -> Fits:
 
 
 def shape_table(kinds: dict[str, SolvedImpacts]) -> None:
-    """Print how much of the shape is explained, and how far numbers read off the fit are off, by restitution."""
+    """Print the explained share of the shape, and the errors of numbers read off the fit, by restitution."""
     print("| pulses | restitution | impacts | explained, mean | least | rms / peak | largest / peak | ", end="")
     print("read off: restitution | peak | duration |\n|---|---|---|---|---|---|---|---|---|---|")
     for name, impacts in kinds.items():
@@ -87,7 +87,7 @@ def shape_table(kinds: dict[str, SolvedImpacts]) -> None:
 
 
 def physics_table(kinds: dict[str, SolvedImpacts]) -> None:
-    """Print the solved impacts beside those of the laws at the same restitution, nothing fitted: mean (deviation)."""
+    """Print the solved impacts against the laws at equal restitution, with nothing fitted: mean (deviation)."""
     print("| finite elements over | peak force | contact duration | impulse over peak | impulse | explained |")
     print("|---|---|---|---|---|---|")
     solved = kinds[FINITE_ELEMENTS].pulses
@@ -107,7 +107,7 @@ def physics_table(kinds: dict[str, SolvedImpacts]) -> None:
 
 
 def finer_table(solved: SolvedImpacts, n: int) -> None:
-    """Print how far n of the stored courses are from those of a finer mesh in shorter steps."""
+    """Print the differences of n stored time series from those of a finer mesh with shorter steps."""
     print("| row | modulus [GPa] | restitution | rms / peak | largest / peak | restitution, stored minus finer |")
     print("|---|---|---|---|---|---|")
     for row in extreme_rocks(solved, n):

@@ -1,16 +1,16 @@
-"""How the default model does on impacts that another physics has made, and how much of them the pulse family explains.
+"""Performance of the default model on impacts of another physics, and the share of them that the pulse family explains.
 
     python benchmarks/finite_element_identification.py [MODEL.npz] [--sizes 8] [--elastic 8] [--retrained 6000]
     python benchmarks/finite_element_identification.py --sizes 1 --finer 6
 
-The impacts of `datasets/finite_element.npz` are rocks of the reference scene, solved by finite elements. Beside them
-stand the same rocks, falls and restitutions by Kuwabara and Kono's law (a viscoelastic sphere, as in the elements, but
-of Hertz's contact) and by Hunt and Crossley's, which the scene and so the model's training have. Sizes, noise and touch
-are drawn `--sizes` times by the scene, the same for all three; under the scene's 1 % of noise, and under 10 %.
-Intervals resample rocks, of which there are fewer than signals. --elastic solves so many rocks again without any loss.
---finer solves so many on 28 elements in 1000 steps: the hardest rock, the softest, the liveliest, the most damped, then
-others; a minute each. --retrained trains a model on so many signals of each law, as the scene draws its rocks, to say
-what is lost for want of the right law. Prints Markdown; some minutes.
+The impacts of `datasets/finite_element.npz` are rocks of the reference scene, solved by finite elements. They are
+compared with the same rocks, falls and restitutions by the law of Kuwabara and Kono (a viscoelastic sphere, as in the
+elements, but with Hertz's contact) and by that of Hunt and Crossley, which the scene and the model's training use. The
+scene draws sizes, noise and touch `--sizes` times, equal for all three, with its 1 % of noise and with 10 %. Intervals
+resample rocks, which are fewer than signals. --elastic solves this many rocks again without loss. --finer solves this
+many on 28 elements in 1000 steps: the hardest, softest, liveliest and most damped rock, then others; a minute each.
+--retrained trains a model on this many signals of each law, with rocks drawn by the scene, to measure the loss from a
+wrong law. Prints Markdown; some minutes.
 """
 
 import argparse
@@ -42,7 +42,7 @@ RESAMPLINGS = 2000
 
 @dataclass(frozen=True)
 class Answers:
-    """What a model says of the signals of all sizes, one size after another."""
+    """A model's answers to the signals of all sizes, one size after another."""
 
     probabilities: np.ndarray
     labels: np.ndarray
@@ -81,7 +81,7 @@ def signals(impacts: SolvedImpacts, scene: Scene, sizes: int) -> Iterator[Batch]
 
 
 def resampled(difference: np.ndarray) -> tuple[float, float, float]:
-    """Return the mean of numbers (n_sizes, n_rocks) and its 95 % interval, rocks drawn anew with all their sizes."""
+    """Return the mean of numbers (n_sizes, n_rocks) and its 95 % interval; rocks are resampled with all their sizes."""
     rocks = difference.mean(axis=0)
     draws = np.random.default_rng(0).integers(0, rocks.size, (RESAMPLINGS, rocks.size))
     low, high = np.quantile(rocks[draws].mean(axis=1), [0.025, 0.975])
@@ -89,7 +89,7 @@ def resampled(difference: np.ndarray) -> tuple[float, float, float]:
 
 
 def identification_table(found: dict[str, Answers], model: Model) -> None:
-    """Print how well the three kinds of pulses are told apart, and what is strange about them."""
+    """Print the accuracy for the three kinds of pulses, and the novelty of these."""
     guards = ", ".join(model.guards)
     print(
         "| pulses | accuracy | log loss | Brier | calibration error | by chance | ROC area | unknown | of these by ",
@@ -119,7 +119,7 @@ def identification_table(found: dict[str, Answers], model: Model) -> None:
 
 
 def confusion_table(found: dict[str, Answers]) -> None:
-    """Print who is taken for whom, and how sure the answers are."""
+    """Print the confusions and the confidence of the answers."""
     for name, of in found.items():
         figures = evaluate(of.labels, of.probabilities, of.classes)
         rows = [
@@ -134,7 +134,7 @@ def confusion_table(found: dict[str, Answers]) -> None:
 
 
 def training_signals(scene: Scene, law: str, n_signals: int) -> Iterator[Batch]:
-    """Yield signals of the scene, its pulses those of another law at the same restitutions."""
+    """Yield signals of the scene with pulses of another law at the same restitutions."""
     if law == FAMILY:
         yield from synthesise(scene, n_signals, TRAINING_SEED)
         return
@@ -146,7 +146,7 @@ def training_signals(scene: Scene, law: str, n_signals: int) -> Iterator[Batch]:
 
 
 def retrained_table(kinds: dict[str, SolvedImpacts], scene: Scene, model: Model, sizes: int, n_signals: int) -> None:
-    """Print how models trained on either law do on all three kinds of pulses."""
+    """Print the performance of models trained on either law on all three kinds of pulses."""
     print("| trained on | pulses | accuracy | log loss |\n|---|---|---|---|")
     for law in (FAMILY, VISCOELASTIC):
         own = train(training_signals(scene, law, n_signals), features=model.features, family=model.family).model

@@ -1,4 +1,4 @@
-"""The contact force read off the acceleration of the sphere's centre, behind an FFT filter: table and picture."""
+"""The contact force from the acceleration of the sphere's centre, after an FFT filter: table and picture."""
 
 from __future__ import annotations
 
@@ -19,16 +19,16 @@ from cgid.plots import COLOURS, png, require_matplotlib
 from cgid.validation import Floats
 
 PICTURE = Path(__file__).with_name("finite_element.png")
-#: Spheres and speeds that are drawn.
+#: Spheres and speeds in the picture.
 SHOWN = ((1, 2.0), (1, 6.0), (1, 10.0), (3, 10.0))
 #: Edges of the filter times the contact duration.
 EDGES = (2, 3, 4, 5, 6, 8)
-#: Nothing before touch: so many contact durations are put before the samples.
+#: Contact durations of zeros before touch.
 BEFORE = 1.0
 
 
 def low_pass(options: argparse.Namespace) -> None:
-    """Print the peak behind low-passes at n / T beside that of the contact force; draw some at 4/T and 5/T."""
+    """Print the peak after low-passes at n / T against that of the contact force; draw some at 4/T and 5/T."""
     spheres, speeds = ((1,), (6.0,)) if options.quick else ((1, 2, 3, 4), SPEEDS)
     mode = {sphere: first_mode(impact(sphere, 2.0, elements=7).pair.sphere) for sphere in spheres}
     table("sphere", "m/s", "first mode x T", "unfiltered", *(f"{edge}/T" for edge in EDGES))
@@ -54,7 +54,7 @@ def low_pass(options: argparse.Namespace) -> None:
 
 
 def filtered(history: History, edge: float) -> Floats:
-    """Return mass times acceleration of the centre below edge / contact duration, from touch on [N]."""
+    """Return mass x acceleration of the centre below edge / contact duration, from touch on [N]."""
     signal = history.centre_node_force
     lead = round(BEFORE * history.contact_duration * signal.sampling_rate)
     samples = np.concatenate((np.zeros(lead), signal.samples))
@@ -62,21 +62,21 @@ def filtered(history: History, edge: float) -> Floats:
 
 
 def first_mode(sphere: Body) -> float:
-    """Return the lowest frequency [Hz] of a free sphere in which its centre moves."""
+    """Return the lowest frequency [Hz] of a free sphere at which its centre moves."""
     free = sphere.free
     stiffness, mass = sphere.stiffness[free][:, free], sphere.mass[free]
     below = -((2 * np.pi * 1e3) ** 2)
     squares, shapes = linalg.eigsh(stiffness.tocsc(), 8, M=sparse.diags_array(mass).tocsc(), sigma=below)
     nodes = sphere.mesh.nodes
     centre = np.searchsorted(free, 2 * sphere.mesh.nearest(0.0, float(nodes[:, 1].max()) / 2) + 1)
-    # Shapes have unit mass: a shift of the whole sphere is 1 / root of its mass.
+    # Shapes have unit mass: a translation of the whole sphere is 1 / sqrt(mass).
     moves = np.abs(shapes[centre]) * np.sqrt(mass[free % 2 == 1].sum())
     frequency = np.sqrt(np.maximum(squares, 0.0)) / (2 * np.pi)
     return float(min(frequency[(moves > 0.1) & (frequency > 100.0)]))
 
 
 def picture(cases: list[tuple[int, float, History]]) -> bytes:
-    """Return the picture: what the centre says, raw and filtered, beside the contact force, and how far off it is."""
+    """Draw the force of the centre, raw and filtered, with the contact force, and its error."""
     figure = require_matplotlib()(figsize=(13, 6), layout="constrained")
     above, below = figure.subplots(2, len(cases), sharex="col", sharey="row", height_ratios=(3, 2))
     for top, bottom, case in zip(above, below, cases, strict=True):

@@ -1,6 +1,6 @@
-"""What others use for the same: assembly by scikit-fem, steps by scipy's product with a sparse matrix.
+"""Other tools for the same work: assembly by scikit-fem, steps by scipy's product with a sparse matrix.
 
-scikit-fem is no dependency of cgid: `pip install scikit-fem` in the environment that runs the benchmark.
+scikit-fem is no dependency of cgid: `pip install scikit-fem` in the benchmark's environment.
 """
 
 from __future__ import annotations
@@ -45,18 +45,11 @@ def by_scikit_fem(mesh: Mesh, material: Material) -> tuple[Any, Floats]:
 
 @dataclass(frozen=True)
 class Stepped:
-    """An impact stepped in a loop of Python.
+    """An impact stepped in a Python loop.
 
-    Attributes
-    ----------
-    force : ndarray, (n_steps,)
-        [N].
-    seconds : float
-        The whole loop.
-    product : float
-        Of these in the product.
-    restitution : float
-        Speed of the mass centre at the end over that before.
+    force : (n_steps,) [N]
+    seconds, product : time of the whole loop, and of the product in it
+    restitution : speed of the mass centre at the end / before
     """
 
     force: Floats
@@ -66,11 +59,11 @@ class Stepped:
 
 
 def by_scipy(sphere: Body, plate: Body, velocity: float, time_step: float, duration: float) -> Stepped:
-    """Return an impact by central differences with scipy's product, and the simplest hard contact.
+    """Compute an impact by central differences with scipy's product and the simplest hard contact.
 
-    Nodes that would be pressed into each other share the impulse that leaves them together at the end of the step
-    (Carpenter, Taylor & Katona 1991, Int. J. Numer. Methods Eng. 32, 103): all nodes keep their mass. Another contact
-    than ours on the same matrices, so it checks it, too.
+    Nodes that would penetrate share the impulse that leaves them together at the end of the step (Carpenter, Taylor &
+    Katona 1991, Int. J. Numer. Methods Eng. 32, 103); all nodes keep their mass. This other contact on the same
+    matrices also checks that of cgid.
     """
     stiffness = sparse.csr_array(sparse.block_diag((sphere.stiffness, plate.stiffness), format="csr"))
     mass, n_sphere = np.concatenate((sphere.mass, plate.mass)), sphere.mass.size

@@ -1,4 +1,4 @@
-"""The rocks of `datasets/finite_element.npz`: by laws of impact, and solved again on other meshes or without loss.
+"""The rocks of `datasets/finite_element.npz`: by impact laws, and solved again on other meshes or without loss.
 
 A part of `finite_element_identification.py`.
 """
@@ -42,12 +42,12 @@ def by_law(rocks: Mapping[str, np.ndarray], scene: Scene, law: str, radius: floa
     impact = Impact(dissipation=dissipation, **common)
     shares = shares_of_contact(POINTS)
     forces = impact.force(shares * impact.contact_duration[:, None])
-    forces[:, -1] = 0.0  # rounding may put it a hair inside contact
+    forces[:, -1] = 0.0  # rounding may put it just inside the contact
     return SampledPulses(shares=shares, forces=forces, contact_duration=impact.contact_duration)
 
 
 def solved_again(solved: SolvedImpacts, row: int, elements: int, steps: int | None = None) -> History:
-    """Return one impact solved again: in implicit steps, so many over Hertz's duration, or explicitly, without loss."""
+    """Solve one impact again: in implicit steps, this many over Hertz's duration, or explicitly without loss."""
     rock = {name: float(values[row]) for name, values in solved.columns.items()}
     velocity, steel = rock["velocity"], HalfSpace(material=STEEL)
     law = Impact(sphere=sphere_of(rock), target=steel, velocity=velocity, stiffness="hertz", dissipation=Elastic())
@@ -68,7 +68,7 @@ def solved_again(solved: SolvedImpacts, row: int, elements: int, steps: int | No
 
 
 def extreme_rocks(solved: SolvedImpacts, n: int) -> list[int]:
-    """Return n rows: the hardest rock, the softest, the liveliest, the most damped, and others from the first on."""
+    """Return n rows: the hardest, softest, liveliest and most damped rock, then others from the first on."""
     modulus, restitution = solved.columns["youngs_modulus"], solved.columns["restitution"]
     rows = [np.argmax(modulus), np.argmin(modulus), np.argmax(restitution), np.argmin(restitution)]
     more = max(n - len(rows), 0)
@@ -76,7 +76,7 @@ def extreme_rocks(solved: SolvedImpacts, n: int) -> list[int]:
 
 
 def without_loss(solved: SolvedImpacts, n: int) -> SolvedImpacts:
-    """Return n of the rocks solved again as elastic spheres, by explicit steps."""
+    """Solve n of the rocks again as elastic spheres, by explicit steps."""
     rows = np.linspace(0, len(solved) - 1, n).astype(int)
     shares = shares_of_contact(POINTS)
     courses = [solved_again(solved, row, elements=14) for row in rows]
@@ -92,6 +92,6 @@ def without_loss(solved: SolvedImpacts, n: int) -> SolvedImpacts:
 
 
 def all_three(solved: SolvedImpacts, scene: Scene) -> dict[str, SolvedImpacts]:
-    """Return the impacts as they were solved, and the same ones by the two laws."""
+    """Return the impacts as solved, and the same impacts by the two laws."""
     by = {law: replace(solved, pulses=by_law(solved.columns, scene, law)) for law in (VISCOELASTIC, FAMILY)}
     return {FINITE_ELEMENTS: solved} | by

@@ -1,9 +1,9 @@
-"""The first use of the impact engine after installing, and in a second process: seconds, and what numba's cache holds.
+"""First use of the impact engine after installation, and in a second process: seconds, and content of numba's cache.
 
     python benchmarks/first_use.py
 
-Each line is a process of its own, from start to exit; the first of each pair begins with an empty cache, the second
-finds what the first left. "import numpy" is what any such process pays.
+Each line is a separate process, from start to exit. The first of each pair begins with an empty cache, the second with
+the cache of the first. "import numpy" is the cost of any such process.
 """
 
 import os
@@ -36,7 +36,7 @@ USES = {
 
 
 def seconds(code: str, cache: str) -> float:
-    """Return how long a process takes [s]."""
+    """Return the time of a process [s]."""
     start = time.perf_counter()
     subprocess.run([sys.executable, "-c", code], check=True, env=os.environ | {"NUMBA_CACHE_DIR": cache})
     return time.perf_counter() - start

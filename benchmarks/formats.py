@@ -1,10 +1,10 @@
-"""What cgid reads: one file of every format, written by the format's own library, measured column by column.
+"""The recording formats: one file of each, written by the format's own library; one measurement per column.
 
     python benchmarks/formats.py
 
-read to   largest difference from what was written     rate, unit   found in the file (else the option asked for)
-streamed  growth of peak memory over growth of the file's samples in memory, from a tenth to the whole of it
-cut       files cut off at 40 places: refused / warned / read without a word      flipped   the same for 40 flipped bits
+read to   largest difference from the written numbers     rate, unit   found in the file (otherwise the option needed)
+streamed  growth of peak memory / growth of the file's samples in memory, from a tenth to the whole of it
+cut       files cut off at 40 places: refused / warned / read silently      flipped   the same for 40 flipped bits
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from tests.recording_files import SPECIMENS, UNIT, Specimen, blows
 
 REAL = Path(__file__).parents[2] / "shared" / "realdata"
 TITLES = ("format", "written by", "read to", "rate", "unit", "streamed", "cut", "flipped")
-#: Files of which so many are damaged in each way.
+#: Number of damaged files of each kind.
 DAMAGED = 40
 
 
@@ -54,7 +54,7 @@ def row_of(specimen: Specimen, folder: Path, n_samples: int) -> tuple[str, ...]:
 
 
 def _stated(path: Path, specimen: Specimen, name: str) -> bool:
-    """Return whether a file says its rate, or its unit, by itself."""
+    """Return whether a file itself states its rate or its unit, as `name` says."""
     options = {key: value for key, value in specimen.options.items() if key != name}
     try:
         recording = open_recording(path, **options)
@@ -64,7 +64,7 @@ def _stated(path: Path, specimen: Specimen, name: str) -> bool:
 
 
 def growth(specimen: Specimen, folder: Path, n_samples: int) -> float:
-    """Return by how many bytes peak memory grows for each byte of samples (as float64) that a file is longer."""
+    """Return the growth of peak memory per additional byte of samples (as float64) in a file."""
     peaks = []
     for count in (n_samples // 10, n_samples):
         path = folder / f"long{specimen.suffix}"
@@ -83,7 +83,7 @@ def _peak(path: Path, specimen: Specimen) -> int:
         program = (
             "import sys, ast, re; from cgid.recordings import open_recording\n"
             "for block in open_recording(sys.argv[1], **ast.literal_eval(sys.argv[2])).blocks(): pass\n"
-            # ru_maxrss would begin with the peak of the process that started this one.
+            # ru_maxrss would start from the parent's peak.
             "print(re.search(r'VmHWM:\\s*(\\d+)', open('/proc/self/status').read())[1])"
         )
         os.dup2(writing, 1)
@@ -96,7 +96,7 @@ def _peak(path: Path, specimen: Specimen) -> int:
 
 
 def damaged(path: Path, specimen: Specimen, expected: np.ndarray) -> tuple[str, str]:
-    """Return what becomes of files cut off, and of files with one flipped bit: refused / warned / read in silence."""
+    """Count the outcomes of truncated files, and of files with one flipped bit: refused / warned / read silently."""
     content, broken = path.read_bytes(), path.with_stem("broken")
     places = np.linspace(0, len(content) - 1, DAMAGED).astype(int).tolist()
     tallies = []
@@ -114,7 +114,7 @@ def damaged(path: Path, specimen: Specimen, expected: np.ndarray) -> tuple[str, 
 
 
 def real_rows() -> list[tuple[str, ...]]:
-    """Return what is found in the real recordings beside the checkout."""
+    """Return the facts found in the real recordings next to the checkout."""
     rows = []
     for name in (
         "shock/acc_base_a0.txt",

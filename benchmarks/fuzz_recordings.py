@@ -1,16 +1,16 @@
-"""Damaged recordings by the thousand: what the readers make of them.
+"""Thousands of damaged recordings, and the response of the readers.
 
     python benchmarks/fuzz_recordings.py                  # 2,000 files over all formats, some minutes
     python benchmarks/fuzz_recordings.py --files 100000   # longer
 
-A file of every format (`tests/recording_files.py`) is changed: bits flipped, bytes set to the extremes, cut off,
-stretches cut out, doubled, exchanged or overwritten by those of another format, numbers in the header replaced by huge
-ones. Each is read to its end in a process of its own, whose time and memory are watched. What comes back is
+A file of every format (`tests/recording_files.py`) is changed: bits flipped; bytes set to extremes; the end cut off;
+stretches removed, doubled, exchanged or overwritten by those of another format; numbers in the header replaced by huge
+ones. Each is read to its end in a separate process with limits on time and memory. The outcomes are
 
-    refused   one line says what is wrong            warned    part of it is there, and a warning
-    same      the numbers are those of the file before           changed   other numbers, and not a word
+    refused   with a one-line error message          warned    part of the data, and a warning
+    same      the numbers are unchanged              changed   other numbers without a message
 
-A format that has a checksum or a length to tell by must never be "changed"; text and plain numbers have none.
+A format with a checksum or a length must never be "changed"; text and plain numbers have neither.
 """
 
 from __future__ import annotations
@@ -37,39 +37,39 @@ from cgid.recordings import open_recording
 sys.path.insert(0, str(Path(__file__).parents[1]))
 from tests.recording_files import SPECIMENS, Specimen, blows
 
-#: No file may take longer [s], or more memory than this beyond what Python with all libraries takes [bytes].
+#: Limits for a file: time [s], and memory beyond that of Python with all libraries [bytes].
 TIME_LIMIT, MEMORY_LIMIT = 5.0, 512 << 20
 RATE = 51_200.0
-#: What a child process says by its exit code; anything else is a crash.
+#: Meaning of a child's exit codes; any other is a crash.
 OUTCOMES = ("same", "refused", "warned", "changed", "traceback")
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """What became of one file."""
+    """The outcome of one file."""
 
     name: str
     seconds: float
     memory: int
-    #: What this process had when the other was forked from it [bytes].
+    #: Memory of this process at the fork [bytes].
     floor: int
     told: str
 
     @property
     def failed(self) -> bool:
-        """Whether it is no answer, or took more memory than it may."""
+        """Whether it is no answer, or took too much memory."""
         return self.name not in OUTCOMES[:4] or self.memory - self.floor > MEMORY_LIMIT
 
 
 def read(path: Path, options: dict[str, Any]) -> tuple[np.ndarray, tuple[str, ...]]:
-    """Return all samples of a recording, and its warnings; read by blocks as a long one would be."""
+    """Return all samples of a recording, and its warnings; read in blocks, as for a long recording."""
     recording = open_recording(path, **options)
     blocks = list(recording.blocks(8192))
     return np.concatenate(blocks, axis=1), recording.warnings
 
 
 def judge(path: Path, specimen: Specimen, expected: np.ndarray) -> Outcome:
-    """Return what becomes of a file, read in a process of its own."""
+    """Return the outcome of a file that a separate process reads."""
     reading, writing = os.pipe()
     floor = _resident()
     started = time.perf_counter()
@@ -90,12 +90,12 @@ def judge(path: Path, specimen: Specimen, expected: np.ndarray) -> Outcome:
 
 
 def _resident() -> int:
-    """Return the memory that this process has now [bytes]."""
+    """Return the current memory of this process [bytes]."""
     return int(Path("/proc/self/statm").read_text().split()[1]) * resource.getpagesize()
 
 
 def _await(child: int, deadline: float) -> tuple[int | None, int]:
-    """Return the status of a child process (None: it had to be killed) and its peak memory [bytes]."""
+    """Return the status of a child process (None if it had to be killed) and its peak memory [bytes]."""
     while time.perf_counter() < deadline:
         done, status, usage = os.wait4(child, os.WNOHANG)
         if done:
@@ -108,7 +108,7 @@ def _await(child: int, deadline: float) -> tuple[int | None, int]:
 
 def _read_and_tell(path: Path, specimen: Specimen, expected: np.ndarray, pipe: int) -> int:
     warnings.simplefilter("ignore")
-    # Whatever a library prints to the terminal is not ours to show here.
+    # Hides what libraries print to the terminal.
     os.dup2(os.open(os.devnull, os.O_WRONLY), 2)
     try:
         samples, told = read(path, specimen.options)
@@ -129,7 +129,7 @@ def _read_and_tell(path: Path, specimen: Specimen, expected: np.ndarray, pipe: i
 
 
 def _place(random: np.random.Generator, size: int) -> int:
-    """Return a place in a file: half of them in its first part, where the headers are."""
+    """Return a place in a file; half of them lie in its first part, with the headers."""
     return int(random.integers(min(size, 1024) if random.random() < 0.5 else size))
 
 
@@ -175,7 +175,7 @@ def _noise(content: bytearray, random: np.random.Generator, others: list[bytes])
 
 
 def _digits(content: bytearray, random: np.random.Generator, others: list[bytes]) -> bytearray:
-    """Put a huge or senseless number where the text of a header has one."""
+    """Put a huge or senseless number in place of one in the header's text."""
     places = [k for k, byte in enumerate(content[:4096]) if 48 <= byte <= 57]
     if places:
         first = int(random.choice(places))
@@ -224,7 +224,7 @@ def fuzz(
 
 
 def main() -> None:
-    """Print what became of the files of each format, and everything that must not be."""
+    """Print the outcomes for each format, and every failure."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--files", type=int, default=2000)
     parser.add_argument("--seed", type=int, default=0)

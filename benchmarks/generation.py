@@ -2,7 +2,7 @@
 
     python benchmarks/generation.py [--small 10000] [--large 100000] [--folder DIR]
 
-Each run is a process of its own. Checks that one and two workers hold identical arrays.
+Each run is a separate process. Checks that one and two workers give identical arrays.
 """
 
 import argparse

@@ -1,16 +1,16 @@
-"""Hostile HDF5 files, and mutants by the thousand: what the readers make of them.
+"""Hostile HDF5 files and thousands of mutants, and the response of the readers.
 
     python benchmarks/hostile.py                   # all hand-made files and 5,000 mutants, a quarter of an hour
     python benchmarks/hostile.py --mutants 100     # a minute
 
-Each file (`tests/hostile_hdf5.py`) is read to its end as a dataset, a recording, a table or somebody else's recording.
-The mutants' checksums are computed anew (`tests/hdf5_mutants.py`), so that HDF5 believes what was changed. Watched are
+Each file (`tests/hostile_hdf5.py`) is read to its end as a dataset, a recording, a table or a foreign recording. The
+checksums of mutants are recomputed (`tests/hdf5_mutants.py`), so that HDF5 accepts the changes. The checks are
 
-    answers     arrays, or one line that says what is wrong; never another exception, never a crash of this process
-    processor   of both processes, for a file [s]
-    memory      of both processes, beyond what they had before [MB]
-    outside     whether the files that links and external storage point at were opened (inotify)
-    code        whether anything was run, loaded or opened that should not be (audit hooks in both processes)
+    answers     arrays or a one-line error message; never another exception, never a crash of this process
+    processor   time of both processes for a file [s]
+    memory      of both processes, beyond their memory before [MB]
+    outside     whether the targets of links and external storage were opened (inotify)
+    code        whether anything forbidden was run, loaded or opened (audit hooks in both processes)
 """
 
 from __future__ import annotations
@@ -38,15 +38,15 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 from tests.hdf5_mutants import mutant, pieces
 from tests.hostile_hdf5 import KINDS, Outside, hostile_files
 
-#: For a file: of both processors [s], of both memories [bytes].
+#: Limits for a file: processor time [s] and memory [bytes], both processes together.
 TIME_LIMIT, MEMORY_LIMIT = 2.0, 256 << 20
 _IN_ACCESS, _IN_OPEN = 0x1, 0x20
-#: What runs or loads code, or reaches out of the process.
+#: Audit events that run or load code, or act outside the process.
 _FORBIDDEN = (
     "exec", "compile", "os.system", "os.exec", "os.posix_spawn", "os.fork", "subprocess.Popen", "pickle.find_class",
     "marshal.loads", "marshal.load", "ctypes.dlopen", "socket.__new__", "socket.connect",
 )  # fmt: skip
-#: What a reading process does with a hook in it: from its first limit on, all that it does beside reading is noted.
+#: The hook in a reading process. After the first resource limit is set, it logs every action other than reading.
 _HOOK = f"""
 import encodings.ascii, encodings.utf_16, os, sys
 _armed = False
@@ -64,7 +64,7 @@ if "CGID_AUDIT" in os.environ:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What became of one file."""
+    """The outcome of one file."""
 
     name: str
     told: str
@@ -73,12 +73,12 @@ class Outcome:
 
     @property
     def failed(self) -> bool:
-        """Whether it is no answer, or took more than it may."""
+        """Whether it is no answer, or exceeded a limit."""
         return self.name not in ("read", "refused") or self.processor > TIME_LIMIT or self.memory > MEMORY_LIMIT
 
 
 def judge(kind: str, path: Path) -> Outcome:
-    """Return what becomes of a file."""
+    """Return the outcome of a file."""
     floor, started = _memory(reset=True), _processor()
     try:
         arrays = KINDS[kind].read(path)
@@ -95,7 +95,7 @@ def _readers() -> list[int]:
 
 
 def _memory(reset: bool = False) -> int:
-    """Return the largest memory that this process and its readers have had since it was reset, in sum [bytes]."""
+    """Return the sum of the peak memories of this process and its readers since the last reset [bytes]."""
     total = 0
     for pid in ("self", *_readers()):
         try:
@@ -110,7 +110,7 @@ def _memory(reset: bool = False) -> int:
 
 
 def _processor() -> float:
-    """Return what this process, its readers, and those that have ended have used [s]."""
+    """Return the processor time of this process, its readers and its ended readers [s]."""
     own, ended = resource.getrusage(resource.RUSAGE_SELF), resource.getrusage(resource.RUSAGE_CHILDREN)
     total = own.ru_utime + own.ru_stime + ended.ru_utime + ended.ru_stime
     for pid in _readers():
@@ -120,7 +120,7 @@ def _processor() -> float:
 
 
 class Watch:
-    """Whether anybody opens files of a folder."""
+    """Watches whether the files of a folder are opened."""
 
     def __init__(self, folder: Path) -> None:
         self._libc = ctypes.CDLL(None, use_errno=True)
@@ -129,7 +129,7 @@ class Watch:
             raise OSError(ctypes.get_errno(), "inotify cannot watch", str(folder))
 
     def opened(self) -> list[str]:
-        """Return the names of what was opened or read since."""
+        """Return the names of the files opened or read since the last call."""
         try:
             content = os.read(self._number, 1 << 20)
         except BlockingIOError:
@@ -144,14 +144,14 @@ class Watch:
 
 @contextmanager
 def audited(folder: Path) -> Iterator[list[str]]:
-    """Yield a list that holds, at the end, what code both processes have run or loaded beside reading."""
+    """Yield a list that holds, at the end, the code that both processes have run or loaded besides reading."""
     hook, log, events = folder / "hook", folder / "log", []
     hook.mkdir()
     (hook / "sitecustomize.py").write_text(_HOOK)
     armed = True
 
     def note(event: str, arguments: object) -> None:
-        # Starting a reader is what this process may do.
+        # This process may start a reader.
         if (
             armed
             and event in _FORBIDDEN
@@ -174,7 +174,7 @@ def audited(folder: Path) -> Iterator[list[str]]:
 
 
 def mutants(n_files: int, seed: int, folder: Path) -> Iterator[tuple[str, str, Path]]:
-    """Return an iterator over kind, number and path of mutants; the path is that of all."""
+    """Iterate over kind, number and path of mutants; all use the same path."""
     sound = {}
     for name in KINDS if n_files else ():
         content = (folder / f"{name}.h5").read_bytes()
@@ -191,12 +191,12 @@ def mutants(n_files: int, seed: int, folder: Path) -> Iterator[tuple[str, str, P
 
 
 def run(folder: Path, n_mutants: int, seed: int) -> tuple[list[tuple[str, str, Outcome]], list[str], list[str]]:
-    """Return what became of each file, which files outside were opened, and what code was run."""
+    """Return the outcome of each file, the opened outside files, and the code that was run."""
     outside = Outside.make(folder / "outside")
     files = hostile_files(folder, outside)
     changed = mutants(n_mutants, seed, folder)
     found = []
-    # What is loaded when it is first needed is loaded now.
+    # Trigger the lazy imports now.
     for name, kind in KINDS.items():
         kind.read(folder / f"{name}.h5")
     watch = Watch(outside.folder)
@@ -208,7 +208,7 @@ def run(folder: Path, n_mutants: int, seed: int) -> tuple[list[tuple[str, str, O
 
 
 def main() -> None:
-    """Print what became of the files of each kind, and everything that must not be."""
+    """Print the outcomes of each kind, and every failure."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--mutants", type=int, default=5000)
     parser.add_argument("--seed", type=int, default=0)

@@ -1,22 +1,22 @@
-"""Model files that mean harm, and mutants of sound ones by the thousand: what becomes of them.
+"""Malicious model files and thousands of mutants of sound ones, and the response of the loader.
 
     python benchmarks/hostile_models.py                  # all made by hand and 3,000 mutants, a minute or two
     python benchmarks/hostile_models.py --mutants 50000  # longer
 
-The files made by hand are in `tests/hostile_models.py`. Mutants are golden models (`tests/golden`) in which
+The hand-made files are in `tests/hostile_models.py`. Mutants are golden models (`tests/golden`) with one of
 
-    damage    bytes are flipped, cut, doubled, exchanged, ... as in benchmarks/fuzz_recordings.py
-    mended    numbers of an array are changed and the archive's checksums made to fit: only the digest can tell
-    signed    header or arrays are changed by somebody who computes digest and checksums anew
+    damage    bytes flipped, cut, doubled, exchanged, ... as in benchmarks/fuzz_recordings.py
+    mended    numbers of an array changed and the archive's checksums adjusted: only the digest can tell
+    signed    header or arrays changed, digest and checksums recomputed
 
-Each is loaded, and answers for some impacts, in a process that is watched. An audit hook in it (sys.addaudithook, PEP
-578) notes every event but the opening of the file itself: code that is compiled, run, imported or unpickled, other
-files, processes, sockets. Its time and memory are measured. What comes back is
+A watched process loads each and answers some impacts with it. An audit hook in it (sys.addaudithook, PEP 578) logs
+every event except the opening of the file itself: code compiled, run, imported or unpickled, other files, processes,
+sockets. Its time and memory are measured. The outcomes are
 
-    refused   one line says what is wrong            same      it is the very model that it was made of
-    another   it was signed anew, and answers with probabilities: a model of whoever signed it
+    refused   with a one-line error message          same      the very model that it was made from
+    another   signed anew, it answers with probabilities: a model by whoever signed it
 
-Everything else has failed; so has "another" where nobody signed it anew.
+All other outcomes are failures; so is "another" without a new signature.
 """
 
 from __future__ import annotations
@@ -50,32 +50,32 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 from benchmarks.fuzz_recordings import MUTATIONS
 from tests.hostile_models import CANARY, EXTREME, GOLDEN, HOSTILE, golden_files, written
 
-#: Time of the processor [s], and memory beyond what Python with the model's code takes [bytes], that a file may cost.
+#: Limits for a file: processor time [s], and memory beyond that of Python with the model's code [bytes].
 TIME_LIMIT, MEMORY_LIMIT = 2.0, 256 << 20
-#: A process that sleeps or hangs is ended after this [s]; the clock on the wall says little on a busy machine.
+#: Wall-clock limit of a sleeping or hanging process [s]; generous, because the machine may be busy.
 _DEADLINE = 60.0
-#: So many impacts are answered for.
+#: Number of impacts to answer.
 _ROWS = 16
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """What became of one file."""
+    """The outcome of one file."""
 
     name: str
     seconds: float
-    #: At most, beyond what the process had before [bytes].
+    #: Peak beyond the memory before [bytes].
     memory: int
     told: str
 
     @property
     def within_limits(self) -> bool:
-        """Whether it took no more time and memory than it may."""
+        """Whether it kept to the limits of time and memory."""
         return self.seconds <= TIME_LIMIT and self.memory <= MEMORY_LIMIT
 
 
 class Watched:
-    """A process of its own that loads files one after the other; it is made anew when one of them ends it.
+    """A separate process that loads files one after another; it is restarted when a file ends it.
 
     Examples
     --------
@@ -95,7 +95,7 @@ class Watched:
         self._end()
 
     def judge(self, path: Path, original: str | None = None) -> Outcome:
-        """Return what becomes of a file; `original` names the golden model that it was made of."""
+        """Return the outcome of a file; `original` names the golden model that it was made from."""
         if not self._child:
             self._begin()
         self._asking.write(json.dumps([str(path), original]) + "\n")
@@ -134,7 +134,7 @@ class Watched:
 
 
 def _serve(asked: TextIO, answers: TextIO) -> None:
-    """Load what is asked for and answer with its outcome; an audit hook notes all that happens meanwhile."""
+    """Load the requested files and return their outcomes; an audit hook logs all events meanwhile."""
     events: list[str] = []
     loading: list[str] = []
 
@@ -170,7 +170,7 @@ def _outcome(path: str, original: Model | None) -> tuple[str, str]:
 
 
 def _reset_peak() -> int:
-    """Return the memory that this process has now [bytes]; its peak is counted from here (proc(5), clear_refs)."""
+    """Return the current memory of this process [bytes] and reset its peak (proc(5), clear_refs)."""
     Path("/proc/self/clear_refs").write_text("5")
     return _peak()
 
@@ -181,7 +181,7 @@ def _peak() -> int:
 
 
 def _answered(path: str | Path, original: Model | None) -> tuple[str, str]:
-    """Load a model and let it answer; return the outcome and what is wrong with it."""
+    """Load a model and let it answer; return the outcome and its fault."""
     model = Model.load(path)
     random = np.random.default_rng(0)
     inputs = np.exp(random.normal(size=(_ROWS, len(model.inputs)))) * 1e3
@@ -207,7 +207,7 @@ def _same_arrays(model: Model, other: Model) -> bool:
 
 
 def by_hand(folder: Path) -> dict[str, Outcome]:
-    """Return what became of each hostile file: refused, or of the extreme ones answered by, within the limits."""
+    """Return the outcomes of the hand-made files: hostile ones must be refused, extreme ones may give answers."""
     _warm_up()
     found = {}
     with Watched() as watched:
@@ -219,7 +219,7 @@ def by_hand(folder: Path) -> dict[str, Outcome]:
 
 
 def failed_by_hand(found: dict[str, Outcome]) -> dict[str, Outcome]:
-    """Return those that did harm."""
+    """Return the outcomes that are failures."""
     return {
         name: outcome
         for name, outcome in found.items()
@@ -229,7 +229,7 @@ def failed_by_hand(found: dict[str, Outcome]) -> dict[str, Outcome]:
 
 
 def _warm_up() -> None:
-    """Load models, good and bad, so that no module is imported in the processes that are watched."""
+    """Load good and bad models, so that the watched processes import no module."""
     for path in golden_files():
         _answered(path, None)
     for make in (HOSTILE["no JSON"], HOSTILE["feature that does not exist"], HOSTILE["family of another world"]):
@@ -242,14 +242,14 @@ def _warm_up() -> None:
 
 @dataclass(frozen=True)
 class Mutant:
-    """A model file that was changed, and of what."""
+    """A changed model file, and its source."""
 
     kind: str
     source: str
     content: bytes
 
 
-#: What an attacker may write where the header has something else.
+#: Values that an attacker may put into the header.
 _SAYINGS: tuple[Any, ...] = (
     None, True, -1, 0, 1, 2, 64, 10**6, 2**63, -(2**31), 1e-320, 1e99, 1e308, float("nan"), float("inf"),
     "", "N", "m/s^2", "coal", "\x1b[2J", "network", "boosting", "logistic", "linear", "window_centroid",
@@ -257,7 +257,7 @@ _SAYINGS: tuple[Any, ...] = (
     ["window_centroid", "window_rms"], {}, {"metrics": []}, {"metrics": {"confusion": [[1, 2], [3, 4]]}},
     {"metrics": {"confusion": [[0, 0], [0, 0]]}},
 )  # fmt: skip
-#: And in an array.
+#: Values that an attacker may put into an array.
 _NUMBERS = (0.0, -1.0, 1.0, 2.0, 1e-300, -1e99, 1e99, 1e300, np.nan, np.inf, 2.0**31 - 1, -(2.0**31), 1e6)
 
 
@@ -267,7 +267,7 @@ def _damaged(content: bytes, model: Model, random: np.random.Generator, others: 
 
 
 def _mended(content: bytes, model: Model, random: np.random.Generator, others: list[bytes]) -> bytes:
-    """Change a bit of an array or of the header, and let the archive's checksums fit."""
+    """Change a bit of an array or of the header, and adjust the archive's checksums."""
     with zipfile.ZipFile(io.BytesIO(content)) as stored:
         entry = stored.infolist()[int(random.integers(len(stored.infolist())))]
     start = entry.header_offset + 30 + len(entry.filename) + 20
@@ -281,7 +281,7 @@ def _mended(content: bytes, model: Model, random: np.random.Generator, others: l
 
 
 def _signed(content: bytes, model: Model, random: np.random.Generator, others: list[bytes]) -> bytes:
-    """Change a thing or two of header and arrays as an attacker would, who can compute every checksum."""
+    """Make one or two changes to header and arrays as an attacker would, with all checksums recomputed."""
     header, arrays = dict(model.header), dict(model.arrays)
     for _ in range(int(random.integers(1, 3))):
         if random.random() < 0.4:
@@ -326,7 +326,7 @@ MUTANTS: dict[str, Callable[[bytes, Model, np.random.Generator, list[bytes]], by
 
 
 def mutants(n_mutants: int, seed: int, folder: Path) -> list[tuple[Mutant, Outcome]]:
-    """Return mutants of the golden models, and what became of each."""
+    """Return mutants of the golden models, with their outcomes."""
     _warm_up()
     contents = {path.name: path.read_bytes() for path in golden_files()}
     models = {name: Model.from_bytes(content) for name, content in contents.items()}
@@ -335,7 +335,7 @@ def mutants(n_mutants: int, seed: int, folder: Path) -> list[tuple[Mutant, Outco
         for number in range(n_mutants):
             random = np.random.default_rng([seed, number])
             kind = list(MUTANTS)[number % len(MUTANTS)]
-            # Only models of this schema have a digest that finds what was mended.
+            # Only models of this schema have a digest that detects mended files.
             possible = [name for name in names if name.startswith("models-4")] if kind == "mended" else names
             source = possible[int(random.integers(len(possible)))]
             mutant = Mutant(kind, source, MUTANTS[kind](contents[source], models[source], random, everything))
@@ -346,7 +346,7 @@ def mutants(n_mutants: int, seed: int, folder: Path) -> list[tuple[Mutant, Outco
 
 
 def failed_mutants(found: list[tuple[Mutant, Outcome]]) -> list[tuple[Mutant, Outcome]]:
-    """Return those that did harm, or were changed without anybody noticing."""
+    """Return those that did harm, or whose change was not noticed."""
     allowed = {"damage": ("refused", "same"), "mended": ("refused", "same"), "signed": ("refused", "same", "another")}
     return [
         (mutant, outcome)
@@ -356,7 +356,7 @@ def failed_mutants(found: list[tuple[Mutant, Outcome]]) -> list[tuple[Mutant, Ou
 
 
 def main() -> None:
-    """Print what became of the files of each kind, and everything that must not be."""
+    """Print the outcomes of each kind, and every failure."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--mutants", type=int, default=3000)
     parser.add_argument("--seed", type=int, default=0)

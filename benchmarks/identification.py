@@ -1,22 +1,22 @@
-"""cgid beside what a user would take instead: who tells coal from gangue, how well, at what price.
+"""cgid against other packages: accuracy of coal against gangue, and its cost.
 
     python benchmarks/identification.py             # tables, benchmarks/identification.csv and .png; 20 to 30 minutes
-    python benchmarks/identification.py --reuse     # measures cgid only, beside what the peers answered last time
+    python benchmarks/identification.py --reuse     # measures cgid only, against the peers' last answers
     python benchmarks/identification.py --only MiniRocket "aeon catch22"      # these peers only, no files
 
-The peers are tsfresh, tsfel, pycatch22, and of aeon catch22, MiniRocket and Rocket. They live in an environment of
-their own (`--environment DIR`), which is made when it is not there, by pip with whatever index it is set to; one that
-cannot be installed is left out, and why is said. Each peer's answers are kept there as soon as it has done, so a run
-that was broken off goes on with --reuse. What each is given to do its best: `benchmarks/identification_peers.py`.
+The peers are tsfresh, tsfel, pycatch22, and of aeon catch22, MiniRocket and Rocket. Their separate environment
+(`--environment DIR`) is made if missing, by pip with its configured index; a peer that cannot be installed is left out,
+with the reason. Each peer's answers are kept there, so --reuse also continues an interrupted run.
+`benchmarks/identification_peers.py` describes the settings of each peer.
 
-Signals are those of the shipped scene "peers" (2048 samples at 200 kHz, 2 % noise). All train on the same 1,500 and are
-asked the first n of the same 20,000, which come from other blocks of random numbers; how many depends on what the
-peer can do in `--seconds`. The interval is Wilson's for n answers; it does not know what another training set would
-have changed, so who is fast enough is trained on ten disjoint sets. Peers are shown the whole frame, and 256 samples
-around the pulse; the first table has the better of the two for each (by the test signals, which favours the peer).
+Signals are those of the shipped scene "peers" (2048 samples at 200 kHz, 2 % noise). All train on the same 1,500 and
+answer the first n of the same 20,000, from other blocks of random numbers; n is what the peer can do in `--seconds`.
+The interval is Wilson's for n answers and ignores the variation between training sets, so fast contestants are trained
+on ten disjoint sets. Peers receive the whole frame, and 256 samples around the pulse; the first table shows the better
+of the two for each (by the test signals, which favours the peer).
 
-Every contestant is a process of its own on one thread. Times are of the processor; two processes run at once and others
-may, too, so look at ratios.
+Every contestant is a separate process on one thread. Times are processor times; as two processes, and perhaps others,
+run at once, compare ratios.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ HERE = Path(__file__).parent
 SCENE, SEED = "peers", 0
 TRAIN, TEST, SETS = 1500, 20_000, 10
 BLOCK = 256  # signals that share random numbers
-#: First signals of what must not overlap: training sets (each in blocks of its own), test, unlimited training.
+#: First signals of disjoint ranges: training sets (each in its own blocks), test, unlimited training.
 FIRST_TEST, FIRST_UNLIMITED = BLOCK * 10_000, BLOCK * 20_000
 ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"), "1")
 _CACHE = Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache"))
@@ -85,8 +85,8 @@ class Row(NamedTuple):
 
 
 def synthetic(n: int, first: int) -> Iterator[Batch]:
-    """Yield n signals of the scene from a place on."""
-    # Imported here, for a contestant that is given its signals need not carry what makes them.
+    """Yield n signals of the scene from `first` on."""
+    # Local imports: a contestant that receives stored signals does not need these modules in memory.
     from cgid import shipped
     from cgid.scene import load_scene, synthesise
 
@@ -94,7 +94,7 @@ def synthetic(n: int, first: int) -> Iterator[Batch]:
 
 
 def write_signals(folder: Path) -> str:
-    """Write training and test signals where all contestants find them; return their SHA-256."""
+    """Write training and test signals for all contestants; return their SHA-256."""
     stride = -(-TRAIN // BLOCK) * BLOCK
     batches = [list(synthetic(TRAIN, number * stride)) for number in range(SETS)]
     test = list(synthetic(TEST, FIRST_TEST))
@@ -127,7 +127,7 @@ def stored(folder: Path, kind: str, *place: int) -> Iterator[Batch]:
 
 
 def run_cgid(train_batches: Iterable[Batch], test_batches: Iterable[Batch]) -> dict[str, Any]:
-    """Return what cgid answers for test signals after training, and what that took for each.
+    """Train cgid and return its answers for the test signals, and the time of each step.
 
     A test signal that cannot be measured has the answer "", which is wrong.
     """
@@ -147,12 +147,12 @@ def run_cgid(train_batches: Iterable[Batch], test_batches: Iterable[Batch]) -> d
 
 
 def cgid_contest(folder: Path, unlimited: int) -> dict[str, Any]:
-    """Return cgid's record: on the training sets, or on so many other synthetic signals as `unlimited` says."""
+    """Return cgid's record: on the training sets, or on `unlimited` other synthetic signals."""
     truth = rows(folder, "test_labels")
     sources = [partial(stored, folder, "train", number) for number in range(SETS)]
     if unlimited:
         sources = [partial(synthetic, unlimited, FIRST_UNLIMITED)]
-    run_cgid(stored(folder, "train", 0), [next(stored(folder, "test"))])  # what is loaded late is loaded now
+    run_cgid(stored(folder, "train", 0), [next(stored(folder, "test"))])  # triggers the lazy imports
     found = [run_cgid(source(), stored(folder, "test")) for source in sources]
     return {
         "name": f"cgid, {unlimited} to train" if unlimited else "cgid",
@@ -166,7 +166,7 @@ def cgid_contest(folder: Path, unlimited: int) -> dict[str, Any]:
 
 
 def run_process(command: list[str | Path], answer: Path) -> dict[str, Any]:
-    """Return the record that a contestant's process writes, or what went wrong as {"error"}."""
+    """Return the record that a contestant's process writes, or the failure as {"error"}."""
     done = subprocess.run(command, env=os.environ | ONE_THREAD, capture_output=True, text=True, check=False)
     if done.returncode or not answer.exists():
         return {"error": (done.stderr.strip().splitlines() or [f"exit code {done.returncode}"])[-1]}
@@ -174,7 +174,7 @@ def run_process(command: list[str | Path], answer: Path) -> dict[str, Any]:
 
 
 def cgid_process(folder: Path, unlimited: int) -> dict[str, Any]:
-    """Return cgid's record, from a process of its own."""
+    """Return cgid's record, from a separate process."""
     answer = folder / f"cgid-{unlimited}.json"
     command = [sys.executable, __file__, "--cgid", folder, answer, "--unlimited", str(unlimited)]
     return run_process(command, answer)
@@ -199,7 +199,7 @@ def peer_process(environment: Path, folder: Path, digest: str, seconds: float, k
 
 
 def install(environment: Path, packages: Iterable[str]) -> dict[str, str]:
-    """Make the environment, install what is missing; return why a package could not be installed."""
+    """Make the environment and install what is missing; return the reason for each failure."""
     python = environment / "bin" / "python"
     if not python.exists():
         venv.create(environment, with_pip=True)
@@ -216,7 +216,7 @@ def install(environment: Path, packages: Iterable[str]) -> dict[str, str]:
 
 
 def kept(environment: Path, name: str, frame: str) -> Path:
-    """Return where a peer's last record is kept."""
+    """Return the path of a peer's last record."""
     return environment / "answers" / f"{name}-{frame}.json"
 
 
@@ -230,7 +230,7 @@ def remembered(environment: Path, digest: str, wanted: list[tuple[str, str]]) ->
 def peers_records(
     folder: Path, digest: str, names: list[str], options: argparse.Namespace
 ) -> dict[tuple[str, str], dict[str, Any]]:
-    """Return the records of the peers on either frame, kept ones if these are asked; print who is left out."""
+    """Return the records of the peers on both frames, kept ones if requested; print the peers left out."""
     wanted = [(name, frame) for name in names for frame in FRAMES]
     records = remembered(options.environment, digest, wanted) if options.reuse else {}
     missing = [key for key in wanted if key not in records]
@@ -247,11 +247,11 @@ def peers_records(
     return {key: records[key] for key in wanted if key in records}
 
 
-# --- what came out ----------------------------------------------------------------------------------------------------
+# --- results ----------------------------------------------------------------------------------------------------------
 
 
 def row(record: dict[str, Any], truth: np.ndarray, ours: np.ndarray) -> Row:
-    """Return the row of a record; ours: cgid's answers."""
+    """Return the row of a record; `ours` are cgid's answers."""
     n = len(record["predictions"])
     accuracy = float(np.mean(np.array(record["predictions"]) == truth[:n]))
     same = float(np.mean(ours[:n] == truth[:n]))
@@ -260,14 +260,14 @@ def row(record: dict[str, Any], truth: np.ndarray, ours: np.ndarray) -> Row:
 
 
 def better_frames(peers: list[Row]) -> tuple[list[Row], list[Row]]:
-    """Return each peer at the frame on which it answers better, best first, and the others."""
+    """Return each peer on its better frame, best first, and the others."""
     best = {r.name: r for r in sorted(peers, key=lambda r: r.accuracy)}
     order = sorted(best.values(), key=lambda r: -r.accuracy)
     return order, [r for first in order for r in peers if r.name == first.name and r is not first]
 
 
 def table(found: list[Row], ours: Row) -> str:
-    """Return rows as Markdown; times of features as multiples of cgid's, too."""
+    """Return rows as Markdown; times of features also as multiples of cgid's."""
     heads = ["", "frame", "classifier", "accuracy", "95 % interval", "signals", "cgid on the same", "mean of ten"]
     heads += ["features a signal [ms]", "times cgid's", "fit [s]", "answer a signal [us]", "memory [MB]"]
     lines = [f"| {' | '.join(heads)} |", "|" + "---|" * len(heads)]
@@ -282,7 +282,7 @@ def table(found: list[Row], ours: Row) -> str:
 
 
 def spread(found: list[Row]) -> str:
-    """Return how far accuracies go apart over the training sets."""
+    """Return the spread of the accuracies over the training sets."""
     lines = [
         f"{r.name} ({r.frame}): {min(r.accuracies):.4f} to {max(r.accuracies):.4f}"
         for r in found
@@ -308,7 +308,7 @@ def table_csv(found: list[Row]) -> bytes:
 
 
 def picture(ours: list[Row], best: list[Row], others: list[Row]) -> bytes:
-    """Return accuracy against time per signal, features and answer; the worse frame of a peer is hollow."""
+    """Draw accuracy against time per signal (features and answer); the worse frame of a peer is hollow."""
     figure = require_matplotlib()(figsize=(7.5, 5), layout="constrained")
     axes = figure.subplots()
     colours = {r.name: f"C{k}" for k, r in enumerate(best)} | {r.name: "k" for r in ours}
@@ -337,7 +337,7 @@ def picture(ours: list[Row], best: list[Row], others: list[Row]) -> bytes:
 
 
 def compare(folder: Path, options: argparse.Namespace) -> tuple[list[Row], list[Row], list[Row]]:
-    """Return the rows of cgid, of the peers at their better frame, and at the other."""
+    """Return the rows of cgid, of the peers on their better frame, and on the other."""
     digest = write_signals(folder)
     names = [name for name in PEERS if not options.only or name in options.only]
     peers = peers_records(folder, digest, names, options)

@@ -1,15 +1,15 @@
-"""What a user would take instead of cgid's features and classifier: other packages on the same signals.
+"""Alternatives to cgid's features and classifier: other packages on the same signals.
 
-Started by `identification.py`, one process for each peer and frame, in an environment that need not hold cgid:
+`identification.py` starts one process per peer and frame, in an environment that need not contain cgid:
 
     python identification_peers.py NAME FRAME FOLDER ANSWER.json
 
-FOLDER holds train.npy (sets, signals, samples), test.npy (signals, samples) and their labels. Every peer gets what
-helps it. The catch22 sets are told mean and deviation, too (catch24): the size of the force says a lot. Rocket is told
-not to normalise the series, for the same reason (on the pulse alone .88 instead of .84). Feature sets are followed by
-whichever of a random forest and a ridge does better in cross-validation on the training signals; Rocket and
-MiniRocket by the scaled ridge that aeon's own classifiers put behind them, taken apart so that features and answers
-are timed each. Times are of the processor, not of the clock on the wall, after a first call that compiles.
+FOLDER holds train.npy (sets, signals, samples), test.npy (signals, samples) and their labels. Every peer gets the
+settings that help it. The catch22 sets include mean and deviation (catch24), because the size of the force is
+informative. Rocket does not normalise the series, for the same reason (on the pulse alone .88 instead of .84). Feature
+sets are followed by the better of random forest and ridge in cross-validation on the training signals. Rocket and
+MiniRocket are followed by the scaled ridge of aeon's own classifiers, separated so that features and answers are timed
+individually. Times are processor times, not wall-clock, after a first call that compiles.
 """
 
 from __future__ import annotations
@@ -38,8 +38,8 @@ from sklearn.preprocessing import StandardScaler
 Array = NDArray[Any]
 Transform = Callable[[Array], Array]
 
-#: Samples that a peer is shown. The pulse begins at sample 100 and ends before sample 342, so noise is all that is
-#: cut away; cgid is told the 100, too.
+#: Samples that a peer receives. The pulse begins at sample 100 and ends before sample 342, so only noise is cut away;
+#: cgid also receives the 100.
 FRAMES = {"whole": slice(None), "pulse": slice(88, 344)}
 CHUNK = 250  # signals at a time
 FOLDS = 3
@@ -47,15 +47,15 @@ _ALPHAS = np.logspace(-3, 3, 10)  # aeon's own
 
 
 def timed(function: Callable[..., Any], *arguments: Any) -> tuple[Any, float]:
-    """Return the result of a call and the processor time it took [s]; what others do at the time is not in it."""
+    """Return the result of a call and its processor time [s], which excludes other processes."""
     start = time.process_time()
     result = function(*arguments)
     return result, time.process_time() - start
 
 
 def peak_memory() -> float:
-    """Return the most memory this process ever held [MB]."""
-    # Linux lets getrusage go on counting from what the parent process held when it started this one.
+    """Return the peak memory of this process [MB]."""
+    # On Linux getrusage starts from the parent's memory at the fork.
     status = Path("/proc/self/status")
     if status.exists():
         return int(status.read_text().split("VmHWM:")[1].split()[0]) * 1024 / 1e6
@@ -64,12 +64,12 @@ def peak_memory() -> float:
 
 
 def rows(folder: Path, name: str, *place: int | slice) -> Array:
-    """Return a part of a stored array; the file is opened anew each time, so that pages once read are not held."""
+    """Return a part of a stored array; the file is reopened each time, so that pages already read are released."""
     return np.array(np.load(folder / f"{name}.npy", mmap_mode="r")[place])
 
 
 def tsfresh(_: Array) -> Transform:
-    """All features but the two that are quadratic in the length."""
+    """All features except the two whose cost is quadratic in the length."""
     import pandas
     from tsfresh import extract_features
     from tsfresh.feature_extraction import EfficientFCParameters
@@ -116,14 +116,14 @@ def aeon_catch22(_: Array) -> Transform:
 
 
 def minirocket(train: Array) -> Transform:
-    """Shares of positive values after 10,000 fixed kernels, whose biases come from the training signals."""
+    """Shares of positive values after 10,000 fixed kernels, with biases from the training signals."""
     from aeon.transformations.collection.convolution_based import MiniRocket
 
     return _convolutions(MiniRocket(n_jobs=1, random_state=0), train)
 
 
 def rocket(train: Array) -> Transform:
-    """Maxima and shares of positive values after 10,000 random kernels, the series as they are."""
+    """Maxima and shares of positive values after 10,000 random kernels, without normalising the series."""
     from aeon.transformations.collection.convolution_based import Rocket
 
     return _convolutions(Rocket(normalise=False, n_jobs=1, random_state=0), train)
@@ -147,7 +147,7 @@ def _kernel_classifiers() -> dict[str, Any]:
 
 
 class Peer(NamedTuple):
-    """A package, what makes its features (told the training signals), the classifiers usual for them."""
+    """A package, the function that prepares its features from training signals, and its usual classifiers."""
 
     package: str
     prepare: Callable[[Array], Transform]
@@ -155,7 +155,7 @@ class Peer(NamedTuple):
     learns: bool = False  # the features depend on the training signals
 
 
-#: By name, slow ones first, so that they do not end alone.
+#: By name, slow ones first, so that none runs alone at the end.
 PEERS: dict[str, Peer] = {
     "tsfresh": Peer("tsfresh", tsfresh, _feature_classifiers),
     "Rocket": Peer("aeon", rocket, _kernel_classifiers, learns=True),
@@ -167,43 +167,35 @@ PEERS: dict[str, Peer] = {
 
 
 def sound(table: Array) -> Array:
-    """Return features with what is no number as nan, and nothing beyond what a forest's float32 holds."""
+    """Replace non-finite features by nan, and clip the others to the range of a forest's float32."""
     return np.where(np.isfinite(table), np.clip(table, -1e30, 1e30), np.nan)
 
 
 def table_of(transform: Transform, frames: Array) -> Array:
-    """Return the features of many frames, some at a time."""
+    """Return the features of many frames, computed in chunks."""
     return np.concatenate([transform(frames[first : first + CHUNK]) for first in range(0, len(frames), CHUNK)])
 
 
 def chosen(candidates: dict[str, Any], table: Array, labels: Array) -> str:
-    """Return the name of the classifier that does best in cross-validation on the training signals."""
+    """Return the name of the best classifier in cross-validation on the training signals."""
     if len(candidates) == 1:
         return next(iter(candidates))
     return max(candidates, key=lambda name: cross_val_score(candidates[name], table, labels, cv=FOLDS).mean())
 
 
 class Contest:
-    """One peer on one frame.
-
-    Parameters
-    ----------
-    name, frame : str
-        Out of `PEERS` and `FRAMES`.
-    folder : Path
-        Where the signals lie.
-    """
+    """One peer of `PEERS` on one frame of `FRAMES`; `folder` holds the signals."""
 
     def __init__(self, name: str, frame: str, folder: Path) -> None:
         self.name, self.frame, self.folder = name, frame, folder
         self.peer, self.classifiers = PEERS[name], PEERS[name].classifiers()
 
     def signals(self, kind: str, *place: int | slice) -> Array:
-        """Return frames as the peer is shown them."""
+        """Return frames as the peer receives them."""
         return rows(self.folder, kind, *place)[..., FRAMES[self.frame]].astype(np.float64)
 
     def trained(self, number: int, choice: str = "") -> dict[str, Any]:
-        """Return transform and classifier fitted to a set of training signals, and what that took."""
+        """Return transform and classifier fitted to a set of training signals, with their times."""
         train, labels = self.signals("train", number), rows(self.folder, "train_labels", number)
         transform, preparation = timed(self.peer.prepare, train)
         table, seconds = timed(table_of, transform, train)
@@ -219,7 +211,7 @@ class Contest:
         }
 
     def answers(self, trained: dict[str, Any], n: int, tables: list[Array]) -> dict[str, Any]:
-        """Return the answers for the first n test signals and what they took; known tables are used, new ones kept."""
+        """Answer the first n test signals and return answers and times; `tables` caches the features."""
         predictions, features, predict = [], 0.0, 0.0
         for k, first in enumerate(range(0, n, CHUNK)):
             if k == len(tables):
@@ -231,20 +223,14 @@ class Contest:
             predictions += found.tolist()
             predict += seconds
             if self.peer.learns:
-                tables[k] = np.empty(0)  # of no use for another training set, and large
+                tables[k] = np.empty(0)  # large, and useless for another training set
         return {"predictions": predictions, "features": features / n, "predict": predict / n}
 
     def run(self, seconds: float, least: int, most: int, sets: int) -> dict[str, Any]:
-        """Return everything that was measured.
+        """Return all measurements.
 
-        Parameters
-        ----------
-        seconds : float
-            Of the processor for test signals; half as much again for more training sets.
-        least, most : int
-            Test signals.
-        sets : int
-            Training sets, if there is time for all of them; else one.
+        `seconds` is the processor time for test signals; more training sets get half as much again. `least` and `most`
+        limit the number of test signals. `sets` training sets are used if time allows all of them, otherwise one.
         """
         self.peer.prepare(self.signals("train", 0, slice(20)))(self.signals("train", 0, slice(20)))  # compiles
         trained = self.trained(0)
@@ -274,7 +260,7 @@ class Contest:
 
 
 def main() -> None:
-    """Run one peer on one frame and write what came out as JSON."""
+    """Run one peer on one frame and write the results as JSON."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("name", choices=PEERS)
     parser.add_argument("frame", choices=FRAMES)

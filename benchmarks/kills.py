@@ -1,16 +1,16 @@
-"""What kill -9 leaves of `cgid generate`, and whether `--resume` makes it whole again, to the byte.
+"""Remains of `cgid generate` after kill -9, and whether `--resume` completes it to the byte.
 
     python benchmarks/kills.py [--kills 200] [--with-workers 20] [--seed 1] [--folder DIR]
 
-A trial starts a generation in a process of its own, kills it, and goes on with `resume`, which is killed as well every
-other time. Half of the moments are anywhere in the time of a whole run. The others are right before or right after a
-name changes: there the process kills itself, by a hook of the interpreter (sys.addaudithook) that sees each system call
-on files coming. With two workers only their parent is killed, as soon as a name has changed in the folder; the workers
-outlive it for a while, and the run is resumed beside them.
+A trial starts a generation in a separate process, kills it, and continues with `resume`, which is also killed every
+other time. Half of the moments are anywhere in the time of a whole run. The others are just before or just after a
+name changes: the process kills itself, by a hook of the interpreter (sys.addaudithook) that sees system calls on files
+before they run. With two workers only their parent is killed, as soon as a name has changed in the folder; the workers
+outlive it for a while, and the run is resumed in parallel to them.
 
-After each kill: every file that bears its name, and every file in the journal, must be that of an uninterrupted run;
-what was to be overwritten must be whole, old or new, though between two renames it may have another name. After the
-last resume nothing may differ from an uninterrupted run, and nothing may be left over.
+After each kill, every file under its final name, and every file in the journal, must equal that of an uninterrupted
+run. Data to be overwritten must be complete, old or new, though possibly under another name between two renames. After
+the last resume nothing may differ from an uninterrupted run, and nothing may be left over.
 """
 
 import argparse
@@ -32,7 +32,7 @@ from typing import Any
 from cgid.scene import generate, generate_recordings, parse_scene
 from cgid.store.description import JOURNAL, read_journal
 
-#: Events of the interpreter that change names.
+#: Audit events that change names.
 RENAMES = ("os.rename", "os.link", "os.remove", "os.mkdir", "os.rmdir")
 EVENTS = (*RENAMES, "open")
 
@@ -62,7 +62,7 @@ STREAM: dict[str, Any] = {
 
 @dataclass(frozen=True)
 class Kind:
-    """A kind of run: how it starts (with the folder and whether to resume), and whether something older is there."""
+    """A kind of run: its function (folder, whether to resume), and whether older data exist."""
 
     name: str
     make: Callable[[Path, bool], object]
@@ -71,7 +71,7 @@ class Kind:
 
 
 def kinds() -> tuple[Kind, ...]:
-    """Return all kinds; that with workers comes last."""
+    """Return all kinds; the one with workers comes last."""
     scene, stream = parse_scene(SIGNALS), parse_scene(STREAM)
 
     def dataset(path: Path, resume: bool, **options: Any) -> object:
@@ -97,7 +97,7 @@ def kinds() -> tuple[Kind, ...]:
 
 
 def content(folder: Path) -> dict[str, str]:
-    """Return the SHA-256 of every file in a folder that has a name of its own, by that name."""
+    """Return the SHA-256 of every file in a folder that has its final name, by name."""
     files = [path for path in folder.iterdir() if path.suffix != ".part" and path.name != JOURNAL]
     return {path.name: hashlib.sha256(path.read_bytes()).hexdigest() for path in files}
 
@@ -105,13 +105,7 @@ def content(folder: Path) -> dict[str, str]:
 def started(work: Callable[[], object], moment: int | None = None, events: Path | None = None) -> int:
     """Start work in a forked process and return its id.
 
-    Parameters
-    ----------
-    work : callable
-    moment : int, optional
-        At which of its events the process kills itself.
-    events : Path, optional
-        A file to which the names of all events are written.
+    The process kills itself at its event number `moment`. If given, the file `events` receives the names of all events.
     """
     process = os.fork()
     if process:
@@ -142,21 +136,13 @@ def ended(process: int) -> int:
 
 
 class Trials:
-    """Trials of one kind, against an uninterrupted run of it.
-
-    Parameters
-    ----------
-    kind : Kind
-    folder : Path
-        Of this kind alone.
-    draws : random.Random
-    """
+    """Trials of one kind, against an uninterrupted run of it; `folder` is used by this kind alone."""
 
     def __init__(self, kind: Kind, folder: Path, draws: random.Random) -> None:
         self.kind, self.folder, self.draws, self.counts = kind, folder, draws, Counter[str]()
         folder.mkdir()
         self.output, reference, events = folder / "data", folder / "reference", folder / "events"
-        # The first run is not timed: it loads what the others find loaded. Pools of workers do not bear a fork, though.
+        # The first run, which imports for all others, is not timed. Pools of workers do not survive a fork, though.
         if kind.workers:
             self._whole_run(lambda: kind.make(reference, False))
         else:
@@ -190,7 +176,7 @@ class Trials:
             self.kind.older(self.output)
 
     def run(self) -> list[str]:
-        """Kill a run, resume it (killed again every other time), and return what was wrong."""
+        """Kill a run, resume it (killed again every other time), and return the faults."""
         self._prepare()
         wrong, process = [], self._killed(False)
         wrong += self._faults()
@@ -227,7 +213,7 @@ class Trials:
         return process
 
     def _await_names(self, process: int, changes: int) -> None:
-        """Wait until names in the folder have changed so often, or the process has ended."""
+        """Wait until names in the folder have changed this often, or the process has ended."""
         last: set[str] = set()
         while changes and os.waitid(os.P_PID, process, os.WEXITED | os.WNOHANG | os.WNOWAIT) is None:
             with contextlib.suppress(OSError):
@@ -241,7 +227,7 @@ class Trials:
             os.killpg(process, signal.SIGKILL)
 
     def _faults(self) -> list[str]:
-        """Return what is wrong after a kill."""
+        """Return the faults after a kill."""
         wrong = []
         hidden, replaced = (self.output.with_name(f".data.{ending}") for ending in ("unfinished", "replaced"))
         named = content(self.output if self.output.exists() else replaced) if self.kind.older is not None else {}
@@ -263,7 +249,7 @@ class Trials:
 
 
 def main() -> None:
-    """Run all trials, print Markdown; the exit code is 1 if anything was wrong."""
+    """Run all trials, print Markdown; the exit code is 1 after any fault."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--kills", type=int, default=200, help="at least so many in all")
     parser.add_argument("--with-workers", type=int, default=20, help="of these with two workers")

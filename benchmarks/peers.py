@@ -1,4 +1,4 @@
-"""What a user would write instead: the same pulses by other packages' solvers of differential equations.
+"""The same pulses by other packages' solvers of differential equations.
 
 Imported by the work-precision benchmark. Every peer takes a `Population` and a setting and returns the same frames:
 2048 samples of float64 at 200 kHz, the force in N, touch exactly at sample 100, zero outside contact.
@@ -8,20 +8,19 @@ Imported by the work-precision benchmark. Every peer takes a `Population` and a 
         for setting in peer.settings:
             frames = peer.run(few, **setting)
 
-All peers solve `x'' = -x^(3/2) (1 + D x')`, x(0) = 0, x'(0) = 1, in units of L and T0, where a tolerance means
-something: rtol is the tolerance, atol a hundredth of it, for x starts at 0 (from 1 to 1/10000 of it were tried: error
-and work move along much the same curve). Right-hand sides are compiled by numba; everything runs on one thread.
-solve_ivp and the fixed steps find the separation themselves. odeint and numbalsoda stop at given times only, so they
-are told the contact duration, and their grid ends there. Compiled peers compile when first called: call each once
-before the clock starts.
+All peers solve `x'' = -x^(3/2) (1 + D x')`, x(0) = 0, x'(0) = 1, in units of L and T0, in which tolerances are
+meaningful: rtol is the tolerance, atol a hundredth of it, for x starts at 0 (for 1 to 1/10000 of it, error and work
+follow much the same curve). Right-hand sides are compiled by numba; everything runs on one thread. solve_ivp and the
+fixed steps find the separation themselves. odeint and numbalsoda stop at given times only, so they receive the contact
+duration, and their grid ends there. Compiled peers compile in their first call: call each once before timing.
 
-At touch the force grows as the power 3/2 of the displacement, so equal steps converge at order 2.5, not 4. The graded
-ones are equal in sqrt(time) at first, which brings order 4 back for about a third more time.
+At touch the force grows as the power 3/2 of the displacement, so equal steps converge at order 2.5, not 4. Graded steps
+are equal in sqrt(time) at first, which restores order 4 for about a third more time.
 
-numbalsoda 0.3.4 has no wheel: pip builds it from source, which takes a C++ and a Fortran compiler (g++ and gfortran;
-cmake and ninja come along as build requirements, and without gfortran the build fails). Its libraries need libgfortran
-at run time. Built so by GCC 12, it works with Python 3.11, numba 0.68.1 and numpy 2.4.6. It is no dependency of cgid's;
-without it `available_peers` leaves its peers out and says so. CyRK, diffrax and LAMMPS are not here.
+numbalsoda 0.3.4 has no wheel: pip builds it from source with a C++ and a Fortran compiler (g++ and gfortran; cmake and
+ninja are build requirements; without gfortran the build fails). Its libraries need libgfortran at run time. Built by
+GCC 12, it works with Python 3.11, numba 0.68.1 and numpy 2.4.6. It is no dependency of cgid; without it
+`available_peers` leaves its peers out and says so. CyRK, diffrax and LAMMPS are not included.
 """
 
 from __future__ import annotations
@@ -44,7 +43,7 @@ from cgid.scene.impacts import draw
 
 try:
     import numbalsoda
-except (ImportError, OSError) as error:  # OSError: built, but libgfortran is not found
+except (ImportError, OSError) as error:  # OSError: built, but libgfortran is missing
     numbalsoda, _NO_NUMBALSODA = None, str(error)
 
 Floats = NDArray[np.float64]
@@ -60,12 +59,8 @@ ONSET = 100
 class Population:
     """Impacts `m x'' = -K x^(3/2) (1 + chi x')`, x(0) = 0, x'(0) = v; arrays of shape (n,), SI units.
 
-    Attributes
-    ----------
-    mass, stiffness, damping, velocity : ndarray
-        m [kg], K [N/m^(3/2)], chi [s/m], v [m/s].
-    restitution, contact_duration : ndarray
-        What follows from them: rebound speed over v, and the time in contact [s].
+    mass, stiffness, damping, velocity : m [kg], K [N/m^(3/2)], chi [s/m], v [m/s]
+    restitution, contact_duration : results: rebound speed / v, and time in contact [s]
     """
 
     mass: Floats
@@ -105,7 +100,7 @@ class Population:
 
     @property
     def samples_in_contact(self) -> NDArray[np.int64]:
-        """How many samples lie in contact, that of touch included."""
+        """Number of samples in contact, including that of touch."""
         return np.ceil(self.contact_duration * SAMPLING_RATE).astype(np.int64)
 
 
@@ -153,7 +148,7 @@ def _rk4(frames, spacing, damping, scale, steps, graded):
         for k in range(frames.shape[1] - ONSET - 1):
             n, root, width = steps, math.sqrt(k * h), 0.0
             if graded:
-                # Equal steps in sqrt(time), in which the pulse is smooth at touch, until these are the longer ones.
+                # Equal steps in sqrt(time), in which the pulse is smooth at touch, until they exceed the others.
                 stretch = math.sqrt((k + 1) * h) - root
                 n = max(n, math.ceil(stretch * 2 * steps / h))
                 width = stretch / n
@@ -178,7 +173,7 @@ def _rk4(frames, spacing, damping, scale, steps, graded):
 
 
 def numba_rk4(population: Population, steps: int, graded: bool = False) -> Floats:
-    """Runge-Kutta of order 4 in numba, so many equal steps a sample; graded: steps equal in sqrt(time) early on."""
+    """Runge-Kutta of order 4 in numba, with equal steps per sample; graded: early steps equal in sqrt(time)."""
     frames = np.zeros((len(population), SAMPLES))
     _rk4(frames, population.spacing, population.damping_number, population.force_scale, steps, graded)
     return frames
@@ -209,7 +204,7 @@ def _pulse(states: Floats, damping: float) -> Floats:
 
 
 def scipy_solve_ivp(population: Population, method: str, tolerance: float) -> Floats:
-    """SciPy's solve_ivp, stopped by an event at separation; it is told nothing of the duration."""
+    """SciPy's solve_ivp, stopped by an event at separation; it does not receive the duration."""
     frames = np.zeros((len(population), SAMPLES))
     times = np.arange(SAMPLES - ONSET)
     spacings, scales = population.spacing, population.force_scale
@@ -268,7 +263,7 @@ def numbalsoda_peer(population: Population, solver: str, tolerance: float) -> Fl
 
 
 class Peer(NamedTuple):
-    """A function from population and setting to frames, its settings, and how many pulses are enough to time it."""
+    """A function from population and setting to frames, its settings, and the number of pulses to time."""
 
     run: Callable[..., Floats]
     settings: list[dict[str, Any]]
@@ -297,7 +292,7 @@ PEERS: dict[str, Peer] = {
 
 
 def available_peers() -> dict[str, Peer]:
-    """Return the peers whose packages are here; print which are left out and why."""
+    """Return the peers with installed packages; print the others with the reason."""
     if numbalsoda is not None:
         return dict(PEERS)
     missing = [name for name, peer in PEERS.items() if peer.run is numbalsoda_peer]

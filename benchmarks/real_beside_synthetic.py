@@ -1,15 +1,15 @@
-"""Scenes with a beam beside real recordings of things that hit metal: spectra, and how the ringing dies.
+"""Scenes with a beam against real recordings of things that hit metal: spectra and decay of the ringing.
 
     python benchmarks/real_beside_synthetic.py [--real FOLDER] [--signals 256] [-o FILE.png]
 
-Real are the recordings of ../shared/realdata (its README says where they are from): small bodies sliding down an
-aluminium ramp (`bulk_ramp`, hundreds of overlapping blows in each) and a board shocked in a drop tower
-(`shock/acc_pcb_*`). Without them there is nothing to show. None of them is coal or gangue, and none a tail beam.
+The real recordings are those of ../shared/realdata (for sources see its README): small bodies sliding down an aluminium
+ramp (`bulk_ramp`, hundreds of overlapping blows each) and a board shocked in a drop tower (`shock/acc_pcb_*`). Without
+them there is nothing to show. None of them is coal or gangue, and none a tail beam.
 
-Spectrum: power in third-octave bands over the whole (Welch). Decay: the envelope behind a blow (Hilbert, its square
-averaged over `SMOOTHING`) over its highest value, the median over blows. In a recording of many, a blow is a peak that
-is the highest from `BEFORE` it to `ALONE` behind it, and only the tenth is taken behind which least follows: what
-follows still makes the decay look slower than it is. Crest factors are those of pieces of `PIECE`, the median. Prints
+Spectrum: power in third-octave bands over the whole (Welch). Decay: the envelope after a blow (Hilbert, its square
+averaged over `SMOOTHING`) over its highest value, the median over blows. In a recording of many blows, a blow is a peak
+that is the highest from `BEFORE` before to `ALONE` after it; only the tenth with the least sound afterwards is used,
+and that sound still makes the decay look slower than it is. Crest factors are the median over pieces of `PIECE`. Prints
 the figures as Markdown and writes the picture.
 """
 
@@ -29,7 +29,7 @@ from cgid.validation import Floats
 
 HERE = Path(__file__).parent
 REAL = HERE.parents[1] / "shared" / "realdata"
-#: Of the picture, a file's name without its number -> what it says.
+#: File name without its number -> label in the picture.
 BULK = {
     "steel_nut_M3": "steel nuts M3",
     "steel_nut_M4": "steel nuts M4",
@@ -38,11 +38,11 @@ BULK = {
     "plastic_spheres": "plastic spheres",
 }
 SCENES = {"tail_beam": "k", "plate": "C9"}  # and their colours
-#: Frequencies compared [Hz], in so many bands; the lowest band is twice as wide as what is resolved.
+#: Compared frequencies [Hz] and number of bands; the lowest band is twice as wide as the resolution.
 BAND, N_BANDS = (100.0, 20e3), 23
-#: Of the envelope [s]; what is shown before a blow and behind it; how long nothing louder follows a blow.
+#: Smoothing of the envelope, shown time before and after a blow, and time without a louder peak after it [s].
 SMOOTHING, BEFORE, BEHIND, ALONE = 1e-3, 5e-3, 60e-3, 30e-3
-#: Of which crest factors are made [s]: a frame of the scenes.
+#: Length of the pieces for crest factors [s]: a frame of the scenes.
 PIECE = 80e-3
 
 
@@ -77,7 +77,7 @@ def synthetic(n: int) -> Iterator[Kind]:
 
 
 def spectrum(kind: Kind) -> tuple[Floats, Floats]:
-    """Return frequencies [Hz] and power density over the whole within `BAND`, the mean over the signals."""
+    """Return frequencies [Hz] and power density of the whole signals within `BAND`, averaged over the signals."""
     length = 2 ** round(np.log2(9 * kind.sampling_rate / BAND[0]))
     total = np.zeros(length // 2 + 1)
     for samples in kind.signals:
@@ -90,14 +90,14 @@ def spectrum(kind: Kind) -> tuple[Floats, Floats]:
 
 
 def bands(frequencies: Floats, power: Floats) -> tuple[Floats, Floats]:
-    """Return the middles of third-octave bands [Hz] and the power in each [dB], nan above the recorder's."""
+    """Return the centres of third-octave bands [Hz] and their power [dB], nan above the recorder's range."""
     edges = np.geomspace(*BAND, N_BANDS + 1)
     inside = np.histogram(frequencies, edges, weights=power)[0]
     return np.sqrt(edges[1:] * edges[:-1]), 10 * np.log10(np.where(inside > 0, inside, np.nan))
 
 
 def decay(kind: Kind) -> tuple[Floats, Floats, int]:
-    """Return times about a blow [s], the median level over its highest [dB], and the number of blows."""
+    """Return times from a blow [s], the median level below its highest [dB], and the number of blows."""
     rate = kind.sampling_rate
     before, behind = round(BEFORE * rate), round(BEHIND * rate)
     found = []
@@ -105,7 +105,7 @@ def decay(kind: Kind) -> tuple[Floats, Floats, int]:
         power = np.abs(signal.hilbert(samples - np.median(samples))) ** 2
         power = ndimage.uniform_filter1d(power, round(SMOOTHING * rate))
         for peak in _blows(power, rate) if kind.many_blows else [int(power.argmax())]:
-            # A frame may begin later or end sooner than what is shown.
+            # A frame may begin later or end sooner than the shown interval.
             part = np.full(before + behind, np.nan)
             start, stop = max(peak - before, 0), min(peak + behind, power.size)
             part[start - peak + before : stop - peak + before] = power[start:stop]
@@ -115,12 +115,12 @@ def decay(kind: Kind) -> tuple[Floats, Floats, int]:
         last = levels[:, before : before + round(ALONE * rate)].mean(axis=1)
         levels = levels[last <= np.quantile(last, 0.1)]
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", RuntimeWarning)  # before the first sample there is nothing
+        warnings.simplefilter("ignore", RuntimeWarning)  # no data before the first sample
         return np.arange(-before, behind) / rate, np.nanmedian(levels, axis=0), len(levels)
 
 
 def _blows(power: Floats, rate: float) -> list[int]:
-    """Return the places of the blows in an envelope that holds many."""
+    """Return the positions of the blows in an envelope with many."""
     before, alone = round(BEFORE * rate), round(ALONE * rate)
     peaks = signal.find_peaks(power, distance=before)[0].tolist()
     return [p for p in peaks if before <= p < power.size - alone and power[p - before : p + alone].max() == power[p]]
@@ -128,7 +128,7 @@ def _blows(power: Floats, rate: float) -> list[int]:
 
 @dataclass(frozen=True)
 class Look:
-    """What is drawn and printed of a kind."""
+    """The curves and figures of a kind."""
 
     kind: Kind
     frequencies: Floats
@@ -159,13 +159,13 @@ def look(kind: Kind) -> Look:
 
 
 def _time_to(level: float, times: Floats, envelope: Floats) -> str:
-    """Return when an envelope first is below a level behind its highest point [ms]."""
+    """Return the time from the highest point of an envelope until it first is below a level [ms]."""
     below = np.flatnonzero((times > 0) & (envelope < level))
     return f"{1e3 * times[below[0]]:.1f}" if below.size else "-"
 
 
 def _crests(samples: Floats, rate: float) -> Floats:
-    """Return largest sample over root mean square of each piece."""
+    """Return the crest factor, largest sample / root mean square, of each piece."""
     length = min(round(PIECE * rate), samples.size)
     pieces = samples[: samples.size // length * length].reshape(-1, length)
     pieces = pieces - np.median(pieces, axis=1, keepdims=True)
@@ -173,7 +173,7 @@ def _crests(samples: Floats, rate: float) -> Floats:
 
 
 def picture(rows: dict[str, list[Look]]) -> bytes:
-    """Return a PNG picture: spectra on the left, decay on the right, the real above the synthetic."""
+    """Draw spectra on the left and decay on the right, real above synthetic, as PNG."""
     figure = plots.require_matplotlib()(figsize=(11, 6.6), layout="constrained")
     grid = figure.subplots(len(rows), 2, sharex="col", sharey="col")
     for (left, right), (title, looks) in zip(grid, rows.items(), strict=True):
@@ -181,7 +181,7 @@ def picture(rows: dict[str, list[Look]]) -> bytes:
             colour = SCENES.get(one.kind.name.split(",")[0], f"C{number}")
             style = {"color": colour, "lw": 1.8, "ls": "--" if one.kind.name.endswith("gangue") else "-"}
             left.plot(one.frequencies / 1e3, one.levels, label=one.kind.name, **style)
-            step = round(SMOOTHING / 2 * one.kind.sampling_rate)  # finer it is the same number twice
+            step = round(SMOOTHING / 2 * one.kind.sampling_rate)  # a finer step would repeat the same numbers
             right.plot(1e3 * one.times[::step], one.envelope[::step], **style)
         left.set(xscale="log", xlim=(BAND[0] / 1e3, BAND[1] / 1e3), ylim=(-50, 0), title=f"{title}: spectrum")
         left.set(ylabel="power in a third-octave\nover the whole [dB]")

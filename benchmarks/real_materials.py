@@ -1,16 +1,16 @@
-"""What fell, told from real recordings: five materials sliding down a ramp, each recording judged by the others.
+"""Identification of the material in real recordings: five materials sliding down a ramp, cross-validated by recording.
 
     python benchmarks/real_materials.py [--real FOLDER] [--hop 0.05]
 
-The recordings are those of ../shared/realdata/bulk_ramp (its README says where they are from): five materials, three
-recordings each, of 1 to 4 s. Every recording is left out as a whole in turn (windows of one recording are never on both
-sides); features and the model are chosen on the others, by leaving out once more. Windows last 100 ms. Prints Markdown:
+The recordings are those of ../shared/realdata/bulk_ramp (for sources see its README): five materials, three recordings
+each, of 1 to 4 s. Each recording is left out as a whole in turn (windows of one recording are never on both sides);
+features and model are chosen on the others by an inner leave-one-out. Windows last 100 ms. Prints Markdown:
 
-* what `cgid train MANIFEST` finds with one channel, the other, and both: a window, a whole recording by the vote of its
-  windows, running votes; with 95 % intervals that count recordings, not windows;
-* each set of features by itself, chosen by nobody.
+* the accuracy of `cgid train MANIFEST` with either channel and with both: by window, by recording (vote of its
+  windows), and by running vote; the 95 % intervals count recordings, not windows;
+* each set of features by itself, without selection.
 
-`real_materials_checks.py` asks what such an accuracy must be asked: what of it is the material and what the set-up.
+`real_materials_checks.py` separates the material from the set-up in this accuracy.
 """
 
 import argparse
@@ -36,7 +36,7 @@ SETS = sets_for("window")
 
 
 def recordings(folder: Path) -> list[Path]:
-    """Return the files, or stop with what is missing."""
+    """Return the files; exit if any is missing."""
     files = sorted(folder.glob("*_[0-9].wav"))
     if not files:
         sys.exit(f"there are no recordings in {folder}; say --real FOLDER")
@@ -44,12 +44,12 @@ def recordings(folder: Path) -> list[Path]:
 
 
 def material(file: Path) -> str:
-    """Return what slides in a recording: its name without its number."""
+    """Return the material of a recording: its name without the number."""
     return file.stem[:-2]
 
 
 def measured(files: list[Path], channel: str, hop: float) -> Rows:
-    """Return the features of the windows of all recordings, as `cgid train` has them."""
+    """Return the features of the windows of all recordings, as in `cgid train`."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "manifest.csv"
         with path.open("w", newline="") as stream:
@@ -65,7 +65,7 @@ def share(accuracy: float, interval: tuple[float, float]) -> str:
 
 
 def nested(tables: dict[str, Rows]) -> None:
-    """Print what training finds, features chosen inside the folds."""
+    """Print the results of training with features chosen inside the folds."""
     print("| channel | a window | a recording | votes over 0.5 s | over 1 s | features taken (of 15 folds) |")
     print("|---|---|---|---|---|---|")
     for channel, table in tables.items():
@@ -78,7 +78,7 @@ def nested(tables: dict[str, Rows]) -> None:
 
 
 def answers(table: Rows, names: tuple[str, ...]) -> NDArray[np.str_]:
-    """Return what each window is called by a model of these features, trained on the other recordings."""
+    """Return each window's answer by a model of these features, trained on the other recordings."""
     candidates = candidates_for({"": names}, table.names, "linear")
     found = judge(Lesson(rows=table, candidates=candidates, weights=None, seed=0))
     return np.asarray(np.unique(table.labels)[np.argmax(found.probabilities, axis=1)])

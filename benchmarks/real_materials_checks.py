@@ -1,16 +1,15 @@
-"""What of the accuracy on real recordings is the material, and what the set-up: questions to `real_materials.py`.
+"""Material or set-up: checks of the accuracy on real recordings that `real_materials.py` finds.
 
     python benchmarks/real_materials_checks.py [--real FOLDER]
 
-Prints Markdown; every model is trained on the other recordings, by one set of features that nobody chose:
+Prints Markdown; every model is trained on the other recordings, by one set of features without selection:
 
-* how alike the ramp sounds in all recordings: the fine structure of their spectra is that of the ramp and the sensor;
-* which material is told how well, and what is left without the one that was recorded on another set-up;
-* what labels shuffled among the recordings give: by chance a recording is called what the other two of its material
-  are called, 2 of 14;
-* how well the recordings of one material are told from each other, first halves against second: what is no material;
+* similarity of the ramp in all recordings: the fine structure of their spectra is that of the ramp and the sensor;
+* accuracy by material, and without the material that was recorded on another set-up;
+* labels shuffled among the recordings: by chance a recording gets the label of the other two of its material, 2 of 14;
+* discrimination of recordings of one material, first halves against second: not due to the material;
 * a model of the left channel on the right one and back, where the ramp sounds different;
-* what a gain or another response of the sensor costs, and what a reference run cures.
+* the cost of a gain or another sensor response, and how much a reference run repairs.
 """
 
 import argparse
@@ -34,13 +33,13 @@ from cgid.validation import Floats
 
 #: The material that was recorded on another set-up than the others, as `ramps` shows.
 APART = "steel_nut_M4"
-#: Of a sensor's response [dB]: standard deviation in each third octave, and how many such sensors are tried.
+#: Standard deviation of a sensor's response in each third octave [dB], and the number of such sensors.
 DEVIATION, SENSORS = 4.0, 5
 GAIN = 2.0  # 6 dB
 SHUFFLES = 10
 RATE, WINDOW = 44_100.0, 4410
 NAMES = supported(union_of(SETS), RATE, WINDOW)
-#: Each set's columns of a table of `NAMES`.
+#: Columns of each set in a table of `NAMES`.
 COLUMNS = {name: [NAMES.index(one) for one in wanted if one in NAMES] for name, wanted in SETS.items()}
 FLAT = np.ones(1)
 
@@ -58,10 +57,10 @@ def samples_of(file: Path, channel: int = 1) -> Floats:
 
 
 def ramps(files: list[Path]) -> None:
-    """Print how the fine structure of the spectra correlates: the modes of the ramp and the place of the sensor.
+    """Print the correlation of the fine structure of the spectra: modes of the ramp and position of the sensor.
 
-    What slides shapes a spectrum smoothly; lines that all recordings share are those of the ramp. A material whose
-    recordings share other lines was recorded on another set-up, and may be told by that.
+    The sliding material shapes a spectrum smoothly; lines common to all recordings are those of the ramp. A material
+    whose recordings share other lines was recorded on another set-up, and may be recognised by that.
     """
     levels, labels = [], np.array([material(file) for file in files])
     for file in files:
@@ -81,7 +80,7 @@ def ramps(files: list[Path]) -> None:
 
 
 def materials(table: Rows) -> None:
-    """Print which material is told how well."""
+    """Print the accuracy by material."""
     labels = np.unique(table.labels)
     four = some(table, table.labels != APART)
     titles("features", [*labels.tolist(), f"four without {APART}"])
@@ -97,7 +96,7 @@ def some(table: Rows, kept: NDArray[np.bool_]) -> Rows:
 
 
 def shuffled(table: Rows) -> None:
-    """Print what labels shuffled among the recordings give."""
+    """Print the accuracy with labels shuffled among the recordings."""
     _, first = np.unique(table.source, return_index=True)
     random, name = np.random.default_rng(0), next(iter(SETS))
     shares = []
@@ -108,7 +107,7 @@ def shuffled(table: Rows) -> None:
 
 
 def fingerprints(files: list[Path]) -> None:
-    """Print how well the recordings of one material are told from each other."""
+    """Print the accuracy with which the recordings of one material are discriminated."""
     tables = {file: measured_windows(file) for file in files}
     labels = sorted({material(file) for file in files})
     titles("which of three recordings", [*labels, "mean"])
@@ -124,7 +123,7 @@ def fingerprints(files: list[Path]) -> None:
 
 
 def channels(files: list[Path]) -> None:
-    """Print what a model of one channel makes of the other, as it is and after a reference run."""
+    """Print the accuracy of a model of one channel on the other, with and without a reference run."""
     titles("trained on, judged on", list(SETS))
     for trained, judged in ((1, 2), (2, 1)):
         models = models_without(files, trained)
@@ -134,7 +133,7 @@ def channels(files: list[Path]) -> None:
 
 
 def sensors() -> Iterator[tuple[str, Floats]]:
-    """Yield responses as taps of a filter: a gain, and random ones of 4 dB in each third octave."""
+    """Yield sensor responses as filter taps: a gain, and random ones of 4 dB in each third octave."""
     yield "as trained", np.ones(1)
     yield "6 dB louder", np.full(1, GAIN)
     edges = np.append(0.0, 100 * 2 ** (np.arange(24) / 3))
@@ -145,7 +144,7 @@ def sensors() -> Iterator[tuple[str, Floats]]:
 
 
 def windows_of(file: Path, taps: Floats, channel: int) -> Floats:
-    """Return the windows of a recording through a response, (n_windows, n_samples)."""
+    """Return the windows of a recording after a sensor response, (n_windows, n_samples)."""
     heard = signal.oaconvolve(samples_of(file, channel), taps, mode="same")
     return heard[: heard.size // WINDOW * WINDOW].reshape(-1, WINDOW)
 
@@ -156,7 +155,7 @@ def measured_windows(file: Path, taps: Floats = FLAT, channel: int = 1, made_up:
 
 
 def spectrum(files: list[Path], taps: Floats, channel: int) -> Floats:
-    """Return the mean spectrum of a reference run: what these recordings sound like together."""
+    """Return the mean spectrum of a reference run that consists of these recordings."""
     run = MeanSpectrum(RATE)
     for file in files:
         run.feed(windows_of(file, taps, channel))
@@ -189,7 +188,7 @@ def row(
     channel: int,
     meant: int | None,
 ) -> None:
-    """Print how often each set is right through a response; `meant` is the channel that a reference run makes it to."""
+    """Print the accuracy of each set with a response; a reference run equalises to the channel `meant`."""
     hits: dict[str, list[NDArray[np.bool_]]] = {name: [] for name in COLUMNS}
     for file in files:
         table = measured_windows(file, taps, channel, _made_up(files, file, taps, channel, meant) if meant else None)
@@ -199,14 +198,14 @@ def row(
 
 
 def _made_up(files: list[Path], judged: Path, taps: Floats, channel: int, meant: int) -> Equalisation:
-    """Return the equalisation by reference runs of other recordings than the one that is judged, each of its own."""
+    """Return the equalisation by reference runs that exclude the judged recording; each side has its own recordings."""
     number = int(judged.stem[-1])
     heard, own = ([file for file in files if int(file.stem[-1]) == (number + k) % 3 + 1] for k in (0, 1))
     return Equalisation.between(spectrum(heard, taps, channel), spectrum(own, FLAT, meant))
 
 
 def responses(files: list[Path]) -> None:
-    """Print what is lost when a sensor is not the one that was trained on, and what its reference run cures."""
+    """Print the loss due to a sensor other than that of the training, and the repair by its reference run."""
     models = models_without(files, 1)
     titles("sensor", list(SETS))
     for title, taps in sensors():

@@ -1,8 +1,8 @@
-"""How quickly long recordings and live streams are answered: python benchmarks/recordings.py [minutes].
+"""Speed of answers for long recordings and live streams: python benchmarks/recordings.py [minutes].
 
-A recording of 4 channels at 51.2 kHz, 16 bit, with some impacts a second in each, is predicted and, for comparison,
-merely read by the same blocks; then live streams at 25.6 kHz are monitored, first as fast as they go, then in time.
-Each in a process of its own with one thread; memory is its largest resident set.
+A recording of 4 channels at 51.2 kHz, 16 bit, with some impacts per second in each, is predicted and, for comparison,
+only read by the same blocks. Then live streams at 25.6 kHz are monitored, first at full speed, then in real time. Each
+runs in a separate process with one thread; memory is its largest resident set.
 """
 
 from __future__ import annotations
@@ -20,9 +20,9 @@ from pathlib import Path
 
 import numpy as np
 
-#: Impacts a second in each channel: those of a caving window with its bounces are some ten.
+#: Impacts per second in each channel; a caving window with its bounces has about ten.
 IMPACT_RATE = 4.0
-#: Of the recording and of the streams [Hz].
+#: Sampling rates of the recording and of the streams [Hz].
 RECORDING_RATE, STREAM_RATE = 51_200, 25_600
 N_CHANNELS = 4
 #: Full scale [m/s^2].
@@ -32,7 +32,7 @@ _READ = "import sys; from cgid.recordings import open_recording\nfor _ in open_r
 
 
 def seconds_of(rate: int, n_channels: int, seed: int) -> Iterator[np.ndarray]:
-    """Yield one second after the other of rocks on a beam, (rate, n_channels) int16: modes that ring, and noise."""
+    """Yield seconds of rocks on a beam, (rate, n_channels) int16: ringing modes and noise."""
     rng = np.random.default_rng(seed)
     times = np.arange(int(0.3 * rate)) / rate
     modes = [(180.0, 25.0), (640.0, 60.0), (1900.0, 150.0), (5200.0, 500.0)]
@@ -53,7 +53,7 @@ def seconds_of(rate: int, n_channels: int, seed: int) -> Iterator[np.ndarray]:
 
 @dataclass(frozen=True)
 class Run:
-    """What a process took: wall and processor time [s], memory [MB], and what it printed."""
+    """Cost of a process: wall and processor time [s], memory [MB]; and its output."""
 
     wall: float
     processor: float
@@ -62,7 +62,7 @@ class Run:
 
 
 def timed(arguments: list[str], stdin: int | None = None) -> Run:
-    """Run Python with arguments and return what it took."""
+    """Run Python with arguments and return the cost."""
     begun = time.perf_counter()
     with tempfile.TemporaryFile() as out:
         process = subprocess.Popen([sys.executable, *arguments], stdin=stdin, stdout=out, stderr=out, env=_ENVIRONMENT)
@@ -99,7 +99,7 @@ def recording(folder: Path, minutes: float) -> None:
 
 
 def stream(folder: Path, n_channels: int, duration: int) -> float:
-    """Print how quickly a stream from a file is monitored; return the processor's share of a second."""
+    """Print the speed of monitoring a stream from a file; return the processor time per second."""
     path = folder / f"{n_channels}.raw"
     with path.open("wb") as file:
         for second, _ in zip(seconds_of(STREAM_RATE, n_channels, 1), range(duration), strict=False):
@@ -115,7 +115,7 @@ def stream(folder: Path, n_channels: int, duration: int) -> float:
 
 
 def live(folder: Path, n_channels: int, duration: int) -> None:
-    """Print how far behind a stream that comes as time goes the answers are."""
+    """Print the delay of the answers to a stream in real time."""
     content = (folder / f"{n_channels}.raw").read_bytes()
     size = STREAM_RATE * n_channels * 2
     reading, writing = os.pipe()

@@ -1,10 +1,10 @@
-"""Whether a model may be believed: calibration, coverage, and strangers, on many impacts it has never seen.
+"""Reliability of a model: calibration, coverage and detection of strangers on many unseen impacts.
 
     python benchmarks/reliability.py [MODEL] [-n 100000]   # prints Markdown; the shipped default model if none is given
 
-Impacts are of the reference scene, from blocks of random numbers that no training uses; strangers are of the shipped
-scenes `strangers` and `lookalikes`; real ones are the shocks of ../shared/realdata, where they are (as if the
-striker had 1 kg). Flagged is what is not in the training's range: strange, overdriven, or not to be measured.
+Impacts are of the reference scene, from blocks of random numbers that no training uses. Strangers are of the shipped
+scenes `strangers` and `lookalikes`; real ones are the shocks of ../shared/realdata, if present (assuming a striker of
+1 kg). Flagged are impacts outside the training range: strange, overdriven, or impossible to measure.
 """
 
 import argparse

@@ -1,21 +1,21 @@
-"""Force to acceleration: time for each mode and sample beside scipy's filters, the error of both, signals in a second.
+"""Force to acceleration: time per mode and sample against scipy's filters, the error of both, signals per second.
 
     python benchmarks/response.py [--modes 8 32 128] [--signals 256] [--rounds 5]
 
-First table: rocks of the scene `tail_beam` (impact by the impedance of the beam) on so many of its modes below half the
-sampling rate, without the sensor chain, 2048 samples at 25.6 kHz. The peers run the same modes as second-order sections
-that are exact for a force straight between samples (`cont2discrete`, "foh"), or convolve with the sum of their impulse
-responses by FFT. They get the forces as samples, ready-made; ours makes its own from the impacts, within its time. At
-the recorder's rate ("x 1") a short contact is a few samples only; "x L" is the least power of two by which the peers
-must be oversampled for a worst error not above ours, every L-th sample kept. Errors are over the largest sample of a
-signal, against ours at a tolerance of 1e-10, which the tests hold against matrix exponentials.
+First table: rocks of the scene `tail_beam` (impact by the impedance of the beam) on this many of its modes below half
+the sampling rate, without the sensor chain, 2048 samples at 25.6 kHz. The peers run the same modes as second-order
+sections that are exact for a force linear between samples (`cont2discrete`, "foh"), or convolve with the sum of their
+impulse responses by FFT. They receive the sampled forces ready-made; the time of cgid includes making its own from the
+impacts. At the recorder's rate ("x 1") a short contact has only a few samples; "x L" is the least power of two by which
+the peers must be oversampled for a worst error not above cgid's, every L-th sample kept. Errors are over the largest
+sample of a signal, against cgid at a tolerance of 1e-10, which the tests verify against matrix exponentials.
 
-All of it in one process, alternating, the best of several rounds, time divided by signals, modes and samples of the
-frame. Ours leaves out what is before touch, too quiet or has died out; how much ringing it really ran is printed (the
-few samples of contact come on top), and the time divided by that. Oversampled peers take so long that a few signals,
-one thread and one round must do; ours is judged by all signals all the same.
+All in one process, alternating, best of several rounds; time divided by signals, modes and samples of the frame. cgid
+skips ringing before touch, below the tolerance or decayed; the share that it ran is printed (the few samples of contact
+come on top), and the time divided by it. Oversampled peers are so slow that they get a few signals, one thread and one
+round; cgid's error is still that of all signals.
 
-Then: signals in a second of the whole scene, and the error of its response behind the sensor chain.
+Then: signals per second of the whole scene, and the error of its response after the sensor chain.
 """
 
 import argparse
@@ -46,9 +46,9 @@ from cgid.scene.plan import plan
 from cgid.validation import Floats
 
 TRUTH = 1e-10
-#: Signals by which oversampled peers are judged and timed.
+#: Number of signals for oversampled peers.
 FEW = 8
-#: Samples that a peer is given at once: they stay in the cache.
+#: Samples that a peer receives at once; they fit into the cache.
 AT_ONCE = 1 << 16
 
 Frames = NDArray[Any]
@@ -58,16 +58,9 @@ Frames = NDArray[Any]
 class Blows:
     """Impacts, and the modes of a beam that they drive.
 
-    Attributes
-    ----------
-    impact : Impact, of n
-    onset : ndarray, (n,)
-        [s]
-    participation : ndarray, (n, n_modes)
-        [1/kg]
-    frequency, damping_ratio : ndarray, (n_modes,)
-    sampling_rate : float
-    n_samples : int
+    onset : (n,) [s]
+    participation : (n, n_modes) [1/kg]
+    frequency, damping_ratio : (n_modes,)
     """
 
     impact: Impact
@@ -79,13 +72,13 @@ class Blows:
     n_samples: int
 
     def heard(self, tolerance: float, dtype: str = "float64", threads: int = 1) -> Frames:
-        """Return our accelerations, (n, n_samples)."""
+        """Return cgid's accelerations, (n, n_samples)."""
         frames = np.zeros((len(self.onset), self.n_samples), dtype)
         self.response(tolerance).add_to_frames(frames, self.impact, self.onset, self.participation, threads=threads)
         return frames
 
     def response(self, tolerance: float) -> Response:
-        """Return ours; asked again, the same one, for a scene keeps it from block to block."""
+        """Return cgid's response, cached, as a scene keeps it from block to block."""
         return self._responses.setdefault(
             tolerance, Response(sampling_rate=self.sampling_rate, modes=self, tolerance=tolerance)
         )
@@ -101,7 +94,7 @@ class Blows:
         return frames
 
     def sections(self, oversampling: int) -> list[tuple[Floats, Floats]]:
-        """Return numerator and denominator of each mode, for a participation of 1 and a force in straight lines."""
+        """Return numerator and denominator of each mode, for a participation of 1 and a piecewise linear force."""
         found = []
         for w, zeta in zip(2 * np.pi * self.frequency, self.damping_ratio, strict=True):
             mode = ([1.0, 0.0, 0.0], [1.0, 2 * zeta * w, w**2])
@@ -111,7 +104,7 @@ class Blows:
 
 
 def blows(scene: Scene, n: int, n_modes: int) -> Blows:
-    """Return n impacts of a scene on so many modes of its beam, evenly out of those below half the sampling rate."""
+    """Return n impacts of a scene on this many modes of its beam, evenly chosen below half the sampling rate."""
     asked = plan(scene)
     drawn, heard = blows_of(asked, 0, 0), recorder_of(asked)
     below = int(np.searchsorted(heard.modes.frequency, scene.sampling.sampling_rate / 2))
@@ -143,7 +136,7 @@ def first_of(impact: Impact, n: int) -> Impact:
 
 
 class Peer:
-    """A peer made ready for some blows: what does not hang on the forces is done before the clock starts."""
+    """A peer prepared for some blows: work that does not depend on the forces is done before timing."""
 
     def __init__(self, name: str, given: Blows, oversampling: int, dtype: str) -> None:
         self.oversampling, self.n_samples = oversampling, given.n_samples
@@ -196,7 +189,7 @@ def errors(frames: Frames, exact: Floats) -> Floats:
 
 
 def best_times(works: list[Callable[[], object]], rounds: int) -> list[float]:
-    """Return the best time of each [s]; they take turns."""
+    """Return the best time of each [s]; they alternate."""
     times = [float("inf")] * len(works)
     for _ in range(rounds + 1):  # the first round compiles and fills the caches
         for number, work in enumerate(works):
@@ -207,7 +200,7 @@ def best_times(works: list[Callable[[], object]], rounds: int) -> list[float]:
 
 
 def oversampling_for(few: Blows, exact: Floats, error: float) -> int:
-    """Return the least power of two at which the peers' error is not above this one: they have the same."""
+    """Return the least power of two at which the peers' error, equal for both, is not above this one."""
     factor = 2
     while errors(Peer("FFT convolution", few, factor, "float64").heard(), exact).max() > error:
         factor *= 2
@@ -215,7 +208,7 @@ def oversampling_for(few: Blows, exact: Floats, error: float) -> int:
 
 
 def line(n_modes: int, dtype: str, name: str, times: list[float], own: list[float], error: Floats) -> None:
-    """Print a line: times of one thread and, where they are there, of two [s for a mode and sample]."""
+    """Print a line: times per mode and sample [s] of one thread and, if given, of two."""
     cells = [f"{1e9 * spent:.2f} | {spent / ours:.1f}" for spent, ours in zip(times, own, strict=False)]
     cells += ["- | -"] * (2 - len(cells))
     print(
@@ -225,7 +218,7 @@ def line(n_modes: int, dtype: str, name: str, times: list[float], own: list[floa
 
 
 def beside_peers(given: Blows, dtype: str, rounds: int) -> tuple[list[float], float, str]:
-    """Print ours and the peers at the recorder's rate; return our times, our error, and a note on what ours ran."""
+    """Print cgid and the peers at the recorder's rate; return cgid's times, error, and a note on its work."""
     n, n_modes = given.participation.shape
     nominal = n * n_modes * given.n_samples
     exact, response = given.heard(TRUTH), given.response(TOLERANCE)
@@ -251,7 +244,7 @@ def beside_peers(given: Blows, dtype: str, rounds: int) -> tuple[list[float], fl
 
 
 def oversampled(few: Blows, own: list[float], error: float) -> None:
-    """Print the peers at a rate at which they are as exact as ours, which took so long for this error."""
+    """Print the peers at the rate at which they are as exact as cgid with this time and error."""
     n, n_modes = few.participation.shape
     exact = few.heard(TRUTH)
     factor = oversampling_for(few, exact, error)
@@ -264,7 +257,7 @@ def oversampled(few: Blows, own: list[float], error: float) -> None:
 
 
 def scene_rate(scene: Scene, n: int, rounds: int) -> list[float]:
-    """Return how many signals are made in a second by one thread, and by two that make half of them each."""
+    """Return the signals per second of one thread, and of two that make half of them each."""
     blocks = max(n // (2 * BLOCK), 1)
 
     def make(first: int, count: int) -> None:
@@ -279,7 +272,7 @@ def scene_rate(scene: Scene, n: int, rounds: int) -> list[float]:
 
 
 def whole_scene(scene: Scene, n: int, rounds: int) -> None:
-    """Print how fast the whole scene is: draw, impact, response, noise, range, bits."""
+    """Print the speed of the whole scene: draw, impact, response, noise, range, bits."""
     print("\n| whole scene `tail_beam` | signals/s, one thread | two threads |\n|---|---|---|")
     for coupling in ("impedance", "auto"):
         one, two = scene_rate(with_coupling(scene, coupling), n, rounds)
@@ -292,7 +285,7 @@ def with_coupling(scene: Scene, coupling: str) -> Scene:
 
 
 def accuracy(scene: Scene) -> None:
-    """Print the error behind the sensor chain at the scene's tolerance."""
+    """Print the error after the sensor chain at the scene's tolerance."""
     asked = plan(scene)
     drawn, heard = blows_of(asked, 1, 0), recorder_of(asked)
     close, exact = np.zeros((2, BLOCK, scene.sampling.samples))

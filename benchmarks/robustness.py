@@ -1,10 +1,10 @@
-"""How a model does where its training does not hold: noise, sampling rate, a sensor at its limits, another physics.
+"""Performance of a model outside its training conditions: noise, sampling rate, sensor limits, another physics.
 
     python benchmarks/robustness.py [MODEL.npz ...] [--signals 2000] [--ceiling 500]
 
-Every line is a scene that differs in one setting from the reference scene. Beside the shipped model stands one trained
-on the reference scene alone, with the same features. What cannot be measured is counted apart and as a guess, 1 over
-the number of labels. Prints Markdown, writes robustness.csv and robustness.png beside this file.
+Every line is a scene that differs in one setting from the reference scene. The shipped model is compared with one
+trained on the reference scene alone, with the same features. Impacts that cannot be measured are counted separately,
+and as guesses: 1 over the number of labels. Prints Markdown, writes robustness.csv and robustness.png to this folder.
 """
 
 import argparse
@@ -27,7 +27,7 @@ from cgid.scene import Scene, load_scene, synthesise, varied
 
 HERE = Path(__file__).parent
 COLUMNS = ("model", "axis", "setting", "n", "accuracy", "accuracy_measured", "unmeasured", "flagged", "ece", "ceiling")
-#: The seams are named after what is known of them: medians of Young's modulus and means of density, coal and gangue.
+#: Seams: median of Young's modulus and mean density, of coal and of gangue.
 SEAMS = {
     "as trained": ("3.1 GPa", 1400, "10 GPa", 2450),
     "soft coal": ("2.0 GPa", 1320, "10 GPa", 2450),
@@ -60,7 +60,7 @@ def scenes(reference: Scene) -> Iterator[tuple[str, str, Scene]]:
 
 
 def _seam(scene: Scene, coal: str, coal_density: float, gangue: str, gangue_density: float) -> Scene:
-    """Return the scene with other materials, each population as widely spread as before."""
+    """Return the scene with other materials; each population keeps its relative spread."""
     changes = {"coal": (coal, coal_density), "gangue": (gangue, gangue_density)}
     populations = []
     for population in scene.populations:
@@ -76,7 +76,7 @@ def _seam(scene: Scene, coal: str, coal_density: float, gangue: str, gangue_dens
 
 
 def judge(model: Model, scene: Scene, n_signals: int) -> dict[str, float]:
-    """Return how a model does on new signals of a scene."""
+    """Return the performance of a model on new signals of a scene."""
     probable, hits, unmeasured, flagged = [], [], 0, 0
     for batch in synthesise(scene, n_signals, _SEED):
         known = {"drop_height": batch.parameters["drop_height"]} if model.known else {}
@@ -86,7 +86,7 @@ def judge(model: Model, scene: Scene, n_signals: int) -> dict[str, float]:
             if not answer.probabilities:
                 unmeasured += 1
                 continue
-            # The most probable label, whatever the novelty says: what is flagged is counted by itself.
+            # The most probable label, regardless of novelty: flagged impacts are counted separately.
             label = max(answer.probabilities, key=answer.probabilities.__getitem__)
             probable.append(answer.probabilities[label])
             hits.append(label == truth)
@@ -102,7 +102,7 @@ def judge(model: Model, scene: Scene, n_signals: int) -> dict[str, float]:
 
 
 def ceiling_of(scene: Scene, n_signals: int, drop_height_known: bool) -> float:
-    """Return the ceiling of a scene, nan where the integration does not cover it."""
+    """Return the ceiling of a scene; nan if the integration does not cover it."""
     if untrusted(scene):
         return float("nan")
     try:
@@ -113,11 +113,11 @@ def ceiling_of(scene: Scene, n_signals: int, drop_height_known: bool) -> float:
 
 
 def models(paths: list[str], reference: Scene, n_training: int) -> dict[str, Model]:
-    """Return the models by name: those asked for, or the shipped one, and one of the reference scene alone."""
+    """Return the models by name: the requested ones or the shipped one, and one of the reference scene alone."""
     files = [Path(p) for p in paths] or [shipped.path_of("models", shipped.DEFAULT_MODEL)]
     found = {path.stem: Model.load(path) for path in files}
     first = next(iter(found.values()))
-    # A model of one sampling rate and no noise but its own: what training on many scenes is worth.
+    # A model of one sampling rate and one noise level shows the value of training on many scenes.
     alone = train(
         synthesise(reference, n_training, _TRAINING_SEED),
         features=first.features,
@@ -128,7 +128,7 @@ def models(paths: list[str], reference: Scene, n_training: int) -> dict[str, Mod
 
 
 def picture(rows: list[dict[str, object]]) -> bytes:
-    """Return a PNG picture: accuracy, and the share that is flagged, along every axis."""
+    """Draw accuracy and flagged share along every axis as PNG."""
     axes_of = list(dict.fromkeys(str(row["axis"]) for row in rows))
     figure = plots.require_matplotlib()(figsize=(13, 6), layout="constrained")
     grid = figure.subplots(2, 4, sharey=True).ravel()

@@ -1,12 +1,11 @@
-"""What a million and a billion signals take, by rates measured here, and when it pays to store none.
+"""Cost of a million and a billion signals, from rates measured here, and when storing none of them pays.
 
     python benchmarks/scale.py [--signals 50000] [--scenes reference tail_beam] [--folder DIR]
 
-A dataset follows from its scene and seed: signals can be made again in place of being read. Each is timed with two
-worker processes that make and write shards, and with one process that makes, or reads, batches and looks at them. What
-is read lies in the memory of the machine, if there is room: a disk is slower, and the last column says how slow it
-may be before making is as quick. What is printed stands so in datasets/README.md; both scenes take some three minutes
-of two cores that do nothing else.
+A dataset follows from its scene and seed, so signals can be made again instead of read. The timings are of two worker
+processes that make and write shards, and of one process that makes or reads batches and looks at them. The data read
+stay in memory if there is room: a disk is slower, and the last column is the disk rate at which making is as quick.
+The output is that in datasets/README.md; both scenes take some three minutes of two otherwise idle cores.
 """
 
 import argparse
@@ -29,16 +28,11 @@ JOBS = 2
 
 @dataclass(frozen=True, kw_only=True)
 class Rates:
-    """What one signal of a scene takes.
+    """Cost of one signal of a scene.
 
-    Attributes
-    ----------
-    written, made, read : float
-        Time of a signal [s]: made and put on the disk by all jobs; made again, or read, by one process.
-    bytes, parameter_bytes : float
-        Of the disk: with its samples, and of its drawn parameters alone.
-    memory : float
-        Most that the largest process of the run held, the one that waits or a worker [bytes].
+    written, made, read : time [s]: made and written by all jobs; made again, or read, by one process
+    bytes, parameter_bytes : on the disk: with its samples, and of its drawn parameters alone
+    memory : peak of the run's largest process, the parent or a worker [bytes]
     """
 
     written: float
@@ -50,7 +44,7 @@ class Rates:
 
 
 def run(*arguments: str | Path) -> tuple[float, int]:
-    """Run a command; return its time [s] and the most memory of one of its processes [bytes]."""
+    """Run a command; return its time [s] and the peak memory of its largest process [bytes]."""
     start = time.perf_counter()
     process = subprocess.Popen([sys.executable, "-m", "cgid", *map(str, arguments)], stderr=subprocess.DEVNULL)
     _, status, usage = os.wait4(process.pid, 0)
@@ -61,7 +55,7 @@ def run(*arguments: str | Path) -> tuple[float, int]:
 
 
 def looked_at(batches: Iterable[Batch]) -> float:
-    """Return how long a signal of these takes [s]; each is looked at, or some would never be fetched."""
+    """Return the time of one of these signals [s]; each is looked at, otherwise some would never be fetched."""
     start, count, total = time.perf_counter(), 0, 0.0
     for batch in batches:
         total += float(batch.signals[:, ::64].sum())
@@ -70,7 +64,7 @@ def looked_at(batches: Iterable[Batch]) -> float:
 
 
 def measured(name: str, n_signals: int, folder: Path) -> Rates:
-    """Return what a signal of a scene takes."""
+    """Return the cost of a signal of a scene."""
     scene = load_scene(shipped.scene_path(name))
     data, table = folder / name, folder / f"{name}.h5"
     common = ["generate", name, "-n", str(n_signals)]
@@ -90,7 +84,7 @@ def measured(name: str, n_signals: int, folder: Path) -> Rates:
 
 
 def duration(seconds: float) -> str:
-    """Return a time as one reads it."""
+    """Return a time in readable units."""
     for unit, size in (("d", 86400.0), ("h", 3600.0), ("min", 60.0)):
         if seconds >= 2 * size:
             return f"{seconds / size:.3g} {unit}"
@@ -98,7 +92,7 @@ def duration(seconds: float) -> str:
 
 
 def size(count: float) -> str:
-    """Return a number of bytes as one reads it."""
+    """Return a number of bytes in readable units."""
     for unit, factor in (("TB", 1e12), ("GB", 1e9), ("MB", 1e6)):
         if count >= factor:
             return f"{count / factor:.3g} {unit}"

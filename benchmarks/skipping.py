@@ -1,10 +1,10 @@
-"""What a scene does not need is not done: counters of some scenes, and the time that it saves.
+"""Work that a scene does not need is skipped: counters of some scenes, and the saved time.
 
     python benchmarks/skipping.py [--signals N]
 
-Prints Markdown: for some signals of each scene what ran for what was asked, compared with what making and measuring
-everything takes; and the times of parameters, closed forms, features and frames of the same N impacts of the reference
-scene (nothing is written to the disk). Times are those of the processor, which a busy machine lengthens less.
+Prints Markdown: for some signals of each scene, the work done for the requested outputs against that for all outputs;
+and the times of parameters, closed forms, features and frames of the same N impacts of the reference scene (nothing is
+written to the disk). Times are processor times, which depend less on the load of the machine.
 """
 
 import argparse
@@ -26,7 +26,7 @@ from tests.plan_scenes import CASES, COUNTED
 
 
 def print_counts() -> None:
-    """Print what ran for each scene, and of how much."""
+    """Print the work done for each scene, and the work for everything."""
     print(f"| scene and what is asked ({COUNTED} signals) | what ran / what everything takes |\n|---|---|")
     for case in CASES:
         asked, everything = case.ask(), case.ask_everything()
@@ -35,7 +35,7 @@ def print_counts() -> None:
 
 
 def print_times(n_signals: int) -> None:
-    """Print how long different questions about the same impacts take."""
+    """Print the times of different requests for the same impacts."""
     scene = load_scene(shipped.scene_path("reference"))
     questions: dict[str, Callable[[], object]] = {
         "parameters": lambda: _exhaust(columns_of(plan(scene, ["parameters"]), n_signals)),
@@ -54,7 +54,7 @@ def print_times(n_signals: int) -> None:
         ],
     }
     print(f"\n| asked of {n_signals} impacts | s | us per impact |\n|---|---|---|")
-    _exhaust(columns_of(plan(scene, ["features"]), BLOCK))  # loads and compiles
+    _exhaust(columns_of(plan(scene, ["features"]), BLOCK))  # imports and compiles
     for name, ask in questions.items():
         start = time.process_time()
         ask()

@@ -1,4 +1,4 @@
-"""CPU time of `cgid predict` on the shipped sample beside `python -c "import numpy"`, alternating, whole processes.
+"""CPU time of `cgid predict` on the shipped sample against `python -c "import numpy"`, alternating, whole processes.
 
 python benchmarks/startup.py [--rounds 15]
 """
@@ -33,7 +33,7 @@ def main() -> None:
     for number in range(rounds + 1):
         for name, arguments in COMMANDS.items():
             seconds = cpu_seconds(arguments)
-            if number:  # the first round fills the caches of the disk
+            if number:  # the first round fills the disk cache
                 times[name].append(seconds)
     print("| process | median CPU [s] | lowest | highest |\n|---|---|---|---|")
     for name, seconds_list in times.items():

@@ -1,13 +1,13 @@
-"""Full frames to the disk beside h5py writing ready arrays by the same filters; where the time goes; peak memory.
+"""Full frames to the disk against h5py writing ready arrays with the same filters; breakdown of the time; peak memory.
 
     python benchmarks/store.py [--scene reference] [--signals 32768] [--rounds 5] [--jobs 2]
                                [--memory 10000 100000 1000000] [--folder DIR]
 
-Rates are medians of rounds in which all take turns, in megabytes of signals as they are in memory. h5py (one process)
-writes an array that is there already into one file, with fletcher32 and the filters of cgid's shards, and flushes it
-to the disk, as cgid does with every shard; `unflushed` is h5py's rate without that. `cgid` makes the signals, too,
-hashes every shard, and writes a folder; its worker processes are warm. `reading` is h5py reading the shards. On a
-machine that does other things look at processor times, not at rates. Needs psutil and hdf5plugin.
+Rates are medians of alternating rounds, in megabytes of signals in memory. h5py (one process) writes an existing array
+to one file, with fletcher32 and the filters of cgid's shards, and flushes it to the disk, as cgid does with every
+shard; `unflushed` is h5py's rate without the flush. `cgid` also makes the signals, hashes every shard, and writes a
+folder; its worker processes are warm. `reading` is h5py reading the shards. On a busy machine compare processor times,
+not rates. Needs psutil and hdf5plugin.
 """
 
 import argparse
@@ -34,13 +34,13 @@ from cgid.store.compression import COMPRESSIONS, keywords
 from cgid.store.hdf5 import ShardBuilder, ShardPlan
 
 SHARD = 4096
-#: Of the run that is timed as a whole for its processor time.
+#: Shards of the run whose processor time is measured as a whole.
 SHARDS = 4
 
 
 @dataclass
 class Times:
-    """What a filter took in each round [s], and its size beside that in memory."""
+    """Times of a filter in each round [s], and its size relative to memory."""
 
     h5py: list[float] = field(default_factory=list)
     unflushed: list[float] = field(default_factory=list)
@@ -51,13 +51,13 @@ class Times:
 
 
 def flush(path: Path) -> None:
-    """Wait until the disk has a file."""
+    """Flush a file to the disk."""
     with path.open("rb+") as stream:
         os.fsync(stream.fileno())
 
 
 def write_ready(path: Path, signals: Any, compression: str) -> tuple[float, float]:
-    """Return how long h5py takes for signals that are there, with and without flushing them to the disk [s]."""
+    """Return the time of h5py to write existing signals, with and without flushing them to the disk [s]."""
     rows = max(1, (1 << 19) // signals[0].nbytes)
     start = time.perf_counter()
     with h5py.File(path, "w") as file:
@@ -70,7 +70,7 @@ def write_ready(path: Path, signals: Any, compression: str) -> tuple[float, floa
 
 
 def seconds_of(work: Callable[[], object]) -> float:
-    """Return how long it takes [s]."""
+    """Return the time of a call [s]."""
     start = time.perf_counter()
     work()
     return time.perf_counter() - start
@@ -84,7 +84,7 @@ def read(folder: Path) -> None:
 
 
 def take_turns(scene: Any, signals: Any, folder: Path, rounds: int, jobs: int) -> dict[str, Times]:
-    """Return the times of every filter; the first round, which compiles and starts workers, is not counted."""
+    """Return the times of every filter; the first round, which compiles and starts workers, does not count."""
     times = {compression: Times() for compression in COMPRESSIONS}
     for number in range(rounds + 1):
         for compression, taken in times.items():
@@ -112,7 +112,7 @@ def take_turns(scene: Any, signals: Any, folder: Path, rounds: int, jobs: int) -
 
 
 def stages(scene: Any, folder: Path, compression: str) -> dict[str, float]:
-    """Return the processor time of each stage of one thread [us a signal], and what is waited for the disk."""
+    """Return the processor time of each stage on one thread [us/signal], and the time waiting for the disk."""
     batches = list(synthesise(scene, SHARD, 1))
     plan = ShardPlan(
         n_samples=scene.sampling.samples,
@@ -139,7 +139,7 @@ def stages(scene: Any, folder: Path, compression: str) -> dict[str, float]:
     }
     signals = np.concatenate([batch.signals for batch in batches])
     work |= {
-        # What is done once a run counts for all of its shards.
+        # Work done once per run counts for all of its shards.
         "all of `generate`, one job": lambda: generate(
             scene, folder / "whole", SHARDS * SHARD, compression=compression, overwrite=True
         ),
@@ -179,7 +179,7 @@ def peak_memory(arguments: Sequence[str]) -> float:
                 status = Path(f"/proc/{pid}/status").read_text()
             except OSError:
                 continue
-            # One that has just ended has no memory any more.
+            # A process that has just ended has no memory.
             peak = next((int(line.split()[1]) for line in status.splitlines() if line.startswith("VmHWM")), 0)
             peaks[pid] = max(peak, peaks.get(pid, 0))
         time.sleep(0.05)

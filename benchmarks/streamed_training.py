@@ -1,11 +1,11 @@
-"""Training on a dataset several times as large as the memory it may take.
+"""Training on a dataset several times larger than the allowed memory.
 
     python benchmarks/streamed_training.py [--signals 98304] [--room 48]
 
-One process trains on a little dataset first, so that its libraries have what they take, whatever the data. From then
-on it may take so many MB more (RLIMIT_DATA: all that is written to, touched or not), and the process that reads HDF5
-for it may, too. It trains on a quarter of a dataset and on the whole; then, for comparison, with all of its batches in
-memory, which must fail, or the limit shows nothing.
+One process first trains on a small dataset, so that its libraries have all the memory that they need for any data.
+From then on it may take this many MB more (RLIMIT_DATA: all writable memory, touched or not), and so may the process
+that reads HDF5 for it. It trains on a quarter of a dataset and on the whole; then, as a check of the limit, with all
+batches in memory, which must fail.
 """
 
 import argparse
@@ -25,20 +25,20 @@ from cgid.scene import generate, load_scene
 from cgid.signals import Batch
 from cgid.store import Dataset
 
-#: Quick to measure: what is asked here is what is kept.
+#: Features that are quick to measure; this is about memory.
 FEATURES = ("peak_force", "impulse", "contact_duration")
-#: Signals of the first dataset: two batches, as the second is read while the first is still held.
+#: Signals of the first dataset: two batches, because the second is read while the first is still in use.
 _LITTLE = 2048
 
 
 def made(folder: Path, n_signals: int) -> tuple[Path, Path]:
-    """Make a little dataset and a large one of the reference scene."""
+    """Make a small dataset and a large one of the reference scene."""
     scene = load_scene(shipped.scene_path("reference"))
     return generate(scene, folder / "little", _LITTLE, 1), generate(scene, folder / "large", n_signals, 2)
 
 
 def trained_within(room: int, little: Path, large: Path) -> dict[str, Any]:
-    """Return what a process of its own tells of training with so many bytes beyond what its libraries take."""
+    """Train in a separate process with this many bytes beyond its libraries and return its report."""
     environment = {**os.environ, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
     environment["PYTHONPATH"] = os.pathsep.join([str(Path(__file__).parents[1]), os.environ.get("PYTHONPATH", "")])
     command = [sys.executable, __file__, "--within", str(room), str(little), str(large)]
@@ -48,14 +48,14 @@ def trained_within(room: int, little: Path, large: Path) -> dict[str, Any]:
 
 
 def _within(room: int, little: Path, large: Path) -> dict[str, Any]:
-    """Train under the limit in this process; see the top of this file."""
+    """Train under the limit in this process; see the module docstring."""
     _trained(Dataset(little))
     readers = [int(number) for number in Path("/proc/thread-self/children").read_text().split()]
     for process in (os.getpid(), *readers):
         limit = _data(process) + room
         resource.prlimit(process, resource.RLIMIT_DATA, (limit, limit))
     data, peaks = Dataset(large), [_peak()]
-    # A peak never falls, so the smaller comes first.
+    # A peak never falls, so the smaller dataset comes first.
     for batches in (_quarter(data), data.batches()):
         _trained(batches)
         peaks.append(_peak())
@@ -73,7 +73,7 @@ def _quarter(data: Dataset) -> Iterator[Batch]:
 
 
 def _fits(data: Dataset) -> bool:
-    """Return whether the same training has room enough with all batches in memory."""
+    """Return whether the same training succeeds with all batches in memory."""
     try:
         _trained(list(data))
     except MemoryError:
@@ -86,18 +86,18 @@ def _trained(batches: Iterable[Batch]) -> None:
 
 
 def _data(process: int) -> int:
-    """Return what counts for RLIMIT_DATA [bytes]."""
+    """Return the memory that counts for RLIMIT_DATA [bytes]."""
     return int(Path(f"/proc/{process}/statm").read_text().split()[5]) * resource.getpagesize()
 
 
 def _peak(process: int | str = "self") -> int:
-    """Return the most memory that a process has held [bytes]."""
+    """Return the peak memory of a process [bytes]."""
     status = Path(f"/proc/{process}/status").read_text()
     return int(status.partition("VmHWM:")[2].split()[0]) * 1024
 
 
 def main() -> None:
-    """Make, train under the limit, print; exit 1 unless it shows what it is to show."""
+    """Make the data, train under the limit, print; exit with 1 if a result is not as expected."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--signals", type=int, default=98_304)
     parser.add_argument("--room", type=int, default=48, help="beyond the libraries' own [MB]")

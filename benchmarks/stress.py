@@ -1,12 +1,12 @@
-"""Numerical stability of the impact engine: random impacts by the million, each held against what physics conserves.
+"""Numerical stability of the impact engine: millions of random impacts, checked against conservation laws.
 
     python benchmarks/stress.py                    # a million impacts by the public API, and the dimensionless core
     python benchmarks/stress.py --sets 20000       # the same in seconds
 
 Impacts are drawn log-uniform: R 1e-6..10 m, E of both bodies 1e3..1e13 Pa, density 1..3e4 kg/m^3, v 1e-6..1e3 m/s,
 e 1e-4..1, nu uniform -.9...499. The evaluated force and displacement are integrated on Gauss nodes of this file's own
-choice (panels graded towards touch and separation, and in between geometrically); the derivative of the displacement is
-that of the polynomial through the nodes. Every invariant is printed with its worst value and the impact where it was.
+choice (panels graded towards touch and separation, geometric in between); the derivative of the displacement is that of
+the polynomial through the nodes. Every invariant is printed with its worst value and the impact where it occurred.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ from cgid.physics.materials import Material
 
 BATCH = 2000
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(20)
-GRADED, BETWEEN = 3, 12  # panels next to touch and to separation, and between them
+GRADED, BETWEEN = 3, 12  # panels at touch and at separation, and between them
 
 
 def _differentiation() -> np.ndarray:
@@ -53,13 +53,13 @@ DERIVATIVE = _differentiation()
 
 
 class Worst:
-    """The worst value of each invariant, how often it was looked at, and where the worst was."""
+    """The worst value of each invariant, its place, and the number of checks."""
 
     def __init__(self) -> None:
         self.rows: dict[str, tuple[float, int, str]] = {}
 
     def note(self, name: str, errors: np.ndarray, where: Callable[[int], str]) -> None:
-        """Take in the errors of a batch; nan counts as infinite."""
+        """Add the errors of a batch; nan counts as infinite."""
         errors = np.where(np.isnan(errors), np.inf, np.abs(np.asarray(errors, np.float64))).ravel()
         if not errors.size:
             return
@@ -111,7 +111,7 @@ def impact_of(p: dict[str, np.ndarray], **change: Any) -> Impact:
 def graded_times(impact: Impact) -> tuple[np.ndarray, np.ndarray]:
     """Return times (n, panels, nodes) over the contact and their weights.
 
-    Next to touch and to separation the panels are even in the root of the distance in time, where a pulse is smooth.
+    At touch and at separation the panels are even in the square root of the time distance, where a pulse is smooth.
     """
     peak, end = impact.time_of_peak[:, None], impact.contact_duration[:, None]
     even = (np.arange(GRADED)[:, None] + 0.5 * (1 + NODES)) / GRADED
@@ -126,7 +126,7 @@ def graded_times(impact: Impact) -> tuple[np.ndarray, np.ndarray]:
 
 
 def check_conservation(impact: Impact, worst: Worst, family: str, where: Callable[[int], str], threads: int) -> None:
-    """Integrate the evaluated pulses and compare with what the impact says of itself."""
+    """Integrate the evaluated pulses and compare with the results of the impact itself."""
     times, weights = graded_times(impact)
     flat = times.reshape(times.shape[0], -1)
     with_peak = np.append(flat, impact.time_of_peak[:, None], axis=1)
@@ -165,7 +165,7 @@ def check_conservation(impact: Impact, worst: Worst, family: str, where: Callabl
 
 
 def check_similarity(p: dict[str, np.ndarray], worst: Worst, where: Callable[[int], str], rng: Any) -> None:
-    """Compare with other bodies at other speeds of the same restitution: one dimensionless curve."""
+    """Compare with other bodies and speeds at the same restitution: one dimensionless curve."""
     one, other = impact_of(p), impact_of(drawn(rng, p["e"].size) | {"e": p["e"]})
     share = rng.uniform(0, 1, (p["e"].size, 8)) ** 2
     curves = [
@@ -176,10 +176,10 @@ def check_similarity(p: dict[str, np.ndarray], worst: Worst, where: Callable[[in
 
 
 def check_sampling(impact: Impact, worst: Worst, where: Callable[[int], str], rng: Any, threads: int) -> None:
-    """Sample 2 to 1e5 times a pulse into frames of float64 and float32, touch anywhere."""
+    """Sample 2 to 1e5 times per pulse into frames of float64 and float32, with touch anywhere."""
     samples = int(np.exp(rng.uniform(np.log(2), np.log(1e5))))
     few = np.sort(rng.permutation(impact.velocity.size)[: max(1, 100_000 // samples)])
-    # Frames have one rate: time is stretched so that each pulse has as many samples.
+    # Frames have one rate: time is stretched so that all pulses have the same number of samples.
     curves = impact.curves.taken(few)
     onset = rng.uniform(-1, 3, few.size)
     step = (impact.contact_duration / impact.time_scale)[few] / samples
@@ -225,7 +225,7 @@ def check_other_laws(p: dict[str, np.ndarray], worst: Worst, rng: Any, threads: 
 
 
 def check_core(worst: Worst, n: int, rng: Any) -> None:
-    """Restitution and damping over everything double precision holds."""
+    """Restitution and damping over the whole range of double precision."""
     e = np.concatenate([np.exp(rng.uniform(np.log(1e-300), 0, n)), 1 - 10.0 ** rng.uniform(-15.9, 0, n)])
     e = e[(e > 0) & (e <= 1)]
     damping = damping_number(e)
@@ -247,7 +247,7 @@ def main() -> None:
     parser.add_argument("--threads", type=int, default=2)
     options = parser.parse_args()
     rng, worst, beyond, tried = np.random.default_rng(options.seed), Worst(), 0, 0
-    # Half of the sets lie outside Hertz's range: the warning is counted, not shown.
+    # Half of the sets lie outside Hertz's range: the warnings are counted, not shown.
     warnings.simplefilter("ignore", HertzRangeWarning)
     check_core(worst, options.sets, rng)
     for batch in range(-(-options.sets // BATCH)):

@@ -1,4 +1,4 @@
-"""SHA-256 of every array of a dataset made in four ways, and of a model trained in three: all must be alike.
+"""SHA-256 of every array of a dataset made in four ways, and of a model trained in three: all must be equal.
 
     python benchmarks/sums.py [--signals 20000] [--scene reference] [--seed 3]
 
@@ -19,7 +19,7 @@ from pathlib import Path
 
 import h5py
 
-#: Small enough that the run that is killed has some done.
+#: Small enough that the killed run has finished some.
 SHARD_SIGNALS = 512
 
 
@@ -33,7 +33,7 @@ def two_workers() -> Iterator[str]:
 
 
 def cgid(*arguments: str | Path) -> None:
-    """Run a command; leave if it fails."""
+    """Run a command; exit if it fails."""
     subprocess.run(
         [sys.executable, "-m", "cgid", *map(str, arguments)],
         check=True,
@@ -56,7 +56,7 @@ def array_sums(folder: Path) -> dict[str, str]:
 
 
 def interrupted(arguments: list[str | Path], folder: Path, n_shards: int) -> None:
-    """Start a run, kill it when half of its shards are there, and resume it."""
+    """Start a run, kill it when half of its shards exist, and resume it."""
     command = [sys.executable, "-m", "cgid", *map(str, arguments)]
     process = subprocess.Popen(command, stderr=subprocess.DEVNULL)
     while process.poll() is None and len(list(folder.glob("shard-*.h5"))) < n_shards // 2:
@@ -88,7 +88,7 @@ def models(folder: Path, scheduler: str) -> dict[str, dict[str, str]]:
 
 
 def told(sums: dict[str, dict[str, str]]) -> bool:
-    """Print the sums of all ways; return whether they are alike."""
+    """Print the sums of all ways; return whether they are equal."""
     ways = list(sums)
     print(f"| | {' | '.join(ways)} |\n|---|{'---|' * len(ways)}")
     for name in sums[ways[0]]:

@@ -1,13 +1,13 @@
-"""Run time against error of damped Hertz pulses: cgid beside what a user would pick instead, in one run.
+"""Run time against error of damped Hertz pulses: cgid and the usual alternatives in one run.
 
     python benchmarks/work_precision.py                 # table, benchmarks/work_precision.csv and .png
     python benchmarks/work_precision.py --quick         # two minutes: fewer settings of the peers, no files
 
 The population is that of the shipped scene "peers": 2048 samples at 200 kHz, float64, one thread. All fill fresh frames
 with the same pulses on the same grid; the error is the largest force error over the peak of a pulse, against
-quadrature (1e-13) of the first 500. Peers are given mass, stiffness, damping and velocity (`benchmarks/peers.py`), cgid
+quadrature (1e-13) of the first 500. Peers receive mass, stiffness, damping and velocity (`benchmarks/peers.py`), cgid
 mass, stiffness, restitution and velocity; "from materials" also builds the impacts from radius, moduli and density.
-Times are the least of several runs: these machines are noisy, look at ratios.
+Times are the least of several runs and depend on the machine: compare ratios.
 """
 
 from __future__ import annotations
@@ -35,8 +35,8 @@ from cgid.scene import load_scene
 from cgid.scene.impacts import draw
 
 HERE = Path(__file__).parent
-KNOWN = 500  # pulses whose error is measured: quadrature takes its time
-BLOCK = 250  # frames at a time: 4 MB, as a generator of data works
+KNOWN = 500  # pulses whose error is measured; quadrature is slow
+BLOCK = 250  # frames at a time: 4 MB, as in data generation
 LEVELS = tuple(10.0**-exponent for exponent in range(3, 10))
 
 
@@ -78,7 +78,7 @@ def cgid_reference(impacts: Population) -> np.ndarray:
 
 
 def from_materials(n: int) -> Run:
-    """Return what makes n frames from radius, moduli, density, restitution and velocity: `Impact.force_frames`."""
+    """Return a function that makes n frames from materials, radius, restitution and velocity: `Impact.force_frames`."""
     scene = load_scene(shipped.scene_path("peers"))
     blocks = [draw(scene, 0, block).parameters for block in range(-(-n // 256))]
     drawn = {name: np.concatenate([block[name] for block in blocks])[:n] for name in blocks[0]}
@@ -113,7 +113,7 @@ def least_time(run: Callable[[], Any], repeats: int) -> float:
 def measured(
     method: str, setting: str, run: Run, few: Population, exact: np.ndarray, repeats: int, block: int = BLOCK
 ) -> Row:
-    """Return time and error of one method at one setting; frames are filled a block at a time."""
+    """Return time and error of one method at one setting; frames are filled block by block."""
     known = min(len(few), len(exact))
     errors = frame_errors(run(few)[:known].astype(np.float64), exact[:known])
     parts = [few.part(first, first + block) for first in range(0, len(few), block)]
@@ -141,13 +141,13 @@ def work_precision(impacts: Population, quick: bool) -> list[Row]:
 
 
 def floors() -> dict[str, float]:
-    """Return what any method pays per frame [us]: a fresh zeroed frame, a copy of one."""
+    """Return the minimum cost of any method per frame [us]: a fresh zeroed frame, a copy of one."""
     shape = (BLOCK, SAMPLES)
     source, target = np.ones(shape), np.ones(shape)
 
     def zeroed() -> None:
         frames = np.zeros(shape)
-        frames[:, ::512] = 0.0  # each page: memory that is never written to is not there yet
+        frames[:, ::512] = 0.0  # touches each page: memory that was never written is not allocated yet
 
     return {
         "fresh zeroed frame": least_time(zeroed, 50) / BLOCK * 1e6,
@@ -163,7 +163,7 @@ def work_table(rows: list[Row]) -> str:
 
 
 def ratio_table(rows: list[Row]) -> str:
-    """Return how many times longer each peer takes than cgid's table, at the cheapest setting within each error."""
+    """Return each peer's time as a multiple of that of cgid's table, at its cheapest setting within each error."""
     ours = next(row for row in rows if row.setting == "table")
     methods = dict.fromkeys(row.method for row in rows if row.method != "cgid")
     lines = ["| within an error of | " + " | ".join(f"{level:.0e}" for level in LEVELS) + " |"]
@@ -180,7 +180,7 @@ def ratio_table(rows: list[Row]) -> str:
 def against_number(impacts: Population, largest: int) -> str:
     """Return time per pulse against the number of pulses, on one and two threads, 2000 frames at a time.
 
-    Fresh frames come from the system page by page, which threads wait for in turn; frames in use do not.
+    The system hands out fresh frames page by page, one thread at a time; reused frames do not have this cost.
     """
     lines = ["| signals | fresh frames, 1 thread [us] | 2 threads | frames in use, 1 thread | 2 threads |"]
     lines.append("|---|---|---|---|---|")
@@ -210,7 +210,7 @@ def against_number(impacts: Population, largest: int) -> str:
 
 
 def against_samples(impacts: Population, floor: float) -> str:
-    """Return time per pulse, frame apart, against the samples in contact (the sampling rate is changed)."""
+    """Return time per pulse, without the frame, against the samples in contact (the sampling rate is changed)."""
     lines = ["| samples in contact | us above a fresh zeroed frame | ns a sample |", "|---|---|---|"]
     few = impacts.part(0, BLOCK)
     every, amplitude = curves(few), few.force_scale
@@ -252,7 +252,7 @@ def picture(rows: list[Row]) -> bytes:
 
 
 def write(rows: list[Row]) -> None:
-    """Write CSV and picture beside this file."""
+    """Write CSV and picture to this folder."""
     stream = io.StringIO()
     writer = csv.writer(stream, lineterminator="\n")
     writer.writerow(["method", "setting", "time per pulse [us]", "worst error / peak", "median error / peak"])

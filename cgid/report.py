@@ -1,4 +1,4 @@
-"""A report on recordings as one HTML page with pictures and a table, which loads nothing from any network."""
+"""A report on recordings: one HTML page with pictures and a table, which loads nothing from the network."""
 
 from __future__ import annotations
 
@@ -24,33 +24,20 @@ from cgid.recordings import Channel, RecordingFile
 from cgid.terminal import printable
 from cgid.validation import UNKNOWN
 
-#: Longer lists of names are shortened.
+#: Longest list of names that is written in full.
 _MOST_NAMES = 8
 
 
 @dataclass(frozen=True, kw_only=True)
 class Report:
-    """What a page says about one recording.
+    """The content of a page about one recording.
 
-    Attributes
-    ----------
-    source : str
-        Name of the recording.
-    recording, model : dict of str
-        Facts in their order on the page: `recording_facts`, `model_facts`.
-    overview : Overview
-        Of the first channels.
-    channels : sequence of Channel
-        Those of the overview.
-    answers : sequence of Answer
-        In order of time.
-    shares : sequence of Share
-    turns : sequence of Turn
-    threshold : float or None
-        Share of gangue above which further caving costs more than it brings.
-    warnings : sequence of str
-    unit_of_decision : {"impact", "window"}
-        What an answer is about.
+    recording, model : `recording_facts` and `model_facts`, in the order of the page
+    overview : of the first channels
+    channels : those of the overview
+    answers : in order of time
+    threshold : share of gangue above which further caving costs more than it brings
+    unit_of_decision : subject of an answer, "impact" or "window"
     """
 
     source: str
@@ -71,7 +58,7 @@ class Report:
         return sorted({answer.label for answer in self.answers}, key=lambda label: (label == UNKNOWN, label))
 
     def tiles(self) -> Iterator[tuple[str, str]]:
-        """Yield the numbers of the summary, and what they count."""
+        """Yield the numbers of the summary and their captions."""
         n = len(self.answers)
         yield f"{n}", self.unit_of_decision + ("" if n == 1 else "s")
         counts = Counter(answer.label for answer in self.answers)
@@ -90,22 +77,13 @@ class Report:
 
     @property
     def has_course(self) -> bool:
-        """Whether the share of some channel is known at two times or more."""
+        """Whether the share of some channel is known at two or more times."""
         known = Counter(share.channel for share in self.shares if share.n_impacts)
         return max(known.values(), default=0) > 1
 
 
 def recording_facts(recording: RecordingFile, overview: Overview, channels: Sequence[Channel]) -> dict[str, str]:
-    """Return the facts about a recording, in words.
-
-    Parameters
-    ----------
-    recording : RecordingFile
-    overview : Overview
-        Of the whole recording.
-    channels : sequence of Channel
-        Those of the overview.
-    """
+    """Describe a recording in words; `channels` are those of `overview`."""
     facts = {
         "file": recording.source,
         "format": recording.format,
@@ -125,14 +103,7 @@ def recording_facts(recording: RecordingFile, overview: Overview, channels: Sequ
 
 
 def model_facts(model: Model, name: str) -> dict[str, str]:
-    """Return the facts about a model, in words.
-
-    Parameters
-    ----------
-    model : Model
-    name : str
-        Of its file.
-    """
+    """Describe a model in words; `name` is that of its file."""
     low, high = min(model.sampling_rates), max(model.sampling_rates)
     rates = hertz(low) if low == high else f"{hertz(low, 3)} to {hertz(high, 3)}"
     facts = {
@@ -150,7 +121,7 @@ def model_facts(model: Model, name: str) -> dict[str, str]:
 
 
 def _listed(names: Sequence[str]) -> str:
-    """Return the names, or some of them if there are many."""
+    """Join the names; shorten a long list."""
     if len(names) <= _MOST_NAMES:
         return ", ".join(names)
     return f"{', '.join(names[: _MOST_NAMES // 2])} and {len(names) - _MOST_NAMES // 2} others"
@@ -158,7 +129,7 @@ def _listed(names: Sequence[str]) -> str:
 
 #: File name endings of a report.
 ENDINGS = (".html", ".htm")
-#: Rows of a table at most: browsers are slow with more.
+#: Most rows of a table; more make browsers slow.
 MOST_ROWS = 20_000
 _DPI = 130
 
@@ -166,24 +137,8 @@ _DPI = 130
 def write_report(path: str | Path, reports: Sequence[Report], *, title: str = "", overwrite: bool = False) -> None:
     """Write one page about some recordings.
 
-    Parameters
-    ----------
-    path : str or Path
-        Ends in .html or .htm.
-    reports : sequence of Report
-    title : str, optional
-        Of the page.
-    overwrite : bool
-        Whether an existing file may be replaced.
-
-    Raises
-    ------
-    CannotCreate
-        The name has another ending, the folder is missing or not writable, or the file exists.
-    MissingExtra
-        matplotlib is not installed.
-    WriteFailed
-        The disk is full.
+    Raises `CannotCreate` for another ending than `ENDINGS`, a missing or read-only folder, or an existing file without
+    `overwrite`; `MissingExtra` without matplotlib; `WriteFailed` if the disk is full.
     """
     path = check_new(Path(path), "a report", ENDINGS, overwrite=overwrite)
     write_whole(path, report_page(reports, title=title).encode(), overwrite=overwrite)
@@ -200,7 +155,7 @@ def report_page(reports: Sequence[Report], *, title: str = "") -> str:
             '<html lang="en">',
             "<head>",
             '<meta charset="utf-8">',
-            # Whatever an untrusted file contains: only the style and script of this page apply, and nothing is fetched.
+            # The file may be untrusted: only this page's own style and script run, and nothing is fetched.
             f'<meta http-equiv="Content-Security-Policy" content="{allowed}">',
             '<meta name="viewport" content="width=device-width, initial-scale=1">',
             f"<title>{_text(title)}</title>",
@@ -219,7 +174,7 @@ def report_page(reports: Sequence[Report], *, title: str = "") -> str:
 
 
 def _title(names: Sequence[str]) -> str:
-    """Return the names of the recordings, or of the first and the number of the others."""
+    """Return the names of the recordings, or the first name and the number of others."""
     different = list(dict.fromkeys(names))
     return ", ".join(different) if len(different) < 4 else f"{different[0]} and {len(different) - 1} other recordings"
 
@@ -272,7 +227,7 @@ def _pictures(report: Report) -> Iterator[str]:
 
 
 def _marks(report: Report) -> Iterator[Mark]:
-    """Yield a mark for each answer about a drawn channel, or about all of them together."""
+    """Yield a mark for each answer about a drawn channel, or about all channels together."""
     names = [channel.name for channel in report.channels]
     together = "+".join(names)
     for answer in report.answers:
@@ -291,7 +246,7 @@ def _figure(figure: Any, caption: str) -> str:
 
 
 def _table(report: Report) -> Iterator[str]:
-    """Yield the table of answers; columns that only some recordings have are left out of the others."""
+    """Yield the table of answers, without the columns that do not apply to this recording."""
     answers = report.answers[:MOST_ROWS]
     has_ends = any(answer.end == answer.end for answer in answers)
     has_sets = any(answer.prediction_set is not None for answer in answers)
@@ -323,7 +278,7 @@ def _table(report: Report) -> Iterator[str]:
 
 
 def _choices(answers: Sequence[Answer], columns: Sequence[str]) -> Iterator[str]:
-    """Yield the controls that choose rows; the script shows them."""
+    """Yield the controls that filter rows; they are hidden until the script runs."""
     yield '<p class="choose" hidden>Show '
     for name in ("label", "channel"):
         if name in columns:
@@ -360,12 +315,12 @@ def _number(value: float, form: str) -> str:
 
 
 def _text(value: str) -> str:
-    """Return untrusted text as HTML; unprintable characters become their escapes."""
+    """Return untrusted text as HTML, with unprintable characters escaped."""
     return escape(printable(value))
 
 
 def _swatches() -> str:
-    """Return the style of the coloured squares: a label has the same colour as in the pictures."""
+    """Return the style of the coloured squares, with the colours of the labels in the pictures."""
     return "".join(f".{_swatch(colour)} {{ background: {colour}; }}\n" for colour in (*COLOURS, NEUTRAL))
 
 
@@ -378,7 +333,7 @@ def _resource(name: str) -> str:
 
 
 def _hash(text: str) -> str:
-    """Return the hash by which the page's policy allows its own style or script."""
+    """Return the hash by which the page's policy admits its own style or script."""
     return "sha256-" + base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()
 
 

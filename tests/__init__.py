@@ -1,4 +1,4 @@
-"""The tests, and what marks a part of them as long."""
+"""The tests, and the marking of long parameter sets."""
 
 from __future__ import annotations
 

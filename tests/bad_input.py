@@ -1,4 +1,4 @@
-"""Every kind of bad input as one case: what is called, which exit code comes out, what the line must say.
+"""Every kind of bad input as one case: arguments, expected exit code, expected text of the error line.
 
 `tests/test_cli.py` runs them; `python -m tests.bad_input` prints them as a table with the messages.
 """
@@ -53,7 +53,7 @@ def _scene(path: Path, change: Callable[[str], str], scene: str = "reference") -
 
 
 def _changed(folder: Path, scene: str, changes: dict[str, tuple[str, str]]) -> None:
-    """Write copies of a shipped scene, each with one thing replaced, which must be there."""
+    """Write copies of a shipped scene, each with one replacement; the replaced text must exist."""
     text = (ROOT / "datasets" / f"{scene}.toml").read_text()
     for name, (old, new) in changes.items():
         assert old in text, name
@@ -78,7 +78,7 @@ def _tables(folder: Path) -> None:
 
 
 def make_files(folder: Path) -> None:
-    """Write the bad files, and good ones to go wrong with."""
+    """Write the bad files, and good ones for wrong uses."""
     good = pulse()
     _csv(folder / "good.csv", good)
     (folder / "empty.csv").write_bytes(b"")
@@ -228,7 +228,7 @@ _TABLES = {
 
 
 def _manifests(folder: Path, good: np.ndarray) -> None:
-    """Write manifests of labelled recordings, each with one thing wrong."""
+    """Write manifests of labelled recordings, each with one fault."""
     _csv(folder / "twice.csv", np.concatenate([good, good]))
     (folder / "m_gone.csv").write_text("path,label\ngone.csv,coal\ngood.csv,gangue\n")
     (folder / "m_device.csv").write_text("path,label\n/dev/null,coal\n")

@@ -19,7 +19,7 @@ def ringing(n_samples: int = 12_800) -> np.ndarray:
 
 
 def make_recordings(folder: Path) -> None:
-    """Write recordings that something is wrong with, and good ones to go wrong with."""
+    """Write faulty recordings, and good ones for wrong uses."""
     blow = ringing()
     np.save(folder / "blow.npy", blow)
     np.save(folder / "sample.npy", np.array([3.0]))
@@ -57,7 +57,7 @@ _SAID = ("--rate", "25600", "--unit", "m/s^2")
 _RAW = ("--rate", "25600", "--channels", "1", "--sample-format", "f32le", "--unit", "m/s^2")
 _MODEL_FREE = ("-o", "new.npz")
 
-#: Name, arguments, exit code, and what the line must say.
+#: Name, arguments, exit code, and expected text of the line.
 RECORDING_CASES: tuple[tuple[str, tuple[str, ...], int, tuple[str, ...]], ...] = (
     ("a single sample", ("predict", "sample.npy", *_SAID), 65, ("sample.npy", "its only sample is 3", "cable")),
     ("channels of no length", ("predict", "nothing.npy", *_SAID), 65, ("nothing.npy", "(2, 0)")),

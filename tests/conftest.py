@@ -6,10 +6,10 @@ import os
 import signal
 from pathlib import Path
 
-# Before numpy and scikit-learn are loaded: threads that wait spin, and on a busy machine small fits then take minutes.
+# Set before numpy and scikit-learn are imported: waiting threads spin, so small fits take minutes on a busy machine.
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-# Whoever starts the tests in the background may have them ignore Ctrl-C, and so would all that they start.
+# Tests started in the background may inherit an ignored Ctrl-C and pass it on to their child processes.
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
@@ -23,25 +23,25 @@ from cgid.scene import Scene, load_scene, synthesise
 ROOT = Path(__file__).parents[1]
 REAL_DATA = ROOT.parent / "shared" / "realdata"
 
-#: Processes that share the whole suite at most: each of them makes the session's fixtures anew.
+#: Most processes for the whole suite: each of them makes the session's fixtures anew.
 MOST_WORKERS = 8
 
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_cmdline_main(config: pytest.Config) -> None:
-    """Share the whole suite among the cores (pytest-xdist) and leave out what is long, unless -m or -k chooses.
+    """Distribute the whole suite over the cores (pytest-xdist) without long tests, unless -m or -k selects.
 
-    What is named on the command line runs in one process, and what is long there runs, too.
+    Tests named on the command line run in one process, including long ones.
     """
     options, whole = config.option, config.args_source is pytest.Config.ArgsSource.TESTPATHS
     if whole and not (options.markexpr or options.keyword):
         options.markexpr = "not long"
-    if "PYTEST_XDIST_WORKER" in os.environ:  # a worker comes here, too, and has none of its own
+    if "PYTEST_XDIST_WORKER" in os.environ:  # a worker also runs this hook, and has no workers of its own
         return
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     unasked = config.pluginmanager.hasplugin("xdist") and options.numprocesses is None and options.dist == "no"
     if whole and unasked and cores > 1 and not (options.usepdb or options.collectonly):
-        # Neighbours stay together, so that what a file's tests share is made once.
+        # Neighbours stay together, so that the shared fixtures of a file are made once.
         options.numprocesses, options.dist = min(cores, MOST_WORKERS), "worksteal"
 
 
@@ -52,7 +52,7 @@ def reference_scene() -> Scene:
 
 @pytest.fixture(scope="session")
 def trained(reference_scene: Scene) -> dict[str, Training]:
-    """One small model of each family, all of the same impacts, which are measured once."""
+    """One small model of each family, all from the same impacts, which are measured once."""
     rows = measure(synthesise(reference_scene, 3000, seed=5), (*DEFAULT_FEATURES, *DEFAULT_GUARDS))
     return {family: train(rows, guards=DEFAULT_GUARDS, family=family) for family in FAMILIES}
 

@@ -1,8 +1,8 @@
-"""A slow twin of the finite elements: axisymmetric quadrilaterals by Lame's energy, entry by entry.
+"""A slow twin of the finite elements: axisymmetric quadrilaterals from Lame's energy, entry by entry.
 
-Nothing of `cgid.finite_element` is used. The strain is a 3 x 3 tensor, its energy `lambda/2 tr^2 + mu e:e`, and
-an entry of the stiffness is what two displacements store together more than apart. The shape functions are found by
-solving for them, not written down.
+It uses nothing of `cgid.finite_element`. The strain is a 3 x 3 tensor with the energy `lambda/2 tr^2 + mu e:e`. An
+entry of the stiffness is the energy that two displacements store together minus that of each alone. The shape functions
+come from a linear system instead of formulas.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ class ElementTwin:
             yield r, volume, shape, np.linalg.solve(jacobian, np.broadcast_to(along, (len(r), 2, 4)))
 
     def energy(self, moved):
-        """Return the energy of each element [J] whose corners are displaced by `moved`, (4, 2) or (n, 4, 2) [m]."""
+        """Return the energy of each element [J] with its corners displaced by `moved`, (4, 2) or (n, 4, 2) [m]."""
         first, second = lame(self.material)
         moved = np.broadcast_to(moved, self.corners.shape)
         total = np.zeros(len(self.corners))
@@ -64,13 +64,13 @@ class ElementTwin:
         return np.moveaxis(together - alone[:, None] - alone[None], -1, 0)
 
     def mass(self):
-        """Return the mass of each corner, the density times the volume that its shape function holds, (n, 4) [kg]."""
+        """Return the mass of each corner, density x integral of its shape function over the volume, (n, 4) [kg]."""
         density = float(np.asarray(self.material.density))
         return density * sum(volume[:, None] * shape for _, volume, shape, _ in self.gauss())
 
 
 def solid_of_revolution(nodes, elements) -> float:
-    """Return the volume of elements turned about the axis, by Pappus: 2 pi times the first moment of each polygon."""
+    """Return the volume of elements rotated about the axis, by Pappus: 2 pi x the first moment of each polygon."""
     r, z = np.moveaxis(np.asarray(nodes)[elements], -1, 0)
     after_r, after_z = np.roll(r, -1, axis=1), np.roll(z, -1, axis=1)
     moment = ((r + after_r) * (r * after_z - after_r * z)).sum(axis=1) / 6

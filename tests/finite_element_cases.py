@@ -1,4 +1,4 @@
-"""Impacts that several tests of the finite elements share: the paper's spheres on its plate, and Hertz's limit."""
+"""Impacts that several finite-element tests share: the paper's spheres on its plate, and Hertz's limit."""
 
 from __future__ import annotations
 
@@ -30,9 +30,9 @@ def impact(number: int = 1, velocity: float = 10.0, elements: int = 7, **changes
 
 
 def velocity_for(share: float, material: Material, radius: float = RADIUS) -> float:
-    """Return the speed with which Hertz's contact on steel grows to a share of the sphere's radius [m/s].
+    """Return the speed at which Hertz's contact on steel grows to a share of the sphere's radius [m/s].
 
-    Half m v^2 is `2/5 K delta^(5/2)`, with `delta = share^2 R` and `K = 4/3 sqrt(R) E`.
+    By energy: `m v^2 / 2 = 2/5 K delta^(5/2)`, with `delta = share^2 R` and `K = 4/3 sqrt(R) E`.
     """
     compliance = float(material.plane_strain_compliance + STEEL.plane_strain_compliance)
     mass = 4 / 3 * np.pi * radius**3 * float(np.asarray(material.density))

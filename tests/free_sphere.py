@@ -1,10 +1,10 @@
-"""Spheroidal vibrations of a free elastic sphere, from Lamb's theory: what assembled matrices are compared with.
+"""Spheroidal vibrations of a free elastic sphere, from Lamb's theory: the reference for assembled matrices.
 
-Lamb (1882), Proc. London Math. Soc. 13, 189; in today's notation Eringen & Suhubi, Elastodynamics, vol. 2 (1975),
-sections 8.13 and 8.14. The displacement is `grad f + curl curl (r g)`, r being the vector from the centre, with
+Lamb (1882), Proc. London Math. Soc. 13, 189; in modern notation Eringen & Suhubi, Elastodynamics, vol. 2 (1975),
+sections 8.13 and 8.14. The displacement is `grad f + curl curl (r g)`, where r is the vector from the centre, with
 `f = A j_n(x s) P_n(cos theta)` and `g = B j_n(y s) P_n(cos theta)`; s is the distance from the centre over R,
 `x = omega R / c_L`, `y = omega R / c_T`. The surface is free of traction where the determinant of the two conditions
-is zero. An axisymmetric mesh knows each of these modes once, and no torsion.
+is zero. An axisymmetric mesh has each of these modes once, and no torsion.
 """
 
 from __future__ import annotations
@@ -16,12 +16,12 @@ from scipy.special import spherical_jn
 
 from cgid.physics import Sphere
 
-#: Steps of y in which roots are sought: far less than their distance.
+#: Step of y in the search for roots, far smaller than their distance.
 _STEP = 0.01
 
 
 def wave_speeds(sphere: Sphere) -> tuple[float, float]:
-    """Return the speed of longitudinal and of transversal waves [m/s]."""
+    """Return the speeds of longitudinal and transverse waves [m/s]."""
     material = sphere.material
     modulus, nu, density = (float(x) for x in (material.youngs_modulus, material.poisson_ratio, material.density))
     shear = modulus / (2 * (1 + nu))
@@ -37,13 +37,13 @@ def tractions(n, x, y, j):
 
 
 def frequency_equation(n, y, ratio):
-    """Return what is zero at a mode of order n; `ratio` is c_T / c_L."""
+    """Return the value that is zero at a mode of order n; `ratio` is c_T / c_L."""
     (a, b), (c, d) = tractions(n, ratio * y, y, spherical_jn)
     return a if n == 0 else a * d - b * c
 
 
 def roots(n: int, ratio: float, below: float) -> list[float]:
-    """Return y of the modes of order n up to a limit; the sphere's own motion, y = 0, is none of them."""
+    """Return y of the modes of order n up to a limit, without the rigid motion y = 0."""
     places = np.arange(0.5, below + _STEP, _STEP)
     values = frequency_equation(n, places, ratio)
     found = [
@@ -54,7 +54,7 @@ def roots(n: int, ratio: float, below: float) -> list[float]:
 
 
 def frequencies(sphere: Sphere, orders: int, below: float) -> list[tuple[float, int]]:
-    """Return frequency [Hz] and order of all modes of orders 0 to `orders` up to y = `below`, rising."""
+    """Return frequency [Hz] and order of all modes of orders 0 to `orders` up to y = `below`, ascending."""
     fast, slow = wave_speeds(sphere)
     scale = slow / (2 * np.pi * float(np.asarray(sphere.radius)))
     return sorted((y * scale, n) for n in range(orders + 1) for y in roots(n, slow / fast, below))

@@ -1,8 +1,8 @@
-"""Changed HDF5 files whose checksums fit again, so that what was changed is believed.
+"""Changed HDF5 files with valid checksums, so that HDF5 accepts the changes.
 
-Since version 1.10 HDF5 closes each piece of its headers and indices with a checksum (Bob Jenkins' lookup3, as its file
-format specification says). A flipped bit is found by it; whoever means harm computes it anew. The pieces of a sound
-file are found by their signatures and by where the checksum fits.
+Since version 1.10, HDF5 ends each piece of its headers and indices with a checksum (Bob Jenkins' lookup3, see its file
+format specification). It detects a flipped bit, but an attacker can recompute it. The pieces of a sound file are found
+by their signatures and the place where the checksum fits.
 """
 
 from __future__ import annotations
@@ -14,11 +14,11 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-#: The file format specification 3.0: superblock, object headers, heaps, B-trees, arrays of chunks.
+#: Signatures of file format specification 3.0: superblock, object headers, heaps, B-trees, arrays of chunks.
 _SIGNATURES = re.compile(
     rb"\x89HDF\r\n\x1a\n|OHDR|OCHK|FRHP|FHDB|FHIB|FSHD|FSSE|BTHD|BTIN|BTLF|FAHD|FADB|EAHD|EAIB|EASB|EADB|SMTB|SMLI"
 )
-#: No piece of a small file is longer [bytes].
+#: Longest piece of a small file [bytes].
 _LONGEST = 4096
 _EXTREMES = tuple(
     value.to_bytes(width, "little")
@@ -80,7 +80,7 @@ def _word(content: NDArray[np.uint8], place: int) -> int:
 
 
 def pieces(content: bytes) -> list[tuple[int, int]]:
-    """Return where pieces of a sound file begin, and where their checksums lie."""
+    """Return the start of each piece of a sound file, and the position of its checksum."""
     found = []
     numbers = np.frombuffer(content, np.uint8)
     for match in _SIGNATURES.finditer(content):
@@ -93,14 +93,9 @@ def pieces(content: bytes) -> list[tuple[int, int]]:
 
 
 def mutant(content: bytes, places: list[tuple[int, int]], random: np.random.Generator) -> bytes:
-    """Return a changed file; the checksums of the pieces that were changed fit.
+    """Return a changed file with valid checksums in the changed pieces.
 
-    Parameters
-    ----------
-    content : bytes
-    places : list of (int, int)
-        Its `pieces`; nothing but bytes that no checksum covers is changed where there are none.
-    random : Generator
+    `places` are its `pieces`; without any, only bytes outside checksums are changed.
     """
     changed = bytearray(content)
     for _ in range(int(random.integers(1, 4))):

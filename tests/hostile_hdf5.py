@@ -1,4 +1,4 @@
-"""Hostile HDF5 files: a file of each kind that cgid reads, and what can be done to it; see `benchmarks/hostile.py`."""
+"""Hostile HDF5 files: a file of each kind that cgid reads, and attacks on it; see `benchmarks/hostile.py`."""
 
 from __future__ import annotations
 
@@ -27,14 +27,9 @@ N_ROWS, N_SAMPLES = 24, 16
 class Kind:
     """A kind of file.
 
-    Attributes
-    ----------
-    write : callable
-        Writes a sound file.
-    read : callable
-        Reads all of it, and returns the arrays.
-    main, group, column : str
-        Where its signals lie, a group of it, and a dataset therein.
+    write : writes a sound file
+    read : reads all of it and returns the arrays
+    main, group, column : paths of its signals, of a group, and of a dataset in that group
     """
 
     write: Callable[[Path], None]
@@ -129,7 +124,7 @@ KINDS = {
 
 @dataclass(frozen=True)
 class Outside:
-    """Files that nobody may open: an HDF5 file, a raw one, and a pipe, which holds up whoever does."""
+    """Files that must not be opened: an HDF5 file, a raw one, and a pipe, which blocks its reader."""
 
     folder: Path
 
@@ -151,7 +146,7 @@ Attack = Callable[[h5py.File, Kind, Outside], None]
 
 
 def _instead(file: h5py.File, name: str, make: Callable[[tuple[int, ...], np.dtype[Any]], Any]) -> None:
-    """Put something in place of a dataset, with its attributes where it can have some."""
+    """Replace a dataset, and keep its attributes where the replacement can have them."""
     about, shape, dtype = dict(file[name].attrs), file[name].shape, file[name].dtype
     del file[name]
     made = make(shape, dtype)
@@ -169,7 +164,7 @@ def _linked(name: str, link: Callable[[Outside], Any]) -> Attack:
 
 
 def _stored(**options: Any) -> Attack:
-    """Put a dataset of other type, shape or storage in place of the main one."""
+    """Replace the main dataset by one of another type, shape or storage."""
 
     def attack(file: h5py.File, kind: Kind, outside: Outside) -> None:
         def make(shape: tuple[int, ...], dtype: np.dtype[Any]) -> Any:
@@ -213,7 +208,7 @@ def _packed(size: int, times: int) -> bytes:
 
 
 def _bomb(chunk_bytes: int, n_chunks: int, times: int) -> Attack:
-    """Chunks of zeros, packed once or twice over."""
+    """Chunks of zeros, compressed once or twice."""
 
     def attack(file: h5py.File, kind: Kind, outside: Outside) -> None:
         packed = _packed(chunk_bytes, times)
@@ -293,7 +288,7 @@ def _put(name: str, make: Callable[[h5py.File], Any]) -> Attack:
 
 
 def _never_written(file: h5py.File, kind: Kind, outside: Outside) -> None:
-    """Half of the chunks are not there, their fill value would stand for them."""
+    """Half of the chunks are missing, so that their fill value would replace them."""
 
     def make(shape: tuple[int, ...], dtype: np.dtype[Any]) -> Any:
         made = file.create_dataset(kind.main, shape, dtype, chunks=(1, *shape[1:]), fillvalue=7)
@@ -304,7 +299,7 @@ def _never_written(file: h5py.File, kind: Kind, outside: Outside) -> None:
 
 
 _COMPOUND = np.dtype([("a", "f4"), ("b", "f8")])
-#: What is done through HDF5.
+#: Attacks through HDF5.
 ATTACKS: dict[str, Attack] = {
     "signals linked to another file": _linked("main", lambda out: h5py.ExternalLink(out / "secret.h5", "/x")),
     "signals linked to a pipe": _linked("main", lambda out: h5py.ExternalLink(out / "pipe", "/x")),
@@ -372,7 +367,7 @@ def _heap_that_hangs(content: bytes) -> bytes:
     return bytes(changed)
 
 
-#: What is done to the bytes.
+#: Attacks on the bytes.
 BYTES: dict[str, Callable[[bytes], bytes]] = {
     "cut in half": _cut,
     "the first eight bytes": lambda content: content[:8],

@@ -1,6 +1,6 @@
-"""Model files that mean harm, each made by hand: what they are called, and their bytes.
+"""Malicious model files, made by hand: their names and bytes.
 
-`tests/test_hostile_models.py` loads them; `benchmarks/hostile_models.py` prints what became of each, and of mutants.
+`tests/test_hostile_models.py` loads them; `benchmarks/hostile_models.py` prints the outcomes of these and of mutants.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from cgid.identification.model import LARGEST_FILE, Model
 from cgid.identification.model_file import signed
 
 GOLDEN = Path(__file__).parent / "golden"
-#: What a pickle would do, if anybody loaded it: the folder it makes is looked for.
+#: The action of a pickle when it is loaded: it makes this folder, which the tests look for.
 CANARY = "cgid-canary"
 
 
@@ -32,7 +32,7 @@ class _Bomb:
 
 
 def golden_files() -> list[Path]:
-    """Return the golden models of the families that there still are."""
+    """Return the golden models of the families that still exist."""
     return sorted(path for path in GOLDEN.glob("models-*.npz") if "discriminant" not in path.name)
 
 
@@ -42,13 +42,13 @@ def golden(family: str) -> Model:
 
 
 def written(header: Mapping[str, Any], arrays: Mapping[str, Any], *, sign: bool = True) -> bytes:
-    """Return a model file of any header and arrays, with a true digest as an attacker would write it, or as it is."""
+    """Return a model file of any header and arrays, with a valid digest, as an attacker would write it, or as given."""
     text = signed(header, arrays) if sign else json.dumps(header).encode()
     return packed({"header": np.frombuffer(text, np.uint8), **arrays})
 
 
 def packed(arrays: Mapping[str, Any]) -> bytes:
-    """Return an archive of any arrays, pickles too."""
+    """Return an archive of any arrays, including pickles."""
     stream = io.BytesIO()
     np.savez(stream, **arrays)
     return stream.getvalue()
@@ -62,18 +62,18 @@ def changed(family: str = "linear", header: Mapping[str, Any] | None = None, /, 
 
 
 def with_header(text: bytes) -> bytes:
-    """Return a golden model with any text for its header."""
+    """Return a golden model with any text as its header."""
     return packed({"header": np.frombuffer(text, np.uint8), **golden("linear").arrays})
 
 
 def with_array(npy: bytes) -> bytes:
-    """Return a golden model whose intercepts are any bytes, in an archive that is sound."""
+    """Return a golden model with any bytes as its intercepts, in a sound archive."""
     entries = entries_of(golden("linear").to_bytes())
     return archive({**entries, "family.intercepts.npy": npy})
 
 
 def entries_of(content: bytes) -> dict[str, bytes]:
-    """Return what an archive holds."""
+    """Return the content of an archive."""
     with zipfile.ZipFile(io.BytesIO(content)) as stored:
         return {name: stored.read(name) for name in stored.namelist()}
 
@@ -88,7 +88,7 @@ def archive(entries: Mapping[str, bytes], method: int = zipfile.ZIP_STORED) -> b
 
 
 def npy(descr: str, shape: str, content: bytes = b"", *, version: bytes = b"\x01\x00") -> bytes:
-    """Return an array file that says anything of its type and shape."""
+    """Return an array file that claims any type and shape."""
     head = f"{{'descr': {descr}, 'fortran_order': False, 'shape': {shape}, }}\n".encode()
     return b"\x93NUMPY" + version + struct.pack("<H" if version == b"\x01\x00" else "<I", len(head)) + head + content
 
@@ -117,7 +117,7 @@ def _pickles() -> dict[str, Callable[[], bytes]]:
 
 
 def arrays_with_header() -> dict[str, Any]:
-    """Return the arrays of a golden model, and its header as one."""
+    """Return the arrays of a golden model, with its header as one of them."""
     model = golden("linear")
     return {"header": np.frombuffer(signed(model.header, model.arrays), np.uint8), **model.arrays}
 
@@ -180,7 +180,7 @@ def _archives() -> dict[str, Callable[[], bytes]]:
 
 
 def _bomb() -> bytes:
-    """Return an archive whose header unpacks to a gigabyte of zeros."""
+    """Return an archive whose header decompresses to a gigabyte of zeros."""
     packing = zlib.compressobj(9, zlib.DEFLATED, -15)
     first = packing.compress(bytes(1 << 20)) + packing.flush(zlib.Z_FULL_FLUSH)
     content = first * 1024 + zlib.compressobj(9, zlib.DEFLATED, -15).flush()
@@ -193,7 +193,7 @@ def _bomb() -> bytes:
 
 
 def _overlapping() -> bytes:
-    """Return an archive of a hundred names for the same megabyte."""
+    """Return an archive with a hundred names for the same megabyte."""
     local = archive({"header.npy": bytes(1 << 20)})
     start = local.index(b"PK\x01\x02")
     central = local[start : start + 56] * 60
@@ -275,7 +275,7 @@ def _forest(n_nodes: int, roots: np.ndarray, left: np.ndarray, right: np.ndarray
 
 
 def _chain(n_inner: int) -> bytes:
-    """Return a tree in which each left child is a leaf and each right child goes on."""
+    """Return a tree in which each left child is a leaf and each right child a further node."""
     own = np.arange(2 * n_inner + 1)
     inner = (own % 2 == 0) & (own < 2 * n_inner)
     return _forest(len(own), np.zeros(1), np.where(inner, own + 1, own), np.where(inner, own + 2, own))
@@ -387,7 +387,7 @@ def _nested(depth: int) -> Any:
     return value
 
 
-# -- sound, and of the worst that a sound file can be ----------------------------------------------------
+# -- sound files, but extreme ----------------------------------------------------------------------------
 
 
 def _widest_network() -> bytes:
@@ -405,7 +405,7 @@ def _widest_network() -> bytes:
 
 
 def _largest_forest() -> bytes:
-    """Return as many trees as may be, each with the longest way that the size of a file leaves for it."""
+    """Return the largest number of trees, each with the longest path that the file size allows."""
     n_trees, n_nodes = 1 << 15, 55
     own = np.arange(n_trees * n_nodes)
     within = own % n_nodes
@@ -415,15 +415,15 @@ def _largest_forest() -> bytes:
 
 
 def _huge_numbers() -> bytes:
-    """Return a model whose standardised inputs have products beyond all floats."""
+    """Return a model whose products with standardised inputs exceed all floats."""
     model = golden("logistic")
     small = np.full_like(model.arrays["standardiser.scale"], 1e-300)
     return written(model.header, {**model.arrays, "standardiser.scale": small})
 
 
-#: Each is refused, in one line.
+#: Files to refuse, in one line.
 HOSTILE: dict[str, Callable[[], bytes]] = _pickles() | _archives() | _arrays() | _trees() | _headers()
-#: Each may be answered by, within time and memory; what it answers are probabilities, or one line says why not.
+#: Files that may answer within the limits of time and memory: with probabilities, or with a one-line reason.
 EXTREME: dict[str, Callable[[], bytes]] = {
     "widest network": _widest_network,
     "largest forest": _largest_forest,

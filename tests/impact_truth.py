@@ -1,13 +1,13 @@
-"""Caving streams without any noise and the truth of their impacts, for tests and `benchmarks/detection.py`.
+"""Noiseless caving streams and the truth of their impacts, for tests and `benchmarks/detection.py`.
 
-**Noise** in dB: mean square of the silent recording, over the whole of it, over that of what is added.
+**Noise** in dB: mean square of the whole noiseless recording over that of the added noise.
 
-**Loud**: in the `LONG` after touch, the silent recording has at least twice the power of the noise. **Alone**: no other
-impact touches within `APART` before or after, and the power after touch is at least twice that of the `LONG` before it
-(else it drowns in the ringing of another). An impact **counts** if it is both.
+**Loud**: in the `LONG` after touch, the noiseless recording has at least twice the power of the noise. **Alone**: no
+other impact touches within `APART` before or after, and the power after touch is at least twice that of the `LONG`
+before it (otherwise it drowns in the ringing of another). An impact **counts** if it is both.
 
-**Found**: an onset from `EARLY` before touch to `LATE` after it; each onset finds one impact at most, the nearest.
-Precision is the share of onsets that find any impact, loud or not; recall the share of those that count which are
+**Found**: an onset from `EARLY` before touch to `LATE` after it; each onset finds at most one impact, the nearest.
+Precision is the share of onsets that find an impact, loud or not; recall is the share of counting impacts that are
 found.
 """
 
@@ -27,7 +27,7 @@ APART, LONG, EARLY, LATE = 20e-3, 5e-3, 1e-3, 2e-3
 
 
 def caving(seconds: float, *, noise: bool = False, **changes: dict[str, Any]) -> Scene:
-    """Return the scene `caving` of another length, with or without its noise; changes are of its sections."""
+    """Return the scene `caving` with another length, with or without its noise; changes are of its sections."""
     content = tomllib.loads(scene_path("caving").read_text())
     content["stream"] |= {
         "duration": f"{seconds} s",
@@ -44,7 +44,7 @@ def caving(seconds: float, *, noise: bool = False, **changes: dict[str, Any]) ->
 
 @dataclass
 class Stream:
-    """A recording without noise, and when its impacts touch."""
+    """A noiseless recording, and the touch times of its impacts."""
 
     samples: np.ndarray
     sampling_rate: float
@@ -56,7 +56,7 @@ class Stream:
         return cls(signal.samples, signal.sampling_rate, truth["time"])
 
     def noise(self, decibels: float, kind: str = "white", seed: int = 0) -> np.ndarray:
-        """Return noise of a power: white, pink (power over frequency), or hum of the mains with some white noise."""
+        """Return noise of a power: white, pink (power / frequency), or mains hum with some white noise."""
         random, n_samples = np.random.default_rng(seed), self.samples.size
         if kind == "hum":
             turns = 2 * np.pi * 50 * np.arange(n_samples) / self.sampling_rate
@@ -108,15 +108,10 @@ class Stream:
 
 @dataclass
 class Score:
-    """How well the impacts of a stream in noise were found.
+    """The quality of detection in a stream with noise.
 
-    Attributes
-    ----------
-    precision, recall, recall_of_all : float
-        The last of all loud impacts, whether they are alone or not.
-    n_events, n_counting : int
-    errors : ndarray
-        Onset less touch of those that count and were found [samples].
+    recall_of_all : recall of all loud impacts, alone or not
+    errors : onset - touch of the counting impacts that were found [samples]
     """
 
     precision: float
@@ -128,7 +123,7 @@ class Score:
 
 
 def score(stream: Stream, noise: np.ndarray, onsets: np.ndarray) -> Score:
-    """Return how well the onsets [samples] fit the truth."""
+    """Return how well the onsets [samples] match the truth."""
     found = stream.finding(onsets)
     hit = np.zeros(stream.touch.size, bool)
     hit[found[found >= 0]] = True

@@ -1,8 +1,8 @@
-"""A slow twin of the finite-element impact: the same bodies moved by another's integrator, another's contact.
+"""A slow twin of the finite-element impact: the same bodies with another integrator and another contact.
 
-Matrices come from `ElementTwin`; of `cgid.finite_element` only the places of the nodes are used. Nodes that may
-touch have no mass along z: at every moment they are where they rest, by non-negative least squares (scipy). What is
-left is a differential equation, solved in the bodies' natural modes by an eighth order Runge-Kutta method (scipy).
+Matrices come from `ElementTwin`; only the node positions come from `cgid.finite_element`. Nodes that may touch have no
+mass along z: they are always in equilibrium, by non-negative least squares (scipy). The rest is a differential
+equation, solved in the natural modes of the bodies by an eighth-order Runge-Kutta method (scipy).
 """
 
 from __future__ import annotations
@@ -18,20 +18,15 @@ from tests.element_twin import ElementTwin
 
 
 class BodyTwin:
-    """One body: its natural modes, and how the nodes that may touch follow them.
+    """One body: its natural modes, and the motion of its contact nodes with them.
 
-    Attributes
-    ----------
-    squares : ndarray, (n_modes,)
-        Squares of the natural frequencies [1/s^2], where no node is pressed.
-    follow : ndarray, (n_contact, n_modes)
-        Displacement of the nodes that may touch, for each mode; its transpose is what forces on them do to the modes.
-    yielding : ndarray, (n_contact, n_contact)
-        What forces on those nodes add to it [m/N].
-    axial : ndarray, (n_modes,)
-        Momentum along z of each mode of speed 1 [kg^(1/2)].
-    shapes : ndarray, (n_unknowns, n_modes)
-        Displacement of every unknown for each mode where no node is pressed; unknown 2 k + 1 is u_z of node k.
+    squares : squares of the natural frequencies without contact [1/s^2], (n_modes,)
+    follow : displacement of the contact nodes per mode, (n_contact, n_modes); transposed, the effect of their forces on
+        the modes
+    yielding : additional displacement of those nodes by forces on them [m/N], (n_contact, n_contact)
+    axial : momentum along z of each mode at speed 1 [kg^(1/2)], (n_modes,)
+    shapes : displacement of every unknown per mode without contact, (n_unknowns, n_modes); unknown 2 k + 1 is u_z of
+        node k
     """
 
     def __init__(self, mesh, material, held, volume: float) -> None:
@@ -59,7 +54,7 @@ class BodyTwin:
 
     @staticmethod
     def _leave_without_mass(mesh, mass) -> None:
-        """Give the axial mass of nodes that may touch to the nearest node of their elements that cannot."""
+        """Move the axial mass of contact nodes to the nearest other node of their elements."""
         touching = set(mesh.contact)
         for node in mesh.contact:
             near = {k for corners in mesh.elements if touching & set(corners) for k in corners} - touching
@@ -70,7 +65,7 @@ class BodyTwin:
 
 @dataclass(frozen=True)
 class Course:
-    """What a run says, at the times asked for: [N], [N s], [m], [m/s^2], [J], [J], [J]."""
+    """The time series of a run: [N], [N s], [m], [m/s^2], [J], [J], [J]."""
 
     force: np.ndarray
     momentum: np.ndarray
@@ -82,7 +77,7 @@ class Course:
 
 
 class ImpactTwin:
-    """A sphere that comes down on a plate, both elastic, at `velocity` [m/s]; `gap` is (n_contact,) [m]."""
+    """A sphere that falls on a plate, both elastic, at `velocity` [m/s]; `gap` is (n_contact,) [m]."""
 
     def __init__(self, sphere: BodyTwin, plate: BodyTwin, gap, velocity: float) -> None:
         self.sphere, self.plate, self.gap, self.velocity = sphere, plate, np.asarray(gap), velocity
@@ -92,7 +87,7 @@ class ImpactTwin:
         self._upper = np.linalg.inv(self._lower)
 
     def forces(self, modes):
-        """Return the contact forces [N]: least energy of what cannot pass through each other."""
+        """Return the contact forces [N] of least energy without penetration."""
         gap = self.gap + self._follow @ modes
         if (gap >= 0).all():
             return np.zeros(gap.size)
@@ -102,7 +97,7 @@ class ImpactTwin:
         return self._follow.T @ self.forces(modes) - self._squares * modes
 
     def run(self, times, centre: int) -> Course:
-        """Return the course at times [s]; `centre` is the node at the sphere's centre."""
+        """Return the time series at times [s]; `centre` is the node at the sphere's centre."""
         size, row = self.sphere.axial.size, 2 * centre + 1
         start = np.concatenate((-self.velocity * self.sphere.axial, np.zeros(self.plate.axial.size)))
         found = solve_ivp(
@@ -129,5 +124,5 @@ class ImpactTwin:
 
 
 def _stored(body: BodyTwin, modes, forces):
-    """Return the internal energy: of the modes, and of what pressed nodes give way beyond them."""
+    """Return the internal energy: of the modes, and of the additional displacement of pressed nodes."""
     return (body.squares @ modes**2 + np.einsum("ti,ij,tj->t", forces, body.yielding, forces)) / 2

@@ -1,4 +1,4 @@
-"""The impacts of the finite-element study as rows, and what the formulas of the theories say of them."""
+"""The impacts of the finite-element study as rows, and the theories' results for them from the formulas."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import pandas as pd
 
 from cgid.reproduction.study import UNDAMPED
 
-# rho, E, nu of Table 2 of the paper, written again.
+# rho, E, nu of Table 2 of the paper, independent of the package.
 SPHERES = {1: (1380, 2.26e9, 0.28), 2: (1550.6, 4.3e9, 0.30), 3: (2412, 21.64e9, 0.30), 4: (2400, 3.906e9, 0.28)}
 RADIUS, STEEL_COMPLIANCE = 0.025, 0.91 / 210e9
 FACTORS = {"hertz": 1.0, "rigid-sphere": 8 * 3**0.5 / 9, "series": 1.75**-1.5}

@@ -1,4 +1,4 @@
-"""A part of some work that ends the process doing it; by itself, for a worker must load what it is asked for."""
+"""A part of some work that ends its process; a separate module, because workers must be able to import it."""
 
 import os
 import signal
@@ -6,7 +6,7 @@ from pathlib import Path
 
 
 def fatal(marks: str, part: int) -> int:
-    """End the process that does part 1, for the first so many times; `marks` is "folder|so many"."""
+    """Kill the process that does part 1, the first n times; `marks` is "folder|n"."""
     folder, _, most = marks.partition("|")
     deaths = len(list(Path(folder).iterdir()))
     if part == 1 and deaths < int(most):

@@ -1,5 +1,7 @@
-"""Slow, obvious twins of the fast routines: plain loops, one signal at a time, nothing shared with the package
-(but the table of pulses, which `tests/test_family.py` measures against an integration of the equation)."""
+"""Slow, obvious twins of the fast routines: plain loops, one signal at a time, independent of the package.
+
+The exception is the table of pulses, which `tests/test_family.py` compares with an integration of the equation.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +17,7 @@ from cgid import family
 
 
 def peak(samples: Sequence[float]) -> tuple[int, float]:
-    """Return place and value of the first largest sample."""
+    """Return position and value of the first largest sample."""
     place = 0
     for k in range(len(samples)):
         if samples[k] > samples[place]:
@@ -24,7 +26,7 @@ def peak(samples: Sequence[float]) -> tuple[int, float]:
 
 
 def crossings(samples: Sequence[float], level: float) -> tuple[float, float]:
-    """Walk outwards from the peak to the first sample below a fraction of it; straight lines [samples]."""
+    """Go outwards from the peak to the first sample below a fraction of it; linear interpolation [samples]."""
     place, highest = peak(samples)
     height = level * highest
     left = place
@@ -66,7 +68,7 @@ def energy(samples: Sequence[float], rate: float) -> float:
 
 
 def skewness(samples: Sequence[float]) -> float:
-    """Third standardised moment of the samples, seen as a distribution over time."""
+    """Third standardised moment of the samples as a distribution over time."""
     total = sum(samples)
     mean = sum(k * value for k, value in enumerate(samples)) / total
     second = sum((k - mean) ** 2 * value for k, value in enumerate(samples)) / total
@@ -107,7 +109,7 @@ def bandwidth(frequencies: Sequence[float], power: Sequence[float]) -> float:
 
 
 def energy_below(frequencies: Sequence[float], power: Sequence[float], limit: float) -> float:
-    """Share of the spectrum below a limit: trapezoids, the last one cut in proportion."""
+    """Share of the spectrum below a limit: trapezoids, the last one cut proportionally."""
     below = total = 0.0
     for k in range(len(power) - 1):
         step = 0.5 * (power[k] + power[k + 1])
@@ -151,7 +153,7 @@ def low_pass_gain(frequency: float, edge: float, taper: float) -> float:
 def fft_filter(
     samples: Sequence[float], rate: float, low: float | None = None, high: float | None = None, taper: float = 0.0
 ) -> np.ndarray:
-    """Filter by a direct Fourier sum forth and back."""
+    """Filter by a direct Fourier sum and its inverse."""
     n = len(samples)
     result = np.zeros(n, complex)
     for k in range(n):
@@ -181,7 +183,7 @@ def stretches(samples: Sequence[float], threshold: float, gap: int) -> list[int]
 
 
 def impact_rk4(damping: float, end: float, n_steps: int) -> tuple[float, float]:
-    """March x'' = -x^(3/2) (1 + D x') from touch to a time, by the classical rule of Runge and Kutta, even steps."""
+    """Integrate x'' = -x^(3/2) (1 + D x') from touch to a time, by classical Runge-Kutta with equal steps."""
 
     def acceleration(x: float, rate: float) -> float:
         return -(max(x, 0.0) ** 1.5) * (1 + damping * rate)
@@ -202,8 +204,8 @@ class Contact:
     """One dimensionless impact by scipy's DOP853 in plain time: displacement x, velocity y of the sphere, force f.
 
     `x' = y - lambda f, y' = gamma - f, f = x^(3/2) + (D x^(3/2) + zeta x^(1/2)) x'`, from x = 0, y = 1 until x, or
-    the force of a viscoelastic sphere, has fallen to 0. The tolerance is that of the step; what comes out agrees with
-    32-digit arithmetic to about 1e-12. `separates` is False where the sphere is still there at the time `longest`.
+    the force of a viscoelastic sphere, has fallen to 0. The tolerance is that of a step; the results agree with
+    32-digit arithmetic to about 1e-12. `separates` is False if the sphere is still in contact at the time `longest`.
     """
 
     def __init__(
@@ -219,7 +221,7 @@ class Contact:
             return [state[1] - inelasticity * f, weight - f, inelasticity * f * f, f]
 
         def held(time: float, state: np.ndarray) -> float:
-            """Fall through 0 at separation: x, or what the force is over x^(1/2)."""
+            """Fall through 0 at separation: x, or the force over x^(1/2)."""
             if time == 0:
                 return 1.0
             return state[0] + zeta * state[1] if zeta else state[0]
@@ -244,7 +246,7 @@ class Contact:
 
 
 def damped_pulse(times: np.ndarray, peak: float, duration: float, onset: float, restitution: float) -> np.ndarray:
-    """Sample the damped-Hertz pulse of a peak, a contact duration and a time of touch; above 1 it is turned round."""
+    """Sample the damped-Hertz pulse of a peak, contact duration and touch time; a restitution above 1 reverses time."""
     lossy = min(restitution, 1 / restitution)
     contact, top, _ = (float(time) for time in family.times(lossy))
     share = (np.asarray(times) - onset) / duration
@@ -262,9 +264,9 @@ def fitted_pulse(
     clip_level: float = math.inf,
     seen: Callable[[np.ndarray], np.ndarray] = lambda force: force,
 ) -> tuple[np.ndarray, float]:
-    """Fit (peak, duration, onset, restitution, baseline) by scipy, all samples of the frame; the squared residual.
+    """Fit (peak, duration, onset, restitution, baseline) by scipy to all samples; also return the squared residual.
 
-    `seen` is what the sensor makes of the force. A sample at the limit costs nothing where the curve is above it.
+    `seen` maps the force to the sensor's output. A clipped sample costs nothing where the curve is above it.
     """
     times = np.arange(len(samples), dtype=float)
     free = [0, 1, *([] if onset is not None else [2]), 3, *([4] if baseline else [])]
@@ -292,7 +294,7 @@ def fitted_pulse(
 
 def pulse_covariance(times: np.ndarray, duration: float, onset: float, restitution: float, free: Sequence[int],
                      seen: Callable[[np.ndarray], np.ndarray] = lambda force: force) -> np.ndarray:  # fmt: skip
-    """Invert Fisher's information of (ln peak, ln duration, onset, ln restitution, baseline), peak and noise 1."""
+    """Invert the Fisher information of (ln peak, ln duration, onset, ln restitution, baseline), peak and noise 1."""
 
     def curve(values: np.ndarray) -> np.ndarray:
         peak, length, shape = np.exp(values[[0, 1, 3]])
@@ -308,7 +310,7 @@ def pulse_covariance(times: np.ndarray, duration: float, onset: float, restituti
 
 
 def log_evidence(samples: np.ndarray, noise: float, draws: np.ndarray) -> tuple[float, float]:
-    """Average the likelihood of a signal over drawn pulses: its logarithm, and the standard error of that."""
+    """Average the likelihood of a signal over drawn pulses; return its logarithm and the standard error of that."""
     terms = -0.5 * np.sum((draws - samples) ** 2, axis=1, dtype=float) / noise**2
     shares = np.exp(terms - terms.max())
     return float(terms.max() + np.log(shares.mean())), float(shares.std() / shares.mean() / math.sqrt(len(draws)))

@@ -1,4 +1,4 @@
-"""Scenes and what is asked of each, for the tests of the plan and `benchmarks/skipping.py`."""
+"""Scenes with requested outputs, for the tests of the plan and `benchmarks/skipping.py`."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from cgid.scene.plan import Plan, plan
 from cgid.scene.synthesis import columns_of
 
 STEEL = {"density": 7850, "youngs_modulus": "210 GPa", "poisson_ratio": 0.3}
-#: Signals of which it is counted what runs: two blocks.
+#: Signals in the counts of work: two blocks.
 COUNTED = 512
 FIT = ("fitted_peak", "fitted_width", "shrunken_restitution", "shrunken_restitution_deviation")
 IN_TIME = ("peak_force", "contact_duration", "asymmetry")
@@ -44,7 +44,7 @@ def scene_of(
     sensor: dict[str, Any] | None = None,
     **more: Any,
 ) -> Scene:
-    """Return a small scene; a population's value of None takes that key out, `population=False` all of it."""
+    """Return a small scene; a population value of None removes that key, `population=False` all of it."""
     one = {name: value for name, value in {**POPULATION, **(population or {})}.items() if value is not None}
     content = {
         "name": "small",
@@ -56,7 +56,7 @@ def scene_of(
     return parse_scene(content | more)
 
 
-#: A plate of the laboratory, held along its edges.
+#: A laboratory plate, held along its edges.
 PANEL = {
     "length": "458.4 mm",
     "width": "360 mm",
@@ -66,7 +66,7 @@ PANEL = {
     "impact_point": {"x": uniform("0.1 m", "0.3 m"), "y": uniform("0.1 m", "0.2 m")},
     "sensor_point": {"x": "0.1 m", "y": "0.1 m"},
 }
-#: As a tap test gives them. The sensor sits where the second mode does not move.
+#: Modes as from a tap test. The sensor is at a node of the second mode.
 TAPPED = [
     {"frequency": f, "damping_ratio": 0.02, "modal_mass": 20, "shape_impact": 1.0, "shape_sensor": shape}
     for f, shape in ((200, 0.8), (500, 0.0), (900, -0.6), (1700, 0.5))
@@ -83,7 +83,7 @@ def beam_of(tail_beam: dict[str, Any], sensor: dict[str, Any] | None = None, sam
 
 @dataclass(frozen=True)
 class Case:
-    """A scene and what is asked of it."""
+    """A scene and the requested output."""
 
     name: str
     scene: Scene
@@ -95,7 +95,7 @@ class Case:
         return plan(self.scene, [self.output], **self.which)
 
     def ask(self) -> Counter[str]:
-        """Return what runs for `COUNTED` signals."""
+        """Count the work for `COUNTED` signals."""
         with counted() as counts:
             asked = self.plan
             kept, outputs = asked.kept, [self.output]
@@ -105,9 +105,9 @@ class Case:
         return counts
 
     def ask_everything(self) -> Counter[str]:
-        """Return what runs for all that can be known of the same signals: closed forms, frames, every feature.
+        """Count the work for all outputs of the same signals: closed forms, frames, every feature.
 
-        On a beam: the true pulses, too, and all modes that it has in the band, over every sample.
+        On a beam also the true pulses, and all of its modes in the band over every sample.
         """
         with counted() as counts:
             for _ in columns_of(plan(self.scene, ["closed-form"]), COUNTED):
@@ -123,7 +123,7 @@ class Case:
         return counts
 
     def all_modes(self) -> Counter[str]:
-        """Return how many modes there are to be run, in every block, and poles over every sample."""
+        """Count the modes of all blocks, and the poles over every sample."""
         n_modes = beam_modes(self.scene).frequency.size
         n_poles = n_modes + sum(part.poles.size for part in self.scene.sensor.filters)
         strikes = sum(len(draw(self.scene, 0, block).strikes) for block in range(COUNTED // BLOCK))

@@ -1,7 +1,7 @@
-"""What scenes make, as digests: run as a script, under whatever settings of the environment.
+"""Digests of the output of scenes, as a script for any settings of the environment.
 
-`python -m tests.portable shipped` (or `varied [NAME ...]`) prints one JSON object; `tests/test_portable.py` holds it
-against the literals in `portable.json`.
+`python -m tests.portable shipped` (or `varied [NAME ...]`) prints one JSON object; `tests/test_portable.py` compares it
+with the literals in `portable.json`.
 """
 
 from __future__ import annotations
@@ -60,9 +60,9 @@ def of_shipped() -> dict[str, dict[str, str]]:
 
 
 def of_varied(names: Collection[str] = ()) -> dict[str, dict[str, str]]:
-    """Return the digests of small scenes, in float64, that between them have everything that a scene may have.
+    """Return the digests of small scenes, in float64, that together have every property of scenes.
 
-    Of some of them by their names, or of all and of the recording of `caving`.
+    With names, only of these scenes; otherwise of all, and of the recording of `caving`.
     """
     hum = [{"frequency": "50 Hz", "amplitude": "3 N"}, {"frequency": "297.3 Hz", "amplitude": "2 N"}]
     density = ["1 N/sqrt(Hz)", "5 N/sqrt(Hz)", "5 N/sqrt(Hz)", "0.5 N/sqrt(Hz)"]

@@ -1,4 +1,4 @@
-"""One recording in every format, written by the format's own library where it has one; for tests and benchmarks."""
+"""One recording in every format, written by the format's own library if it has one; for tests and benchmarks."""
 
 from __future__ import annotations
 
@@ -19,23 +19,13 @@ UNIT = "g"
 
 @dataclass(frozen=True)
 class Specimen:
-    """How a recording of two channels gets into a file of one format.
+    """A format, and the way to write a recording of two channels in it.
 
-    Attributes
-    ----------
-    name : str
-        Of the format.
-    suffix : str
-    write : callable
-        `write(path, samples (2, n_samples), sampling_rate)`.
-    writer : str
-        The library that writes it.
-    options : dict
-        What has to be told to `cgid.recordings.open_recording`, because the file cannot say it.
-    resolution : float
-        Numbers come back as near as this.
-    says_rate, says_unit : bool
-        Whether the file says its sampling rate, and the unit of its channels.
+    write : `write(path, samples (2, n_samples), sampling_rate)`
+    writer : library that writes it
+    options : arguments of `cgid.recordings.open_recording` for facts that the file cannot state
+    resolution : largest difference of the numbers read back
+    says_rate, says_unit : whether the file states its sampling rate, and the unit of its channels
     """
 
     name: str
@@ -54,7 +44,7 @@ class Specimen:
 
 
 def blows(n_samples: int = 20_000, sampling_rate: float = 51_200.0, seed: int = 1) -> np.ndarray:
-    """Return two channels of noise with decaying blows within +-1, as float32 can hold them, (2, n_samples)."""
+    """Return two channels of noise with decaying blows within +-1, exact in float32, (2, n_samples)."""
     random = np.random.default_rng(seed)
     out = 1e-3 * random.standard_normal((2, n_samples))
     time = np.arange(round(0.1 * sampling_rate)) / sampling_rate
@@ -173,7 +163,7 @@ def _mat(path: Path, samples: np.ndarray, rate: float) -> None:
 def _mat73(path: Path, samples: np.ndarray, rate: float) -> None:
     import hdf5storage
 
-    # It adds to a file that is there.
+    # hdf5storage adds to an existing file.
     path.unlink(missing_ok=True)
     hdf5storage.savemat(str(path), {"acceleration": samples.T, "fs": rate}, format="7.3")
 
@@ -215,9 +205,9 @@ def _uff(binary: int) -> Callable[[Path, np.ndarray, float], None]:
             for number, (name, row) in enumerate(zip(NAMES, samples, strict=True), start=1)
         ]
         with warnings.catch_warnings():
-            # pyuff opens a binary file twice and leaves one of them to the collector.
+            # pyuff opens a binary file twice and leaves one handle to the garbage collector.
             warnings.simplefilter("ignore", ResourceWarning)
-            # Nor does it keep the first of several binary sets when it overwrites.
+            # When it overwrites, it loses the first of several binary sets.
             path.unlink(missing_ok=True)
             pyuff.UFF(str(path)).write_sets(sets, mode="add")
             gc.collect()

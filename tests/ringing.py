@@ -1,6 +1,6 @@
 """A struck structure for tests: damped modes with random participation, driven by pulses of the damped-Hertz family.
 
-No model of the package makes these signals: scipy filters run at eight times the rate, and scipy decimates.
+The signals are independent of the package's models: scipy filters run at eight times the rate, and scipy decimates.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ N_SAMPLES, PRE_TRIGGER = 2048, 256
 #: Modes [Hz] and their damping ratios.
 MODES = np.array([110, 190, 290, 430, 620, 900, 1300, 1800, 2500, 3300, 4300, 5500, 7000, 8800.0])
 DAMPING = np.array([3, 2, 4, 2, 3, 2, 4, 3, 2, 3, 2, 3, 2, 3]) / 100
-#: Contact durations [s] and how widely they spread: the soft coal touches longer.
+#: Contact durations [s] and their spread: the soft coal has longer contacts.
 DURATIONS = {"coal": 6e-4, "gangue": 2.5e-4}
 SPREAD = 0.2
 
@@ -44,7 +44,7 @@ def blows(random, n_signals, labels):
 
 
 def through_the_structure(force, random):
-    """Return the acceleration that pulses at the fine rate cause, at the recorder's rate."""
+    """Return the acceleration by pulses at the fine rate, at the recorder's rate."""
     fine = RATE * FINER
     acceleration = np.zeros_like(force)
     for frequency, damping in zip(MODES, DAMPING, strict=True):
@@ -56,7 +56,7 @@ def through_the_structure(force, random):
 
 
 def ringing_batch(n_signals, seed=0, noise=0.01, unit="m/s^2", source="ringing"):
-    """A labelled batch, every signal of a specimen of its own; noise is a share of the peak."""
+    """A labelled batch, every signal of a separate specimen; noise is a share of the peak."""
     random = np.random.default_rng(seed)
     labels = np.array(["coal", "gangue"])[random.integers(0, 2, n_signals)]
     frames = 1e-3 * through_the_structure(blows(random, n_signals, labels), random)

@@ -1,4 +1,4 @@
-"""Recordings of coal and gangue made from the sample, and a model of windows: what answers are tested on."""
+"""Recordings of coal and gangue made from the sample, and a model of windows, for tests of the answers."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from cgid.identification.windows import measure_windows
 from cgid.recordings import read_recording
 
 ROOT = Path(__file__).parents[1]
-#: Of the sample [Hz].
+#: Sampling rate of the sample [Hz].
 RATE = 200_000.0
-#: One impact of the sample after the other, from so long before each to so long after [samples].
+#: First impact and spacing in the sample; start before an impact and length of a frame [samples].
 _FIRST, _SPACING, _BEFORE, _LENGTH = 1000, 4000, 200, 1200
 
 
 def pulses() -> tuple[NDArray[np.float64], list[str]]:
-    """Return the impacts of the sample less their baseline, (6, n), and what the default model makes of them."""
+    """Return the impacts of the sample minus their baseline, (6, n), and their labels by the default model."""
     (signal,) = read_recording(ROOT / "datasets" / "sample.csv")
     starts = _FIRST + _SPACING * np.arange(6) - _BEFORE
     frames = np.stack([signal.samples[start : start + _LENGTH] for start in starts])
@@ -36,7 +36,7 @@ def stream(labels: list[str], gap: float, seed: int = 0, noise: float = 25.0) ->
     step = round(gap * RATE)
     samples = rng.normal(0.0, noise, step * len(labels))
     for number, label in enumerate(labels):
-        # The second and third of each label are the surer ones.
+        # The second and third of each label have the more certain answers.
         which = [k for k, kind in enumerate(kinds) if kind == label][rng.integers(3)]
         first = step * number + step // 2 - _BEFORE
         samples[first : first + _LENGTH] = frames[which]
@@ -46,9 +46,9 @@ def stream(labels: list[str], gap: float, seed: int = 0, noise: float = 25.0) ->
 def window_model(
     n_channels: int = 1, hop_time: float = 0.05, references: dict[str, NDArray[np.float64]] | None = None
 ) -> Model:
-    """Return a model that tells windows of 0.1 s at 8 kHz of dull noise ("coal") from those of white noise ("gangue").
+    """Return a model that separates windows of 0.1 s at 8 kHz: dull noise ("coal") from white noise ("gangue").
 
-    It may know sensors by the windows (n_windows, 800) of their reference runs.
+    Each of `references` names a sensor and has the windows (n_windows, 800) of its reference run.
     """
     names = ("window_zero_crossing_rate", "window_centroid")
     rng = np.random.default_rng(1)

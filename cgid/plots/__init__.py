@@ -1,4 +1,4 @@
-"""Every picture; matplotlib (extra `plot`) is loaded only here and only when asked."""
+"""All pictures. matplotlib (extra `plot`) is imported only here, and only on use."""
 
 from cgid.plots.figure import (
     COLOURS,

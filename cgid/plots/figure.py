@@ -13,12 +13,12 @@ from numpy.typing import NDArray
 from cgid.errors import MissingExtra
 from cgid.validation import Floats
 
-#: Blue, vermilion, green, purple, sky, orange of Okabe and Ito (jfly.uni-koeln.de/color, 2008), which people with every
-#: kind of colour vision can tell apart.
+#: Blue, vermilion, green, purple, sky, orange of Okabe and Ito (jfly.uni-koeln.de/color, 2008); distinct for every
+#: kind of colour vision.
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#e69f00")
-#: Colour of everything that is no label of a model.
+#: Colour of everything other than the labels of a model.
 NEUTRAL = "#555555"
-#: Formats by the ending of a file's name, with the metadata to leave out so that equal figures give equal bytes.
+#: Formats by file name ending, with the metadata to omit so that equal figures give equal bytes.
 FORMATS: dict[str, dict[str, None]] = {
     ".png": {"Software": None},
     ".svg": {"Date": None},
@@ -30,7 +30,7 @@ _CHINESE = ("Noto Sans CJK SC", "Source Han Sans SC", "WenQuanYi Zen Hei", "WenQ
 
 
 def require_matplotlib() -> Any:
-    """Return matplotlib's Figure class, drawing without a screen.
+    """Return matplotlib's Figure class, which draws without a screen.
 
     Raises
     ------
@@ -45,7 +45,7 @@ def require_matplotlib() -> Any:
 
 
 def picture(figure: Any, suffix: str, dpi: float = 120) -> bytes:
-    """Return a matplotlib figure as a file; the same figure gives the same bytes.
+    """Return a matplotlib figure as the content of a file; equal figures give equal bytes.
 
     Parameters
     ----------
@@ -53,20 +53,20 @@ def picture(figure: Any, suffix: str, dpi: float = 120) -> bytes:
     suffix : str
         One of `FORMATS`.
     dpi : float
-        Dots per inch of a PNG picture, and of rasterized parts in the other formats.
+        Resolution of a PNG picture, and of rasterized parts in other formats [dots/inch].
     """
     from matplotlib import rc_context
 
     stream = io.BytesIO()
     with rc_context({"svg.hashsalt": "cgid", "font.family": _families()}), warnings.catch_warnings():
-        # A character that no font has is drawn as a box.
+        # matplotlib draws a box for a character that no font has.
         warnings.filterwarnings("ignore", message=r"Glyph \d+")
         figure.savefig(stream, format=suffix[1:], dpi=dpi, metadata=FORMATS[suffix])
     return stream.getvalue()
 
 
 def png(figure: Any) -> bytes:
-    """Return a matplotlib figure as a PNG picture; the same figure gives the same bytes."""
+    """Return a matplotlib figure as PNG; equal figures give equal bytes."""
     return picture(figure, ".png")
 
 
@@ -164,25 +164,25 @@ def _roc(labels: NDArray[np.str_], probabilities: Floats, classes: tuple[str, ..
 
 
 def frequency_response_picture(frequency: Floats, responses: Mapping[str, NDArray[np.complex128]], unit: str) -> bytes:
-    """Return a PNG picture of frequency responses: level over phase.
+    """Return frequency responses as PNG: level above phase.
 
     Parameters
     ----------
     frequency : ndarray, (n_frequencies,)
         [Hz], above 0.
     responses : dict of ndarray of complex, (n_frequencies,)
-        By their names in the legend.
+        By name in the legend.
     unit : str
-        Of the responses, such as "m/s^2/N"; 0 dB is one unit.
+        Unit of the responses, such as "m/s^2/N"; it is 0 dB.
     """
     figure = require_matplotlib()(figsize=(7.2, 5.0), layout="constrained")
     level, phase = figure.subplots(2, 1, sharex=True, height_ratios=(2, 1))
     for name, response in responses.items():
-        # At a node of a mode the response is 0 and has no level.
+        # At a node of a mode the response is 0, which has no level.
         height = np.where(response == 0, np.nan, np.abs(response))
         level.plot(frequency, 20 * np.log10(height), lw=1, label=name)
         degrees = np.degrees(np.angle(response))
-        # The line is broken where the phase wraps around.
+        # Break the line where the phase wraps around.
         degrees[1:][np.abs(np.diff(degrees)) > 180] = np.nan
         phase.plot(frequency, degrees, lw=1)
     level.set(ylabel=f"dB re 1 {unit}", xscale="log", xlim=(frequency[0], frequency[-1]))
@@ -195,7 +195,7 @@ def frequency_response_picture(frequency: Floats, responses: Mapping[str, NDArra
 
 
 def survey_picture(points: Mapping[str, Sequence[Any]], present: Mapping[str, float], here: Any) -> bytes:
-    """Return a PNG picture of the ceiling against noise, sampling rate and spread of sizes.
+    """Return the ceiling against noise, sampling rate and spread of sizes as PNG.
 
     Parameters
     ----------
@@ -204,7 +204,7 @@ def survey_picture(points: Mapping[str, Sequence[Any]], present: Mapping[str, fl
     present : dict of float
         Value of the scene on each axis.
     here : Point
-        Ceiling of the scene as it is.
+        Ceiling of the scene itself.
     """
     titles = {
         "snr": "peak over noise [dB]",

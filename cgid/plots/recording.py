@@ -1,4 +1,4 @@
-"""Pictures of recordings: waveform, spectrogram and spectrum with impacts marked, and the share of gangue over time."""
+"""Pictures of recordings: waveform, spectrogram and spectrum with marked impacts, and the share of gangue over time."""
 
 from __future__ import annotations
 
@@ -20,21 +20,21 @@ if TYPE_CHECKING:
 
 #: A picture with more channels is illegible.
 MOST_CHANNELS = 8
-#: Characters of a channel's name in a legend.
+#: Longest name of a channel in a legend [characters].
 _LONGEST_LABEL = 32
-#: Longest and shortest scale of levels [dB].
+#: Longest and shortest range of a level scale [dB].
 _DEEPEST, _SHALLOWEST = 90.0, 30.0
-#: Up to this many marks, if they leave room, are also drawn through the waveform of a channel.
+#: Largest number of marks that are also drawn through the waveform of a channel, if they leave room.
 _FEW_MARKS = 150
-#: Smallest width of a mark, as a part of the time axis: with few marks, and with many.
+#: Smallest width of a mark relative to the time axis: with few marks, and with many.
 _NARROWEST_MARK = (3e-3, 1.2e-3)
-#: The time axis of shorter recordings is in milliseconds [s].
+#: Shorter recordings [s] have a time axis in milliseconds.
 _MILLISECONDS_BELOW = 0.5
 #: Sizes [inches].
 _WIDTH, _TITLE, _STRIP_ROW, _WAVEFORM, _SPECTROGRAM, _SPECTRUM = 11.0, 0.6, 0.19, 1.5, 1.9, 2.7
-#: Up to this many channels have rows of full size; the rows of more are reduced by this factor.
+#: Largest number of channels with rows of full size, and the factor that reduces the rows of more.
 _FULL_SIZE, _SHRUNK = 3, 0.65
-#: Room for text between two rows [inches].
+#: Space for text between two rows [inches].
 _ROOM = 0.35
 _WAVEFORM_COLOUR = "#303030"
 
@@ -67,19 +67,23 @@ def overview_figure(
     marks: Sequence[Mark] = (),
     begin: float = 0.0,
 ) -> Any:
-    """Return a figure of waveform and spectrogram of each channel and the spectra of all, with marks by label.
+    """Draw waveform and spectrogram of each channel and the spectra of all, with marks by label.
 
     Parameters
     ----------
     overview : Overview
     channels : sequence of Channel
-        Of the overview, in order.
+        Channels of the overview, in order.
     title, facts : str
         Two lines above the figure.
     marks : sequence of Mark
-        Drawn above the waveform of their channel, with a row for each label.
+        Drawn above the waveform of their channel, in one row per label.
     begin : float
         Time of the first sample of the overview [s].
+
+    Returns
+    -------
+    matplotlib.figure.Figure
 
     Raises
     ------
@@ -115,7 +119,7 @@ def overview_figure(
 
 
 class Clock:
-    """The axis of time from `begin` to `end` [s], in seconds or milliseconds."""
+    """The time axis from `begin` to `end` [s], in seconds or milliseconds."""
 
     def __init__(self, begin: float, end: float) -> None:
         self.begin = begin
@@ -123,18 +127,18 @@ class Clock:
         self.limits = (begin * self.factor, end * self.factor)
 
     def of(self, times: Floats) -> Floats:
-        """Return times since the first sample of the overview in the unit of the axis."""
+        """Convert times since the first sample of the overview [s] to the unit of the axis."""
         return np.asarray((times + self.begin) * self.factor)
 
 
 def draw_waveform(axes: Any, overview: Overview, k: int, channel: Channel, clock: Clock) -> None:
-    """Draw the lowest and highest sample of each column of channel `k`, or single samples if they fit."""
+    """Draw the range of samples in each column of channel `k`, or single samples if they fit."""
     edges = clock.of(overview.waveform_edges)
     lowest, highest = overview.lowest[k], overview.highest[k]
     if overview.waveform_step == 1:
         axes.plot(edges[:-1], lowest, color=_WAVEFORM_COLOUR, lw=0.8, marker="." if lowest.size < 3 else None)
     else:
-        # Neighbouring columns must overlap, or a steep waveform would have gaps.
+        # Neighbouring columns must overlap; otherwise a steep waveform has gaps.
         low, high = lowest.copy(), highest.copy()
         low[1:] = np.minimum(low[1:], highest[:-1])
         high[1:] = np.maximum(high[1:], lowest[:-1])
@@ -147,7 +151,7 @@ def draw_waveform(axes: Any, overview: Overview, k: int, channel: Channel, clock
 
 
 def draw_spectrogram(axes: Any, scale: Any, overview: Overview, k: int, channel: Channel, clock: Clock) -> None:
-    """Draw the spectrogram of channel `k`, and its colour scale on other axes."""
+    """Draw the spectrogram of channel `k` on `axes` and its colour scale on `scale`."""
     density = overview.spectrogram[k]
     if not density.size or not density.max() > 0:
         _nothing(axes, overview, "spectrogram")
@@ -167,7 +171,7 @@ def draw_spectrogram(axes: Any, scale: Any, overview: Overview, k: int, channel:
 
 
 def draw_marks(axes: Any, marks: Sequence[Mark], colours: Mapping[str, str], clock: Clock) -> None:
-    """Draw marks, with a row and their number for each label."""
+    """Draw marks, with one row and a count for each label."""
     narrowest = _NARROWEST_MARK[len(marks) > _FEW_MARKS] * (clock.limits[1] - clock.limits[0])
     names = []
     for row, (label, colour) in enumerate(colours.items()):
@@ -182,12 +186,12 @@ def draw_marks(axes: Any, marks: Sequence[Mark], colours: Mapping[str, str], clo
 
 
 def _spans(marks: Sequence[Mark], clock: Clock) -> list[tuple[float, float]]:
-    """Return begin and length of marks on the axis of time."""
+    """Return start and length of marks on the time axis."""
     return [(mark.time * clock.factor, (mark.end - mark.time) * clock.factor) for mark in marks]
 
 
 def _shade(axes: Any, marks: Sequence[Mark], colours: Mapping[str, str], clock: Clock) -> None:
-    """Shade the time of each mark behind the waveform, and draw a line where it begins."""
+    """Shade the interval of each mark behind the waveform, and draw a line at its start."""
     for label, colour in colours.items():
         spans = _spans([mark for mark in marks if mark.label == label], clock)
         across = axes.get_xaxis_transform()
@@ -197,7 +201,7 @@ def _shade(axes: Any, marks: Sequence[Mark], colours: Mapping[str, str], clock: 
 
 
 def _spectrum(axes: Any, overview: Overview, channels: Sequence[Channel]) -> None:
-    """Draw the spectra of all channels over each other."""
+    """Draw the spectra of all channels in one plot."""
     highest = float(overview.spectrum[:, 1:].max(initial=0.0))
     if not highest > 0:
         _nothing(axes, overview, "spectrum")
@@ -225,12 +229,12 @@ def _spectrum(axes: Any, overview: Overview, channels: Sequence[Channel]) -> Non
 
 
 def _decibels(density: Floats, highest: float) -> Floats:
-    """Return levels [dB], with a finite one for a density of 0."""
+    """Return levels [dB]; a density of 0 gets a finite level."""
     return 10 * np.log10(np.maximum(density, highest * 10 ** (-_DEEPEST / 10 - 3)))
 
 
 def _limits(extremes: Floats) -> tuple[float, float]:
-    """Return the limits of a scale of levels: multiples of 5 dB, within the shortest and the longest scale."""
+    """Return the limits of a level scale: multiples of 5 dB, between the shortest and the longest range."""
     top = 5.0 * float(np.ceil(extremes[1] / 5))
     bottom = 5.0 * float(np.floor(extremes[0] / 5))
     return min(max(bottom, top - _DEEPEST), top - _SHALLOWEST), top
@@ -247,7 +251,7 @@ def _write_frequencies(axis: Any) -> None:
 
 
 def _nothing(axes: Any, overview: Overview, what: str) -> None:
-    """Say why there is no spectrum."""
+    """Write the reason why there is no spectrum."""
     why = "all samples are equal" if overview.frequency.size else f"{overview.n_samples} samples are too few"
     axes.text(0.5, 0.5, f"no {what}: {why}", transform=axes.transAxes, ha="center", va="center", color="0.4")
     axes.set(yticks=[], ylabel=what)
@@ -262,7 +266,7 @@ def _quantity(channel: Channel) -> str:
 
 
 def hertz(frequency: float, digits: int = 6) -> str:
-    """Return a frequency with its unit, Hz or kHz.
+    """Format a frequency [Hz] in Hz or kHz.
 
     Examples
     --------
@@ -285,7 +289,7 @@ def _density(unit: str | None) -> str:
 
 
 def recording_picture(recording: Signal, truth: Mapping[str, NDArray[Any]]) -> bytes:
-    """Return a PNG picture of a generated recording: impacts, waveform, spectrogram and shares of the labels.
+    """Draw a generated recording as PNG: impacts, waveform, spectrogram and shares of the labels.
 
     Parameters
     ----------
@@ -323,7 +327,10 @@ def _shares(
     colours: Mapping[str, str],
     width: float = 0.05,
 ) -> None:
-    """Draw the share of each label among the rocks that arrive about a time, within `width` of the duration."""
+    """Draw the share of each label among the rocks arriving near a time.
+
+    The window is Gaussian; its standard deviation is `width` times the duration.
+    """
     first = truth["bounce"] == 0
     arrivals, labels = truth["time"][first], truth["label"][first]
     times = np.linspace(0, duration, 400)
@@ -336,7 +343,7 @@ def _shares(
     axes.legend(fontsize="small", loc="center left")
 
 
-#: Height of a panel of shares and of the title above [inches].
+#: Height of a panel of shares and of the title [inches].
 _SHARE_PANEL, _SHARE_TITLE = 1.9, 0.5
 _LINE, _LIMIT = COLOURS[0], COLOURS[1]
 
@@ -344,17 +351,21 @@ _LINE, _LIMIT = COLOURS[0], COLOURS[1]
 def share_figure(
     shares: Sequence[Share], turns: Sequence[Turn], duration: float, *, threshold: float | None = None
 ) -> Any:
-    """Return a figure of the share of gangue over time with its interval, a panel for each channel.
+    """Draw the share of gangue over time with its interval, in one panel per channel.
 
     Parameters
     ----------
     shares : sequence of Share
-        At least one; of the first `MOST_CHANNELS` channels.
+        At least one; only the first `MOST_CHANNELS` channels are drawn.
     turns : sequence of Turn
     duration : float
-        Of the recording [s].
+        Duration of the recording [s].
     threshold : float, optional
         Share above which further caving costs more than it brings.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Yang, Zeng & Wan (2018), reproduced: its figures and tables, and its claims judged by the numbers."""
+"""The figures and tables of Yang, Zeng & Wan (2018), recomputed, and a verdict on each of its claims."""
 
 from cgid.reproduction.output import n_steps, reproduce
 

@@ -1,6 +1,6 @@
-"""The claims of sections 2 and 3 of the paper: contact theories, and the simulation.
+"""The claims of sections 2 and 3 of the paper: contact theories and simulation.
 
-`all_claims` adds those of sections 4 and 5; `tests/test_claims.py` asserts every verdict and number.
+`all_claims` adds those of sections 4 and 5. `tests/test_claims.py` asserts every verdict and number.
 """
 
 from __future__ import annotations
@@ -42,22 +42,16 @@ from cgid.reproduction.theories import (
 )
 from cgid.validation import Floats
 
-#: A prediction is "close" to the simulation within this part of it.
+#: Largest relative error of a prediction that counts as "close" to the simulation.
 _CLOSE = 0.1
-#: Two powers of the speed are the same if they differ by less than this.
+#: Exponents of the speed that differ by less than this count as equal.
 _SAME_POWER = 0.05
 
 CLAIMS = Claims()
 
 
 def all_claims(study: Study | None = None) -> list[Claim]:
-    """Return every claim with its verdict, in the order of the paper.
-
-    Parameters
-    ----------
-    study : Study, optional
-        The finite-element study that judges claims about the simulation; by default the shipped one.
-    """
+    """Return every claim with its verdict, in the order of the paper; `study` is the shipped one by default."""
     study = study or shipped_study()
     return [*CLAIMS.judged(study), *PARAMETER_CLAIMS.judged(study)]
 
@@ -169,7 +163,7 @@ def _series_theory_has_k1_as_its_limit(_: Study) -> Verdict:
 
 
 def _by_theory(figure: str, response: str) -> Any:
-    """Return a response over the speed as a data frame with a column for each theory."""
+    """Return a response as a data frame: a row for each speed, a column for each theory."""
     return FIGURES[figure]().data.pivot(index="velocity", columns="theory", values=response)
 
 
@@ -268,11 +262,11 @@ def _closed_hysteresis_loops(_: Study) -> Verdict:
     )
 
 
-# ---- claims about the simulation, judged by finite elements ---------------------------------------------------------
+# ---- claims about the simulation, judged by the finite-element study ------------------------------------------------
 
 
 def _errors(study: Study, theory: str, group: str = UNDAMPED) -> tuple[float, float]:
-    """Return the mean errors of a theory in force and DCS against the finite elements."""
+    """Return the mean relative errors of a theory in force and DCS against the finite elements."""
     force, displacement = (agreement(study, theory, name, group).error for name in ("peak_force", "peak_displacement"))
     return force, displacement
 
@@ -399,7 +393,7 @@ def _simulated_loops_lie_around_the_own_theory(study: Study) -> Verdict:
 
 
 def _work(study: Study, group: str, theory: str) -> list[float]:
-    """Return the work of compression under a theory's curve over that of the finite elements, for each impact."""
+    """Return the compression work of a theory divided by that of the finite elements, for each impact."""
     parts = []
     for run in study.of(group):
         last = int(np.argmax(run.courses["displacement"]))

@@ -1,4 +1,4 @@
-"""The reproduced data: columns and their units, figures of panels and tables, and how they are drawn."""
+"""Figures and tables as data, and their drawing: units of the columns, panels, layout, PNG."""
 
 from __future__ import annotations
 
@@ -18,14 +18,9 @@ from cgid.plots import COLOURS, png, require_matplotlib
 class Quantity:
     """A numeric column.
 
-    Parameters
-    ----------
-    unit : str
-        In CSV files, SI; "1" for a pure number.
-    label, shown_unit : str
-        On an axis or in a table's head.
-    factor : float
-        From `unit` to `shown_unit`.
+    unit : SI unit in CSV files; "1" if dimensionless
+    label, shown_unit : text on an axis or in the head of a table
+    factor : from `unit` to `shown_unit`
     """
 
     unit: str
@@ -67,7 +62,7 @@ QUANTITIES = {
     "peak_force_influence": Quantity("1", "$P$: largest/smallest - 1", ""),
     "peak_displacement_influence": Quantity("1", "DCS: largest/smallest - 1", ""),
 }
-#: What theories and finite elements are compared by.
+#: The quantities in which theories and finite elements are compared.
 _COMPARED = {
     "peak_displacement": Quantity("m", "DCS", *_MM),
     "peak_force": Quantity("N", "force", *_KN),
@@ -107,12 +102,12 @@ SYMBOLS = {
 
 
 def csv_title(column: str) -> str:
-    """Return the head of a CSV column: its name, with the unit if it is a quantity."""
+    """Return the head of a CSV column: its name, and the unit of a quantity."""
     return f"{column} [{QUANTITIES[column].unit}]" if column in QUANTITIES else column
 
 
 def frame(columns: Mapping[str, ArrayLike]) -> Any:
-    """Return a data frame of columns broadcast against each other, a row for each element."""
+    """Return a data frame of columns that are broadcast against each other, with a row for each element."""
     import pandas as pd
 
     arrays = np.broadcast_arrays(*columns.values())
@@ -120,55 +115,38 @@ def frame(columns: Mapping[str, ArrayLike]) -> Any:
 
 
 def joined(frames: Iterable[Any]) -> Any:
-    """Return data frames below each other."""
+    """Concatenate data frames row by row."""
     import pandas as pd
 
     return pd.concat(frames, ignore_index=True)
 
 
 def highest_strain(*of: Impact) -> float:
-    """Return the largest displacement over radius of these impacts."""
+    """Return the largest displacement of these impacts divided by the radius."""
     return max(float(np.max(impact.peak_displacement / impact.reduced_radius)) for impact in of)
 
 
-#: Inches of a single panel, of one of two and of one of more side by side; of a surface.
+#: Size of a panel [inches], with one, two or more panels in a row; size of a surface.
 _PANEL_SIZES, _SURFACE_SIZE = ((5.2, 4.0), (4.2, 3.2), (3.4, 2.7)), (4.6, 3.7)
-#: Inches left, right, below and above the axes of a panel of lines: one of many, or larger.
+#: Margins left, right, below and above the axes [inches], with more than two panels in a row and with fewer.
 _MARGINS, _LARGER_MARGINS = (0.75, 0.15, 0.55, 0.3), (0.9, 0.15, 0.55, 0.3)
-#: Inches of a row of the legend, of a character, of the piece of line before it, and of the caption above all panels.
+#: Height of a legend row, width of a character and of a line sample, height of the caption [inches].
 _LEGEND_ROW, _CHARACTER, _LEGEND_LINE, _CAPTION = 0.22, 0.085, 0.6, 0.3
-#: Characters of a formula in a table's head that are not seen.
+#: Markup in the head of a table, which takes no width.
 _MARKUP = re.compile(r"[${}_^]|\\[a-z]+")
 
 
 @dataclass(frozen=True, kw_only=True)
 class Lines:
-    """A panel of lines, one for each value of the column `by`, or a single line if `by` is empty.
+    """A panel of lines, one for each value of the column `by`; a single line if `by` is empty.
 
-    Parameters
-    ----------
-    x, y : str
-        Columns.
-    by : str
-    where : mapping of str to object
-        Values that the rows of this panel have in some columns.
-    title : str
-    labels : mapping
-        From a value of `by` to its text in the legend.
-    marker : str
-        "." or "o" marks every point; "end" the last point of each line, with the first lines on top.
-    label : str
-        Text in the legend of a single line; none if empty.
-    colour, style : str
-        Of matplotlib; by default each line of a panel has its own colour.
-    width : float
-        [points].
-    over : tuple of Lines
-        More lines for this panel, drawn on top.
-    diagonal : bool
-        Draw a grey line where both axes are equal.
-    logarithmic : bool
-        Make the x axis logarithmic.
+    where : column values that select the rows of this panel
+    labels : legend text for each value of `by`
+    marker : "." or "o" at every point; "end" at the last point of each line, the first lines on top
+    label : legend text of a single line; none if empty
+    colour, style : as in matplotlib; without a colour, each line has its own
+    over : lines drawn on top of this panel
+    diagonal : draw the grey line x = y
     """
 
     x: str
@@ -189,7 +167,7 @@ class Lines:
 
 @dataclass(frozen=True, kw_only=True)
 class Surface:
-    """A response surface `z(x, y)`, from rows (see `Lines.where`) that form a full grid."""
+    """A response surface `z(x, y)`; the rows that `where` selects form a full grid."""
 
     x: str
     y: str
@@ -203,25 +181,15 @@ Panel = Lines | Surface
 
 @dataclass(frozen=True, kw_only=True)
 class PaperFigure:
-    """A figure of the paper, computed.
+    """A computed figure of the paper.
 
-    Parameters
-    ----------
-    name : str
-        Of its files, without the ending.
-    title : str
-    note : str
-        What was chosen here because the paper does not say it.
-    caption : str
-        Stands in the picture, above all panels.
-    data : pandas.DataFrame
-        Columns named as in `QUANTITIES`, in SI units.
-    panels : tuple of Panel
-        All `Lines`, or all `Surface`.
-    columns : int
-        Panels side by side.
-    highest_strain : float
-        Largest displacement over radius of its impacts; above 0.1 Hertz's theory is out of its range.
+    name : name of its files, without the ending
+    note : choices made here because the paper leaves them open
+    caption : text in the picture, above all panels
+    data : data frame [SI units], columns named as in `QUANTITIES`
+    panels : all `Lines` or all `Surface`
+    columns : number of panels in a row
+    highest_strain : largest displacement over radius; above 0.1, Hertz's theory does not apply
     """
 
     name: str
@@ -234,17 +202,17 @@ class PaperFigure:
     highest_strain: float
 
 
-#: Data, panels, and the largest displacement over radius of a figure.
+#: Data, panels and largest displacement over radius of a figure.
 Drawn = tuple[Any, Sequence[Panel], float]
 
 
 class Figures(dict[str, Callable[..., PaperFigure]]):
-    """How to make figures, by the name of their files."""
+    """The functions that make the figures, by file name."""
 
     def add(
         self, name: str, title: str, note: str = "", caption: str = "", *, columns: int = 1, **arguments: Any
     ) -> Callable[[Callable[..., Drawn]], Callable[..., Drawn]]:
-        """Return a decorator that adds the figure that a function draws if called with these arguments."""
+        """Return a decorator that adds the figure that the function draws with these arguments."""
 
         def register(function: Callable[..., Drawn]) -> Callable[..., Drawn]:
             def make(*of: Any) -> PaperFigure:
@@ -261,18 +229,12 @@ class Figures(dict[str, Callable[..., PaperFigure]]):
 
 
 def draw(drawn: PaperFigure) -> bytes:
-    """Return a figure as a PNG picture.
-
-    Raises
-    ------
-    MissingExtra
-        matplotlib is not installed.
-    """
+    """Return a figure as PNG. Raises `MissingExtra` without matplotlib."""
     return png(drawing(drawn))
 
 
 def drawing(drawn: PaperFigure) -> Any:
-    """Return a figure as a figure of matplotlib, which must be installed (MissingExtra)."""
+    """Return the matplotlib figure. Raises `MissingExtra` without matplotlib."""
     columns, rows = drawn.columns, -(-len(drawn.panels) // drawn.columns)
     if isinstance(drawn.panels[0], Surface):
         width, height = _SURFACE_SIZE
@@ -294,7 +256,7 @@ def drawing(drawn: PaperFigure) -> Any:
 
 
 def _legend(figure: Any, named: Mapping[str, Any]) -> float:
-    """Put one legend of these lines below all panels, and return its height [inches]."""
+    """Put one legend below all panels and return its height [inches]."""
     if not named:
         return 0.0
     width, height = figure.get_size_inches()
@@ -307,9 +269,9 @@ def _legend(figure: Any, named: Mapping[str, Any]) -> float:
 
 
 def _place(figure: Any, rows: int, columns: int, legend: float, caption: str) -> None:
-    """Give every panel the same room between the legend [inches] below them and the caption above.
+    """Space the panels evenly between the legend, of height `legend` [inches], and the caption.
 
-    The layout is computed here because matplotlib's "constrained" layout takes half of the time of drawing.
+    matplotlib's "constrained" layout would take half of the drawing time.
     """
     left, right, below, above = _MARGINS if columns > 2 else _LARGER_MARGINS
     width, height = figure.get_size_inches()
@@ -335,7 +297,7 @@ def _chosen(data: Any, panel: Panel) -> Any:
 
 
 def _panel(axes: Any, data: Any, panel: Lines) -> dict[str, Any]:
-    """Draw a panel of lines and those over them, and return the lines of the legend by name."""
+    """Draw a panel with its overlays and return the lines of the legend by name."""
     named: dict[str, Any] = {}
     for level, lines in enumerate((panel, *panel.over)):
         named |= _lines(axes, _chosen(data, lines), lines, zorder=2.0 + level)
@@ -344,7 +306,7 @@ def _panel(axes: Any, data: Any, panel: Lines) -> dict[str, Any]:
     if panel.logarithmic:
         axes.set_xscale("log")
     axes.set(xlabel=QUANTITIES[panel.x].title, ylabel=QUANTITIES[panel.y].title)
-    # With a given height matplotlib does not search for room above the axes, which takes long.
+    # A fixed y skips matplotlib's slow search for a free position.
     axes.set_title(panel.title, fontsize="medium", y=1.0)
     axes.grid(alpha=0.3)
     return named
@@ -381,7 +343,7 @@ def _surface(axes: Any, data: Any, panel: Surface) -> None:
     axes.plot_surface(xs, ys, grid.to_numpy() * z.factor, cmap="viridis", rstride=1, cstride=1, linewidth=0)
     axes.set(xlabel=x.title, ylabel=y.title, zlabel=z.title)
     axes.set_title(panel.title, fontsize="medium")
-    # Seen from the lowest corner, no part of a monotonic surface is hidden.
+    # Viewed from its lowest corner, a monotonic surface hides none of its parts.
     axes.view_init(elev=24, azim=-125 if grid.iloc[0, 0] < grid.iloc[-1, -1] else 40)
     axes.xaxis.labelpad = axes.yaxis.labelpad = 7
     axes.zaxis.labelpad = 9
@@ -397,13 +359,7 @@ def _label(column: str, value: object) -> str:
 
 
 def draw_table(heads: Sequence[str], cells: Sequence[Sequence[str]]) -> bytes:
-    """Return a PNG picture of a table.
-
-    Raises
-    ------
-    MissingExtra
-        matplotlib is not installed.
-    """
+    """Return a table as PNG. Raises `MissingExtra` without matplotlib."""
     widths = [max(len(_MARKUP.sub("", text)) for text in column) + 3 for column in zip(heads, *cells, strict=True)]
     figure = require_matplotlib()(figsize=(0.085 * sum(widths), 0.3 * (len(cells) + 2)), layout="constrained")
     axes = figure.subplots()

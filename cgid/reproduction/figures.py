@@ -1,4 +1,4 @@
-"""The theoretical figures of the paper: the data of each, and how it is drawn."""
+"""The theoretical figures of the paper: data and panels."""
 
 from __future__ import annotations
 
@@ -24,14 +24,14 @@ from cgid.reproduction.paper import (
 )
 from cgid.validation import Floats
 
-#: How to make each figure, by the name of its files.
+#: The functions that make the figures, by file name.
 FIGURES = Figures()
 
-#: Stands in every picture that is drawn with the paper's own contact stiffness alone.
+#: Caption of every picture that uses only the paper's own contact stiffness.
 REJECTED = "Paper's series stiffness: rejected by the finite-element reference"
 _POINTS = 201
 _VELOCITIES = np.asarray(paper.VELOCITIES)
-#: Axes of Figures 4 to 7, chosen here: the text of the paper does not give them.
+#: Axes of Figures 4 to 7, chosen here because the paper does not state them.
 _SPEEDS = np.linspace(0.1, 10, 100)
 _HEIGHTS = np.linspace(0.05, 5, 100)
 _PEAKS = ("peak_force", "peak_displacement")
@@ -66,7 +66,7 @@ def figure_4_to_6(x: str, y: str) -> Drawn:
     columns=2,
 )
 def figure_7() -> Drawn:
-    """Return maximum contact force and displacement over the drop height."""
+    """Return maximum contact force and DCS over the drop height."""
     impact = paper_impact(1, free_fall_velocity(_HEIGHTS, paper.GRAVITY))
     peaks = {name: getattr(impact, name) for name in _PEAKS}
     data = frame({"drop_height": _HEIGHTS, "velocity": impact.velocity, **peaks})
@@ -74,9 +74,9 @@ def figure_7() -> Drawn:
 
 
 def _courses(velocities: ArrayLike, restitution: float | None = None) -> tuple[Any, float]:
-    """Return force and displacement over time of the four spheres, and the largest strain."""
+    """Return force and displacement of the four spheres over time, and the largest strain."""
     frames, strain = [], 0.0
-    # Dense at both ends of the contact, where the force starts like t^(3/2).
+    # Points are dense at both ends of the contact, where the force is proportional to t^(3/2).
     share = np.sin(np.linspace(0, np.pi / 2, _POINTS)) ** 2
     for number in YANG2018_SPHERES:
         impact = paper_impact(number, velocities, restitution=restitution)
@@ -109,7 +109,7 @@ def _each_sphere(x: str, y: str, marker: str = "", **where: object) -> list[Line
     columns=4,
 )
 def figure_10_pulses() -> Drawn:
-    """Return force and DCS over time of elastic impacts of the four spheres at five speeds."""
+    """Return force and DCS over time for elastic impacts of the four spheres at five speeds."""
     data, strain = _courses(_VELOCITIES)
     return data, [*_each_sphere("time", "force"), *_each_sphere("time", "displacement")], strain
 

@@ -1,4 +1,4 @@
-"""Figures 9 to 11, 16 and 17 by finite elements, and what a soft contact does to them."""
+"""Figures 9 to 11, 16 and 17 from the finite-element study, and the effect of a soft contact."""
 
 from __future__ import annotations
 
@@ -28,27 +28,27 @@ from cgid.reproduction.study import (
 )
 from cgid.reproduction.theories import QUANTITIES_COMPARED, READINGS, SHARED, predicted
 
-#: How to make each figure of a study, by the name of its files.
+#: The functions that make the figures of a study, by file name.
 SIMULATED_FIGURES = Figures()
 
-#: The value of `kind` in simulated rows; in the others it is the theory.
+#: `kind` of simulated rows; other rows hold the theory.
 SIMULATED = "simulation"
-#: Label and style of the theories that are drawn. K2 is not: it lies beyond K1, on the other side of the simulation.
+#: Label and style of the drawn theories. K2 is omitted: it is farther from the simulation than K1, on the other side.
 THEORY_STYLES = {"hertz": (THEORY_NAMES["hertz"], "-"), "series": (THEORY_NAMES["series"], "--")}
-#: In the notes of damped figures.
+#: Note of the damped figures.
 _DAMPING = (
     "The damped sphere is a Kelvin-Voigt body; its retardation time is chosen for each impact so that "
     f"Kuwabara-Kono's restitution is {RESTITUTION:g}. (The paper has damping during the contact, which is "
     "another one, and gives no number.)"
 )
-#: What a hysteresis loop consists of.
+#: The columns of a hysteresis loop.
 _LOOP = ("force", "displacement")
-#: Points of a theory's line.
+#: Points on the line of a theory.
 _POINTS = 101
 
 
 def courses(run: Run, *names: str, until: Literal["deepest", "parted", "end"] = "parted") -> Any:
-    """Return rows of one simulated impact over time, from touch to the largest DCS, to separation or to the end."""
+    """Return one simulated impact over time, from first touch to the largest DCS, to separation or to the end."""
     last = {
         "deepest": int(np.argmax(run.courses["displacement"])),
         "parted": int(np.searchsorted(run.times, run.numbers["contact_duration"])),
@@ -60,7 +60,7 @@ def courses(run: Run, *names: str, until: Literal["deepest", "parted", "end"] = 
 
 
 def compression() -> list[Any]:
-    """Return rows of force over DCS of the theories while the sphere is pressed in, up to the highest speed."""
+    """Return rows of force over DCS of the theories during compression, up to the highest speed."""
     frames = []
     for theory in THEORY_STYLES:
         for sphere in YANG2018_SPHERES:
@@ -72,7 +72,7 @@ def compression() -> list[Any]:
 
 
 def each_sphere(x: str, y: str, marker: str = "", more: str = "", **where: object) -> list[Lines]:
-    """Return a panel for each sphere: the five speeds as simulated, and the theories over them."""
+    """Return a panel for each sphere: the simulated impacts at five speeds, with the theories on top."""
     return [
         Lines(
             x=x, y=y, by="velocity", where={"kind": SIMULATED, "sphere": sphere, **where},
@@ -88,7 +88,7 @@ def each_sphere(x: str, y: str, marker: str = "", more: str = "", **where: objec
 
 
 def strain_of(runs: Iterable[Run]) -> float:
-    """Return the largest displacement over radius of these impacts."""
+    """Return the largest displacement of these impacts divided by the radius."""
     return max(run.numbers["peak_displacement"] for run in runs) / YANG2018_RADIUS
 
 
@@ -109,7 +109,7 @@ def figure_9(study: Study) -> Drawn:
             columns: dict[str, Any] = {"sphere": sphere, "theory": reading, "velocity": velocities}
             found = predicted(reading, sphere, velocities)
             for name in QUANTITIES_COMPARED:
-                # The other reading of K1 differs in energy alone, and would hide K1 elsewhere.
+                # The other reading of K1 differs only in energy; its other points would hide those of K1.
                 differs = reading != SHARED or name.endswith("energy")
                 columns[f"theoretical_{name}"] = found[name] if differs else np.nan
                 columns[f"simulated_{name}"] = [run.numbers[name] for run in runs]
@@ -131,7 +131,7 @@ def figure_9(study: Study) -> Drawn:
     columns=4,
 )
 def figure_10_simulated(study: Study) -> Drawn:
-    """Return contact force and DCS over time, with the theories' maxima."""
+    """Return contact force and DCS over time, with the maxima of the theories."""
     runs = study.of(UNDAMPED)
     frames = [courses(run, *_LOOP) for run in runs]
     for theory in THEORY_STYLES:
@@ -157,7 +157,7 @@ def figure_10_simulated(study: Study) -> Drawn:
     columns=4,
 )
 def figure_10_waves(study: Study) -> Drawn:
-    """Return the waves of Figure 10: mass x acceleration of the centre node, raw and filtered, and contact force."""
+    """Return mass x acceleration of the centre node, raw and filtered, and the contact force."""
     runs = study.of(UNDAMPED)
     highest = max(paper.VELOCITIES)
     raw = [
@@ -244,7 +244,7 @@ def penalty_loops(study: Study) -> Drawn:
     columns=2,
 )
 def penalty_factor(study: Study) -> Drawn:
-    """Return force and DCS over those of a hard contact, over the stiffness of a soft one."""
+    """Return force and DCS relative to a hard contact, over the stiffness of a soft contact."""
     hard = {(run.case.sphere, run.case.velocity): run.numbers for run in study.of(UNDAMPED)}
     frames, runs = [], study.of(SOFT_BY_FACTOR)
 

@@ -1,4 +1,4 @@
-"""How a claim of the paper is judged: what makes a claim, and verdicts on orderings, curves and surfaces."""
+"""The judgement of a claim: its record, and verdicts on orderings, curves and surfaces."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from cgid.reproduction.paper import Ordering
 from cgid.reproduction.study import Study
 from cgid.validation import Floats
 
-#: What is judged of an impact, and what the texts call it.
+#: The judged responses of an impact, with their names in the texts.
 RESPONSES = {"peak_displacement": "DCS", "peak_force": "force"}
-#: Two values are "equal" if they differ by less than this part.
+#: Largest relative difference of two "equal" values.
 _EQUAL = 1e-9
-#: The rate of an exponential changes by less than this part along the curve.
+#: Largest relative change of the rate along an "exponential" curve.
 _STEADY = 0.05
 
 
@@ -27,17 +27,10 @@ _STEADY = 0.05
 class Claim:
     """A claim of the paper and its verdict.
 
-    Parameters
-    ----------
-    name : str
-        Short and unique.
-    place : str
-        Where the paper says it.
-    says : str
-    found : str
-        What was computed.
-    holds : bool
-        Whether both agree.
+    place : section or figure of the paper
+    says : the claim
+    found : the computed result
+    holds : whether they agree
     """
 
     name: str
@@ -52,18 +45,18 @@ Judge = Callable[..., Verdict]
 
 
 class Claims:
-    """Claims of the paper in its order, each with the function that judges it.
+    """The claims of the paper in its order, each with the function that judges it.
 
-    A judge takes the finite-element study, and returns the verdict and what was found.
+    A judge receives the finite-element study and returns the verdict and the computed result as text.
     """
 
     def __init__(self) -> None:
         self._claims: list[tuple[str, str, str, Judge]] = []
 
     def add(self, place: str, says: str, name: str = "", **arguments: object) -> Callable[[Judge], Judge]:
-        """Return a decorator that makes a function, called with these arguments, the judge of a claim.
+        """Return a decorator that registers a function as the judge of a claim.
 
-        The name of the claim is that of the function if none is given.
+        The judge is called with `arguments`. The default name of the claim is that of the function.
         """
 
         def register(judge: Judge) -> Judge:
@@ -80,12 +73,12 @@ class Claims:
 
 
 def symbol(name: str) -> str:
-    """Return the symbol of a parameter or a theory, or a sphere's number as the paper writes it."""
+    """Return the symbol of a parameter or theory, or the number of a sphere in the paper's notation."""
     return SYMBOLS.get(name, f"{name}#")
 
 
 def written(ordering: Ordering) -> str:
-    """Return an ordering as the paper writes it."""
+    """Return an ordering in the paper's notation."""
     links = (
         f" {relation} {symbol(name)}" for relation, name in zip(ordering.relations, ordering.names[1:], strict=True)
     )
@@ -93,7 +86,7 @@ def written(ordering: Ordering) -> str:
 
 
 def judged_ordering(ordering: Ordering, sizes: Mapping[str, ArrayLike]) -> Verdict:
-    """Return whether sizes are ordered as said, and a text with the sizes and every link that fails.
+    """Return whether the sizes have this ordering, and a text with the sizes and every relation that fails.
 
     `>>` is read as `>`: the paper does not say how much larger is "much larger".
     """
@@ -115,12 +108,12 @@ def combined(judged: Mapping[str, Verdict]) -> Verdict:
 
 
 def powers(x: Floats, y: Floats) -> Floats:
-    """Return the local power `d ln y / d ln x` between neighbouring points; a power law has a constant one."""
+    """Return the local exponents `d ln y / d ln x` between neighbouring points; constant for a power law."""
     return np.asarray(np.diff(np.log(y)) / np.diff(np.log(x)))
 
 
 def judged_exponential(x: Floats, y: Floats) -> Verdict:
-    """Return whether y is an exponential of x, that is `d ln y / dx` the same along the curve, and what was found."""
+    """Return whether y is an exponential of x, that is, whether `d ln y / dx` is constant, and the result as text."""
     rates, power = np.abs(np.diff(np.log(y)) / np.diff(x)), powers(x, y)
     factor = float(rates.max() / rates.min())
     text = (
@@ -141,7 +134,7 @@ def _sign(values: Floats, positive: str, negative: str, neither: str) -> str:
 
 
 def columns(figure: str, *names: str, varied: str = "") -> list[Floats]:
-    """Return columns of a figure's data, of all rows or of those in which some parameters vary."""
+    """Return columns of a figure's data; only the rows of the parameters `varied`, if given."""
     data = FIGURES[figure]().data
     rows = data[data["varied"] == varied] if varied else data
     return [rows[name].to_numpy() for name in names]
@@ -154,6 +147,6 @@ def response_surface(figure: str, first: str, second: str, response: str) -> Flo
 
 
 def course_of(surface: Floats) -> str:
-    """Return what a surface does along both of its axes."""
+    """Return how a surface changes along both axes."""
     slopes = np.concatenate([np.diff(surface, axis=axis).ravel() for axis in (0, 1)])
     return _sign(slopes, "rises", "falls", "neither rises nor falls")

@@ -1,4 +1,4 @@
-"""Write every figure and table as PNG and CSV, and the report, into a folder."""
+"""Write every figure and table as PNG and CSV, and the report, to a folder."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _N_WRITTEN = len(TABLES) + len(FIGURES) + len(SIMULATED_FIGURES) + 1
 
 
 def n_steps(*, finite_element: bool = False) -> int:
-    """Return how many steps `reproduce` reports to `progress`."""
+    """Return the number of steps that `reproduce` reports to `progress`."""
     return _N_WRITTEN + (N_CASES if finite_element else 0)
 
 
@@ -36,36 +36,36 @@ def reproduce(
     jobs: int | None = None,
     progress: Callable[[int], object] | None = None,
 ) -> list[Path]:
-    """Write the paper's figures and tables and a report on them.
+    """Write the paper's figures and tables, and a report on them.
 
-    Simulated results come from the shipped finite-element study, or from one computed anew.
+    Simulated results come from the shipped finite-element study unless it is computed anew.
 
     Parameters
     ----------
     folder : str or Path
-        Made if it does not exist; its parent must exist.
+        Created if missing; its parent must exist.
     overwrite : bool, optional
-        Replace files of these names in a folder that is not empty; others stay.
+        Replace files with these names in a non-empty folder; other files stay.
     finite_element : bool, optional
-        Compute the finite-element study anew, which takes minutes, and also write its data file.
+        Recompute the finite-element study, which takes minutes, and write its data file too.
     jobs : int, optional
-        Processes for the study; by default as many as there are cores.
+        Number of processes for the study; by default one per core.
     progress : callable, optional
         Called with 1 after each of `n_steps` steps.
 
     Returns
     -------
     list of Path
-        The files written, the report last.
+        The written files, the report last.
 
     Raises
     ------
     CannotCreate
-        The folder is not empty and `overwrite` is not given, or it cannot be made.
+        The folder is not empty and `overwrite` is not set, or it cannot be made.
     InvalidValue
         `jobs` is below 1, or given without `finite_element`.
     MissingExtra
-        matplotlib is not installed. Nothing is written then.
+        matplotlib is not installed. Nothing is written.
     WriteFailed
         The disk is full or broken.
     """
@@ -77,10 +77,10 @@ def reproduce(
     path = _checked(Path(folder), overwrite)
     progress = progress or (lambda _: None)
     data = packed(run_study(jobs, progress)) if finite_element else None
-    # Courses are rounded in the file. Read back, they give the same bytes as the copy of the file in the package.
+    # The file rounds the time series. Reading it back gives the same output as the shipped copy.
     study = shipped_study() if data is None else unpacked(data)
     with warnings.catch_warnings():
-        # The report names the figures beyond Hertz's range.
+        # The report lists the figures beyond Hertz's range.
         warnings.simplefilter("ignore", HertzRangeWarning)
         contents = _contents(study, progress)
     if data is not None:
@@ -93,7 +93,7 @@ def reproduce(
 
 @contextmanager
 def _folder(path: Path) -> Iterator[None]:
-    """Make a folder if there is none, and remove it again if writing into it fails."""
+    """Create the folder if it is missing; remove a new folder if writing to it fails."""
     is_new = not path.is_dir()
     try:
         try:
@@ -120,7 +120,7 @@ def _checked(path: Path, overwrite: bool) -> Path:
 
 
 def _contents(study: Study, progress: Callable[[int], object]) -> dict[str, bytes]:
-    """Return the content of every file by name; everything is made before anything is written."""
+    """Return the content of every file by name. Everything is computed before anything is written."""
     contents, tables, figures = {}, [], []
     for make_table in TABLES.values():
         table = make_table(study)

@@ -1,6 +1,6 @@
-"""The printed numbers of Yang, Zeng & Wan (2018), Shock and Vibration, and the impacts that they belong to.
+"""The printed results of Yang, Zeng & Wan (2018), Shock and Vibration: tables, constants, orderings.
 
-The inputs of Tables 1 and 2 are in `cgid.physics.materials`; here are the results: tables, constants, orderings.
+Also the impacts that they belong to. The inputs of Tables 1 and 2 are in `cgid.physics.materials`.
 """
 
 from __future__ import annotations
@@ -32,9 +32,9 @@ class PrintedContact:
     stiffness: str
 
 
-#: Table 1, both rows.
+#: Table 1; both rows are equal.
 TABLE_1 = PrintedContact("2.4265", "5.1155e8")
-#: Table 2, by the number of the sphere.
+#: Table 2, by sphere number.
 TABLE_2 = {
     1: PrintedContact("2.4265", "5.1155e8"),
     2: PrintedContact("4.6305", "9.7619e8"),
@@ -42,7 +42,7 @@ TABLE_2 = {
     4: PrintedContact("4.1618", "8.7739e8"),
 }
 
-#: Table 3: linear correlation R^2 of simulated and theoretical values, by sphere and quantity.
+#: Table 3: squared linear correlation R^2 of simulation and theory, by sphere and quantity.
 TABLE_3 = {
     1: {
         "peak_displacement": 0.99278,
@@ -85,16 +85,16 @@ class ParameterRange:
 
     @property
     def values(self) -> Floats:
-        """Every value, both ends included."""
+        """Every value, including both ends."""
         return np.linspace(self.start, self.stop, round((self.stop - self.start) / self.step) + 1)
 
 
 class PoissonRange(ParameterRange):
-    """A range of Poisson's ratio; instead of 0.5, the incompressible limit, it ends at the largest float below."""
+    """A range of Poisson's ratio. It replaces 0.5, the incompressible limit, by the largest float below."""
 
     @property
     def values(self) -> Floats:
-        """Every value, both ends included."""
+        """Every value, including both ends."""
         return np.minimum(super().values, np.nextafter(0.5, 0.0))
 
 
@@ -108,7 +108,7 @@ TABLE_4 = {
     "target_youngs_modulus": ParameterRange(20e9, 40e9, 1620e9),
     "target_poisson_ratio": _POISSON,
 }
-#: Table 5: sphere 1 on a plate of its own material. Radius and density have no range there.
+#: Table 5: sphere 1 on a plate of its own material. It has no range of radius and density.
 TABLE_5 = {
     "youngs_modulus": _ROCK_MODULUS,
     "poisson_ratio": _POISSON,
@@ -119,7 +119,7 @@ TABLE_5 = {
 
 @dataclass(frozen=True)
 class Constant:
-    """A ratio `response / parameter^power` that the paper prints under Eq. 18, in SI units."""
+    """A ratio `response / parameter^power` printed under Eq. 18 [SI units]."""
 
     response: str
     parameter: str
@@ -137,21 +137,21 @@ CONSTANTS = (
 
 @dataclass(frozen=True)
 class Ordering:
-    """Names by falling size, and the relation ">>", ">" or "=" between neighbours."""
+    """Names by decreasing size, and the relation ">>", ">" or "=" between neighbours."""
 
     names: tuple[str, ...]
     relations: tuple[str, ...]
 
     @classmethod
     def of(cls, text: str) -> Ordering:
-        """Return the ordering written as `a >> b > c = d`."""
+        """Parse an ordering such as `a >> b > c = d`."""
         words = text.split()
         return cls(tuple(words[::2]), tuple(words[1::2]))
 
 
 #: Sensitivity of peak force and DCS to the sphere's parameters, sections 4 (Figure 12) and 5.
 SPHERE_ORDERING = Ordering.of("radius >> youngs_modulus > density > poisson_ratio")
-#: To the plate's, section 4 (Figure 13).
+#: Sensitivity to the plate's parameters, section 4 (Figure 13).
 PLATE_ORDERING = Ordering.of("target_youngs_modulus >> target_poisson_ratio")
 #: Conclusion 4, for the two bodies of Table 5.
 CONCLUSION_4 = Ordering.of(
@@ -161,7 +161,7 @@ CONCLUSION_4 = Ordering.of(
 CONCLUSION_5 = Ordering.of(
     "radius >> target_youngs_modulus > youngs_modulus > density > poisson_ratio > target_poisson_ratio"
 )
-#: Section 5, of the four spheres by number: inputs of Table 2, then responses at 10 m/s.
+#: Section 5, the four spheres by number: inputs of Table 2, then responses at 10 m/s.
 SPHERES_BY = {
     "density": Ordering.of("3 > 4 >> 2 > 1"),
     "youngs_modulus": Ordering.of("3 >> 2 > 4 > 1"),
@@ -169,14 +169,14 @@ SPHERES_BY = {
     "peak_force": Ordering.of("3 >> 4 > 2 > 1"),
     "peak_displacement": Ordering.of("4 > 1 > 2 >> 3"),
 }
-#: Stiffness theories by falling response at one speed, and for the force at one DCS (text of Figures 4 to 6).
+#: Theories by decreasing response at equal speed; the forces also at equal DCS (text of Figures 4 to 6).
 THEORIES_BY_DISPLACEMENT = Ordering.of("series > hertz > rigid-sphere")
 THEORIES_BY_FORCE = Ordering.of("rigid-sphere > hertz > series")
 
 
 #: The paper's own theory, used in every theoretical figure except 4 to 6.
 OWN_THEORY = "series"
-#: The bodies that each theory takes to be elastic, in the paper's words.
+#: The elastic bodies of each theory, in the paper's words.
 THEORY_LABELS = {
     "hertz": "K1: elastic sphere, rigid surface (Hertz)",
     "rigid-sphere": "K2: rigid sphere, elastic half space",
@@ -184,11 +184,11 @@ THEORY_LABELS = {
 }
 #: Short names of the theories.
 THEORY_NAMES = {"hertz": "K1 (Hertz)", "rigid-sphere": "K2", "series": "series (the paper's own)"}
-#: Speed that follows from the constants under Eq. 18 [m/s]; the paper does not state it.
+#: Speed implied by the constants under Eq. 18 [m/s]; the paper does not state it.
 SECTION_4_VELOCITY = 2.0
-#: Restitutions chosen here for damped impacts: the paper gives no number for its damping.
+#: Restitutions of damped impacts, chosen here: the paper does not quantify its damping.
 RESTITUTIONS = (0.8, 0.5)
-#: The restitution of Figures 16 and 17, chosen here.
+#: Restitution of Figures 16 and 17, chosen here.
 SECTION_5_RESTITUTION = 0.5
 #: Speed of Figures 16 and 17 [m/s].
 SECTION_5_VELOCITY = 10.0
@@ -212,10 +212,10 @@ def paper_impact(
 
 
 def table_4_impact() -> Impact:
-    """Return the impact whose parameters Table 4 varies: sphere 1 on the metal plate."""
+    """Return the base impact of Table 4: sphere 1 on the metal plate."""
     return paper_impact(1, SECTION_4_VELOCITY)
 
 
 def table_5_impact() -> Impact:
-    """Return the impact whose parameters Table 5 varies: sphere 1 on a plate of its own material."""
+    """Return the base impact of Table 5: sphere 1 on a plate of its own material."""
     return paper_impact(1, SECTION_4_VELOCITY, target=YANG2018_SPHERES[1])

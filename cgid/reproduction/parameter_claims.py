@@ -1,4 +1,4 @@
-"""The claims of sections 4 and 5 of the paper: what each parameter does, and how the four spheres differ."""
+"""The claims of sections 4 and 5 of the paper: the effect of each parameter, and differences between the spheres."""
 
 from __future__ import annotations
 
@@ -36,19 +36,22 @@ from cgid.reproduction.paper import (
 from cgid.reproduction.study import Study
 from cgid.validation import Floats
 
-#: Coal and gangue differ "obviously" if the smallest difference of two spheres is at least this part.
+#: Smallest relative difference between two spheres at which coal and gangue differ "obviously".
 _OBVIOUS = 0.1
 
 PARAMETER_CLAIMS = Claims()
 
 
-# ---- section 4 and conclusions 3 to 5: what each parameter does, and how much it matters ----------------------------
+# ---- section 4 and conclusions 3 to 5: effect and sensitivity of each parameter -------------------------------------
 
 _OVER_RANGE = "over the range"
 
 
 def measures(*, equal_bodies: bool) -> dict[str, Sensitivity]:
-    """Return both measures of sensitivity for the bodies of Table 5 (equal) or 4; where 5 has no range, 4 has it."""
+    """Return both measures of sensitivity for the bodies of Table 5 (equal) or 4.
+
+    Table 4 supplies the ranges that Table 5 lacks.
+    """
     impact = table_5_impact() if equal_bodies else table_4_impact()
     ranges = paper.TABLE_4 | paper.TABLE_5 if equal_bodies else paper.TABLE_4
     values = {name: values.values for name, values in ranges.items()}
@@ -63,7 +66,7 @@ def _ranking(_: Study, measure: str, ordering: Ordering, equal_bodies: bool) -> 
 
 
 def _where_held() -> str:
-    """Return what a range of E1 does to the force of equal bodies when E2 is not held at Table 5's value."""
+    """Return how a range of E1 changes the force of equal bodies if E2 is not held at Table 5's value."""
     surface = response_surface("figure_14", "youngs_modulus", "target_youngs_modulus", "peak_force")
     highest, together = surface[:, -1], surface.diagonal()
     return (
@@ -84,7 +87,7 @@ def _claim_ranking(name: str, place: str, ordering: Ordering, *, equal_bodies: b
     "Section 4, under Eq. 18", "From Table 4: δ/R, P/R², δ/ρ^(2/5) and P/ρ^(3/5) have the four values printed."
 )
 def _constants_under_eq_18(_: Study) -> Verdict:
-    # Radius and speed follow from two of the constants; then all four must fit.
+    # Two of the constants determine radius and speed; then all four must fit.
     impact = table_4_impact()
     printed = {(c.response, c.parameter): c.value for c in paper.CONSTANTS}
     density = float(np.asarray(YANG2018_SPHERES[1].density))
@@ -207,7 +210,7 @@ def _figure_15_trends(_: Study) -> Verdict:
 @PARAMETER_CLAIMS.add("Section 4, text of Figure 15", "E2 changes DCS and force much more than E1: E2 > E1.")
 def _figure_15_e2_against_e1(_: Study) -> Verdict:
     surfaces = {label: response_surface("figure_15", *_PAIRS[0], response) for response, label in RESPONSES.items()}
-    # Along one modulus at every value of the other: the least that E1 does, and the most that E2 does.
+    # The smallest effect of E1 over all E2, and the largest effect of E2 over all E1.
     by_first = {label: float((s.max(axis=0) / s.min(axis=0)).min() - 1) for label, s in surfaces.items()}
     by_second = {label: float((s.max(axis=1) / s.min(axis=1)).max() - 1) for label, s in surfaces.items()}
     first, second = (
@@ -235,7 +238,7 @@ def _compliance_of_sphere_and_plate(_: Study) -> Verdict:
 _claim_ranking("conclusion 5", "Section 4 and conclusion 5 (Table 4)", paper.CONCLUSION_5)
 
 
-# ---- section 5: how the four spheres differ -------------------------------------------------------------------------
+# ---- section 5: differences between the four spheres ----------------------------------------------------------------
 
 
 def _spheres(_: Study, quantity: str, factor: float, unit: str) -> Verdict:

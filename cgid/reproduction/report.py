@@ -1,4 +1,4 @@
-"""The report in Markdown: which claims of the paper hold, what finite elements tell of its theories, and pictures."""
+"""The report in Markdown: claims with verdicts, finite elements against the theories, tables and figures."""
 
 from __future__ import annotations
 
@@ -44,14 +44,14 @@ _SOURCE = (
     "Yang, Zeng & Wan (2018), *Contact Response Analysis of Vertical Impact between Elastic Sphere and Elastic Half "
     "Space*, Shock and Vibration"
 )
-#: Quantities of the section, with factor, digits and head of their column.
+#: Quantities of the finite-element section, with factor, format and head of their column.
 _RESPONSES = (
     ("peak_force", 1e-3, ".2f", "force [kN]"),
     ("peak_displacement", 1e3, ".3f", "DCS [mm]"),
     ("contact_duration", 1e6, ".0f", "contact time [µs]"),
 )
 _NAMES = [name for name, *_ in _RESPONSES]
-#: An error grows if it does so by more than this from speed to speed.
+#: Smallest increase of an error between neighbouring speeds that counts as growth.
 _GROWTH = 0.001
 _HEAD = "force / DCS / contact time"
 _SHOWN_GROUP = {
@@ -155,21 +155,21 @@ def _hertz_range(figures: Sequence[PaperFigure]) -> list[str]:
 
 def _entry(name: str, title: str, note: str) -> list[str]:
     kind, number, *_ = name.split("_")
-    # Some pictures are of none of the paper's figures.
+    # Some pictures have no counterpart in the paper.
     heading = f"### {kind.capitalize()} {number.lstrip('0')}: {title}" if number.isdigit() else f"### {title}"
     return [heading, "", f"{note} ([data]({name}.csv))".strip(), "", f"![{title}]({name}.png)", ""]
 
 
 def _table(heads: Sequence[str], rows: Iterable[Sequence[str]]) -> list[str]:
-    """Return the lines of a table in Markdown."""
+    """Return the lines of a Markdown table."""
     return [f"| {' | '.join(heads)} |", "|---" * len(heads) + "|", *(f"| {' | '.join(row)} |" for row in rows), ""]
 
 
-# ---- what finite elements tell of the three theories ----------------------------------------------------------------
+# ---- finite elements against the three theories ---------------------------------------------------------------------
 
 
 def finite_element_section(study: Study) -> list[str]:
-    """Return the lines of the section."""
+    """Return the lines of the section on finite elements."""
     return [
         "## What finite elements say of the three theories",
         "",
@@ -271,7 +271,7 @@ def _errors(study: Study) -> list[str]:
 
 
 def _excess(study: Study) -> str:
-    """Say whether K1's error grows with the contact's size, and how."""
+    """Return a sentence on whether, and how, K1's error grows with the contact."""
     errors = _k1_errors(study)
     said = f"in force {errors[0]:+.1%} at the lowest speed and {errors[-1]:+.1%} at the highest, in the spheres' mean"
     if np.diff(np.abs(errors)).min() <= _GROWTH:
@@ -293,7 +293,7 @@ def _excess(study: Study) -> str:
 
 
 def _k1_errors(study: Study) -> Floats:
-    """Return K1's error in force at each speed, in the mean of the spheres."""
+    """Return K1's error in force at each speed, averaged over the spheres."""
     errors = of_theory(study, "hertz", "peak_force") / of_simulation(study, "peak_force") - 1
     return np.asarray(errors.reshape(len(YANG2018_SPHERES), -1).mean(axis=0), np.float64)
 
@@ -356,7 +356,7 @@ def _soft(study: Study) -> list[str]:
 
 
 def _softened(study: Study) -> str:
-    """Say whether a soft contact moves the finite elements from one theory to the other."""
+    """Return a sentence on whether a soft contact moves the finite elements from K1 to the paper's theory."""
     softened = [group for group in _SHOWN_GROUP if group != UNDAMPED]
     moves = _nearest(study) == "hertz" and "series" in [_nearest(study, group) for group in softened]
     if not moves:

@@ -1,6 +1,6 @@
-"""The finite-element study of the paper's impacts: its cases, its results, how it is computed, and its data file.
+"""The finite-element study of the paper's impacts: cases, results, computation, data file.
 
-The shipped file is made by `cgid reproduce --finite-element -o paper` and copied from there:
+To renew the shipped file: `cgid reproduce --finite-element -o paper`, then
 `cp paper/finite_element.npz cgid/reproduction/`.
 """
 
@@ -31,49 +31,42 @@ if TYPE_CHECKING:
 
 # ---- cases ----------------------------------------------------------------------------------------------------------
 
-#: Elements over Hertz's contact radius.
+#: Number of elements over Hertz's contact radius.
 ELEMENTS = 14
-#: Restitution of the damped impacts, chosen here: the paper gives no number for its damping. (The paper's acts during
-#: the contact; here the sphere is a Kelvin-Voigt body.)
+#: Restitution of the damped impacts, chosen here: the paper does not quantify its damping, which acts during contact.
+#: Here the sphere is a Kelvin-Voigt body.
 RESTITUTION = 0.8
-#: Radius of the round plate [m]: half the length of the paper's rectangular one.
+#: Radius of the round plate [m]: half the length of the paper's rectangular plate.
 PLATE_RADIUS = paper.PLATE_SIZE[0] / 2
-#: Stiffness of a soft contact per area, times element size over bulk modulus: the default of LS-DYNA.
+#: Stiffness per area of a soft contact, times element size / bulk modulus; the default of LS-DYNA.
 PENALTY_FACTOR = 0.1
-#: Factors of a soft contact tried on two spheres at one speed [m/s].
+#: Factors of a soft contact for two spheres at one speed [m/s].
 FACTORS, FACTOR_SPHERES, FACTOR_VELOCITY = (0.01, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0), (1, 3), 6.0
 
-#: Groups of cases. Each of the first five holds the paper's twenty impacts: with hard contact, elastic and damped;
-#: elastic with a contact as soft as our elements make it, and as soft as that of larger elements (on our mesh). The
-#: last holds two of the impacts with every factor.
+#: Groups of cases. Each of the first five holds the paper's twenty impacts: hard contact, elastic and damped; elastic
+#: with the soft contact of our element size, and with that of larger elements (on our mesh). The last group holds two
+#: impacts with every factor.
 UNDAMPED, DAMPED, SOFT, SOFT_BY_FACTOR = "undamped", "damped", "soft", "soft_by_factor"
 SOFT_1_MM, SOFT_2_MM = "soft_1_mm", "soft_2_mm"
 GROUPS = (UNDAMPED, DAMPED, SOFT, SOFT_1_MM, SOFT_2_MM, SOFT_BY_FACTOR)
-#: Size of those larger elements [m]: that of the paper's sphere (section 3.1), and half of it because the paper's mesh
-#: is finer at the contact.
+#: Size of the larger elements [m]: as in the paper's sphere (section 3.1), and half, as its mesh is finer at the
+#: contact.
 ELEMENT_SIZES = {SOFT_1_MM: 0.001, SOFT_2_MM: 0.002}
 
 #: Sphere and speed of the paper's twenty impacts.
 _TWENTY = [(sphere, velocity) for sphere in YANG2018_SPHERES for velocity in paper.VELOCITIES]
-#: Impacts of the study.
+#: Number of impacts in the study.
 N_CASES = (3 + len(ELEMENT_SIZES)) * len(_TWENTY) + len(FACTOR_SPHERES) * len(FACTORS)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Case:
-    """One impact of the study, of a sphere of Table 2 on the plate.
+    """One impact of the study: a sphere of Table 2 on the plate.
 
-    Parameters
-    ----------
-    group : str
-    sphere : int
-        Number in Table 2.
-    velocity : float
-        [m/s].
-    retardation_time : float
-        Of the sphere as a Kelvin-Voigt body [s].
-    penalty_factor : float
-        Of a soft contact; 0 for a hard one.
+    sphere : number in Table 2
+    velocity : [m/s]
+    retardation_time : of the sphere as a Kelvin-Voigt body [s]
+    penalty_factor : of a soft contact; 0 for a hard one
     """
 
     group: str
@@ -96,7 +89,7 @@ def all_cases() -> list[Case]:
         for sphere, velocity in _TWENTY
     ]
     for group, size in ELEMENT_SIZES.items():
-        # The factor with which our elements press as softly as elements of this size do.
+        # With this factor our elements are as soft as elements of this size.
         factors = [PENALTY_FACTOR * own / size for own in element_sizes()]
         cases += [
             Case(group=group, sphere=sphere, velocity=velocity, penalty_factor=factor)
@@ -111,10 +104,10 @@ def all_cases() -> list[Case]:
 
 
 def retardation_times(sphere: int) -> list[float]:
-    """Return the retardation time b [s] that gives a Kelvin-Voigt sphere the chosen restitution at each speed.
+    """Return the retardation time b [s] of the Kelvin-Voigt sphere for the chosen restitution, at each speed.
 
-    By Kuwabara and Kono's `A = 3/2 b s`, the contact law of such a sphere, where s is its share in the compliance of
-    both bodies. Nothing is fitted: the restitution that the finite elements then have is a result.
+    By Kuwabara and Kono, `A = 3/2 b s`, where s is the sphere's share of the compliance of both bodies. Nothing is
+    fitted: the restitution of the finite elements is a result.
     """
     impact = paper_impact(sphere, paper.VELOCITIES, "hertz")
     share = sphere_share(impact.sphere, impact.target)
@@ -122,14 +115,14 @@ def retardation_times(sphere: int) -> list[float]:
 
 
 def element_sizes() -> list[float]:
-    """Return the size of our elements at the contact [m], a part of Hertz's contact radius, for each of the twenty."""
+    """Return the element size at the contact [m], Hertz's contact radius / `ELEMENTS`, of the twenty impacts."""
     impacts = [paper_impact(sphere, velocity, "hertz") for sphere, velocity in _TWENTY]
     return [float(np.sqrt(impact.reduced_radius * impact.peak_displacement)) / ELEMENTS for impact in impacts]
 
 
 # ---- results --------------------------------------------------------------------------------------------------------
 
-#: Numbers of each impact that the solver gives [SI units].
+#: Results of each impact that the solver returns [SI units].
 _OF_HISTORY = (
     "peak_force",
     "peak_displacement",
@@ -141,11 +134,11 @@ _OF_HISTORY = (
     "energy_error",
     "momentum_error",
 )
-#: Edges of the low-pass for the force of the centre node, over the inverse of the contact's duration.
+#: Edges of the low-pass for the force of the centre node, times the contact duration.
 _EDGES = (4, 5)
-#: All numbers of each impact.
+#: All scalar results of each impact.
 NUMBERS = (*_OF_HISTORY, *(f"filtered_at_{edge}" for edge in _EDGES))
-#: Courses over time, by the name of the solver.
+#: Time series, with the solver's name for each.
 _COURSE_OF_HISTORY = {
     "force": "contact_force",
     "displacement": "centre_displacement",
@@ -154,7 +147,7 @@ _COURSE_OF_HISTORY = {
     "plate_energy": "plate_energy",
     "centre_node_force": "centre_node_force",
 }
-#: All courses that an impact may have.
+#: All time series that an impact may have.
 COURSES = (*_COURSE_OF_HISTORY, "filtered_force")
 
 
@@ -162,16 +155,10 @@ COURSES = (*_COURSE_OF_HISTORY, "filtered_force")
 class Run:
     """One computed impact.
 
-    Parameters
-    ----------
-    case : Case
-    numbers : mapping of str to float
-        Each of `NUMBERS`. `filtered_at_4` and `filtered_at_5` are the peaks of the centre node's mass x acceleration
-        behind a low-pass at 4/T and 5/T [N]; `energy_error` is nan where damping takes energy away.
-    duration : float
-        Of the courses [s]; they end some time after the contact.
-    courses : mapping of str to ndarray, (n_points,)
-        Some of `COURSES`, or none, at even intervals from first touch on.
+    numbers : each of `NUMBERS`; `filtered_at_4` and `filtered_at_5` are the peak of the centre node's
+        mass x acceleration after a low-pass at 4/T and 5/T [N]; `energy_error` is nan with damping
+    duration : of the time series [s], which continue for some time after the contact
+    courses : none or some of `COURSES`, (n_points,), at even intervals from first touch
     """
 
     case: Case
@@ -181,21 +168,14 @@ class Run:
 
     @property
     def times(self) -> Floats:
-        """Time of each point of the courses since first touch [s]; empty without courses."""
+        """Times of the points of `courses` since first touch [s]; empty without courses."""
         n_points = next((course.size for course in self.courses.values()), 0)
         return np.linspace(0, self.duration, n_points)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Study:
-    """Every impact of the study.
-
-    Parameters
-    ----------
-    runs : tuple of Run
-    made : str
-        How, in words.
-    """
+    """Every impact of the study, and a description of how it was made."""
 
     runs: tuple[Run, ...]
     made: str
@@ -211,22 +191,14 @@ class Study:
 
 # ---- computing ------------------------------------------------------------------------------------------------------
 
-#: Points in time that are kept of a course.
+#: Stored points of a time series.
 N_POINTS = 200
-#: Courses that are kept, by group; the other groups keep none.
+#: Stored time series by group; the other groups store none.
 _KEPT = {UNDAMPED: COURSES, DAMPED: COURSES, **dict.fromkeys(ELEMENT_SIZES, ("force", "displacement"))}
 
 
 def run_study(jobs: int | None = None, progress: Callable[[int], object] | None = None) -> Study:
-    """Compute every impact of the study.
-
-    Parameters
-    ----------
-    jobs : int, optional
-        Processes; by default as many as there are cores.
-    progress : callable, optional
-        Called with 1 after each impact.
-    """
+    """Compute every impact with `jobs` processes, by default one per core; call `progress(1)` after each."""
     if jobs is None:
         import joblib
 
@@ -241,7 +213,7 @@ def run_study(jobs: int | None = None, progress: Callable[[int], object] | None 
 
 
 def made() -> str:
-    """Return how the study was made, in words."""
+    """Return a description of how the study is made."""
     return (
         "axisymmetric linear elasticity (small strains), sphere and plate meshed, "
         f"{ELEMENTS} elements over Hertz's contact radius, contact of nodes that cannot pass through each other; "
@@ -251,8 +223,8 @@ def made() -> str:
 
 
 def computed(n_points: int, case: Case) -> Run:
-    """Return the run of a case, with this many points a course."""
-    # Imported here: reading the shipped results needs neither the solver nor its compiler.
+    """Compute a case; each time series has `n_points` points."""
+    # A local import: reading the shipped results needs neither the solver nor its compiler.
     from cgid.finite_element import ElasticPlate, FiniteElementImpact, PenaltyContact
     from cgid.physics import Sphere
 
@@ -270,10 +242,10 @@ def computed(n_points: int, case: Case) -> Run:
 
 
 def shortened(case: Case, history: History, n_points: int) -> Run:
-    """Return what is kept of a history."""
+    """Return the stored part of a history."""
     waving = history.centre_node_force
     filtered = [low_passed(waving.samples, waving.sampling_rate, edge / history.contact_duration) for edge in _EDGES]
-    # Damped impacts have no balance of energy.
+    # Damped impacts have no energy balance.
     numbers = {name: float(np.nan if (value := getattr(history, name)) is None else value) for name in _OF_HISTORY}
     numbers |= {f"filtered_at_{edge}": float(course.max()) for edge, course in zip(_EDGES, filtered, strict=True)}
     courses = {name: getattr(history, of).samples for name, of in _COURSE_OF_HISTORY.items()}
@@ -285,8 +257,8 @@ def shortened(case: Case, history: History, n_points: int) -> Run:
 
 
 def low_passed(samples: Floats, sampling_rate: float, edge: float) -> Floats:
-    """Return a course behind the paper's FFT filter, a brick wall at an edge [Hz]."""
-    # The filter is circular; zeros before the touch keep the end of the course away from its beginning.
+    """Apply the paper's FFT filter, a brick wall at `edge` [Hz]."""
+    # The filter is circular; zeros before the touch keep the end from leaking into the beginning.
     whole = np.concatenate((np.zeros(samples.size), samples))
     return np.asarray(fft_filter(whole, sampling_rate, high=edge)[samples.size :], np.float64)
 
@@ -295,15 +267,15 @@ def low_passed(samples: Floats, sampling_rate: float, edge: float) -> Floats:
 
 #: The shipped file; `cgid reproduce --finite-element` makes it anew.
 STUDY_FILE = "finite_element.npz"
-#: Columns that describe a case, and numpy's kinds of their values.
+#: Columns that describe a case, with their numpy kinds.
 _CASE = {"group": "U", "sphere": "i", "velocity": "f", "retardation_time": "f", "penalty_factor": "f"}
-#: The same for every column that has one value an impact.
+#: All columns with one value per impact, with their numpy kinds.
 _COLUMNS = {**_CASE, **dict.fromkeys((*NUMBERS, "duration"), "f")}
 _KINDS = {"U": "text", "i": "whole numbers", "f": "numbers in floating point"}
 
 
 def packed(study: Study) -> bytes:
-    """Return the content of the data file: numbers in float64, courses in float32."""
+    """Return the content of the data file: scalars in float64, time series in float32."""
     arrays: dict[str, Any] = {"made": np.array(study.made)}
     arrays |= {name: np.array([getattr(run.case, name) for run in study.runs]) for name in _CASE}
     arrays |= {name: np.array([run.numbers[name] for run in study.runs]) for name in NUMBERS}
@@ -319,14 +291,9 @@ def packed(study: Study) -> bytes:
 
 
 def read_study(path: Path) -> Study:
-    """Return the study that a data file holds.
+    """Read a study from a data file.
 
-    Raises
-    ------
-    NoInput
-        There is no such file.
-    BadData
-        It holds no study, or is damaged.
+    Raises `NoInput` without such a file, and `BadData` if it is damaged or holds no study.
     """
     try:
         content = path.read_bytes()
@@ -338,12 +305,9 @@ def read_study(path: Path) -> Study:
 
 
 def unpacked(content: bytes, source: str = STUDY_FILE) -> Study:
-    """Return the study that is the content of a data file.
+    """Return the study in the content of a data file.
 
-    Raises
-    ------
-    BadData
-        It holds no study, or is damaged; `source` is its name in the message.
+    Raises `BadData`, which names `source`, if it is damaged or holds no study.
     """
     try:
         stored = np.load(io.BytesIO(content), allow_pickle=False)
@@ -351,7 +315,7 @@ def unpacked(content: bytes, source: str = STUDY_FILE) -> Study:
             raise ValueError("it is a single array")
         with stored:
             arrays = {name: stored[name] for name in stored.files}
-    # Archives, packed members and headers (read by Python's own parser) fail in many ways.
+    # Archives, compressed members and headers (which numpy parses as Python literals) raise many kinds of errors.
     except Exception as error:
         raise _bad(source, " ".join(str(error).split())[:120] or "it ends too early") from None
     if fault := _fault(arrays):
@@ -367,7 +331,7 @@ def _bad(source: str, fault: str) -> BadData:
 
 
 def _fault(arrays: Mapping[str, Any]) -> str:
-    """Return what is wrong with the arrays of a file; an empty text if they are a study."""
+    """Return the fault in the arrays of a file; an empty text if they form a study."""
     wanted = ("made", *_COLUMNS, *(f"{part}_{name}" for name in COURSES for part in ("course", "runs")))
     if missing := [name for name in wanted if name not in arrays]:
         return f"{missing[0]} is missing"
@@ -421,5 +385,5 @@ def _study(arrays: Mapping[str, Any]) -> Study:
 
 @cache
 def shipped_study() -> Study:
-    """Return the shipped study (read once)."""
+    """Return the shipped study, read once."""
     return read_study(Path(__file__).with_name(STUDY_FILE))

@@ -1,4 +1,4 @@
-"""The tables of the paper: its inputs with what follows from them, and how well theory and simulation agree."""
+"""The tables of the paper: inputs with derived values, and the agreement of theory and simulation."""
 
 from __future__ import annotations
 
@@ -17,25 +17,18 @@ from cgid.reproduction.paper import SECTION_4_VELOCITY, paper_impact, table_4_im
 from cgid.reproduction.study import Study
 from cgid.reproduction.theories import READINGS, SHARED, Agreement, agreement
 
-#: Columns that the paper prints with five digits.
+#: Columns with five digits in the paper.
 _FIVE_DIGITS = ("reduced_modulus", "printed_reduced_modulus", "contact_stiffness", "printed_contact_stiffness")
 
 
 @dataclass(frozen=True, kw_only=True)
 class PaperTable:
-    """A table of the paper, computed.
+    """A computed table of the paper.
 
-    Parameters
-    ----------
-    name : str
-        Of its files, without the ending.
-    title : str
-    note : str
-        What was chosen here because the paper does not say it.
-    data : pandas.DataFrame
-        Columns named as in `QUANTITIES`, in SI units.
-    heads, cells : list
-        What the picture shows, in the paper's units.
+    name : name of its files, without the ending
+    note : choices made here because the paper leaves them open
+    data : data frame [SI units], columns named as in `QUANTITIES`
+    heads, cells : text of the picture, in the paper's units
     """
 
     name: str
@@ -76,7 +69,7 @@ def _contact_table(name: str, title: str, rows: list[dict[str, Any]]) -> PaperTa
     import pandas as pd
 
     data = pd.DataFrame(rows)
-    # Here the columns hold both bodies, so the index of the symbols goes.
+    # The columns hold both bodies, so the symbols lose their index.
     heads = [QUANTITIES[column].title.replace("_1", "") if column in QUANTITIES else column for column in data.columns]
     cells = [[_cell(column, row[column]) for column in data.columns] for row in data.to_dict("records")]
     return PaperTable(name=name, title=title, data=data, heads=heads, cells=cells)
@@ -144,7 +137,7 @@ def _range_table(
 
 
 def table_4(_: Study) -> PaperTable:
-    """Return Table 4: ranges for sphere 1 on the metal plate, and what each does to the responses."""
+    """Return Table 4: ranges for sphere 1 on the metal plate, and the effect of each on the responses."""
     return _range_table(
         "table_4",
         "Ranges of the parameters, sphere on metal plate",
@@ -155,7 +148,7 @@ def table_4(_: Study) -> PaperTable:
 
 
 def table_5(_: Study) -> PaperTable:
-    """Return Table 5: ranges for two bodies of equal properties, and what each does to the responses."""
+    """Return Table 5: ranges for two bodies of equal properties, and the effect of each on the responses."""
     return _range_table(
         "table_5",
         "Ranges of the parameters, sphere and plate with the same properties",
@@ -165,7 +158,7 @@ def table_5(_: Study) -> PaperTable:
     )
 
 
-#: Columns of Table 3 and their heads.
+#: Columns of Table 3, with their heads.
 _SHOWN = {
     "peak_displacement": r"$\delta$",
     "peak_force": "$F$",
@@ -176,7 +169,7 @@ _SHOWN = {
 
 
 def table_3(study: Study) -> PaperTable:
-    """Return Table 3 for the three theories, and what the paper prints for its own."""
+    """Return Table 3 for the three theories, with the paper's printed values for its own."""
     import pandas as pd
 
     rows, cells = [], []
@@ -196,7 +189,7 @@ def table_3(study: Study) -> PaperTable:
                 }
                 for name, value in found.items()
             ]
-            # Both readings of K1 differ only in energy.
+            # The two readings of K1 differ only in energy.
             own = [name for name in _SHOWN if reading != SHARED or name.endswith("energy")]
             shown = [_agreement_cell(found[name]) if name in own else "" for name in _SHOWN]
             cells.append(["", SYMBOLS.get(reading, "K1, shared"), *shown])
@@ -217,7 +210,7 @@ def _agreement_cell(found: Agreement) -> str:
     return f"{first} / {found.determination:.{3 if abs(found.determination) < 100 else 0}f}"
 
 
-#: How to make each table from the finite-element study, by the name of its files.
+#: The functions that make the tables from the finite-element study, by file name.
 TABLES: dict[str, Callable[[Study], PaperTable]] = {
     "table_1": table_1,
     "table_2": table_2,

@@ -1,11 +1,11 @@
-"""What each theory predicts for the impacts of the study, and how far that is from the finite elements.
+"""The predictions of each theory for the impacts of the study, and their errors against the finite elements.
 
-The paper's formulas give force and displacement; pressure and energy follow from them. The largest pressure is Hertz's,
-`3 P / (2 pi a^2)`, with the contact radius of each theory's own displacement, `a^2 = R delta`. At the largest
-displacement all energy, `m v^2 / 2`, is elastic, and in the springs that a theory takes to be elastic: all of it in the
-sphere (K1), all in the plate (K2), or shared like their displacements under one force, `1 : (K1/K2)^(2/3)`, which is
-4/7 and 3/7 (series). This is the paper's reading. But the E in K1 holds the compliance of both bodies. Read as Hertz
-meant it, the same pressure works on both bodies, and displacement and energy of each go with its `(1 - nu^2) / E`.
+Force and displacement come from the paper's formulas. The largest pressure is Hertz's, `3 P / (2 pi a^2)`, with
+`a^2 = R delta` and each theory's own displacement. At the largest displacement all energy `m v^2 / 2` is elastic. In
+the paper's reading it is stored in the springs of the theory: in the sphere (K1), in the plate (K2), or in both
+(series), divided like their displacements under one force, `1 : (K1/K2)^(2/3)`, that is 4/7 and 3/7. But the E in K1
+holds the compliance of both bodies. In Hertz's own reading the same pressure acts on both bodies, and the displacement
+and energy of each are proportional to its `(1 - nu^2) / E`.
 """
 
 from __future__ import annotations
@@ -33,29 +33,24 @@ QUANTITIES_COMPARED = (
 )
 #: The paper's threshold for a high squared correlation, section 3.2.
 HIGH_CORRELATION = 0.96
-#: A course has waves if its ripple, its largest distance from its own low-pass at 10/T over its peak, exceeds this.
+#: A time series has waves if its `ripple` exceeds this.
 WAVES = 0.05
 _RIPPLE_EDGE = 10
-#: A filtered peak agrees with that of the contact force within this part of it.
+#: Largest relative error of a filtered peak that agrees with the peak of the contact force.
 FILTERED = 0.015
-#: K1 with the energy shared by compliance; all other quantities are those of K1.
+#: K1 with the energy shared by compliance; its other quantities equal those of K1.
 SHARED = "hertz-shared"
-#: What is compared: the paper's three theories, and Hertz's reading of the first.
+#: The compared readings: the paper's three theories, and Hertz's reading of the first.
 READINGS = {**THEORY_LABELS, SHARED: "K1, energy shared by compliance"}
 
 
 @dataclass(frozen=True)
 class Agreement:
-    """How well a theory agrees with the finite elements in one quantity.
+    """The agreement of a theory with the finite elements in one quantity.
 
-    Parameters
-    ----------
-    error : float
-        Mean of theory over finite elements - 1.
-    squared_correlation : float
-        The paper's yardstick, which is blind to a constant factor; nan where the theory has one value for all impacts.
-    determination : float
-        `1 - SSres / SStot`, which sees a wrong factor and may be negative.
+    error : mean of theory / finite elements - 1
+    squared_correlation : the paper's measure, blind to a constant factor; nan for a constant prediction
+    determination : `1 - SSres / SStot`, which reveals a wrong factor and may be negative
     """
 
     error: float
@@ -82,7 +77,7 @@ def predicted(reading: str, sphere: int, velocities: tuple[float, ...]) -> dict[
 
 
 def sphere_part(reading: str, sphere: int) -> float:
-    """Return the part of the elastic energy that is in the sphere."""
+    """Return the share of the elastic energy that the sphere stores."""
     if reading == SHARED:
         impact = paper_impact(sphere, 1.0, "hertz")
         return float(sphere_share(impact.sphere, impact.target))
@@ -93,7 +88,7 @@ def sphere_part(reading: str, sphere: int) -> float:
 
 
 def of_theory(study: Study, reading: str, name: str, group: str = UNDAMPED, sphere: int | None = None) -> Floats:
-    """Return what a reading predicts for the impacts of a group, of all spheres or of one."""
+    """Return the predictions of a reading for the impacts of a group, of all spheres or of one."""
     return np.array([
         predicted(reading, run.case.sphere, (run.case.velocity,))[name][0]
         for run in study.of(group)
@@ -102,12 +97,12 @@ def of_theory(study: Study, reading: str, name: str, group: str = UNDAMPED, sphe
 
 
 def of_simulation(study: Study, name: str, group: str = UNDAMPED, sphere: int | None = None) -> Floats:
-    """Return what the finite elements give for the impacts of a group, of all spheres or of one."""
+    """Return the finite-element results for the impacts of a group, of all spheres or of one."""
     return np.array([run.numbers[name] for run in study.of(group) if sphere in (None, run.case.sphere)])
 
 
 def agreement(study: Study, reading: str, name: str, group: str = UNDAMPED, sphere: int | None = None) -> Agreement:
-    """Return how well a reading agrees with the finite elements in one quantity."""
+    """Return the agreement of a reading with the finite elements in one quantity."""
     found = of_theory(study, reading, name, group, sphere)
     wanted = of_simulation(study, name, group, sphere)
     residual, total = np.sum((found - wanted) ** 2), np.sum((wanted - wanted.mean()) ** 2)
@@ -120,13 +115,13 @@ def agreement(study: Study, reading: str, name: str, group: str = UNDAMPED, sphe
 
 
 def size_of_errors(study: Study, theory: str, names: Iterable[str], group: str = UNDAMPED) -> float:
-    """Return the mean size of a theory's errors in some quantities against the finite elements of a group."""
+    """Return the mean absolute relative error of a theory in some quantities against a group."""
     errors = [of_theory(study, theory, name, group) / of_simulation(study, name, group) - 1 for name in names]
     return float(np.mean(np.abs(errors)))
 
 
 def ripple(run: Run, name: str) -> float:
-    """Return the largest distance of a course from its own low-pass at 10/T during the contact, over its peak."""
+    """Return the largest deviation of a time series from its low-pass at 10/T during contact, over its peak."""
     course = run.courses[name]
     rate = (course.size - 1) / run.duration
     smooth = low_passed(course, rate, _RIPPLE_EDGE / run.numbers["contact_duration"])
@@ -135,10 +130,10 @@ def ripple(run: Run, name: str) -> float:
 
 
 def ripples(study: Study, name: str) -> Floats:
-    """Return the ripple of a course for each undamped impact."""
+    """Return the ripple of a time series for each undamped impact."""
     return np.array([ripple(run, name) for run in study.of(UNDAMPED)])
 
 
 def filtered_errors(study: Study, edge: int) -> Floats:
-    """Return the peak of the centre node's force behind a low-pass at edge/T over that of the contact force - 1."""
+    """Return, per undamped impact, the centre node's peak force after a low-pass at edge/T / peak contact force - 1."""
     return study.values(UNDAMPED, f"filtered_at_{edge}") / study.values(UNDAMPED, "peak_force") - 1

@@ -1,17 +1,17 @@
 """Make the golden files of this version of cgid: data and models that every later version must read.
 
-    python tests/golden/make.py data         # datasets, a recording, tables, and what another reader finds in them
-    python tests/golden/make.py models       # a model of each family, and what the estimators behind them answer
+    python tests/golden/make.py data         # datasets, a recording, tables, and another reader's view of them
+    python tests/golden/make.py models       # a model of each family, and the answers of the estimators behind them
 
-Files of an older version are made by a checkout of that version, and are never made again: run there, the same
-command writes the files of its own schemas, which are then added to those that lie here. So were made
+Files of an older version are made by a checkout of that version and never again: there, the same command writes the
+files of its own schemas, which are then added to the existing ones. Origins:
 
     models-2-*                                                      by commit 9ae1126
     models-3-*, manifest-1, single, gzip, recording, table, data    by commit 54cf5f0
-    models-4-*, manifest-2                                          by the commits that brought them here
+    models-4-*, manifest-2                                          by the commits that added them
 
-What must be read stands in JSON beside them. For data it is what h5py, pyarrow and Python's own csv find in a file, not
-cgid. For models it is what the scikit-learn estimators that they were made of answer for drawn inputs.
+JSON files next to them hold the expected content: for data, that which h5py, pyarrow and Python's own csv read, not
+cgid; for models, the answers of the underlying scikit-learn estimators to drawn inputs.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ def make_data(folder: Path) -> None:
     for ending in ("h5", "csv", "parquet"):
         assert run(["generate", str(SCENE), "-o", str(folder / f"table.{ending}"), *what]) == 0
     assert run(["generate", str(STREAM), "-o", str(folder / "recording.h5"), "--seed", str(SEED)]) == 0
-    # A column of HDF5 takes 32 kB, however few rows it has; most of it is nothing.
+    # An HDF5 column takes 32 kB even with few rows; most of it is empty.
     table = folder / "table.h5"
     (folder / "table.h5.gz").write_bytes(gzip.compress(table.read_bytes(), mtime=0))
     files = [*sorted(whole.glob("*.h5")), folder / "single.h5", folder / "gzip.h5", folder / "recording.h5"]
@@ -68,7 +68,7 @@ def make_models(folder: Path) -> None:
     scene = load_scene(HERE.parents[1] / "datasets" / "reference.toml")
     expected = {}
     for family in FAMILIES:
-        # The boosted trees stay small where the impacts are few; prediction sets need more of them.
+        # Few impacts keep the boosted trees small; prediction sets need more impacts.
         impacts = synthesise(scene, 240 if family == "boosting" else 900, seed=SEED)
         training = train(impacts, features=["peak_force", "width_50"], guards=[], family=family)
         version = training.model.header["schema_version"]
@@ -101,7 +101,7 @@ def _columns(file: Path) -> dict[str, list[Any]]:
     """Return the columns of a table, read without cgid."""
     if file.suffix == ".csv":
         with file.open(newline="") as lines:
-            next(lines)  # what the table says of itself
+            next(lines)  # the table's own description
             rows = list(csv.reader(lines))
         return {name: list(values) for name, *values in zip(*rows, strict=True)}
     if file.suffix == ".parquet":
@@ -121,18 +121,18 @@ def _columns(file: Path) -> dict[str, list[Any]]:
 
 
 def sha256_of(values: np.ndarray) -> str:
-    """Return the SHA-256 of numbers or texts as they lie in memory, in small letters of hexadecimal digits."""
+    """Return the SHA-256 of numbers or texts as stored in memory, in lower-case hexadecimal digits."""
     return hashlib.sha256(np.ascontiguousarray(values).tobytes()).hexdigest()
 
 
 def _write(path: Path, content: Any) -> None:
-    """Write an object as JSON, a line for each file that it speaks of."""
+    """Write an object as JSON, one line for each file."""
     lines = [f"{json.dumps(name)}: {json.dumps(said)}" for name, said in content.items()]
     path.write_text("{\n" + ",\n".join(lines) + "\n}\n")
 
 
 def main() -> None:
-    """Make what is asked for."""
+    """Make the requested files."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("what", choices=("data", "models"))
     parser.add_argument("--into", type=Path, default=HERE, help="another folder")

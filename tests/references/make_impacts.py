@@ -2,9 +2,9 @@
 
 Displacement x, sphere velocity y and contact force f obey x' = y - lambda f, y' = gamma - f from x = 0, y = 1, with
 f = x^(3/2) + (D x^(3/2) + zeta x^(1/2)) x'. Contact ends at x = 0, or where f = 0 if zeta > 0. In the variable sigma,
-d tau = w d sigma with x = w^2, the equations are rational and pass smoothly through both ends of contact; they are
-integrated by Gragg-Bulirsch-Stoer extrapolation of order 24 with a local error of 1e-22. All is right to 17
-digits, the forces to 17 digits of their peak: below 1e-18 of it a strongly damped force that dies away is rounding.
+d tau = w d sigma with x = w^2, the equations are rational and smooth through both ends of contact; they are integrated
+by Gragg-Bulirsch-Stoer extrapolation of order 24 with a local error of 1e-22. All results are right to 17 digits,
+forces to 17 digits of their peak: below 1e-18 of it a decaying, strongly damped force is rounding error.
 
     python tests/references/make_impacts.py            makes impacts.csv, in three minutes
     python tests/references/make_impacts.py --check    in ten minutes prints the largest relative difference between
@@ -43,7 +43,7 @@ HEADER += [f"{name}_{k}" for name in ("tau", "force") for k in range(sum(SAMPLES
 
 
 def delivered(damping):
-    """Return the restitution that D alone delivers: (1 + e) D = ln[(1 + D) / (1 - e D)] in Lambert form."""
+    """Return the restitution of D alone: (1 + e) D = ln[(1 + D) / (1 - e D)] in Lambert form."""
     with mp.workdps(2 * mp.dps):
         start = 1 + damping
         return (1 + lambertw(-start * exp(-start)).real) / damping if damping else mpf(1)
@@ -96,12 +96,12 @@ class Impact:
         return (rise - self.plate * dloss * self.force(state)) / (1 + self.plate * loss)
 
     def hold(self, state):
-        """Return what falls through zero at separation: w, less the w at which zeta leaves no force."""
+        """Return the value that falls through zero at separation: w, less the w at which zeta leaves no force."""
         w, y = state[:2]
         return w - sqrt(max(-self.zeta * y / (1 + self.damping * y), 0)) if self.zeta else w
 
     def extrapolate(self, state, step):
-        """Return the state one step on, and its error: midpoint rules of 2, 4, 6... parts, extrapolated to none."""
+        """Return the state after one step, and its error: midpoint rules of 2, 4, 6... parts, extrapolated to 0."""
         first, table = self.rates(state), []
         for row in range(1, self.rows + 1):
             whole = step / row
@@ -131,14 +131,14 @@ class Impact:
         values += [end[0] ** 2 if self.zeta else mpf(0), end[3]]
         before, after = ([(k + mpf("0.5")) / n for k in range(n)] for n in SAMPLES)
         places = [2 * self.turn * sin(pi * u / 4) ** 2 for u in before]
-        # Twice, because the force of a strongly damped contact dies away long before its end.
+        # Twice, because the force of a strongly damped contact decays long before its end.
         places += [self.turn + (self.end - self.turn) * sin(pi / 2 * sin(pi * u / 2) ** 2) ** 2 for u in after]
         samples = [self.at(place) for place in places]
         return values + [s[2] for s in samples] + [self.force(s) for s in samples]
 
 
 def cases():
-    """Yield family, law, restitution asked, zeta, lambda, gamma: log-uniform in a range, after some given ones."""
+    """Yield family, law, nominal restitution, zeta, lambda, gamma: some given ones, then log-uniform in a range."""
     generator, none, gravity = random.Random(1975), (0, 0), (1e-6, 2e-2, 2e-2)
 
     def draw(count, low, high, *given):

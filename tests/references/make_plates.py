@@ -1,10 +1,9 @@
 """Make plates.csv: Leissa's table of clamped and cantilever plates, by his own method.
 
-A. W. Leissa (1973), The free vibration of rectangular plates, J. Sound Vib. 31, 257-293: Ritz with 36 products of
-beam functions, Poisson's ratio .3, `lambda = omega a^2 sqrt(rho h / D)`, a along x. Redone here; his printed digits
-come out again, but for one of the last place (square, clamped: 35.992 73.413 108.27 131.64 132.24; square, held at
-x = 0: 3.4917 8.5246 21.429 27.331 31.111 54.443). Being Ritz's, these are too high: by up to .1 % clamped, .9 %
-cantilever.
+A. W. Leissa (1973), The free vibration of rectangular plates, J. Sound Vib. 31, 257-293: Ritz method with 36 products
+of beam functions, Poisson's ratio .3, `lambda = omega a^2 sqrt(rho h / D)`, a along x. The results reproduce his
+printed digits except for one last place (square, clamped: 35.992 73.413 108.27 131.64 132.24; square, held at x = 0:
+3.4917 8.5246 21.429 27.331 31.111 54.443). As Ritz values they are too high: by up to .1 % clamped, .9 % cantilever.
 
     python tests/references/make_plates.py
 """
