@@ -255,7 +255,7 @@ def outcome(events, truth, sampling_rate, tolerance=1e-3):
     return len(hits), len(times) - len(hits)
 
 
-@pytest.mark.parametrize(("spacing", "noise", "found"), [(0.02, 0.001, 599), (0.02, 0.05, 599), (0.06, 0.05, 600)])
+@pytest.mark.parametrize(("spacing", "noise", "found"), [(0.02, 0.001, 600), (0.02, 0.05, 600), (0.06, 0.05, 600)])
 def test_600_half_sines_over_two_decades(spacing, noise, found):
     # From 10 ms apart: one is lower than a fiftieth of the blow right before it.
     random, rate, n = np.random.default_rng(1), 200e3, 600
@@ -269,7 +269,7 @@ def test_600_half_sines_over_two_decades(spacing, noise, found):
     assert outcome(detected(samples, "pulse", rate), truth, rate) == (found, 0)
 
 
-@pytest.mark.parametrize(("spacing", "least"), [(0.01024, 585), (0.03, 600)])
+@pytest.mark.parametrize(("spacing", "least"), [(0.01024, 600), (0.03, 600)])
 def test_600_blows_of_the_reference_population(reference_frames, spacing, least):
     # Peaks from 0.6 to 225 kN. At 10 ms, a blow below a fiftieth of the one before it may be its echo.
     rate, step = 200e3, round(spacing * 200e3)

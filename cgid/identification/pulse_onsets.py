@@ -8,7 +8,8 @@ A pulse points upwards from a baseline that may drift. It begins where the signa
 
 with the noise sigma, the height h above the baseline, and the depth d below it where it exceeds 6 sigma. a excludes the
 echoes of a blow. b excludes ringing of 200 Hz or more, which swings below the baseline as far as above; each swing
-renews it. Both decay, so no blow, however high, hides another some tens of milliseconds later.
+renews it. Both decay, so no blow, however high, hides another some tens of milliseconds later. Both end where the
+signal shows that nothing rings: after 5 ms with no sample beyond 6 sigma and a power near that of the noise.
 """
 
 from __future__ import annotations
@@ -36,6 +37,9 @@ _DEEPEST = 2.0
 ECHO_TIME, SWING_TIME = 10e-3, 20e-3
 #: Update interval of these thresholds [s].
 _HOP_TIME = 0.5e-3
+#: Nothing rings where the mean square of this time [s], a period of 200 Hz, is at most this many times the noise's: a
+#: ringing of 1.2 sigma, whose crests are far below the threshold.
+_QUIET_TIME, _QUIET_POWER = 5e-3, 1.7
 #: Differences below this share of the largest sample so far are rounding: six steps of single precision.
 _ROUNDING = 1e-6
 #: Length of the windows for the estimates of baseline and noise [s], and its minimum [samples].
@@ -68,11 +72,25 @@ class _Levels:
 
 @dataclass
 class _Ringing:
-    """State of a channel after its blows: the thresholds from echoes and swings, and the height of the blows."""
+    """State of a channel after its blows: both thresholds, the height of the blows, and the samples that were quiet.
+
+    `quiet` counts the samples since the last one beyond the noise, `energy` is the sum of their squares.
+    """
 
     echo: float = 0.0
     swing: float = 0.0
     peak: float = 0.0
+    quiet: int = 0
+    energy: float = 0.0
+
+    def listen(self, n_samples: int, energy: float, noise: float, enough: int) -> None:
+        """Take samples within the noise, with the sum of their squares; end both thresholds where nothing rings."""
+        self.quiet += n_samples
+        self.energy += energy
+        if self.quiet >= enough:
+            if self.energy <= _QUIET_POWER * noise**2 * self.quiet:
+                self.echo = self.swing = 0.0
+            self.quiet, self.energy = 0, 0.0
 
     def decay(self, echo_factor: float, swing_factor: float) -> None:
         """Multiply the state by the decay factors of some time."""
@@ -113,6 +131,7 @@ class PulseOnsets:
         self._window = max(round(_WINDOW_TIME * sampling_rate), _SHORTEST_WINDOW)
         self.chunk = _CHUNK_WINDOWS * self._window
         self._hop = max(round(_HOP_TIME * sampling_rate), 1)
+        self._quiet = max(round(_QUIET_TIME * sampling_rate), 1)
         self._echo_rate, self._swing_rate = 1 / (ECHO_TIME * sampling_rate), 1 / (SWING_TIME * sampling_rate)
         self._gap = max(int(min(dead_time * sampling_rate, 2.0**60)), 1)
         self._longest = longest
@@ -210,14 +229,18 @@ class PulseOnsets:
     def _pass(self, n_samples: int, ringing: _Ringing) -> None:
         """Let the ringing decay over samples within the noise."""
         ringing.decay(math.exp(-n_samples * self._echo_rate), math.exp(-n_samples * self._swing_rate))
+        if n_samples:
+            ringing.quiet, ringing.energy = 0, 0.0
 
     def _needed(self, heights: Floats, limit: float, ringing: _Ringing) -> Floats:
         """Return the threshold of each sample (n,), and update the ringing."""
         hops = np.arange(0, heights.size, self._hop)
         peaks, depths = np.maximum.reduceat(heights, hops), -np.minimum.reduceat(heights, hops)
+        energies, sizes = np.add.reduceat(heights * heights, hops), np.diff(hops, append=heights.size)
         factors = math.exp(-self._hop * self._echo_rate), math.exp(-self._hop * self._swing_rate)
         needed = []
-        for peak, depth in zip(peaks.tolist(), depths.tolist(), strict=True):
+        hop_values = (values.tolist() for values in (peaks, depths, energies, sizes))
+        for peak, depth, energy, size in zip(*hop_values, strict=True):
             needed.append(max(limit, ringing.echo, ringing.swing))
             ringing.decay(*factors)
             ringing.peak = max(ringing.peak, peak)
@@ -225,6 +248,10 @@ class PulseOnsets:
             # A swing deeper than any ringing is the beginning of a downward blow.
             if limit < depth < _DEEPEST * ringing.peak:
                 ringing.swing = max(ringing.swing, RISE_OVER_SWING * depth)
+            if max(peak, depth) > limit:
+                ringing.quiet, ringing.energy = 0, 0.0
+            else:
+                ringing.listen(size, energy, limit / THRESHOLD_OVER_NOISE, self._quiet)
         return np.repeat(needed, self._hop)[: heights.size]
 
     # -- blows ----------------------------------------------------------------------------------------

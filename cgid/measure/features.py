@@ -6,6 +6,7 @@ features are computed, and measurements that several of them share are made once
 
 from __future__ import annotations
 
+import difflib
 from collections.abc import Callable, Iterable, Mapping
 from functools import partial
 from typing import TYPE_CHECKING, Literal
@@ -84,8 +85,6 @@ def choose(features: Iterable[str] | None, kind: Kind = "pulse") -> tuple[str, .
 def require_known(name: str) -> None:
     """Raise `InvalidValue` for an unknown feature; the message lists similar names."""
     if not isinstance(name, str) or name not in FEATURES:
-        import difflib
-
         known = [*FEATURES, *(entry.name for entry in FEATURES.entries if "*" in entry.name)]
         similar = difflib.get_close_matches(str(name)[:80], known, n=5, cutoff=0.3)
         raise InvalidValue(
