@@ -6,25 +6,24 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from datetime import datetime
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cgid.errors import BadData, MissingExtra
-from cgid.recordings.recording import Contents, require_one_rate, understood
-from cgid.recordings.statements import (
+from cgid.errors import BadData
+from cgid.recordings.recording import Contents, library, require_one_rate, understood
+from cgid.recordings.text_header import Column, column_of
+from cgid.recordings.times import rate_of_vector
+from cgid.recordings.variables import (
     Value,
+    Variable,
     stated_rate,
     stated_start,
     stated_time_unit,
     stated_units,
 )
-from cgid.recordings.text_header import Column, column_of
-from cgid.recordings.times import rate_of_vector
-from cgid.recordings.variables import Variable
 from cgid.units import known_unit, seconds_of
 
 #: Limits of texts [bytes] and lists [entries] in the footer.
@@ -74,10 +73,10 @@ def read_parquet(path: Path, source: str, variable: str | None) -> Contents:
         if stated is not None:
             require_one_rate(stated, (rate, rate_from), source)
         start = start or (file.first_time(name) if kind == "timestamp" else None)
-    for_all = stated_units(file.said, len(kept))
+    (for_all,) = stated_units(file.said, 1) or [None]
     units = [
-        stated_units(values, 1)[0] or known_unit(column.unit) or (None if column.unit else unit)
-        for (_, _, values, column), unit in zip(kept, for_all, strict=True)
+        (stated_units(values, 1) or [known_unit(column.unit) or (None if column.unit else for_all)])[0]
+        for _, _, values, column in kept
     ]
 
     def blocks(length: int, channels: Sequence[int]) -> Iterator[NDArray[Any]]:
@@ -115,10 +114,7 @@ class _Parquet:
     """A table in a file, which is open only during reading."""
 
     def __init__(self, path: Path, source: str) -> None:
-        if find_spec("pyarrow") is None:
-            raise MissingExtra(
-                f"{source}: Parquet needs the library pyarrow, which is not installed; pip install 'cgid[parquet]'"
-            )
+        library("pyarrow", "Parquet files", source, extra="parquet")
         self._path, self._source = path, source
         with self._opened() as file:
             self.n_rows: int = file.metadata.num_rows

@@ -224,23 +224,24 @@ def with_seconds(text: str, layout: Layout) -> str:
     return pattern.sub(lambda found: _seconds(found, mark), text)
 
 
-def stamped_moment(line: str) -> datetime | None:
-    """Return the datetime of a row's stamp; None if it has no date.
+def stamped_moment(line: str, *, alone: bool = False) -> datetime | None:
+    """Return the datetime of the stamp in a line, or of a line that is a stamp `alone`; None if it has no date.
 
     Examples
     --------
     >>> stamped_moment("7;2026-03-04T10:11:12,5;8")
     datetime.datetime(2026, 3, 4, 10, 11, 12, 500000)
     """
-    found = _STAMP.search(line)
+    found = _STAMP.fullmatch(line) if alone else _STAMP.search(line)
     if found is None or found[1] is None:
         return None
+    year, month, day, hours, minutes, seconds = map(int, found.groups()[:6])
+    micros = int((found[7] or "0")[:6].ljust(6, "0"))
     try:
-        day = datetime(int(found[1]), int(found[2]), int(found[3]))
-    except ValueError:
+        passed = timedelta(hours=hours, minutes=minutes, seconds=seconds, microseconds=micros)
+        return datetime(year, month, day) + passed
+    except (OverflowError, ValueError):
         return None
-    parts = (int(found[4]), int(found[5]), int(found[6]), int((found[7] or "0")[:6].ljust(6, "0")))
-    return day + timedelta(hours=parts[0], minutes=parts[1], seconds=parts[2], microseconds=parts[3])
 
 
 def _layout(line: str) -> Layout | None:
