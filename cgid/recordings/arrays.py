@@ -67,8 +67,8 @@ class ArrayHead:
             return np.array(numbers, dtype=self.dtype.newbyteorder("=") if as_is else np.float64, order="C")
 
 
-def read_npy(path: Path, source: str, variable: str | None) -> Contents:
-    """Return the channels of an NPY file, which holds one array: `variable` is not used.
+def read_npy(path: Path, source: str) -> Contents:
+    """Return the channels of an NPY file, which holds one array.
 
     (n_samples,) is one channel. Two axes are (n_channels, n_samples), or (n_samples, n_channels) if the second is
     shorter. Raises `BadData` if the header is damaged, the type is not real numbers, or the shape is empty, has more
@@ -79,14 +79,21 @@ def read_npy(path: Path, source: str, variable: str | None) -> Contents:
     >>> import tempfile
     >>> with tempfile.TemporaryDirectory() as folder:
     ...     np.save(Path(folder) / "two.npy", np.zeros((1000, 2)))
-    ...     contents = read_npy(Path(folder) / "two.npy", "two.npy", None)
+    ...     contents = read_npy(Path(folder) / "two.npy", "two.npy")
     >>> contents.n_channels, contents.n_samples
     (2, 1000)
     """
     with path.open("rb") as file:
         head = array_head(file.read(HEADER_SIZE), source)
         held = os.fstat(file.fileno()).st_size - head.offset
-    require_size(head, held, source)
+    if not head.size:
+        raise BadData(f"{source}: a recording must hold at least one sample, got shape {head.shape}; record it again")
+    if head.size != held:
+        cure = "the file looks cut off, copy it again" if head.size > held else "save one array only"
+        raise BadData(
+            f"{source}: the header must match the file, it declares {head.size} bytes {head.shape} and {held} follow; "
+            f"{cure}"
+        )
 
     def blocks(length: int, channels: Sequence[int]) -> Iterator[NDArray[Any]]:
         with path.open("rb") as file:
@@ -117,18 +124,6 @@ def array_head(start: bytes, source: str) -> ArrayHead:
         offset=offset,
         by_sample=upright != fortran_order or min(rows, columns) == 1,
     )
-
-
-def require_size(head: ArrayHead, held: int, source: str) -> None:
-    """Raise `BadData` unless at least one number is declared and all numbers fill the `held` bytes after the header."""
-    if not head.size:
-        raise BadData(f"{source}: a recording must hold at least one sample, got shape {head.shape}; record it again")
-    if head.size != held:
-        cure = "the file looks cut off, copy it again" if head.size > held else "save one array only"
-        raise BadData(
-            f"{source}: the header must match the file, it declares {head.size} bytes {head.shape} and {held} follow; "
-            f"{cure}"
-        )
 
 
 def _header(start: bytes, source: str) -> tuple[tuple[int, ...], bool, np.dtype[Any], int]:

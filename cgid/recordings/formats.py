@@ -63,7 +63,8 @@ class Format:
                 "--variable"
             )
         module, _, function = self.reader.partition(":")
-        contents: Contents = getattr(import_module(f"cgid.recordings.{module}"), function)(path, source, variable)
+        read = getattr(import_module(f"cgid.recordings.{module}"), function)
+        contents: Contents = read(path, source, variable) if self.takes_variable else read(path, source)
         return contents
 
 

@@ -223,8 +223,8 @@ def _start_time(broadcast: bytes) -> datetime | None:
 # ---- WAV files -------------------------------------------------------------------------------------------------------
 
 
-def read_wav(path: Path, source: str, variable: str | None) -> Contents:
-    """Return the channels of a WAV file (RIFF, RIFX or RF64), which holds one recording: `variable` is not used.
+def read_wav(path: Path, source: str) -> Contents:
+    """Return the channels of a WAV file (RIFF, RIFX or RF64).
 
     Integers of 8, 16, 24, 32 or 64 bits are scaled to a full scale of 1.0, floats of 32 or 64 bits are kept; both are
     in "FS" unless the user gives a unit. A file that is cut off or was never closed gives its whole samples and a
@@ -323,8 +323,8 @@ _PAGE_HEAD = 27
 _LAST_PAGE = 4
 
 
-def read_audio(path: Path, source: str, variable: str | None) -> Contents:
-    """Return the channels of a FLAC or OGG file, which holds one recording: `variable` is not used.
+def read_audio(path: Path, source: str) -> Contents:
+    """Return the channels of a FLAC or OGG file.
 
     Full scale is 1.0, in "FS" unless the user gives a unit. A damaged or cut file gives the samples before the damage
     and a warning. Raises `BadData` if the header is damaged, `MissingExtra` without soundfile.

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from cgid.errors import BadData
 from cgid.recordings.recording import Blocks, Contents, rates_agree, require_one_rate
-from cgid.recordings.text_header import column_of
+from cgid.recordings.text_layout import column_of
 from cgid.recordings.times import rate_of_vector
 from cgid.units import hertz_of, known_unit, plain_unit, seconds_of
 
