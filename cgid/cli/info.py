@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from typing import Any
 
 import click
@@ -74,7 +75,7 @@ def _dataset(file: str) -> dict[str, Any]:
         "parameters": dict(dataset.header.parameter_units),
         "dtype": dataset.header.dtype,
         "damaged_shards": ", ".join(damaged) or "none",
-        **{name: about[name] for name in ("scene_name", "scene_sha256", "seed", "versions") if name in about},
+        **_origin(about),
     }
 
 
@@ -94,7 +95,7 @@ def _table(file: str) -> dict[str, Any]:
         "labels": dict(zip(labels.tolist(), counts.tolist(), strict=True)),
         "columns": dict(table.header.units),
         "without_a_number": {name: count for name, count in unknown.items() if count} or "none",
-        **{name: about[name] for name in ("scene_name", "scene_sha256", "seed", "versions") if name in about},
+        **_origin(about),
     }
 
 
@@ -137,9 +138,7 @@ def _recording(file: str, sampling_rate: float | None, unit: str | None, variabl
     from cgid.recordings import open_recording
 
     recording = open_recording(file, sampling_rate=sampling_rate, unit=unit, variable=variable)
-    n_samples = recording.n_samples
-    short = n_samples is not None and n_samples * len(recording.channels) <= _MOST_HELD
-    channels = _held_channels(recording) if short else _long_channels(recording)
+    channels = _channels(recording)
     for warning in recording.warnings:
         say(f"cgid: warning: {warning}", err=True)
     started = {} if recording.start_time is None else {"start_time": recording.start_time.isoformat()}
@@ -147,77 +146,50 @@ def _recording(file: str, sampling_rate: float | None, unit: str | None, variabl
     return {"kind": "recording", "file": file, **about, **_made(file)}
 
 
-def _held_channels(recording: Any) -> dict[str, Any]:
-    """Return the statistics of each channel of a recording that fits into memory."""
+def _channels(recording: Any) -> dict[str, Any]:
+    """Return the statistics of each channel; a long recording has no median, which needs all samples, but a mean."""
     import numpy as np
 
     from cgid.errors import BadData
-    from cgid.identification.detection import TURN_OVER, find_impacts
-    from cgid.measure.features import kind_for
-
-    channels = {}
-    for signal in recording.signals():
-        samples = signal.samples
-        try:
-            impacts = len(find_impacts(signal, kind=kind_for(signal.quantity)))
-        except BadData as error:
-            impacts = 0
-            if TURN_OVER in str(error):
-                say(f"cgid: warning: {signal.name}: no impact: {TURN_OVER}", err=True)
-        channels[f"channel {signal.channel}"] = {
-            **_facts(recording, signal, samples.size, samples.dtype.name),
-            "lowest": float(samples.min()),
-            "median": float(np.median(samples)),
-            "highest": float(samples.max()),
-            "impacts": impacts,
-        }
-    return channels
-
-
-def _long_channels(recording: Any) -> dict[str, Any]:
-    """Return the statistics of each channel of a long recording, block by block; no median, which needs all samples."""
-    from collections import Counter
-
-    import numpy as np
-
     from cgid.identification.detection import TURN_OVER, ImpactDetector
     from cgid.measure.features import kind_for
 
-    names = recording.channels
+    names, rate = recording.channels, recording.sampling_rate
+    whole = None
+    if recording.n_samples is not None and recording.n_samples * len(names) <= _MOST_HELD:
+        whole = np.stack([signal.samples for signal in recording.signals()])
     lowest, highest = np.full(len(names), np.inf), np.full(len(names), -np.inf)
     total, n_samples, dtype = np.zeros(len(names)), 0, ""
-    detectors = [ImpactDetector(recording.sampling_rate, kind=kind_for(channel.quantity)) for channel in names]
-    impacts: Counter[int] = Counter()
-    for block in recording.blocks():
+    detectors = [ImpactDetector(rate, kind=kind_for(channel.quantity)) for channel in names]
+    impacts = [0] * len(names)
+    for block in recording.blocks() if whole is None else [whole]:
         lowest, highest = np.minimum(lowest, block.min(axis=1)), np.maximum(highest, block.max(axis=1))
         total += block.sum(axis=1, dtype=np.float64)
         n_samples, dtype = n_samples + block.shape[1], block.dtype.name
-        impacts.update({row: len(detector.feed(block[[row]])) for row, detector in enumerate(detectors)})
-    impacts.update({row: len(detector.finish()) for row, detector in enumerate(detectors)})
-    for row, channel in enumerate(names):
-        if not impacts[row] and detectors[row].is_upside_down():
-            say(f"cgid: warning: {recording.source} channel {channel.name}: no impact: {TURN_OVER}", err=True)
-    return {
-        f"channel {channel.name}": {
-            **_facts(recording, channel, n_samples, dtype),
+        for row, detector in enumerate(detectors):
+            # A short recording is described even if its numbers are too large to look for impacts.
+            with suppress(*(() if whole is None else (BadData,))):
+                impacts[row] += len(detector.feed(block[row]))
+    described = {}
+    for row, (channel, detector) in enumerate(zip(names, detectors, strict=True)):
+        impacts[row] += len(detector.finish())
+        if not impacts[row] and TURN_OVER in detector.why_silent():
+            own = "" if channel.name == "1" else f" channel {channel.name}"
+            say(f"cgid: warning: {recording.source}{own}: no impact: {TURN_OVER}", err=True)
+        middle = {"mean": total[row] / n_samples} if whole is None else {"median": np.median(whole[row])}
+        described[f"channel {channel.name}"] = {
+            "samples": n_samples,
+            "sampling_rate_hz": rate,
+            "duration_s": n_samples / rate,
+            "quantity": channel.quantity or "unknown",
+            "unit": channel.unit or "unknown",
+            "dtype": dtype,
             "lowest": float(lowest[row]),
-            "mean": float(total[row] / n_samples),
+            **{name: float(value) for name, value in middle.items()},
             "highest": float(highest[row]),
             "impacts": impacts[row],
         }
-        for row, channel in enumerate(names)
-    }
-
-
-def _facts(recording: Any, channel: Any, n_samples: int, dtype: str) -> dict[str, Any]:
-    return {
-        "samples": n_samples,
-        "sampling_rate_hz": recording.sampling_rate,
-        "duration_s": n_samples / recording.sampling_rate,
-        "quantity": channel.quantity or "unknown",
-        "unit": channel.unit or "unknown",
-        "dtype": dtype,
-    }
+    return described
 
 
 def _made(file: str) -> dict[str, Any]:
@@ -230,7 +202,6 @@ def _made(file: str) -> dict[str, Any]:
         return {}
     recording = Recording(file)
     truth = recording.impacts()
-    names = ("scene_name", "scene_sha256", "seed", "recording", "background_sha256", "versions")
     return {
         "truth": {
             "impacts": recording.n_impacts,
@@ -238,5 +209,10 @@ def _made(file: str) -> dict[str, Any]:
             "labels": dict(sorted(Counter(truth["label"].tolist()).items())),
             "columns": dict(recording.impact_units),
         },
-        **{name: recording.attributes[name] for name in names if name in recording.attributes},
+        **_origin(recording.attributes, "recording", "background_sha256"),
     }
+
+
+def _origin(about: Any, *more: str) -> dict[str, Any]:
+    names = ("scene_name", "scene_sha256", "seed", *more, "versions")
+    return {name: about[name] for name in names if name in about}

@@ -1,4 +1,7 @@
-"""Read NPY files and NPZ archives by blocks, without pickle and without allocating memory for declared sizes."""
+"""Read NPY, NPZ and HDF5 files by blocks, without pickle and without allocating memory for declared sizes.
+
+HDF5 files, including MATLAB v7.3, are read by `cgid.store` in a separate process.
+"""
 
 from __future__ import annotations
 
@@ -6,20 +9,22 @@ import io
 import os
 import warnings
 import zipfile
-from collections.abc import Iterator, Sequence
-from contextlib import ExitStack
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, closing
 from dataclasses import dataclass
 from pathlib import Path
-from typing import IO, Any, BinaryIO
+from typing import IO, TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.lib import format as npy_format
 from numpy.typing import NDArray
 
-from cgid.errors import BadData
-from cgid.recordings.recording import MAX_CHANNELS, MOST_NUMBERS, Contents, understood
-from cgid.recordings.statements import Value, Values
-from cgid.recordings.variables import Variable, contents_of
+from cgid.errors import BadData, InvalidValue
+from cgid.recordings.recording import DATASET_CURE, MAX_CHANNELS, Contents, understood
+from cgid.recordings.variables import Value, Values, Variable, contents_of, is_statement, orientation
+
+if TYPE_CHECKING:
+    from cgid.store.foreign import ForeignArray
 
 #: Longest header [bytes]; a longer one is damaged.
 HEADER_SIZE = 1 << 16
@@ -47,17 +52,23 @@ class ArrayHead:
         # Python integers: no declared shape overflows.
         return self.n_channels * self.n_samples * self.dtype.itemsize
 
+    def starts(self, channels: Sequence[int]) -> list[int]:
+        """Return where the numbers of each channel begin [bytes]; all begin at 0 if stored sample by sample."""
+        size = self.n_samples * self.dtype.itemsize
+        return [0] if self.by_sample else [channel * size for channel in channels]
+
     def decoded(self, raw: bytes, n_channels: int) -> NDArray[Any]:
         """Return raw numbers, sample by sample or all of one channel, as (n_channels, n_samples)."""
-        numbers = np.frombuffer(raw, self.dtype).reshape(-1, n_channels).T
+        whole = len(raw) - len(raw) % (n_channels * self.dtype.itemsize)
+        numbers = np.frombuffer(raw[:whole], self.dtype).reshape(-1, n_channels).T
         as_is = self.dtype.kind == "f" and self.dtype.itemsize in (4, 8)
         # Long doubles beyond float64 become infinite; such samples are rejected later.
         with np.errstate(all="ignore"):
             return np.array(numbers, dtype=self.dtype.newbyteorder("=") if as_is else np.float64, order="C")
 
 
-def read_npy(path: Path, source: str, variable: str | None) -> Contents:
-    """Return the channels of an NPY file, which holds one array: `variable` is not used.
+def read_npy(path: Path, source: str) -> Contents:
+    """Return the channels of an NPY file, which holds one array.
 
     (n_samples,) is one channel. Two axes are (n_channels, n_samples), or (n_samples, n_channels) if the second is
     shorter. Raises `BadData` if the header is damaged, the type is not real numbers, or the shape is empty, has more
@@ -68,22 +79,30 @@ def read_npy(path: Path, source: str, variable: str | None) -> Contents:
     >>> import tempfile
     >>> with tempfile.TemporaryDirectory() as folder:
     ...     np.save(Path(folder) / "two.npy", np.zeros((1000, 2)))
-    ...     contents = read_npy(Path(folder) / "two.npy", "two.npy", None)
+    ...     contents = read_npy(Path(folder) / "two.npy", "two.npy")
     >>> contents.n_channels, contents.n_samples
     (2, 1000)
     """
     with path.open("rb") as file:
         head = array_head(file.read(HEADER_SIZE), source)
         held = os.fstat(file.fileno()).st_size - head.offset
-    require_size(head, held, source)
+    if not head.size:
+        raise BadData(f"{source}: a recording must hold at least one sample, got shape {head.shape}; record it again")
+    if head.size != held:
+        cure = "the file looks cut off, copy it again" if head.size > held else "save one array only"
+        raise BadData(
+            f"{source}: the header must match the file, it declares {head.size} bytes {head.shape} and {held} follow; "
+            f"{cure}"
+        )
 
     def blocks(length: int, channels: Sequence[int]) -> Iterator[NDArray[Any]]:
         with path.open("rb") as file:
-            yield from (
-                _by_sample(file, head, length, channels)
-                if head.by_sample
-                else _by_channel(file, head, length, channels)
-            )
+
+            def read(index: int, start: int, size: int) -> bytes:
+                file.seek(head.offset + start)
+                return file.read(size)
+
+            yield from _blocks(read, head, length, channels)
 
     return Contents(n_channels=head.n_channels, blocks=blocks, n_samples=head.n_samples)
 
@@ -107,18 +126,6 @@ def array_head(start: bytes, source: str) -> ArrayHead:
     )
 
 
-def require_size(head: ArrayHead, held: int, source: str) -> None:
-    """Raise `BadData` unless at least one number is declared and all numbers fill the `held` bytes after the header."""
-    if not head.size:
-        raise BadData(f"{source}: a recording must hold at least one sample, got shape {head.shape}; record it again")
-    if head.size != held:
-        cure = "the file looks cut off, copy it again" if head.size > held else "save one array only"
-        raise BadData(
-            f"{source}: the header must match the file, it declares {head.size} bytes {head.shape} and {held} follow; "
-            f"{cure}"
-        )
-
-
 def _header(start: bytes, source: str) -> tuple[tuple[int, ...], bool, np.dtype[Any], int]:
     file = io.BytesIO(start)
     with warnings.catch_warnings():
@@ -139,33 +146,25 @@ def _header(start: bytes, source: str) -> tuple[tuple[int, ...], bool, np.dtype[
     return shape, fortran_order, dtype, file.tell()
 
 
-def _by_sample(file: BinaryIO, head: ArrayHead, length: int, channels: Sequence[int]) -> Iterator[NDArray[Any]]:
-    picked, frame_size = list(channels), head.n_channels * head.dtype.itemsize
-    file.seek(head.offset)
-    for count in _counts(head, length, head.n_channels):
-        raw = file.read(count * frame_size)
-        yield np.ascontiguousarray(head.decoded(raw[: len(raw) - len(raw) % frame_size], head.n_channels)[picked])
-
-
-def _by_channel(file: BinaryIO, head: ArrayHead, length: int, channels: Sequence[int]) -> Iterator[NDArray[Any]]:
-    first = 0
-    for count in _counts(head, length, len(channels)):
-        block = []
-        for channel in channels:
-            file.seek(head.offset + (channel * head.n_samples + first) * head.dtype.itemsize)
-            block.append(file.read(count * head.dtype.itemsize))
+def _blocks(
+    read: Callable[[int, int, int], bytes], head: ArrayHead, length: int, channels: Sequence[int]
+) -> Iterator[NDArray[Any]]:
+    """Yield channels; ``read(index, start, size)`` returns bytes of the array; `index` counts `ArrayHead.starts`."""
+    together = head.n_channels if head.by_sample else 1
+    frame_size = together * head.dtype.itemsize
+    for first in range(0, head.n_samples, length):
+        size = min(length, head.n_samples - first) * frame_size
+        parts = [
+            head.decoded(read(index, start + first * frame_size, size), together)
+            for index, start in enumerate(head.starts(channels))
+        ]
         # Keep all channels equally long if the file is cut while it is read.
-        whole = min(map(len, block)) // head.dtype.itemsize * head.dtype.itemsize
-        yield np.concatenate([head.decoded(raw[:whole], 1) for raw in block])
-        first += count
+        whole = min(part.shape[1] for part in parts)
+        rows = np.concatenate([part[:, :whole] for part in parts])
+        yield rows[list(channels)] if head.by_sample else rows
 
 
-def _counts(head: ArrayHead, length: int, n_channels: int) -> Iterator[int]:
-    """Yield the number of samples of each read."""
-    most = min(length, max(1, MOST_NUMBERS // n_channels))
-    for first in range(0, head.n_samples, most):
-        yield min(most, head.n_samples - first)
-
+# ---- NPZ -------------------------------------------------------------------------------------------------------------
 
 #: Largest value [bytes] that may state something; larger ones are samples.
 _SMALL = 1 << 16
@@ -179,7 +178,7 @@ _BEST_PACKING = 1032
 #: Most channels, stored one after the other, to unpack at the same time.
 _MOST_SIDE_BY_SIDE = 64
 
-#: Bytes, or numbers, to unpack at once.
+#: Bytes to unpack at once while passing over others.
 _PIECE = 1 << 18
 
 
@@ -227,9 +226,9 @@ def _variable(archive: zipfile.ZipFile, path: Path, member: zipfile.ZipInfo, sou
     elif not head.by_sample and head.n_channels > _MOST_SIDE_BY_SIDE:
         fault = f"of {head.n_channels} channels must be saved as (n_samples, n_channels)"
 
-    def blocks(length: int, channels: Sequence[int]) -> Iterator[NDArray[np.float64]]:
+    def blocks(length: int, channels: Sequence[int]) -> Iterator[NDArray[Any]]:
         with understood(source, *_DAMAGED), zipfile.ZipFile(path) as again:
-            yield from _blocks(again, member.filename, head, length, channels)
+            yield from _unpacked(again, member.filename, head, length, channels)
 
     if not head.n_samples or not head.n_channels:
         return None
@@ -243,22 +242,18 @@ def _variable(archive: zipfile.ZipFile, path: Path, member: zipfile.ZipInfo, sou
     )
 
 
-def _blocks(
+def _unpacked(
     archive: zipfile.ZipFile, name: str, head: ArrayHead, length: int, channels: Sequence[int]
-) -> Iterator[NDArray[np.float64]]:
-    width, together = head.dtype.itemsize, head.n_channels if head.by_sample else 1
+) -> Iterator[NDArray[Any]]:
     with ExitStack() as stack:
-        files = [stack.enter_context(archive.open(name)) for _ in (channels if not head.by_sample else [0])]
-        for file, channel in zip(files, channels, strict=False):
+        starts = head.starts(channels)
+        files = [stack.enter_context(archive.open(name)) for _ in starts]
+        for file, start in zip(files, starts, strict=True):
             # Read instead of seek: after seeking, zipfile does not compare checksums.
-            _pass_over(file, head.offset + (0 if head.by_sample else channel * head.n_samples * width))
-        most = min(length, max(1, _PIECE // together))
-        for first in range(0, head.n_samples, most):
-            size = min(most, head.n_samples - first) * together * width
-            rows = np.concatenate([head.decoded(_exactly(file, size), together) for file in files])
-            yield np.ascontiguousarray(rows[list(channels)]) if head.by_sample else rows
+            _pass_over(file, head.offset + start)
+        yield from _blocks(lambda index, start, size: _exactly(files[index], size), head, length, channels)
         # zipfile compares the checksum at the end of the array, after the last channel.
-        last = files[0 if head.by_sample else int(np.argmax(channels))]
+        last = files[int(np.argmax(starts))]
         while last.read(_PIECE):
             pass
 
@@ -291,3 +286,80 @@ def _value(raw: bytes) -> Value | None:
         texts = [str(text) for text in array.ravel()[:MAX_CHANNELS]]
         return texts[0] if array.size == 1 else texts
     return float(array.ravel()[0]) if array.dtype.kind in "fiu" and array.size == 1 else None
+
+
+# ---- HDF5 ------------------------------------------------------------------------------------------------------------
+
+
+def read_own(path: Path) -> Contents:
+    """Return the single channel of a recording made by `cgid generate`."""
+    from cgid.store.reading import Recording
+
+    recording = Recording(path)
+
+    def blocks(length: int, channels: Sequence[int]) -> Iterator[NDArray[Any]]:
+        with closing(recording.blocks(length)) as rows:
+            for row in rows:
+                yield row[None][list(channels)]
+
+    return Contents(
+        n_channels=1,
+        blocks=blocks,
+        n_samples=recording.n_samples,
+        units=[recording.unit],
+        sampling_rate=recording.sampling_rate,
+    )
+
+
+#: Attributes of packed numbers and their defaults: CF conventions 1.11, section 8.1.
+_PACKING = {"scale_factor": 1.0, "add_offset": 0.0}
+
+
+def read_hdf5(path: Path, source: str, variable: str | None) -> Contents:
+    """Return the channels of one array of an HDF5 file, or of several arrays of one length.
+
+    Rate, unit, start and channel names come from attributes and single values of the array, its groups and the root,
+    the nearest first; the rate else from an array of times next to it. Packed numbers are unpacked by ``scale_factor``
+    and ``add_offset`` (CF conventions). Raises `BadData` if the file is damaged, is a dataset of cgid, or holds no
+    array or several; or if the array is in another file, declares more than is stored, or needs an unavailable filter.
+    """
+    from cgid.store.description import RECORDING_FORMAT
+    from cgid.store.foreign import array_blocks, survey
+    from cgid.store.sandbox import format_said
+
+    said = format_said(path)
+    if said == RECORDING_FORMAT:
+        if variable not in (None, "samples"):
+            raise InvalidValue(f"{source}: the variable of a recording of cgid is 'samples', got {variable!r}")
+        return read_own(path)
+    found = survey(path, source, lambda name: name in _PACKING or is_statement(name))
+    if said is None or said.startswith("cgid"):
+        raise BadData(f"{source}: an HDF5 file is a dataset, not one recording; {DATASET_CURE}")
+
+    def variable_of(array: ForeignArray, axes: tuple[int | None, int]) -> Variable:
+        about = dict(array.attributes)
+        factor, offset = (_number(about.pop(name, default)) for name, default in _PACKING.items())
+
+        def blocks(length: int, channels: Sequence[int]) -> Iterator[NDArray[Any]]:
+            stored = array_blocks(path, source, array, axes, length, channels)
+            return stored if (factor, offset) == (1.0, 0.0) else (offset + factor * block for block in stored)
+
+        across, along = axes
+        return Variable(
+            name=array.name.rpartition("/")[2],
+            group=array.name.rpartition("/")[0],
+            n_channels=1 if across is None else array.shape[across],
+            n_samples=array.shape[along],
+            blocks=blocks,
+            about=about,
+            fault=array.fault,
+            warning=array.warning,
+        )
+
+    variables = [variable_of(array, axes) for array in found.arrays if (axes := orientation(array.shape)) is not None]
+    return contents_of(variables, found.said, source, variable, found.warnings)
+
+
+def _number(value: Any) -> float:
+    """Return a number unchanged, nan for anything else, so that the samples are rejected."""
+    return float(value) if isinstance(value, int | float) else float("nan")

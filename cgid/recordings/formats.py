@@ -19,7 +19,7 @@ from typing import IO, Any
 
 from cgid.errors import BadData, InvalidValue, NoInput, WriteFailed
 from cgid.recordings.recording import DATASET_CURE, Contents, RecordingFile, told
-from cgid.recordings.wav import WAV_MAGICS
+from cgid.recordings.sound import WAV_MAGICS
 from cgid.signals import Signal
 from cgid.units import quantity_of
 from cgid.validation import require_rate
@@ -63,7 +63,8 @@ class Format:
                 "--variable"
             )
         module, _, function = self.reader.partition(":")
-        contents: Contents = getattr(import_module(f"cgid.recordings.{module}"), function)(path, source, variable)
+        read = getattr(import_module(f"cgid.recordings.{module}"), function)
+        contents: Contents = read(path, source, variable) if self.takes_variable else read(path, source)
         return contents
 
 
@@ -79,14 +80,14 @@ def is_hdf5(head: bytes) -> bool:
 #: The first match counts; text matches everything.
 FORMATS: tuple[Format, ...] = (
     Format("NPY", _starts(b"\x93NUMPY"), "arrays:read_npy"),
-    Format("WAV", _starts(*WAV_MAGICS), "wav:read_wav"),
+    Format("WAV", _starts(*WAV_MAGICS), "sound:read_wav"),
     Format("NPZ", _starts(b"PK\3\4"), "arrays:read_npz", takes_variable=True),
-    Format("HDF5", is_hdf5, "hdf5:read_hdf5", takes_variable=True),
+    Format("HDF5", is_hdf5, "arrays:read_hdf5", takes_variable=True),
     Format("MATLAB", lambda head: head[124:128] in _MAT_MAGICS, "mat:read_mat", takes_variable=True),
     Format("TDMS", _starts(b"TDSm"), "tdms:read_tdms", takes_variable=True),
     Format("UFF", lambda head: _UFF.match(head) is not None, "uff:read_uff", takes_variable=True),
     Format("Parquet", _starts(b"PAR1"), "parquet:read_parquet"),
-    Format("FLAC or OGG", _starts(b"fLaC", b"OggS"), "audio:read_audio"),
+    Format("FLAC or OGG", _starts(b"fLaC", b"OggS"), "sound:read_audio"),
     Format("LVM", lambda head: b"LabVIEW Measurement" in head[:32], "lvm:read_lvm", takes_variable=True),
     Format("text", lambda head: True, "text:read_text"),
 )

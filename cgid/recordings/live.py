@@ -6,7 +6,8 @@ Nothing here is specific to Unix, but Windows is untested.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
+from functools import partial
 from typing import Any, BinaryIO
 
 import numpy as np
@@ -15,7 +16,7 @@ from numpy.typing import NDArray
 from cgid import validation
 from cgid.errors import BadData, InvalidValue, MissingOption
 from cgid.recordings.recording import MAX_CHANNELS, rates_agree
-from cgid.recordings.wav import ENDLESS, WAV_MAGICS, Coding, read_wave_head
+from cgid.recordings.sound import ENDLESS, WAV_MAGICS, Coding, WaveHead, read_wave_head
 from cgid.units import quantity_of
 from cgid.validation import require_rate
 
@@ -132,9 +133,18 @@ def live_stream(
     if not start:
         raise BadData(f"{source}: a stream must hold samples, it is empty; check what writes to it")
     if start.startswith(WAV_MAGICS):
-        stream = _wave_stream(start, file, source)
-        _require_agreement(stream, given, n_channels, coding)
-        return replace(stream, sampling_rate=given or stream.sampling_rate, unit=unit or "FS")
+        head = read_wave_head(file, partial(_skip, file), source, start)
+        _require_agreement(head, given, n_channels, coding, source)
+        return LiveStream(
+            file=file,
+            coding=head.coding,
+            n_channels=head.n_channels,
+            sampling_rate=given or head.sampling_rate,
+            unit=unit or "FS",
+            source=source,
+            size=head.data_size if 0 < head.data_size < ENDLESS else None,
+            warnings=head.warnings,
+        )
     for magic, name in _FILES.items():
         if start == magic:
             raise BadData(f"{source}: a stream must be raw numbers or WAV, this is {name}; give it to cgid predict -")
@@ -157,37 +167,25 @@ def live_stream(
     )
 
 
-def _wave_stream(start: bytes, file: BinaryIO, source: str) -> LiveStream:
-    head = read_wave_head(file, lambda size: _skip(file, size), source, start)
+def _require_agreement(
+    head: WaveHead, sampling_rate: float | None, n_channels: int | None, coding: Coding | None, source: str
+) -> None:
     if not 0 < head.n_channels <= MAX_CHANNELS:
         raise BadData(f"{source}: a stream must be of 1 to {MAX_CHANNELS} channels, got {head.n_channels}")
-    return LiveStream(
-        file=file,
-        coding=head.coding,
-        n_channels=head.n_channels,
-        sampling_rate=require_rate(head.sampling_rate),
-        source=source,
-        size=head.data_size if 0 < head.data_size < ENDLESS else None,
-        warnings=list(head.warnings),
-    )
-
-
-def _require_agreement(
-    stream: LiveStream, sampling_rate: float | None, n_channels: int | None, coding: Coding | None
-) -> None:
-    if sampling_rate is not None and not rates_agree(sampling_rate, stream.sampling_rate):
+    stated = require_rate(head.sampling_rate)
+    if sampling_rate is not None and not rates_agree(sampling_rate, stated):
         raise InvalidValue(
-            f"{stream.source}: sampling_rate must agree with the stream to 0.1 %, got {sampling_rate:.10g} Hz where "
-            f"the WAV header says {stream.sampling_rate:.10g} Hz; leave out --rate or correct it"
+            f"{source}: sampling_rate must agree with the stream to 0.1 %, got {sampling_rate:.10g} Hz where "
+            f"the WAV header says {stated:.10g} Hz; leave out --rate or correct it"
         )
-    if n_channels not in (None, stream.n_channels):
+    if n_channels not in (None, head.n_channels):
         raise InvalidValue(
-            f"{stream.source}: n_channels must agree with the stream, got {n_channels} where the WAV header says "
-            f"{stream.n_channels}; leave out --channels or correct it"
+            f"{source}: n_channels must agree with the stream, got {n_channels} where the WAV header says "
+            f"{head.n_channels}; leave out --channels or correct it"
         )
-    if coding not in (None, stream.coding):
+    if coding not in (None, head.coding):
         raise InvalidValue(
-            f"{stream.source}: sample_format must agree with the stream, the WAV header says another; leave out "
+            f"{source}: sample_format must agree with the stream, the WAV header says another; leave out "
             "--sample-format"
         )
 

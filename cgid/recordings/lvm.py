@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from cgid.errors import BadData
 from cgid.recordings.recording import MAX_CHANNELS, RATE_TOLERANCE, Contents, require_one_rate
 from cgid.recordings.text import PIECE, no_number, whole_lines
-from cgid.recordings.text_layout import NUMBER, SNIFFED, encoding_of
+from cgid.recordings.text_layout import NUMBER, SNIFFED, encoding_of, stamped_moment
 from cgid.recordings.times import EvenTimes, Floats, is_resolved, rate_of
 from cgid.units import known_unit
 
@@ -193,8 +193,9 @@ class _Segment:
         x0 = self.number_of("X0", channel) or 0.0
         stamp: datetime | None = datetime(1904, 1, 1)
         if x0 <= _SINCE_1904:
-            stamp = _moment(self.field("Date", channel), self.field("Time", channel))
-            stamp = stamp or _moment(*(_at(self.head.tags.get(tag, []), 1) for tag in ("Date", "Time")))
+            own = [self.field(tag, channel) for tag in ("Date", "Time")]
+            of_file = [_at(self.head.tags.get(tag, []), 1) for tag in ("Date", "Time")]
+            stamp = stamped_moment(" ".join(own), alone=True) or stamped_moment(" ".join(of_file), alone=True)
         with suppress(OverflowError, ValueError):
             return None if stamp is None else stamp + timedelta(seconds=x0)
         return None
@@ -207,18 +208,6 @@ def _tags(lines: Sequence[str], separator: str) -> dict[str, list[str]]:
 
 def _at(fields: Sequence[str], column: int) -> str:
     return fields[column].strip() if column < len(fields) else ""
-
-
-def _moment(date: str, time: str) -> datetime | None:
-    """Return the datetime of texts such as 2013/02/19 and 09:51:39,197051012."""
-    day = re.fullmatch(r"(\d{4})[/.-](\d\d?)[/.-](\d\d?)", date)
-    clock = re.fullmatch(r"(\d\d?):(\d\d):(\d\d)(?:[.,](\d{1,6})\d*)?", time)
-    if not day or not clock:
-        return None
-    micros = int((clock[4] or "0").ljust(6, "0"))
-    with suppress(ValueError):
-        return datetime(int(day[1]), int(day[2]), int(day[3]), int(clock[1]), int(clock[2]), int(clock[3]), micros)
-    return None
 
 
 def _channels_alike(segment: _Segment, named: str | None, source: str, warnings: list[str]) -> list[int]:

@@ -6,25 +6,24 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from datetime import datetime
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cgid.errors import BadData, MissingExtra
-from cgid.recordings.recording import Contents, require_one_rate, understood
-from cgid.recordings.statements import (
+from cgid.errors import BadData
+from cgid.recordings.recording import Contents, library, require_one_rate, understood
+from cgid.recordings.text_layout import Column, column_of
+from cgid.recordings.times import rate_of_vector
+from cgid.recordings.variables import (
     Value,
+    Variable,
     stated_rate,
     stated_start,
     stated_time_unit,
     stated_units,
 )
-from cgid.recordings.text_header import Column, column_of
-from cgid.recordings.times import rate_of_vector
-from cgid.recordings.variables import Variable
 from cgid.units import known_unit, seconds_of
 
 #: Limits of texts [bytes] and lists [entries] in the footer.
@@ -39,8 +38,8 @@ _MOST_ROWS_A_BYTE = 1000
 _INDEX = "__index_level_"
 
 
-def read_parquet(path: Path, source: str, variable: str | None) -> Contents:
-    """Return the columns of a Parquet file as channels; it holds one table: `variable` is not used.
+def read_parquet(path: Path, source: str) -> Contents:
+    """Return the columns of a Parquet file as channels; it holds one table.
 
     Columns without numbers are left out with a warning. Names and units are as in a text header, or in field metadata
     (``unit``). The rate is that of the column of times (numbers or timestamps), else that of the file metadata. Raises
@@ -49,7 +48,6 @@ def read_parquet(path: Path, source: str, variable: str | None) -> Contents:
     file = _Parquet(path, source)
     warnings, n_samples = list[str](), file.n_rows
     columns = []
-    file.require_unique_names()
     for name, kind, values in file.columns():
         if kind == "other":
             warnings.append(f"column {name} holds no numbers and is left out")
@@ -74,10 +72,10 @@ def read_parquet(path: Path, source: str, variable: str | None) -> Contents:
         if stated is not None:
             require_one_rate(stated, (rate, rate_from), source)
         start = start or (file.first_time(name) if kind == "timestamp" else None)
-    for_all = stated_units(file.said, len(kept))
+    (for_all,) = stated_units(file.said, 1) or [None]
     units = [
-        stated_units(values, 1)[0] or known_unit(column.unit) or (None if column.unit else unit)
-        for (_, _, values, column), unit in zip(kept, for_all, strict=True)
+        (stated_units(values, 1) or [known_unit(column.unit) or (None if column.unit else for_all)])[0]
+        for _, _, values, column in kept
     ]
 
     def blocks(length: int, channels: Sequence[int]) -> Iterator[NDArray[Any]]:
@@ -115,10 +113,7 @@ class _Parquet:
     """A table in a file, which is open only during reading."""
 
     def __init__(self, path: Path, source: str) -> None:
-        if find_spec("pyarrow") is None:
-            raise MissingExtra(
-                f"{source}: Parquet needs the library pyarrow, which is not installed; pip install 'cgid[parquet]'"
-            )
+        library("pyarrow", "Parquet files", source, extra="parquet")
         self._path, self._source = path, source
         with self._opened() as file:
             self.n_rows: int = file.metadata.num_rows
@@ -130,6 +125,10 @@ class _Parquet:
             raise BadData(
                 f"{source}: the footer declares {self.n_rows} rows in {size} bytes, the file is damaged; copy it again"
             )
+        # pyarrow reads neither of two columns of one name.
+        twice = next((name for name, count in Counter(schema.names).items() if count > 1), None)
+        if twice is not None:
+            raise BadData(f"{source}: columns must differ in name, {twice!r} is there twice; rename one")
 
     def columns(self) -> Iterator[tuple[str, str, dict[str, Value]]]:
         """Yield name, kind ("number", "timestamp" or "other") and metadata of each column."""
@@ -139,12 +138,6 @@ class _Parquet:
             is_number = pa.types.is_integer(one.type) or pa.types.is_floating(one.type)
             is_stamp = pa.types.is_timestamp(one.type) or pa.types.is_duration(one.type)
             yield one.name, "number" if is_number else "timestamp" if is_stamp else "other", _texts(one.metadata)
-
-    def require_unique_names(self) -> None:
-        """Raise `BadData` if two columns share a name: pyarrow then reads neither."""
-        twice = next((name for name, count in Counter(self._schema.names).items() if count > 1), None)
-        if twice is not None:
-            raise BadData(f"{self._source}: columns must differ in name, {twice!r} is there twice; rename one")
 
     def first_time(self, name: str) -> datetime | None:
         """Return the first timestamp of a column."""

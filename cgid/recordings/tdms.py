@@ -13,10 +13,9 @@ from typing import Any, BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
-from cgid.errors import BadData, MissingExtra
-from cgid.recordings.recording import Contents, understood
-from cgid.recordings.statements import Value, is_statement
-from cgid.recordings.variables import Variable, contents_of
+from cgid.errors import BadData
+from cgid.recordings.recording import Contents, library, understood
+from cgid.recordings.variables import Value, Variable, contents_of, is_statement
 
 _LEAD_IN, _TAG = 28, b"TDSm"
 #: Declared length of a segment that is still being written.
@@ -30,19 +29,14 @@ class _Tdms:
     """An open file with its nptdms object."""
 
     def __init__(self, path: Path, source: str) -> None:
-        try:
-            from nptdms import TdmsFile
-        except ImportError:
-            raise MissingExtra(
-                f"{source}: reading TDMS needs the library nptdms, which is not installed; pip install 'cgid[formats]'"
-            ) from None
+        nptdms = library("nptdms", "TDMS files", source)
         self.source = source
         self._file = path.open("rb")
         self.is_cut = _is_cut(self._file)
         self._file.seek(0)
         with self.understood():
             # Given a file handle, nptdms does not look for an index file.
-            self.tdms = TdmsFile.open(self._file)
+            self.tdms = nptdms.TdmsFile.open(self._file)
         self._spools: dict[str, BinaryIO] = {}
 
     def __del__(self) -> None:

@@ -20,14 +20,16 @@ from numpy.typing import NDArray
 
 from cgid.errors import BadData
 from cgid.recordings.recording import MAX_CHANNELS, Contents, rates_agree, require_one_rate
-from cgid.recordings.text_header import Column, Header, read_header
 from cgid.recordings.text_layout import (
     MIXED,
     SNIFFED,
+    Column,
+    Header,
     Layout,
     encoding_of,
     is_comment,
     layout_of,
+    read_header,
     stamped_layout_of,
     stamped_moment,
     with_seconds,
@@ -50,13 +52,13 @@ _COMMA = re.compile(r"^[^#%/\n]*,", re.MULTILINE)
 _NAMES_OF_COUNTERS = ("", "index", "no", "nr", "n", "i", "sample", "samples", "sample no", "point", "row", "序号")
 
 
-def read_text(path: Path, source: str, variable: str | None) -> Contents:
+def read_text(path: Path, source: str) -> Contents:
     r"""Return the channels of a text file, with the statements of its header and its time column.
 
-    Layout and sampling rate are those of the first `PIECE` characters; each further piece is checked when it is read. A
-    text holds one recording: `variable` is not used. Raises `BadData` if the file is not text or holds no numbers; if a
-    row is uneven, cut off or has a field that is not a finite number (the message names sample and line); or if the
-    times are uneven or contradict the stated sampling rate.
+    Layout and sampling rate are those of the first `PIECE` characters; each further piece is checked when it is read.
+    Raises `BadData` if the file is not text or holds no numbers; if a row is uneven, cut off or has a field that is not
+    a finite number (the message names sample and line); or if the times are uneven or contradict the stated sampling
+    rate.
 
     Examples
     --------
@@ -64,7 +66,7 @@ def read_text(path: Path, source: str, variable: str | None) -> Contents:
     >>> with tempfile.TemporaryDirectory() as folder:
     ...     file = Path(folder) / "hit.csv"
     ...     _ = file.write_text("t [ms];force (N)\n0,0;1,5\n0,5;2,5\n")
-    ...     contents = read_text(file, "hit.csv", None)
+    ...     contents = read_text(file, "hit.csv")
     >>> contents.n_samples, contents.units, contents.sampling_rate
     (2, ['N'], 2000.0)
     """

@@ -16,8 +16,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cgid.errors import BadData, MissingExtra
-from cgid.recordings.recording import Contents, rates_agree, understood
+from cgid.errors import BadData
+from cgid.recordings.recording import Contents, library, rates_agree, understood
 from cgid.units import known_unit, seconds_of
 
 #: Largest file [bytes], as pyuff reads files whole and needs several times their size.
@@ -90,12 +90,7 @@ def read_uff(path: Path, source: str, variable: str | None) -> Contents:
     `BadData` if the file is too large, cut off or damaged, has no such data set, or data sets differ; or if numbers are
     complex, at uneven times or not over time. Raises `MissingExtra` without pyuff.
     """
-    try:
-        import pyuff
-    except ImportError:
-        raise MissingExtra(
-            f"{source}: universal files need the library pyuff, which is not installed; pip install 'cgid[formats]'"
-        ) from None
+    pyuff = library("pyuff", "universal files", source)
     _require_whole(path, source)
     fault, cure = "the universal file is damaged", "copy or export it again"
     with understood(source, fault, cure), warnings.catch_warnings(action="ignore"):

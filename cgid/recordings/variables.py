@@ -1,12 +1,18 @@
-"""Select the recording among the named arrays of a file, and collect the file's statements about it."""
+"""Select the recording among the named arrays of a file, and collect what named values state about it.
+
+Named values are HDF5 attributes, TDMS properties or single numbers and texts in MATLAB files and archives. They state
+rate, unit, start or channel names.
+"""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from datetime import datetime
 from fnmatch import fnmatchcase
+from functools import partial
 from typing import Any, TypeVar
 
 import numpy as np
@@ -14,15 +20,167 @@ from numpy.typing import NDArray
 
 from cgid.errors import BadData
 from cgid.recordings.recording import Blocks, Contents, rates_agree, require_one_rate
-from cgid.recordings.statements import (
-    Values,
-    stated_names,
-    stated_rate,
-    stated_start,
-    stated_time_unit,
-    stated_units,
-)
+from cgid.recordings.text_layout import column_of
 from cgid.recordings.times import rate_of_vector
+from cgid.units import hertz_of, known_unit, plain_unit, seconds_of
+
+#: Values with names in a file; a list has one value per channel.
+Value = float | str | datetime | list[str]
+Values = Mapping[str, Value]
+
+_RATE_NAMES = frozenset(
+    ("samplingrate", "samplerate", "samplingfrequency", "samplefrequency", "samplingfreq", "samplefreq", "fs", "fsamp")
+)
+_INTERVAL_NAMES = frozenset(
+    ("dt", "samplinginterval", "sampleinterval", "samplingperiod", "sampleperiod", "timestep", "deltat", "wfincrement")
+)
+_UNIT_NAMES = frozenset(("unit", "units", "unitstring", "yunit", "yunits", "engineeringunit", "engineeringunits"))
+_START_NAMES = frozenset(("starttime", "wfstarttime", "startdatetime", "acquisitionstart", "recordingstart"))
+_CHANNEL_NAMES = frozenset(("channelnames", "channelname", "channels", "channellabels", "labels"))
+_NAMES = _RATE_NAMES | _INTERVAL_NAMES | _UNIT_NAMES | _START_NAMES | _CHANNEL_NAMES
+
+_NUMBER = re.compile(r"\s*([+-]?\d+(?:\.\d*)?(?:[eE][+-]?\d+)?)\s*([^\d\s]\S*)?\s*")
+_UNIT_BEHIND = re.compile(r"[\s_([]+(k?hz|mhz|s|sec|ms|us|µs)[\s)\]]*$")
+
+
+def is_statement(name: str) -> bool:
+    """Return whether a value of this name could state a rate, a unit, a start or channel names.
+
+    Examples
+    --------
+    >>> [is_statement(name) for name in ("Sampling Rate [kHz]", "fs", "FS", "gain")]
+    [True, True, False, False]
+    """
+    return _plain(name)[0] in _NAMES
+
+
+def stated_rate(values: Values, source: str) -> tuple[float, str] | None:
+    """Return the stated sampling rate [Hz] and the name that states it, None without one.
+
+    Raises `BadData` if two statements disagree or one is not a positive number.
+
+    Examples
+    --------
+    >>> stated_rate({"Sample rate [kHz]": 51.2, "gain": 3.0}, "example")
+    (51200.0, 'Sample rate [kHz]')
+    >>> stated_rate({"dt": "250 ms"}, "example")
+    (4.0, 'dt')
+    """
+    found: list[tuple[float, str]] = []
+    for name, value, plain, unit in _named(values, _RATE_NAMES | _INTERVAL_NAMES):
+        is_rate = plain in _RATE_NAMES
+        number = _number(value, unit, hertz_of if is_rate else seconds_of)
+        if number is not None and not is_rate:
+            number = _rate_of(number)
+        if number is None:
+            continue
+        if not (np.isfinite(number) and number > 0):
+            raise BadData(f"{source}: the sampling rate must be above 0 and finite, {name} says {value!r}; correct it")
+        found.append((number, name))
+    for other in found[1:]:
+        require_one_rate(found[0], other, source)
+    return found[0] if found else None
+
+
+def stated_units(values: Values, n_channels: int) -> list[str | None] | None:
+    """Return the unit of each channel, None if it is not in `cgid.units.UNITS`; None if no known one is stated.
+
+    Examples
+    --------
+    >>> stated_units({"Unit": "kN"}, 2), stated_units({"units": ["g", "furlong"]}, 2), stated_units({}, 1)
+    (['kN', 'kN'], ['g', None], None)
+    """
+    for _, value, _, _ in _named(values, _UNIT_NAMES):
+        written = [value] * n_channels if isinstance(value, str) else value
+        if isinstance(written, list) and len(written) == n_channels:
+            units = [known_unit(unit) for unit in written]
+            return units if any(units) else None
+    return None
+
+
+def stated_names(values: Values, n_channels: int) -> list[str] | None:
+    """Return the names of the channels, None without any."""
+    for _, value, _, _ in _named(values, _CHANNEL_NAMES):
+        if isinstance(value, list) and len(value) == n_channels:
+            return value
+    return None
+
+
+def stated_start(values: Values) -> datetime | None:
+    """Return the time of the first sample; numbers are not accepted, as their epoch is unknown.
+
+    Examples
+    --------
+    >>> stated_start({"start_time": "2026-03-01T12:00:00"})
+    datetime.datetime(2026, 3, 1, 12, 0)
+    """
+    for _, value, _, _ in _named(values, _START_NAMES):
+        if isinstance(value, datetime):
+            return value
+        if isinstance(value, str):
+            with suppress(ValueError):
+                return datetime.fromisoformat(value.strip())
+    return None
+
+
+def stated_time_unit(name: str, values: Values) -> str:
+    """Return the unit of an array of times: its attribute, else the unit in its name, else ""."""
+    for _, value, _, _ in _named(values, _UNIT_NAMES):
+        if isinstance(value, str) and value.strip():
+            return plain_unit(value)
+    column = column_of(name.rpartition("/")[2])
+    return column.unit if column.has_time_unit else ""
+
+
+def _named(values: Values, names: frozenset[str]) -> Iterator[tuple[str, Value, str, str]]:
+    """Yield the values of these names: name as written, value, plain name and the unit behind it."""
+    for name, value in values.items():
+        plain, unit = _plain(name)
+        if plain in names:
+            yield name, value, plain, unit
+
+
+def _plain(name: str) -> tuple[str, str]:
+    """Return the letters and digits of a name in lower case, "" if it states nothing, and the unit behind it."""
+    # FS means full scale as often as sampling rate.
+    if name.strip() == "FS":
+        return "", ""
+    plain = _letters(name)
+    if plain in _NAMES:
+        return plain, ""
+    found = _UNIT_BEHIND.search(name.lower())
+    if found and (plain := _letters(name[: found.start()])) in _NAMES:
+        return plain, found[1]
+    return "", ""
+
+
+def _letters(name: str) -> str:
+    return re.sub(r"[^a-z0-9]+", "", name.lower())
+
+
+def _rate_of(interval: float) -> float:
+    """Return the rate of an interval, rounded if a whole rate has the same interval: 1 / 1e-5 is below 100000."""
+    if not interval:
+        return np.inf
+    rate = 1 / interval
+    whole = round(rate) if 0 < rate < 1e12 else 0
+    return float(whole) if whole and 1 / whole == interval else rate
+
+
+def _number(value: Value, unit: str, factor_of: Callable[[str], float | None]) -> float | None:
+    """Return a value in SI units, None if it is not a number; its own unit takes precedence over that in its name."""
+    if isinstance(value, str):
+        found = _NUMBER.fullmatch(value.replace("\u03bc", "µ"))
+        if not found:
+            return None
+        value, unit = float(found[1]), found[2] or unit
+    factor = factor_of(unit)
+    if isinstance(value, bool) or not isinstance(value, int | float) or factor is None:
+        return None
+    return value * factor
+
+
+# ---- arrays ----------------------------------------------------------------------------------------------------------
 
 #: Names of an array of times; a capital T may as well be a temperature or a torque.
 _TIME_NAME = re.compile(r"(?i:(?:.*[\s_.-])?(?:time|zeit)(?:[\s_.(\[-].*)?)|t(?:\s*[(\[].*|_(?:m|u|µ)?s)?")
@@ -118,28 +276,32 @@ def contents_of(
         )
     for one in chosen:
         _require_readable(one, source)
-    rates_of = _Rates(variables, statements, source, warnings)
-    rates = [rates_of.of(one) for one in chosen]
+    levels = [list(_levels(one, statements)) for one in chosen]
+    times, measured = [one for one in variables if one.is_time], dict[str, float | None]()
+    rates = []
+    for one, level in zip(chosen, levels, strict=True):
+        stated = _first(level, lambda values: stated_rate(values, source))
+        rates.append(_rate(one, stated, times, measured, source, warnings))
     for (rate, _), one in zip(rates[1:], chosen[1:], strict=True):
         if (rate is None) != (rates[0][0] is None) or (rate and rates[0][0] and not rates_agree(rate, rates[0][0])):
             raise BadData(
                 f"{source}: channels must have one sampling rate, {first.path} has {_hertz(rates[0][0])} and "
                 f"{one.path} {_hertz(rate)}; pick one by --variable NAME"
             )
-    levels = [list(_levels(one, statements)) for one in chosen]
     if len(chosen) == 1:
-        names = _first(levels[0], lambda values: stated_names(values, first.n_channels) or None) or []
-        units = _first(levels[0], lambda values: _units(values, first.n_channels))
+        names = _first(levels[0], lambda values: stated_names(values, first.n_channels)) or []
     else:
         names = [one.name for one in chosen]
-        units = [unit for level in levels for unit in (_first(level, lambda v: _units(v, 1)) or [None])]
+    units: list[str | None] = []
+    for one, level in zip(chosen, levels, strict=True):
+        units += _first(level, partial(stated_units, n_channels=one.n_channels)) or [None] * one.n_channels
     start: datetime | None = _first(levels[0], stated_start)
     return Contents(
         n_channels=sum(one.n_channels for one in chosen),
         blocks=first.blocks if len(chosen) == 1 else _joined(chosen, n_samples, source),
         n_samples=n_samples,
         names=names,
-        units=units or [],
+        units=units,
         sampling_rate=rates[0][0],
         rate_from=rates[0][1],
         start_time=start,
@@ -198,48 +360,38 @@ def _first(levels: Sequence[Values], ask: Callable[[Values], Answer | None]) -> 
     return next((answer for values in levels if (answer := ask(values)) is not None), None)
 
 
-def _units(values: Values, n_channels: int) -> list[str | None] | None:
-    units = stated_units(values, n_channels)
-    return units if any(units) else None
+def _rate(
+    variable: Variable,
+    stated: tuple[float, str] | None,
+    times: Sequence[Variable],
+    measured: dict[str, float | None],
+    source: str,
+    warnings: list[str],
+) -> tuple[float | None, str]:
+    """Return the rate [Hz] of an array and its origin, or None and "header"; raise `BadData` on contradictions.
 
-
-class _Rates:
-    """Sampling rates of arrays, from named values about them and from times next to them."""
-
-    def __init__(
-        self, variables: Sequence[Variable], statements: Mapping[str, Values], source: str, warnings: list[str]
-    ) -> None:
-        self._times = [one for one in variables if one.is_time]
-        self._statements, self._source, self._warnings = statements, source, warnings
-        # Times are read only once for all their channels.
-        self._measured: dict[str, float | None] = {}
-
-    def of(self, variable: Variable) -> tuple[float | None, str]:
-        """Return the rate [Hz] and its origin, or None and "header"; raise `BadData` on contradictions."""
-        stated = _first(list(_levels(variable, self._statements)), lambda values: stated_rate(values, self._source))
-        found = [] if stated is None else [stated]
-        for times in self._times:
-            if times is variable or (times.group, times.n_samples) != (variable.group, variable.n_samples):
-                continue
-            if times.path not in self._measured and times.n_samples > 1:
-                self._measured[times.path] = self._measure(times, None if stated is None else stated[1])
-            rate = self._measured.get(times.path)
-            if rate is not None:
-                found.append((rate, f"array {times.path}"))
-        for other in found[1:]:
-            require_one_rate(found[0], other, self._source)
-        return found[0] if found else (None, "header")
-
-    def _measure(self, times: Variable, otherwise: str | None) -> float | None:
-        try:
-            _require_readable(times, self._source)
-            unit = stated_time_unit(times.name, times.about)
-            return rate_of_vector(times, unit, f"{self._source}: {times.path}")
-        except BadData:
-            if otherwise is None:
-                raise
-            self._warnings.append(f"the times of {times.path} are not even, the rate is that of {otherwise}")
-            return None
+    `measured` keeps the rates of the arrays of times, which are read only once for all their channels.
+    """
+    found = [] if stated is None else [stated]
+    for one in times:
+        if one is variable or (one.group, one.n_samples) != (variable.group, variable.n_samples):
+            continue
+        if one.path not in measured and one.n_samples > 1:
+            try:
+                _require_readable(one, source)
+                unit = stated_time_unit(one.name, one.about)
+                measured[one.path] = rate_of_vector(one, unit, f"{source}: {one.path}")
+            except BadData:
+                if stated is None:
+                    raise
+                warnings.append(f"the times of {one.path} are not even, the rate is that of {stated[1]}")
+                measured[one.path] = None
+        rate = measured.get(one.path)
+        if rate is not None:
+            found.append((rate, f"array {one.path}"))
+    for other in found[1:]:
+        require_one_rate(found[0], other, source)
+    return found[0] if found else (None, "header")
 
 
 def _require_readable(variable: Variable, source: str) -> None:

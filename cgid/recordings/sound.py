@@ -1,10 +1,13 @@
-"""Read WAV files by blocks: whole frames are read, contradictions and cuts become warnings.
+"""Read sound files by blocks: WAV without a library, FLAC and OGG with libsndfile.
 
-EBU Tech 3285 (broadcast WAV), EBU Tech 3306 (RF64), RFC 2361 (codings).
+Whole frames of a WAV are read, contradictions and cuts become warnings: EBU Tech 3285 (broadcast WAV), EBU Tech 3306
+(RF64), RFC 2361 (codings). libsndfile does not compare the FLAC checksum of all samples (RFC 9639, 8.2) and does not
+report missing pages of an Ogg file (RFC 3533): both are checked here.
 """
 
 from __future__ import annotations
 
+import hashlib
 import os
 import struct
 import sys
@@ -19,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cgid.errors import BadData, InvalidValue
-from cgid.recordings.recording import MOST_NUMBERS, Contents
+from cgid.recordings.recording import Contents, library
 
 #: First bytes of WAV files: little-endian, big-endian, and two with 64-bit sizes.
 WAV_MAGICS = (b"RIFF", b"RIFX", b"RF64", b"BW64")
@@ -67,11 +70,6 @@ class Coding:
             raise InvalidValue(f"sample_format must be one of {listed}, got {name!r}")
         return found
 
-    @property
-    def is_known(self) -> bool:
-        """Whether `width` is valid for `kind`."""
-        return self.width in _WIDTHS[self.kind]
-
     def decoded(self, raw: bytes) -> NDArray[Any]:
         """Return numbers, (len(raw) // width,): integers as float64 with a full scale of 1.0, floats unchanged.
 
@@ -94,11 +92,12 @@ class Coding:
         return scaled
 
 
-_KINDS: dict[str, tuple[Literal["i", "f"], tuple[int, ...]]] = {"s": ("i", (2, 3, 4)), "f": ("f", (4, 8))}
+_KINDS: dict[str, Literal["i", "f"]] = {"s": "i", "f": "f"}
 _NAMED = {"u8": Coding(kind="u", width=1)} | {
     f"{letter}{8 * width}{ending}": Coding(kind=kind, width=width, big_endian=ending == "be")
-    for letter, (kind, widths) in _KINDS.items()
-    for width in widths
+    for letter, kind in _KINDS.items()
+    for width in _WIDTHS[kind]
+    if width < 8 or kind == "f"
     for ending in ("le", "be", "")
 }
 
@@ -181,7 +180,7 @@ def _head(chunks: dict[bytes, bytes], order: str, outer_size: int, data_size: in
         tag = int(struct.unpack(order + "H", form[24:26])[0])
     width = align // n_channels if n_channels and align % n_channels == 0 else 0
     coding = Coding(kind="f" if tag == _FLOAT else "u" if width == 1 else "i", width=width, big_endian=order == ">")
-    if tag not in (_PCM, _FLOAT) or not coding.is_known or not 0 < bits <= 8 * width:
+    if tag not in (_PCM, _FLOAT) or width not in _WIDTHS[coding.kind] or not 0 < bits <= 8 * width:
         raise BadData(
             f"{source}: WAV must be PCM of 8 to 64 bits or float of 32 or 64, it is "
             f"{_OTHER_CODINGS.get(tag, f'of type {tag}')}, {n_channels} channels, {align} bytes a frame, {bits} bits; "
@@ -221,11 +220,11 @@ def _start_time(broadcast: bytes) -> datetime | None:
     return None
 
 
-# ---- files -----------------------------------------------------------------------------------------------------------
+# ---- WAV files -------------------------------------------------------------------------------------------------------
 
 
-def read_wav(path: Path, source: str, variable: str | None) -> Contents:
-    """Return the channels of a WAV file (RIFF, RIFX or RF64), which holds one recording: `variable` is not used.
+def read_wav(path: Path, source: str) -> Contents:
+    """Return the channels of a WAV file (RIFF, RIFX or RF64).
 
     Integers of 8, 16, 24, 32 or 64 bits are scaled to a full scale of 1.0, floats of 32 or 64 bits are kept; both are
     in "FS" unless the user gives a unit. A file that is cut off or was never closed gives its whole samples and a
@@ -239,7 +238,7 @@ def read_wav(path: Path, source: str, variable: str | None) -> Contents:
         size = _size_of_sound(file, head, start, held, warnings)
 
     def blocks(length: int, channels: Sequence[int]) -> Iterator[NDArray[Any]]:
-        most = min(length, max(1, MOST_NUMBERS // head.n_channels)) * head.frame_size
+        most = length * head.frame_size
         picked = list(channels)
         with path.open("rb") as file:
             file.seek(start)
@@ -309,3 +308,144 @@ def _is_chunk(file: BinaryIO, head: WaveHead, at: int, held: int) -> bool:
     file.seek(at)
     name, size = file.read(4), int.from_bytes(file.read(4), "big" if head.coding.big_endian else "little")
     return len(name) == 4 and all(32 <= byte < 127 for byte in name) and at + 8 + size <= held + 1
+
+
+# ---- FLAC and OGG files ----------------------------------------------------------------------------------------------
+
+#: Samples of each channel to decode at once; before damage, only whole groups of this size are read.
+_DECODED = 1024
+
+#: Most samples of a channel in one byte of a file: a FLAC frame of 65535 equal samples takes about 12 bytes.
+_BEST_PACKING = 1 << 13
+
+#: Bytes of an Ogg page before its segment table.
+_PAGE_HEAD = 27
+_LAST_PAGE = 4
+
+
+def read_audio(path: Path, source: str) -> Contents:
+    """Return the channels of a FLAC or OGG file.
+
+    Full scale is 1.0, in "FS" unless the user gives a unit. A damaged or cut file gives the samples before the damage
+    and a warning. Raises `BadData` if the header is damaged, `MissingExtra` without soundfile.
+    """
+    sound = _Sound(path=path, source=source, library=library("soundfile", "FLAC and OGG files", source))
+    with sound.opened() as file:
+        n_channels, rate, n_samples = int(file.channels), float(file.samplerate), int(file.frames)
+    return Contents(
+        n_channels=n_channels,
+        blocks=sound.blocks,
+        # A header may declare more than a file of this size can hold.
+        n_samples=n_samples if 0 <= n_samples <= _BEST_PACKING * path.stat().st_size else None,
+        sampling_rate=rate,
+        rate_from="header of the audio file",
+        fallback_unit="FS",
+        warnings=sound.warnings,
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Sound:
+    path: Path
+    source: str
+    library: Any
+    warnings: list[str] = field(default_factory=list)
+
+    def opened(self) -> Any:
+        # Open with Python first: its error tells that a file is missing.
+        self.path.open("rb").close()
+        try:
+            return self.library.SoundFile(str(self.path))
+        except (self.library.LibsndfileError, ValueError) as error:
+            raise BadData(
+                f"{self.source}: the audio file cannot be decoded ({_reason(error)}); copy or export it again"
+            ) from None
+
+    def blocks(self, length: int, channels: Sequence[int]) -> Iterator[NDArray[Any]]:
+        """Yield the samples of channels; at the end warn of missing ones."""
+        picked, count = list(channels), 0
+        checksum, found = _flac_checksum(self.path), hashlib.md5(usedforsecurity=False)
+        end = _ogg_end(self.path)
+        with self.opened() as file:
+            most = min(length, _DECODED)
+            declared = file.frames
+            while True:
+                try:
+                    frames = file.read(most, dtype="int32" if checksum else "float64", always_2d=True)
+                except self.library.LibsndfileError as error:
+                    self._stopped(count, declared, _reason(error))
+                    return
+                if not len(frames):
+                    break
+                if checksum:
+                    found.update(_stored(frames, checksum[0]))
+                    frames = frames / 2.0**31
+                count += len(frames)
+                yield np.ascontiguousarray(frames.T[picked])
+        if count < declared:
+            self._stopped(count, declared, "it ends there")
+        elif checksum and found.digest() != checksum[1]:
+            self.warnings.append("the samples are not those of the checksum in the header; some are damaged or missing")
+        if end is not None:
+            self._compare(*end, count)
+
+    def _stopped(self, count: int, declared: int, reason: str) -> None:
+        if not count:
+            raise BadData(f"{self.source}: no sample can be decoded ({reason}); copy or export the file again")
+        self.warnings.append(
+            f"the header declares {declared} samples and {count} can be decoded ({reason}); the file looks cut off or "
+            "damaged, what comes before was read"
+        )
+
+    def _compare(self, is_whole: bool, n_samples: int | None, count: int) -> None:
+        if not is_whole:
+            self.warnings.append(f"the file has no end; it looks cut off, the {count} samples before were read")
+        elif n_samples not in (None, count):
+            raise BadData(
+                f"{self.source}: the file must hold {n_samples} samples and {count} can be decoded; some of its "
+                "pages are damaged, copy or export it again"
+            )
+
+
+def _flac_checksum(path: Path) -> tuple[int, bytes] | None:
+    """Return the bits of a sample and the MD5 of all samples in the header of a FLAC file; None without them."""
+    with path.open("rb") as file:
+        head = file.read(42)
+    if not head.startswith(b"fLaC") or len(head) < 42 or not any(head[26:42]):
+        return None
+    return ((head[20] & 1) << 4 | head[21] >> 4) + 1, head[26:42]
+
+
+def _stored(frames: NDArray[np.int32], bits: int) -> bytes:
+    """Return samples (n, n_channels) in the upper bits of 32 as the bytes that the checksum counts."""
+    numbers = np.ascontiguousarray(frames >> (32 - bits), "<i4")
+    return numbers.view(np.uint8).reshape(-1, 4)[:, : -(-bits // 8)].tobytes()
+
+
+def _reason(error: Exception) -> str:
+    # Remove the file name: the message already begins with it.
+    return " ".join(str(error).rpartition("':")[2].split()).rstrip(".")[:120]
+
+
+def _ogg_end(path: Path) -> tuple[bool, int | None] | None:
+    """Return whether all pages of an Ogg file exist, and its samples per channel if the last page counts them.
+
+    Returns None if it is not an Ogg file.
+    """
+    position, flags, number, at = 0, 0, -1, 0
+    is_vorbis = False
+    with path.open("rb") as file:
+        size = os.fstat(file.fileno()).st_size
+        while len(head := file.read(_PAGE_HEAD)) == _PAGE_HEAD and head.startswith(b"OggS"):
+            table = file.read(head[26])
+            end = at + _PAGE_HEAD + head[26] + sum(table)
+            if end > size or int.from_bytes(head[18:22], "little") != number + 1:
+                break
+            if not at:
+                is_vorbis = file.read(7) == b"\x01vorbis"
+            number, flags, at = number + 1, head[5], end
+            position = int.from_bytes(head[6:14], "little", signed=True)
+            file.seek(at)
+        if not at and not head.startswith(b"OggS"):
+            return None
+    return at == size and bool(flags & _LAST_PAGE), position if is_vorbis else None
