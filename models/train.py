@@ -21,11 +21,11 @@ from pathlib import Path
 
 from beside_force import beside_force, force_model, learner
 from domain_shift import domain_shift
+from selection import select
 
 from cgid import shipped
 from cgid.identification.card import check_model_output, write_model
 from cgid.identification.rows import measure
-from cgid.identification.selection import select
 from cgid.identification.training import train
 from cgid.scene import load_scene, synthesise
 

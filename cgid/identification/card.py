@@ -374,7 +374,7 @@ def domain_shift_table(rows: Sequence[Record]) -> list[str]:
 
 
 def selection_table(rows: Sequence[Record]) -> list[str]:
-    """Return the table of a comparison of families (`cgid.identification.selection.select`)."""
+    """Return the table of a comparison of families (`models/selection.py`)."""
     titles = ("family", "exportable", "accuracy", "difference", "Brier", "calibration error", "trained on")
     cells = [
         (

@@ -21,7 +21,6 @@ from cgid.errors import BadData
 from cgid.identification.classifier import ImpactClassifier, best_temperature
 from cgid.identification.families import Neighbourhood, softmax
 from cgid.identification.rows import Rows, Sets, adapted, linear_columns
-from cgid.identification.selection import preferred
 from cgid.validation import Floats
 from cgid.workers import ALONE, Workers
 
@@ -134,6 +133,15 @@ def choose_candidate(lesson: Lesson, crew: Workers = ALONE) -> Choice:
     if judged.any():
         temperature = best_temperature(scores[best][judged], truth[judged], _row_weights(rows.labels[judged], weights))
     return Choice(best, tuple(accuracies), temperature)
+
+
+def preferred(accuracies: Sequence[float], margin: float) -> int:
+    """Return the best of some candidates; a later one must be better than an earlier one by the margin."""
+    best = 0
+    for k, accuracy in enumerate(accuracies):
+        if accuracy > accuracies[best] + margin:
+            best = k
+    return best
 
 
 def judge(lesson: Lesson, progress: Callable[[int], object] | None = None, crew: Workers = ALONE) -> Judged:
