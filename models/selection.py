@@ -24,7 +24,7 @@ from threadpoolctl import threadpool_limits
 
 from cgid import shipped, validation
 from cgid.errors import InvalidValue
-from cgid.identification.card import selection_table
+from cgid.identification.card import plain, table
 from cgid.identification.classifier import ImpactClassifier
 from cgid.identification.grouped import preferred
 from cgid.identification.metrics import evaluate, paired_difference
@@ -187,6 +187,35 @@ def _microseconds(predict: Callable[[Floats], Floats], one: Floats) -> float:
         predict(one)
         times.append(time.perf_counter() - start)
     return 1e6 * float(np.median(times))
+
+
+def selection_table(rows: list[dict[str, Any]]) -> list[str]:
+    """Return the table of the comparison."""
+    titles = ("family", "exportable", "accuracy", "difference", "Brier", "calibration error", "trained on")
+    cells = [
+        (
+            f"**{plain(row['name'])}**" if row["chosen"] else plain(row["name"]),
+            "yes" if row["exportable"] else "no",
+            f"{row['accuracy']:.4f}",
+            f"{row['difference']:+.4f} ± {row['standard_error']:.4f}",
+            f"{row['brier_score']:.4f}",
+            f"{row['expected_calibration_error']:.4f}",
+            row["n_train"],
+            f"{row['fit_s']:.1f}",
+            f"{row['predict_us']:.0f}",
+            f"{row['size_bytes'] / 1e3:.1f}",
+        )
+        for row in rows
+    ]
+    return table((*titles, "fit [s]", "one impact [us]", "size [kB]"), cells)
+
+
+def selection_section(rows: list[dict[str, Any]], family: str) -> list[str]:
+    """Return the section of the card of a model of some family."""
+    lines = selection_table(rows)
+    if family not in [row["name"] for row in rows if row["chosen"]]:
+        lines += ["", f"Bold is the choice of this comparison; the family of this model, {family}, was asked for."]
+    return lines
 
 
 def main() -> None:

@@ -10,15 +10,17 @@ import numpy as np
 import pytest
 
 from cgid.errors import InvalidValue
-from cgid.identification.card import domain_shift_table, selection_table, write_card
+from cgid.identification.card import write_card
 from cgid.identification.classifier import FAMILIES as EXPORTABLE
 from cgid.identification.classifier import ImpactClassifier
 from cgid.identification.grouped import preferred
 from cgid.identification.metrics import paired_difference
+from cgid.identification.model import Model
 from cgid.identification.rows import Rows, measure
 from cgid.identification.training import train
 from cgid.scene import Scene, synthesise
-from models.selection import FAMILIES, MARGIN, Family, select
+from models.domain_shift import domain_shift_table
+from models.selection import FAMILIES, MARGIN, Family, select, selection_section, selection_table
 from tests import few
 
 FEATURES = ("peak_force", "width_50", "tilt")
@@ -59,9 +61,10 @@ def test_every_family_is_compared_and_a_card_can_print_it(
     assert sum(row["chosen"] for row in rows) == 1
     lines = selection_table(rows)
     assert len(lines) == 2 + len(rows)
-    training = train(synthesise(reference_scene, 400), features=FEATURES, selection=rows)
-    assert training.model.training["selection"] == rows
-    card = write_card(training.model, "m.npz")
+    model = train(synthesise(reference_scene, 400), features=FEATURES).model
+    model = Model.from_bytes(replace(model, training=model.training | {"selection": rows}).to_bytes())
+    assert model.training["selection"] == rows
+    card = write_card(model, "m.npz", further=[("Selection", selection_section(rows, model.family))])
     assert "## Selection" in card
     assert all(line in card for line in lines)
 
@@ -143,6 +146,7 @@ def test_domain_shift_is_a_section_of_the_card(reference_scene: Scene) -> None:
     model = train(synthesise(reference_scene, 300), features=FEATURES).model
     assert "## Domain shift" not in write_card(model, "m.npz")
     shift = [{"name": "strangers", "accuracy": 0.61, "n": 1000, "flagged_share": 0.25}]
-    shifted = replace(model, training={**model.training, "domain_shift": shift})
     assert domain_shift_table(shift)[-1] == "| strangers | 1000 | 0.6100 | 25.00% |"
-    assert domain_shift_table(shift)[-1] in write_card(shifted, "m.npz")
+    assert domain_shift_table(shift)[-1] in write_card(
+        model, "m.npz", further=[("Domain shift", domain_shift_table(shift))]
+    )

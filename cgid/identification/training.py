@@ -92,7 +92,6 @@ def train(
     level_free: bool = False,
     synthetic: Rows | None = None,
     shuffle_labels: bool = False,
-    selection: Sequence[Mapping[str, Any]] | None = None,
     progress: Callable[[int], object] | None = None,
     crew: Workers = ALONE,
 ) -> Training:
@@ -132,8 +131,6 @@ def train(
     shuffle_labels : bool
         Shuffle the labels of specimens or recordings first, as a check: the accuracy must then be that of guessing.
         With few recordings it is lower, because recordings of one material resemble each other.
-    selection : sequence of dict, optional
-        Comparison of families (`models/selection.py`) for the model card.
     progress : callable, optional
         Called with the number of signals measured; for recordings with 1 per group judged.
     crew : Workers
@@ -159,8 +156,6 @@ def train(
         "labels_shuffled": shuffle_labels,
         "sources": [*rows.digests, *(() if synthetic is None else synthetic.digests)],
     }
-    if selection is not None:
-        record["selection"] = [dict(row) for row in selection]
     if rows.slicing is None:
         names = names or tuple(name for name in rows.names if name not in limiting)
         parts = _split(rows, judged_on, test_share, calibration_share, seed)
