@@ -11,7 +11,7 @@ import numpy as np
 
 from cgid import shipped
 from cgid.identification.answers import Answer, identify_frames
-from cgid.identification.card import force_table
+from cgid.identification.card import plain, table
 from cgid.identification.metrics import paired_difference
 from cgid.identification.model import Model
 from cgid.identification.training import train
@@ -88,6 +88,31 @@ def _hits(model: Model, batches: list[Any]) -> Any:
 
 def _most_probable(answer: Answer) -> str | None:
     return max(answer.probabilities, key=answer.probabilities.__getitem__) if answer.probabilities else None
+
+
+def force_table(row: dict[str, Any]) -> list[str]:
+    """Return the comparison of a model of vibrations with one of the contact force of the same impacts.
+
+    `row` has name (of the other model), n, accuracy, force_accuracy, difference, standard_error, and optionally
+    learner: name, n, accuracy, low and high of the best learner.
+    """
+    rows = [
+        ("this model, on the vibration", row["n"], f"{row['accuracy']:.4f}"),
+        (plain(row["name"]), row["n"], f"{row['force_accuracy']:.4f}"),
+    ]
+    lost = f"{row['difference']:.4f} ± {row['standard_error']:.4f} of the accuracy"
+    lines = [*table(("the same impacts", "number", "accuracy"), rows), "", f"The way through the beam costs {lost}."]
+    if "learner" not in row:
+        return lines
+    learner = row["learner"]
+    return [
+        *lines,
+        "",
+        "Nobody integrates the likelihood of a vibration here: a learner holds the ceiling from below. "
+        f"{plain(learner['name'])} is right in {learner['accuracy']:.4f} (95 % interval {learner['low']:.4f} to "
+        f"{learner['high']:.4f}) of the {learner['n']} impacts that judge. From above the ceiling of the force "
+        "holds it, for the force has all that the vibration has. It lies between the two.",
+    ]
 
 
 def main() -> None:

@@ -11,7 +11,7 @@ import numpy as np
 
 from cgid import shipped
 from cgid.identification.answers import identify_frames
-from cgid.identification.card import domain_shift_table
+from cgid.identification.card import plain, table
 from cgid.identification.model import Model
 from cgid.scene import Scene, load_scene, synthesise, varied
 from cgid.units import STANDARD_GRAVITY
@@ -75,6 +75,23 @@ def domain_shift(model: Model, n_impacts: int = 5120) -> list[dict[str, Any]]:
             }
         )
     return rows
+
+
+def domain_shift_table(rows: list[dict[str, Any]]) -> list[str]:
+    """Return the table of a model in other domains.
+
+    `rows` have name, n, accuracy (None for unknown labels) and flagged_share.
+    """
+    cells = [
+        (
+            plain(row["name"]),
+            row["n"],
+            "-" if row["accuracy"] is None else f"{row['accuracy']:.4f}",
+            f"{row['flagged_share']:.2%}",
+        )
+        for row in rows
+    ]
+    return table(("impacts of", "number", "accuracy", "flagged as strange"), cells)
 
 
 def main() -> None:

@@ -18,20 +18,34 @@ import argparse
 from dataclasses import replace
 from itertools import chain
 from pathlib import Path
+from typing import Any
 
-from beside_force import beside_force, force_model, learner
-from domain_shift import domain_shift
+from beside_force import beside_force, force_model, force_table, learner
+from domain_shift import domain_shift, domain_shift_table
+from selection import select, selection_section
 
 from cgid import shipped
-from cgid.identification.card import check_model_output, write_model
+from cgid.identification.card import Section, check_model_output, write_model
+from cgid.identification.model import Model
 from cgid.identification.rows import measure
-from cgid.identification.selection import select
 from cgid.identification.training import train
 from cgid.scene import load_scene, synthesise
 
 HERE = Path(__file__).parent
 SCENES = ("reference", "randomised")
 ACCELERATION_SCENES = ("tail_beam",)
+
+
+def sections(model: Model) -> list[Section]:
+    """Return the sections of the card about the comparisons in the record of a model."""
+    told, found = model.training, []
+    if "domain_shift" in told:
+        found.append(("Domain shift", domain_shift_table(told["domain_shift"])))
+    if "beside_force" in told:
+        found.append(("What is lost against the force", force_table(told["beside_force"])))
+    if "selection" in told:
+        found.append(("Selection", selection_section(told["selection"], model.family)))
+    return found
 
 
 def main() -> None:
@@ -56,10 +70,10 @@ def main() -> None:
     ]
     # A seed for each scene: the same seed would draw the same rocks.
     seeded = [(scene, arguments.seed + number) for number, scene in enumerate(scenes)]
-    selection = None
+    told: dict[str, Any] = {}
     if arguments.selection and not known:
         few = chain.from_iterable(synthesise(scene, arguments.selection, seed) for scene, seed in seeded)
-        selection = select(measure(few, known=known), n_folds=3, seed=arguments.seed)
+        told["selection"] = select(measure(few, known=known), n_folds=3, seed=arguments.seed)
     batches = chain.from_iterable(synthesise(scene, arguments.signals, seed) for scene, seed in seeded)
     training = train(
         batches,
@@ -67,14 +81,14 @@ def main() -> None:
         family=arguments.family,
         seed=arguments.seed,
         judged_on=scenes[0].sha256,
-        selection=selection,
     )
-    told = training.model.training | {"domain_shift": domain_shift(training.model)}
+    told["domain_shift"] = domain_shift(training.model)
     if arguments.acceleration:
         best = learner(scenes[0], arguments.signals, arguments.seed)
         rival = force_model(scenes[0], arguments.signals, arguments.seed)
-        told |= {"beside_force": beside_force(training.model, scenes[0], rival) | {"learner": best}}
-    for path in write_model(replace(training, model=replace(training.model, training=told)), output, plots=True):
+        told["beside_force"] = beside_force(training.model, scenes[0], rival) | {"learner": best}
+    model = replace(training.model, training=training.model.training | told)
+    for path in write_model(replace(training, model=model), output, plots=True, further=sections(model)):
         print(path)
     low, high = training.metrics["accuracy_interval_95"]
     print(f"accuracy {training.metrics['accuracy']:.4f} (95 % interval {low:.4f} to {high:.4f})")

@@ -14,7 +14,7 @@ from cgid import shipped
 from cgid.cli.main import run
 from cgid.errors import BadData, InvalidValue, NoInput
 from cgid.identification.answers import identify, identify_frames, suited
-from cgid.identification.card import force_table, write_card
+from cgid.identification.card import write_card
 from cgid.identification.detection import VIBRATION_DEAD_TIME, find_impacts
 from cgid.identification.model import Model
 from cgid.identification.rows import (
@@ -29,6 +29,7 @@ from cgid.identification.training import Training, train
 from cgid.measure.features import FEATURES
 from cgid.signals import Batch, Signal
 from cgid.units import STANDARD_GRAVITY
+from models.beside_force import force_table
 from tests.ringing import N_SAMPLES, PRE_TRIGGER, RATE, damped_sinusoid, ringing_batch
 
 
@@ -127,9 +128,9 @@ def test_the_file_keeps_all_and_the_card_tells_it(training: Training, model_file
     assert "acceleration [m/s^2], vibrations of both signs, trained at 25.6 kHz" in card
     assert "on another beam" in card
     row = {"name": "force", "n": 9, "accuracy": 0.6, "force_accuracy": 0.9, "difference": 0.3, "standard_error": 0.01}
-    told = replace(loaded, training=loaded.training | {"beside_force": row})
-    assert "\n".join(force_table(row)) in write_card(told, "m.npz")
-    assert "costs 0.3000 ± 0.0100" in write_card(told, "m.npz")
+    card = write_card(loaded, "m.npz", further=[("Force", force_table(row))])
+    assert "\n".join(["## Force", "", *force_table(row), "", "## Limits"]) in card
+    assert "costs 0.3000 ± 0.0100" in card
 
 
 def test_g_is_converted(training: Training, fresh: Batch) -> None:

@@ -24,13 +24,13 @@ from cgid.cli.main import run
 from cgid.errors import BadData, CannotCreate, ClusterFailed, InvalidValue, MissingExtra
 from cgid.identification.grouped import Candidate, Lesson, choose_candidate, final, judge
 from cgid.identification.rows import Rows, measure
-from cgid.identification.selection import CANDIDATES, select
 from cgid.scene import Scene, generate, synthesise
 from cgid.scene import generation as shards
 from cgid.store import Dataset
 from cgid.store.run import JOURNAL
 from cgid.validation import positive
 from cgid.workers import ALONE, Workers, workers
+from models.selection import FAMILIES, select
 from tests.mortal import fatal
 
 #: Quick to measure, and with a signal's share of the folds that calibrate.
@@ -124,7 +124,7 @@ def test_families_are_compared_alike_whoever_does_the_folds(reference_scene: Sce
     measured = measure(synthesise(reference_scene, 300, 3), FEATURES.split(","))
 
     def compared(crew: Workers) -> list[dict[str, Any]]:
-        rows = select(measured, candidates=CANDIDATES[:2], n_folds=2, crew=crew)
+        rows = select(measured, families=FAMILIES[:2], n_folds=2, crew=crew)
         return [{name: value for name, value in row.items() if name not in ("fit_s", "predict_us")} for row in rows]
 
     with workers(2) as two:

@@ -34,6 +34,7 @@ from cgid.measure.features import extract_array
 from cgid.scene import Scene, parse_scene, synthesise, varied
 from cgid.signals import Signal
 from cgid.units import STANDARD_GRAVITY
+from models.domain_shift import domain_shift_table
 from tests import few
 
 Trained = dict[str, Training]
@@ -617,8 +618,8 @@ def test_card_shows_names_as_they_are(trained: Trained) -> None:
     model = trained["logistic"].model
     name = "<b>*x*|[a](b)\x1b"
     training = dict(model.training) | {"sources": [name], "versions": {name: name}}
-    training["domain_shift"] = [{"name": name, "n": 1, "accuracy": None, "flagged_share": 0.5}]
-    card = write_card(replace(model, training=training), name, (name,))
+    shift = domain_shift_table([{"name": name, "n": 1, "accuracy": None, "flagged_share": 0.5}])
+    card = write_card(replace(model, training=training), name, (name,), [("Domain shift", shift)])
     assert card.count(r"\<b\>\*x\*\|\[a\](b)\\x1b") == 6
     assert not re.search(r"(?<!\\)(<b>|\*x|\|\[)|\x1b", card)
 

@@ -10,13 +10,17 @@ import numpy as np
 import pytest
 
 from cgid.errors import InvalidValue
-from cgid.identification.card import domain_shift_table, selection_table, write_card
-from cgid.identification.classifier import FAMILIES, ImpactClassifier
+from cgid.identification.card import write_card
+from cgid.identification.classifier import FAMILIES as EXPORTABLE
+from cgid.identification.classifier import ImpactClassifier
+from cgid.identification.grouped import preferred
 from cgid.identification.metrics import paired_difference
+from cgid.identification.model import Model
 from cgid.identification.rows import Rows, measure
-from cgid.identification.selection import CANDIDATES, MARGIN, Candidate, preferred, select
 from cgid.identification.training import train
 from cgid.scene import Scene, synthesise
+from models.domain_shift import domain_shift_table
+from models.selection import FAMILIES, MARGIN, Family, select, selection_section, selection_table
 from tests import few
 
 FEATURES = ("peak_force", "width_50", "tilt")
@@ -43,23 +47,24 @@ def measured(reference_scene: Scene) -> Rows:
     return measure(synthesise(reference_scene, 500, seed=3), FEATURES, known=("drop_height",))
 
 
-@pytest.mark.parametrize("candidates", few([list(CANDIDATES[:1] + CANDIDATES[-1:]), list(CANDIDATES)]))
-def test_every_candidate_is_compared_and_a_card_can_print_it(
-    measured: Rows, reference_scene: Scene, candidates: list[Candidate]
+@pytest.mark.parametrize("families", few([list(FAMILIES[:1] + FAMILIES[-1:]), list(FAMILIES)]))
+def test_every_family_is_compared_and_a_card_can_print_it(
+    measured: Rows, reference_scene: Scene, families: list[Family]
 ) -> None:
-    rows = select(measured, n_folds=2, candidates=tuple(candidates))
-    assert [row["name"] for row in rows] == [candidate.name for candidate in candidates]
-    rivals = {candidate.name for candidate in CANDIDATES[len(FAMILIES) :]}
+    rows = select(measured, n_folds=2, families=tuple(families))
+    assert [row["name"] for row in rows] == [family.name for family in families]
+    rivals = {family.name for family in FAMILIES[len(EXPORTABLE) :]}
     assert len(rivals) == 2
-    assert [row["exportable"] for row in rows] == [candidate.name not in rivals for candidate in candidates]
+    assert [row["exportable"] for row in rows] == [family.name not in rivals for family in families]
     assert all(0.75 < row["accuracy"] < 0.97 for row in rows)
     assert all(row[name] > 0 for row in rows for name in ("fit_s", "predict_us", "size_bytes"))
     assert sum(row["chosen"] for row in rows) == 1
     lines = selection_table(rows)
     assert len(lines) == 2 + len(rows)
-    training = train(synthesise(reference_scene, 400), features=FEATURES, selection=rows)
-    assert training.model.training["selection"] == rows
-    card = write_card(training.model, "m.npz")
+    model = train(synthesise(reference_scene, 400), features=FEATURES).model
+    model = Model.from_bytes(replace(model, training=model.training | {"selection": rows}).to_bytes())
+    assert model.training["selection"] == rows
+    card = write_card(model, "m.npz", further=[("Selection", selection_section(rows, model.family))])
     assert "## Selection" in card
     assert all(line in card for line in lines)
 
@@ -77,8 +82,8 @@ class Watched(ImpactClassifier):
 def test_all_see_the_same_folds_and_specimens_stay_together(measured: Rows) -> None:
     names = ("features", "known", "labels", "group")
     twice = replace(measured, **{name: np.repeat(getattr(measured, name), 2, axis=0) for name in names})
-    candidates = tuple(Candidate(str(k), lambda linear, seed, k=k: Watched("linear", n_trees=k), False) for k in (1, 2))
-    select(twice, candidates=candidates, n_folds=4)
+    families = tuple(Family(str(k), Watched("linear", n_trees=k)) for k in (1, 2))
+    select(twice, families=families, n_folds=4)
     first, second = Watched.SEEN.values()
     assert first == second
     assert len(first) == 4
@@ -92,13 +97,13 @@ def test_who_knows_the_specimens_by_heart_gains_nothing() -> None:
     specimen = np.repeat(np.arange(60), 20)
     features = np.exp(np.repeat(generator.normal(size=(60, 3)), 20, axis=0) + generator.normal(0, 1e-3, (1200, 3)))
     labels = np.where(specimen % 2, "a", "b")
-    rows = select(made(features, labels, specimen), candidates=CANDIDATES[1:2], n_folds=3)
+    rows = select(made(features, labels, specimen), families=FAMILIES[1:2], n_folds=3)
     assert rows[0]["accuracy"] < 0.75
 
 
-def test_a_candidate_may_be_trained_on_fewer(measured: Rows) -> None:
-    thinned = replace(CANDIDATES[3], most=100)
-    rows = select(measured, candidates=(CANDIDATES[3], thinned), n_folds=3)
+def test_a_family_may_be_trained_on_fewer(measured: Rows) -> None:
+    thinned = replace(FAMILIES[3], most=100)
+    rows = select(measured, families=(FAMILIES[3], thinned), n_folds=3)
     assert [row["n_train"] for row in rows] == [333, 100] or [row["n_train"] for row in rows] == [334, 100]
 
 
@@ -128,7 +133,7 @@ def test_paired_difference_is_that_of_specimens() -> None:
 )
 def test_a_later_one_wins_only_by_the_margin(accuracies: list[float], best: int) -> None:
     assert MARGIN == 0.003
-    assert preferred(accuracies) == best
+    assert preferred(accuracies, MARGIN) == best
 
 
 @pytest.mark.parametrize("n_folds", [1, 400])
@@ -141,6 +146,7 @@ def test_domain_shift_is_a_section_of_the_card(reference_scene: Scene) -> None:
     model = train(synthesise(reference_scene, 300), features=FEATURES).model
     assert "## Domain shift" not in write_card(model, "m.npz")
     shift = [{"name": "strangers", "accuracy": 0.61, "n": 1000, "flagged_share": 0.25}]
-    shifted = replace(model, training={**model.training, "domain_shift": shift})
     assert domain_shift_table(shift)[-1] == "| strangers | 1000 | 0.6100 | 25.00% |"
-    assert domain_shift_table(shift)[-1] in write_card(shifted, "m.npz")
+    assert domain_shift_table(shift)[-1] in write_card(
+        model, "m.npz", further=[("Domain shift", domain_shift_table(shift))]
+    )

@@ -9,7 +9,15 @@ from typing import Any
 import click
 
 from cgid import validation
-from cgid.cli.options import PATH, crew_options, print_json, progress_bar, require_one_crew, say_error
+from cgid.cli.options import (
+    PATH,
+    crew_options,
+    dead_time_in_seconds,
+    print_json,
+    progress_bar,
+    require_one_crew,
+    say_error,
+)
 from cgid.cli.output import say
 from cgid.errors import CgidError, InvalidValue
 
@@ -123,57 +131,30 @@ def train(
     return failures[0].exit_code if failures else 0
 
 
+#: Options for every training.
+_COMMON = ("features", "family", "class_weights", "seed", "shuffle_labels", "crew")
+
+
 def _from_signals(data: list[str], options: dict[str, Any]) -> tuple[Any, list[Any]]:
     """Return the training on datasets and scenes, and no errors."""
     from cgid.identification.training import train as train_model
 
-    names = ("features", "family", "test_share", "calibration_share", "class_weights", "seed", "shuffle_labels", "crew")
     with progress_bar(None, "signals") as progress:
         training = train_model(
             _batches(data, options["n_signals"], options["seed"]),
             known=("drop_height",) if options["drop_height"] else (),
             progress=progress,
-            **{name: options[name] for name in names},
+            **{name: options[name] for name in (*_COMMON, "test_share", "calibration_share")},
         )
     return training, []
 
 
 def _from_recordings(manifest: str, others: list[str], options: dict[str, Any]) -> tuple[Any, list[Any]]:
     """Return the training on recordings, and the errors of unreadable ones."""
-    from cgid.identification.labelled_recordings import record
+    from cgid.identification.labelled_recordings import Reading, record
     from cgid.identification.manifest import read_manifest
-    from cgid.identification.training import train as train_model
-
-    slicing, reading = _recording_options(options)
-    with progress_bar(None, f"{options['by']}s") as progress:
-        rows = record(
-            read_manifest(manifest),
-            options["features"],
-            slicing=slicing,
-            reading=reading,
-            level_free=options["level_free"],
-            progress=progress,
-        )
-    rows, synthetic = _with_synthetic(others, rows, options) if others else (rows, None)
-    for warning in rows.warnings:
-        say(f"cgid: warning: {warning}", err=True)
-    names = ("features", "family", "level_free", "class_weights", "seed", "shuffle_labels", "crew")
-    try:
-        with progress_bar(None, "groups") as progress:
-            own = {name: options[name] for name in names}
-            training = train_model(rows, synthetic=synthetic, progress=progress, **own)
-    except CgidError:
-        for failure in rows.failures:  # the unreadable recordings may be the missing ones
-            say_error(failure)
-        raise
-    return training, list(rows.failures)
-
-
-def _recording_options(options: dict[str, Any]) -> tuple[Any, Any]:
-    """Return how to cut recordings into rows, and how to read them."""
-    from cgid.cli.options import dead_time_in_seconds
-    from cgid.identification.labelled_recordings import Reading
     from cgid.identification.rows import Slicing
+    from cgid.identification.training import train as train_model
 
     window, hop = options["window_time"], options["hop_time"]
     slicing = Slicing(
@@ -182,12 +163,28 @@ def _recording_options(options: dict[str, Any]) -> tuple[Any, Any]:
         hop_time=window / 2 if hop is None else hop,
         dead_time=dead_time_in_seconds(options["dead_time"]),
     )
-    return slicing, Reading(
-        sampling_rate=options["sampling_rate"],
-        unit=options["unit"],
-        channels=options["channels"] or None,
-        strict=options["strict"],
-    )
+    given = {name: options[name] for name in ("sampling_rate", "unit", "strict")}
+    with progress_bar(None, f"{options['by']}s") as progress:
+        rows = record(
+            read_manifest(manifest),
+            options["features"],
+            slicing=slicing,
+            reading=Reading(channels=options["channels"] or None, **given),
+            level_free=options["level_free"],
+            progress=progress,
+        )
+    rows, synthetic = _with_synthetic(others, rows, options) if others else (rows, None)
+    for warning in rows.warnings:
+        say(f"cgid: warning: {warning}", err=True)
+    own = {name: options[name] for name in (*_COMMON, "level_free")}
+    try:
+        with progress_bar(None, "groups") as progress:
+            training = train_model(rows, synthetic=synthetic, progress=progress, **own)
+    except CgidError:
+        for failure in rows.failures:  # the unreadable recordings may be the missing ones
+            say_error(failure)
+        raise
+    return training, list(rows.failures)
 
 
 def _with_synthetic(data: list[str], recorded: Any, options: dict[str, Any]) -> tuple[Any, Any]:

@@ -19,6 +19,8 @@ if TYPE_CHECKING:
     from cgid.identification.training import Training
 
 Record = Mapping[str, Any]
+#: Title and lines of a section.
+Section = tuple[str, list[str]]
 #: The pictures that belong to a model.
 PICTURES = ("confusion", "reliability", "roc")
 #: Most features that a card lists.
@@ -49,8 +51,10 @@ def check_model_output(path: Path, *, plots: bool = False, overwrite: bool = Fal
     return path
 
 
-def write_model(training: Training, path: Path, *, plots: bool = False, overwrite: bool = True) -> list[Path]:
-    """Write pictures, card and model, all or nothing; return the files written.
+def write_model(
+    training: Training, path: Path, *, plots: bool = False, overwrite: bool = True, further: Sequence[Section] = ()
+) -> list[Path]:
+    """Write pictures, card (with `further` sections) and model, all or nothing; return the files written.
 
     Raises `CannotCreate` if the folder is not writable or a name was taken meanwhile; `WriteFailed` if the disk is full
     or broken, which leaves an old model and its card unchanged.
@@ -64,7 +68,7 @@ def write_model(training: Training, path: Path, *, plots: bool = False, overwrit
         pictures = {f"{path.stem}-{name}.png": picture for name, picture in drawn.items()}
     contents = {
         **pictures,
-        f"{path.stem}.md": write_card(training.model, path.name, tuple(pictures)).encode(),
+        f"{path.stem}.md": write_card(training.model, path.name, tuple(pictures), further).encode(),
         path.name: training.model.to_bytes(),
     }
     files = {path.with_name(name): content for name, content in contents.items()}
@@ -75,20 +79,23 @@ def write_model(training: Training, path: Path, *, plots: bool = False, overwrit
 # -- the card ---------------------------------------------------------------------------------------------
 
 
-def write_card(model: Model, name: str, pictures: tuple[str, ...] = ()) -> str:
-    """Return the card of a model; `name` is that of the model file, `pictures` are relative to the card."""
+def write_card(model: Model, name: str, pictures: tuple[str, ...] = (), further: Sequence[Section] = ()) -> str:
+    """Return the card of a model; `name` is that of the model file, `pictures` are relative to the card.
+
+    `further` are titles and lines of sections to add before the limits.
+    """
     lines = [f"# Model card: {plain(name)}", ""]
     if model.training["labels_shuffled"]:
         lines += ["**Trained on shuffled labels: a check of the method, of no other use.**", ""]
     of = "a window of a recording" if model.kind == "window" else "one impact"
     lines += [f"Identifies {', '.join(map(plain, model.labels))} from the {model.quantity} of {of}.", ""]
     lines += [*table(("", ""), _identity(model)), ""]
-    for title, body in _sections(model, pictures):
+    for title, body in _sections(model, pictures, further):
         lines += [f"## {title}", "", *body, ""]
     return "\n".join(lines)
 
 
-def _sections(model: Model, pictures: tuple[str, ...]) -> Iterator[tuple[str, list[str]]]:
+def _sections(model: Model, pictures: tuple[str, ...], further: Sequence[Section]) -> Iterator[Section]:
     training = model.training
     recorded = training.get("recorded")
     judgement = _judgement(model) + ([] if recorded is None else ["", *_votes(training)])
@@ -96,16 +103,11 @@ def _sections(model: Model, pictures: tuple[str, ...]) -> Iterator[tuple[str, li
         judgement += ["", *(f"![{plain(picture)}]({quote(picture)})" for picture in pictures)]
     yield f"On {'windows' if model.kind == 'window' else 'impacts'} it has not seen", judgement
     yield "Calibration and reject option", _calibration(model)
-    if "domain_shift" in training:
-        yield "Domain shift", domain_shift_table(training["domain_shift"])
-    if "beside_force" in training:
-        yield "What is lost against the force", force_table(training["beside_force"])
     if recorded is not None:
         yield "Choice", _choice(recorded["candidates"])
         if "synthetic" in recorded:
             yield "Adaptation", _adaptation(recorded["synthetic"], training["metrics"]["accuracy"])
-    if "selection" in training:
-        yield "Selection", _selection(training["selection"], model.family)
+    yield from further
     yield "Limits", _limits(model) if recorded is None else _limits_of_recordings(model)
 
 
@@ -290,13 +292,6 @@ def _adaptation(synthetic: Record, accuracy: float) -> list[str]:
     ]
 
 
-def _selection(rows: Sequence[Record], family: str) -> list[str]:
-    lines = selection_table(rows)
-    if family not in [row["name"] for row in rows if row["chosen"]]:
-        lines += ["", f"Bold is the choice of this comparison; the family of this model, {family}, was asked for."]
-    return lines
-
-
 def _limits(model: Model) -> list[str]:
     lines = [
         "It knows the impacts of its training data and no others. An impact whose novelty passes 1 (the distance",
@@ -354,66 +349,3 @@ def table(titles: Sequence[str], rows: Iterable[Sequence[object]]) -> list[str]:
 
 def _chosen(row: Record) -> str:
     return f"**{plain(row['name'])}**" if row["chosen"] else plain(row["name"])
-
-
-def domain_shift_table(rows: Sequence[Record]) -> list[str]:
-    """Return the table of a model in other domains.
-
-    `rows` have name, n, accuracy (None for unknown labels) and flagged_share.
-    """
-    cells = [
-        (
-            plain(row["name"]),
-            row["n"],
-            "-" if row["accuracy"] is None else f"{row['accuracy']:.4f}",
-            f"{row['flagged_share']:.2%}",
-        )
-        for row in rows
-    ]
-    return table(("impacts of", "number", "accuracy", "flagged as strange"), cells)
-
-
-def selection_table(rows: Sequence[Record]) -> list[str]:
-    """Return the table of a comparison of families (`cgid.identification.selection.select`)."""
-    titles = ("family", "exportable", "accuracy", "difference", "Brier", "calibration error", "trained on")
-    cells = [
-        (
-            _chosen(row),
-            "yes" if row["exportable"] else "no",
-            f"{row['accuracy']:.4f}",
-            f"{row['difference']:+.4f} ± {row['standard_error']:.4f}",
-            f"{row['brier_score']:.4f}",
-            f"{row['expected_calibration_error']:.4f}",
-            row["n_train"],
-            f"{row['fit_s']:.1f}",
-            f"{row['predict_us']:.0f}",
-            f"{row['size_bytes'] / 1e3:.1f}",
-        )
-        for row in rows
-    ]
-    return table((*titles, "fit [s]", "one impact [us]", "size [kB]"), cells)
-
-
-def force_table(row: Record) -> list[str]:
-    """Return the comparison of a model of vibrations with one of the contact force of the same impacts.
-
-    `row` has name (of the other model), n, accuracy, force_accuracy, difference, standard_error, and optionally
-    learner: name, n, accuracy, low and high of the best learner.
-    """
-    rows = [
-        ("this model, on the vibration", row["n"], f"{row['accuracy']:.4f}"),
-        (plain(row["name"]), row["n"], f"{row['force_accuracy']:.4f}"),
-    ]
-    lost = f"{row['difference']:.4f} ± {row['standard_error']:.4f} of the accuracy"
-    lines = [*table(("the same impacts", "number", "accuracy"), rows), "", f"The way through the beam costs {lost}."]
-    if "learner" not in row:
-        return lines
-    learner = row["learner"]
-    return [
-        *lines,
-        "",
-        "Nobody integrates the likelihood of a vibration here: a learner holds the ceiling from below. "
-        f"{plain(learner['name'])} is right in {learner['accuracy']:.4f} (95 % interval {learner['low']:.4f} to "
-        f"{learner['high']:.4f}) of the {learner['n']} impacts that judge. From above the ceiling of the force "
-        "holds it, for the force has all that the vibration has. It lies between the two.",
-    ]

@@ -92,7 +92,7 @@ class _Perceptron(MLPClassifier):  # type: ignore[misc]
 
     def fit(self, X: Floats, y: NDArray[Any], sample_weight: Floats | None = None) -> _Perceptron:
         with warnings.catch_warnings():
-            # n_iterations is a setting; convergence is not required.
+            # The number of iterations is fixed; convergence is not required.
             warnings.simplefilter("ignore", ConvergenceWarning)
             super().fit(X, y, sample_weight)
         return self
@@ -109,8 +109,8 @@ def _logistic(_: ImpactClassifier) -> Any:
 def _boosting(settings: ImpactClassifier) -> Any:
     return HistGradientBoostingClassifier(
         max_iter=settings.n_trees,
-        max_leaf_nodes=settings.n_leaves,
-        learning_rate=settings.learning_rate,
+        max_leaf_nodes=15,
+        learning_rate=0.08,
         l2_regularization=1.0,
         early_stopping=False,
         random_state=settings.random_state,
@@ -124,11 +124,11 @@ def _linear(_: ImpactClassifier) -> Any:
 def _network(settings: ImpactClassifier) -> Any:
     # In the same time, L-BFGS on all impacts is better and more stable than Adam on batches.
     return _Perceptron(
-        (settings.n_units, settings.n_units),
+        (32, 32),
         activation="tanh",
         solver="lbfgs",
         alpha=1.0,
-        max_iter=settings.n_iterations,
+        max_iter=200,
         random_state=settings.random_state,
     )
 
@@ -145,14 +145,6 @@ class ImpactClassifier(ClassifierMixin, BaseEstimator):  # type: ignore[misc]
         Columns that never get a logarithm; the others do if all their training values are above 0.
     n_trees : int
         Boosting rounds.
-    n_leaves : int
-        Most leaves of a tree.
-    learning_rate : float
-        Of boosting.
-    n_units : int
-        Units of each hidden layer of the network.
-    n_iterations : int
-        Most steps of the network's optimiser.
     calibration_folds : int
         Folds of the temperature scaling of probabilities (Guo et al. 2017); 0 for no calibration.
     class_weight : dict or "balanced", optional
@@ -187,10 +179,6 @@ class ImpactClassifier(ClassifierMixin, BaseEstimator):  # type: ignore[misc]
         *,
         linear: tuple[int, ...] = (),
         n_trees: int = 200,
-        n_leaves: int = 15,
-        learning_rate: float = 0.08,
-        n_units: int = 32,
-        n_iterations: int = 200,
         calibration_folds: int = 3,
         class_weight: Mapping[Any, float] | str | None = None,
         rejects: bool = True,
@@ -199,10 +187,6 @@ class ImpactClassifier(ClassifierMixin, BaseEstimator):  # type: ignore[misc]
         self.family = family
         self.linear = linear
         self.n_trees = n_trees
-        self.n_leaves = n_leaves
-        self.learning_rate = learning_rate
-        self.n_units = n_units
-        self.n_iterations = n_iterations
         self.calibration_folds = calibration_folds
         self.class_weight = class_weight
         self.rejects = rejects

@@ -21,7 +21,6 @@ from cgid.errors import BadData
 from cgid.identification.classifier import ImpactClassifier, best_temperature
 from cgid.identification.families import Neighbourhood, softmax
 from cgid.identification.rows import Rows, Sets, adapted, linear_columns
-from cgid.identification.selection import preferred
 from cgid.validation import Floats
 from cgid.workers import ALONE, Workers
 
@@ -116,24 +115,29 @@ def leave_groups_out(labels: NDArray[np.str_], group: NDArray[np.integer], seed:
 
 def choose_candidate(lesson: Lesson, crew: Workers = ALONE) -> Choice:
     """Return the best candidate for held-out groups, and its temperature (the inner loop)."""
-    rows, weights = lesson.rows, lesson.weights
-    labels, accuracies = np.unique(rows.labels), []
-    truth = np.searchsorted(labels, rows.labels)
+    rows = lesson.rows
+    labels, truth = np.unique(rows.labels, return_inverse=True)
     folds = [fold for fold in leave_groups_out(rows.labels, rows.group, lesson.seed) if _teaches_all(rows.labels, fold)]
-    judged = np.any(folds, axis=0) if folds else np.zeros(len(rows.labels), bool)
+    if not folds:
+        return Choice(0, (0.0,) * len(lesson.candidates), 1.0)
     scores = np.zeros((len(lesson.candidates), len(truth), len(labels)))
     for fold, answers in zip(folds, crew.each(_scores_of_all, lesson, folds), strict=True):
         scores[:, fold] = answers
-    for own in scores:
-        hits = np.argmax(own[judged], axis=1) == truth[judged]
-        accuracies.append(
-            float(np.average(hits, weights=_row_weights(rows.labels[judged], weights))) if hits.size else 0.0
-        )
+    judged = np.any(folds, axis=0)
+    scores, truth, weights = scores[:, judged], truth[judged], _row_weights(rows.labels[judged], lesson.weights)
+    hits = np.argmax(scores, axis=2) == truth
+    accuracies = tuple(float(np.average(own, weights=weights)) for own in hits)
     best = preferred(accuracies, MARGIN)
-    temperature = 1.0
-    if judged.any():
-        temperature = best_temperature(scores[best][judged], truth[judged], _row_weights(rows.labels[judged], weights))
-    return Choice(best, tuple(accuracies), temperature)
+    return Choice(best, accuracies, best_temperature(scores[best], truth, weights))
+
+
+def preferred(accuracies: Sequence[float], margin: float) -> int:
+    """Return the best of some candidates; a later one must be better than an earlier one by the margin."""
+    best = 0
+    for k, accuracy in enumerate(accuracies):
+        if accuracy > accuracies[best] + margin:
+            best = k
+    return best
 
 
 def judge(lesson: Lesson, progress: Callable[[int], object] | None = None, crew: Workers = ALONE) -> Judged:
@@ -157,11 +161,10 @@ def judge(lesson: Lesson, progress: Callable[[int], object] | None = None, crew:
 
 def final(lesson: Lesson, choice: Choice, crew: Workers = ALONE) -> ImpactClassifier:
     """Return the chosen candidate trained on all rows; its novelty limit comes from held-out groups."""
-    rows = lesson.rows
     only = replace(lesson, candidates=(lesson.candidates[choice.best],))
-    distances = list(crew.each(_distances, only, list(leave_groups_out(rows.labels, rows.group, lesson.seed))))
-    with threadpool_limits(1):
-        classifier = _fitted(only.candidates[0], rows, lesson.weights, lesson.seed, rejects=True)
+    folds = list(leave_groups_out(lesson.rows.labels, lesson.rows.group, lesson.seed))
+    distances = list(crew.each(_distances, only, folds))
+    classifier = _fitted(lesson, lesson.candidates[choice.best], rejects=True)
     limit = float(np.quantile(np.concatenate(distances), Neighbourhood.INSIDE))
     classifier.temperature_ = choice.temperature
     classifier.neighbourhood_ = replace(classifier.neighbourhood_, limit=limit)
@@ -189,7 +192,7 @@ def _distances(lesson: Lesson, fold: NDArray[np.bool_]) -> Floats:
     """Return the distances of the rows of a fold from the other rows, for the only candidate."""
     (candidate,) = lesson.candidates
     with threadpool_limits(1):
-        without = _fitted(candidate, lesson.rows[~fold], lesson.weights, lesson.seed, rejects=True)
+        without = _fitted(lesson, candidate, ~fold, rejects=True)
         novelty = without.novelty(lesson.rows.inputs(candidate.features)[fold])
     return novelty * without.neighbourhood_.limit
 
@@ -199,23 +202,24 @@ def _teaches_all(labels: NDArray[np.str_], fold: NDArray[np.bool_]) -> bool:
 
 
 def _fitted(
-    candidate: Candidate, rows: Rows, weights: Weights, seed: int, *, rejects: bool = False
+    lesson: Lesson, candidate: Candidate, chosen: NDArray[np.bool_] | None = None, *, rejects: bool = False
 ) -> ImpactClassifier:
+    """Return a candidate trained on the chosen rows, or on all."""
+    rows = adapted(lesson.rows if chosen is None else lesson.rows[chosen])
     classifier = ImpactClassifier(
         candidate.family,
         linear=linear_columns(candidate.features * rows.n_channels),
         calibration_folds=0,  # held-out groups calibrate
-        class_weight=weights,
+        class_weight=lesson.weights,
         rejects=rejects,
-        random_state=seed,
+        random_state=lesson.seed,
     )
-    return classifier.fit(adapted(rows).inputs(candidate.features), rows.labels)
+    return classifier.fit(rows.inputs(candidate.features), rows.labels)
 
 
 def _scores(candidate: Candidate, lesson: Lesson, fold: NDArray[np.bool_]) -> Floats:
     """Return the scores of a fold by a candidate trained on the other rows, (n_rows, n_labels)."""
-    fitted = _fitted(candidate, lesson.rows[~fold], lesson.weights, lesson.seed)
-    scores = fitted.decision_function(lesson.rows[fold].inputs(candidate.features))
+    scores = _fitted(lesson, candidate, ~fold).decision_function(lesson.rows[fold].inputs(candidate.features))
     return np.stack([np.zeros(len(scores)), scores], axis=1) if scores.ndim == 1 else scores
 
 

@@ -8,8 +8,8 @@ from __future__ import annotations
 import hashlib
 import math
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field, replace
-from itertools import groupby
+from dataclasses import dataclass, replace
+from itertools import compress, groupby
 from typing import Any, NoReturn
 
 import numpy as np
@@ -233,13 +233,13 @@ def record(
     runs = open_all(manifest, replace(reading, strict=True), failures, references=True)
     references = reference_spectra(runs, files[0], slicing.window_time)
     cutting = _Cutting(names, slicing, files[0].unit, equalisations_of(references))
-    measured: list[_FileRows] = []
+    measured: list[tuple[AnnotatedFile, list[Piece]]] = []
     for file in files:
         try:
-            measured.append(_measured(file, cutting, progress))
+            measured.append((file, list(_pieces(file, cutting, progress))))
         except CgidError as error:
             reading.note(error, failures)
-    if not any(rows.annotations for rows in measured):
+    if not any(np.isfinite(part).all(axis=1).any() for _, own in measured for _, _, part in own):
         said = "".join(f"; {error}" for error in failures[:1])
         raise BadData(
             f"{manifest.source}: recordings must hold a {slicing.by} with a label, there is none{said}; "
@@ -248,29 +248,37 @@ def record(
     return replace(_joined(measured, cutting), references=references, failures=tuple(failures))
 
 
-def _joined(measured: Sequence[_FileRows], cutting: _Cutting) -> Rows:
-    """Concatenate the rows of all files."""
-    annotations = [one for rows in measured for one in rows.annotations]
+def _joined(measured: Sequence[tuple[AnnotatedFile, list[Piece]]], cutting: _Cutting) -> Rows:
+    """Return the complete rows of all files, and warnings of the damage of files and of annotations without a row."""
+    recordings = [file.recording for file, _ in measured]
+    pieces = [piece for _, own in measured for piece in own]
+    features = np.concatenate([part for _, _, part in pieces])
+    complete = np.isfinite(features).all(axis=1)
+    annotations = list(compress((one for one, times, _ in pieces for _ in times), complete))
     sources, source = _numbered([one.name for one in annotations])
     groups, group = _numbered([one.group for one in annotations])
-    recordings = [rows.file.recording for rows in measured]
     rates = [recording.sampling_rate for recording in recordings]
+    warnings = []
+    for file, _ in measured:
+        empty = [one.name for one in file.annotations if one.name not in sources]
+        said = (f"{name}: there must be {cutting.slicing.by}s to be measured, there is none" for name in empty)
+        warnings += [*file.recording.warnings, *(f"{text}; check start and end" for text in said)]
     return Rows(
         names=cutting.names,
-        features=np.concatenate([part for rows in measured for part in rows.features]),
+        features=features[complete],
         labels=np.array([one.label for one in annotations]),
         group=group,
         source=source,
         sources=sources,
         groups=groups,
-        digests=tuple(rows.file.digest for rows in measured),
+        digests=tuple(file.digest for file, _ in measured),
         unit=cutting.unit,
         sampling_rates=(min(rates), max(rates)),
         n_channels=len(recordings[0].channels),
         slicing=cutting.slicing,
-        time=np.concatenate([part for rows in measured for part in rows.times]),
-        left_out=sum(rows.left_out for rows in measured),
-        warnings=tuple(warning for rows in measured for warning in rows.warnings(cutting.slicing.by)),
+        time=np.concatenate([times for _, times, _ in pieces])[complete],
+        left_out=int((~complete).sum()),
+        warnings=tuple(warnings),
     )
 
 
@@ -341,42 +349,18 @@ class _Cutting:
     equalisations: Equalisations
 
 
-@dataclass
-class _FileRows:
-    """The rows of one file."""
-
-    file: AnnotatedFile
-    features: list[Floats] = field(default_factory=list)
-    times: list[Floats] = field(default_factory=list)
-    annotations: list[Annotation] = field(default_factory=list)
-    left_out: int = 0
-
-    def warnings(self, by: str) -> tuple[str, ...]:
-        """Return the damage of the file, and its annotations without a row."""
-        held = {one.name for one in self.annotations}
-        empty = [one.name for one in self.file.annotations if one.name not in held]
-        said = (f"{name}: there must be {by}s to be measured, there is none; check start and end" for name in empty)
-        return (*self.file.recording.warnings, *said)
+#: Annotation, times and features of some rows.
+Piece = tuple[Annotation, Floats, Floats]
 
 
-Measured = Iterator[tuple[Annotation, Floats, Floats]]
-
-
-def _measured(file: AnnotatedFile, cutting: _Cutting, progress: Callable[[int], object] | None) -> _FileRows:
-    rows = _FileRows(file)
-    measure = _windows if cutting.slicing.by == "window" else _impacts
-    for annotation, times, features in measure(file, cutting):
-        complete = np.isfinite(features).all(axis=1)
-        rows.left_out += int((~complete).sum())
-        rows.features.append(features[complete])
-        rows.times.append(times[complete])
-        rows.annotations += [annotation] * int(complete.sum())
+def _pieces(file: AnnotatedFile, cutting: _Cutting, progress: Callable[[int], object] | None) -> Iterator[Piece]:
+    for piece in (_windows if cutting.slicing.by == "window" else _impacts)(file, cutting):
+        yield piece
         if progress is not None:
-            progress(len(times))
-    return rows
+            progress(len(piece[1]))
 
 
-def _windows(file: AnnotatedFile, cutting: _Cutting) -> Measured:
+def _windows(file: AnnotatedFile, cutting: _Cutting) -> Iterator[Piece]:
     """Yield annotation, times and features of the windows that lie completely in annotated intervals."""
     rate, slicing = file.recording.sampling_rate, cutting.slicing
     for annotation, blocks in annotated_blocks(file, cutting.unit):
@@ -386,7 +370,7 @@ def _windows(file: AnnotatedFile, cutting: _Cutting) -> Measured:
             yield annotation, times, measure_windows(windows, rate, cutting.names, equalisation)
 
 
-def _impacts(file: AnnotatedFile, cutting: _Cutting) -> Measured:
+def _impacts(file: AnnotatedFile, cutting: _Cutting) -> Iterator[Piece]:
     """Yield annotation, times and features of the impacts in annotated intervals; the detector sees all samples."""
     recording = file.recording
     detector = ImpactDetector(
@@ -399,7 +383,7 @@ def _impacts(file: AnnotatedFile, cutting: _Cutting) -> Measured:
     yield from _measured_events(detector.finish(), file, cutting)
 
 
-def _measured_events(events: list[Event], file: AnnotatedFile, cutting: _Cutting) -> Measured:
+def _measured_events(events: list[Event], file: AnnotatedFile, cutting: _Cutting) -> Iterator[Piece]:
     for annotation in file.annotations:
         own = [event for event in events if annotation.start <= event.time < annotation.end]
         for numbers, frames in frames_alike(own):

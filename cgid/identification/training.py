@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import platform
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from importlib.metadata import version
 from typing import Any
 
@@ -24,6 +24,7 @@ from cgid.identification.conformal import Conformal
 from cgid.identification.families import Neighbourhood
 from cgid.identification.grouped import (
     Candidate,
+    Choice,
     Lesson,
     Weights,
     candidates_for,
@@ -91,7 +92,6 @@ def train(
     level_free: bool = False,
     synthetic: Rows | None = None,
     shuffle_labels: bool = False,
-    selection: Sequence[Mapping[str, Any]] | None = None,
     progress: Callable[[int], object] | None = None,
     crew: Workers = ALONE,
 ) -> Training:
@@ -131,8 +131,6 @@ def train(
     shuffle_labels : bool
         Shuffle the labels of specimens or recordings first, as a check: the accuracy must then be that of guessing.
         With few recordings it is lower, because recordings of one material resemble each other.
-    selection : sequence of dict, optional
-        Comparison of families (`cgid.identification.selection.select`) for the model card.
     progress : callable, optional
         Called with the number of signals measured; for recordings with 1 per group judged.
     crew : Workers
@@ -153,37 +151,20 @@ def train(
         rows, names, limiting = _measured(data, features, guards, tuple(known), progress, crew)
     rows = _shuffled(rows, seed) if shuffle_labels else rows
     _require_labels(rows, class_weights)
+    record: dict[str, Any] = {
+        "seed": seed,
+        "labels_shuffled": shuffle_labels,
+        "sources": [*rows.digests, *(() if synthetic is None else synthetic.digests)],
+    }
     if rows.slicing is None:
         names = names or tuple(name for name in rows.names if name not in limiting)
         parts = _split(rows, judged_on, test_share, calibration_share, seed)
-        fitted = _held_out(rows, parts, names, limiting, family or "logistic", class_weights, seed, crew)
-        fitted.record.update(test_share=test_share, calibration_share=calibration_share, judged_on=judged_on)
-    else:
-        sets = {"asked for": names} if names else sets_for(rows.kind, level_free=level_free)
-        candidates = candidates_for(sets, rows.names, family or "linear")
-        lesson = Lesson(rows=rows, candidates=candidates, weights=class_weights, seed=seed)
-        fitted = _left_out(lesson, synthetic, progress, crew)
-        fitted.record["recorded"]["level_free"] = level_free
-    record = fitted.record | {"seed": seed, "labels_shuffled": shuffle_labels}
-    if selection is not None:
-        record["selection"] = [dict(row) for row in selection]
-    sources = [*rows.digests, *(() if synthetic is None else synthetic.digests)]
-    model = _model(rows, fitted, record | {"sources": sources})
-    return Training(model, fitted.metrics, fitted.labels, fitted.probabilities, fitted.classifier)
-
-
-@dataclass(frozen=True, kw_only=True)
-class _Fitted:
-    """A classifier, its answers for the rows that judged it, and the record for the model card."""
-
-    classifier: ImpactClassifier
-    features: tuple[str, ...]
-    labels: NDArray[np.str_]
-    probabilities: Floats
-    metrics: dict[str, Any]
-    record: dict[str, Any]
-    guard_limits: Mapping[str, float] = field(default_factory=dict)
-    conformal: Conformal | None = None
+        record |= {"test_share": test_share, "calibration_share": calibration_share, "judged_on": judged_on}
+        return _held_out(rows, parts, names, limiting, family or "logistic", class_weights, seed, crew, record)
+    sets = {"asked for": names} if names else sets_for(rows.kind, level_free=level_free)
+    candidates = candidates_for(sets, rows.names, family or "linear")
+    lesson = Lesson(rows=rows, candidates=candidates, weights=class_weights, seed=seed)
+    return _left_out(lesson, synthetic, level_free, progress, crew, record)
 
 
 def _measured(
@@ -225,14 +206,19 @@ def _require_labels(rows: Rows, class_weights: Weights) -> None:
         validation.positive(f"class weight of {label}", weight)
 
 
-def _model(rows: Rows, fitted: _Fitted, record: Mapping[str, Any]) -> Model:
+def _trained(
+    rows: Rows,
+    classifier: ImpactClassifier,
+    judged: tuple[NDArray[np.str_], Floats],
+    metrics: dict[str, Any],
+    record: Mapping[str, Any],
+    **fields: Any,
+) -> Training:
+    """Return the model of a classifier, whose `record` goes on the card, with its labels and answers when judged."""
     slicing = rows.slicing if rows.kind == "window" else None
-    return Model.from_classifier(
-        fitted.classifier,
-        features=fitted.features,
+    model = Model.from_classifier(
+        classifier,
         known=rows.known_names,
-        guards=fitted.guard_limits,
-        conformal=fitted.conformal,
         unit=rows.unit,
         sampling_rates=rows.sampling_rates,
         window_time=0.0 if slicing is None else slicing.window_time,
@@ -245,9 +231,11 @@ def _model(rows: Rows, fitted: _Fitted, record: Mapping[str, Any]) -> Model:
             "n_left_out": rows.left_out,
             "versions": {"cgid": __version__, "python": platform.python_version()}
             | {name: version(name) for name in ("numpy", "scikit-learn")},
-            "metrics": fitted.metrics,
+            "metrics": metrics,
         },
+        **fields,
     )
+    return Training(model, metrics, *judged, classifier)
 
 
 # -- many specimens: held out -----------------------------------------------------------------------------
@@ -326,7 +314,8 @@ def _held_out(
     class_weights: Weights,
     seed: int,
     crew: Workers,
-) -> _Fitted:
+    record: Mapping[str, Any],
+) -> Training:
     """Fit on some specimens, calibrate on others, judge on the rest."""
     labels, specimen = rows.labels, rows.group
     training, calibration, test = parts["train"], parts["calibration"], parts["test"]
@@ -341,19 +330,21 @@ def _held_out(
     classes = tuple(str(label) for label in classifier.classes_)
     metrics = evaluate(labels[test], probabilities, classes, len(np.unique(specimen[test])))
     sets = [] if conformal is None else evaluate_sets(labels[test], probabilities, classes, conformal)
-    return _Fitted(
-        classifier=classifier,
+    record = {
+        **record,
+        **{f"n_{part}_specimens": len(np.unique(specimen[own])) for part, own in parts.items()},
+        "n_train": int(training.sum()),
+        **({} if class_weights is None else {"class_weights": class_weights}),
+    }
+    return _trained(
+        rows,
+        classifier,
+        (labels[test], probabilities),
+        metrics | {"prediction_sets": sets},
+        record,
         features=names,
-        guard_limits=_guard_limits(guards, rows.columns(guards)[training]),
+        guards=_guard_limits(guards, rows.columns(guards)[training]),
         conformal=conformal,
-        labels=labels[test],
-        probabilities=probabilities,
-        metrics=metrics | {"prediction_sets": sets},
-        record={
-            **{f"n_{part}_specimens": len(np.unique(specimen[own])) for part, own in parts.items()},
-            "n_train": int(training.sum()),
-            **({} if class_weights is None else {"class_weights": class_weights}),
-        },
     )
 
 
@@ -386,37 +377,40 @@ def _guard_limits(guards: tuple[str, ...], values: Floats) -> dict[str, float]:
 
 
 def _left_out(
-    lesson: Lesson, synthetic: Rows | None, progress: Callable[[int], object] | None, crew: Workers
-) -> _Fitted:
+    lesson: Lesson,
+    synthetic: Rows | None,
+    level_free: bool,
+    progress: Callable[[int], object] | None,
+    crew: Workers,
+    record: Mapping[str, Any],
+) -> Training:
     """Fit on all rows; each group judges the candidate chosen and trained on the others."""
     rows, adaptation = lesson.rows, {}
+    assert rows.slicing is not None
     if synthetic is not None:
         together = replace(lesson, rows=mixed(rows, synthetic, lesson.seed))
         adaptation = _adaptation(lesson, together.rows, crew)
         lesson = together
     judged = judge(lesson, progress, crew)
     choice = choose_candidate(lesson, crew)
-    best = lesson.candidates[choice.best]
-    assert rows.slicing is not None
-    return _Fitted(
-        classifier=final(lesson, choice, crew),
-        features=best.features,
-        labels=rows.labels,
-        probabilities=judged.probabilities,
-        metrics=evaluate_recordings(rows, judged.probabilities),
-        record={
-            "n_train": len(rows.labels),
-            "recorded": {
-                "by": rows.slicing.by,
-                "n_groups": len(np.unique(rows.group)),
-                "n_recordings": len(rows.sources),
-                "class_weights": lesson.weights,
-                "candidates": _comparison(lesson.candidates, choice.accuracies, judged.chosen, choice.best),
-                "failures": [str(error) for error in rows.failures],
-                "warnings": list(rows.warnings),
-                **adaptation,
-            },
-        },
+    recorded = {
+        "by": rows.slicing.by,
+        "n_groups": len(np.unique(rows.group)),
+        "n_recordings": len(rows.sources),
+        "class_weights": lesson.weights,
+        "candidates": _comparison(lesson.candidates, choice, judged.chosen),
+        "failures": [str(error) for error in rows.failures],
+        "warnings": list(rows.warnings),
+        "level_free": level_free,
+        **adaptation,
+    }
+    return _trained(
+        rows,
+        final(lesson, choice, crew),
+        (rows.labels, judged.probabilities),
+        evaluate_recordings(rows, judged.probabilities),
+        {**record, "n_train": len(rows.labels), "recorded": recorded},
+        features=lesson.candidates[choice.best].features,
     )
 
 
@@ -436,17 +430,15 @@ def _adaptation(recorded: Lesson, together: Rows, crew: Workers) -> dict[str, An
     }
 
 
-def _comparison(
-    candidates: Sequence[Candidate], accuracies: Sequence[float], chosen: Sequence[int], best: int
-) -> list[dict[str, Any]]:
+def _comparison(candidates: Sequence[Candidate], choice: Choice, chosen: Sequence[int]) -> list[dict[str, Any]]:
     return [
         {
             "name": candidate.name,
             "family": candidate.family,
             "n_features": len(candidate.features),
             "accuracy": accuracy,
-            "taken_in_folds": sum(one == k for one in chosen),
-            "chosen": k == best,
+            "taken_in_folds": chosen.count(k),
+            "chosen": k == choice.best,
         }
-        for k, (candidate, accuracy) in enumerate(zip(candidates, accuracies, strict=True))
+        for k, (candidate, accuracy) in enumerate(zip(candidates, choice.accuracies, strict=True))
     ]
