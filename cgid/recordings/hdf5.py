@@ -15,7 +15,7 @@ from cgid.recordings.statements import is_statement
 from cgid.recordings.variables import Variable, contents_of, orientation
 
 if TYPE_CHECKING:
-    from cgid.store.foreign import ForeignArray
+    from cgid.store.reading import ForeignArray
 
 
 def read_own(path: Path) -> Contents:
@@ -51,7 +51,7 @@ def read_hdf5(path: Path, source: str, variable: str | None) -> Contents:
     array or several; or if the array is in another file, declares more than is stored, or needs an unavailable filter.
     """
     from cgid.store.description import RECORDING_FORMAT
-    from cgid.store.foreign import array_blocks, survey
+    from cgid.store.reading import array_blocks, survey
     from cgid.store.sandbox import format_said
 
     said = format_said(path)
@@ -59,7 +59,7 @@ def read_hdf5(path: Path, source: str, variable: str | None) -> Contents:
         if variable not in (None, "samples"):
             raise InvalidValue(f"{source}: the variable of a recording of cgid is 'samples', got {variable!r}")
         return read_own(path)
-    found = survey(path, source, lambda name: name in _PACKING or is_statement(name))
+    arrays, values, warnings = survey(path, source, lambda name: name in _PACKING or is_statement(name))
     if said is None or said.startswith("cgid"):
         raise BadData(f"{source}: an HDF5 file is a dataset, not one recording; {DATASET_CURE}")
 
@@ -83,8 +83,8 @@ def read_hdf5(path: Path, source: str, variable: str | None) -> Contents:
             warning=array.warning,
         )
 
-    variables = [variable_of(array, axes) for array in found.arrays if (axes := orientation(array.shape)) is not None]
-    return contents_of(variables, found.said, source, variable, found.warnings)
+    variables = [variable_of(array, axes) for array in arrays if (axes := orientation(array.shape)) is not None]
+    return contents_of(variables, values, source, variable, warnings)
 
 
 def _number(value: Any) -> float:

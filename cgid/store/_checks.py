@@ -81,21 +81,15 @@ def missing_chunks(item: h5py.Dataset) -> str:
     return ""
 
 
-def cache_size(shape: tuple[int, ...], chunks: tuple[int, ...] | None, itemsize: int, across: int | None) -> int:
+def cache_size(item: h5py.Dataset, across: int | None) -> int:
     """Return the size of the chunks for one moment of all channels [bytes]; `across` is the axis of the channels."""
-    if chunks is None:
-        return _LEAST_CACHE
-    side_by_side = 1 if across is None else -(-shape[across] // chunks[across])
-    return min(max(_LEAST_CACHE, side_by_side * _chunk_size(chunks, itemsize)), _LARGEST_CACHE)
+    side_by_side = 1 if across is None or not item.chunks else -(-item.shape[across] // item.chunks[across])
+    return min(max(_LEAST_CACHE, side_by_side * chunk_bytes(item)), _LARGEST_CACHE)
 
 
 def chunk_bytes(item: h5py.Dataset) -> int:
     """Return the unpacked size of a chunk [bytes], 0 for contiguous storage."""
-    return _chunk_size(item.chunks, item.dtype.itemsize) if item.chunks else 0
-
-
-def _chunk_size(chunks: tuple[int, ...], itemsize: int) -> int:
-    return math.prod(chunks) * itemsize
+    return math.prod(item.chunks) * item.dtype.itemsize if item.chunks else 0
 
 
 def _chunks_declared(item: h5py.Dataset) -> int:
@@ -117,7 +111,7 @@ def _is_unpacked(code: int) -> bool:
 
 
 def _index_fault(item: h5py.Dataset, file_size: int, filters: list[int]) -> str:
-    size = _chunk_size(item.chunks, item.dtype.itemsize)
+    size = chunk_bytes(item)
     # The checksum adds four bytes; without any other filter a chunk is as long as its numbers.
     checksum = 4 if _CHECKSUM in filters else 0
     packed = any(code != _CHECKSUM for code in filters)
@@ -156,15 +150,15 @@ _found_sound: set[tuple[Any, ...]] = set()
 
 
 @contextmanager
-def opened(path: str, source: str, **options: Any) -> Iterator[h5py.File]:
-    """Yield an HDF5 file open for reading; turn h5py's errors on a damaged file into `BadData`."""
+def opened(path: str, source: str) -> Iterator[h5py.File]:
+    """Yield an HDF5 file open for reading; h5py's errors on a damaged file become `BadData`."""
     if not Path(path).exists():
         raise BadData(f"{source}: this shard of the dataset is missing; generate the dataset again")
     if not Path(path).is_file():
         raise BadData(f"{source}: must be a regular file; copy it to one first")
     try:
         # A lock would keep writers out, and fails on some network file systems; files are replaced, never changed.
-        file = h5py.File(path, "r", locking=False, **options)
+        file = h5py.File(path, "r", locking=False)
     except PermissionError:
         raise NoInput(f"{source}: cannot be read (Permission denied); see to its permissions") from None
     except DAMAGE:
@@ -172,15 +166,22 @@ def opened(path: str, source: str, **options: Any) -> Iterator[h5py.File]:
             f"{source}: must be a readable HDF5 file, it is empty, truncated or no HDF5 file; copy it again, or "
             "generate it anew"
         ) from None
-    try:
+    with file, damage_told(source):
         yield file
+
+
+@contextmanager
+def damage_told(
+    source: str, what: str = "is damaged", cure: str = "copy it again, or generate it anew"
+) -> Iterator[None]:
+    """Turn h5py's errors on a damaged file into `BadData`."""
+    try:
+        yield
     except CgidError:
         raise
     except DAMAGE as error:
         reason = " ".join(str(error).split())
-        raise BadData(f"{source}: is damaged ({reason}); copy it again, or generate it anew") from None
-    finally:
-        file.close()
+        raise BadData(f"{source}: {what} ({reason}); {cure}") from None
 
 
 def plain_dataset(file: h5py.File, name: str, source: str, best_ratio: float = BEST_RATIO) -> h5py.Dataset:

@@ -1,12 +1,13 @@
-"""Reading datasets and recordings; everything is checked before use.
+"""Reading datasets, recordings, and HDF5 files of other programs; everything is checked before use.
 
 A separate process reads the HDF5 files; see `cgid.store.sandbox`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Generator, Iterator
+from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import closing
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -315,3 +316,68 @@ class Recording:
     def signal(self) -> Signal:
         """Return the whole recording as a signal."""
         return Signal(samples=self.samples(), sampling_rate=self.sampling_rate, unit=self.unit, source=str(self.path))
+
+
+# ---- HDF5 files of other programs ------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, kw_only=True)
+class ForeignArray:
+    """A numeric array of at least two values in an HDF5 file of another program, such as MATLAB v7.3.
+
+    name : its path, separated by slashes
+    attributes : numbers, texts, and lists of texts
+    fault : why the samples cannot be read, "" if they can
+    warning : the missing parts, "" if there are none
+    """
+
+    name: str
+    shape: tuple[int, ...]
+    attributes: dict[str, Any]
+    fault: str
+    warning: str
+
+
+def survey(
+    path: Path, source: str, wanted: Callable[[str], bool]
+) -> tuple[list[ForeignArray], dict[str, dict[str, Any]], list[str]]:
+    """Return the arrays, the values beside them and the warnings of a foreign HDF5 file.
+
+    The values are those whose names satisfy `wanted`: path of a group ("" for the root) -> its attributes and the
+    single values in it. `source` is the file's name in messages. Raises `BadData` if the file is not HDF5, truncated,
+    damaged, or has more objects than a recording.
+    """
+    names = [name for name in sandbox.call("foreign_names", path, source=source) if wanted(name)]
+    about = sandbox.call("foreign_survey", path, names, source=source)
+    arrays = [ForeignArray(**{**one, "shape": tuple(one["shape"])}) for one in about["arrays"]]
+    said, asked = about["said"], about["texts"]
+    # One flipped bit in a value of variable length can make HDF5 loop for ever. Such values are read last and
+    # separately, so that their loss does not affect the samples.
+    try:
+        texts = sandbox.call("foreign_texts", path, asked, source=source) if asked else []
+    except BadData:
+        lost = ", ".join(sorted({name or place for place, name in asked})[:5])
+        return arrays, said, [f"texts of variable length ({lost}) could not be read; the file may be damaged"]
+    attributes = {array.name: array.attributes for array in arrays}
+    for (place, attribute), value in zip(asked, texts, strict=True):
+        # Without an attribute name it is a value in a group.
+        owner, _, name = (place, "", attribute) if attribute else place.rpartition("/")
+        if value is not None:
+            (attributes[owner] if owner in attributes else said.setdefault(owner, {}))[name] = value
+    return arrays, said, []
+
+
+def array_blocks(
+    path: Path, source: str, array: ForeignArray, axes: tuple[int | None, int], length: int, channels: Sequence[int]
+) -> Iterator[NDArray[Any]]:
+    """Yield the samples of these channels in order, (len(channels), at most length), float32 or float64.
+
+    `axes` are the axis of the channels, None if there is only one channel, and the axis of the samples. `source` is the
+    file's name in messages. Raises `BadData` if a checksum or a compressed chunk is wrong.
+    """
+    # The declared size was checked against the stored bytes; a sample takes at most eight bytes.
+    largest = max(sandbox.LARGEST_ANSWER, 8 * length * len(channels))
+    arguments = (array.name, array.shape, axes, length, list(channels))
+    with closing(sandbox.stream("foreign_blocks", path, *arguments, source=source, largest=largest)) as blocks:
+        for block in blocks:
+            yield block[""]
