@@ -5,9 +5,11 @@ A separate process reads the HDF5 files; see `cgid.store.sandbox`.
 
 from __future__ import annotations
 
+from bisect import bisect_right
 from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import closing
 from dataclasses import dataclass
+from itertools import accumulate
 from pathlib import Path
 from typing import Any
 
@@ -54,6 +56,21 @@ class Identity:
         except OSError as error:
             raise BadData(f"{self._path}: cannot be looked at ({error.strerror}); read it again") from None
         return found.st_dev, found.st_ino
+
+
+def stored_rows(
+    path: Path, names: Sequence[str], first: int, stop: int, length: int, row_bytes: int, identity: Identity
+) -> Generator[dict[str, NDArray[Any]], None, None]:
+    """Yield the rows [first, stop) of several datasets of a file, at most `length` of `row_bytes` [bytes] at once.
+
+    Raises `BadData` if a checksum is wrong, or `identity` is now that of another file.
+    """
+    largest = max(sandbox.LARGEST_ANSWER, length * row_bytes)
+    with closing(sandbox.stream("rows", path, names, first, stop, length, largest=largest)) as parts:
+        for number, part in enumerate(parts):
+            if not number:  # the file is open now, and cannot be replaced any more
+                identity.require()
+            yield part
 
 
 class Dataset:
@@ -170,11 +187,8 @@ class Dataset:
         row = self.header.n_samples * np.dtype(self.header.dtype).itemsize
         length = n_rows or max(1, min(_ROWS, _LARGEST_BATCH // row))
         names = ["signals", "labels", "specimen", *(f"parameters/{name}" for name in self.header.parameter_units)]
-        largest = max(sandbox.LARGEST_ANSWER, 2 * length * row)
-        with closing(sandbox.stream("rows", shard, names, first, stop, length, largest=largest)) as parts:
-            for number, part in enumerate(parts):
-                if not number:  # the file is open now, and cannot be replaced any more
-                    self._identity.require()
+        with closing(stored_rows(shard, names, first, stop, length, 2 * row, self._identity)) as parts:
+            for part in parts:
                 yield self._batch(part)
 
     def _batch(self, part: dict[str, NDArray[Any]]) -> Batch:
@@ -202,13 +216,10 @@ class Dataset:
         """
         if not 0 <= index < len(self):
             raise InvalidValue(f"{self.path}: index must lie between 0 and {len(self) - 1}, got {index}")
-        first = 0
-        for shard, count in zip(self._shards, self._counts, strict=True):
-            if index < first + count:
-                (batch,) = self._read(shard, index - first, index - first + 1, 1)
-                return batch
-            first += count
-        raise AssertionError("unreachable: the index was checked")
+        number = bisect_right(list(accumulate(self._counts)), index)
+        place = index - sum(self._counts[:number])
+        (batch,) = self._read(self._shards[number], place, place + 1, 1)
+        return batch
 
     def signal(self, index: int) -> Signal:
         """Return one signal; raises as `impact`."""
@@ -289,12 +300,9 @@ class Recording:
     def blocks(self, length: int, first: int = 0, stop: int | None = None) -> Generator[NDArray[Any], None, None]:
         """Yield samples in order, at most `length` at once; `first`, `stop` and errors as those of `samples`."""
         last = self._checked_stop(first, stop)
-        size = np.dtype(self.dtype).itemsize * length
-        largest = max(sandbox.LARGEST_ANSWER, size)
-        with closing(sandbox.stream("rows", self.path, ["samples"], first, last, length, largest=largest)) as parts:
-            for number, part in enumerate(parts):
-                if not number:  # the file is open now, and cannot be replaced any more
-                    self._identity.require()
+        size = np.dtype(self.dtype).itemsize
+        with closing(stored_rows(self.path, ["samples"], first, last, length, size, self._identity)) as parts:
+            for part in parts:
                 yield part["samples"]
 
     def _checked_stop(self, first: int, stop: int | None) -> int:
@@ -308,8 +316,7 @@ class Recording:
     def impacts(self) -> dict[str, NDArray[Any]]:
         """Return the truth of all impacts, one column for each of `impact_units`; raises `BadData` if damaged."""
         names = {name: f"impacts/{name}" for name in self.impact_units}
-        found = list(sandbox.stream("rows", self.path, list(names.values()), 0, self.n_impacts, _IMPACTS))
-        self._identity.require()
+        found = list(stored_rows(self.path, list(names.values()), 0, self.n_impacts, _IMPACTS, 0, self._identity))
         columns = {name: np.concatenate([part[stored] for part in found]) for name, stored in names.items()}
         return {name: text_of(column) if column.dtype.kind == "S" else column for name, column in columns.items()}
 
