@@ -17,10 +17,18 @@ from numpy.typing import NDArray
 
 from cgid.errors import BadData
 from cgid.store import sandbox
-from cgid.store._checks import DAMAGE, cache_size, chunk_bytes, damage_told, missing_chunks, storage_fault
+from cgid.store._checks import (
+    DAMAGE,
+    MOST_ATTRIBUTES,
+    cache_size,
+    chunk_bytes,
+    damage_told,
+    missing_chunks,
+    storage_fault,
+)
 
-#: A recording has fewer objects, levels and attributes.
-_MOST_OBJECTS, _DEEPEST, _MOST_ATTRIBUTES = 10_000, 32, 256
+#: A recording has fewer objects and levels.
+_MOST_OBJECTS, _DEEPEST = 10_000, 32
 #: Objects visited within the time limit of one reply.
 _OBJECTS_IN_TIME = 500
 #: Longer attributes are neither rates nor units.
@@ -47,7 +55,7 @@ def foreign_names(path: str, source: str) -> list[str]:
     names: dict[str, None] = {}
     with _opened(path, source) as file:
         for place, item in _walk(file, source):
-            names |= dict.fromkeys(list(item.attrs)[:_MOST_ATTRIBUTES])
+            names |= dict.fromkeys(list(item.attrs)[:MOST_ATTRIBUTES])
             if isinstance(item, h5py.Dataset):
                 names[place.rpartition("/")[2]] = None
     return list(names)
@@ -188,7 +196,7 @@ def _require_few(n_objects: int, depth: int, source: str) -> None:
 def _attributes(item: Any, path: str, wanted: frozenset[str], texts: list[tuple[str, str]]) -> dict[str, Any]:
     """Return the wanted attributes of fixed size; add those of variable length to `texts`."""
     found: dict[str, Any] = {}
-    for name in list(item.attrs)[:_MOST_ATTRIBUTES]:
+    for name in list(item.attrs)[:MOST_ATTRIBUTES]:
         if name not in _MATLAB_NAMES and name not in wanted:
             continue
         with suppress(*DAMAGE):

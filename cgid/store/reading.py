@@ -5,6 +5,7 @@ A separate process reads the HDF5 files; see `cgid.store.sandbox`.
 
 from __future__ import annotations
 
+import os
 from bisect import bisect_right
 from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import closing
@@ -51,11 +52,15 @@ class Identity:
             raise BadData(f"{self._path}: has been replaced by another while it was read; read it again")
 
     def _look(self) -> tuple[int, int]:
-        try:
-            found = self._path.stat()
-        except OSError as error:
-            raise BadData(f"{self._path}: cannot be looked at ({error.strerror}); read it again") from None
+        found = _stat(self._path)
         return found.st_dev, found.st_ino
+
+
+def _stat(path: Path) -> os.stat_result:
+    try:
+        return path.stat()
+    except OSError as error:
+        raise BadData(f"{path}: cannot be looked at ({error.strerror}); read it again") from None
 
 
 def stored_rows(
@@ -240,11 +245,7 @@ def _require_listed(shard: Path, header: ShardHeader, manifest: Manifest, entry:
             "cgid verify"
         )
     manifest.require_own(shard, header.attributes)
-    try:
-        size = shard.stat().st_size
-    except OSError as error:
-        raise BadData(f"{shard}: cannot be looked at ({error.strerror}); read it again") from None
-    first = header.attributes.get("first_signal", 0)
+    size, first = _stat(shard).st_size, header.attributes.get("first_signal", 0)
     for name, wanted, got in (("first_signal", entry.first_signal, first), ("bytes", entry.bytes, size)):
         if got != wanted:
             raise BadData(

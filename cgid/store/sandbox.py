@@ -136,7 +136,7 @@ class _Child:
         environment["HDF5_PLUGIN_PRELOAD"] = "::"
         self.in_step, self._late = False, False
         self._left: Path | None = None
-        self._process: Any = subprocess.Popen(
+        self._process = subprocess.Popen(
             [sys.executable, "-P", "-m", "cgid.store._reader"],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
@@ -146,7 +146,8 @@ class _Child:
             start_new_session=True,
             creationflags=getattr(subprocess, "CREATE_NEW_PROCESS_GROUP", 0),
         )
-        self._input, self._output, self._errors = self._process.stdin, self._process.stdout, self._process.stderr
+        sides: Any = (self._process.stdin, self._process.stdout, self._process.stderr)
+        self._input, self._output, self._errors = sides
         _alive.add(self)
         with suppress(ImportError, AttributeError, OSError):  # only Linux has wide pipes
             import fcntl
