@@ -24,7 +24,7 @@ from cgid.recordings.recording import DATASET_CURE, MAX_CHANNELS, Contents, unde
 from cgid.recordings.variables import Value, Values, Variable, contents_of, is_statement, orientation
 
 if TYPE_CHECKING:
-    from cgid.store.foreign import ForeignArray
+    from cgid.store.reading import ForeignArray
 
 #: Longest header [bytes]; a longer one is damaged.
 HEADER_SIZE = 1 << 16
@@ -324,7 +324,8 @@ def read_hdf5(path: Path, source: str, variable: str | None) -> Contents:
     array or several; or if the array is in another file, declares more than is stored, or needs an unavailable filter.
     """
     from cgid.store.description import RECORDING_FORMAT
-    from cgid.store.foreign import array_blocks, survey
+    from cgid.store.reading import survey
+    from cgid.store.reading import array_blocks
     from cgid.store.sandbox import format_said
 
     said = format_said(path)
@@ -332,7 +333,7 @@ def read_hdf5(path: Path, source: str, variable: str | None) -> Contents:
         if variable not in (None, "samples"):
             raise InvalidValue(f"{source}: the variable of a recording of cgid is 'samples', got {variable!r}")
         return read_own(path)
-    found = survey(path, source, lambda name: name in _PACKING or is_statement(name))
+    arrays, values, warnings = survey(path, source, lambda name: name in _PACKING or is_statement(name))
     if said is None or said.startswith("cgid"):
         raise BadData(f"{source}: an HDF5 file is a dataset, not one recording; {DATASET_CURE}")
 
@@ -356,8 +357,8 @@ def read_hdf5(path: Path, source: str, variable: str | None) -> Contents:
             warning=array.warning,
         )
 
-    variables = [variable_of(array, axes) for array in found.arrays if (axes := orientation(array.shape)) is not None]
-    return contents_of(variables, found.said, source, variable, found.warnings)
+    variables = [variable_of(array, axes) for array in arrays if (axes := orientation(array.shape)) is not None]
+    return contents_of(variables, values, source, variable, warnings)
 
 
 def _number(value: Any) -> float:

@@ -20,11 +20,11 @@ from cgid.errors import BadData, CgidError, MissingExtra, NoInput
 #: Errors of h5py on damaged files.
 DAMAGE = (OSError, RuntimeError, LookupError, ValueError, TypeError, ArithmeticError)
 #: HDF5 unpacks whole chunks; no sound writer makes larger ones [bytes].
-LARGEST_CHUNK = 64 << 20
+_LARGEST_CHUNK = 64 << 20
 #: The best ratio of deflate; no recording compresses better with other filters.
 BEST_RATIO = 1100
 #: Exception: silence, most of a long frame without noise. Zstandard and Blosc2 pack 512 KiB of it to some 30 bytes.
-BEST_RATIO_OF_SILENCE = 1 << 15
+_BEST_RATIO_OF_SILENCE = 1 << 15
 #: Limits of the chunk cache [bytes], which avoids unpacking a chunk again for every block.
 _LEAST_CACHE, _LARGEST_CACHE = 1 << 20, 128 << 20
 _DEFLATE, _CHECKSUM = 1, 3
@@ -46,8 +46,8 @@ def storage_fault(item: h5py.Dataset, file_size: int, best_ratio: float = BEST_R
         return f"declares {declared} bytes and holds {min(stored, file_size)}"
     if item.chunks is None:
         return ""
-    if chunk_bytes(item) > LARGEST_CHUNK:
-        return f"has chunks of more than {LARGEST_CHUNK >> 20} MiB"
+    if chunk_bytes(item) > _LARGEST_CHUNK:
+        return f"has chunks of more than {_LARGEST_CHUNK >> 20} MiB"
     filters = filters_of(item)
     for code, _, _, label in filters:
         if not _is_unpacked(code):
@@ -56,11 +56,6 @@ def storage_fault(item: h5py.Dataset, file_size: int, best_ratio: float = BEST_R
         return _index_fault(item, file_size, [code for code, *_ in filters])
     except DAMAGE:
         return "has a damaged index of chunks"
-
-
-def packs_silence(item: h5py.Dataset) -> bool:
-    """Return whether one of its filters may reach `BEST_RATIO_OF_SILENCE`."""
-    return any(code in _WITH_PLUGIN for code, *_ in filters_of(item))
 
 
 def filters_of(item: h5py.Dataset) -> list[Any]:
@@ -81,21 +76,15 @@ def missing_chunks(item: h5py.Dataset) -> str:
     return ""
 
 
-def cache_size(shape: tuple[int, ...], chunks: tuple[int, ...] | None, itemsize: int, across: int | None) -> int:
+def cache_size(item: h5py.Dataset, across: int | None) -> int:
     """Return the size of the chunks for one moment of all channels [bytes]; `across` is the axis of the channels."""
-    if chunks is None:
-        return _LEAST_CACHE
-    side_by_side = 1 if across is None else -(-shape[across] // chunks[across])
-    return min(max(_LEAST_CACHE, side_by_side * _chunk_size(chunks, itemsize)), _LARGEST_CACHE)
+    side_by_side = 1 if across is None or not item.chunks else -(-item.shape[across] // item.chunks[across])
+    return min(max(_LEAST_CACHE, side_by_side * chunk_bytes(item)), _LARGEST_CACHE)
 
 
 def chunk_bytes(item: h5py.Dataset) -> int:
     """Return the unpacked size of a chunk [bytes], 0 for contiguous storage."""
-    return _chunk_size(item.chunks, item.dtype.itemsize) if item.chunks else 0
-
-
-def _chunk_size(chunks: tuple[int, ...], itemsize: int) -> int:
-    return math.prod(chunks) * itemsize
+    return math.prod(item.chunks) * item.dtype.itemsize if item.chunks else 0
 
 
 def _chunks_declared(item: h5py.Dataset) -> int:
@@ -117,7 +106,7 @@ def _is_unpacked(code: int) -> bool:
 
 
 def _index_fault(item: h5py.Dataset, file_size: int, filters: list[int]) -> str:
-    size = _chunk_size(item.chunks, item.dtype.itemsize)
+    size = chunk_bytes(item)
     # The checksum adds four bytes; without any other filter a chunk is as long as its numbers.
     checksum = 4 if _CHECKSUM in filters else 0
     packed = any(code != _CHECKSUM for code in filters)
@@ -150,21 +139,21 @@ def _index_fault(item: h5py.Dataset, file_size: int, filters: list[int]) -> str:
 
 
 #: Limits of the members of a group, the attributes of an object and their size [bytes]; our files have a few dozen.
-MOST_MEMBERS, _MOST_ATTRIBUTES, _LARGEST_ATTRIBUTES = 4096, 256, 8 << 20
+_MOST_MEMBERS, MOST_ATTRIBUTES, _LARGEST_ATTRIBUTES = 4096, 256, 8 << 20
 #: Datasets with a checked chunk index; the key contains the state of the file.
 _found_sound: set[tuple[Any, ...]] = set()
 
 
 @contextmanager
-def opened(path: str, source: str, **options: Any) -> Iterator[h5py.File]:
-    """Yield an HDF5 file open for reading; turn h5py's errors on a damaged file into `BadData`."""
+def opened(path: str, source: str) -> Iterator[h5py.File]:
+    """Yield an HDF5 file open for reading; h5py's errors on a damaged file become `BadData`."""
     if not Path(path).exists():
         raise BadData(f"{source}: this shard of the dataset is missing; generate the dataset again")
     if not Path(path).is_file():
         raise BadData(f"{source}: must be a regular file; copy it to one first")
     try:
         # A lock would keep writers out, and fails on some network file systems; files are replaced, never changed.
-        file = h5py.File(path, "r", locking=False, **options)
+        file = h5py.File(path, "r", locking=False)
     except PermissionError:
         raise NoInput(f"{source}: cannot be read (Permission denied); see to its permissions") from None
     except DAMAGE:
@@ -172,15 +161,22 @@ def opened(path: str, source: str, **options: Any) -> Iterator[h5py.File]:
             f"{source}: must be a readable HDF5 file, it is empty, truncated or no HDF5 file; copy it again, or "
             "generate it anew"
         ) from None
-    try:
+    with file, damage_told(source):
         yield file
+
+
+@contextmanager
+def damage_told(
+    source: str, what: str = "is damaged", cure: str = "copy it again, or generate it anew"
+) -> Iterator[None]:
+    """Turn h5py's errors on a damaged file into `BadData`."""
+    try:
+        yield
     except CgidError:
         raise
     except DAMAGE as error:
         reason = " ".join(str(error).split())
-        raise BadData(f"{source}: is damaged ({reason}); copy it again, or generate it anew") from None
-    finally:
-        file.close()
+        raise BadData(f"{source}: {what} ({reason}); {cure}") from None
 
 
 def plain_dataset(file: h5py.File, name: str, source: str, best_ratio: float = BEST_RATIO) -> h5py.Dataset:
@@ -194,24 +190,24 @@ def plain_dataset(file: h5py.File, name: str, source: str, best_ratio: float = B
     dataset = file[name]
     if not isinstance(dataset, h5py.Dataset) or dataset.external or dataset.is_virtual or dataset.dtype.hasobject:
         raise BadData(f"{source}: {name} must be a plain dataset inside the file")
-    _require_borne_out(file, dataset, source, best_ratio)
+    if dataset.shape is not None:
+        _require_borne_out(file, dataset, source, best_ratio)
     return dataset
 
 
 def _require_borne_out(file: h5py.File, dataset: h5py.Dataset, source: str, best_ratio: float) -> None:
     """Raise `BadData` unless the stored bytes are complete and suffice for the declared size."""
-    if dataset.shape is None:
-        return
     about = Path(file.filename).stat()
     key = (file.filename, about.st_ino, about.st_size, about.st_mtime_ns, about.st_ctime_ns, dataset.name, best_ratio)
     if key in _found_sound:
         return
     # Our own files are read in batches, whatever size they declare.
-    best_ratio = max(best_ratio, BEST_RATIO_OF_SILENCE) if packs_silence(dataset) else best_ratio
+    if any(code in _WITH_PLUGIN for code, *_ in filters_of(dataset)):
+        best_ratio = max(best_ratio, _BEST_RATIO_OF_SILENCE)
     fault = storage_fault(dataset, about.st_size, best_ratio) or missing_chunks(dataset)
     if fault:
         raise BadData(f"{source}: {dataset.name[1:]} {fault}; the file is damaged or hostile, generate it again")
-    if len(_found_sound) >= MOST_MEMBERS:
+    if len(_found_sound) >= _MOST_MEMBERS:
         _found_sound.clear()
     _found_sound.add(key)
 
@@ -227,8 +223,8 @@ def members(file: h5py.File, name: str, source: str) -> list[str]:
     if not is_inside(file, name) or not isinstance(file[name], h5py.Group):
         raise BadData(f"{source}: {name} must be a group of the file itself; it is missing, a link or a dataset")
     group = file[name]
-    if len(group) > MOST_MEMBERS:
-        raise BadData(f"{source}: {name} must hold at most {MOST_MEMBERS} columns, it has {len(group)}")
+    if len(group) > _MOST_MEMBERS:
+        raise BadData(f"{source}: {name} must hold at most {_MOST_MEMBERS} columns, it has {len(group)}")
     return list(group)
 
 
@@ -236,8 +232,8 @@ def attributes_of(item: h5py.HLObject, source: str) -> dict[str, Any]:
     """Return the attributes that are one number or one fixed-length string; cgid writes and reads no others."""
     found: dict[str, Any] = {}
     room = _LARGEST_ATTRIBUTES
-    if len(item.attrs) > _MOST_ATTRIBUTES:
-        raise BadData(f"{source}: {item.name} must have at most {_MOST_ATTRIBUTES} attributes, got {len(item.attrs)}")
+    if len(item.attrs) > MOST_ATTRIBUTES:
+        raise BadData(f"{source}: {item.name} must have at most {MOST_ATTRIBUTES} attributes, got {len(item.attrs)}")
     for name in item.attrs:
         stored = item.attrs.get_id(name)
         room -= stored.dtype.itemsize + len(name)

@@ -1,4 +1,4 @@
-"""Functions of the reading process for HDF5 files of other programs; see `cgid.store.foreign`.
+"""Functions of the reading process for HDF5 files of other programs; see `cgid.store.reading`.
 
 Only hard links are followed; external storage and virtual datasets are skipped, so no other file is read. Declared
 sizes are checked against the stored bytes.
@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -16,12 +15,20 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from cgid.errors import BadData, CgidError
+from cgid.errors import BadData
 from cgid.store import sandbox
-from cgid.store._checks import DAMAGE, cache_size, chunk_bytes, missing_chunks, storage_fault
+from cgid.store._checks import (
+    DAMAGE,
+    MOST_ATTRIBUTES,
+    cache_size,
+    chunk_bytes,
+    damage_told,
+    missing_chunks,
+    storage_fault,
+)
 
-#: A recording has fewer objects, levels and attributes.
-_MOST_OBJECTS, _DEEPEST, _MOST_ATTRIBUTES = 10_000, 32, 256
+#: A recording has fewer objects and levels.
+_MOST_OBJECTS, _DEEPEST = 10_000, 32
 #: Objects visited within the time limit of one reply.
 _OBJECTS_IN_TIME = 500
 #: Longer attributes are neither rates nor units.
@@ -34,15 +41,10 @@ _SLOTS = 10_007
 _MATLAB_INNER = ("#refs#", "#subsystem#")
 _MATLAB_NAMES = frozenset(("MATLAB_class", "MATLAB_empty"))
 _CURE = "save it again as plain arrays"
-
-
-@dataclass
-class _Found:
-    """The JSON of a survey, see `cgid.store.foreign.ForeignFile`; `texts` only locates texts of variable length."""
-
-    arrays: list[dict[str, Any]] = field(default_factory=list)
-    said: dict[str, dict[str, Any]] = field(default_factory=dict)
-    texts: list[tuple[str, str]] = field(default_factory=list)
+_CUT_OFF = (
+    "the HDF5 file is cut off or damaged",
+    "copy it again, or if it is a dataset, see what cgid.store or --index say of it",
+)
 
 
 def foreign_names(path: str, source: str) -> list[str]:
@@ -53,7 +55,7 @@ def foreign_names(path: str, source: str) -> list[str]:
     names: dict[str, None] = {}
     with _opened(path, source) as file:
         for place, item in _walk(file, source):
-            names |= dict.fromkeys(list(item.attrs)[:_MOST_ATTRIBUTES])
+            names |= dict.fromkeys(list(item.attrs)[:MOST_ATTRIBUTES])
             if isinstance(item, h5py.Dataset):
                 names[place.rpartition("/")[2]] = None
     return list(names)
@@ -62,17 +64,34 @@ def foreign_names(path: str, source: str) -> list[str]:
 def foreign_survey(path: str, source: str, wanted: Sequence[str]) -> dict[str, Any]:
     """Return the content of a foreign HDF5 file: `arrays`, `said`, and the locations of `texts` of variable length.
 
-    Only values with `wanted` names are read. Raises as `foreign_names`.
+    For `arrays` and `said` see `cgid.store.reading.survey`. Only values with `wanted` names are read. Raises as
+    `foreign_names`.
     """
-    found, names = _Found(), frozenset(wanted)
+    arrays: list[dict[str, Any]] = []
+    said: dict[str, dict[str, Any]] = {}
+    texts: list[tuple[str, str]] = []
+    names, size = frozenset(wanted), Path(path).stat().st_size
     with _opened(path, source) as file:
         for name, item in _walk(file, source):
-            values = _attributes(item, name, names, found.texts)
+            values = _attributes(item, name, names, texts)
             if isinstance(item, h5py.Group):
-                found.said.setdefault(name, {}).update(values)
-            else:
-                _add(found, name, item, values, names, Path(path).stat().st_size)
-    return vars(found)
+                said.setdefault(name, {}).update(values)
+                continue
+            if item.shape is None or item.external or item.is_virtual or values.get("MATLAB_empty"):
+                continue
+            group, _, last = name.rpartition("/")
+            matlab = values.get("MATLAB_class", "")
+            if _is_text_of_any_length(item.dtype):
+                texts += [(name, "")] if item.size == 1 and last in names else []
+            elif item.dtype.kind == "S" or (item.dtype.kind in "biuf" and (matlab == "char" or item.size == 1)):
+                value = _value(item, matlab, size) if last in names else None
+                if value is not None:
+                    said.setdefault(group, {})[last] = value
+            elif item.dtype.kind in "iuf" and matlab != "logical" and item.size:  # logical arrays are not samples
+                fault, warning = storage_fault(item, size), missing_chunks(item)
+                about = {"name": name, "shape": item.shape, "attributes": values}
+                arrays.append({**about, "fault": fault, "warning": warning})
+    return {"arrays": arrays, "said": said, "texts": texts}
 
 
 def foreign_texts(path: str, source: str, asked: Sequence[tuple[str, str]]) -> list[Any]:
@@ -101,69 +120,43 @@ def foreign_blocks(
     length: int,
     channels: Sequence[int],
 ) -> Iterator[dict[str, NDArray[Any]]]:
-    """Yield the samples of channels in order; parameters and errors as those of `cgid.store.foreign.array_blocks`."""
+    """Yield the samples of channels in order; parameters and errors as those of `cgid.store.reading.array_blocks`."""
     across, along = axes
+    lowest, n_read = (0, 1) if across is None else (min(channels), max(channels) + 1 - min(channels))
     with _opened(path, source) as file:
-        stored = file[name]
-        cache = cache_size(stored.shape, stored.chunks, stored.dtype.itemsize, across)
+        cache = cache_size(file[name], across)
     with _opened(path, source, rdcc_nbytes=cache, rdcc_nslots=_SLOTS) as file:
         dataset = file[name]
         if dataset.shape != tuple(shape):
             raise BadData(f"{source}: {name} has changed while it was read; read it again")
         if fault := storage_fault(dataset, Path(path).stat().st_size):
             raise BadData(f"{source}: {name} {fault}; the file is damaged, copy it again")
+        kept = np.float32 if dataset.dtype.kind == "f" and dataset.dtype.itemsize == 4 else np.float64
         for first in range(0, shape[along], length):
             index: list[Any] = [0] * len(shape)
             index[along] = slice(first, first + length)
-            n_read = 1
             if across is not None:
-                index[across] = slice(min(channels), max(channels) + 1)
-                n_read = max(channels) + 1 - min(channels)
+                index[across] = slice(lowest, lowest + n_read)
             # Copies: as stored, transposed, as eight-byte numbers, and the next block, read while the last one exists.
             size = 8 * min(length, shape[along]) * max(n_read, len(channels))
             sandbox.allow(4 * size + 3 * chunk_bytes(dataset) + 2 * cache)
-            yield {"": _block(dataset, tuple(index), across, along, channels, source)}
-
-
-def _block(
-    dataset: h5py.Dataset,
-    index: tuple[Any, ...],
-    across: int | None,
-    along: int,
-    channels: Sequence[int],
-    source: str,
-) -> NDArray[Any]:
-    kept = np.float32 if dataset.dtype.kind == "f" and dataset.dtype.itemsize == 4 else np.float64
-    try:
-        block = np.asarray(dataset[index])
-    except DAMAGE as error:
-        reason = " ".join(str(error).split())
-        raise BadData(
-            f"{source}: {dataset.name[1:]} cannot be read from sample {index[along].start} on ({reason}); the file is "
-            "damaged, copy it again"
-        ) from None
-    if across is None:
-        rows = np.broadcast_to(block, (len(channels), len(block)))
-    else:
-        rows = (block if across < along else block.T)[[channel - min(channels) for channel in channels]]
-    with np.errstate(all="ignore"):
-        return rows.astype(kept)
+            what = f"{name} cannot be read from sample {first} on"
+            with damage_told(source, what, "the file is damaged, copy it again"):
+                block = np.asarray(dataset[tuple(index)])
+            if across is None:
+                rows = np.broadcast_to(block, (len(channels), len(block)))
+            else:
+                rows = (block if across < along else block.T)[[channel - lowest for channel in channels]]
+            with np.errstate(all="ignore"):
+                samples = rows.astype(kept)
+            yield {"": samples}
 
 
 @contextmanager
 def _opened(path: str, source: str, **options: int) -> Iterator[h5py.File]:
-    try:
-        # A lock would keep writers out, and fails on some network file systems.
-        with h5py.File(path, "r", locking=False, **options) as file:
-            yield file
-    except CgidError:
-        raise
-    except DAMAGE as error:
-        reason = " ".join(str(error).split())
-        raise BadData(
-            f"{source}: the HDF5 file is cut off or damaged ({reason}); copy it again, or if it is a dataset, see what "
-            "cgid.store or --index say of it"
-        ) from None
+    # A lock would keep writers out, and fails on some network file systems.
+    with damage_told(source, *_CUT_OFF), h5py.File(path, "r", locking=False, **options) as file:
+        yield file
 
 
 def _walk(file: h5py.File, source: str) -> Iterator[tuple[str, Any]]:
@@ -203,7 +196,7 @@ def _require_few(n_objects: int, depth: int, source: str) -> None:
 def _attributes(item: Any, path: str, wanted: frozenset[str], texts: list[tuple[str, str]]) -> dict[str, Any]:
     """Return the wanted attributes of fixed size; add those of variable length to `texts`."""
     found: dict[str, Any] = {}
-    for name in list(item.attrs)[:_MOST_ATTRIBUTES]:
+    for name in list(item.attrs)[:MOST_ATTRIBUTES]:
         if name not in _MATLAB_NAMES and name not in wanted:
             continue
         with suppress(*DAMAGE):
@@ -211,7 +204,7 @@ def _attributes(item: Any, path: str, wanted: frozenset[str], texts: list[tuple[
             size = int(np.prod(stored.shape, dtype=np.int64)) if stored.shape is not None else 0
             if not 0 < size <= _LONGEST_ATTRIBUTE or stored.dtype.itemsize * size > 16 * _LONGEST_ATTRIBUTE:
                 continue
-            if h5py.check_string_dtype(stored.dtype) is not None and stored.dtype.kind == "O":
+            if _is_text_of_any_length(stored.dtype):
                 texts.append((path, name))
             elif stored.dtype.kind in "biufS":
                 value = _plain(np.asarray(item.attrs[name]))
@@ -228,46 +221,16 @@ def _plain(values: NDArray[Any]) -> Any:
     return float(values.ravel()[0]) if values.size == 1 else None
 
 
-def _add(
-    found: _Found,
-    name: str,
-    item: h5py.Dataset,
-    values: dict[str, Any],
-    wanted: frozenset[str],
-    size: int,
-) -> None:
-    kind, shape = item.dtype.kind, item.shape
-    group, _, last = name.rpartition("/")
-    if shape is None or item.external or item.is_virtual or values.get("MATLAB_empty"):
-        return
-    if h5py.check_string_dtype(item.dtype) is not None and kind == "O" and item.size == 1 and last in wanted:
-        found.texts.append((name, ""))
-    if kind not in "biufS":
-        return
-    matlab = values.get("MATLAB_class", "")
-    if matlab == "char" or kind == "S" or item.size == 1:
-        if (
-            last in wanted
-            and 0 < item.size * item.dtype.itemsize <= _LONGEST_ATTRIBUTE
-            and not storage_fault(item, size)
-        ):
-            with suppress(*DAMAGE):
-                read = np.asarray(item[()])
-                # MATLAB stores text as UTF-16 code units.
-                text = read.ravel().astype("<u2").tobytes().decode("utf-16", "replace") if matlab == "char" else None
-                value = _plain(read) if text is None else text
-                if value is not None:
-                    found.said.setdefault(group, {})[last] = value
-        return
-    # Logical arrays are not samples.
-    if kind == "b" or matlab == "logical" or not item.size:
-        return
-    found.arrays.append(
-        {
-            "name": name,
-            "shape": shape,
-            "attributes": values,
-            "fault": storage_fault(item, size),
-            "warning": missing_chunks(item),
-        }
-    )
+def _value(item: h5py.Dataset, matlab: str, file_size: int) -> Any:
+    """Return the value of a dataset of one number or of texts, None if it is too long or cannot be read."""
+    if not 0 < item.size * item.dtype.itemsize <= _LONGEST_ATTRIBUTE or storage_fault(item, file_size):
+        return None
+    with suppress(*DAMAGE):
+        read = np.asarray(item[()])
+        # MATLAB stores text as UTF-16 code units.
+        return read.ravel().astype("<u2").tobytes().decode("utf-16", "replace") if matlab == "char" else _plain(read)
+    return None
+
+
+def _is_text_of_any_length(dtype: np.dtype[Any]) -> bool:
+    return dtype.kind == "O" and h5py.check_string_dtype(dtype) is not None

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
 import os
 import signal
 import sys
@@ -22,7 +23,17 @@ from numpy.typing import NDArray
 
 from cgid.errors import BadData, CgidError
 from cgid.store import _foreign, sandbox
-from cgid.store._checks import DAMAGE, attributes_of, bytes_of, chunk_bytes, filters_of, members, opened, plain_dataset
+from cgid.store._checks import (
+    BEST_RATIO,
+    DAMAGE,
+    attributes_of,
+    bytes_of,
+    chunk_bytes,
+    filters_of,
+    members,
+    opened,
+    plain_dataset,
+)
 from cgid.store.description import (
     FORMAT,
     RECORDING_FORMAT,
@@ -53,16 +64,13 @@ _KINDS: Mapping[str, tuple[str, int, tuple[str, ...], str]] = {
 # ---- headers ---------------------------------------------------------------------------------------------------------
 
 
-def format_said(path: str, source: str) -> str | None:
-    """Return the attribute `format` of the root, "" if there is none; None if the file cannot be opened."""
-    try:
-        with opened(path, source) as file:
-            said = file.attrs.get_id("format") if "format" in file.attrs else None
-            if said is None or said.shape != () or said.dtype.kind != "S" or said.dtype.itemsize > _WIDEST_TEXT:
-                return ""
-            return bytes(file.attrs["format"]).decode(errors="replace")
-    except BadData:
-        return None
+def format_said(path: str, source: str) -> str:
+    """Return the attribute `format` of the root, "" if there is none; raises `BadData` if the file cannot be opened."""
+    with opened(path, source) as file:
+        said = file.attrs.get_id("format") if "format" in file.attrs else None
+        if said is None or said.shape != () or said.dtype.kind != "S" or said.dtype.itemsize > _WIDEST_TEXT:
+            return ""
+        return bytes(file.attrs["format"]).decode(errors="replace")
 
 
 def shard_header(path: str, source: str) -> dict[str, Any]:
@@ -73,58 +81,35 @@ def shard_header(path: str, source: str) -> dict[str, Any]:
     with opened(path, source) as file:
         attributes = _root(file, source, FORMAT)
         signals = plain_dataset(file, "signals", source)
-        if signals.ndim != 2 or signals.dtype not in (np.float32, np.float64) or not all(signals.shape):
-            raise BadData(f"{source}: signals must be rows of floats, got shape {signals.shape} of {signals.dtype}")
-        n_signals, n_samples = signals.shape
+        about = _about(signals, source, "rows", "pre_trigger")
+        n_signals = signals.shape[0]
         for name, kind in (("labels", "S"), ("specimen", "u")):
             _column(file, name, source, n_signals, kind, "value a signal")
         names = members(file, "parameters", source) if file.id.links.exists(b"parameters") else []
         units = {name: _column(file, f"parameters/{name}", source, n_signals, "f", "number a signal") for name in names}
-        about = _about(signals, "signals", source)
-        before = about.get("pre_trigger")
-        if type(before) is not int or not 0 <= before < n_samples:
-            raise BadData(f"{source}: signals must have a sound attribute pre_trigger, got {before!r:.80}")
-        return {
-            "n_signals": n_signals,
-            "n_samples": n_samples,
-            "dtype": signals.dtype.name,
-            "sampling_rate": about["sampling_rate"],
-            "pre_trigger": before,
-            "unit": about["unit"],
-            "parameter_units": units,
-            "attributes": attributes,
-            "label_width": file["labels"].dtype.itemsize,
-        }
+        label_width = file["labels"].dtype.itemsize
+    return {
+        "n_signals": n_signals,
+        "parameter_units": units,
+        "attributes": attributes,
+        "label_width": label_width,
+        **about,
+    }
 
 
 def recording_header(path: str, source: str) -> dict[str, Any]:
     """Return the checked header of a recording, and the columns of its impacts; raises as `shard_header`."""
     with opened(path, source) as file:
         attributes = _root(file, source, RECORDING_FORMAT)
-        samples = plain_dataset(file, "samples", source, _UNPACKED)
-        if samples.ndim != 1 or samples.dtype not in (np.float32, np.float64) or not samples.size:
-            raise BadData(f"{source}: samples must be a row of floats, got shape {samples.shape} of {samples.dtype}")
-        about = _about(samples, "samples", source)
-        start = about.get("start")
-        if not isinstance(start, float) or not np.isfinite(start):
-            raise BadData(f"{source}: samples must have a sound attribute start, got {start!r:.80}")
+        about = _about(plain_dataset(file, "samples", source, _UNPACKED), source, "a row", "start")
         n_impacts = attributes.get("n_impacts")
         units = {
             name: _column(file, f"impacts/{name}", source, n_impacts, "fiuS", "value an impact", _UNPACKED)
             for name in members(file, "impacts", source)
         }
-        if type(n_impacts) is not int or "time" not in units:
-            raise BadData(f"{source}: impacts must have a column time and their number in n_impacts; generate it again")
-        return {
-            "attributes": attributes,
-            "n_samples": int(samples.size),
-            "dtype": samples.dtype.name,
-            "n_impacts": n_impacts,
-            "sampling_rate": about["sampling_rate"],
-            "start": start,
-            "unit": about["unit"],
-            "impact_units": units,
-        }
+    if type(n_impacts) is not int or "time" not in units:
+        raise BadData(f"{source}: impacts must have a column time and their number in n_impacts; generate it again")
+    return {"attributes": attributes, "n_impacts": n_impacts, "impact_units": units, **about}
 
 
 def table_header(path: str, source: str) -> dict[str, Any]:
@@ -159,24 +144,34 @@ def _root(file: h5py.File, source: str, form: str) -> dict[str, Any]:
     return attributes
 
 
-def _about(samples: h5py.Dataset, name: str, source: str) -> dict[str, Any]:
-    """Return the attributes of samples; raises `BadData` unless sampling rate and unit are plausible."""
-    about = attributes_of(samples, source)
-    rate, unit = about.get("sampling_rate"), about.get("unit")
-    for attribute, value, holds in (
-        ("sampling_rate", rate, isinstance(rate, float) and RATES[0] <= rate <= RATES[1]),
-        ("unit", unit, any(unit in units for units in UNITS.values())),
-    ):
-        if not holds:
+def _about(samples: h5py.Dataset, source: str, form: str, place: str) -> dict[str, Any]:
+    """Return length, type, sampling rate, unit and `place` ("pre_trigger" or "start") of "rows" or "a row" of samples.
+
+    Raises `BadData` unless they are plausible.
+    """
+    name, shape, dtype = samples.name[1:], samples.shape, samples.dtype
+    n_axes = 2 if form == "rows" else 1
+    if samples.ndim != n_axes or dtype not in (np.float32, np.float64) or not all(shape):
+        raise BadData(f"{source}: {name} must be {form} of floats, got shape {shape} of {dtype}")
+    said = attributes_of(samples, source)
+    rules: dict[str, Callable[[Any], bool]] = {
+        "sampling_rate": lambda rate: isinstance(rate, float) and RATES[0] <= rate <= RATES[1],
+        "unit": lambda unit: any(unit in units for units in UNITS.values()),
+        "pre_trigger": lambda before: type(before) is int and 0 <= before < shape[-1],
+        "start": lambda start: isinstance(start, float) and math.isfinite(start),
+    }
+    about = {attribute: said.get(attribute) for attribute in ("sampling_rate", "unit", place)}
+    for attribute, value in about.items():
+        if not rules[attribute](value):
             raise BadData(f"{source}: {name} must have a sound attribute {attribute}, got {value!r:.80}")
-    return about
+    return {**about, "n_samples": shape[-1], "dtype": dtype.name}
 
 
 def _column(
-    file: h5py.File, name: str, source: str, n_rows: Any, kinds: str, what: str, best_ratio: float | None = None
+    file: h5py.File, name: str, source: str, n_rows: Any, kinds: str, what: str, best_ratio: float = BEST_RATIO
 ) -> str:
     """Return the unit of a column of numbers or short texts; raises `BadData` unless it has one value per row."""
-    column = plain_dataset(file, name, source, *(() if best_ratio is None else (best_ratio,)))
+    column = plain_dataset(file, name, source, best_ratio)
     if column.shape != (n_rows,) or column.dtype.kind not in kinds or column.dtype.itemsize > _WIDEST_TEXT:
         raise BadData(f"{source}: {name} must be one {what}, got shape {column.shape} of {column.dtype}")
     return str(attributes_of(column, source).get("unit", ""))
@@ -302,7 +297,7 @@ def _serve(function: str, arguments: list[Any], requests: Any, answers: Any) -> 
         sandbox.rest()
         # The next item is computed before it is requested.
         if number and not json.loads(requests.readline() or "{}").get("next"):
-            sandbox.send(answers, {"end": True})
+            sandbox.send(answers, {"value": None})
             return
         try:
             sandbox.send(answers, message, arrays)
@@ -323,7 +318,7 @@ def _replies(function: str, arguments: list[Any]) -> Iterator[tuple[dict[str, An
         for item in found:
             yield _reply(item)
             sandbox.begin(path)
-        yield {"end": True}, {}
+        yield {"value": None}, {}
     except CgidError as error:
         yield {"error": type(error).__name__, "text": str(error)}, {}
     except MemoryError:

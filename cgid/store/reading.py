@@ -1,12 +1,16 @@
-"""Reading datasets and recordings; everything is checked before use.
+"""Reading datasets, recordings, and HDF5 files of other programs; everything is checked before use.
 
 A separate process reads the HDF5 files; see `cgid.store.sandbox`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Generator, Iterator
+import os
+from bisect import bisect_right
+from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import closing
+from dataclasses import dataclass
+from itertools import accumulate
 from pathlib import Path
 from typing import Any
 
@@ -48,11 +52,30 @@ class Identity:
             raise BadData(f"{self._path}: has been replaced by another while it was read; read it again")
 
     def _look(self) -> tuple[int, int]:
-        try:
-            found = self._path.stat()
-        except OSError as error:
-            raise BadData(f"{self._path}: cannot be looked at ({error.strerror}); read it again") from None
+        found = _stat(self._path)
         return found.st_dev, found.st_ino
+
+
+def _stat(path: Path) -> os.stat_result:
+    try:
+        return path.stat()
+    except OSError as error:
+        raise BadData(f"{path}: cannot be looked at ({error.strerror}); read it again") from None
+
+
+def stored_rows(
+    path: Path, names: Sequence[str], first: int, stop: int, length: int, row_bytes: int, identity: Identity
+) -> Generator[dict[str, NDArray[Any]], None, None]:
+    """Yield the rows [first, stop) of several datasets of a file, at most `length` of `row_bytes` [bytes] at once.
+
+    Raises `BadData` if a checksum is wrong, or `identity` is now that of another file.
+    """
+    largest = max(sandbox.LARGEST_ANSWER, length * row_bytes)
+    with closing(sandbox.stream("rows", path, names, first, stop, length, largest=largest)) as parts:
+        for number, part in enumerate(parts):
+            if not number:  # the file is open now, and cannot be replaced any more
+                identity.require()
+            yield part
 
 
 class Dataset:
@@ -169,11 +192,8 @@ class Dataset:
         row = self.header.n_samples * np.dtype(self.header.dtype).itemsize
         length = n_rows or max(1, min(_ROWS, _LARGEST_BATCH // row))
         names = ["signals", "labels", "specimen", *(f"parameters/{name}" for name in self.header.parameter_units)]
-        largest = max(sandbox.LARGEST_ANSWER, 2 * length * row)
-        with closing(sandbox.stream("rows", shard, names, first, stop, length, largest=largest)) as parts:
-            for number, part in enumerate(parts):
-                if not number:  # the file is open now, and cannot be replaced any more
-                    self._identity.require()
+        with closing(stored_rows(shard, names, first, stop, length, 2 * row, self._identity)) as parts:
+            for part in parts:
                 yield self._batch(part)
 
     def _batch(self, part: dict[str, NDArray[Any]]) -> Batch:
@@ -201,13 +221,10 @@ class Dataset:
         """
         if not 0 <= index < len(self):
             raise InvalidValue(f"{self.path}: index must lie between 0 and {len(self) - 1}, got {index}")
-        first = 0
-        for shard, count in zip(self._shards, self._counts, strict=True):
-            if index < first + count:
-                (batch,) = self._read(shard, index - first, index - first + 1, 1)
-                return batch
-            first += count
-        raise AssertionError("unreachable: the index was checked")
+        number = bisect_right(list(accumulate(self._counts)), index)
+        place = index - sum(self._counts[:number])
+        (batch,) = self._read(self._shards[number], place, place + 1, 1)
+        return batch
 
     def signal(self, index: int) -> Signal:
         """Return one signal; raises as `impact`."""
@@ -228,11 +245,7 @@ def _require_listed(shard: Path, header: ShardHeader, manifest: Manifest, entry:
             "cgid verify"
         )
     manifest.require_own(shard, header.attributes)
-    try:
-        size = shard.stat().st_size
-    except OSError as error:
-        raise BadData(f"{shard}: cannot be looked at ({error.strerror}); read it again") from None
-    first = header.attributes.get("first_signal", 0)
+    size, first = _stat(shard).st_size, header.attributes.get("first_signal", 0)
     for name, wanted, got in (("first_signal", entry.first_signal, first), ("bytes", entry.bytes, size)):
         if got != wanted:
             raise BadData(
@@ -288,12 +301,9 @@ class Recording:
     def blocks(self, length: int, first: int = 0, stop: int | None = None) -> Generator[NDArray[Any], None, None]:
         """Yield samples in order, at most `length` at once; `first`, `stop` and errors as those of `samples`."""
         last = self._checked_stop(first, stop)
-        size = np.dtype(self.dtype).itemsize * length
-        largest = max(sandbox.LARGEST_ANSWER, size)
-        with closing(sandbox.stream("rows", self.path, ["samples"], first, last, length, largest=largest)) as parts:
-            for number, part in enumerate(parts):
-                if not number:  # the file is open now, and cannot be replaced any more
-                    self._identity.require()
+        size = np.dtype(self.dtype).itemsize
+        with closing(stored_rows(self.path, ["samples"], first, last, length, size, self._identity)) as parts:
+            for part in parts:
                 yield part["samples"]
 
     def _checked_stop(self, first: int, stop: int | None) -> int:
@@ -307,11 +317,75 @@ class Recording:
     def impacts(self) -> dict[str, NDArray[Any]]:
         """Return the truth of all impacts, one column for each of `impact_units`; raises `BadData` if damaged."""
         names = {name: f"impacts/{name}" for name in self.impact_units}
-        found = list(sandbox.stream("rows", self.path, list(names.values()), 0, self.n_impacts, _IMPACTS))
-        self._identity.require()
+        found = list(stored_rows(self.path, list(names.values()), 0, self.n_impacts, _IMPACTS, 0, self._identity))
         columns = {name: np.concatenate([part[stored] for part in found]) for name, stored in names.items()}
         return {name: text_of(column) if column.dtype.kind == "S" else column for name, column in columns.items()}
 
     def signal(self) -> Signal:
         """Return the whole recording as a signal."""
         return Signal(samples=self.samples(), sampling_rate=self.sampling_rate, unit=self.unit, source=str(self.path))
+
+
+# ---- HDF5 files of other programs ------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, kw_only=True)
+class ForeignArray:
+    """A numeric array of at least two values in an HDF5 file of another program, such as MATLAB v7.3.
+
+    name : its path, separated by slashes
+    attributes : numbers, texts, and lists of texts
+    fault : why the samples cannot be read, "" if they can
+    warning : the missing parts, "" if there are none
+    """
+
+    name: str
+    shape: tuple[int, ...]
+    attributes: dict[str, Any]
+    fault: str
+    warning: str
+
+
+def survey(
+    path: Path, source: str, wanted: Callable[[str], bool]
+) -> tuple[list[ForeignArray], dict[str, dict[str, Any]], list[str]]:
+    """Return the arrays, the values beside them and the warnings of a foreign HDF5 file.
+
+    The values are those whose names satisfy `wanted`: path of a group ("" for the root) -> its attributes and the
+    single values in it. `source` is the file's name in messages. Raises `BadData` if the file is not HDF5, truncated,
+    damaged, or has more objects than a recording.
+    """
+    names = [name for name in sandbox.call("foreign_names", path, source=source) if wanted(name)]
+    about = sandbox.call("foreign_survey", path, names, source=source)
+    arrays = [ForeignArray(**{**one, "shape": tuple(one["shape"])}) for one in about["arrays"]]
+    said, asked = about["said"], about["texts"]
+    # One flipped bit in a value of variable length can make HDF5 loop for ever. Such values are read last and
+    # separately, so that their loss does not affect the samples.
+    try:
+        texts = sandbox.call("foreign_texts", path, asked, source=source) if asked else []
+    except BadData:
+        lost = ", ".join(sorted({name or place for place, name in asked})[:5])
+        return arrays, said, [f"texts of variable length ({lost}) could not be read; the file may be damaged"]
+    attributes = {array.name: array.attributes for array in arrays}
+    for (place, attribute), value in zip(asked, texts, strict=True):
+        # Without an attribute name it is a value in a group.
+        owner, _, name = (place, "", attribute) if attribute else place.rpartition("/")
+        if value is not None:
+            (attributes[owner] if owner in attributes else said.setdefault(owner, {}))[name] = value
+    return arrays, said, []
+
+
+def array_blocks(
+    path: Path, source: str, array: ForeignArray, axes: tuple[int | None, int], length: int, channels: Sequence[int]
+) -> Iterator[NDArray[Any]]:
+    """Yield the samples of these channels in order, (len(channels), at most length), float32 or float64.
+
+    `axes` are the axis of the channels, None if there is only one channel, and the axis of the samples. `source` is the
+    file's name in messages. Raises `BadData` if a checksum or a compressed chunk is wrong.
+    """
+    # The declared size was checked against the stored bytes; a sample takes at most eight bytes.
+    largest = max(sandbox.LARGEST_ANSWER, 8 * length * len(channels))
+    arguments = (array.name, array.shape, axes, length, list(channels))
+    with closing(sandbox.stream("foreign_blocks", path, *arguments, source=source, largest=largest)) as blocks:
+        for block in blocks:
+            yield block[""]

@@ -50,7 +50,10 @@ _CLOCK = 60
 _LATER = 5.0
 #: Memory in addition to the baseline and the allowance of a reply [bytes].
 _SPARE = 128 << 20
-_TOLD = {name: value for name, value in vars(errors).items() if isinstance(value, type)}
+#: The errors that a reply may name.
+_TOLD = {
+    name: value for name, value in vars(errors).items() if isinstance(value, type) and issubclass(value, CgidError)
+}
 
 
 # ---- questions -------------------------------------------------------------------------------------------------------
@@ -63,10 +66,9 @@ def call(function: str, path: Path, *arguments: Any, source: str | None = None, 
     which must be JSON. The arrays may take at most `largest` [bytes]. Raises the function's `CgidError`, and `BadData`
     if HDF5 crashes or exceeds the limits of time and memory.
     """
-    name = str(path) if source is None else source
+    name, message = _request(function, path, source, arguments)
     with _reading() as child:
-        found = child.ask(path, name, _request(function, path, name, arguments), largest)
-    return _unpacked(*found)
+        return child.ask(path, name, message, largest)
 
 
 def stream(
@@ -76,14 +78,9 @@ def stream(
 
     The next item is read while this one is processed. Closing this generator closes the other one.
     """
-    name = str(path) if source is None else source
-    message = _request(function, path, name, arguments)
+    name, message = _request(function, path, source, arguments)
     with _reading() as child:
-        while True:
-            found = child.ask(path, name, message, largest)
-            if "end" in found[0]:
-                return
-            item: dict[str, NDArray[Any]] = _unpacked(*found)
+        while (item := child.ask(path, name, message, largest)) is not None:
             try:
                 yield item
             except GeneratorExit:
@@ -96,11 +93,10 @@ def format_said(path: Path) -> str | None:
     """Return the attribute `format` of an HDF5 file, "" if it has none; None if it cannot be opened."""
     if not is_hdf5(path):
         return None
-    try:
-        said: str | None = call("format_said", path)
-    except BadData:
-        return None
-    return said
+    with suppress(BadData):
+        said: str = call("format_said", path)
+        return said
+    return None
 
 
 def is_hdf5(path: Path) -> bool:
@@ -120,16 +116,10 @@ def is_hdf5(path: Path) -> bool:
     return False
 
 
-def _request(function: str, path: Path, source: str, arguments: tuple[Any, ...]) -> dict[str, Any]:
-    return {"function": function, "arguments": [os.path.abspath(path), source, *arguments]}  # noqa: PTH100
-
-
-def _unpacked(message: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> Any:
-    """Return the value or the arrays of a reply, or raise its error."""
-    if "error" in message:
-        kind, text = _TOLD.get(str(message["error"]), BadData), str(message.get("text"))
-        raise (kind if issubclass(kind, CgidError) else BadData)(text)
-    return message.get("value", arrays)
+def _request(function: str, path: Path, source: str | None, arguments: tuple[Any, ...]) -> tuple[str, dict[str, Any]]:
+    """Return the name of the file in messages and the request."""
+    name = str(path) if source is None else source
+    return name, {"function": function, "arguments": [os.path.abspath(path), name, *arguments]}  # noqa: PTH100
 
 
 # ---- reading processes -----------------------------------------------------------------------------------------------
@@ -146,17 +136,15 @@ class _Child:
         environment["HDF5_PLUGIN_PRELOAD"] = "::"
         self.in_step, self._late = False, False
         self._left: Path | None = None
-        # Only this process receives Ctrl-C.
-        apart: dict[str, Any] = {"start_new_session": True}
-        if sys.platform == "win32":
-            apart = {"creationflags": subprocess.CREATE_NEW_PROCESS_GROUP}
         self._process = subprocess.Popen(
             [sys.executable, "-P", "-m", "cgid.store._reader"],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
             env=environment,
-            **apart,
+            # Only this process receives Ctrl-C; Windows ignores the first, the others have no second.
+            start_new_session=True,
+            creationflags=getattr(subprocess, "CREATE_NEW_PROCESS_GROUP", 0),
         )
         sides: Any = (self._process.stdin, self._process.stdout, self._process.stderr)
         self._input, self._output, self._errors = sides
@@ -178,10 +166,11 @@ class _Child:
             raise
         self.in_step = True
 
-    def ask(
-        self, path: Path, source: str, message: dict[str, Any] | None, largest: int
-    ) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
-        """Send the message, if any, and return the reply; raises `BadData` if it is late or the process crashes."""
+    def ask(self, path: Path, source: str, message: dict[str, Any] | None, largest: int) -> Any:
+        """Send the message, if any, and return the value or the arrays of the reply, or raise its error.
+
+        Raises `BadData` if the reply is late or the process crashes.
+        """
         if self in _disowned:
             raise CgidError(
                 f"{source}: must be read on by the process that began to, this one was forked from it meanwhile; begin "
@@ -197,7 +186,7 @@ class _Child:
         try:
             if message is not None:
                 self._tell(message)
-            found = receive(self._output, largest)
+            reply, arrays = receive(self._output, largest)
         except (OSError, ValueError, BrokenWire) as error:
             raise BadData(
                 f"{source}: the HDF5 library {self._end_told(error)} on this file; it is damaged or hostile: copy it "
@@ -206,7 +195,10 @@ class _Child:
         finally:
             patience.cancel()
         self.in_step = True
-        return found
+        if "error" in reply:
+            kind = _TOLD.get(str(reply["error"]), BadData)
+            raise kind(str(reply.get("text")))
+        return reply.get("value", arrays)
 
     def leave(self, path: Path) -> None:
         """Stop the process from yielding from a file, without waiting for its reply."""
@@ -375,13 +367,8 @@ def _is_plain(name: Any, kind: Any, shape: Any) -> bool:
 
 def _filled(stream: IO[bytes], dtype: np.dtype[Any], shape: tuple[int, ...]) -> NDArray[Any]:
     array = np.empty(shape, dtype)
-    if array.size:
-        rest = array.reshape(-1).view(np.uint8).data
-        while len(rest):
-            count = stream.readinto(rest)  # type: ignore[attr-defined]
-            if not count:
-                raise BrokenWire("cut off")
-            rest = rest[count:]
+    if array.size and stream.readinto(array.reshape(-1).view(np.uint8).data) != array.nbytes:  # type: ignore[attr-defined]
+        raise BrokenWire("cut off")
     return array
 
 

@@ -24,7 +24,7 @@ from cgid.errors import BadData, InvalidValue, MissingExtra, NoInput
 from cgid.files import check_new, clear_half_written, whole_file
 from cgid.store import sandbox
 from cgid.store.description import TABLE_FORMAT, TABLE_VERSION, is_sound, require_scene, require_schema, sealed, text_of
-from cgid.store.reading import Identity
+from cgid.store.reading import Identity, stored_rows
 
 if TYPE_CHECKING:
     from cgid.store.disk import Hdf5OnDisk
@@ -320,8 +320,7 @@ def _read_hdf5(path: str | Path) -> Table:
     header = TableHeader(kind=about["kind"], units=about["units"], attributes=about["attributes"])
     names = ["labels", "specimen", *(f"columns/{name}" for name in header.units)]
     length = max(1, min(_ROWS, sandbox.LARGEST_ANSWER // about["row_bytes"]))
-    parts = list(sandbox.stream("rows", Path(path), names, 0, about["n_rows"], length))
-    identity.require()
+    parts = list(stored_rows(Path(path), names, 0, about["n_rows"], length, about["row_bytes"], identity))
     stored = {name: np.concatenate([part[name] for part in parts]) for name in names}
     columns = {name: stored[f"columns/{name}"] for name in header.units}
     return _checked(path, header, text_of(stored["labels"]), stored["specimen"], columns)

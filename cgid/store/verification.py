@@ -99,7 +99,7 @@ def examine_whole(path: Path, kind: str) -> dict[str, Any]:
     examined = examine_file(path)
     if examined["fault"] and not sandbox.is_hdf5(path):
         raise BadData(f"{path}: is there and is no {kind}; choose another name")
-    if examined["fault"] or any(damaged_rows(chunks) for chunks in examined["chunks"].values()):
+    if damage_in_words(examined):
         raise BadData(f"{path}: is there and is not whole; make it again with --overwrite, without --resume")
     if examined["attributes"].get("format") != kind:
         raise BadData(f"{path}: is there and is no {kind}; choose another name, or replace it with --overwrite")
@@ -248,12 +248,12 @@ def _verify_dataset(folder: Path) -> Verified:
             found.append(Finding(file=folder / MANIFEST, problem=problem, what=str(error)))
     entries = manifest.shards if manifest is not None else _finished(folder)
     for entry in entries:
-        found += _verify_listed(folder / entry.file, entry.sha256, "the manifest", entry)
+        found += _verify_one(folder / entry.file, entry.sha256, "the manifest", entry)
     known = {entry.file for entry in entries}
     if manifest is None:  # an unfinished run may have made files that its journal does not list yet
         known |= {name for name in _names(folder) if re.fullmatch(SHARD_NAME, name)}
         for name in sorted(known) if not unfinished else ():
-            found += _verify_unlisted(folder / name)
+            found += _verify_one(folder / name)
         found += unfinished
     else:
         found += [_left(finding.file) for finding in unfinished] or _verify_sums(folder, manifest)
@@ -283,11 +283,8 @@ def _verify_recordings(folder: Path) -> Verified:
     except BadData as error:
         sums = {}
         found = [Finding(file=folder / SUMS, problem="damaged", what=str(error))]
-    for name, digest in sums.items():
-        found += _verify_listed(folder / name, digest, SUMS)
-    for name in names:
-        if name not in sums:
-            found += _verify_unlisted(folder / name)
+    for name in dict.fromkeys([*sums, *names]):
+        found += _verify_one(folder / name, sums.get(name), SUMS)
     found += [*_unfinished(folder), *_pending(folder)]
     if not sums:  # without sums only gaps are seen
         gaps = sorted({f"recording-{k:05d}.h5" for k in range(_number(names[-1]))} - set(names)) if names else []
@@ -308,30 +305,24 @@ def _number(name: str) -> int:
     return int(name.removeprefix("recording-").removesuffix(".h5"))
 
 
-def _verify_listed(path: Path, sha256: str, listed_in: str, entry: ShardEntry | None = None) -> list[Finding]:
-    """Return the problem of a file with a known SHA-256."""
-
-    def found(problem: str, what: str, examined: Mapping[str, Any] | None = None) -> list[Finding]:
-        return [
-            Finding(file=path, problem=problem, what=what, examined=examined or {}, entry=entry, sha256=sha256),
-        ]
-
+def _verify_one(
+    path: Path, sha256: str | None = None, listed_in: str = "", entry: ShardEntry | None = None
+) -> list[Finding]:
+    """Return the problem of a file in a folder; `sha256` is None if its sum is unknown."""
+    examined: dict[str, Any] = {}
+    problem, what = "damaged", ""
     if path.is_symlink():
-        return found("damaged", LINKED)
-    if not path.is_file():
-        return found("missing", "is not there")
-    if has_sum(path, sha256):
+        what = LINKED
+    elif sha256 and not path.is_file():
+        problem, what = "missing", "is not there"
+    elif not (sha256 and has_sum(path, sha256)):
+        examined = examine_file(path)
+        what = damage_in_words(examined)
+        if sha256 and not what:
+            what = f"does not fit the SHA-256 of {listed_in}, though all of it can be read"
+    if not what:
         return []
-    examined = examine_file(path)
-    what = damage_in_words(examined) or f"does not fit the SHA-256 of {listed_in}, though all of it can be read"
-    return found("damaged", what, examined)
-
-
-def _verify_unlisted(path: Path) -> list[Finding]:
-    """Return the problem of a file in a folder without a known SHA-256."""
-    if path.is_symlink():
-        return [Finding(file=path, problem="damaged", what=LINKED)]
-    return _damage(path, examine_file(path))
+    return [Finding(file=path, problem=problem, what=what, examined=examined, entry=entry, sha256=sha256)]
 
 
 def _unfinished(folder: Path) -> list[Finding]:
