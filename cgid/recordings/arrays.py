@@ -324,8 +324,7 @@ def read_hdf5(path: Path, source: str, variable: str | None) -> Contents:
     array or several; or if the array is in another file, declares more than is stored, or needs an unavailable filter.
     """
     from cgid.store.description import RECORDING_FORMAT
-    from cgid.store.reading import survey
-    from cgid.store.reading import array_blocks
+    from cgid.store.reading import array_blocks, survey
     from cgid.store.sandbox import format_said
 
     said = format_said(path)
