@@ -177,11 +177,11 @@ def write_recording(
     own = replace(plan, attributes={**plan.attributes, "recording": number})
     truth = []
     with writing(path, own, overwrite=overwrite) as writer:
-        for part in parts_of_recording(scene, seed, number, dtype=dtype):
-            writer.add(part.samples)
-            truth.append(part.truth)
+        for samples, impacts in parts_of_recording(scene, seed, number, dtype=dtype):
+            writer.add(samples)
+            truth.append(impacts)
             if progress is not None:
-                progress(part.samples.size)
+                progress(samples.size)
         writer.add_impacts(joined(scene, truth), impact_units(scene))
 
 
