@@ -23,12 +23,12 @@ import numpy as np
 from cgid.errors import BadData, CannotCreate, CgidError
 from cgid.files import locked, whole_file, write_whole
 from cgid.scene._fourier import LARGEST_FACTOR, transformable
-from cgid.scene.generation import attributes_of, in_order, shard_plan
+from cgid.scene.generation import attributes_of, in_order, next_signals, shard_plan
 from cgid.scene.recordings import write_recording
 from cgid.scene.schema import Scene, parse_scene, samples_of
 from cgid.scene.synthesis import synthesise
 from cgid.store import Dataset
-from cgid.store.dataset import write_dataset
+from cgid.store.dataset import shard_content, write_dataset
 from cgid.store.description import (
     FORMAT,
     LARGEST_SHARD,
@@ -48,7 +48,7 @@ from cgid.store.description import (
     sums_of,
     sums_text,
 )
-from cgid.store.hdf5 import RecordingPlan, ShardBuilder
+from cgid.store.hdf5 import RecordingPlan
 from cgid.store.verification import Finding, Verified, compression_of, damaged_rows, examine_file
 
 #: Versions of cgid whose numbers depended on the processor.
@@ -348,12 +348,9 @@ def _make(recipe: _Recipe, path: Path, progress: Progress | None) -> None:
     if plan.size(recipe.n_signals) > LARGEST_SHARD:  # only an exported dataset is that large
         write_dataset(path, plan, number, recipe.n_signals, batches, progress)
         return
-    builder = ShardBuilder(plan, number, recipe.n_signals)
-    for batch in batches:
-        builder.add(batch)
-        if progress is not None:
-            progress(len(batch))
-    path.write_bytes(builder.image())
+    path.write_bytes(
+        shard_content(plan, number, recipe.n_signals, next_signals(batches, recipe.n_signals, progress))[0]
+    )
 
 
 def _require_same(recipe: _Recipe, made: Path, finding: Finding) -> None:

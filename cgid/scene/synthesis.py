@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -20,6 +20,7 @@ from cgid.scene.plan import OF_TAPS, TRUE, Plan, plan
 from cgid.scene.schema import Scene
 from cgid.scene.sensor import Sensor, clip
 from cgid.signals import Batch
+from cgid.store import Rows
 from cgid.validation import Floats
 
 #: Blocks measured at once, to share the overhead of the fit.
@@ -166,28 +167,10 @@ def _digitised_by(sensor: Sensor, sampling_rate: float, first: int, n_samples: i
 # -- columns of a table -----------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Columns:
-    """Some rows of a table.
-
-    Attributes
-    ----------
-    specimen : equal for impacts of equal particles, (n_signals,)
-    values : by the names of `Plan.column_units`, each (n_signals,); nan where not applicable or not measurable
-    n_unmeasured : number of signals with a feature that cannot be measured
-    """
-
-    labels: NDArray[np.str_]
-    specimen: NDArray[np.uint64]
-    values: Mapping[str, Floats]
-    n_unmeasured: int = 0
-
-    def __len__(self) -> int:
-        return len(self.labels)
-
-
-def columns_of(asked: Plan, n_signals: int, seed: int = 0, *, first: int = 0) -> Iterator[Columns]:
+def columns_of(asked: Plan, n_signals: int, seed: int = 0, *, first: int = 0) -> Iterator[Rows]:
     """Yield the columns of a plan in batches of at most 1024 signals, making only what a column needs.
+
+    A number that does not apply or cannot be measured is nan.
 
     Features equal those of `cgid.measure.features.extract` for float32 signals of `synthesise` with the same numbers.
     Raises `InvalidValue` if a number breaks its rule, or the plan is one for signals.
@@ -203,7 +186,7 @@ def columns_of(asked: Plan, n_signals: int, seed: int = 0, *, first: int = 0) ->
     return (_untimed(asked, seed, block, part) for block, part in blocks(n_signals, first))
 
 
-def _untimed(asked: Plan, seed: int, block: int, part: slice) -> Columns:
+def _untimed(asked: Plan, seed: int, block: int, part: slice) -> Rows:
     """Return the columns that need no pulse."""
     drawn = drawn_block(asked.scene, seed, block)
     here = asked.for_block(drawn.scene)
@@ -217,10 +200,10 @@ def _untimed(asked: Plan, seed: int, block: int, part: slice) -> Columns:
             for rows, impacts, _ in impacts_by_coupling(here, impact, drawn.values, drawn.fallen):
                 for name in asked.quantities:
                     values[name][rows] = getattr(impacts, name)
-    return Columns(
+    return Rows(
         labels=drawn.labels[part],
         specimen=drawn.specimen[part],
-        values={name: values[name][part] for name in asked.column_units},
+        columns={name: values[name][part] for name in asked.column_units},
     )
 
 
@@ -250,7 +233,7 @@ class _Block:
         return int(min(max(needed), sampling.samples))
 
 
-def _measured(asked: Plan, n_signals: int, seed: int, first: int) -> Iterator[Columns]:
+def _measured(asked: Plan, n_signals: int, seed: int, first: int) -> Iterator[Rows]:
     """Yield features; blocks with the same sampling rate are measured together."""
     together = 1 if asked.scene.draws("sampling_rate") else _TOGETHER
     waiting: list[_Block] = []
@@ -263,7 +246,7 @@ def _measured(asked: Plan, n_signals: int, seed: int, first: int) -> Iterator[Co
         yield _features(asked, seed, waiting)
 
 
-def _features(asked: Plan, seed: int, drawn: list[_Block]) -> Columns:
+def _features(asked: Plan, seed: int, drawn: list[_Block]) -> Rows:
     names, sampling = asked.features, drawn[0].blows.scene.sampling
     length = max(one.beginning for one in drawn)
     made = [make_beginnings(one.blows, seed, one.number, np.float32, length) for one in drawn]
@@ -281,11 +264,10 @@ def _features(asked: Plan, seed: int, drawn: list[_Block]) -> Columns:
     if "sampling_rate" in asked.column_units:
         rates = [np.full(len(one.labels), one.blows.scene.sampling.sampling_rate) for one in drawn]
         values["sampling_rate"] = np.concatenate(rates)
-    return Columns(
+    return Rows(
         labels=np.concatenate([one.labels for one in drawn]),
         specimen=np.concatenate([one.blows.specimen[one.part] for one in drawn]),
-        values=values,
-        n_unmeasured=int(np.sum(~np.isfinite(table).all(axis=1))),
+        columns=values,
     )
 
 
