@@ -344,15 +344,10 @@ def next_signals(batches: Iterator[Batch], count: int, progress: Callable[[int],
 # ---- tables ----------------------------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True)
-class Tabulated:
-    """The result of `tabulate`.
-
-    n_unmeasured : rows in which a feature could not be measured and is nan
-    """
+class Tabulated(NamedTuple):
+    """The path of a table, and the number of rows in which a feature could not be measured and is nan."""
 
     path: Path
-    n_signals: int
     n_unmeasured: int
 
 
@@ -391,4 +386,4 @@ def tabulate(
             unmeasured += len(rows) - int(np.count_nonzero(np.logical_and.reduce(measured))) if measured else 0
             if progress is not None:
                 progress(len(rows))
-    return Tabulated(path, n_signals, unmeasured)
+    return Tabulated(path, unmeasured)

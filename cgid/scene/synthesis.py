@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from itertools import islice
 from typing import Any, Literal
 
 import numpy as np
@@ -207,51 +207,34 @@ def _untimed(asked: Plan, seed: int, block: int, part: slice) -> Rows:
     )
 
 
-@dataclass(frozen=True, eq=False)
-class _Block:
-    """A block and its requested signals."""
-
-    number: int
-    part: slice
-    blows: Blows
-
-    @property
-    def labels(self) -> NDArray[np.str_]:
-        return self.blows.labels[self.part]
-
-    @property
-    def beginning(self) -> int:
-        """Number of samples of each frame that the features will most likely use."""
-        sampling, names = self.blows.scene.sampling, self.blows.plan.features
-        if self.blows.plan.runs("rest of the frames"):
-            return sampling.samples
-        rate = sampling.sampling_rate
-        needed = [
-            samples_needed(names, strike.onset * rate, strike.pulses.contact_duration * rate).max()
-            for strike in self.blows.strikes
-        ]
-        return int(min(max(needed), sampling.samples))
+def _beginning(blows: Blows) -> int:
+    """Return the number of samples of each frame that the features will most likely use."""
+    sampling, names = blows.scene.sampling, blows.plan.features
+    if blows.plan.runs("rest of the frames"):
+        return sampling.samples
+    rate = sampling.sampling_rate
+    needed = [
+        samples_needed(names, strike.onset * rate, strike.pulses.contact_duration * rate).max()
+        for strike in blows.strikes
+    ]
+    return int(min(max(needed), sampling.samples))
 
 
 def _measured(asked: Plan, n_signals: int, seed: int, first: int) -> Iterator[Rows]:
     """Yield features; blocks with the same sampling rate are measured together."""
     together = 1 if asked.scene.draws("sampling_rate") else _TOGETHER
-    waiting: list[_Block] = []
-    for block, part in blocks(n_signals, first):
-        waiting.append(_Block(block, part, blows_of(asked, seed, block)))
-        if len(waiting) == together:
-            yield _features(asked, seed, waiting)
-            waiting = []
-    if waiting:
-        yield _features(asked, seed, waiting)
+    drawn = ((block, part, blows_of(asked, seed, block)) for block, part in blocks(n_signals, first))
+    while several := list(islice(drawn, together)):
+        yield _features(asked, seed, several)
 
 
-def _features(asked: Plan, seed: int, drawn: list[_Block]) -> Rows:
-    names, sampling = asked.features, drawn[0].blows.scene.sampling
-    length = max(one.beginning for one in drawn)
-    made = [make_beginnings(one.blows, seed, one.number, np.float32, length) for one in drawn]
-    frames = np.concatenate([signals[one.part] for one, (signals, _) in zip(drawn, made, strict=True)])
-    behind = np.concatenate([highest[one.part] for one, (_, highest) in zip(drawn, made, strict=True)])
+def _features(asked: Plan, seed: int, drawn: list[tuple[int, slice, Blows]]) -> Rows:
+    """Return the features of some blocks, each with its number and its requested signals."""
+    names, sampling = asked.features, drawn[0][2].scene.sampling
+    length = max(_beginning(blows) for _, _, blows in drawn)
+    made = [make_beginnings(blows, seed, block, np.float32, length) for block, _, blows in drawn]
+    frames = np.concatenate([signals[part] for (_, part, _), (signals, _) in zip(drawn, made, strict=True)])
+    behind = np.concatenate([highest[part] for (_, part, _), (_, highest) in zip(drawn, made, strict=True)])
     if length == sampling.samples:
         table = extract_array(frames, sampling.sampling_rate, names, pre_trigger=sampling.pre_trigger, invalid="nan")
     else:
@@ -260,25 +243,26 @@ def _features(asked: Plan, seed: int, drawn: list[_Block]) -> Rows:
             table[~certain] = _from_whole_frames(names, seed, drawn, ~certain)
     values = dict(zip(names, table.T, strict=True))
     for name in parameter_units(asked.scene):
-        values[f"{TRUE}{name}"] = np.concatenate([one.blows.parameters[name][one.part] for one in drawn])
+        values[f"{TRUE}{name}"] = np.concatenate([blows.parameters[name][part] for _, part, blows in drawn])
     if "sampling_rate" in asked.column_units:
-        rates = [np.full(len(one.labels), one.blows.scene.sampling.sampling_rate) for one in drawn]
-        values["sampling_rate"] = np.concatenate(rates)
+        values["sampling_rate"] = np.full(len(table), sampling.sampling_rate)
     return Rows(
-        labels=np.concatenate([one.labels for one in drawn]),
-        specimen=np.concatenate([one.blows.specimen[one.part] for one in drawn]),
+        labels=np.concatenate([blows.labels[part] for _, part, blows in drawn]),
+        specimen=np.concatenate([blows.specimen[part] for _, part, blows in drawn]),
         columns=values,
     )
 
 
-def _from_whole_frames(names: tuple[str, ...], seed: int, drawn: list[_Block], wanted: NDArray[np.bool_]) -> Floats:
+def _from_whole_frames(
+    names: tuple[str, ...], seed: int, drawn: list[tuple[int, slice, Blows]], wanted: NDArray[np.bool_]
+) -> Floats:
     """Return the features of signals whose first samples did not suffice, (n_wanted, n_features)."""
-    sampling, rows, place = drawn[0].blows.scene.sampling, [], 0
-    for one in drawn:
-        here = wanted[place : place + len(one.labels)]
-        place += len(one.labels)
+    sampling, rows, place = drawn[0][2].scene.sampling, [], 0
+    for block, part, blows in drawn:
+        here = wanted[place : place + part.stop - part.start]
+        place += here.size
         if here.any():
-            rows.append(make_frames(one.blows, seed, one.number, np.float32)[one.part][here])
+            rows.append(make_frames(blows, seed, block, np.float32)[part][here])
     return extract_array(
         np.concatenate(rows), sampling.sampling_rate, names, pre_trigger=sampling.pre_trigger, invalid="nan"
     )
