@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 import dataclasses
 import hashlib
 import logging
@@ -209,10 +208,8 @@ def moved(asked: Any, folder: Path, *shared: str) -> Any:
     """Return what workers are asked as it is on a machine whose folder of that name is another one."""
     folder.mkdir()
     for name in shared:
-        shutil.copy(asked.writer.folder / name, folder)
-    writer = copy.copy(asked.writer)
-    writer.output = writer._folder = folder
-    return dataclasses.replace(asked, writer=writer)
+        shutil.copy(asked.place / name, folder)
+    return dataclasses.replace(asked, place=folder)
 
 
 def test_other_versions_are_refused_before_anything_is_written(

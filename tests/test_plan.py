@@ -32,7 +32,7 @@ from cgid.scene.impacts import BeamModes, TapPulses, beam_modes, draw
 from cgid.scene.plan import NEGLIGIBLE_ECHO, QUANTITIES, RESPONSE_TOLERANCE, STAGES, Decision, Plan, plan
 from cgid.scene.sensor import Sensor
 from cgid.scene.stream import record
-from cgid.scene.synthesis import Columns, columns_of
+from cgid.scene.synthesis import columns_of
 from cgid.shipped import scene_path
 from cgid.store import Rows, TableHeader, is_table, read_table, table, table_writer
 from tests.plan_scenes import (
@@ -118,17 +118,17 @@ BEGINNINGS = {"features of the fit": 600, "features in time": 500, "spectrum, ba
 
 def features_of(
     scene: Scene, n_signals: int, seed: int = 0, *, features: object = None, first: int = 0
-) -> Iterator[Columns]:
+) -> Iterator[Rows]:
     return columns_of(plan(scene, ["features"], features=features), n_signals, seed, first=first)
 
 
 def closed_forms_of(
     scene: Scene, n_signals: int, seed: int = 0, *, quantities: object = None, first: int = 0
-) -> Iterator[Columns]:
+) -> Iterator[Rows]:
     return columns_of(plan(scene, ["closed-form"], quantities=quantities), n_signals, seed, first=first)
 
 
-def parameters_of(scene: Scene, n_signals: int, seed: int = 0, *, first: int = 0) -> Iterator[Columns]:
+def parameters_of(scene: Scene, n_signals: int, seed: int = 0, *, first: int = 0) -> Iterator[Rows]:
     return columns_of(plan(scene, ["parameters"]), n_signals, seed, first=first)
 
 
@@ -428,7 +428,7 @@ def stored_features(scene, n_signals, names, first=0):
 
 def features_without_frames(scene, n_signals, names, first=0):
     parts = list(features_of(scene, n_signals, features=names, first=first))
-    return np.concatenate([np.stack([part.values[name] for name in names], axis=1) for part in parts])
+    return np.concatenate([np.stack([part.columns[name] for name in names], axis=1) for part in parts])
 
 
 NOISY = {"relative_noise": 0.08}
@@ -509,11 +509,12 @@ def test_a_beginning_is_certain_only_where_nothing_behind_it_matters(names: tupl
     assert any(0 < share < 1 for share in shares)
 
 
-def test_signals_that_cannot_be_measured_are_nan_and_counted() -> None:
+def test_signals_that_cannot_be_measured_are_nan_and_counted(tmp_path: Path) -> None:
     scene = scene_of(sensor={"relative_noise": 3.0})
     parts = list(features_of(scene, 512, features=["peak_force"]))
-    values = np.concatenate([part.values["peak_force"] for part in parts])
-    assert sum(part.n_unmeasured for part in parts) == np.sum(np.isnan(values)) > 300
+    values = np.concatenate([part.columns["peak_force"] for part in parts])
+    written = tabulate(plan(scene, ["features"], features=["peak_force"]), tmp_path / "table.csv", 512)
+    assert written.n_unmeasured == np.sum(np.isnan(values)) > 300
 
 
 # -- parameters and closed forms --------------------------------------------------------------------------
@@ -527,22 +528,22 @@ def test_columns_are_those_of_the_signals() -> None:
         np.testing.assert_array_equal(part.labels, batch.labels)
         np.testing.assert_array_equal(part.specimen, batch.specimen)
         for name in ("density", "radius", "velocity", "onset", "second_hit_delay", "relative_noise"):
-            np.testing.assert_array_equal(part.values[name], batch.parameters[name])
+            np.testing.assert_array_equal(part.columns[name], batch.parameters[name])
     for name in ("restitution", "peak_force", "contact_duration"):
-        np.testing.assert_array_equal(closed.values[name], batch.parameters[name])
-    assert set(QUANTITIES) <= set(closed.values)
-    tapped = np.isnan(drawn.values["radius"])
+        np.testing.assert_array_equal(closed.columns[name], batch.parameters[name])
+    assert set(QUANTITIES) <= set(closed.columns)
+    tapped = np.isnan(drawn.columns["radius"])
     assert 0 < tapped.sum() < 200
-    assert np.isfinite(closed.values["impulse"][~tapped]).all()
-    assert np.isnan(closed.values["impulse"][tapped]).all()
-    np.testing.assert_array_equal(np.isfinite(drawn.values["peak_force"]), tapped)  # only a tap's is drawn
+    assert np.isfinite(closed.columns["impulse"][~tapped]).all()
+    assert np.isnan(closed.columns["impulse"][tapped]).all()
+    np.testing.assert_array_equal(np.isfinite(drawn.columns["peak_force"]), tapped)  # only a tap's is drawn
 
 
 def test_what_is_asked_of_a_law_is_not_what_it_delivers() -> None:
     scene = scene_of({"law": "lee-wang"})
     (drawn,), (closed,) = parameters_of(scene, 50), closed_forms_of(scene, 50, quantities=["restitution"])
-    assert (closed.values["restitution"] > drawn.values["asked_restitution"]).all()
-    assert "restitution" not in drawn.values
+    assert (closed.columns["restitution"] > drawn.columns["asked_restitution"]).all()
+    assert "restitution" not in drawn.columns
 
 
 @pytest.mark.parametrize(
@@ -661,7 +662,7 @@ def test_a_table_is_read_back_as_it_was_made(tmp_path: Path, suffix: str) -> Non
     np.testing.assert_array_equal(found.specimen, np.concatenate([part.specimen for part in parts]))
     assert list(found.columns) == list(asked.column_units) == list(found.header.units)
     for name, column in found.columns.items():
-        np.testing.assert_array_equal(column, np.concatenate([part.values[name] for part in parts]))
+        np.testing.assert_array_equal(column, np.concatenate([part.columns[name] for part in parts]))
     assert (found.header.kind, found.header.units["peak_force"]) == ("features", "N")
     assert found.header.attributes["scene"] == scene.text
     unmeasured = ~np.isfinite(np.stack([found.columns[name] for name in names])).all(axis=0)
@@ -897,7 +898,7 @@ def test_storing_is_counted(tmp_path: Path) -> None:
 
 def test_the_undamped_closed_form_is_hertz() -> None:
     (closed,) = closed_forms_of(scene_of({"dissipation": "elastic"}, {"restitution": None}), 20)
-    p = closed.values
+    p = closed.columns
     material = Material(density=p["density"], youngs_modulus=p["youngs_modulus"], poisson_ratio=p["poisson_ratio"])
     impact = Impact(
         sphere=Sphere(material=material, radius=p["radius"]),

@@ -12,9 +12,8 @@ from threadpoolctl import threadpool_limits
 
 from cgid import validation
 from cgid.errors import BadData, InvalidValue
-from cgid.physics.response import Resonators
 from cgid.scene.calibration_blow import Blow, PreparedBlow, prepared
-from cgid.scene.calibration_fit import MOST_MODES, NOTHING_LEFT, Fit, Ringing, aligned, columns, refined, ringing_modes
+from cgid.scene.calibration_fit import MOST_MODES, NOTHING_LEFT, Fit, Ringing, columns, fitted, ringing_modes
 from cgid.scene.impacts import beam_modes
 from cgid.scene.schema import Scene, parse_scene
 from cgid.scene.sections import TailBeamSection
@@ -180,18 +179,10 @@ def _with_gain(scene: Scene, blows: list[Blow], struck: list[PreparedBlow]) -> C
     points = np.array([_point(scene.tail_beam, blow) for blow in blows])
     heard = beam_modes(scene)
     rows = heard.participation({"impact_x": points[:, 0], "impact_y": points[:, 1]})
-    fit = _fit(scene, struck, heard, list(rows[:, None]), free=False)
+    fit = fitted(scene, struck, heard, list(rows[:, None]))
     gain = float(fit.amounts[0])
     found = _changed(scene, {"gain": gain}, None)
     return _calibration(found, gain, blows, struck, fit.delays, fit.remains)
-
-
-def _fit(
-    scene: Scene, struck: list[PreparedBlow], modes: Resonators, participation: list[Floats], *, free: bool
-) -> Fit:
-    sensor, rate = scene.sensor, scene.sampling.sampling_rate
-    delays = aligned(struck, sensor, rate, modes, participation)
-    return refined(struck, sensor, rate, modes, participation, delays, free=free)
 
 
 def _point(beam: TailBeamSection, blow: Blow) -> tuple[float, float]:
@@ -217,13 +208,12 @@ def _with_modes(
 ) -> Calibration:
     if len({blow.impact_point for blow in blows}) > 1:
         raise InvalidValue("impact_point must be the same for all blows where modes are measured; calibrate each place")
-    rate, sensor = scene.sampling.sampling_rate, scene.sensor
     # Modes outside the band are fitted as well, so that they do not disturb those inside.
     fit = _identified(scene, struck, n_modes if band is None else None)
     kept = _kept(fit, n_modes, band)
     each = np.eye(fit.amounts.size)
     remains = [
-        blow.samples - fit.amounts[kept] @ columns(blow, sensor, rate, fit.modes, each[kept], np.array([delay]))[0]
+        blow.samples - fit.amounts[kept] @ columns(scene, blow, fit.modes, each[kept], np.array([delay]))[0]
         for blow, delay in zip(struck, fit.delays, strict=True)
     ]
     rows = [
@@ -249,7 +239,7 @@ def _identified(scene: Scene, struck: list[PreparedBlow], n_modes: int | None) -
     first = _ringing(scene, struck, [blow.samples for blow in struck], most)
     if not first.frequency.size:
         raise BadData("recordings must ring after the blows, no mode stands out of the noise; tap harder or more often")
-    fit = _fit(scene, struck, first, [np.eye(first.frequency.size)] * len(struck), free=True)
+    fit = fitted(scene, struck, first)
     before = sum(float((blow.samples**2).sum()) for blow in struck)
     for _ in range(_ROUNDS):
         known = fit.only(fit.significant)
@@ -259,8 +249,8 @@ def _identified(scene: Scene, struck: list[PreparedBlow], n_modes: int | None) -
         more = _ringing(scene, struck, fit.remains, min(missing, _MODES_A_ROUND))
         if not more.frequency.size:
             break
-        fit = _refitted(scene, struck, fit, known.joined(more))
-    return fit if fit.significant.all() else _refitted(scene, struck, fit, fit.only(fit.significant))
+        fit = fitted(scene, struck, known.joined(more), delays=fit.delays)
+    return fit if fit.significant.all() else fitted(scene, struck, fit.only(fit.significant), delays=fit.delays)
 
 
 def _require_length(scene: Scene, struck: list[PreparedBlow], n_modes: int | None) -> None:
@@ -279,11 +269,6 @@ def _ringing(scene: Scene, struck: list[PreparedBlow], samples: list[Floats], mo
     decays = [part[blow.decay :] for part, blow in zip(samples, struck, strict=True)]
     filters = np.concatenate([np.empty(0, complex), *(part.poles for part in scene.sensor.filters)])
     return ringing_modes(decays, scene.sampling.sampling_rate, most, _highest(scene), filters)
-
-
-def _refitted(scene: Scene, struck: list[PreparedBlow], fit: Fit, modes: Ringing) -> Fit:
-    each = [np.eye(modes.frequency.size)] * len(struck)
-    return refined(struck, scene.sensor, scene.sampling.sampling_rate, modes, each, fit.delays, free=True)
 
 
 def _kept(fit: Fit, n_modes: int | None, band: tuple[float, float] | None) -> list[int]:

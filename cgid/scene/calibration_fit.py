@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from cgid.physics.response import Quantity, Resonators, Response
 from cgid.scene.calibration_blow import PreparedBlow
-from cgid.scene.sensor import Sensor
+from cgid.scene.schema import Scene
 from cgid.validation import Floats
 
 Complex = NDArray[np.complex128]
@@ -182,10 +182,9 @@ class Fit:
         return np.asarray(n * np.log1p(self.losses / max(self.energy, 1e-300)) > 3 * np.log(n))
 
 
-def columns(
-    blow: PreparedBlow, sensor: Sensor, rate: float, modes: Resonators, participation: Floats, shifts: Floats
-) -> Floats:
+def columns(scene: Scene, blow: PreparedBlow, modes: Resonators, participation: Floats, shifts: Floats) -> Floats:
     """Return the motion for rows of participation (n_columns, n_modes), (n_shifts, n_columns, n_samples)."""
+    sensor, rate = scene.sensor, scene.sampling.sampling_rate
     assert sensor.quantity != "force"
     quantity: Quantity = sensor.quantity
     response = Response(sampling_rate=rate, quantity=quantity, modes=modes, filters=blow.filters, tolerance=_TOLERANCE)
@@ -207,14 +206,13 @@ class _Rows:
         self.add_to_frames = blow.pulse.add_to_frames
 
 
-def aligned(
-    blows: Sequence[PreparedBlow], sensor: Sensor, rate: float, modes: Resonators, participation: Sequence[Floats]
-) -> Floats:
+def _aligned(scene: Scene, blows: Sequence[PreparedBlow], modes: Resonators, participation: Sequence[Floats]) -> Floats:
     """Return the best of the shifts of each blow [samples], (n_blows,)."""
     squares, products, energies = [], [], []
     for blow, rows in zip(blows, participation, strict=True):
-        short = _shortened(blow)
-        sound = columns(short, sensor, rate, modes, rows, short.shifts)
+        samples = blow.samples[:_ALIGNED]
+        short = replace(blow, samples=samples - samples.mean())
+        sound = columns(scene, short, modes, rows, short.shifts)
         squares.append(np.einsum("sit,sjt->sij", sound, sound))
         products.append(np.einsum("sit,t->si", sound, short.samples))
         energies.append(float((short.samples**2).sum()))
@@ -235,11 +233,6 @@ def aligned(
     return np.array([blow.shifts[place] for blow, place in zip(blows, places, strict=True)])
 
 
-def _shortened(blow: PreparedBlow) -> PreparedBlow:
-    samples = blow.samples[:_ALIGNED]
-    return replace(blow, samples=samples - samples.mean())
-
-
 def _solved(squares: Floats, products: Floats) -> Floats:
     """Return the least-squares amounts; two equal columns share theirs."""
     return np.asarray((np.linalg.pinv(squares, rcond=1e-12, hermitian=True) @ products[..., None])[..., 0])
@@ -247,11 +240,10 @@ def _solved(squares: Floats, products: Floats) -> Floats:
 
 @dataclass(frozen=True)
 class _Model:
-    """The model of all blows, with free or fixed frequencies and damping ratios; see `refined`."""
+    """The model of all blows, with free or fixed frequencies and damping ratios; see `fitted`."""
 
+    scene: Scene
     blows: Sequence[PreparedBlow]
-    sensor: Sensor
-    rate: float
     modes: Resonators
     participation: Sequence[Floats]
     free: bool
@@ -271,7 +263,7 @@ class _Model:
         """Return the concatenated columns of all blows, (n_samples, n_columns)."""
         modes, delays = self.at(unknowns), unknowns[2 * self.n_moved :]
         parts = [
-            columns(blow, self.sensor, self.rate, modes, rows, delay)[0]
+            columns(self.scene, blow, modes, rows, delay)[0]
             for blow, rows, delay in zip(self.blows, self.participation, delays[:, None], strict=True)
         ]
         return np.concatenate(parts, axis=1).T
@@ -312,24 +304,24 @@ def _moved(unknowns: Floats, first: int, last: int) -> Floats:
     return moved
 
 
-def refined(
+def fitted(
+    scene: Scene,
     blows: Sequence[PreparedBlow],
-    sensor: Sensor,
-    rate: float,
     modes: Resonators,
-    participation: Sequence[Floats],
-    delays: Floats,
-    *,
-    free: bool,
+    participation: Sequence[Floats] | None = None,
+    delays: Floats | None = None,
 ) -> Fit:
     """Return the least-squares fit of all blows, starting from a first guess of modes and delays [samples].
 
-    participation holds the columns of each blow whose amounts are sought, (n_columns, n_modes): the unit matrix for
-    separate modes. If free, frequencies and damping ratios are fitted as well.
+    participation holds the columns of each blow whose amounts are sought, (n_columns, n_modes). By default each mode
+    has its own amount, and frequencies and damping ratios are fitted as well. Delays are sought unless given.
     """
     from scipy.optimize import least_squares
 
-    model = _Model(blows, sensor, rate, modes, participation, free)
+    free = participation is None
+    rows = [np.eye(modes.frequency.size)] * len(blows) if participation is None else participation
+    delays = _aligned(scene, blows, modes, rows) if delays is None else delays
+    model = _Model(scene, blows, modes, rows, free)
     n = model.n_moved
     damped = np.minimum(_FAR_DAMPING, np.log(0.95 / modes.damping_ratio[:n]))
     far = np.concatenate([np.full(n, _FAR), damped, np.full(delays.size, _FAR_DELAY)])

@@ -19,23 +19,24 @@ from contextvars import copy_context
 from dataclasses import dataclass, replace
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any, Literal, TypeVar
+from typing import Any, Literal, NamedTuple, TypeVar
 
 import numpy as np
 
 from cgid import __version__, validation
 from cgid.errors import CannotCreate, InvalidValue
-from cgid.files import require_room
+from cgid.files import require_room, write_whole
 from cgid.scene.draws import BLOCK, parameter_units
 from cgid.scene.plan import Plan
 from cgid.scene.schema import Scene
 from cgid.scene.synthesis import columns_of, synthesise
 from cgid.signals import Batch
-from cgid.store import DatasetWriter, Rows, TableHeader, check_output, check_table_output, table_writer
+from cgid.store import TableHeader, check_output, check_table_output, table_writer
 from cgid.store.compression import COMPRESSIONS, library, require
+from cgid.store.dataset import dataset_goal, part_of, shard_content
 from cgid.store.description import DATASET_FILES, FORMAT, JOURNAL, SCHEMA_VERSION, ShardEntry
 from cgid.store.hdf5 import ShardPlan
-from cgid.store.run import is_single_file
+from cgid.store.run import begun, is_single_file, taking_part
 from cgid.workers import Workers, workers
 
 #: Signals per shard: 32 MiB of 2048 float32 samples, built in memory.
@@ -133,16 +134,21 @@ def generate(
     )
     if n_signals > MOST_SIGNALS:
         raise InvalidValue(f"n_signals must be at most {MOST_SIGNALS}, got {n_signals}; make several datasets")
-    writer = DatasetWriter(path, plan, n_signals, shard_signals)
+    goal = dataset_goal(path, plan, n_signals, shard_signals)
+    if is_single_file(path):
+        shard_signals = n_signals
     # More workers than shards or processors would only cost memory.
-    jobs = min(jobs, len(writer.shards), os.cpu_count() or 1)
+    jobs = min(jobs, len(goal.names), os.cpu_count() or 1)
     # The workers come first, so that a missing cluster is reported before anything is written.
-    with workers(jobs, scheduler) as crew, writer.begun(overwrite=overwrite, resume=resume) as run:
-        missing = [writer.shards[number] for number in run.missing]
-        done = n_signals - sum(count for _, _, count in missing)
-        if progress is not None and done:
-            progress(done)
-        work = _Work(writer=writer, scene=scene, seed=seed, dtype=dtype)
+    with workers(jobs, scheduler) as crew, begun(goal, overwrite=overwrite, resume=resume) as run:
+        missing = [_Shard(number, *part_of(number, n_signals, shard_signals)) for number in run.missing]
+        n_missing = sum(shard.n_signals for shard in missing)
+        if run.token is not None and compression == "none":
+            require_room(path, path.parent, plan.size(n_missing), "signals", "make room, or fewer signals")
+        if progress is not None and n_missing < n_signals:
+            progress(n_signals - n_missing)
+        place = path if run.token is None else run.folder
+        work = _Work(scene=scene, seed=seed, plan=plan, place=place, run=run.token, overwrite=overwrite)
         with closing(_write_shards(work, missing, crew, progress)) as entries:
             for entry in entries:
                 run.add(vars(entry))
@@ -190,21 +196,34 @@ def in_order(attributes: Mapping[str, Any]) -> dict[str, Any]:
 # ---- shards ----------------------------------------------------------------------------------------------------------
 
 
+class _Shard(NamedTuple):
+    number: int
+    first: int
+    n_signals: int
+
+
 @dataclass(frozen=True, kw_only=True)
 class _Work:
-    """The data common to all shards."""
+    """The data common to all shards.
 
-    writer: DatasetWriter
+    place : the folder of the shards, or the single file
+    run : identifier of the run that fills the folder; None for a single file
+    """
+
     scene: Scene
     seed: int
-    dtype: Literal["float32", "float64"]
+    plan: ShardPlan
+    place: Path
+    run: str | None
+    overwrite: bool
+
+    @property
+    def folder(self) -> Path:
+        return self.place.parent if self.run is None else self.place
 
 
 def _write_shards(
-    work: _Work,
-    shards: list[tuple[int, int, int]],
-    crew: Workers,
-    progress: Callable[[int], object] | None,
+    work: _Work, shards: list[_Shard], crew: Workers, progress: Callable[[int], object] | None
 ) -> Generator[ShardEntry, None, None]:
     """Make and write these shards; yield the manifest entry of each when it is done.
 
@@ -217,7 +236,7 @@ def _write_shards(
     with closing(crew.each(write, _anywhere(work), shards, ordered=False)) as entries:
         for entry in entries:
             if crew.elsewhere:
-                _require_shared(work.writer.folder / entry.file, entry.bytes)
+                _require_shared(work.folder / entry.file, entry.bytes)
             yield entry
 
 
@@ -225,32 +244,47 @@ def _anywhere(work: _Work) -> _Work:
     """Return the same work with absolute paths, for processes with another working directory."""
     scene = work.scene.model_copy()
     scene.__dict__["folder"] = scene.folder.absolute()
-    return replace(work, writer=work.writer.from_anywhere(), scene=scene)
+    return replace(work, place=work.place.absolute(), scene=scene)
 
 
 def _write_in_turn(
-    work: _Work, shards: Sequence[tuple[int, int, int]], progress: Callable[[int], object] | None = None
+    work: _Work, shards: Sequence[_Shard], progress: Callable[[int], object] | None = None
 ) -> Generator[ShardEntry, None, None]:
     """Make shards one after another in this process."""
+    dtype: Any = work.plan.dtype
     made = (
         batch
-        for _, first, count in shards
-        for batch in synthesise(work.scene, count, work.seed, first=first, dtype=work.dtype)
+        for shard in shards
+        for batch in synthesise(work.scene, shard.n_signals, work.seed, first=shard.first, dtype=dtype)
     )
-    block = BLOCK * work.scene.sampling.samples * np.dtype(work.dtype).itemsize
+    block = work.plan.size(BLOCK)
     with closing(ahead(made, min(max(1, _AHEAD_BYTES // block), _AHEAD_BLOCKS))) as batches:
-        for number, first, count in shards:
-            yield work.writer.write(number, first, count, _next_signals(batches, count, progress))
+        for shard in shards:
+            yield _write(work, shard, next_signals(batches, shard.n_signals, progress))
 
 
-def _write_one(work: _Work, shard: tuple[int, int, int]) -> ShardEntry:
+def _write(work: _Work, shard: _Shard, batches: Iterator[Batch]) -> ShardEntry:
+    """Build a shard in memory, write it atomically, and return its entry in the manifest."""
+    content, labels = shard_content(work.plan, shard.first, shard.n_signals, batches)
+    if work.run is None:
+        path = work.place
+        write_whole(path, content, overwrite=work.overwrite)
+    else:
+        path = work.place / f"shard-{shard.number:05d}.h5"
+        with taking_part(work.place, work.run):
+            write_whole(path, content)
+    digest = hashlib.sha256(content).hexdigest()
+    return ShardEntry(path.name, shard.first, shard.n_signals, len(content), digest, labels)
+
+
+def _write_one(work: _Work, shard: _Shard) -> ShardEntry:
     (entry,) = _write_in_turn(work, [shard])
     return entry
 
 
-def _write_shared(work: _Work, shard: tuple[int, int, int]) -> ShardEntry:
-    folder = work.writer.folder
-    if not folder.is_dir() or not (is_single_file(work.writer.output) or (folder / JOURNAL).exists()):
+def _write_shared(work: _Work, shard: _Shard) -> ShardEntry:
+    folder = work.folder
+    if not folder.is_dir() or not (work.run is None or (folder / JOURNAL).exists()):
         raise CannotCreate(
             f"{folder}: must be a folder that all workers share, {platform.node()} has none; choose one they share, or "
             "mount it there by the same name"
@@ -297,7 +331,7 @@ def ahead(items: Iterable[_T], most: int) -> Generator[_T, None, None]:
             maker.shutdown(wait=False, cancel_futures=True)
 
 
-def _next_signals(batches: Iterator[Batch], count: int, progress: Callable[[int], object] | None) -> Iterator[Batch]:
+def next_signals(batches: Iterator[Batch], count: int, progress: Callable[[int], object] | None) -> Iterator[Batch]:
     """Yield the batches of the next `count` signals; no batch extends past the end of a shard."""
     while count:
         batch = next(batches)
@@ -310,15 +344,10 @@ def _next_signals(batches: Iterator[Batch], count: int, progress: Callable[[int]
 # ---- tables ----------------------------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True)
-class Tabulated:
-    """The result of `tabulate`.
-
-    n_unmeasured : rows in which a feature could not be measured and is nan
-    """
+class Tabulated(NamedTuple):
+    """The path of a table, and the number of rows in which a feature could not be measured and is nan."""
 
     path: Path
-    n_signals: int
     n_unmeasured: int
 
 
@@ -351,9 +380,10 @@ def tabulate(
     unmeasured = 0
     width = max(len(label.encode()) for label in asked.scene.labels)
     with table_writer(path, header, width, overwrite=overwrite) as writer:
-        for columns in columns_of(asked, n_signals, seed):
-            writer.add(Rows(labels=columns.labels, specimen=columns.specimen, columns=columns.values))
-            unmeasured += columns.n_unmeasured
+        for rows in columns_of(asked, n_signals, seed):
+            writer.add(rows)
+            measured = [np.isfinite(rows.columns[name]) for name in asked.features]
+            unmeasured += len(rows) - int(np.count_nonzero(np.logical_and.reduce(measured))) if measured else 0
             if progress is not None:
-                progress(len(columns))
-    return Tabulated(path, n_signals, unmeasured)
+                progress(len(rows))
+    return Tabulated(path, unmeasured)

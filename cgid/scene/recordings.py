@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal
@@ -11,8 +11,9 @@ import numpy as np
 
 from cgid import validation
 from cgid.errors import InvalidValue
+from cgid.files import require_room
 from cgid.scene.draws import require_seed
-from cgid.scene.generation import attributes_of
+from cgid.scene.generation import attributes_of, in_order
 from cgid.scene.noise import background_of
 from cgid.scene.rocks import arrivals_of
 from cgid.scene.schema import Scene, samples_of
@@ -136,13 +137,7 @@ def generate_recordings(
     require_capacity(scene, dtype)
     background_of(scene)
     path = check_output(path, RECORDING_FILES, overwrite or resume)
-    plan = RecordingPlan(
-        n_samples=samples_of(scene),
-        dtype=dtype,
-        sampling_rate=scene.sampling.sampling_rate,
-        unit=scene.sensor.unit,
-        attributes=attributes_of(scene, seed),
-    )
+    plan = recording_plan(scene, attributes_of(scene, seed), dtype)
     goal = Goal(
         output=path,
         description=_description(plan, n_recordings),
@@ -154,12 +149,24 @@ def generate_recordings(
     with begun(goal, overwrite=overwrite, resume=resume) as run:
         if progress is not None and len(run.missing) < n_recordings:
             progress((n_recordings - len(run.missing)) * plan.n_samples)
-        plan.require_room(run.folder, len(run.missing))
+        size = len(run.missing) * plan.size
+        require_room(run.folder, run.folder, size, "samples", "make room, or a shorter recording")
         for number in run.missing:
             file = run.folder / goal.names[number]
             write_recording(file, plan, scene, seed, number, progress, overwrite=overwrite or file != path)
             run.add(file_facts(file))
     return path
+
+
+def recording_plan(scene: Scene, attributes: Mapping[str, Any], dtype: str) -> RecordingPlan:
+    """Return the plan of recordings of a scene with these root attributes."""
+    return RecordingPlan(
+        n_samples=samples_of(scene),
+        dtype=dtype,
+        sampling_rate=scene.sampling.sampling_rate,
+        unit=scene.sensor.unit,
+        attributes=in_order(attributes),
+    )
 
 
 def write_recording(
@@ -177,11 +184,11 @@ def write_recording(
     own = replace(plan, attributes={**plan.attributes, "recording": number})
     truth = []
     with writing(path, own, overwrite=overwrite) as writer:
-        for part in parts_of_recording(scene, seed, number, dtype=dtype):
-            writer.add(part.samples)
-            truth.append(part.truth)
+        for samples, impacts in parts_of_recording(scene, seed, number, dtype=dtype):
+            writer.add(samples)
+            truth.append(impacts)
             if progress is not None:
-                progress(part.samples.size)
+                progress(samples.size)
         writer.add_impacts(joined(scene, truth), impact_units(scene))
 
 

@@ -23,12 +23,12 @@ import numpy as np
 from cgid.errors import BadData, CannotCreate, CgidError
 from cgid.files import locked, whole_file, write_whole
 from cgid.scene._fourier import LARGEST_FACTOR, transformable
-from cgid.scene.generation import attributes_of, in_order, shard_plan
-from cgid.scene.recordings import write_recording
+from cgid.scene.generation import attributes_of, in_order, next_signals, shard_plan
+from cgid.scene.recordings import recording_plan, write_recording
 from cgid.scene.schema import Scene, parse_scene, samples_of
 from cgid.scene.synthesis import synthesise
 from cgid.store import Dataset
-from cgid.store.dataset import write_dataset
+from cgid.store.dataset import shard_content, write_dataset
 from cgid.store.description import (
     FORMAT,
     LARGEST_SHARD,
@@ -48,7 +48,6 @@ from cgid.store.description import (
     sums_of,
     sums_text,
 )
-from cgid.store.hdf5 import RecordingPlan, ShardBuilder
 from cgid.store.verification import Finding, Verified, compression_of, damaged_rows, examine_file
 
 #: Versions of cgid whose numbers depended on the processor.
@@ -204,8 +203,6 @@ def _recipe_of_shard(finding: Finding, entry: ShardEntry, manifest: Manifest, gi
     """Return the recipe of a shard; raises `BadData` if it is readable and belongs to another dataset."""
     path, attributes = finding.file, manifest.attributes
     manifest.require_own(path, finding.examined.get("attributes", {}))
-    file = path.with_name(MANIFEST)
-    scene = _scene_of(file, attributes, given)
     about: Mapping[str, Any] = vars(manifest)
     if manifest.dtype is None:  # manifests of version 1 do not say it, but the other shards do
         readable = (examine_file(path.with_name(other.file)) for other in manifest.shards)
@@ -213,20 +210,12 @@ def _recipe_of_shard(finding: Finding, entry: ShardEntry, manifest: Manifest, gi
         if not about:
             raise BadData(f"{path.parent}: no shard says any more how its signals are stored; generate it again")
         about = {**about, "compression": compression_of(about)}
-    _require_length(file, about["n_samples"], scene)
+    numbered = {**attributes, "first_signal": entry.first_signal}
+    recipe = _recipe(path.with_name(MANIFEST), FORMAT, numbered, about, entry.n_signals, given)
     size = entry.n_signals * about["n_samples"] * np.dtype(about["dtype"]).itemsize
     if size > LARGEST_SHARD:
         raise BadData(f"a shard must be at most {LARGEST_SHARD >> 30} GiB, got {size / 2**30:.3g} GiB of signals")
-    return _Recipe(
-        kind=FORMAT,
-        attributes=attributes,
-        scene=scene,
-        seed=_whole_number(path, attributes, "seed"),
-        number=entry.first_signal,
-        n_signals=entry.n_signals,
-        dtype=about["dtype"],
-        compression=about["compression"],
-    )
+    return recipe
 
 
 def _recipe_of_file(finding: Finding, given: Scene | None) -> _Recipe:
@@ -250,24 +239,40 @@ def _recipe_of_file(finding: Finding, given: Scene | None) -> _Recipe:
     kind = attributes.get("format")
     if kind not in (FORMAT, RECORDING_FORMAT):
         raise BadData(f"{path}: is no file that is made again in part; make it again by the command that made it")
-    scene = _scene_of(path, attributes, given)
-    _require_length(path, examined["n_samples"], scene)
-    recipe = _Recipe(
-        kind=kind,
-        attributes=attributes,
-        scene=scene,
-        seed=_whole_number(path, attributes, "seed"),
-        number=_whole_number(path, attributes, "first_signal" if kind == FORMAT else "recording"),
-        n_signals=examined["chunks"]["signals"][-1][1] if kind == FORMAT else 1,
-        dtype=examined["dtype"],
-        compression=compression_of(examined),
-    )
+    about = {**examined, "compression": compression_of(examined)}
+    n_signals = examined["chunks"]["signals"][-1][1] if kind == FORMAT else 1
+    recipe = _recipe(path, kind, attributes, about, n_signals, given)
     here = _versions(recipe)
     if finding.sha256 is None and attributes.get("versions") != here:
         raise BadData(
             f"{path}: must be made again by the versions that made it; nothing was replaced: {_why_other(recipe)}"
         )
     return recipe
+
+
+def _recipe(
+    path: Path, kind: str, attributes: Mapping[str, Any], about: Mapping[str, Any], n_signals: int, given: Scene | None
+) -> _Recipe:
+    """Return the recipe of a file; `path` is the file that describes it.
+
+    `about` holds n_samples, dtype and compression. Raises `BadData` unless the scene makes this number of samples.
+    """
+    scene = _scene_of(path, attributes, given)
+    if about["n_samples"] != samples_of(scene):
+        raise BadData(
+            f"{path}: must hold as many samples as its scene makes, {samples_of(scene)}, it holds "
+            f"{about['n_samples']}; make it again by cgid generate"
+        )
+    return _Recipe(
+        kind=kind,
+        attributes=attributes,
+        scene=scene,
+        seed=_whole_number(path, attributes, "seed"),
+        number=_whole_number(path, attributes, "first_signal" if kind == FORMAT else "recording"),
+        n_signals=n_signals,
+        dtype=about["dtype"],
+        compression=about["compression"],
+    )
 
 
 def _scene_of(path: Path, attributes: Mapping[str, Any], given: Scene | None) -> Scene:
@@ -314,15 +319,6 @@ def _whole_number(path: Path, attributes: Mapping[str, Any], name: str) -> int:
     return number
 
 
-def _require_length(path: Path, n_samples: int, scene: Scene) -> None:
-    """Raise `BadData` unless the scene makes the declared number of samples."""
-    if n_samples != samples_of(scene):
-        raise BadData(
-            f"{path}: must hold as many samples as its scene makes, {samples_of(scene)}, it holds {n_samples}; make it "
-            "again by cgid generate"
-        )
-
-
 # ---- making it, and comparing ----------------------------------------------------------------------------------------
 
 
@@ -331,15 +327,8 @@ def _make(recipe: _Recipe, path: Path, progress: Progress | None) -> None:
     scene, seed, number = recipe.scene, recipe.seed, recipe.number
     if recipe.kind == RECORDING_FORMAT:
         own = ("format", "schema_version", "n_impacts")
-        attributes = {name: value for name, value in in_order(recipe.attributes).items() if name not in own}
-        recording = RecordingPlan(
-            n_samples=samples_of(scene),
-            dtype=recipe.dtype,
-            sampling_rate=scene.sampling.sampling_rate,
-            unit=scene.sensor.unit,
-            attributes=attributes,
-        )
-        write_recording(path, recording, scene, seed, number, progress)
+        attributes = {name: value for name, value in recipe.attributes.items() if name not in own}
+        write_recording(path, recording_plan(scene, attributes, recipe.dtype), scene, seed, number, progress)
         return
     attributes = {name: value for name, value in recipe.attributes.items() if name != "first_signal"}
     plan = shard_plan(scene, attributes, recipe.dtype, recipe.compression)
@@ -348,12 +337,9 @@ def _make(recipe: _Recipe, path: Path, progress: Progress | None) -> None:
     if plan.size(recipe.n_signals) > LARGEST_SHARD:  # only an exported dataset is that large
         write_dataset(path, plan, number, recipe.n_signals, batches, progress)
         return
-    builder = ShardBuilder(plan, number, recipe.n_signals)
-    for batch in batches:
-        builder.add(batch)
-        if progress is not None:
-            progress(len(batch))
-    path.write_bytes(builder.image())
+    path.write_bytes(
+        shard_content(plan, number, recipe.n_signals, next_signals(batches, recipe.n_signals, progress))[0]
+    )
 
 
 def _require_same(recipe: _Recipe, made: Path, finding: Finding) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
@@ -189,14 +188,6 @@ def hearing_limit(scene: Scene, background: Background | None) -> float:
     return float(np.sqrt(noise * noise + (0.0 if background is None else background.rms * background.rms)))
 
 
-@dataclass(frozen=True)
-class Part:
-    """The next samples of a recording and the truth of some impacts, which may lie before or after these samples."""
-
-    samples: NDArray[Any]
-    truth: dict[str, NDArray[Any]]
-
-
 def record(
     scene: Scene, seed: int = 0, number: int = 0, *, dtype: Literal["float32", "float64"] = "float32"
 ) -> tuple[Signal, dict[str, NDArray[Any]]]:
@@ -222,18 +213,20 @@ def record(
     InvalidValue
         The scene has no stream, or a number breaks its rule.
     """
-    parts = list(parts_of_recording(scene, seed, number, dtype=dtype))
+    samples, truth = zip(*parts_of_recording(scene, seed, number, dtype=dtype), strict=True)
     signal = Signal(
-        samples=np.concatenate([part.samples for part in parts]),
+        samples=np.concatenate(samples),
         sampling_rate=scene.sampling.sampling_rate,
         unit=scene.sensor.unit,
         source=f"{scene.name} {number}",
     )
-    return signal, joined(scene, [part.truth for part in parts])
+    return signal, joined(scene, list(truth))
 
 
-def parts_of_recording(scene: Scene, seed: int, number: int, *, dtype: Literal["float32", "float64"]) -> Iterator[Part]:
-    """Yield a recording in parts; see `record`."""
+def parts_of_recording(
+    scene: Scene, seed: int, number: int, *, dtype: Literal["float32", "float64"]
+) -> Iterator[tuple[NDArray[Any], dict[str, NDArray[Any]]]]:
+    """Yield the next samples of a recording and the truth of some impacts, perhaps before or after these samples."""
     if scene.stream is None:
         raise InvalidValue(f"scene {scene.name} must have a section stream to make a recording of; it has none")
     if not 0 <= number < 2**32:
@@ -242,8 +235,12 @@ def parts_of_recording(scene: Scene, seed: int, number: int, *, dtype: Literal["
     background = background_of(scene) if asked.runs("background") else None
     audible, recorder = hearing_limit(scene, background), recorder_of(asked)
     axis, carried, n_rocks, done = TimeAxis(), Rocks.joined([]), 0, 0
-    chain = _Chain(asked, background, seed, number)
     n_samples = samples_of(scene)
+
+    def recorded(chunks: range) -> NDArray[Any]:
+        made = [_recorded(asked, background, axis.taken((k + 1) * CHUNK), seed, number, k) for k in chunks]
+        return np.concatenate([np.empty(0, dtype), *made])
+
     arrivals = arrivals_of(scene.stream).stretches(scene.stream.duration, seed, number)
     for stretch in arrivals if asked.runs("arrivals") else ():
         arrived = arriving(scene, stretch, n_rocks, seed, number)
@@ -264,12 +261,9 @@ def parts_of_recording(scene: Scene, seed: int, number: int, *, dtype: Literal["
         carried = Rocks.joined(waiting)
         # Later impacts, including what the low-pass spreads ahead of touch, start after this sample.
         final = min(max(int(stretch.stop * scene.sampling.sampling_rate) - lead(asked), 0), n_samples)
-        ready = [chain.recorded(axis, chunk) for chunk in range(done, final // CHUNK)]
+        yield recorded(range(done, final // CHUNK)), _joined_truth(scene, truth)
         done = max(done, final // CHUNK)
-        yield Part(np.concatenate([np.empty(0, dtype), *ready]), _joined_truth(scene, truth))
-    rest = [chain.recorded(axis, chunk) for chunk in range(done, -(-n_samples // CHUNK))]
-    behind = n_samples - done * CHUNK
-    yield Part(np.concatenate([np.empty(0, dtype), *rest])[:behind], empty_truth(scene))
+    yield recorded(range(done, -(-n_samples // CHUNK)))[: n_samples - done * CHUNK], empty_truth(scene)
 
 
 def _joined_truth(scene: Scene, parts: list[dict[str, NDArray[Any]]]) -> dict[str, NDArray[Any]]:
@@ -281,26 +275,18 @@ def _joined_truth(scene: Scene, parts: list[dict[str, NDArray[Any]]]) -> dict[st
     return {name: column[order] for name, column in truth.items()}
 
 
-@dataclass(frozen=True)
-class _Chain:
-    """The stages after the pulses, chunk by chunk: noise, background, range and bits."""
-
-    asked: Plan
-    background: Background | None
-    seed: int
-    number: int
-
-    def recorded(self, axis: TimeAxis, chunk: int) -> NDArray[Any]:
-        """Take the next chunk off the axis and return it as recorded."""
-        sensor, rate = self.asked.scene.sensor, self.asked.scene.sampling.sampling_rate
-        samples = axis.taken((chunk + 1) * CHUNK)
-        if self.asked.runs("noise"):
-            level = sensor.noise_level(np.zeros(1), rate)
-            add_noise(samples[None], level, self.seed, self.number, first_sample=chunk * CHUNK)
-        if self.background is not None:
-            count("background_samples", samples.size)
-            samples += self.background.in_recording(self.seed, self.number, chunk)
-        if self.asked.runs("offset, range and bits"):
-            count("digitised_chunks")
-            sensor.digitise(samples, rate, first=chunk * CHUNK)
-        return samples.astype(self.asked.dtype)
+def _recorded(
+    asked: Plan, background: Background | None, samples: Floats, seed: int, number: int, chunk: int
+) -> NDArray[Any]:
+    """Return a chunk as recorded, with the stages after the pulses: noise, background, range and bits."""
+    sensor, rate = asked.scene.sensor, asked.scene.sampling.sampling_rate
+    if asked.runs("noise"):
+        level = sensor.noise_level(np.zeros(1), rate)
+        add_noise(samples[None], level, seed, number, first_sample=chunk * CHUNK)
+    if background is not None:
+        count("background_samples", samples.size)
+        samples += background.in_recording(seed, number, chunk)
+    if asked.runs("offset, range and bits"):
+        count("digitised_chunks")
+        sensor.digitise(samples, rate, first=chunk * CHUNK)
+    return samples.astype(asked.dtype)

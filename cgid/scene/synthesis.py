@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator
+from itertools import islice
 from typing import Any, Literal
 
 import numpy as np
@@ -20,6 +20,7 @@ from cgid.scene.plan import OF_TAPS, TRUE, Plan, plan
 from cgid.scene.schema import Scene
 from cgid.scene.sensor import Sensor, clip
 from cgid.signals import Batch
+from cgid.store import Rows
 from cgid.validation import Floats
 
 #: Blocks measured at once, to share the overhead of the fit.
@@ -166,28 +167,10 @@ def _digitised_by(sensor: Sensor, sampling_rate: float, first: int, n_samples: i
 # -- columns of a table -----------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Columns:
-    """Some rows of a table.
-
-    Attributes
-    ----------
-    specimen : equal for impacts of equal particles, (n_signals,)
-    values : by the names of `Plan.column_units`, each (n_signals,); nan where not applicable or not measurable
-    n_unmeasured : number of signals with a feature that cannot be measured
-    """
-
-    labels: NDArray[np.str_]
-    specimen: NDArray[np.uint64]
-    values: Mapping[str, Floats]
-    n_unmeasured: int = 0
-
-    def __len__(self) -> int:
-        return len(self.labels)
-
-
-def columns_of(asked: Plan, n_signals: int, seed: int = 0, *, first: int = 0) -> Iterator[Columns]:
+def columns_of(asked: Plan, n_signals: int, seed: int = 0, *, first: int = 0) -> Iterator[Rows]:
     """Yield the columns of a plan in batches of at most 1024 signals, making only what a column needs.
+
+    A number that does not apply or cannot be measured is nan.
 
     Features equal those of `cgid.measure.features.extract` for float32 signals of `synthesise` with the same numbers.
     Raises `InvalidValue` if a number breaks its rule, or the plan is one for signals.
@@ -203,7 +186,7 @@ def columns_of(asked: Plan, n_signals: int, seed: int = 0, *, first: int = 0) ->
     return (_untimed(asked, seed, block, part) for block, part in blocks(n_signals, first))
 
 
-def _untimed(asked: Plan, seed: int, block: int, part: slice) -> Columns:
+def _untimed(asked: Plan, seed: int, block: int, part: slice) -> Rows:
     """Return the columns that need no pulse."""
     drawn = drawn_block(asked.scene, seed, block)
     here = asked.for_block(drawn.scene)
@@ -217,58 +200,41 @@ def _untimed(asked: Plan, seed: int, block: int, part: slice) -> Columns:
             for rows, impacts, _ in impacts_by_coupling(here, impact, drawn.values, drawn.fallen):
                 for name in asked.quantities:
                     values[name][rows] = getattr(impacts, name)
-    return Columns(
+    return Rows(
         labels=drawn.labels[part],
         specimen=drawn.specimen[part],
-        values={name: values[name][part] for name in asked.column_units},
+        columns={name: values[name][part] for name in asked.column_units},
     )
 
 
-@dataclass(frozen=True, eq=False)
-class _Block:
-    """A block and its requested signals."""
-
-    number: int
-    part: slice
-    blows: Blows
-
-    @property
-    def labels(self) -> NDArray[np.str_]:
-        return self.blows.labels[self.part]
-
-    @property
-    def beginning(self) -> int:
-        """Number of samples of each frame that the features will most likely use."""
-        sampling, names = self.blows.scene.sampling, self.blows.plan.features
-        if self.blows.plan.runs("rest of the frames"):
-            return sampling.samples
-        rate = sampling.sampling_rate
-        needed = [
-            samples_needed(names, strike.onset * rate, strike.pulses.contact_duration * rate).max()
-            for strike in self.blows.strikes
-        ]
-        return int(min(max(needed), sampling.samples))
+def _beginning(blows: Blows) -> int:
+    """Return the number of samples of each frame that the features will most likely use."""
+    sampling, names = blows.scene.sampling, blows.plan.features
+    if blows.plan.runs("rest of the frames"):
+        return sampling.samples
+    rate = sampling.sampling_rate
+    needed = [
+        samples_needed(names, strike.onset * rate, strike.pulses.contact_duration * rate).max()
+        for strike in blows.strikes
+    ]
+    return int(min(max(needed), sampling.samples))
 
 
-def _measured(asked: Plan, n_signals: int, seed: int, first: int) -> Iterator[Columns]:
+def _measured(asked: Plan, n_signals: int, seed: int, first: int) -> Iterator[Rows]:
     """Yield features; blocks with the same sampling rate are measured together."""
     together = 1 if asked.scene.draws("sampling_rate") else _TOGETHER
-    waiting: list[_Block] = []
-    for block, part in blocks(n_signals, first):
-        waiting.append(_Block(block, part, blows_of(asked, seed, block)))
-        if len(waiting) == together:
-            yield _features(asked, seed, waiting)
-            waiting = []
-    if waiting:
-        yield _features(asked, seed, waiting)
+    drawn = ((block, part, blows_of(asked, seed, block)) for block, part in blocks(n_signals, first))
+    while several := list(islice(drawn, together)):
+        yield _features(asked, seed, several)
 
 
-def _features(asked: Plan, seed: int, drawn: list[_Block]) -> Columns:
-    names, sampling = asked.features, drawn[0].blows.scene.sampling
-    length = max(one.beginning for one in drawn)
-    made = [make_beginnings(one.blows, seed, one.number, np.float32, length) for one in drawn]
-    frames = np.concatenate([signals[one.part] for one, (signals, _) in zip(drawn, made, strict=True)])
-    behind = np.concatenate([highest[one.part] for one, (_, highest) in zip(drawn, made, strict=True)])
+def _features(asked: Plan, seed: int, drawn: list[tuple[int, slice, Blows]]) -> Rows:
+    """Return the features of some blocks, each with its number and its requested signals."""
+    names, sampling = asked.features, drawn[0][2].scene.sampling
+    length = max(_beginning(blows) for _, _, blows in drawn)
+    made = [make_beginnings(blows, seed, block, np.float32, length) for block, _, blows in drawn]
+    frames = np.concatenate([signals[part] for (_, part, _), (signals, _) in zip(drawn, made, strict=True)])
+    behind = np.concatenate([highest[part] for (_, part, _), (_, highest) in zip(drawn, made, strict=True)])
     if length == sampling.samples:
         table = extract_array(frames, sampling.sampling_rate, names, pre_trigger=sampling.pre_trigger, invalid="nan")
     else:
@@ -277,26 +243,26 @@ def _features(asked: Plan, seed: int, drawn: list[_Block]) -> Columns:
             table[~certain] = _from_whole_frames(names, seed, drawn, ~certain)
     values = dict(zip(names, table.T, strict=True))
     for name in parameter_units(asked.scene):
-        values[f"{TRUE}{name}"] = np.concatenate([one.blows.parameters[name][one.part] for one in drawn])
+        values[f"{TRUE}{name}"] = np.concatenate([blows.parameters[name][part] for _, part, blows in drawn])
     if "sampling_rate" in asked.column_units:
-        rates = [np.full(len(one.labels), one.blows.scene.sampling.sampling_rate) for one in drawn]
-        values["sampling_rate"] = np.concatenate(rates)
-    return Columns(
-        labels=np.concatenate([one.labels for one in drawn]),
-        specimen=np.concatenate([one.blows.specimen[one.part] for one in drawn]),
-        values=values,
-        n_unmeasured=int(np.sum(~np.isfinite(table).all(axis=1))),
+        values["sampling_rate"] = np.full(len(table), sampling.sampling_rate)
+    return Rows(
+        labels=np.concatenate([blows.labels[part] for _, part, blows in drawn]),
+        specimen=np.concatenate([blows.specimen[part] for _, part, blows in drawn]),
+        columns=values,
     )
 
 
-def _from_whole_frames(names: tuple[str, ...], seed: int, drawn: list[_Block], wanted: NDArray[np.bool_]) -> Floats:
+def _from_whole_frames(
+    names: tuple[str, ...], seed: int, drawn: list[tuple[int, slice, Blows]], wanted: NDArray[np.bool_]
+) -> Floats:
     """Return the features of signals whose first samples did not suffice, (n_wanted, n_features)."""
-    sampling, rows, place = drawn[0].blows.scene.sampling, [], 0
-    for one in drawn:
-        here = wanted[place : place + len(one.labels)]
-        place += len(one.labels)
+    sampling, rows, place = drawn[0][2].scene.sampling, [], 0
+    for block, part, blows in drawn:
+        here = wanted[place : place + part.stop - part.start]
+        place += here.size
         if here.any():
-            rows.append(make_frames(one.blows, seed, one.number, np.float32)[one.part][here])
+            rows.append(make_frames(blows, seed, block, np.float32)[part][here])
     return extract_array(
         np.concatenate(rows), sampling.sampling_rate, names, pre_trigger=sampling.pre_trigger, invalid="nan"
     )

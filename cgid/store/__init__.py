@@ -6,7 +6,6 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from cgid.store.dataset import DatasetWriter
     from cgid.store.description import FORMAT, SCHEMA_VERSION
     from cgid.store.reading import Dataset
     from cgid.store.run import check_output
@@ -16,7 +15,6 @@ __all__ = [
     "FORMAT",
     "SCHEMA_VERSION",
     "Dataset",
-    "DatasetWriter",
     "Rows",
     "Table",
     "TableHeader",
@@ -32,7 +30,6 @@ _HOMES = {
     "FORMAT": "description",
     "SCHEMA_VERSION": "description",
     "Dataset": "reading",
-    "DatasetWriter": "dataset",
     "Rows": "table",
     "Table": "table",
     "TableHeader": "table",

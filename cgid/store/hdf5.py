@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 
 from cgid.counting import count
 from cgid.errors import BadData, InvalidValue
-from cgid.files import require_room, whole_file
+from cgid.files import whole_file
 from cgid.signals import Batch
 from cgid.store.compression import BY_PLUGIN, deflated, keywords
 from cgid.store.description import LARGEST_RECORDING, RECORDING_FORMAT, RECORDING_SCHEMA_VERSION
@@ -234,16 +234,12 @@ class RecordingPlan:
         """Size of the samples [bytes]."""
         return self.n_samples * np.dtype(self.dtype).itemsize
 
-    def require_room(self, folder: Path, n_recordings: int = 1) -> None:
-        """Raise `CannotCreate` if the disk has less room than the samples alone need."""
-        require_room(folder, folder, n_recordings * self.size, "samples", "make room, or a shorter recording")
-
 
 class RecordingWriter:
     """A recording that is being written; see `writing`."""
 
     def __init__(self, output: Hdf5OnDisk, plan: RecordingPlan) -> None:
-        self._output, self._plan, self._filled = output, plan, 0
+        self._output, self._plan, self.filled = output, plan, 0
         with output.step() as file:
             head = {"format": RECORDING_FORMAT, "schema_version": RECORDING_SCHEMA_VERSION}
             put_attributes(file, {**head, **plan.attributes})
@@ -256,13 +252,11 @@ class RecordingWriter:
 
     def add(self, samples: NDArray[Any]) -> None:
         """Append samples."""
-        behind = self._filled + samples.size
-        if behind > self._plan.n_samples:
-            raise BadData(f"a recording of {self._plan.n_samples} samples was given {behind}")
+        first, self.filled = self.filled, self.filled + samples.size
+        self.require(self.filled <= self._plan.n_samples)
         if samples.size:
             with self._output.step():
-                self._samples[self._filled : behind] = samples
-        self._filled = behind
+                self._samples[first : self.filled] = samples
 
     def add_impacts(self, impacts: Mapping[str, NDArray[Any]], units: Mapping[str, str]) -> None:
         """Write the truth of all impacts: columns of one length, numbers in `units`, and text."""
@@ -275,10 +269,10 @@ class RecordingWriter:
                 stored[:] = values
                 put_attributes(stored, {"unit": units.get(name, "")})
 
-    def require_whole(self) -> None:
-        """Raise `BadData` unless all samples were added."""
-        if self._filled != self._plan.n_samples:
-            raise BadData(f"a recording of {self._plan.n_samples} samples was given {self._filled}")
+    def require(self, sound: bool) -> None:
+        """Raise `BadData` unless the number of samples is sound."""
+        if not sound:
+            raise BadData(f"a recording of {self._plan.n_samples} samples was given {self.filled}")
 
 
 @contextmanager
@@ -297,4 +291,4 @@ def writing(path: str | Path, plan: RecordingPlan, *, overwrite: bool = True) ->
     with whole_file(path, overwrite=overwrite) as temporary, hdf5_on_disk(temporary) as output:
         writer = RecordingWriter(output, plan)
         yield writer
-        writer.require_whole()
+        writer.require(writer.filled == plan.n_samples)

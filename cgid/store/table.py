@@ -10,11 +10,10 @@ import contextlib
 import json
 import os
 import struct
-from abc import abstractmethod
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TextIO
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,9 +24,6 @@ from cgid.files import check_new, clear_half_written, whole_file
 from cgid.store import sandbox
 from cgid.store.description import TABLE_FORMAT, TABLE_VERSION, is_sound, require_scene, require_schema, sealed, text_of
 from cgid.store.reading import Identity, stored_rows
-
-if TYPE_CHECKING:
-    from cgid.store.disk import Hdf5OnDisk
 
 #: Rows written and read at once: whole chunks of HDF5, a row group of Parquet.
 _ROWS = 16384
@@ -112,10 +108,10 @@ def check_table_output(output: str | Path, overwrite: bool = False) -> Path:
 
 
 class TableWriter:
-    """A table that is being written; made by `table_writer`."""
+    """A table that is being written; made by `table_writer`. It passes whole blocks of rows to `write`."""
 
-    def __init__(self, header: TableHeader) -> None:
-        self._header = header
+    def __init__(self, write: Callable[[Rows], object]) -> None:
+        self._write = write
         self._waiting: list[Rows] = []
         self._n_waiting = 0
 
@@ -136,10 +132,6 @@ class TableWriter:
         if self._n_waiting:
             self._write(_joined(self._waiting))
         self._waiting, self._n_waiting = [], 0
-
-    @abstractmethod
-    def _write(self, rows: Rows) -> None:
-        """Write some rows."""
 
 
 @contextlib.contextmanager
@@ -165,80 +157,72 @@ def table_writer(
     WriteFailed
         The disk is full or broken; nothing is left behind.
     """
-    suffix = Path(path).suffix.lower()
+    written = {".csv": _written_csv, ".parquet": _written_parquet}.get(Path(path).suffix.lower(), _written_hdf5)
     clear_half_written(Path(path))
-    with whole_file(path, overwrite=overwrite) as temporary, contextlib.ExitStack() as stack:
-        if suffix == ".csv":
-            stream = stack.enter_context(temporary.open("w", encoding="utf-8", newline=""))
-            writer: TableWriter = _CsvWriter(stream, header)
-        elif suffix == ".parquet":
-            writer = _ParquetWriter(stack, temporary, header)
-        else:
-            from cgid.store.disk import hdf5_on_disk  # reading tables does not need h5py
-
-            writer = _Hdf5Writer(stack.enter_context(hdf5_on_disk(temporary)), header, label_width)
+    with whole_file(path, overwrite=overwrite) as temporary, written(temporary, header, label_width) as write:
+        writer = TableWriter(write)
         yield writer
         writer.finish()
 
 
-class _Hdf5Writer(TableWriter):
-    def __init__(self, output: Hdf5OnDisk, header: TableHeader, label_width: int) -> None:
-        from cgid.store.hdf5 import CHUNK_ROWS, put_attributes, put_column
+@contextlib.contextmanager
+def _written_hdf5(path: Path, header: TableHeader, label_width: int) -> Iterator[Callable[[Rows], object]]:
+    from cgid.store.disk import hdf5_on_disk  # reading tables does not need h5py
+    from cgid.store.hdf5 import CHUNK_ROWS, put_attributes, put_column
 
-        super().__init__(header)
-        self._output, self._filled = output, 0
-        head = {"format": TABLE_FORMAT, "schema_version": TABLE_VERSION, "kind": header.kind}
-        columns: dict[str, str] = {"labels": f"S{label_width}", "specimen": "uint64"}
-        columns |= {f"columns/{name}": "float64" for name in header.units}
+    dtypes = {"labels": f"S{label_width}", "specimen": "uint64"}
+    dtypes |= {f"columns/{name}": "float64" for name in header.units}
+    with hdf5_on_disk(path) as output:
         with output.step() as file:
+            head = {"format": TABLE_FORMAT, "schema_version": TABLE_VERSION, "kind": header.kind}
             put_attributes(file, {**header.attributes, **head})
             file.create_group("columns", track_order=True)
-            for name, dtype in columns.items():
+            for name, dtype in dtypes.items():
                 put_column(file, name, 0, dtype, chunk=CHUNK_ROWS, grows=True)
             for name, unit in header.units.items():
                 put_attributes(file[f"columns/{name}"], {"unit": unit})
 
-    def _write(self, rows: Rows) -> None:
-        place = slice(self._filled, self._filled + len(rows))
-        values: dict[str, Any] = {f"columns/{name}": rows.columns[name] for name in self._header.units}
-        values |= {"labels": np.char.encode(rows.labels, "utf-8"), "specimen": rows.specimen}
-        with self._output.step() as file:
-            for name, column in values.items():
-                file[name].resize((place.stop,))
-                file[name][place] = column
-        self._filled = place.stop
+        def write(rows: Rows) -> None:
+            values: dict[str, Any] = {f"columns/{name}": rows.columns[name] for name in header.units}
+            values |= {"labels": np.char.encode(rows.labels, "utf-8"), "specimen": rows.specimen}
+            with output.step() as file:
+                filled = len(file["labels"])
+                for name, column in values.items():
+                    file[name].resize((filled + len(rows),))
+                    file[name][filled:] = column
+
+        yield write
 
 
-class _CsvWriter(TableWriter):
-    def __init__(self, stream: TextIO, header: TableHeader) -> None:
-        super().__init__(header)
-        self._stream = stream
-        self._stream.write(f"# {header.text}\n")
-        self._stream.write(",".join(["label", "specimen", *header.units]) + "\n")
+@contextlib.contextmanager
+def _written_csv(path: Path, header: TableHeader, _label_width: int) -> Iterator[Callable[[Rows], object]]:
+    with path.open("w", encoding="utf-8", newline="") as stream:
+        stream.write(f"# {header.text}\n")
+        stream.write(",".join(["label", "specimen", *header.units]) + "\n")
 
-    def _write(self, rows: Rows) -> None:
-        import pandas
+        def write(rows: Rows) -> None:
+            import pandas
 
-        columns = {"label": rows.labels, "specimen": rows.specimen}
-        frame = pandas.DataFrame(columns | {name: rows.columns[name] for name in self._header.units})
-        frame.to_csv(self._stream, header=False, index=False, lineterminator="\n")
+            columns = {"label": rows.labels, "specimen": rows.specimen}
+            frame = pandas.DataFrame(columns | {name: rows.columns[name] for name in header.units})
+            frame.to_csv(stream, header=False, index=False, lineterminator="\n")
+
+        yield write
 
 
-class _ParquetWriter(TableWriter):
-    def __init__(self, stack: contextlib.ExitStack, path: Path, header: TableHeader) -> None:
-        super().__init__(header)
-        arrow, parquet = parquet_library()
-        fields = [("label", arrow.string()), ("specimen", arrow.uint64())]
-        fields += [(name, arrow.float64()) for name in header.units]
-        self._schema = arrow.schema(fields, metadata={"cgid": header.text})
-        self._arrow, self._file = (
-            arrow,
-            stack.enter_context(parquet.ParquetWriter(path, self._schema, write_page_checksum=True)),
-        )
+@contextlib.contextmanager
+def _written_parquet(path: Path, header: TableHeader, _label_width: int) -> Iterator[Callable[[Rows], object]]:
+    arrow, parquet = parquet_library()
+    fields = [("label", arrow.string()), ("specimen", arrow.uint64())]
+    fields += [(name, arrow.float64()) for name in header.units]
+    schema = arrow.schema(fields, metadata={"cgid": header.text})
+    with parquet.ParquetWriter(path, schema, write_page_checksum=True) as file:
 
-    def _write(self, rows: Rows) -> None:
-        columns = [rows.labels.tolist(), rows.specimen, *(rows.columns[name] for name in self._header.units)]
-        self._file.write_table(self._arrow.table(columns, schema=self._schema))
+        def write(rows: Rows) -> None:
+            columns = [rows.labels.tolist(), rows.specimen, *(rows.columns[name] for name in header.units)]
+            file.write_table(arrow.table(columns, schema=schema))
+
+        yield write
 
 
 def _joined(parts: list[Rows]) -> Rows:
