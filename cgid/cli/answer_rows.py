@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from cgid.identification.model import Model
     from cgid.identification.question import Question
     from cgid.identification.share import Share, Turn
+    from cgid.identification.stream import Step
 
 #: Version of the lines that --json prints: since 2 each has a kind, and there are kinds besides impacts.
 ANSWERS_VERSION = 2
@@ -200,6 +201,7 @@ class RecordingRows:
         self._keep, self._always, self._turn, self._question = keep, always, Turn, question
         self._numbers: Counter[str] = Counter()
         self._measured = always
+        self._silent: tuple[str, ...] = ()
         self._held_answers: list[Answer] = []
         self._held_shares: list[Share | Turn] = []
         self._watch: CavingWatch | None = None
@@ -208,8 +210,9 @@ class RecordingRows:
             self._watch = CavingWatch(model, self.channels, question, independence(model, question))
             self.threshold = self._watch.threshold
 
-    def feed(self, answers: Sequence[Answer], until: float) -> None:
-        """Print the next answers, and the shares of the windows that end by `until` [s]."""
+    def feed(self, step: Step) -> None:
+        """Print the next answers, the shares of the windows that have ended, and warnings."""
+        answers = step.answers
         self.tally.add(answers)
         if self._keep:
             self.answers += answers
@@ -218,15 +221,19 @@ class RecordingRows:
         if self._measured or len(self._held_answers) > _MOST_HELD:
             self._print_answers()
         if self._watch is not None:
-            self._print_shares(self._watch.feed(answers, until))
+            self._print_shares(self._watch.feed(answers, step.until))
+        self._silent += step.silent
+        for warning in step.warnings:
+            self.lines.warning(self.source, warning)
 
-    def finish(self, duration: float, silent: Sequence[str] = (), start_time: Any = None) -> None:
+    def finish(self, duration: float, start_time: Any = None) -> None:
         """Print the rest at the end of a recording of this duration [s], and its silent channels.
 
         Raises `BadData` if there was no answer or none could be measured; never for a live stream.
         """
         from cgid.errors import BadData
 
+        silent = self._silent
         if silent and not self.tally.total and not self._always:
             raise BadData(silent[0])
         for message in silent[:_MOST_SILENT]:

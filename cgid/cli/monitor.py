@@ -199,19 +199,15 @@ def _follow(live: Any, scale: float, models: Models, question: Question, lines: 
     steps = identify_blocks(blocks, live.sampling_rate, model, names, question, live.source)
     rows = RecordingRows(live.source, model, names, question, lines, always=True)
     warn_of_model(live.source, live.source, live.sampling_rate, model, question)
-    silent: tuple[str, ...] = ()
     try:
         for step in steps:
-            silent += step.silent
-            rows.feed(step.answers, step.until)
+            rows.feed(step)
             delay.see(inbox)
-            for warning in step.warnings:
-                lines.warning(live.source, warning)
     finally:
         for warning in live.warnings:
             lines.warning(live.source, f"{live.source}: {warning}")
         if inbox.n_taken:
-            rows.finish(inbox.n_taken / live.sampling_rate, silent)
+            rows.finish(inbox.n_taken / live.sampling_rate)
 
 
 class _Delay:

@@ -141,20 +141,16 @@ class _Prediction:
         """Print the answers for the channels of a recording that use this model."""
         from cgid.identification.stream import identify_blocks, model_blocks
 
-        question, lines, source, rate = self.question, self.lines, recording.source, recording.sampling_rate
+        question, source, rate = self.question, recording.source, recording.sampling_rate
         names = [recording.channels[number].name for number in numbers]
         passing = _Passing(recording, numbers, self.pages is not None)
         blocks = model_blocks(recording, model, numbers, question, seen=passing.see)
         steps = identify_blocks(blocks, rate, model, names, question, source)
-        rows = RecordingRows(source, model, names, question, lines, keep=self.pages is not None)
+        rows = RecordingRows(source, model, names, question, self.lines, keep=self.pages is not None)
         warn_of_model(source, rows.name(rows.channels[0]), rate, model, question)
-        silent: tuple[str, ...] = ()
         for step in steps:
-            rows.feed(step.answers, step.until)
-            silent += step.silent
-            for warning in step.warnings:
-                lines.warning(source, warning)
-        rows.finish(passing.n_samples / rate, silent, recording.start_time)
+            rows.feed(step)
+        rows.finish(passing.n_samples / rate, recording.start_time)
         if self.pages is not None:
             self.pages.add(recording, passing, model, self.models.name(model), rows)
 
