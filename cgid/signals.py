@@ -12,7 +12,10 @@ from numpy.typing import NDArray
 
 from cgid import units, validation
 from cgid.errors import BadData, InvalidValue
-from cgid.validation import require_rate
+from cgid.validation import Floats, require_rate
+
+#: Possible model inputs besides the signal, and their units.
+KNOWN: Mapping[str, str] = {"drop_height": "m"}
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -176,3 +179,23 @@ class Batch:
 
     def __len__(self) -> int:
         return len(self.signals)
+
+    def drop_heights(self) -> Floats | None:
+        """Return the drop height of each rock [m]; None if the batch does not store it.
+
+        A stored velocity gives the height of a free fall, velocity^2 / (2 g). Raises `BadData` if some impacts have
+        neither, or a height that is not above 0.
+        """
+        missing = np.full(len(self), np.nan)
+        height, velocity = (self.parameters.get(name, missing) for name in ("drop_height", "velocity"))
+        heights = np.where(np.isfinite(height), height, velocity**2 / (2 * units.STANDARD_GRAVITY))
+        if np.isnan(heights).all():
+            return None
+        good = np.isfinite(heights) & (heights > 0)
+        if not good.all():
+            row = int(np.argmin(good))
+            raise BadData(
+                f"every impact must have a drop height above 0 m or a velocity, impact {row} has {height[row]:g} m and "
+                f"{velocity[row]:g} m/s; make the dataset again"
+            )
+        return heights

@@ -457,7 +457,7 @@ def test_an_empty_name_is_wrong_usage_for_every_path(tmp_path: Path, monkeypatch
     # Whoever adds a text here has thought about whether it is the name of a file.
     assert texts == {
         "channel", "channels", "class_weights", "costs", "features", "gangue", "names", "quantities", "sample_format",
-        "scheduler", "sensor", "unit", "variable",
+        "scheduler", "sensors", "unit", "variable",
     }  # fmt: skip
 
 

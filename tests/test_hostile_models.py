@@ -14,7 +14,7 @@ import pytest
 
 from benchmarks.hostile_models import Watched, by_hand, failed_by_hand, failed_mutants, mutants
 from cgid.cli.main import run
-from cgid.cli.options import print_json
+from cgid.cli.output import print_json
 from cgid.errors import BadData
 from cgid.identification.model import Model
 from cgid.identification.model_file import signed

@@ -24,7 +24,6 @@ from cgid.errors import BadData, CgidError, InvalidValue, MissingOption, NoInput
 from cgid.identification.answers import identify, identify_frames, suited
 from cgid.identification.card import check_model_output, write_card, write_model
 from cgid.identification.classifier import FAMILIES, ImpactClassifier
-from cgid.identification.drop_height import drop_heights
 from cgid.identification.families import BY_NAME, softmax
 from cgid.identification.metrics import evaluate
 from cgid.identification.model import Model
@@ -329,17 +328,17 @@ def test_velocity_stands_for_the_drop_height(reference_scene: Scene) -> None:
 
     (batch,) = synthesise(reference_scene, 100)
     height, velocity = batch.parameters["drop_height"], batch.parameters["velocity"]
-    np.testing.assert_array_equal(drop_heights(batch), height)
-    by_velocity = drop_heights(replace(batch, parameters={"velocity": velocity}))
+    np.testing.assert_array_equal(batch.drop_heights(), height)
+    by_velocity = replace(batch, parameters={"velocity": velocity}).drop_heights()
     np.testing.assert_allclose(by_velocity, velocity**2 / (2 * STANDARD_GRAVITY), rtol=1e-15)
     np.testing.assert_allclose(by_velocity, height, rtol=1e-9)
     unsaid = replace(batch, parameters={"radius": height})
-    assert drop_heights(unsaid) is None
+    assert unsaid.drop_heights() is None
     with pytest.raises(BadData, match="drop_height or velocity"):
         measure([unsaid], ["peak_force"], known=("drop_height",))
     partly = np.where(np.arange(100) == 7, np.nan, height)
     with pytest.raises(BadData, match="impact 7 has nan m and nan m/s"):
-        drop_heights(replace(batch, parameters={"drop_height": partly}))
+        replace(batch, parameters={"drop_height": partly}).drop_heights()
     with pytest.raises(InvalidValue, match="known must be one of"):
         measure([batch], ["peak_force"], known=("colour",))
 

@@ -6,14 +6,14 @@ from collections import Counter
 from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING, Any
 
-from cgid.cli.options import print_json
-from cgid.cli.output import say
+from cgid.cli.output import print_json, say
 
 if TYPE_CHECKING:
     from cgid.identification.answers import Answer
     from cgid.identification.model import Model
     from cgid.identification.question import Question
     from cgid.identification.share import Share, Turn
+    from cgid.identification.stream import Step
 
 #: Version of the lines that --json prints: since 2 each has a kind, and there are kinds besides impacts.
 ANSWERS_VERSION = 2
@@ -30,100 +30,88 @@ class AnswerLines:
 
     def answer(self, source: str, number: int, answer: Answer, kind: str = "impact", truth: str | None = None) -> None:
         """Print the answer for an impact or a window, with its number in its channel."""
-        if self.as_json:
-            content = {
-                "kind": kind,
-                "source": source,
-                kind: number,
-                "channel": answer.channel,
-                "time_s": answer.time,
-                "end_s": answer.end,
-                "label": answer.label,
-                "probability": answer.probability,
-                "probabilities": dict(answer.probabilities),
-                "novelty": answer.novelty,
-                "in_training_range": answer.in_training_range,
-                "overlapping": answer.overlapping,
-                "clipped": answer.clipped,
-                "cut_off": answer.cut,
-                "problem": answer.problem or None,
-                "prediction_set": None if answer.prediction_set is None else list(answer.prediction_set),
-            }
-            self._json(content | ({} if truth is None else {"truth": truth}))
-            return
-        if not self._titled:
+        if not self._titled and not self.as_json:
             say(_TITLES)
             self._titled = True
-        notes = [*([answer.problem] if answer.problem else []), *marks_of(answer)]
-        note = f"  ({'; '.join(notes)})" if notes else ""
-        note += "" if truth is None else f"  truth: {truth}"
+        content = {
+            kind: number,
+            "channel": answer.channel,
+            "time_s": answer.time,
+            "end_s": answer.end,
+            "label": answer.label,
+            "probability": answer.probability,
+            "probabilities": dict(answer.probabilities),
+            "novelty": answer.novelty,
+            "in_training_range": answer.in_training_range,
+            "overlapping": answer.overlapping,
+            "clipped": answer.clipped,
+            "cut_off": answer.cut,
+            "problem": answer.problem or None,
+            "prediction_set": None if answer.prediction_set is None else list(answer.prediction_set),
+            **({} if truth is None else {"truth": truth}),
+        }
+        notes = "; ".join([*([answer.problem] if answer.problem else []), *marks_of(answer)])
+        about = source + (f"  ({notes})" if notes else "") + ("" if truth is None else f"  truth: {truth}")
         probability, novelty = _number(answer.probability), _number(answer.novelty)
-        say(_ROW.format(f"{answer.time:.6f}", answer.label, probability, novelty, source + note))
+        text = _ROW.format(f"{answer.time:.6f}", answer.label, probability, novelty, about)
+        self._line(kind, source, content, text)
 
     def share(self, source: str, share: Share) -> None:
         """Print the gangue share of a window."""
-        if self.as_json:
-            content = {
-                "kind": "share",
-                "source": source,
-                "channel": share.channel,
-                "from_s": share.start,
-                "to_s": share.time,
-                "gangue_share": share.share,
-                "low": share.low,
-                "high": share.high,
-                "impacts": share.n_impacts,
-                "unknown": share.n_unknown,
-            }
-            self._json(content)
-            return
         unknown = f", {share.n_unknown} more unknown" if share.n_unknown else ""
         told = f"{share.share:.2f} ({share.low:.2f} to {share.high:.2f})" if share.n_impacts else "not known"
         span = f"{share.start:.6g} to {share.time:.6g} s"
-        say(f"# gangue share {told}, {span}, {share.n_impacts} answers{unknown}  {source}")
+        content = {
+            "channel": share.channel,
+            "from_s": share.start,
+            "to_s": share.time,
+            "gangue_share": share.share,
+            "low": share.low,
+            "high": share.high,
+            "impacts": share.n_impacts,
+            "unknown": share.n_unknown,
+        }
+        text = f"# gangue share {told}, {span}, {share.n_impacts} answers{unknown}  {source}"
+        self._line("share", source, content, text)
 
     def turn(self, source: str, turn: Turn, gangue_cost: float) -> None:
         """Print that going on begins to cost more than shutting, or less again."""
-        if self.as_json:
-            content = {
-                "kind": "shut" if turn.shut else "open",
-                "source": source,
-                "channel": turn.share.channel,
-                "time_s": turn.time,
-                "cost": turn.cost,
-                "gangue_cost": gangue_cost,
-                "gangue_share": turn.share.share,
-                "low": turn.share.low,
-                "high": turn.share.high,
-            }
-            self._json(content)
-            return
         word = "SHUT" if turn.shut else "OPEN"
         says = f"going on costs {turn.cost:.2f} coal an impact" if turn.shut else "going on pays again"
         share = f"gangue share {turn.share.share:.2f}, {1 / (1 + gangue_cost):.2f} is the limit"
-        say(f"{word} {turn.time:.6g} s: {says} ({share} where a gangue costs {gangue_cost:g} coal)  {source}")
+        content = {
+            "channel": turn.share.channel,
+            "time_s": turn.time,
+            "cost": turn.cost,
+            "gangue_cost": gangue_cost,
+            "gangue_share": turn.share.share,
+            "low": turn.share.low,
+            "high": turn.share.high,
+        }
+        text = f"{word} {turn.time:.6g} s: {says} ({share} where a gangue costs {gangue_cost:g} coal)  {source}"
+        self._line(word.lower(), source, content, text)
 
     def summary(self, source: str, tally: RecordingTally, duration: float, start_time: Any = None) -> None:
         """Print the summary of a recording."""
-        if self.as_json:
-            self._json({"kind": "summary", "source": source, "duration_s": duration, **tally.content(start_time)})
-            return
-        say(f"# {source}: {tally.text()} in {duration:.6g} s")
+        content = {"duration_s": duration, **tally.content(start_time)}
+        self._line("summary", source, content, f"# {source}: {tally.text()} in {duration:.6g} s")
 
     def warning(self, source: str, message: str) -> None:
         """Print a warning about a readable recording, on stderr and in JSON."""
         say(f"cgid: warning: {message}", err=True)
-        if self.as_json:
-            self._json({"kind": "warning", "source": source, "message": message})
+        self._line("warning", source, {"message": message})
 
     def delay(self, source: str, behind: float, message: str) -> None:
         """Print how far the answers are behind a live stream [s], on stderr and in JSON."""
         say(f"cgid: warning: {source}: {behind:.1f} s behind: {message}", err=True)
-        if self.as_json:
-            self._json({"kind": "delay", "source": source, "behind_s": behind, "message": message})
+        self._line("delay", source, {"behind_s": behind, "message": message})
 
-    def _json(self, content: dict[str, Any]) -> None:
-        print_json(content, version=ANSWERS_VERSION)
+    def _line(self, kind: str, source: str, content: dict[str, Any], text: str | None = None) -> None:
+        """Print the content in JSON, else the text."""
+        if self.as_json:
+            print_json({"kind": kind, "source": source, **content}, version=ANSWERS_VERSION)
+        elif text is not None:
+            say(text)
 
 
 class RecordingTally:
@@ -213,6 +201,7 @@ class RecordingRows:
         self._keep, self._always, self._turn, self._question = keep, always, Turn, question
         self._numbers: Counter[str] = Counter()
         self._measured = always
+        self._silent: tuple[str, ...] = ()
         self._held_answers: list[Answer] = []
         self._held_shares: list[Share | Turn] = []
         self._watch: CavingWatch | None = None
@@ -221,8 +210,9 @@ class RecordingRows:
             self._watch = CavingWatch(model, self.channels, question, independence(model, question))
             self.threshold = self._watch.threshold
 
-    def feed(self, answers: Sequence[Answer], until: float) -> None:
-        """Print the next answers, and the shares of the windows that end by `until` [s]."""
+    def feed(self, step: Step) -> None:
+        """Print the next answers, the shares of the windows that have ended, and warnings."""
+        answers = step.answers
         self.tally.add(answers)
         if self._keep:
             self.answers += answers
@@ -231,15 +221,19 @@ class RecordingRows:
         if self._measured or len(self._held_answers) > _MOST_HELD:
             self._print_answers()
         if self._watch is not None:
-            self._print_shares(self._watch.feed(answers, until))
+            self._print_shares(self._watch.feed(answers, step.until))
+        self._silent += step.silent
+        for warning in step.warnings:
+            self.lines.warning(self.source, warning)
 
-    def finish(self, duration: float, silent: Sequence[str] = (), start_time: Any = None) -> None:
+    def finish(self, duration: float, start_time: Any = None) -> None:
         """Print the rest at the end of a recording of this duration [s], and its silent channels.
 
         Raises `BadData` if there was no answer or none could be measured; never for a live stream.
         """
         from cgid.errors import BadData
 
+        silent = self._silent
         if silent and not self.tally.total and not self._always:
             raise BadData(silent[0])
         for message in silent[:_MOST_SILENT]:

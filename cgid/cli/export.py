@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import click
 
-from cgid.cli.options import PATH, progress_bar
-from cgid.cli.output import say
+from cgid.cli.options import PATH
+from cgid.cli.output import progress_bar, say
 
 
 @click.command(short_help="Write a dataset as one plain HDF5 file.")

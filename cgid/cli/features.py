@@ -6,16 +6,8 @@ from typing import Any
 
 import click
 
-from cgid.cli.options import (
-    PATH,
-    asks_for_whole_dataset,
-    dead_time_in_seconds,
-    each_file,
-    print_json,
-    read_signals,
-    recording_options,
-)
-from cgid.cli.output import say
+from cgid.cli.options import PATH, Reading, printing_options, reading_options
+from cgid.cli.output import each_file, print_json, say
 
 #: Up to this many unmeasurable impacts or channels are reported one by one.
 _MOST_REPORTED = 3
@@ -28,16 +20,16 @@ _MOST_REPORTED = 3
 )
 @click.option("--features", "names", help="Only these features or banks, separated by commas.")
 @click.option("--keep-baseline", is_flag=True, help="Do not subtract the mean before touch.")
-@recording_options
+@reading_options
+@printing_options
 def features(
     files: tuple[str, ...],
     as_list: bool,
     names: str | None,
     keep_baseline: bool,
     as_json: bool,
-    dead_time: float | None,
     strict: bool,
-    **reading: Any,
+    reading: Reading,
 ) -> int:
     """Print the features of every impact in FILEs, tab-separated, in the unit of the file; - is stdin.
 
@@ -53,13 +45,13 @@ def features(
     if not files:
         raise click.UsageError("give at least one FILE, or --list for the table of features")
     chosen = None if names is None else choose([name.strip() for name in names.split(",")])
-    gap = dead_time_in_seconds(dead_time)
+    gap = reading.dead_time
 
     def treat(path: str) -> None:
-        if asks_for_whole_dataset(path, **reading):
-            _print_dataset(path, chosen, not keep_baseline, as_json, reading["invert"])
+        if reading.wants_whole_dataset(path):
+            _print_dataset(path, chosen, not keep_baseline, as_json, reading.invert)
             return
-        signals = read_signals(path, **reading)
+        signals = reading.signals(path)
         for warning in signals[0].warnings:
             say(f"cgid: warning: {warning}", err=True)
         errors: list[BadData] = []

@@ -8,8 +8,8 @@ from typing import Any
 
 import click
 
-from cgid.cli.options import PATH, crew_options, print_json, progress_bar, require_one_crew
-from cgid.cli.output import say
+from cgid.cli.options import PATH, crew_options, require_one_crew
+from cgid.cli.output import print_json, progress_bar, say
 
 #: Options for tables and their outputs; and the options that choose the columns, with the table that they need.
 _ONLY = {"features_only": "features", "closed_form_only": "closed-form", "parameters_only": "parameters"}

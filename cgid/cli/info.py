@@ -7,8 +7,8 @@ from typing import Any
 
 import click
 
-from cgid.cli.options import PATH, print_json
-from cgid.cli.output import say
+from cgid.cli.options import PATH
+from cgid.cli.output import print_json, say
 
 #: Most samples of all channels held in memory; longer recordings are read block by block.
 _MOST_HELD = 1 << 24

@@ -13,18 +13,15 @@ from typing import Any
 import click
 
 from cgid import __version__
-from cgid.cli.ceiling import ceiling
-from cgid.cli.check import check
 from cgid.cli.export import export
 from cgid.cli.features import features
 from cgid.cli.generate import generate
 from cgid.cli.info import info
 from cgid.cli.monitor import monitor
-from cgid.cli.options import say_error
-from cgid.cli.output import drop, heard, open_missing, say
+from cgid.cli.output import drop, heard, open_missing, say, say_error
 from cgid.cli.plot import plot
 from cgid.cli.predict import predict
-from cgid.cli.reproduce import reproduce
+from cgid.cli.studies import ceiling, check, reproduce
 from cgid.cli.train import train
 from cgid.cli.verify import verify
 from cgid.errors import CgidError, MissingExtra

@@ -17,8 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cgid.cli.answer_rows import AnswerLines, RecordingRows
-from cgid.cli.answering import Models, answering_options, question_of, warn_of_model
-from cgid.cli.options import PATH, dead_time_in_seconds
+from cgid.cli.options import PATH, Models, answering_options, dead_time_option, question_of, warn_of_model
 
 if TYPE_CHECKING:
     from cgid.identification.question import Question
@@ -149,7 +148,7 @@ _BEHIND = 1.0
 )
 @click.option("--invert", is_flag=True, help="Turn the signal over: impacts must point upwards.")
 @answering_options
-@click.option("--dead-time", type=float, help="Ringing after a blow [ms]; 2 for pulses, 5 for vibrations.")
+@dead_time_option
 @click.option("--json", "as_json", is_flag=True, help="One JSON object a line.")
 def monitor(
     stream: str,
@@ -159,7 +158,6 @@ def monitor(
     unit: str | None,
     full_scale: float | None,
     as_json: bool,
-    dead_time: float | None,
     **options: Any,
 ) -> None:
     """Identify the impacts in STREAM as they come: raw numbers or WAV; - is stdin.
@@ -172,8 +170,8 @@ def monitor(
     from cgid.identification.question import SHARE_TIME
     from cgid.recordings.live import live_stream
 
-    step = (SHARE_TIME if options["window"] is None else options["window"]) / _STEPS
-    models, question, _ = question_of(options, dead_time_in_seconds(dead_time), batch=1, share_step=step)
+    step = (SHARE_TIME if options["share_time"] is None else options["share_time"]) / _STEPS
+    models, question = question_of(**options, batch=1, share_step=step)
     scale = 1.0 if full_scale is None else float(validation.positive("--full-scale", full_scale, unit or ""))
     with _opened(stream) as file:
         source = "stdin" if stream == "-" else stream
@@ -201,19 +199,15 @@ def _follow(live: Any, scale: float, models: Models, question: Question, lines: 
     steps = identify_blocks(blocks, live.sampling_rate, model, names, question, live.source)
     rows = RecordingRows(live.source, model, names, question, lines, always=True)
     warn_of_model(live.source, live.source, live.sampling_rate, model, question)
-    silent: tuple[str, ...] = ()
     try:
         for step in steps:
-            silent += step.silent
-            rows.feed(step.answers, step.until)
+            rows.feed(step)
             delay.see(inbox)
-            for warning in step.warnings:
-                lines.warning(live.source, warning)
     finally:
         for warning in live.warnings:
             lines.warning(live.source, f"{live.source}: {warning}")
         if inbox.n_taken:
-            rows.finish(inbox.n_taken / live.sampling_rate, silent)
+            rows.finish(inbox.n_taken / live.sampling_rate)
 
 
 class _Delay:

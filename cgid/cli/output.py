@@ -1,4 +1,4 @@
-"""The standard streams and interruptions of a command.
+"""The standard streams of a command, its errors and progress, and interruptions.
 
 Commands print only through `say`, so that no text of a file can control the terminal.
 
@@ -9,19 +9,24 @@ weak references, of which h5py has many. So interruptions are also noted, and lo
 from __future__ import annotations
 
 import contextlib
+import json
+import math
 import os
 import signal
 import sys
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from types import FrameType
-from typing import TextIO
+from typing import Any, TextIO
 
 import click
 
+from cgid.errors import CgidError
 from cgid.terminal import printable
 
+#: Version of the lines that --json prints.
+JSON_VERSION = 1
 _noted = threading.Event()
 
 
@@ -63,6 +68,43 @@ def say(text: str, *, err: bool = False) -> None:
         drop(sys.stderr)
 
 
+def each_file(files: Iterable[str], treat: Callable[[str], None], *, strict: bool = False) -> int:
+    """Treat every file; report the error of one and go on, or stop if `strict`.
+
+    Return the exit code of the first failed file.
+    """
+    code = 0
+    for file in files:
+        try:
+            treat(file)
+        except CgidError as error:
+            if strict:
+                raise
+            say_error(error)
+            code = code or error.exit_code
+    return code
+
+
+def say_error(error: CgidError) -> None:
+    """Print an error on stderr, with a line for each mistake."""
+    for mistake in error.args:
+        say(f"cgid: error: {mistake}", err=True)
+
+
+def print_json(content: dict[str, Any], version: int = JSON_VERSION) -> None:
+    """Print one object as a line of JSON; values that are not finite become null."""
+    # JSON escapes all other control characters, and all characters that are not ASCII.
+    say(json.dumps({"version": version, **_finite(content)}).replace("\x7f", "\\u007f"))
+
+
+def _finite(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _finite(item) for key, item in value.items()}
+    if isinstance(value, list):
+        return [_finite(item) for item in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
 @contextmanager
 def heard() -> Iterator[None]:
     """Note interruptions within this context; no effect outside of the main thread."""
@@ -88,3 +130,17 @@ def stop_if_asked() -> None:
 def _note(_number: int, _frame: FrameType | None) -> None:
     _noted.set()
     raise KeyboardInterrupt
+
+
+@contextmanager
+def progress_bar(total: int | None, what: str) -> Iterator[Callable[[int], object]]:
+    """Yield a function that moves a progress bar; the bar appears only if stderr is a terminal."""
+    from tqdm import tqdm
+
+    with tqdm(total=total, unit=f" {what}", disable=None, file=sys.stderr, unit_scale=True) as bar:
+
+        def move(number: int) -> None:
+            bar.update(number)
+            stop_if_asked()
+
+        yield move

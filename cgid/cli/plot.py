@@ -8,12 +8,13 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from cgid.cli.options import PATH, dead_time_in_seconds, open_file, print_json, read_signals, reading_options
-from cgid.cli.output import say
+from cgid.cli.options import PATH, Reading, reading_options
+from cgid.cli.output import print_json, say
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from cgid.identification.events import Event
     from cgid.measure.table import ImpactKind
     from cgid.plots import Mark
     from cgid.recordings import Channel, RecordingFile
@@ -42,9 +43,7 @@ def plot(
     end: float | None,
     overwrite: bool,
     as_json: bool,
-    dead_time: float | None,
-    invert: bool,
-    **reading: Any,
+    reading: Reading,
 ) -> None:
     """Draw the recording FILE: waveform, spectrogram and spectrum of each channel, and the impacts found in it.
 
@@ -57,10 +56,10 @@ def plot(
     from cgid.plots import FORMATS, MOST_CHANNELS, overview_figure, picture, require_matplotlib
 
     path = check_new(Path(output), "a picture", FORMATS, overwrite=overwrite)
-    gap = dead_time_in_seconds(dead_time)
+    gap = reading.dead_time
     require_matplotlib()
     _require_order(begin, end)
-    recording = _opened(file, **reading)
+    recording = _opened(file, reading)
     channels = recording.channels[:MOST_CHANNELS]
     if len(channels) < len(recording.channels):
         say(
@@ -71,7 +70,7 @@ def plot(
     stream = OverviewStream(recording.sampling_rate, len(channels), recording.source)
     finder = _Finder(recording.sampling_rate, channels, kind, gap, begin) if events else None
     for block in _between(recording, begin, end):
-        drawn = -block[: len(channels)] if invert else block[: len(channels)]
+        drawn = -block[: len(channels)] if reading.invert else block[: len(channels)]
         stream.feed(drawn)
         if finder is not None:
             finder.feed(drawn)
@@ -118,36 +117,33 @@ class _Finder:
         from cgid.identification.detection import ImpactDetector
         from cgid.measure.features import kind_for
 
-        self._rate, self._channels, self._begin = sampling_rate, channels, begin
-        rows: dict[ImpactKind, list[int]] = {}
-        for row, channel in enumerate(channels):
-            rows.setdefault(kind or kind_for(channel.quantity), []).append(row)
-        self._detectors: list[tuple[list[int], Any]] = [
-            (own, ImpactDetector(sampling_rate, len(own), kind=kind, dead_time=dead_time)) for kind, own in rows.items()
+        self._rate, self._begin = sampling_rate, begin
+        self._detectors = [
+            (
+                channel.name,
+                ImpactDetector(sampling_rate, 1, kind=kind or kind_for(channel.quantity), dead_time=dead_time),
+            )
+            for channel in channels
         ]
         self._marks: list[Mark] = []
 
     def feed(self, block: NDArray[Any]) -> None:
         """Take the next samples, (n_channels, n_samples)."""
-        for rows, detector in self._detectors:
-            self._keep(rows, detector.feed(block[rows]))
+        for row, (name, detector) in enumerate(self._detectors):
+            self._keep(name, detector.feed(block[[row]]))
 
     def finish(self) -> list[Mark]:
         """Return a mark for each impact, in order of time."""
-        for rows, detector in self._detectors:
-            self._keep(rows, detector.finish())
+        for name, detector in self._detectors:
+            self._keep(name, detector.finish())
         return sorted(self._marks, key=lambda mark: mark.time)
 
     def upside_down(self) -> list[str]:
         """Return the channels without pulses that fall where they should rise."""
         heard = {mark.channel for mark in self._marks}
-        turned = [
-            rows[own] for rows, detector in self._detectors for own in range(len(rows)) if detector.is_upside_down(own)
-        ]
-        names = [self._channels[row].name for row in sorted(turned)]
-        return [name for name in names if name not in heard]
+        return [name for name, detector in self._detectors if name not in heard and detector.is_upside_down(0)]
 
-    def _keep(self, rows: Sequence[int], events: Iterable[Any]) -> None:
+    def _keep(self, channel: str, events: Iterable[Event]) -> None:
         from cgid.plots import Mark
 
         for event in events:
@@ -156,21 +152,22 @@ class _Finder:
                     time=self._begin + event.onset / self._rate,
                     end=self._begin + event.end / self._rate,
                     label="overlapping impact" if event.overlapping else "impact",
-                    channel=self._channels[rows[event.channel]].name,
+                    channel=channel,
                 )
             )
 
 
-def _opened(file: str, *, index: int | None, **reading: Any) -> RecordingFile:
+def _opened(file: str, reading: Reading) -> RecordingFile:
     """Return the recording of a file, or the chosen signal of a dataset."""
     from cgid.recordings import is_dataset
 
-    if index is None or not is_dataset(file):
-        return open_file(file, index=index, **reading)
+    if reading.index is None or not is_dataset(file):
+        return reading.recording(file)
     from cgid.recordings import RecordingFile
     from cgid.recordings.recording import Contents
+    from cgid.store import Dataset
 
-    (signal,) = read_signals(file, index=index, invert=False, **reading)
+    signal = Dataset(file).signal(reading.index)
     contents = Contents.of_array(signal.samples[None], units=[signal.unit], sampling_rate=signal.sampling_rate)
     return RecordingFile(contents, source=signal.source, format="dataset", sampling_rate=None, unit=None, channel=None)
 

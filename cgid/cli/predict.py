@@ -10,17 +10,17 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from cgid.cli.answer_rows import AnswerLines, RecordingRows
-from cgid.cli.answering import Models, answering_options, question_of, warn_of_model
 from cgid.cli.options import (
     PATH,
-    asks_for_whole_dataset,
-    dead_time_in_seconds,
-    each_file,
-    open_file,
-    read_signals,
-    recording_options,
+    Models,
+    Reading,
+    answering_options,
+    printing_options,
+    question_of,
+    reading_options,
+    warn_of_model,
 )
-from cgid.cli.output import say
+from cgid.cli.output import each_file, say
 from cgid.errors import CgidError
 
 if TYPE_CHECKING:
@@ -141,20 +141,16 @@ class _Prediction:
         """Print the answers for the channels of a recording that use this model."""
         from cgid.identification.stream import identify_blocks, model_blocks
 
-        question, lines, source, rate = self.question, self.lines, recording.source, recording.sampling_rate
+        question, source, rate = self.question, recording.source, recording.sampling_rate
         names = [recording.channels[number].name for number in numbers]
         passing = _Passing(recording, numbers, self.pages is not None)
         blocks = model_blocks(recording, model, numbers, question, seen=passing.see)
         steps = identify_blocks(blocks, rate, model, names, question, source)
-        rows = RecordingRows(source, model, names, question, lines, keep=self.pages is not None)
+        rows = RecordingRows(source, model, names, question, self.lines, keep=self.pages is not None)
         warn_of_model(source, rows.name(rows.channels[0]), rate, model, question)
-        silent: tuple[str, ...] = ()
         for step in steps:
-            rows.feed(step.answers, step.until)
-            silent += step.silent
-            for warning in step.warnings:
-                lines.warning(source, warning)
-        rows.finish(passing.n_samples / rate, silent, recording.start_time)
+            rows.feed(step)
+        rows.finish(passing.n_samples / rate, recording.start_time)
         if self.pages is not None:
             self.pages.add(recording, passing, model, self.models.name(model), rows)
 
@@ -213,9 +209,8 @@ class _Prediction:
     def _heights(self, path: str, batch: Batch, model: Model) -> Floats | float | None:
         """Return the stored drop heights of a batch if the model needs them; else the given one."""
         from cgid.errors import InvalidValue
-        from cgid.identification.drop_height import drop_heights
 
-        stored, given = drop_heights(batch) if "drop_height" in model.known else None, self.question.drop_height
+        stored, given = batch.drop_heights() if "drop_height" in model.known else None, self.question.drop_height
         if stored is not None and given is not None:
             raise InvalidValue(f"{path}: --drop-height must be left out, this dataset stores that of each impact")
         return given if stored is None else stored
@@ -270,15 +265,16 @@ class _Tally:
     "--report", type=PATH, metavar="PAGE", help="Write pictures and answers of the recordings as one page, .html."
 )
 @click.option("--overwrite", is_flag=True, help="Replace an old report.")
-@recording_options
+@reading_options
+@printing_options
 def predict(
     files: tuple[str, ...],
     sample: bool,
     report: str | None,
     overwrite: bool,
     as_json: bool,
-    dead_time: float | None,
     strict: bool,
+    reading: Reading,
     **options: Any,
 ) -> int:
     """Identify the material of every impact in FILEs: recordings or datasets; - is stdin.
@@ -299,18 +295,18 @@ def predict(
         files = (*files, str(shipped.path_of("datasets", shipped.SAMPLE)))
     if not files:
         raise click.UsageError("give at least one FILE, or --sample for the one that comes with cgid")
-    models, question, reading = question_of(options, dead_time_in_seconds(dead_time))
+    models, question = question_of(**options, invert=reading.invert, milliseconds=reading.milliseconds)
     pages = None if report is None else Pages(report, overwrite)
     prediction = _Prediction(models=models, question=question, lines=AnswerLines(as_json), pages=pages)
 
     def treat(path: str) -> None:
-        if asks_for_whole_dataset(path, mass=question.mass, **reading):
+        if reading.wants_whole_dataset(path, question.mass):
             prediction.dataset(path)
-        elif reading["index"] is not None:
-            (signal,) = read_signals(path, invert=question.invert, **reading)
-            prediction.dataset_signal(path, reading["index"], signal)
+        elif reading.index is not None:
+            (signal,) = reading.signals(path)
+            prediction.dataset_signal(path, reading.index, signal)
         else:
-            prediction.recording(open_file(path, **reading))
+            prediction.recording(reading.recording(path))
 
     code = each_file(files, treat, strict=strict)
     if pages is not None and pages.write():

@@ -7,8 +7,8 @@ from typing import Any
 
 import click
 
-from cgid.cli.options import PATH, each_file, print_json, progress_bar
-from cgid.cli.output import say
+from cgid.cli.options import PATH
+from cgid.cli.output import each_file, print_json, progress_bar, say
 
 #: Problems that are only reported.
 _KEPT = ("pending", "foreign")

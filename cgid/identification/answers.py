@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -11,10 +11,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from cgid.errors import BadData, InvalidValue, MissingOption
 from cgid.identification.detection import find_impacts
-from cgid.identification.drop_height import known_columns
 from cgid.identification.events import Event, frames_alike
 from cgid.identification.model import Model
-from cgid.identification.question import Question
+from cgid.identification.question import Question, known_columns
 from cgid.measure.features import extract_array, problems_of
 from cgid.measure.filters import Equalisation
 from cgid.measure.frames import DETECTION_LIMIT, MINIMUM_FRAME
@@ -183,12 +182,8 @@ def identify_frames(
     )
     sound = np.asarray(np.isfinite(measured).all(axis=1))
     time = 0.0 if pre_trigger is None else pre_trigger / sampling_rate
-    answers: Iterator[Answer] = iter(())
-    if sound.any():
-        features, guards = np.split(measured[sound], [len(model.features)], axis=1)
-        inputs = np.hstack([features, known[sound]])
-        found = model.probabilities(inputs), model.novelty(inputs, guards)
-        answers = answers_from(*found, model, question or Question(), sampling_rate)
+    features, guards = np.split(measured[sound], [len(model.features)], axis=1)
+    answers = answers_from(np.hstack([features, known[sound]]), guards, model, question or Question(), sampling_rate)
     problems = {}
     if not sound.all():
         problems = problems_of(
@@ -203,9 +198,20 @@ def identify_frames(
 
 
 def answers_from(
-    probabilities: Floats, novelties: Floats, model: Model, question: Question, sampling_rate: float
+    inputs: Floats,
+    guards: Floats,
+    model: Model,
+    question: Question,
+    sampling_rate: float,
+    vote: Callable[[Floats], Floats] = lambda probabilities: probabilities,
 ) -> Iterator[Answer]:
-    """Yield answers at time 0 from probabilities (n, n_labels) and novelties (n,)."""
+    """Yield answers at time 0 from measured inputs (n, n_inputs) and guards (n, n_guards).
+
+    `vote` averages the probabilities (n, n_labels) of successive rows.
+    """
+    if not len(inputs):
+        return
+    probabilities, novelties = vote(model.probabilities(inputs)), model.novelty(inputs, guards)
     untrained = "" if model.covers(sampling_rate) else f"not trained at {sampling_rate:g} Hz"
     for row, (label, labels) in enumerate(zip(*question.labels(model, probabilities), strict=True)):
         novelty = float(novelties[row])

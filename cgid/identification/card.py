@@ -11,8 +11,8 @@ from urllib.parse import quote
 from cgid.errors import CannotCreate
 from cgid.files import check_new, write_together
 from cgid.identification.detection import VIBRATION_DEAD_TIME
-from cgid.identification.drop_height import KNOWN
 from cgid.identification.model import Model
+from cgid.signals import KNOWN
 from cgid.terminal import printable
 
 if TYPE_CHECKING:

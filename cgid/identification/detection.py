@@ -114,7 +114,7 @@ class ImpactDetector:
         self._taken, self._fed = 0, 0
         self._needed = start * self._onsets.chunk
         self._pending: list[Onset] = []
-        self._cutter = FrameCutter(self._framing, self._onsets, joint)
+        self._cutter = FrameCutter(self._framing, self._onsets.end_of, joint)
         self._limits = _Limits(n_channels)
         self._ended = False
 

@@ -190,7 +190,21 @@ def estimate(
             raise BadData(f"signal {first + row}: {found[row]}" if n > 1 else found[row])
         cut = parts[-1].clipped > 0
         overloads.append(np.where(cut, parts[-1].peak / (level if level is not None else 1.0) - 1, 0.0).clip(0.0))
-    return _in_seconds(PulseFit.joined(parts), np.concatenate(overloads), rate)
+    fit = PulseFit.joined(parts)
+    covariance = fit.covariance.copy()
+    covariance[:, 2] /= rate
+    covariance[:, :, 2] /= rate
+    return Estimates(
+        peak=fit.peak,
+        contact_duration=fit.duration / rate,
+        onset=fit.onset / rate,
+        restitution=fit.restitution,
+        baseline=fit.baseline,
+        covariance=covariance,
+        misfit=fit.misfit,
+        overload=np.concatenate(overloads),
+        converged=fit.converged,
+    )
 
 
 def posterior(
@@ -267,20 +281,3 @@ def _each(name: str, numbers: Floats, n: int) -> Floats:
     if numbers.shape not in ((), (1,), (n,)):
         raise InvalidValue(f"{name} must be one number or one for each of {n} signals, got shape {numbers.shape}")
     return np.broadcast_to(numbers, (n,))
-
-
-def _in_seconds(fit: PulseFit, overload: Floats, rate: float) -> Estimates:
-    covariance = fit.covariance.copy()
-    covariance[:, 2] /= rate
-    covariance[:, :, 2] /= rate
-    return Estimates(
-        peak=fit.peak,
-        contact_duration=fit.duration / rate,
-        onset=fit.onset / rate,
-        restitution=fit.restitution,
-        baseline=fit.baseline,
-        covariance=covariance,
-        misfit=fit.misfit,
-        overload=overload,
-        converged=fit.converged,
-    )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -187,18 +187,15 @@ class Framing:
         return length + self.late + 1
 
 
-class _Ends(Protocol):
-    def end_of(self, onset: Onset, samples: Floats) -> int: ...
-
-
 class FrameCutter:
     """Cut the frames of impacts, which arrive in order of time.
 
-    `ends` is the detector that knows when an impact is over. With `joint`, frames hold all channels.
+    `end_of` returns the samples of an impact from its onset on, -1 while it goes on. With `joint`, frames hold all
+    channels.
     """
 
-    def __init__(self, framing: Framing, ends: _Ends, joint: bool) -> None:
-        self._framing, self._ends, self._joint = framing, ends, joint
+    def __init__(self, framing: Framing, end_of: Callable[[Onset, Floats], int], joint: bool) -> None:
+        self._framing, self._end_of, self._joint = framing, end_of, joint
         # The previous impact of each row, and whether it was still going on when the next began.
         self._before: dict[int, tuple[Onset, bool]] = {}
 
@@ -215,7 +212,7 @@ class FrameCutter:
         if following is not None:
             behind = min(behind, following.sample)
         own = samples[onset.channel, onset.sample - first : behind - first].astype(np.float64, copy=False)
-        lasted = self._ends.end_of(onset, own)
+        lasted = self._end_of(onset, own)
         interrupted = lasted < 0 and following is not None and behind == following.sample
         end = behind if lasted < 0 else min(onset.sample + lasted, max(behind, onset.sample + 1))
         self._before[onset.row] = onset, interrupted

@@ -92,7 +92,7 @@ class Model:
     training : dict
         Origin and quality of the model: the content of the model card.
     known : tuple of str
-        Known quantities needed besides the signal, from `cgid.identification.drop_height.KNOWN`.
+        Known quantities needed besides the signal, from `cgid.signals.KNOWN`.
     guards : tuple of str
         Features that only measure novelty; larger is more novel.
     guard_limits : tuple of float

@@ -23,12 +23,12 @@ from numpy.typing import NDArray
 
 from cgid import validation
 from cgid.errors import BadData
-from cgid.identification.drop_height import KNOWN
 from cgid.identification.families import BY_NAME
 from cgid.identification.reference import equalisations_of
 from cgid.identification.windows import require_times
 from cgid.measure.features import require_known
 from cgid.measure.spectra import MEL_BANDS
+from cgid.signals import KNOWN
 from cgid.units import quantity_of
 
 if TYPE_CHECKING:

@@ -7,12 +7,13 @@ from dataclasses import dataclass, field
 from itertools import compress
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from cgid import validation
-from cgid.errors import InvalidValue
-from cgid.identification.drop_height import known_columns
+from cgid.errors import InvalidValue, MissingOption
 from cgid.identification.model import Model
 from cgid.identification.windows import VOTE_TIME
+from cgid.signals import KNOWN
 from cgid.validation import UNKNOWN, Floats
 
 #: Impacts identified in one batch, which costs little more than a single one.
@@ -169,3 +170,29 @@ class Question:
                 "gangue labels must leave another one, got all of the model's: "
                 f"{', '.join(self.gangue_labels)}; leave one out"
             )
+
+
+def known_columns(known: tuple[str, ...], n_impacts: int, drop_height: ArrayLike | None) -> Floats:
+    """Return the model inputs besides the features, (n_impacts, n_known).
+
+    The drop height is one number, or one for each impact [m]. Raises `MissingOption` if the model needs it and it is
+    not given, `InvalidValue` if the model does not use it, it is not above 0 or has another shape.
+    """
+    if drop_height is None:
+        if "drop_height" in known:
+            raise MissingOption(
+                "drop_height must be known to this model and is not given; give --drop-height METRES "
+                "(how far the rock fell), or take a model that does without"
+            )
+        return np.empty((n_impacts, 0))
+    if "drop_height" not in known:
+        raise InvalidValue(
+            "drop_height must be left out, this model was trained without it; "
+            "or give a model made by cgid train --drop-height"
+        )
+    heights: NDArray[np.float64] = validation.positive("drop_height", drop_height, KNOWN["drop_height"])
+    if heights.shape not in ((), (n_impacts,)):
+        raise InvalidValue(
+            f"drop_height must be one number or one for each of {n_impacts} impacts, got {heights.shape}"
+        )
+    return np.broadcast_to(heights, (n_impacts,))[:, None]

@@ -18,13 +18,12 @@ from threadpoolctl import threadpool_limits
 
 from cgid import validation
 from cgid.errors import BadData, CgidError, InvalidValue
-from cgid.identification.drop_height import KNOWN, drop_heights
 from cgid.identification.windows import WINDOW_TIME, columns_of, require_times
 from cgid.measure.features import FEATURES, choose, extract_array, kind_for, kind_of, supported
 from cgid.measure.spectra import THIRD_OCTAVES
 from cgid.measure.table import Kind
 from cgid.measure.vibration import EARLY_BANDS
-from cgid.signals import Batch
+from cgid.signals import KNOWN, Batch
 from cgid.units import UNITS, quantity_of
 from cgid.validation import Floats
 from cgid.workers import ALONE, Workers
@@ -72,7 +71,7 @@ class Rows:
         below 0 for synthetic rows among recorded ones, which never judge
     source : number in `sources` of the scene, dataset or annotated interval of each row, (n_rows,)
     digests : SHA-256 of scenes, datasets or files
-    known : values of `known_names`, which are from `cgid.identification.drop_height.KNOWN`, (n_rows, n_known)
+    known : values of `known_names`, which are from `cgid.signals.KNOWN`, (n_rows, n_known)
     sampling_rates : lowest and highest [Hz]
     slicing : None for rows of scenes and datasets
     time : start of a window, or time of an impact, in its recording [s], (n_rows,)
@@ -266,7 +265,7 @@ def _measured(settings: tuple[tuple[str, ...], tuple[str, ...]], batch: Batch) -
 
 
 def _known_of(batch: Batch) -> Floats:
-    heights = drop_heights(batch)
+    heights = batch.drop_heights()
     if heights is None:
         raise BadData(
             "the data must hold drop_height or velocity among its parameters, it has "

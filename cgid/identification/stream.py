@@ -267,11 +267,7 @@ def _judged(
     inputs = table[:, :, : len(model.features)].reshape(n_windows, -1)
     guards = table[:, :, len(model.features) :].max(axis=1)
     sound = np.asarray(np.isfinite(table).all(axis=(1, 2)))
-    answers: Iterator[Answer] = iter(())
-    if sound.any():
-        probabilities = vote.feed(model.probabilities(inputs[sound]))
-        novelties = model.novelty(inputs[sound], guards[sound])
-        answers = answers_from(probabilities, novelties, model, question, sampling_rate)
+    answers = answers_from(inputs[sound], guards[sound], model, question, sampling_rate, vote.feed)
     silent = unmeasured("the window cannot be measured: it is silent, constant or not a number")
     return [next(answers) if known else silent for known in sound.tolist()]
 

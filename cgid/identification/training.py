@@ -110,7 +110,7 @@ def train(
         Features that only measure novelty (larger is more novel) and are left out of `features`. Default:
         `DEFAULT_GUARDS` for batches of pulses, else none. Not for recordings.
     known : iterable of str
-        Known quantities from `cgid.identification.drop_height.KNOWN`. Not for recordings.
+        Known quantities from `cgid.signals.KNOWN`. Not for recordings.
     family : {"boosting", "logistic", "network", "linear"}, optional
         Default: logistic; for recordings linear.
     test_share : float
