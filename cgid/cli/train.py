@@ -9,16 +9,8 @@ from typing import Any
 import click
 
 from cgid import validation
-from cgid.cli.options import (
-    PATH,
-    crew_options,
-    dead_time_in_seconds,
-    print_json,
-    progress_bar,
-    require_one_crew,
-    say_error,
-)
-from cgid.cli.output import say
+from cgid.cli.options import PATH, crew_options, dead_time_in_seconds, require_one_crew
+from cgid.cli.output import print_json, progress_bar, say, say_error
 from cgid.errors import CgidError, InvalidValue
 
 #: Options for recordings only, and for datasets and scenes only.
