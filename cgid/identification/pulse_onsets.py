@@ -90,7 +90,11 @@ class _Ringing:
         if self.quiet >= enough:
             if self.energy <= _QUIET_POWER * noise**2 * self.quiet:
                 self.echo = self.swing = 0.0
-            self.quiet, self.energy = 0, 0.0
+            self.listen_anew()
+
+    def listen_anew(self) -> None:
+        """Forget the quiet samples so far."""
+        self.quiet, self.energy = 0, 0.0
 
     def decay(self, echo_factor: float, swing_factor: float) -> None:
         """Multiply the state by the decay factors of some time."""
@@ -230,7 +234,7 @@ class PulseOnsets:
         """Let the ringing decay over samples within the noise."""
         ringing.decay(math.exp(-n_samples * self._echo_rate), math.exp(-n_samples * self._swing_rate))
         if n_samples:
-            ringing.quiet, ringing.energy = 0, 0.0
+            ringing.listen_anew()
 
     def _needed(self, heights: Floats, limit: float, ringing: _Ringing) -> Floats:
         """Return the threshold of each sample (n,), and update the ringing."""
@@ -249,7 +253,7 @@ class PulseOnsets:
             if limit < depth < _DEEPEST * ringing.peak:
                 ringing.swing = max(ringing.swing, RISE_OVER_SWING * depth)
             if max(peak, depth) > limit:
-                ringing.quiet, ringing.energy = 0, 0.0
+                ringing.listen_anew()
             else:
                 ringing.listen(size, energy, limit / THRESHOLD_OVER_NOISE, self._quiet)
         return np.repeat(needed, self._hop)[: heights.size]

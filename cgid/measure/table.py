@@ -174,3 +174,17 @@ class Table(Mapping[str, Feature]):
     def expand(self, name: str) -> tuple[str, ...]:
         """Return the columns of the bank of this name; for any other name, the name alone."""
         return next((bank.columns for bank in self._banks if bank.name == name), (name,))
+
+
+def strongest_frequencies(spectral: Callable[..., Feature], prefix: str, maximum: str) -> list[Feature]:
+    """Return the features of the three strongest maxima of a spectrum, measured as `dominant_frequencies`."""
+    ranks = {"dominant": "strongest", "second": "second strongest", "third": "third strongest"}
+    return [
+        spectral(
+            f"{prefix}{rank}_frequency",
+            "Hz",
+            f"frequency of the {which} {maximum}",
+            measure=lambda batch, n=n: batch.dominant_frequencies[:, n],
+        )
+        for n, (rank, which) in enumerate(ranks.items())
+    ]

@@ -31,7 +31,7 @@ from cgid.measure.spectra import (
     passage,
     third_octave,
 )
-from cgid.measure.table import LEAST_BANDWIDTH, OF_THE_RATE, Bank, Feature
+from cgid.measure.table import LEAST_BANDWIDTH, OF_THE_RATE, Bank, Feature, strongest_frequencies
 from cgid.validation import Floats
 
 #: Time constant of the exponential window [s]. It widens a line by 1 / (pi WINDOW_TIME) = 21 Hz.
@@ -431,7 +431,7 @@ _PACKETS = Bank(
     extra="wavelets",
 )
 
-VIBRATION_FEATURES = (
+VIBRATION_FEATURES: tuple[Feature | Bank, ...] = (
     _vibration("peak_amplitude", "U", "largest distance from the baseline", "signal amplitude", lambda v: v.peak),
     _vibration(
         "strong_rms",
@@ -520,24 +520,7 @@ VIBRATION_FEATURES = (
         f"{OF_THE_RATE}",
         measure=lambda v: v.spectrum.flatness,
     ),
-    _spectral(
-        "dominant_frequency",
-        "Hz",
-        f"frequency of the strongest {_MAXIMUM}",
-        measure=lambda v: v.dominant_frequencies[:, 0],
-    ),
-    _spectral(
-        "second_frequency",
-        "Hz",
-        f"frequency of the second strongest {_MAXIMUM}",
-        measure=lambda v: v.dominant_frequencies[:, 1],
-    ),
-    _spectral(
-        "third_frequency",
-        "Hz",
-        f"frequency of the third strongest {_MAXIMUM}",
-        measure=lambda v: v.dominant_frequencies[:, 2],
-    ),
+    *strongest_frequencies(_spectral, "", _MAXIMUM),
     _MEL,
     _MEL.less("relative_mel_*_hz", _TOTAL),
     _mel(

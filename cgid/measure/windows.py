@@ -32,7 +32,7 @@ from cgid.measure.spectra import (
     packet_energies,
     third_octave,
 )
-from cgid.measure.table import LEAST_BANDWIDTH, OF_THE_RATE, Bank, Feature
+from cgid.measure.table import LEAST_BANDWIDTH, OF_THE_RATE, Bank, Feature, strongest_frequencies
 from cgid.validation import Floats
 
 #: Length of a frame [s]; frames overlap by half.
@@ -244,9 +244,6 @@ def _over_frames(levels: Floats) -> tuple[Floats, Floats]:
     return np.asarray(mean), np.sqrt(np.square(levels - mean[:, None]).mean(axis=1))
 
 
-_Measure = Callable[[WindowBatch], Floats]
-
-
 # -- features -----------------------------------------------------------------------------------------
 
 _PEETERS = "Peeters 2004, CUIDADO report (spectral shape), of the mean spectrum of Welch 1967"
@@ -316,7 +313,7 @@ _PACKETS = Bank(
     extra="wavelets",
 )
 
-WINDOW_FEATURES = (
+WINDOW_FEATURES: tuple[Feature | Bank, ...] = (
     _LEVEL,
     _window("window_peak", "U", "largest distance from the baseline", "signal amplitude", lambda w: w.peak),
     _shape(
@@ -370,24 +367,7 @@ WINDOW_FEATURES = (
         measure=lambda w: w.flux,
         positive=True,
     ),
-    _spectral(
-        "window_dominant_frequency",
-        "Hz",
-        f"frequency of the strongest {_MAXIMUM}",
-        measure=lambda w: w.dominant_frequencies[:, 0],
-    ),
-    _spectral(
-        "window_second_frequency",
-        "Hz",
-        f"frequency of the second strongest {_MAXIMUM}",
-        measure=lambda w: w.dominant_frequencies[:, 1],
-    ),
-    _spectral(
-        "window_third_frequency",
-        "Hz",
-        f"frequency of the third strongest {_MAXIMUM}",
-        measure=lambda w: w.dominant_frequencies[:, 2],
-    ),
+    *strongest_frequencies(_spectral, "window_", _MAXIMUM),
     _shape(
         "window_envelope_variation",
         "1",
