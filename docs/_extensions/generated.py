@@ -23,9 +23,14 @@ from sphinx.util.docutils import SphinxDirective
 
 
 def escaped(text: str) -> str:
-    """Return plain text as MyST, on one line."""
+    """Return text as MyST on one line; what stands between backticks is code, all else is plain."""
     special = "\\`*_{}[]<>()#|$~"
-    return "".join(f"\\{sign}" if sign in special else sign for sign in " ".join(str(text).split()))
+    parts = " ".join(str(text).split()).split("`")
+    if len(parts) % 2 == 0:  # a single backtick
+        parts = ["`".join(parts)]
+    plain = ["".join(f"\\{sign}" if sign in special else sign for sign in part) for part in parts[::2]]
+    code = [coded(part) for part in parts[1::2]]
+    return "".join(text for pair in zip(plain, [*code, ""], strict=True) for text in pair)
 
 
 def coded(text: str) -> str:
@@ -116,7 +121,9 @@ def _nonlocals(function: Any) -> dict[str, Any]:
 def _metadata(annotation: Any) -> list[Any]:
     """Return all metadata of an annotation and of the types inside."""
     own = list(getattr(annotation, "__metadata__", ()))
-    return own + [found for inner in get_args(annotation) for found in _metadata(inner)] if get_args(annotation) else own
+    return (
+        own + [found for inner in get_args(annotation) for found in _metadata(inner)] if get_args(annotation) else own
+    )
 
 
 def _sections(annotation: Any) -> list[type[BaseModel]]:
@@ -202,7 +209,7 @@ def _row(name: str, field: FieldInfo, descriptions: dict[str, str]) -> list[str]
         default = "-"
     else:
         default = coded(f'"{field.default}"' if isinstance(field.default, str) else f"{field.default}".lower())
-    return [coded(name), kind, default, escaped(descriptions.get(name, "")).replace("\\`", "`")]
+    return [coded(name), kind, default, escaped(descriptions.get(name, ""))]
 
 
 def _walk(section: type[BaseModel], path: str) -> Iterable[tuple[str, type[BaseModel]]]:
@@ -260,7 +267,7 @@ _SCENE_HEADER = ("key", "value", "default", "meaning")
 
 def _first_paragraphs(section: type[BaseModel]) -> str:
     text = NumpyDocString(inspect.cleandoc(section.__doc__ or ""))
-    return escaped(" ".join([*text["Summary"], *text["Extended Summary"]])).replace("\\`", "`")
+    return escaped(" ".join([*text["Summary"], *text["Extended Summary"]]))
 
 
 # -- tables -------------------------------------------------------------------------------------------
@@ -310,9 +317,7 @@ def scene_units() -> str:
     """Return the units of the numbers in scene files."""
     from cgid.units import DIMENSIONS
 
-    rows = [
-        [name, ", ".join(coded(unit) if unit else "none" for unit in units)] for name, units in DIMENSIONS.items()
-    ]
+    rows = [[name, ", ".join(coded(unit) if unit else "none" for unit in units)] for name, units in DIMENSIONS.items()]
     return table(("dimension", "units, the SI unit first"), rows)
 
 
