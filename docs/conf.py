@@ -27,6 +27,7 @@ extensions = [
     "sphinx.ext.viewcode",
     "numpydoc",
     "sphinx_gallery.gen_gallery",
+    "api_pages",  # docs/_extensions/api_pages.py: the pages of the Python API
     "generated",  # docs/_extensions/generated.py: commands, scene keys, features, formats, units, errors
 ]
 source_suffix = {".md": "markdown", ".rst": "restructuredtext"}
@@ -39,6 +40,7 @@ myst_enable_extensions = ["colon_fence", "deflist"]
 myst_heading_anchors = 3
 
 autosummary_generate = True
+default_role = "py:obj"
 autodoc_typehints = "none"  # the docstrings say types with shapes and units
 autodoc_member_order = "bysource"
 numpydoc_show_class_members = False

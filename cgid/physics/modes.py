@@ -48,7 +48,7 @@ class Modes:
         validation.hold(self, "frequency", "damping_ratio", "modal_mass")
 
     def shape(self, x: ArrayLike, y: ArrayLike) -> Floats:
-        """Return the dimensionless shapes (*points, n_modes) of all modes at points of the panel.
+        """Return the dimensionless shapes (..., n_modes) of all modes at points of the panel.
 
         x [m] runs from the held edge along the length, y [m] from one side over the width; they broadcast. A point off
         the panel raises `InvalidValue`.
@@ -58,7 +58,7 @@ class Modes:
         return values.reshape(*along.shape, self.frequency.size)
 
     def participation(self, impact: Point, sensor: Point) -> Floats:
-        """Return `shape(impact) shape(sensor) / modal_mass` of each mode [1/kg], (*points, n_modes).
+        """Return `shape(impact) shape(sensor) / modal_mass` of each mode [1/kg], (..., n_modes).
 
         `impact` and `sensor` are the points (x, y) [m] of the force and of the measured motion.
         """
