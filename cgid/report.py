@@ -32,12 +32,28 @@ _MOST_NAMES = 8
 class Report:
     """The content of a page about one recording.
 
-    recording, model : `recording_facts` and `model_facts`, in the order of the page
-    overview : of the first channels
-    channels : those of the overview
-    answers : in order of time
-    threshold : share of gangue above which further caving costs more than it brings
-    unit_of_decision : subject of an answer, "impact" or "window"
+    Attributes
+    ----------
+    source : str
+        Name of the recording.
+    recording, model : mapping of str to str
+        `recording_facts` and `model_facts`, in the order of the page.
+    overview : Overview
+        Waveform, spectrogram and spectrum of the first channels.
+    channels : sequence of Channel
+        The channels of the overview.
+    answers : sequence of Answer
+        In order of time.
+    shares : sequence of Share
+        Gangue shares over sliding windows.
+    turns : sequence of Turn
+        When the window should be shut or opened.
+    threshold : float or None
+        Share of gangue above which further caving costs more than it brings.
+    warnings : sequence of str
+        What is damaged or doubtful.
+    unit_of_decision : str
+        Subject of an answer, "impact" or "window".
     """
 
     source: str
@@ -135,17 +151,45 @@ _DPI = 130
 
 
 def write_report(path: str | Path, reports: Sequence[Report], *, title: str = "", overwrite: bool = False) -> None:
-    """Write one page about some recordings.
+    """Write one self-contained HTML page about some recordings.
 
-    Raises `CannotCreate` for another ending than `ENDINGS`, a missing or read-only folder, or an existing file without
-    `overwrite`; `MissingExtra` without matplotlib; `WriteFailed` if the disk is full.
+    Parameters
+    ----------
+    path : str or Path
+        A name with one of `ENDINGS`.
+    reports : sequence of Report
+        One for each recording.
+    title : str
+        Heading of the page.
+    overwrite : bool
+        Whether to replace an existing file.
+
+    Raises
+    ------
+    CannotCreate
+        The name has another ending, the folder is missing or read-only, or the file exists.
+    MissingExtra
+        matplotlib is not installed.
+    WriteFailed
+        The disk is full.
     """
     path = check_new(Path(path), "a report", ENDINGS, overwrite=overwrite)
     write_whole(path, report_page(reports, title=title).encode(), overwrite=overwrite)
 
 
 def report_page(reports: Sequence[Report], *, title: str = "") -> str:
-    """Return the page that `write_report` writes; equal reports give equal pages."""
+    """Return the page that `write_report` writes; equal reports give equal pages.
+
+    Parameters
+    ----------
+    reports : sequence of Report
+    title : str
+
+    Returns
+    -------
+    str
+        HTML.
+    """
     title = title or _title([Path(report.source).name for report in reports])
     style, script = _resource("report.css") + _swatches(), _resource("report.js")
     allowed = f"default-src 'none'; img-src data:; style-src '{_hash(style)}'; script-src '{_hash(script)}'"

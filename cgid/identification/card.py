@@ -80,9 +80,21 @@ def write_model(
 
 
 def write_card(model: Model, name: str, pictures: tuple[str, ...] = (), further: Sequence[Section] = ()) -> str:
-    """Return the card of a model; `name` is that of the model file, `pictures` are relative to the card.
+    """Return the card of a model in Markdown.
 
-    `further` are titles and lines of sections to add before the limits.
+    Parameters
+    ----------
+    model : Model
+    name : str
+        Name of the model file.
+    pictures : tuple of str
+        Paths relative to the card.
+    further : sequence of sections
+        Titles and lines of sections to add before the limits.
+
+    Returns
+    -------
+    str
     """
     lines = [f"# Model card: {plain(name)}", ""]
     if model.training["labels_shuffled"]:

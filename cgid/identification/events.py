@@ -72,16 +72,25 @@ class Event:
 
     Attributes
     ----------
-    channel : where it was heard; of joint channels, the one with the strongest signal
-    onset, end : index in the recording of its first sample, and of the first sample after it
-    samples : the frame, (n_samples,) or (n_channels, n_samples); the baseline replaces the next impact, and fills the
-        frame after the end of the recording; a quiet part that is too short is extended by mirroring
-    pre_trigger : samples of the frame that are certainly before touch; None if it follows from the pulse itself
-    overlapping : whether another impact begins before this one is over, or this one before the previous is over
-    clipped : whether three samples in a row hold the highest or lowest value
-    cut : whether the recording begins or ends within the impact
-    problem : why the impact cannot be measured, if the frame does not show it; else empty
-    detection_limit : for `cgid.measure.features.extract_array`
+    channel : int
+        Where it was heard; of joint channels, the one with the strongest signal.
+    onset, end : int
+        Index in the recording of its first sample, and of the first sample after it.
+    samples : ndarray, (n_samples,) or (n_channels, n_samples)
+        The frame; the baseline replaces the next impact, and fills the frame after the end
+        of the recording; a quiet part that is too short is extended by mirroring.
+    pre_trigger : int or None
+        Samples of the frame that are certainly before touch; None if it follows from the pulse itself.
+    overlapping : bool
+        Whether another impact begins before this one is over, or this one before the previous is over.
+    clipped : bool
+        Whether three samples in a row hold the highest or lowest value.
+    cut : bool
+        Whether the recording begins or ends within the impact.
+    problem : str
+        Why the impact cannot be measured, if the frame does not show it; else empty.
+    detection_limit : float
+        Least height of a pulse over the standard deviation of the noise, for measuring it.
     """
 
     channel: int

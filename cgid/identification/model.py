@@ -175,12 +175,16 @@ class Model:
         return Neighbourhood(self.arrays[names[0]], self.arrays[names[1]], self.neighbourhood_limit)
 
     def probabilities(self, inputs: Floats) -> Floats:
-        """Return the probability of each label, (n_impacts, n_labels).
+        """Return the probability of each label.
 
         Parameters
         ----------
         inputs : ndarray, (n_impacts, n_inputs)
             In the order of `self.inputs`.
+
+        Returns
+        -------
+        ndarray, (n_impacts, n_labels)
         """
         found = _in_blocks(
             lambda rows: softmax(self._classifier.scores(rows) / self.temperature),

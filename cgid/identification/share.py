@@ -50,12 +50,18 @@ class Share:
 
     Attributes
     ----------
-    time : end of the window [s]
-    start : its begin [s]; impacts after it and up to `time` count
-    share : posterior mean; nan without any impact
-    low, high : shortest interval of probability `LEVEL`; 0 and 1 without any impact
-    n_impacts : impacts that were identified
-    n_unknown : unmeasurable impacts or those outside of the training range, which do not count
+    time : float [s]
+        End of the window.
+    start : float [s]
+        Begin of the window; impacts after it and up to `time` count.
+    share : float
+        Posterior mean; nan without any impact.
+    low, high : float
+        Shortest interval of probability `LEVEL`; 0 and 1 without any impact.
+    n_impacts : int
+        Impacts that were identified.
+    n_unknown : int
+        Unmeasurable impacts or those outside of the training range, which do not count.
     """
 
     time: float
@@ -69,11 +75,22 @@ class Share:
 
 
 class ShareWindow:
-    """The impacts of the last `length` seconds, and their gangue share.
+    """The impacts of the last seconds, and their gangue share.
 
-    `trained_share` in (0, 1) is that of gangue in the training of the model. `weight` in (0, 1] is that of one answer,
-    because overlapping windows repeat each other: 1 end to end, 0.5 for half overlap. Raises `InvalidValue`
-    for numbers outside of these ranges.
+    Parameters
+    ----------
+    length : float [s]
+        Of the window.
+    trained_share : float, in (0, 1)
+        Share of gangue in the training of the model.
+    weight : float, in (0, 1]
+        Weight of one answer, because overlapping windows repeat each other: 1 end to end, 0.5 for half overlap.
+    channel : str
+
+    Raises
+    ------
+    InvalidValue
+        A number is outside of its range.
 
     Examples
     --------
@@ -216,7 +233,15 @@ class Shutting:
 class CavingWatch:
     """Follow the answers of a recording, each channel by itself: a channel is a support with its own window.
 
-    The share window, its step, the labels and the cost of gangue come from the question; `weight` as in `ShareWindow`.
+    Parameters
+    ----------
+    model : Model
+    channels : sequence of str
+        Names of the channels.
+    question : Question
+        Holds the share window, its step, the labels and the cost of gangue.
+    weight : float
+        As in `ShareWindow`.
     """
 
     def __init__(self, model: Model, channels: Sequence[str], question: Question, weight: float = 1.0) -> None:
@@ -290,8 +315,21 @@ _Z = 1.959963984540054
 
 
 def wilson_interval(share: float, total: float) -> tuple[float, float]:
-    """Return the 95 % score interval of a share of `total` independent trials (Wilson 1927).
+    """Return the 95 % score interval of a share of independent trials (Wilson 1927).
 
+    Parameters
+    ----------
+    share : float, in [0, 1]
+    total : float
+        Number of trials.
+
+    Returns
+    -------
+    tuple of two floats
+        Lower and upper end.
+
+    Examples
+    --------
     >>> [round(end, 4) for end in wilson_interval(0.9, 100)]
     [0.8256, 0.9448]
     """

@@ -101,7 +101,20 @@ def fft_filter(
 
 
 def filter_gain(frequency: Floats, sampling_rate: float, low: float | None, high: float | None, taper: float) -> Floats:
-    """Return the gain of `fft_filter` at frequencies [Hz], between 0 and 1."""
+    """Return the gain of `fft_filter`.
+
+    Parameters
+    ----------
+    frequency : ndarray [Hz]
+    sampling_rate : float [Hz]
+    low, high, taper : float or None
+        As in `fft_filter`.
+
+    Returns
+    -------
+    ndarray
+        Between 0 and 1.
+    """
     width = validation.number("taper", validation.between("taper", taper, 0, 1))
     nyquist = sampling_rate / 2
     gain = np.ones(frequency.shape)

@@ -31,10 +31,17 @@ class Modes:
     Mode r obeys `q_r'' + 2 zeta_r omega_r q_r' + omega_r^2 q_r = shape_r(impact) P / m_r`; a point of the panel moves
     by the sum of `shape_r(point) q_r`.
 
-    frequency : undamped natural frequencies [Hz], ascending, (n_modes,)
-    modal_mass : integral of mass per area times squared shape [kg], (n_modes,)
-    length, width : size of the panel [m]
-    shapes : functions over the unit square, each with mean square 1/4
+    Parameters
+    ----------
+    frequency : ndarray, (n_modes,) [Hz]
+        Undamped natural frequencies, ascending.
+    damping_ratio : ndarray, (n_modes,)
+    modal_mass : ndarray, (n_modes,) [kg]
+        Integral of mass per area times squared shape.
+    length, width : float [m]
+        Size of the panel.
+    shapes : callable
+        Functions over the unit square, each with mean square 1/4.
     """
 
     frequency: Floats
@@ -48,19 +55,37 @@ class Modes:
         validation.hold(self, "frequency", "damping_ratio", "modal_mass")
 
     def shape(self, x: ArrayLike, y: ArrayLike) -> Floats:
-        """Return the dimensionless shapes (*points, n_modes) of all modes at points of the panel.
+        """Return the dimensionless shapes of all modes at points of the panel.
 
-        x [m] runs from the held edge along the length, y [m] from one side over the width; they broadcast. A point off
-        the panel raises `InvalidValue`.
+        Parameters
+        ----------
+        x, y : array_like [m]
+            Along the length from the held edge, and over the width from one side; they broadcast.
+
+        Returns
+        -------
+        ndarray, (..., n_modes)
+
+        Raises
+        ------
+        InvalidValue
+            A point lies off the panel.
         """
         along, across = validation.broadcast(x=on_panel("x", x, self.length), y=on_panel("y", y, self.width))
         values = self.shapes.at(along.ravel(), across.ravel())
         return values.reshape(*along.shape, self.frequency.size)
 
     def participation(self, impact: Point, sensor: Point) -> Floats:
-        """Return `shape(impact) shape(sensor) / modal_mass` of each mode [1/kg], (*points, n_modes).
+        """Return `shape(impact) shape(sensor) / modal_mass` of each mode.
 
-        `impact` and `sensor` are the points (x, y) [m] of the force and of the measured motion.
+        Parameters
+        ----------
+        impact, sensor : tuple of two array_like [m]
+            The points (x, y) of the force and of the measured motion.
+
+        Returns
+        -------
+        ndarray, (..., n_modes) [1/kg]
         """
         return self.shape(*impact) * self.shape(*sensor) / self.modal_mass
 
@@ -95,10 +120,16 @@ def on_panel(name: str, value: ArrayLike, extent: float) -> Floats:
 class MeasuredModes:
     """Modes from a tap test, for one point of impact and one sensor; all fields are (n_modes,).
 
-    frequency : [Hz], above 0, ascending
-    damping_ratio : above 0 and below 1
-    modal_mass : [kg], above 0, consistent with the scale of the shapes
-    shape_impact, shape_sensor : dimensionless shapes at the two points
+    Parameters
+    ----------
+    frequency : array_like [Hz]
+        Above 0, ascending.
+    damping_ratio : array_like
+        Above 0 and below 1.
+    modal_mass : array_like [kg]
+        Above 0, consistent with the scale of the shapes.
+    shape_impact, shape_sensor : array_like
+        Dimensionless shapes at the two points.
     """
 
     frequency: ArrayLike
@@ -141,9 +172,25 @@ def read_measured_modes(path: str | Path) -> MeasuredModes:
 
     The first line names the columns with their units, in any order: `frequency [Hz]`, `damping_ratio [1]`,
     `modal_mass [kg]`, `shape_impact [1]`, `shape_sensor [1]`; other columns are ignored. Each further line holds one
-    mode; empty lines and lines that begin with # are ignored. A file that cannot be opened raises `NoInput`; one that
-    is not regular, too large or invalid raises `BadData`, with the line of the error.
+    mode; empty lines and lines that begin with # are ignored.
 
+    Parameters
+    ----------
+    path : str or Path
+
+    Returns
+    -------
+    MeasuredModes
+
+    Raises
+    ------
+    NoInput
+        The file cannot be opened.
+    BadData
+        The file is not regular, too large or invalid; the message names the line.
+
+    Examples
+    --------
     >>> import tempfile
     >>> with tempfile.TemporaryDirectory() as folder:
     ...     file = Path(folder) / "tap.csv"

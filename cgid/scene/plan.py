@@ -61,7 +61,15 @@ _MOST_LISTED = 13
 
 
 class Decision(NamedTuple):
-    """Whether a stage runs, why, and the error of what it omits, relative to the peak (0: nothing changes)."""
+    """Whether a stage runs, and why.
+
+    Attributes
+    ----------
+    runs : bool
+    why : str
+    error_bound : float
+        Error of what is omitted, relative to the peak; 0 if nothing changes.
+    """
 
     runs: bool
     why: str
@@ -74,10 +82,14 @@ class Plan:
 
     Attributes
     ----------
-    outputs : out of `OUTPUTS`
-    features : out of `cgid.measure.features`; empty unless features are requested
-    quantities : out of `QUANTITIES`: those requested or needed for other outputs
-    dtype : of stored samples
+    outputs : frozenset of str
+        Requested outputs, out of `OUTPUTS`.
+    features : tuple of str
+        Names of features; empty unless features are requested.
+    quantities : tuple of str
+        Out of `QUANTITIES`: those requested or needed for other outputs.
+    dtype : {"float32", "float64"}
+        Of stored samples.
     """
 
     scene: Scene
@@ -167,9 +179,30 @@ def plan(
     forces without beam and sensor, "frames" are signals as the sensor gives them. "features" are measured on such
     signals, which are kept only if frames are requested as well. A stream has "recordings" and nothing else.
 
-    Features default to all of the sensor's kind that sampling rate and frames allow, quantities to all. Raises
-    `InvalidValue` for unknown names, and where the requests contradict each other or the scene.
+    Parameters
+    ----------
+    scene : Scene
+    outputs : iterable of str
+        Any of "parameters", "closed-form", "pulses", "frames", "features", "recordings".
+    features : iterable of str, optional
+        By default all of the sensor's kind that sampling rate and frames allow.
+    quantities : iterable of str, optional
+        Of the closed forms; by default all.
+    dtype : {"float32", "float64"}
+        Of stored samples.
 
+    Returns
+    -------
+    Plan
+        Its `decisions` say for every stage whether it runs, and why.
+
+    Raises
+    ------
+    InvalidValue
+        A name is unknown, or the requests contradict each other or the scene.
+
+    Examples
+    --------
     >>> from cgid.scene import load_scene
     >>> from cgid.shipped import scene_path
     >>> asked = plan(load_scene(scene_path("reference")), ["closed-form"], quantities=["contact_duration"])

@@ -66,7 +66,14 @@ Progress = Callable[[int], object]
 class Repair:
     """The result for one finding.
 
-    told : the action taken, or the reason for its failure
+    Attributes
+    ----------
+    finding : Finding
+        What was damaged or missing.
+    done : bool
+        Whether the file is whole again.
+    told : str
+        The action taken, or the reason for its failure.
     """
 
     finding: Finding
@@ -77,9 +84,24 @@ class Repair:
 def repair(verified: Verified, scene: Scene | None = None, progress: Progress | None = None) -> Iterator[Repair]:
     """Make damaged or missing files again, each atomically, and remove the leftovers of killed runs.
 
-    Yields a `Repair` for each finding that is neither foreign nor pending. Only a dataset with a recorded background
-    needs `scene`. `progress` receives the number of signals or samples made since the last call.
-    Raises `CannotCreate` if a run writes into the folder or another dataset has replaced it since it was verified.
+    Parameters
+    ----------
+    verified : Verified
+        The result of `cgid.store.verification.verify`.
+    scene : Scene, optional
+        Only a dataset with a recorded background needs it.
+    progress : callable, optional
+        Is called with the number of signals or samples made since the last call.
+
+    Yields
+    ------
+    Repair
+        For each finding that is neither foreign nor pending.
+
+    Raises
+    ------
+    CannotCreate
+        A run writes into the folder, or another dataset has replaced it since it was verified.
     """
     room = _Room(verified.path)
     # Manifest and sums come last because they are made from the other files.

@@ -135,9 +135,18 @@ class Finding:
 class Verified:
     """The result of `verify`.
 
-    kind : "dataset", "recording", "table", or "file" if it is too damaged to tell
-    n_files : number of examined files
-    manifest : manifest of a folder of shards, if it is sound
+    Attributes
+    ----------
+    path : Path
+        What was examined.
+    kind : str
+        "dataset", "recording", "table", or "file" if it is too damaged to know.
+    n_files : int
+        Number of examined files.
+    findings : tuple of Finding
+        Each damaged, missing or surplus file.
+    manifest : Manifest or None
+        Manifest of a folder of shards, if it is sound.
     """
 
     path: Path
@@ -157,7 +166,20 @@ def verify(path: str | Path) -> Verified:
 
     Files in a folder are compared with their SHA-256, which finds every change. Where it differs or is unknown, every
     chunk is compared with its checksum. A CSV table has no checksums: only damage that makes it unreadable is found.
-    Raises `NoInput` if the path does not exist or cannot be read.
+
+    Parameters
+    ----------
+    path : str or Path
+
+    Returns
+    -------
+    Verified
+        Its `findings` are empty if nothing is damaged; `cgid.scene.repair.repair` takes it.
+
+    Raises
+    ------
+    NoInput
+        The path does not exist or cannot be read.
     """
     path = Path(path)
     try:
