@@ -301,11 +301,13 @@ def _plain_hdf5(path: Path, types: Mapping[tuple[str, str], str]) -> Iterator[Ca
     places = [f"columns/{name.replace('/', '|')}" for name, _unit in types]
     joined = dict(zip(places, map(np.concatenate, blocks), strict=True))
     units = {place: unit for place, (_name, unit) in zip(places, types, strict=True) if unit}
-    dtypes = {
-        place: string_dtype("utf-8", column.itemsize) if column.dtype.kind == "S" else column.dtype
+    # Else HDF5 takes texts for ASCII.
+    joined |= {
+        place: column.astype(string_dtype("utf-8", column.itemsize))
         for place, column in joined.items()
+        if column.dtype.kind == "S"
     }
-    with _hdf5_columns(path, dtypes, units, {}) as append:
+    with _hdf5_columns(path, {place: column.dtype for place, column in joined.items()}, units, {}) as append:
         append(joined)
 
 
