@@ -21,7 +21,7 @@ from cgid.measure.overview import Overview
 from cgid.plots import COLOURS, Mark, colours_of, hertz, overview_figure, picture, share_figure, written
 from cgid.plots.figure import NEUTRAL
 from cgid.recordings import Channel, RecordingFile
-from cgid.terminal import printable
+from cgid.terminal import counted, printable
 from cgid.validation import UNKNOWN
 
 #: Longest list of names that is written in full.
@@ -104,7 +104,7 @@ def recording_facts(recording: RecordingFile, overview: Overview, channels: Sequ
         "file": recording.source,
         "format": recording.format,
         "sampling rate": hertz(recording.sampling_rate),
-        "length": f"{overview.duration:.6g} s ({overview.n_samples} samples a channel)",
+        "length": f"{overview.duration:.6g} s ({counted(overview.n_samples, 'sample')} a channel)",
     }
     if recording.start_time is not None:
         facts["started"] = recording.start_time.isoformat(sep=" ")

@@ -315,8 +315,16 @@ CASES = (
     Case("label of a page", ("train", "tagged.h5", "-o", "new.npz"), 65, ("tagged.h5: label must be", "'<b>'")),
     Case("verify no name", ("verify", ""), 2, ("'DATA...'", "must not be empty")),
     Case("model of junk", ("predict", "good.csv", "--model", "text.npz"), 65, ("text.npz", "no sound model")),
-    Case("unknown label in costs", ("predict", "good.csv", "--cost", "granite=2"), 65, ("granite",)),
-    Case("cost that is no number", ("predict", "good.csv", "--cost", "coal=much"), 2, ("LABEL=COST",)),
+    Case("unknown label in costs", ("predict", "good.csv", "--miss-cost", "granite=2"), 65, ("granite",)),
+    Case("former name of a cost", ("predict", "good.csv", "--cost", "coal=2"), 2, ("give --miss-cost coal=2",)),
+    Case("former cost of gangue", ("monitor", "--gangue-cost", "3"), 2, ("give --dilution-cost 3",)),
+    Case(
+        "rows in a text file", ("predict", "good.csv", "-o", "rows.txt"), 73, ("rows.txt", ".csv or .jsonl or .parquet")
+    ),
+    Case("rows over a recording", ("predict", "good.csv", "-o", "good.csv"), 73, ("good.csv", "--overwrite")),
+    Case("rows in no folder", ("features", "good.csv", "-o", "no/rows.csv"), 73, ("folder no must exist",)),
+    Case("rows as JSON and in a file", ("features", "good.csv", "--json", "-o", "new.csv"), 2, ("--json", "-o")),
+    Case("cost that is no number", ("predict", "good.csv", "--miss-cost", "coal=much"), 2, ("LABEL=COST",)),
     Case(
         "model of an older version",
         ("predict", "good.csv", "--model", "old.npz"),
@@ -359,7 +367,7 @@ CASES = (
     ),
     Case(
         "coverage and costs",
-        ("predict", "good.csv", "--coverage", "0.9", "--cost", "coal=2"),
+        ("predict", "good.csv", "--coverage", "0.9", "--miss-cost", "coal=2"),
         65,
         ("costs and coverage", "leave one out"),
     ),

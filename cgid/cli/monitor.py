@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from cgid.cli.answer_rows import AnswerLines, RecordingRows
 from cgid.cli.options import PATH, Models, answering_options, dead_time_option, question_of, warn_of_model
+from cgid.cli.table import TableOutput
 
 if TYPE_CHECKING:
     from cgid.identification.question import Question
@@ -162,9 +163,10 @@ def monitor(
 ) -> None:
     """Identify the impacts in STREAM as they come: raw numbers or WAV; - is stdin.
 
-    Each channel is a support with a gangue share of its own, printed ten times within its window and once in a pause. A
-    line SHUT says that going on begins to cost more than it brings: drawn gangue (--gangue-cost) against lost coal (1);
-    OPEN, that it pays again. Nothing is dropped: whoever is slower than the stream says how far behind.
+    Stdout is one CSV table, a row an impact. All else goes to stderr: each channel is a support with a gangue share of
+    its own, printed ten times within its window and once in a pause. A line SHUT says that going on begins to cost more
+    than it brings: drawn gangue (--dilution-cost) against lost coal (1); OPEN, that it pays again. Nothing is dropped:
+    whoever is slower than the stream says how far behind.
     """
     from cgid import validation
     from cgid.identification.question import SHARE_TIME
@@ -183,7 +185,8 @@ def monitor(
             unit=unit,
             source=source,
         )
-        _follow(live, scale, models, question, AnswerLines(as_json))
+        with TableOutput() as table:
+            _follow(live, scale, models, question, AnswerLines(as_json, table))
 
 
 def _follow(live: Any, scale: float, models: Models, question: Question, lines: AnswerLines) -> None:

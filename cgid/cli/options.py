@@ -163,6 +163,18 @@ printing_options = _options(
     click.option("--json", "as_json", is_flag=True, help="One JSON object a line."),
     click.option("--strict", is_flag=True, help="Stop at the first file that fails."),
 )
+
+
+def _renamed(old: str, new: str) -> Callable[[F], F]:
+    """Return a hidden option that refuses the former name of another one."""
+
+    def refuse(context: click.Context, _option: click.Parameter, value: str | None) -> None:
+        if value is not None:
+            raise click.UsageError(f"{old} is called {new} now; give {new} {value}", context)
+
+    return click.option(old, hidden=True, expose_value=False, is_eager=True, callback=refuse)
+
+
 #: Options that choose the model and state the question, as `question_of` takes them.
 answering_options = _options(
     click.option(
@@ -171,8 +183,13 @@ answering_options = _options(
     click.option("--mass", type=float, help="Mass of the accelerated striker [kg]: force = mass x acceleration."),
     click.option("--drop-height", type=float, help="How far the rocks fell [m], for a model that needs to know."),
     click.option(
-        "--cost", "costs", multiple=True, metavar="LABEL=COST", help="What missing this label costs, 1 by default."
+        "--miss-cost",
+        "costs",
+        multiple=True,
+        metavar="LABEL=COST",
+        help="What it costs to miss this label, 1 if not given.",
     ),
+    _renamed("--cost", "--miss-cost"),
     click.option(
         "--coverage",
         type=float,
@@ -196,7 +213,12 @@ answering_options = _options(
     ),
     click.option("--window", "share_time", type=float, help="The gangue share looks back this long [s], 10."),
     click.option("--gangue", multiple=True, metavar="LABEL", help="Label that is gangue; may be given again."),
-    click.option("--gangue-cost", type=float, help="What a drawn gangue costs, in lost coal, 1: says when to shut."),
+    click.option(
+        "--dilution-cost",
+        type=float,
+        help="What drawn gangue costs, in units of lost coal, 1 if not given; says when to shut.",
+    ),
+    _renamed("--gangue-cost", "--dilution-cost"),
 )
 
 
@@ -208,7 +230,7 @@ def question_of(
     from cgid.identification.question import Question
 
     dead_time, by_label = dead_time_in_seconds(milliseconds), dict(_cost(text) for text in costs)
-    flags = {"vote_time": ("--vote", "s"), "share_time": ("--window", "s"), "gangue_cost": ("--gangue-cost", "")}
+    flags = {"vote_time": ("--vote", "s"), "share_time": ("--window", "s"), "dilution_cost": ("--dilution-cost", "")}
     for name, (flag, unit) in flags.items():
         rule = validation.not_negative if flag == "--vote" else validation.positive
         if settings[name] is not None:
@@ -223,7 +245,7 @@ def _cost(text: str) -> tuple[str, float]:
     try:
         return label, float(cost)
     except ValueError:
-        raise click.UsageError(f"--cost must be LABEL=COST such as gangue=3, got {text!r}") from None
+        raise click.UsageError(f"--miss-cost must be LABEL=COST such as gangue=3, got {text!r}") from None
 
 
 class Models:

@@ -10,6 +10,7 @@ import click
 
 from cgid.cli.options import PATH, Reading, reading_options
 from cgid.cli.output import print_json, say
+from cgid.terminal import counted
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -218,5 +219,5 @@ def _facts(recording: RecordingFile, duration: float, marks: Sequence[Mark] | No
     if recording.start_time is not None:
         facts.append(f"started {recording.start_time:%Y-%m-%d %H:%M:%S}")
     if marks is not None:
-        facts.append(f"{len(marks)} impact{'' if len(marks) == 1 else 's'} found" if marks else "no impacts found")
+        facts.append(f"{counted(len(marks), 'impact')} found" if marks else "no impacts found")
     return ", ".join(facts)

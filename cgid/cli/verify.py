@@ -9,6 +9,7 @@ import click
 
 from cgid.cli.options import PATH
 from cgid.cli.output import each_file, print_json, progress_bar, say
+from cgid.terminal import counted
 
 #: Problems that are only reported.
 _KEPT = ("pending", "foreign")
@@ -99,7 +100,7 @@ def _tell(path: str, kind: str, n_files: int, lines: list[dict[str, Any]], whole
         print_json({"source": path, "kind": kind, "files": n_files, "whole": whole, "findings": lines})
         return
     state = ("repaired" if any(line.get("repaired") for line in lines) else "whole") if whole else "damaged"
-    say(f"{path}: {kind} of {n_files} file{'s' * (n_files > 1)}, {state}")
+    say(f"{path}: {kind} of {counted(n_files, 'file')}, {state}")
     for line in lines:
         told = f"; {'repaired' if line['repaired'] else 'not repaired'}: {line['told']}" if "repaired" in line else ""
         say(f"  {line['file']}: {line['problem']}: {line['what'].removeprefix(line['file'] + ': ')}{told}")

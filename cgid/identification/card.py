@@ -13,7 +13,7 @@ from cgid.files import check_new, write_together
 from cgid.identification.detection import VIBRATION_DEAD_TIME
 from cgid.identification.model import Model
 from cgid.signals import KNOWN
-from cgid.terminal import printable
+from cgid.terminal import counted, printable
 
 if TYPE_CHECKING:
     from cgid.identification.training import Training
@@ -184,7 +184,7 @@ def _of_recordings(model: Model, recorded: Record) -> list[tuple[str, str]]:
     if model.sensors:
         found.append(("reference spectra of sensors", ", ".join(map(plain, model.sensors))))
     if recorded["failures"]:
-        found.append(("could not be read", f"{len(recorded['failures'])} recordings"))
+        found.append(("could not be read", counted(len(recorded["failures"]), "recording")))
     return found
 
 

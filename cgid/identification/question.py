@@ -59,7 +59,7 @@ class Question:
         Time between the ends of successive windows of shares; None: half a window.
     gangue : tuple of str
         Labels of rocks that must not be drawn; by default "gangue".
-    gangue_cost : float, optional
+    dilution_cost : float, optional
         Cost of one drawn gangue impact, in lost coal impacts; None: 1.
     """
 
@@ -76,7 +76,7 @@ class Question:
     share_time: float | None = None
     share_step: float | None = None
     gangue: tuple[str, ...] = ()
-    gangue_cost: float | None = None
+    dilution_cost: float | None = None
 
     def __post_init__(self) -> None:
         if self.costs and self.coverage is not None:
@@ -88,7 +88,7 @@ class Question:
         if not validation.positive("window", self.share_length, "s") >= SHORTEST_SHARE_TIME:
             raise InvalidValue(f"window must be at least {SHORTEST_SHARE_TIME:g} s, got {self.share_length:g} s")
         validation.positive("step", self.step, "s")
-        validation.positive("gangue_cost", self.cost_of_gangue)
+        validation.positive("dilution_cost", self.cost_of_dilution)
 
     # -- decision -------------------------------------------------------------------------------------
 
@@ -162,14 +162,14 @@ class Question:
         return self.gangue or ("gangue",)
 
     @property
-    def cost_of_gangue(self) -> float:
+    def cost_of_dilution(self) -> float:
         """Cost of one drawn gangue impact, in lost coal impacts."""
-        return 1.0 if self.gangue_cost is None else self.gangue_cost
+        return 1.0 if self.dilution_cost is None else self.dilution_cost
 
     @property
     def asks_for_shares(self) -> bool:
         """Whether an option asks for shares, so that even a single impact has them."""
-        return bool(self.gangue) or self.share_time is not None or self.gangue_cost is not None
+        return bool(self.gangue) or self.share_time is not None or self.dilution_cost is not None
 
     def separates_gangue(self, model: Model) -> bool:
         """Return whether a model separates gangue from other labels."""
