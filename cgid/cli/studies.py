@@ -7,6 +7,7 @@ from typing import Any
 
 import click
 
+from cgid.cli.help import Command
 from cgid.cli.options import PATH
 from cgid.cli.output import print_json, progress_bar, say
 
@@ -14,10 +15,10 @@ from cgid.cli.output import print_json, progress_bar, say
 _BLOCKS = 16
 
 
-@click.command(short_help="Validate a scene and say what it would make.")
+@click.command(cls=Command, short_help="Validate a scene and say what it would make.", example="cgid check reference")
 @click.argument("scene", type=PATH)
-@click.option("--seed", type=int, default=0, show_default=True)
-@click.option("--json", "as_json", is_flag=True, help="One JSON object.")
+@click.option("--seed", type=int, default=0, show_default=True, help="Choose the random numbers of the preview.")
+@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
 def check(scene: str, seed: int, as_json: bool) -> None:
     """Validate SCENE (a .toml file or the name of a shipped one), and preview 4096 of its impacts."""
     from cgid import shipped
@@ -178,17 +179,25 @@ _SURVEYED = 2000
 _NAMES = {"snr": "SNR [dB]", "sampling_rate": "rate [Hz]", "size_spread": "sizes [1]", "present": "as it is"}
 
 
-@click.command(short_help="Say how well anybody could tell a scene's labels apart.")
+@click.command(
+    cls=Command,
+    short_help="Say how well anybody could tell a scene's labels apart.",
+    example="cgid ceiling reference -n 2000",
+)
 @click.argument("scene", type=PATH)
-@click.option("-n", "--signals", "n_signals", type=int, default=20_000, show_default=True, help="To judge on.")
-@click.option("--seed", type=int, default=1_000_003, show_default=True, help="Of these signals.")
-@click.option("--drop-height", is_flag=True, help="It is known how far each rock fell.")
-@click.option("--learner", type=int, help="Also the accuracy of learners, trained on up to this many signals.")
+@click.option(
+    "-n", "--signals", "n_signals", type=int, default=20_000, show_default=True, help="Judge on this many signals."
+)
+@click.option(
+    "--seed", type=int, default=1_000_003, show_default=True, help="Choose the random numbers of these signals."
+)
+@click.option("--drop-height", is_flag=True, help="Take the drop height of each rock as known.")
+@click.option("--learner", type=int, help="Also train learners on up to this many signals, and print their accuracy.")
 @click.option(
     "--plot", "picture", type=PATH, help="Survey noise, sampling rate and spread of sizes: a PNG picture and a table."
 )
-@click.option("--overwrite", is_flag=True, help="Replace an old picture.")
-@click.option("--json", "as_json", is_flag=True, help="One JSON object.")
+@click.option("--overwrite", is_flag=True, help="Replace an existing picture.")
+@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
 def ceiling(
     scene: str,
     n_signals: int,
@@ -316,13 +325,17 @@ def _say_survey(survey: dict[str, Any]) -> None:
         )
 
 
-@click.command(short_help="Compute the paper's figures and tables, and a report.")
-@click.option("-o", "--output", type=PATH, required=True, help="Folder for the pictures, the data and report.md.")
-@click.option("--overwrite", is_flag=True, help="Replace such files in a folder that is not empty; others stay.")
+@click.command(
+    cls=Command, short_help="Compute the paper's figures and tables, and a report.", example="cgid reproduce -o paper"
+)
+@click.option(
+    "-o", "--output", type=PATH, required=True, help="Write the pictures, the data and report.md into this folder."
+)
+@click.option("--overwrite", is_flag=True, help="Replace files of these names in the folder; others stay.")
 @click.option(
     "--finite-element", is_flag=True, help="Simulate all impacts anew (minutes), and write finite_element.npz, too."
 )
-@click.option("--jobs", type=int, help="Worker processes of --finite-element.  [default: all cores]")
+@click.option("--jobs", type=int, help="Number of worker processes of --finite-element, by default one per core.")
 def reproduce(output: str, overwrite: bool, finite_element: bool, jobs: int | None) -> None:
     """Compute the figures and tables of Yang, Zeng & Wan (2018), and judge what the paper says.
 
