@@ -9,7 +9,7 @@ from typing import Any
 import click
 
 from cgid.cli.help import Command
-from cgid.cli.options import PATH, crew_options, require_one_crew
+from cgid.cli.options import PATH, SCENE, crew_options, require_one_crew
 from cgid.cli.output import print_json, progress_bar, say
 
 #: Options for tables and their outputs; and the options that choose the columns, with the table that they need.
@@ -27,7 +27,7 @@ _OF_DATASETS = (*_OF_RECORDINGS, "shard_signals", "compression", "jobs", "schedu
 @click.command(
     cls=Command, short_help="Make a dataset from a scene.", example="cgid generate reference -n 1000 -o data"
 )
-@click.argument("scene", type=PATH)
+@click.argument("scene", type=SCENE)
 @click.option(
     "-o",
     "--output",
@@ -90,11 +90,10 @@ def generate(context: click.Context, /, scene: str, **options: Any) -> None:
     with a stream makes recordings, each with the truth of its impacts.
     """
     output = _checked_output(context)
-    from cgid import shipped
     from cgid.scene import load_scene
     from cgid.scene.plan import plan
 
-    loaded = load_scene(shipped.scene_path(scene))
+    loaded = load_scene(scene)
     if loaded.stream is not None:
         if output != "frames":
             raise click.UsageError(

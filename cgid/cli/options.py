@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from contextlib import suppress
 from dataclasses import dataclass, fields
 from functools import wraps
@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
+from click.shell_completion import CompletionItem
 
 from cgid.cli.output import say
 from cgid.errors import InvalidValue, NoInput
@@ -36,8 +37,37 @@ class PathName(click.types.StringParamType):
             self.fail("a name must not be empty; give one, or leave it out", param, ctx)
         return super().convert(value, param, ctx)
 
+    def shell_complete(self, ctx: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem]:
+        """Let the shell offer its files."""
+        return [CompletionItem(incomplete, type="file")]
 
-PATH = PathName()
+
+class SceneName(PathName):
+    """The name of a shipped scene, or of a scene file."""
+
+    def shell_complete(self, ctx: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem]:
+        """Offer the shipped scenes besides the files."""
+        from cgid.shipped import SCENES
+
+        return super().shell_complete(ctx, param, incomplete) + _matching(SCENES, incomplete)
+
+
+class ModelName(PathName):
+    """The name of a shipped model, or of a model file."""
+
+    def shell_complete(self, ctx: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem]:
+        """Offer the shipped models besides the files."""
+        from cgid.shipped import MODELS
+
+        return super().shell_complete(ctx, param, incomplete) + _matching(MODELS, incomplete)
+
+
+def _matching(names: Iterable[str], incomplete: str) -> list[CompletionItem]:
+    # Behind those of files: bash forgets what came before them.
+    return [CompletionItem(name) for name in names if name.startswith(incomplete)]
+
+
+PATH, SCENE, MODEL = PathName(), SceneName(), ModelName()
 
 
 def _options(*options: Callable[[Any], Any]) -> Callable[[F], F]:
@@ -180,7 +210,7 @@ answering_options = _options(
     click.option(
         "--model",
         "model_path",
-        type=PATH,
+        type=MODEL,
         help="Use this model: a file, or a shipped one such as default-acceleration; by default it follows the unit.",
     ),
     click.option(
@@ -279,7 +309,7 @@ class Models:
         from cgid.identification.model import Model
 
         if self._path is not None:
-            return Model.load(self._path)
+            return Model.load(shipped.model_path(self._path))
         if self._question.drop_height is not None:
             with suppress(NoInput):
                 return Model.load(shipped.path_of("models", shipped.DROP_HEIGHT_MODEL))

@@ -8,7 +8,7 @@ from typing import Any
 import click
 
 from cgid.cli.help import Command
-from cgid.cli.options import PATH
+from cgid.cli.options import PATH, SCENE
 from cgid.cli.output import print_json, progress_bar, say
 
 #: Blocks of 256 impacts in the preview.
@@ -16,18 +16,30 @@ _BLOCKS = 16
 
 
 @click.command(cls=Command, short_help="Validate a scene and say what it would make.", example="cgid check reference")
-@click.argument("scene", type=PATH)
+@click.argument("scene", type=SCENE, required=False)
+@click.option("--list", "as_list", is_flag=True, help="Print the names of the scenes that come with cgid.")
 @click.option("--seed", type=int, default=0, show_default=True, help="Choose the random numbers of the preview.")
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
-def check(scene: str, seed: int, as_json: bool) -> None:
+def check(scene: str | None, as_list: bool, seed: int, as_json: bool) -> None:
     """Validate SCENE (a .toml file or the name of a shipped one), and preview 4096 of its impacts."""
     from cgid import shipped
+
+    if as_list:
+        texts = shipped.scene_descriptions()
+        if as_json:
+            print_json({"scenes": texts})
+        for name, text in {} if as_json else texts.items():
+            say(f"{name:<12}{text}")
+        return
+    if scene is None:
+        raise click.UsageError("give a SCENE, or --list for those that come with cgid")
     from cgid.scene import load_scene
     from cgid.scene.noise import background_of
 
-    loaded = load_scene(shipped.scene_path(scene))
+    loaded = load_scene(scene)
     background_of(loaded)  # raises if its recording cannot be read
-    preview = _preview(loaded, seed)
+    # Whoever wrote a scene is warned; what is so in a shipped one is meant.
+    preview = _preview(loaded, seed, "remarks" if scene in shipped.SCENES else "warnings")
     if loaded.stream is not None:
         preview |= _stream(loaded)
     if as_json:
@@ -50,11 +62,13 @@ def check(scene: str, seed: int, as_json: bool) -> None:
     say("share of the labels: " + ", ".join(f"{k} {v:.3f}" for k, v in preview["labels"].items()))
     for name, (low, middle, high) in preview["quantiles_5_50_95"].items():
         say(f"{name:<28} 5 % {low:>11.4g}   median {middle:>11.4g}   95 % {high:>11.4g}")
+    for text, share in preview["remarks"].items():
+        say(f"known of this scene: {share:.2%} of the impacts {text.partition(';')[0]}")
     for text, share in preview["warnings"].items():
         say(f"cgid: warning: {share:.2%} of the impacts {text}", err=True)
 
 
-def _preview(scene: Any, seed: int) -> dict[str, Any]:
+def _preview(scene: Any, seed: int, told_as: str) -> dict[str, Any]:
     import numpy as np
 
     from cgid.scene.draws import BLOCK, parameter_units
@@ -81,7 +95,9 @@ def _preview(scene: Any, seed: int) -> dict[str, Any]:
         "quantiles_5_50_95": {
             name: np.quantile(column, [0.05, 0.5, 0.95]).tolist() for name, column in known.items() if column.size
         },
-        "warnings": {text: share for text, share in shares.items() if share > 0},
+        "remarks": {},
+        "warnings": {},
+        told_as: {text: share for text, share in shares.items() if share > 0},
     }
 
 
@@ -184,7 +200,7 @@ _NAMES = {"snr": "SNR [dB]", "sampling_rate": "rate [Hz]", "size_spread": "sizes
     short_help="Say how well anybody could tell a scene's labels apart.",
     example="cgid ceiling reference -n 2000",
 )
-@click.argument("scene", type=PATH)
+@click.argument("scene", type=SCENE)
 @click.option(
     "-n", "--signals", "n_signals", type=int, default=20_000, show_default=True, help="Judge on this many signals."
 )
@@ -212,14 +228,13 @@ def ceiling(
 
     Bayes' rule, which knows the scene, is applied to each of many signals: no classifier can be right more often.
     """
-    from cgid import shipped
     from cgid.ceiling.bayes import ceiling as ceiling_of
     from cgid.ceiling.bayes import check_covered
     from cgid.ceiling.learner import bracket, sizes_up_to
     from cgid.ceiling.survey import untrusted
     from cgid.scene import load_scene
 
-    loaded = load_scene(shipped.scene_path(scene))
+    loaded = load_scene(scene)
     check_covered(loaded)
     sizes = () if learner is None else sizes_up_to(learner)
     path = None if picture is None else _checked(Path(picture), overwrite)

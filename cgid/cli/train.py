@@ -10,7 +10,7 @@ import click
 
 from cgid import validation
 from cgid.cli.help import Command
-from cgid.cli.options import PATH, crew_options, dead_time_in_seconds, require_one_crew
+from cgid.cli.options import PATH, SCENE, crew_options, dead_time_in_seconds, require_one_crew
 from cgid.cli.output import print_json, progress_bar, say, say_error
 from cgid.errors import CgidError, InvalidValue
 
@@ -38,7 +38,7 @@ _OF_DATASETS = {
     short_help="Train a model on datasets, on a scene, or on recordings.",
     example="cgid train reference -n 2000 -o model.npz",
 )
-@click.argument("data", type=PATH, nargs=-1, required=True, metavar="DATA...")
+@click.argument("data", type=SCENE, nargs=-1, required=True, metavar="DATA...")
 @click.option(
     "-o",
     "--output",
@@ -316,6 +316,6 @@ def _batches(data: list[str], n_signals: int, seed: int) -> Iterator[Any]:
             from cgid.scene.generation import MOST_SIGNALS
 
             validation.whole("signals", n_signals, 1, MOST_SIGNALS)
-            yield from synthesise(load_scene(shipped.scene_path(item)), n_signals, seed)
+            yield from synthesise(load_scene(item), n_signals, seed)
         else:
             yield from Dataset(item).batches(check_sums=True)

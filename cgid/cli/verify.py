@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from cgid.cli.help import Command
-from cgid.cli.options import PATH
+from cgid.cli.options import PATH, SCENE
 from cgid.cli.output import each_file, print_json, progress_bar, say
 
 if TYPE_CHECKING:
@@ -26,7 +26,7 @@ _NO_SUM = "no checksum, "
 )
 @click.argument("data", type=PATH, nargs=-1, required=True, metavar="DATA...")
 @click.option("--repair", is_flag=True, help="Make again what is damaged, and remove what stopped runs have left.")
-@click.option("--scene", type=PATH, help="Give the scene file of a dataset, if that names a recorded background.")
+@click.option("--scene", type=SCENE, help="Give the scene file of a dataset, if that names a recorded background.")
 @click.option("--variable", help="Choose an array, table or group if a recording holds several.")
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object for each DATA.")
 def verify(data: tuple[str, ...], repair: bool, scene: str | None, variable: str | None, as_json: bool) -> int:
@@ -40,19 +40,17 @@ def verify(data: tuple[str, ...], repair: bool, scene: str | None, variable: str
     if scene is not None and not repair:
         raise click.UsageError("--scene needs --repair: it says what to make files again from; give both or neither")
     from cgid.cli.info import is_model
-    from cgid.errors import BadData
 
     given = None
     if scene is not None:
-        from cgid import shipped
         from cgid.scene import load_scene
 
-        given = load_scene(shipped.scene_path(scene))
+        given = load_scene(scene)
 
     def treat(path: str) -> None:
-        if Path(path).is_fifo():  # reading it would never end
-            raise BadData(f"{path}: must be a regular file; copy it to one first")
-        if is_model(path):
+        if not _is_file(path):
+            _verify_data(path, repair, given, as_json)
+        elif is_model(path):
             _verify_model(path, as_json)
         elif _is_foreign(path):
             _verify_foreign(path, variable, as_json)
@@ -75,6 +73,13 @@ def _verify_model(path: str, as_json: bool) -> None:
     _tell(path, "model", 1, [], True, as_json)
 
 
+def _is_file(path: str) -> bool:
+    try:
+        return Path(path).is_file()
+    except OSError:  # such as a name too long
+        return False
+
+
 def _is_foreign(path: str) -> bool:
     """Return whether this is a file that cgid has not written, and so a recording of another program."""
     from cgid.recordings import is_dataset
@@ -84,7 +89,7 @@ def _is_foreign(path: str) -> bool:
     from cgid.store.sandbox import is_hdf5
 
     file = Path(path)
-    if not file.is_file() or is_table(path) or is_dataset(path) or is_recording(path):
+    if is_table(path) or is_dataset(path) or is_recording(path):
         return False
     return not is_single_file(file) or is_hdf5(file)
 
