@@ -6,9 +6,6 @@ matplotlib.
 
 from __future__ import annotations
 
-from importlib import import_module
-from typing import Any
-
 __version__ = "0.2.0.dev0"
 
 #: Public name -> module that defines it.
@@ -33,8 +30,10 @@ _HOMES = {
     "fft_filter": "cgid.measure.filters",
     "find_impacts": "cgid.identification.detection",
     "identify_recording": "cgid.identification.stream",
+    "load_model": "cgid.identification.prediction",
     "load_scene": "cgid.scene",
     "open_recording": "cgid.recordings",
+    "predict": "cgid.identification.prediction",
     "read_recording": "cgid.recordings",
     "reproduce": "cgid.reproduction",
     "synthesise": "cgid.scene",
@@ -44,11 +43,13 @@ _HOMES = {
 __all__ = sorted([*_HOMES, "__version__"])  # pyright: ignore[reportUnsupportedDunderAll]
 
 
-def __getattr__(name: str) -> Any:
+def __getattr__(name: str) -> object:
+    from importlib import import_module
+
     if name not in _HOMES:
         raise AttributeError(f"module 'cgid' has no attribute {name!r}")
     return getattr(import_module(_HOMES[name]), name)
 
 
 def __dir__() -> list[str]:
-    return sorted({*globals(), *_HOMES})
+    return __all__

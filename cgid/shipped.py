@@ -5,17 +5,21 @@ A wheel has them inside the package; a checkout, and so an editable install, has
 
 from __future__ import annotations
 
+from itertools import islice
 from pathlib import Path
 from typing import Literal
 
 from cgid.errors import NoInput
 
+#: Most files of a folder that are looked at for a suggestion.
+_MOST_FILES = 10_000
 _PACKAGE = Path(__file__).parent
 DEFAULT_MODEL = "default.npz"
 DROP_HEIGHT_MODEL = "default-drop-height.npz"
 ACCELERATION_MODEL = "default-acceleration.npz"
 SAMPLE = "sample.csv"
 FINITE_ELEMENT_IMPACTS = "finite_element.npz"
+MODELS = ("default", "default-drop-height", "default-acceleration")
 SCENES = ("reference", "peers", "yang2018", "strangers", "lookalikes", "randomised", "tail_beam", "plate", "caving")
 
 
@@ -33,6 +37,49 @@ def path_of(kind: Literal["datasets", "models"], name: str) -> Path:
     raise NoInput(f"{kind}/{name}: must come with cgid and is missing: install it again")
 
 
-def scene_path(scene: str) -> Path:
-    """Return the path of a scene: a file, or a shipped scene such as "reference"."""
-    return Path(scene) if scene not in SCENES else path_of("datasets", f"{scene}.toml")
+def scene_path(scene: str | Path) -> Path:
+    """Return the path of a scene: a file, or a shipped scene such as "reference".
+
+    Raises `NoInput` if there is neither; the message suggests a name.
+
+    Examples
+    --------
+    >>> scene_path("reference").name
+    'reference.toml'
+    >>> scene_path("reference.tml")
+    Traceback (most recent call last):
+        ...
+    cgid.errors.NoInput: reference.tml: no such scene; did you mean 'reference'?
+    """
+    return _chosen(scene, "datasets", SCENES, ".toml", "scene", "cgid check --list names those that come with cgid")
+
+
+def model_path(model: str | Path) -> Path:
+    """Return the path of a model: a file, or a shipped model such as "default"; raises as `scene_path`."""
+    return _chosen(model, "models", MODELS, ".npz", "model", f"those that come with cgid are {', '.join(MODELS)}")
+
+
+def scene_descriptions() -> dict[str, str]:
+    """Return what each shipped scene says about itself, in one line."""
+    import tomllib
+
+    texts = {name: path_of("datasets", f"{name}.toml").read_text(encoding="utf-8") for name in SCENES}
+    return {name: tomllib.loads(text)["description"] for name, text in texts.items()}
+
+
+def _chosen(
+    given: str | Path, kind: Literal["datasets", "models"], names: tuple[str, ...], ending: str, what: str, cure: str
+) -> Path:
+    if given in names:
+        return path_of(kind, f"{given}{ending}")
+    path = Path(given)
+    try:
+        if path.exists():
+            return path
+        there = [str(path.with_name(one.name)) for one in islice(path.parent.iterdir(), _MOST_FILES)]
+    except (OSError, ValueError):  # whoever opens it says what is wrong
+        return path
+    from cgid.validation import suggestion
+
+    hint = suggestion(path.stem, names) or suggestion(str(path), [name for name in there if name.endswith(ending)])
+    raise NoInput(f"{path}: no such {what}{hint or f'; {cure}'}")

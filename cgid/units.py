@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from cgid.errors import InvalidValue
-from cgid.validation import shown
+from cgid.validation import shown, suggestion
 
 #: Standard gravity [m/s^2], the factor of the unit g.
 STANDARD_GRAVITY = 9.80665
@@ -100,7 +100,9 @@ def quantity_of(unit: str) -> str:
         if unit in units:
             return quantity
     known = "; ".join(f"{quantity}: {', '.join(units)}" for quantity, units in UNITS.items())
-    raise InvalidValue(f"unit must be one of the known ones, got {unit!r} ({known})")
+    meant = known_unit(str(unit))
+    hint = suggestion(unit, sorted(KNOWN_UNITS)) if meant is None else f"; did you mean {meant!r}?"
+    raise InvalidValue(f"unit must be one of the known ones, got {unit!r}{hint} ({known})")
 
 
 def plain_unit(text: str) -> str:
@@ -173,7 +175,8 @@ def parse(value: Any, dimension: str) -> float:
         if unit not in units:
             known = ", ".join(name or "no unit" for name in units)
             article = "an" if dimension[0] in "aeiou" else "a"
-            raise ValueError(f"must be {article} {dimension} in {known}, got {shown(value)}")
+            hint = suggestion(unit, units)
+            raise ValueError(f"must be {article} {dimension} in {known}, got {shown(value)}{hint}")
         # Powers of ten go into the exponent, to avoid a second rounding: "136.51 GPa" equals 136.51e9.
         factor, exponent = units[unit], int(match[2] or 0)
         power = round(math.log10(factor))

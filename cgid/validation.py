@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import operator
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import Any
 
 import numpy as np
@@ -149,8 +149,29 @@ def broadcast(**values: Floats) -> tuple[Floats, ...]:
 def choice(name: str, value: str, allowed: tuple[str, ...] | dict[str, Any]) -> str:
     """Return `value` if it is one of `allowed`, else raise `InvalidValue` with the allowed names."""
     if not isinstance(value, str) or value not in allowed:
-        raise InvalidValue(f"{name} must be one of {', '.join(map(repr, allowed))}, got {shown(value)}")
+        known = ", ".join(map(repr, allowed))
+        raise InvalidValue(f"{name} must be one of {known}, got {shown(value)}{suggestion(value, allowed)}")
     return value
+
+
+def suggestion(given: Any, known: Iterable[str]) -> str:
+    """Return the end of a message about an unknown name: a question for the known one most like it, or nothing.
+
+    Examples
+    --------
+    >>> suggestion("Gange", ["coal", "gangue"]), suggestion("steel", ["coal", "gangue"])
+    ("; did you mean 'gangue'?", '')
+    """
+    found = similar(given, known) if isinstance(given, str) else []
+    return f"; did you mean {found[0]!r}?" if found else ""
+
+
+def similar(given: str, known: Iterable[str], n: int = 1, cutoff: float = 0.6) -> list[str]:
+    """Return up to `n` known names that are most like a given one, in upper or lower case; see `difflib`."""
+    import difflib
+
+    by_case = {name.lower(): name for name in known}
+    return [by_case[name] for name in difflib.get_close_matches(given[:80].lower(), by_case, n, cutoff)]
 
 
 def label(name: str, value: Any) -> str:

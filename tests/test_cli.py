@@ -20,8 +20,9 @@ import numpy as np
 import pytest
 
 from cgid.cli.main import cli, run
-from cgid.cli.options import PATH
+from cgid.cli.options import PathName
 from cgid.errors import MissingExtra, NoInput
+from cgid.shipped import SCENES
 from tests.bad_input import CASES, Case, make_files, pulse
 
 ROOT = Path(__file__).parents[1]
@@ -109,7 +110,7 @@ def test_short_memory_is_one_line(
     def fail(_: str) -> None:
         raise error
 
-    monkeypatch.setattr("cgid.shipped.scene_path", fail)
+    monkeypatch.setattr("cgid.scene.load_scene", fail)
     assert run(["check", "reference"]) == 65
     (line,) = capsys.readouterr().err.splitlines()
     assert line.startswith("cgid: error: memory ran short")
@@ -224,9 +225,28 @@ def test_check_previews_a_scene(capsys: pytest.CaptureFixture[str]) -> None:
     assert run(["check", "reference"]) == 0
     out, err = capsys.readouterr()
     assert "share of the labels" in out
-    assert "fewer than 20 samples on the contact" in err
+    assert "known of this scene: 3.96% of the impacts have fewer than 20 samples on the contact\n" in out
+    assert err == ""
+    assert run(["check", str(ROOT / "datasets" / "reference.toml")]) == 0
+    assert "fewer than 20 samples on the contact; raise sampling_rate" in capsys.readouterr().err
     assert run(["check", "yang2018", "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["labels"] == pytest.approx({"coal": 0.5, "gangue": 0.5}, abs=0.04)
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_a_shipped_scene_is_checked_without_warnings(name: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["check", name, "--json"]) == 0
+    out, err = capsys.readouterr()
+    assert (err, json.loads(out)["warnings"]) == ("", {})
+
+
+def test_shipped_scenes_are_listed(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["check", "--list"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert [line.split()[0] for line in lines] == list(SCENES)
+    assert lines[0].endswith("Coal and gangue of one seam on a steel half space, size unknown, 1 % noise")
+    assert run(["check", "--list", "--json"]) == 0
+    assert tuple(json.loads(capsys.readouterr().out)["scenes"]) == SCENES
 
 
 def test_generate_options(made: Path) -> None:
@@ -451,7 +471,7 @@ def test_an_empty_name_is_wrong_usage_for_every_path(tmp_path: Path, monkeypatch
     for name, command in cli.commands.items():
         needed = [one for one in command.params if one.required or isinstance(one, click.Argument)]
         for parameter in command.params:
-            if parameter.type is not PATH:
+            if not isinstance(parameter.type, PathName):
                 texts |= {parameter.name} if isinstance(parameter.type, click.types.StringParamType) else set()
                 continue
             arguments = [name]

@@ -244,7 +244,10 @@ NORMAL = {"distribution": "normal", "mean": "1400 kg/m^3", "deviation": "200 kg/
 @pytest.mark.parametrize(
     ("changes", "path", "says"),
     [
-        ({"sampling__jittter": 1}, "sampling.jittter", "unknown key"),
+        ({"sampling__jittter": 1}, "sampling.jittter", "unknown key; did you mean 'jitter'?"),
+        ({"sampel": {}}, "sampel", "unknown key; did you mean 'sampling'?"),
+        ({"impact__targt": "rigid"}, "impact.targt", "unknown key; did you mean 'target'?"),
+        ({"impact__stiffness": "herz"}, "impact.stiffness", "did you mean 'hertz'?"),
         ({"populations__1__youngs_modulus": "3 GHz"}, "populations.1.youngs_modulus", "'3 GHz'"),
         ({"populations__1__restitution": 0}, "populations.1.restitution", "between 0.05 and 1, got 0"),
         ({"populations__1__restitution": 1.2}, "populations.1.restitution", "got 1.2"),
@@ -387,9 +390,9 @@ def test_files_that_are_no_scene(tmp_path, written, says):
     assert str(caught.value).startswith(str(file))
 
 
-@pytest.mark.parametrize("path", ["none.toml", "."])
-def test_missing_file(tmp_path, path):
-    with pytest.raises(NoInput, match="cannot be read"):
+@pytest.mark.parametrize(("path", "says"), [("none.toml", "no such scene"), (".", "cannot be read")])
+def test_missing_file(tmp_path, path, says):
+    with pytest.raises(NoInput, match=says):
         load_scene(tmp_path / path)
 
 

@@ -15,6 +15,7 @@ from typing import Any
 import h5py
 import numpy as np
 import pytest
+from scipy.io import wavfile
 
 from benchmarks.bit_flips import Flip, everything_in, is_same, small_scene, some, subjects
 from cgid.cli.main import run
@@ -604,6 +605,46 @@ def test_verify_reads_models(tmp_path: Path, capsys: pytest.CaptureFixture[str])
     out, err = capsys.readouterr()
     assert out.splitlines()[0] == f"{model}: model of 1 file, whole"
     assert f"{damaged}: damaged" in out and err.count("cgid: error") == 1
+
+
+def test_a_recording_without_checksums_is_read_to_its_end(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Neither rate nor unit need to be known for that."""
+    nptdms = pytest.importorskip("nptdms")
+    samples = np.sin(np.arange(5000.0))
+    good = {name: tmp_path / name for name in ("a.csv", "a.wav", "a.tdms", "a.npz", "a.h5")}
+    np.savetxt(good["a.csv"], samples)
+    wavfile.write(good["a.wav"], 48_000, np.stack([samples, samples], 1).astype(np.float32))
+    with nptdms.TdmsWriter(good["a.tdms"]) as writer:
+        channel = nptdms.ChannelObject("g", "force", samples, {"wf_increment": 1e-5, "unit_string": "N"})
+        writer.write_segment([channel, nptdms.ChannelObject("g", "note", np.array([]), {})])
+    np.savez(good["a.npz"], force=samples)
+    with h5py.File(good["a.h5"], "w") as file:
+        file["force"] = samples
+    assert run(["verify", *map(str, good.values())]) == 0
+    out, err = capsys.readouterr()
+    assert (err, out.count("no checksum, readable")) == ("", 5)
+    assert f"{good['a.wav']}: recording of 1 file, no checksum, readable: WAV of 2 channels, 5000 samples each" in out
+    assert f"{good['a.tdms']}: remark: channel g/note holds no samples and is left out" in out
+
+
+def test_what_is_broken_in_a_recording_without_checksums(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    samples = np.sin(np.arange(5000.0)).astype(np.float32)
+    (cut, gap, many) = (tmp_path / name for name in ("cut.wav", "gap.csv", "many.npz"))
+    wavfile.write(cut, 48_000, samples)
+    cut.write_bytes(cut.read_bytes()[:-8000])
+    gap.write_text("1.0\n2.0\nnan\n1.0\n")
+    np.savez(many, first=samples, second=samples)
+    assert run(["verify", str(cut), str(gap), str(many)]) == 65
+    out, err = capsys.readouterr()
+    assert f"{cut}: recording of 1 file, no checksum, damaged: WAV of 1 channel, 3000 samples" in out
+    assert f"{gap}: recording of 1 file, no checksum, unreadable" in out
+    looks_cut, not_finite, which = err.splitlines()
+    assert "cut.wav: must be whole" in looks_cut and "cut off" in looks_cut
+    assert "sample 2 (line 3)" in not_finite
+    assert "--variable NAME" in which
+    assert run(["verify", str(many), "--variable", "second", "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert (found["kind"], found["whole"], found["findings"]) == ("recording", True, [])
 
 
 @pytest.mark.parametrize("name", ["model.npz", "folder", "file.h5", "table.csv"])

@@ -7,6 +7,7 @@ from typing import Any
 
 import click
 
+from cgid.cli.help import Command
 from cgid.cli.options import PATH, Reading, printing_options, reading_options
 from cgid.cli.output import each_file, print_json, say
 from cgid.cli.table import Column, TableOutput, numbers, output_options, say_table, times
@@ -20,12 +21,16 @@ FEATURES_VERSION = 2
 _MOST_REPORTED = 3
 
 
-@click.command(short_help="Measure the impacts in recordings: one row each.")
+@click.command(
+    cls=Command,
+    short_help="Measure the impacts in recordings: one row each.",
+    example="cgid features datasets/sample.csv --features peak_force,width_50",
+)
 @click.argument("files", type=PATH, nargs=-1, metavar="FILE...")
 @click.option(
     "--list", "as_list", is_flag=True, help="Print the table of features and banks: unit, definition, source, kind."
 )
-@click.option("--features", "names", help="Only these features or banks, separated by commas.")
+@click.option("--features", "names", help="Measure only these features or banks, separated by commas.")
 @click.option("--keep-baseline", is_flag=True, help="Do not subtract the mean before touch.")
 @output_options
 @reading_options

@@ -8,7 +8,8 @@ from typing import Any
 
 import click
 
-from cgid.cli.options import PATH, crew_options, require_one_crew
+from cgid.cli.help import Command
+from cgid.cli.options import PATH, SCENE, crew_options, require_one_crew
 from cgid.cli.output import print_json, progress_bar, say
 from cgid.terminal import counted
 
@@ -24,35 +25,63 @@ _OF_RECORDINGS = ("output", "n_signals", "seed", "overwrite", "resume", "dtype")
 _OF_DATASETS = (*_OF_RECORDINGS, "shard_signals", "compression", "jobs", "scheduler")
 
 
-@click.command(short_help="Make a dataset from a scene.")
-@click.argument("scene", type=PATH)
+@click.command(
+    cls=Command, short_help="Make a dataset from a scene.", example="cgid generate reference -n 1000 -o data"
+)
+@click.argument("scene", type=SCENE)
 @click.option(
     "-o",
     "--output",
     type=PATH,
-    help="Ending in .h5: one file; else a folder of shards. Without signals: ending in .h5, .parquet or .csv.",
+    help="Write one file (ending in .h5) or a folder of shards; a table ends in .h5, .parquet or .csv.",
 )
-@click.option("-n", "--signals", "n_signals", type=int, help="How many signals (10000), or recordings of a stream (1).")
-@click.option("--seed", type=int, default=0, show_default=True, help="The same seed gives the same signals.")
+@click.option(
+    "-n",
+    "--signals",
+    "n_signals",
+    type=int,
+    help="Make this many signals, by default 10000; of a stream, recordings, by default 1.",
+)
+@click.option(
+    "--seed",
+    type=int,
+    default=0,
+    show_default=True,
+    help="Choose the random numbers; the same seed gives the same signals.",
+)
 @crew_options
-@click.option("--dtype", type=click.Choice(["float32", "float64"]), default="float32", show_default=True)
-@click.option("--shard-signals", type=int, default=4096, show_default=True, help="Signals in each shard of a folder.")
+@click.option(
+    "--dtype",
+    type=click.Choice(["float32", "float64"]),
+    default="float32",
+    show_default=True,
+    help="Store the samples in this type.",
+)
+@click.option(
+    "--shard-signals",
+    type=int,
+    default=4096,
+    show_default=True,
+    help="Put this many signals into each shard of a folder.",
+)
 @click.option(
     "--compression",
     type=click.Choice(["none", "gzip", "zstd", "blosc2"]),
     default="none",
     show_default=True,
-    help="Of the signals. Everything reads gzip; zstd and blosc2 need the extra compression.",
+    help="Compress the signals. Everything reads gzip; zstd and blosc2 need the extra compression.",
 )
-@click.option("--overwrite", is_flag=True, help="Replace an old dataset when the new one is whole.")
-@click.option("--resume", is_flag=True, help="Go on with a run that was not finished, to the bytes it would have made.")
-@click.option("--features-only", is_flag=True, help="A table of features instead of signals.")
-@click.option("--features", help="Only these, with commas between them; by default those of a model.")
-@click.option("--closed-form-only", is_flag=True, help="A table of what the impacts are without their pulses.")
-@click.option("--quantities", help="Only these, with commas between them; by default all.")
-@click.option("--parameters-only", is_flag=True, help="A table of what is drawn.")
-@click.option("--explain", is_flag=True, help="Print the plan: what would run, what not, and why.")
-@click.option("--json", "as_json", is_flag=True, help="The plan as one JSON object.")
+@click.option("--overwrite", is_flag=True, help="Replace an existing dataset when the new one is whole.")
+@click.option("--resume", is_flag=True, help="Go on with an unfinished run, to the bytes it would have made.")
+@click.option("--features-only", is_flag=True, help="Write a table of features instead of signals.")
+@click.option("--features", help="Tabulate only these features, separated by commas; by default those of a model.")
+@click.option("--closed-form-only", is_flag=True, help="Write a table of what the impacts are, without their pulses.")
+@click.option(
+    "--quantities", help="Tabulate only these quantities of --closed-form-only, separated by commas; by default all."
+)
+@click.option("--parameters-only", is_flag=True, help="Write a table of the drawn parameters.")
+@click.option("--explain", is_flag=True, help="Print the plan: what would run, what would not, and why.")
+@click.option("--json", "as_json", is_flag=True, help="Print the plan as one JSON object.")
 @click.pass_context
 def generate(context: click.Context, /, scene: str, **options: Any) -> None:
     """Make a dataset of signals from SCENE: a .toml file, or the name of a shipped one such as reference.
@@ -62,11 +91,10 @@ def generate(context: click.Context, /, scene: str, **options: Any) -> None:
     with a stream makes recordings, each with the truth of its impacts.
     """
     output = _checked_output(context)
-    from cgid import shipped
     from cgid.scene import load_scene
     from cgid.scene.plan import plan
 
-    loaded = load_scene(shipped.scene_path(scene))
+    loaded = load_scene(scene)
     if loaded.stream is not None:
         if output != "frames":
             raise click.UsageError(

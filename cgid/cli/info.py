@@ -7,6 +7,7 @@ from typing import Any
 
 import click
 
+from cgid.cli.help import Command
 from cgid.cli.options import PATH
 from cgid.cli.output import print_json, say
 
@@ -16,12 +17,16 @@ _MOST_HELD = 1 << 24
 _LOCAL_HEAD, _HEADER = 30, b"header.npy"
 
 
-@click.command(short_help="Say what is in a dataset, a model or a recording.")
+@click.command(
+    cls=Command, short_help="Say what is in a dataset, a model or a recording.", example="cgid info datasets/sample.csv"
+)
 @click.argument("file", type=PATH)
-@click.option("--rate", "sampling_rate", type=float, help="Sampling rate [Hz], where a recording does not say it.")
-@click.option("--unit", help="Unit of the samples, where a recording does not say it.")
-@click.option("--variable", help="Which array, table or group of a recording, where it holds several.")
-@click.option("--json", "as_json", is_flag=True, help="One JSON object.")
+@click.option(
+    "--rate", "sampling_rate", type=float, help="Set the sampling rate [Hz] if a recording does not state it."
+)
+@click.option("--unit", help="Set the unit of the samples if a recording does not state it.")
+@click.option("--variable", help="Choose an array, table or group if a recording holds several.")
+@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
 def info(file: str, sampling_rate: float | None, unit: str | None, variable: str | None, as_json: bool) -> None:
     """Say what is in FILE: a dataset, a table, a model, or a recording (every channel)."""
     from cgid.recordings import is_dataset
@@ -31,7 +36,7 @@ def info(file: str, sampling_rate: float | None, unit: str | None, variable: str
         content = _table(file)
     elif is_dataset(file):
         content = _dataset(file)
-    elif _is_model(file):
+    elif is_model(file):
         content = _model(file)
     else:
         content = _recording(file, sampling_rate, unit, variable)
@@ -119,7 +124,7 @@ def _model(file: str) -> dict[str, Any]:
     }
 
 
-def _is_model(file: str) -> bool:
+def is_model(file: str) -> bool:
     """Return whether a file is named like an archive but does not hold plain arrays: an intact or damaged model."""
     from pathlib import Path
 

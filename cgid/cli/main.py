@@ -16,6 +16,7 @@ from cgid import __version__
 from cgid.cli.export import export
 from cgid.cli.features import features
 from cgid.cli.generate import generate
+from cgid.cli.help import Group
 from cgid.cli.info import info
 from cgid.cli.monitor import monitor
 from cgid.cli.output import drop, heard, open_missing, say, say_error
@@ -40,7 +41,11 @@ _MEMORY_SHORT = (
 )
 
 
-@click.group(context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110})
+@click.group(
+    cls=Group,
+    context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110},
+    example="cgid predict --sample",
+)
 @click.version_option(__version__, prog_name="cgid")
 def cli() -> None:
     """Tell coal from gangue by how a falling rock hits steel."""
@@ -65,6 +70,10 @@ def run(arguments: list[str] | None = None) -> int:
         if sys.stdout is not None:  # the caller may have closed it
             sys.stdout.flush()
         return code if isinstance(code, int) else 0
+    except click.exceptions.NoArgsIsHelpError as error:
+        for line in error.format_message().splitlines():
+            say(line, err=True)
+        return error.exit_code
     except click.ClickException as error:
         context = getattr(error, "ctx", None)
         cure = f"; see {context.command_path} --help" if context is not None else ""

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cgid.cli.answer_rows import AnswerLines, RecordingRows
+from cgid.cli.help import Command
 from cgid.cli.options import PATH, Models, answering_options, dead_time_option, question_of, warn_of_model
 from cgid.cli.table import TableOutput
 
@@ -138,19 +139,26 @@ _STEPS = 10
 _BEHIND = 1.0
 
 
-@click.command(short_help="Identify impacts in a live stream, and say when to shut the window.")
+@click.command(
+    cls=Command,
+    short_help="Identify impacts in a live stream, and say when to shut the window.",
+    example="python -c \"import numpy; numpy.loadtxt('datasets/sample.csv', 'f4', skiprows=2).tofile('sample.f32')\"\n"
+    "cgid monitor sample.f32 --rate 200000 --channels 1 --sample-format f32le --unit N",
+)
 @click.argument("stream", type=PATH, default="-")
-@click.option("--rate", "sampling_rate", type=float, help="Sampling rate [Hz] of raw numbers.")
-@click.option("--channels", "n_channels", type=int, help="Number of channels of raw numbers.")
-@click.option("--sample-format", help="How raw numbers are written: u8, s16le, s24le, s32le, f32le, ..., or be.")
+@click.option("--rate", "sampling_rate", type=float, help="Set the sampling rate [Hz] of raw numbers.")
+@click.option("--channels", "n_channels", type=int, help="Set the number of channels of raw numbers.")
+@click.option(
+    "--sample-format", help="Say how raw numbers are written: u8, s16le, s24le, s32le, f32le, ..., or with be."
+)
 @click.option("--unit", help="What the numbers are in: floats as they are, integers between -1 and 1.")
 @click.option(
     "--full-scale", type=float, help="What 1 stands for, in --unit: 490 where integers reach up to 490 m/s^2."
 )
-@click.option("--invert", is_flag=True, help="Turn the signal over: impacts must point upwards.")
+@click.option("--invert", is_flag=True, help="Turn the signal upside down; impacts must point upwards.")
 @answering_options
 @dead_time_option
-@click.option("--json", "as_json", is_flag=True, help="One JSON object a line.")
+@click.option("--json", "as_json", is_flag=True, help="Print one JSON object per line.")
 def monitor(
     stream: str,
     sampling_rate: float | None,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from contextlib import suppress
 from dataclasses import dataclass, fields
 from functools import wraps
@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
+from click.shell_completion import CompletionItem
 
 from cgid.cli.output import say
 from cgid.errors import InvalidValue, NoInput
@@ -36,8 +37,37 @@ class PathName(click.types.StringParamType):
             self.fail("a name must not be empty; give one, or leave it out", param, ctx)
         return super().convert(value, param, ctx)
 
+    def shell_complete(self, ctx: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem]:
+        """Let the shell offer its files."""
+        return [CompletionItem(incomplete, type="file")]
 
-PATH = PathName()
+
+class SceneName(PathName):
+    """The name of a shipped scene, or of a scene file."""
+
+    def shell_complete(self, ctx: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem]:
+        """Offer the shipped scenes besides the files."""
+        from cgid.shipped import SCENES
+
+        return super().shell_complete(ctx, param, incomplete) + _matching(SCENES, incomplete)
+
+
+class ModelName(PathName):
+    """The name of a shipped model, or of a model file."""
+
+    def shell_complete(self, ctx: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem]:
+        """Offer the shipped models besides the files."""
+        from cgid.shipped import MODELS
+
+        return super().shell_complete(ctx, param, incomplete) + _matching(MODELS, incomplete)
+
+
+def _matching(names: Iterable[str], incomplete: str) -> list[CompletionItem]:
+    # Behind those of files: bash forgets what came before them.
+    return [CompletionItem(name) for name in names if name.startswith(incomplete)]
+
+
+PATH, SCENE, MODEL = PathName(), SceneName(), ModelName()
 
 
 def _options(*options: Callable[[Any], Any]) -> Callable[[F], F]:
@@ -53,8 +83,11 @@ def _options(*options: Callable[[Any], Any]) -> Callable[[F], F]:
 
 #: Options for worker processes and clusters; `require_one_crew` refuses both at once.
 crew_options = _options(
-    click.option("--jobs", type=int, default=1, show_default=True, help="Worker processes."),
-    click.option("--scheduler", help="Of a dask cluster, such as tcp://192.168.0.7:8786: its workers do the work."),
+    click.option("--jobs", type=int, default=1, show_default=True, help="Number of worker processes."),
+    click.option(
+        "--scheduler",
+        help="Let the workers of a dask cluster do the work: its address, such as tcp://192.168.0.7:8786.",
+    ),
 )
 
 
@@ -142,25 +175,34 @@ def reading_options(command: Callable[..., Any]) -> Callable[..., Any]:
         return command(reading=Reading(**own), **options)
 
     add = _options(
-        click.option("--rate", "sampling_rate", type=float, help="Sampling rate [Hz], where the file does not say it."),
-        click.option("--unit", help="Unit of the samples (N, kN, g, m/s^2, ...), where the file does not say it."),
         click.option(
-            "--channel", multiple=True, help="Only this channel: its name or number from 1; several as 1+2, or again."
+            "--rate", "sampling_rate", type=float, help="Set the sampling rate [Hz] if the file does not state it."
         ),
-        click.option("--variable", help="Which array, table or group of the file, where it holds several."),
-        click.option("--index", type=int, help="Only this signal of a dataset, from 0; else all of them."),
-        click.option("--invert", is_flag=True, help="Turn the signal over: impacts must point upwards."),
+        click.option(
+            "--unit", help="Set the unit of the samples (N, kN, g, m/s^2, ...) if the file does not state it."
+        ),
+        click.option(
+            "--channel",
+            multiple=True,
+            help="Read only this channel: its name, or its number from 1; for several give 1+2, or the option again.",
+        ),
+        click.option("--variable", help="Choose an array, table or group if the file holds several."),
+        click.option("--index", type=int, help="Read only this signal of a dataset, counted from 0."),
+        click.option("--invert", is_flag=True, help="Turn the signal upside down; impacts must point upwards."),
         dead_time_option,
     )
     return add(read)
 
 
 dead_time_option = click.option(
-    "--dead-time", "milliseconds", type=float, help="Ringing after a blow [ms]; 2 for pulses, 5 for vibrations."
+    "--dead-time",
+    "milliseconds",
+    type=float,
+    help="Set how long a blow rings [ms], by default 2 for pulses and 5 for vibrations.",
 )
 #: Options of commands that print the contents of recordings.
 printing_options = _options(
-    click.option("--json", "as_json", is_flag=True, help="One JSON object a line."),
+    click.option("--json", "as_json", is_flag=True, help="Print one JSON object per line."),
     click.option("--strict", is_flag=True, help="Stop at the first file that fails."),
 )
 
@@ -178,16 +220,21 @@ def _renamed(old: str, new: str) -> Callable[[F], F]:
 #: Options that choose the model and state the question, as `question_of` takes them.
 answering_options = _options(
     click.option(
-        "--model", "model_path", type=PATH, help="Model file; the default model of the quantity if not given."
+        "--model",
+        "model_path",
+        type=MODEL,
+        help="Use this model: a file, or a shipped one such as default-acceleration; by default it follows the unit.",
     ),
-    click.option("--mass", type=float, help="Mass of the accelerated striker [kg]: force = mass x acceleration."),
-    click.option("--drop-height", type=float, help="How far the rocks fell [m], for a model that needs to know."),
+    click.option(
+        "--mass", type=float, help="Give the mass of the accelerated striker [kg]: force = mass x acceleration."
+    ),
+    click.option("--drop-height", type=float, help="Say how far the rocks fell [m], for a model that needs to know."),
     click.option(
         "--miss-cost",
         "costs",
         multiple=True,
         metavar="LABEL=COST",
-        help="What it costs to miss this label, 1 if not given.",
+        help="Say what it costs to miss this label, by default 1.",
     ),
     _renamed("--cost", "--miss-cost"),
     click.option(
@@ -196,27 +243,29 @@ answering_options = _options(
         help="Reject impacts whose prediction set at this coverage (0.9) is not a single label.",
     ),
     click.option(
-        "--class-conditional", is_flag=True, help="The coverage holds for each label, not only for their mix."
+        "--class-conditional", is_flag=True, help="Let the coverage hold for each label, not only for their mix."
     ),
     click.option(
         "--vote",
         "vote_time",
         type=float,
-        help="Windows are decided on together over this time [s], 0.5; 0: each alone.",
+        help="Decide on windows together over this time [s], by default 0.5; with 0, each alone.",
     ),
     click.option(
         "--sensor",
         "sensors",
         multiple=True,
         metavar="NAME",
-        help="Sensor of the model's reference runs; or one a channel.",
+        help="Name the sensor among those of the model's reference runs; once, or once per channel.",
     ),
-    click.option("--window", "share_time", type=float, help="The gangue share looks back this long [s], 10."),
-    click.option("--gangue", multiple=True, metavar="LABEL", help="Label that is gangue; may be given again."),
+    click.option(
+        "--window", "share_time", type=float, help="Let the gangue share look back this long [s], by default 10."
+    ),
+    click.option("--gangue", multiple=True, metavar="LABEL", help="Count this label as gangue; may be given again."),
     click.option(
         "--dilution-cost",
         type=float,
-        help="What drawn gangue costs, in units of lost coal, 1 if not given; says when to shut.",
+        help="Say what drawn gangue costs, in units of lost coal, by default 1; it decides when to shut.",
     ),
     _renamed("--gangue-cost", "--dilution-cost"),
 )
@@ -282,7 +331,7 @@ class Models:
         from cgid.identification.model import Model
 
         if self._path is not None:
-            return Model.load(self._path)
+            return Model.load(shipped.model_path(self._path))
         if self._question.drop_height is not None:
             with suppress(NoInput):
                 return Model.load(shipped.path_of("models", shipped.DROP_HEIGHT_MODEL))

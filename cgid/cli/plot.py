@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from cgid.cli.help import Command
 from cgid.cli.options import PATH, Reading, reading_options
 from cgid.cli.output import print_json, say
 from cgid.terminal import counted
@@ -21,18 +22,29 @@ if TYPE_CHECKING:
     from cgid.recordings import Channel, RecordingFile
 
 
-@click.command(short_help="Draw a recording: waveform, spectrogram, spectrum and impacts.")
+@click.command(
+    cls=Command,
+    short_help="Draw a recording: waveform, spectrogram, spectrum and impacts.",
+    example="cgid plot datasets/sample.csv -o sample.png",
+)
 @click.argument("file", type=PATH)
-@click.option("-o", "--output", type=PATH, required=True, metavar="PICTURE", help="Ends in .png, .svg or .pdf.")
+@click.option(
+    "-o",
+    "--output",
+    type=PATH,
+    required=True,
+    metavar="PICTURE",
+    help="Write this picture, ending in .png, .svg or .pdf.",
+)
 @click.option("--events/--no-events", default=True, show_default=True, help="Mark the impacts that are found.")
 @click.option(
     "--kind",
     type=click.Choice(["pulse", "vibration"]),
-    help="What an impact looks like; motion and sound are taken for vibrations, all else for pulses.",
+    help="Say what an impact looks like; by default motion and sound are vibrations, all else pulses.",
 )
 @click.option("--from", "begin", type=float, default=0.0, metavar="SECONDS", help="Draw what comes after this.")
 @click.option("--to", "end", type=float, metavar="SECONDS", help="Draw what comes before this.")
-@click.option("--overwrite", is_flag=True, help="Replace an old picture.")
+@click.option("--overwrite", is_flag=True, help="Replace an existing picture.")
 @click.option("--json", "as_json", is_flag=True, help="Say what was drawn as one JSON object.")
 @reading_options
 def plot(

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from cgid.cli.answer_rows import AnswerLines, RecordingRows
+from cgid.cli.help import Command
 from cgid.cli.options import (
     PATH,
     Models,
@@ -262,7 +263,9 @@ class _Tally:
         return f"{text}{right}; prediction sets hold the truth in {self.covered / self.measured:.4f}"
 
 
-@click.command(short_help="Identify the material of the impacts in recordings.")
+@click.command(
+    cls=Command, short_help="Identify the material of the impacts in recordings.", example="cgid predict --sample"
+)
 @click.argument("files", type=PATH, nargs=-1, metavar="FILE...")
 @click.option("--sample", is_flag=True, help="Use the recording that comes with cgid.")
 @answering_options

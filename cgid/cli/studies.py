@@ -7,7 +7,8 @@ from typing import Any
 
 import click
 
-from cgid.cli.options import PATH
+from cgid.cli.help import Command
+from cgid.cli.options import PATH, SCENE
 from cgid.cli.output import print_json, progress_bar, say
 from cgid.terminal import counted
 
@@ -15,19 +16,31 @@ from cgid.terminal import counted
 _BLOCKS = 16
 
 
-@click.command(short_help="Validate a scene and say what it would make.")
-@click.argument("scene", type=PATH)
-@click.option("--seed", type=int, default=0, show_default=True)
-@click.option("--json", "as_json", is_flag=True, help="One JSON object.")
-def check(scene: str, seed: int, as_json: bool) -> None:
+@click.command(cls=Command, short_help="Validate a scene and say what it would make.", example="cgid check reference")
+@click.argument("scene", type=SCENE, required=False)
+@click.option("--list", "as_list", is_flag=True, help="Print the names of the scenes that come with cgid.")
+@click.option("--seed", type=int, default=0, show_default=True, help="Choose the random numbers of the preview.")
+@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
+def check(scene: str | None, as_list: bool, seed: int, as_json: bool) -> None:
     """Validate SCENE (a .toml file or the name of a shipped one), and preview 4096 of its impacts."""
     from cgid import shipped
+
+    if as_list:
+        texts = shipped.scene_descriptions()
+        if as_json:
+            print_json({"scenes": texts})
+        for name, text in {} if as_json else texts.items():
+            say(f"{name:<12}{text}")
+        return
+    if scene is None:
+        raise click.UsageError("give a SCENE, or --list for those that come with cgid")
     from cgid.scene import load_scene
     from cgid.scene.noise import background_of
 
-    loaded = load_scene(shipped.scene_path(scene))
+    loaded = load_scene(scene)
     background_of(loaded)  # raises if its recording cannot be read
-    preview = _preview(loaded, seed)
+    # Whoever wrote a scene is warned; what is so in a shipped one is meant.
+    preview = _preview(loaded, seed, "remarks" if scene in shipped.SCENES else "warnings")
     if loaded.stream is not None:
         preview |= _stream(loaded)
     if as_json:
@@ -50,11 +63,13 @@ def check(scene: str, seed: int, as_json: bool) -> None:
     say("share of the labels: " + ", ".join(f"{k} {v:.3f}" for k, v in preview["labels"].items()))
     for name, (low, middle, high) in preview["quantiles_5_50_95"].items():
         say(f"{name:<28} 5 % {low:>11.4g}   median {middle:>11.4g}   95 % {high:>11.4g}")
+    for text, share in preview["remarks"].items():
+        say(f"known of this scene: {share:.2%} of the impacts {text.partition(';')[0]}")
     for text, share in preview["warnings"].items():
         say(f"cgid: warning: {share:.2%} of the impacts {text}", err=True)
 
 
-def _preview(scene: Any, seed: int) -> dict[str, Any]:
+def _preview(scene: Any, seed: int, told_as: str) -> dict[str, Any]:
     import numpy as np
 
     from cgid.scene.draws import BLOCK, parameter_units
@@ -81,7 +96,9 @@ def _preview(scene: Any, seed: int) -> dict[str, Any]:
         "quantiles_5_50_95": {
             name: np.quantile(column, [0.05, 0.5, 0.95]).tolist() for name, column in known.items() if column.size
         },
-        "warnings": {text: share for text, share in shares.items() if share > 0},
+        "remarks": {},
+        "warnings": {},
+        told_as: {text: share for text, share in shares.items() if share > 0},
     }
 
 
@@ -179,17 +196,25 @@ _SURVEYED = 2000
 _NAMES = {"snr": "SNR [dB]", "sampling_rate": "rate [Hz]", "size_spread": "sizes [1]", "present": "as it is"}
 
 
-@click.command(short_help="Say how well anybody could tell a scene's labels apart.")
-@click.argument("scene", type=PATH)
-@click.option("-n", "--signals", "n_signals", type=int, default=20_000, show_default=True, help="To judge on.")
-@click.option("--seed", type=int, default=1_000_003, show_default=True, help="Of these signals.")
-@click.option("--drop-height", is_flag=True, help="It is known how far each rock fell.")
-@click.option("--learner", type=int, help="Also the accuracy of learners, trained on up to this many signals.")
+@click.command(
+    cls=Command,
+    short_help="Say how well anybody could tell a scene's labels apart.",
+    example="cgid ceiling reference -n 2000",
+)
+@click.argument("scene", type=SCENE)
+@click.option(
+    "-n", "--signals", "n_signals", type=int, default=20_000, show_default=True, help="Judge on this many signals."
+)
+@click.option(
+    "--seed", type=int, default=1_000_003, show_default=True, help="Choose the random numbers of these signals."
+)
+@click.option("--drop-height", is_flag=True, help="Take the drop height of each rock as known.")
+@click.option("--learner", type=int, help="Also train learners on up to this many signals, and print their accuracy.")
 @click.option(
     "--plot", "picture", type=PATH, help="Survey noise, sampling rate and spread of sizes: a PNG picture and a table."
 )
-@click.option("--overwrite", is_flag=True, help="Replace an old picture.")
-@click.option("--json", "as_json", is_flag=True, help="One JSON object.")
+@click.option("--overwrite", is_flag=True, help="Replace an existing picture.")
+@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
 def ceiling(
     scene: str,
     n_signals: int,
@@ -204,14 +229,13 @@ def ceiling(
 
     Bayes' rule, which knows the scene, is applied to each of many signals: no classifier can be right more often.
     """
-    from cgid import shipped
     from cgid.ceiling.bayes import ceiling as ceiling_of
     from cgid.ceiling.bayes import check_covered
     from cgid.ceiling.learner import bracket, sizes_up_to
     from cgid.ceiling.survey import untrusted
     from cgid.scene import load_scene
 
-    loaded = load_scene(shipped.scene_path(scene))
+    loaded = load_scene(scene)
     check_covered(loaded)
     sizes = () if learner is None else sizes_up_to(learner)
     path = None if picture is None else _checked(Path(picture), overwrite)
@@ -320,13 +344,17 @@ def _say_survey(survey: dict[str, Any]) -> None:
         )
 
 
-@click.command(short_help="Compute the paper's figures and tables, and a report.")
-@click.option("-o", "--output", type=PATH, required=True, help="Folder for the pictures, the data and report.md.")
-@click.option("--overwrite", is_flag=True, help="Replace such files in a folder that is not empty; others stay.")
+@click.command(
+    cls=Command, short_help="Compute the paper's figures and tables, and a report.", example="cgid reproduce -o paper"
+)
+@click.option(
+    "-o", "--output", type=PATH, required=True, help="Write the pictures, the data and report.md into this folder."
+)
+@click.option("--overwrite", is_flag=True, help="Replace files of these names in the folder; others stay.")
 @click.option(
     "--finite-element", is_flag=True, help="Simulate all impacts anew (minutes), and write finite_element.npz, too."
 )
-@click.option("--jobs", type=int, help="Worker processes of --finite-element.  [default: all cores]")
+@click.option("--jobs", type=int, help="Number of worker processes of --finite-element, by default one per core.")
 def reproduce(output: str, overwrite: bool, finite_element: bool, jobs: int | None) -> None:
     """Compute the figures and tables of Yang, Zeng & Wan (2018), and judge what the paper says.
 

@@ -9,7 +9,8 @@ from typing import Any
 import click
 
 from cgid import validation
-from cgid.cli.options import PATH, crew_options, dead_time_in_seconds, require_one_crew
+from cgid.cli.help import Command
+from cgid.cli.options import PATH, SCENE, crew_options, dead_time_in_seconds, require_one_crew
 from cgid.cli.output import print_json, progress_bar, say, say_error
 from cgid.errors import CgidError, InvalidValue
 from cgid.terminal import counted
@@ -33,48 +34,87 @@ _OF_DATASETS = {
 }
 
 
-@click.command(short_help="Train a model on datasets, on a scene, or on recordings.")
-@click.argument("data", type=PATH, nargs=-1, required=True, metavar="DATA...")
+@click.command(
+    cls=Command,
+    short_help="Train a model on datasets, on a scene, or on recordings.",
+    example="cgid train reference -n 2000 -o model.npz",
+)
+@click.argument("data", type=SCENE, nargs=-1, required=True, metavar="DATA...")
 @click.option(
-    "-o", "--output", type=PATH, required=True, help="Model file, ending in .npz; the card goes beside it as .md."
+    "-o",
+    "--output",
+    type=PATH,
+    required=True,
+    help="Write this model file, ending in .npz; the model card is written beside it as .md.",
 )
 @click.option(
     "--family",
     type=click.Choice(["logistic", "boosting", "network", "linear"]),
-    help="Kind of classifier: logistic by default, linear for recordings.",
+    help="Choose the kind of classifier; by default logistic, for recordings linear.",
 )
-@click.option("--features", "names", help="Only these features, with commas between them.")
-@click.option("--class-weights", help="Weight of a row of each label: balanced, or such as coal=1,gangue=3.")
-@click.option("--test-share", type=float, default=0.25, show_default=True, help="Share of specimens that only judge.")
+@click.option("--features", "names", help="Use only these features, separated by commas.")
+@click.option("--class-weights", help="Weight the rows of each label: balanced, or such as coal=1,gangue=3.")
+@click.option(
+    "--test-share", type=float, default=0.25, show_default=True, help="Keep this share of the specimens for the test."
+)
 @click.option(
     "--calibration-share",
     type=float,
     default=0.1,
     show_default=True,
-    help="Share that only calibrates prediction sets.",
+    help="Keep this share of the specimens to calibrate the prediction sets.",
 )
-@click.option("--drop-height", is_flag=True, help="The model also gets the drop height of each rock.")
-@click.option("-n", "--signals", "n_signals", type=int, default=50_000, show_default=True, help="From a scene.")
+@click.option("--drop-height", is_flag=True, help="Give the model the drop height of each rock, too.")
+@click.option(
+    "-n",
+    "--signals",
+    "n_signals",
+    type=int,
+    default=50_000,
+    show_default=True,
+    help="Draw this many signals from a scene.",
+)
 @click.option(
     "--by",
     type=click.Choice(["window", "impact"]),
     default="window",
     show_default=True,
-    help="What the model decides on in recordings.",
+    help="Choose what the model decides on in recordings.",
 )
-@click.option("--window", "window_time", type=float, default=0.1, show_default=True, help="Length of a window [s].")
-@click.option("--hop", "hop_time", type=float, help="From one window to the next [s]; half a window by default.")
-@click.option("--level-free", is_flag=True, help="Only features in which the gain of a sensor cancels.")
-@click.option("--rate", "sampling_rate", type=float, help="Sampling rate [Hz], for recordings without it.")
-@click.option("--unit", help="Unit of the samples (N, g, ...), for recordings without it.")
-@click.option("--channel", "channels", multiple=True, help="Of the recordings, several together as 1+2; else all.")
-@click.option("--dead-time", type=float, help="Ringing after a blow [ms], with --by impact.")
+@click.option(
+    "--window", "window_time", type=float, default=0.1, show_default=True, help="Set the length of a window [s]."
+)
+@click.option(
+    "--hop", "hop_time", type=float, help="Set the time from one window to the next [s], by default half a window."
+)
+@click.option("--level-free", is_flag=True, help="Use only features in which the gain of a sensor cancels.")
+@click.option(
+    "--rate", "sampling_rate", type=float, help="Set the sampling rate [Hz] of recordings that do not state it."
+)
+@click.option("--unit", help="Set the unit of the samples (N, g, ...) of recordings that do not state it.")
+@click.option(
+    "--channel",
+    "channels",
+    multiple=True,
+    help="Read only this channel of the recordings; for several together give 1+2.",
+)
+@click.option("--dead-time", type=float, help="Set how long a blow rings [ms], with --by impact.")
 @click.option("--strict", is_flag=True, help="Stop at the first recording that cannot be read.")
-@click.option("--seed", type=int, default=0, show_default=True, help="Of the split, and of the signals of a scene.")
+@click.option(
+    "--seed",
+    type=int,
+    default=0,
+    show_default=True,
+    help="Choose the random numbers of the split, and of the signals of a scene.",
+)
 @crew_options
-@click.option("--shuffle-labels", is_flag=True, help="Check of the method: accuracy must be that of guessing.")
-@click.option("--plots", is_flag=True, help="Also confusion, reliability and ROC pictures (extra plot).")
-@click.option("--overwrite", is_flag=True, help="Replace an old model.")
+@click.option(
+    "--shuffle-labels",
+    is_flag=True,
+    help="Check the method: with shuffled labels, the accuracy must be that of guessing.",
+)
+@click.option("--plots", is_flag=True, help="Draw confusion, reliability and ROC pictures, too (extra plot).")
+@click.option("--overwrite", is_flag=True, help="Replace an existing model.")
 @click.option("--json", "as_json", is_flag=True, help="Print the metrics as one JSON object.")
 @click.pass_context
 def train(
@@ -277,6 +317,6 @@ def _batches(data: list[str], n_signals: int, seed: int) -> Iterator[Any]:
             from cgid.scene.generation import MOST_SIGNALS
 
             validation.whole("signals", n_signals, 1, MOST_SIGNALS)
-            yield from synthesise(load_scene(shipped.scene_path(item)), n_signals, seed)
+            yield from synthesise(load_scene(item), n_signals, seed)
         else:
             yield from Dataset(item).batches(check_sums=True)

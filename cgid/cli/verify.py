@@ -1,44 +1,60 @@
-"""`cgid verify`: find damage in datasets, recordings, tables and models, and repair it."""
+"""`cgid verify`: find damage in datasets, recordings, tables and models, and repair what cgid has made."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
-from cgid.cli.options import PATH
+from cgid.cli.help import Command
+from cgid.cli.options import PATH, SCENE
 from cgid.cli.output import each_file, print_json, progress_bar, say
 from cgid.terminal import counted
 
+if TYPE_CHECKING:
+    from cgid.recordings import RecordingFile
+
 #: Problems that are only reported.
 _KEPT = ("pending", "foreign")
+_NO_SUM = "no checksum, "
 
 
-@click.command(short_help="Say what is damaged in a dataset; make it again.")
+@click.command(
+    cls=Command,
+    short_help="Say what is damaged in data or models, and repair datasets.",
+    example="cgid verify models/default.npz datasets/sample.csv",
+)
 @click.argument("data", type=PATH, nargs=-1, required=True, metavar="DATA...")
 @click.option("--repair", is_flag=True, help="Make again what is damaged, and remove what stopped runs have left.")
-@click.option("--scene", type=PATH, help="Scene file a dataset was made of, where that names a recorded background.")
-@click.option("--json", "as_json", is_flag=True, help="One JSON object for each DATA.")
-def verify(data: tuple[str, ...], repair: bool, scene: str | None, as_json: bool) -> int:
+@click.option("--scene", type=SCENE, help="Give the scene file of a dataset, if that names a recorded background.")
+@click.option("--variable", help="Choose an array, table or group if a recording holds several.")
+@click.option("--json", "as_json", is_flag=True, help="Print one JSON object for each DATA.")
+def verify(data: tuple[str, ...], repair: bool, scene: str | None, variable: str | None, as_json: bool) -> int:
     """Say what is damaged in DATA: datasets (folders or files), recordings, tables, models; the exit code is 65 then.
 
-    The files of a folder are compared with its manifest and SHA256SUMS, single files with their own checksums. With
+    The files of a folder are compared with its manifest and SHA256SUMS, single files with their own checksums. A
+    recording of another program (TDMS, WAV, CSV, ...) has none: it is read to its end. With
     --repair what is damaged or missing is made again from the scene and the seed in the files, to the same bytes, and
     nothing else is touched. Files that do not belong to a dataset are reported, and are no damage.
     """
     if scene is not None and not repair:
         raise click.UsageError("--scene needs --repair: it says what to make files again from; give both or neither")
+    from cgid.cli.info import is_model
+
     given = None
     if scene is not None:
-        from cgid import shipped
         from cgid.scene import load_scene
 
-        given = load_scene(shipped.scene_path(scene))
+        given = load_scene(scene)
 
     def treat(path: str) -> None:
-        if path.endswith(".npz"):
+        if not _is_file(path):
+            _verify_data(path, repair, given, as_json)
+        elif is_model(path):
             _verify_model(path, as_json)
+        elif _is_foreign(path):
+            _verify_foreign(path, variable, as_json)
         else:
             _verify_data(path, repair, given, as_json)
 
@@ -51,13 +67,69 @@ def _verify_model(path: str, as_json: bool) -> None:
     from cgid.identification.model import Model
 
     try:
-        if Path(path).is_fifo():  # reading it would never end
-            raise BadData(f"{path}: must be a regular file; copy it to one first")
         Model.load(path)
     except BadData as error:
         _tell(path, "model", 1, [_line(Path(path), "damaged", str(error))], False, as_json)
         raise
     _tell(path, "model", 1, [], True, as_json)
+
+
+def _is_file(path: str) -> bool:
+    try:
+        return Path(path).is_file()
+    except OSError:  # such as a name too long
+        return False
+
+
+def _is_foreign(path: str) -> bool:
+    """Return whether this is a file that cgid has not written, and so a recording of another program."""
+    from cgid.recordings import is_dataset
+    from cgid.store import is_table
+    from cgid.store.reading import is_recording
+    from cgid.store.run import is_single_file
+    from cgid.store.sandbox import is_hdf5
+
+    file = Path(path)
+    if is_table(path) or is_dataset(path) or is_recording(path):
+        return False
+    return not is_single_file(file) or is_hdf5(file)
+
+
+def _verify_foreign(path: str, variable: str | None, as_json: bool) -> None:
+    """Report a recording without checksums that can be read to its end, or raise what is broken."""
+    from cgid.errors import BadData
+
+    source = Path(path)
+    try:
+        recording, n_samples = _read(path, variable)
+    except BadData as error:
+        _tell(path, "recording", 1, [_line(source, "unreadable", str(error))], False, as_json, f"{_NO_SUM}unreadable")
+        raise
+    damage = recording.damage
+    lines = [_line(source, "damaged" if text in damage else "remark", text) for text in recording.said]
+    n_channels = len(recording.channels)
+    content = f"{recording.format} of {n_channels} channel{'s' * (n_channels > 1)}, {n_samples} samples each"
+    state = "damaged" if damage else "readable"
+    _tell(path, "recording", 1, lines, not damage, as_json, f"{_NO_SUM}{state}: {content}")
+    if damage:
+        raise BadData(f"{path}: must be whole, {damage[0]}; copy or export it again, this is no file of cgid")
+
+
+def _read(path: str, variable: str | None) -> tuple[RecordingFile, int]:
+    """Read a recording to its end, whether or not its rate is known; return it and its samples per channel."""
+    from cgid.errors import MissingOption
+    from cgid.recordings import open_recording
+
+    try:
+        recording = open_recording(path, variable=variable)
+    except MissingOption:
+        recording = open_recording(path, variable=variable, sampling_rate=1.0)
+    n_samples = 0
+    with progress_bar(recording.n_samples, "samples") as progress:
+        for block in recording.blocks():
+            n_samples += block.shape[1]
+            progress(block.shape[1])
+    return recording, n_samples
 
 
 def _verify_data(path: str, repair: bool, scene: Any, as_json: bool) -> None:
@@ -94,12 +166,15 @@ def _line(file: Path, problem: str, what: str) -> dict[str, Any]:
     return {"file": str(file), "problem": problem, "what": what}
 
 
-def _tell(path: str, kind: str, n_files: int, lines: list[dict[str, Any]], whole: bool, as_json: bool) -> None:
-    """Print the findings in one input, and the actions taken."""
+def _tell(
+    path: str, kind: str, n_files: int, lines: list[dict[str, Any]], whole: bool, as_json: bool, state: str = ""
+) -> None:
+    """Print the state of one input, the findings in it, and the actions taken."""
     if as_json:
         print_json({"source": path, "kind": kind, "files": n_files, "whole": whole, "findings": lines})
         return
-    state = ("repaired" if any(line.get("repaired") for line in lines) else "whole") if whole else "damaged"
+    if not state:
+        state = ("repaired" if any(line.get("repaired") for line in lines) else "whole") if whole else "damaged"
     say(f"{path}: {kind} of {counted(n_files, 'file')}, {state}")
     for line in lines:
         told = f"; {'repaired' if line['repaired'] else 'not repaired'}: {line['told']}" if "repaired" in line else ""

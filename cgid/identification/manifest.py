@@ -94,7 +94,7 @@ def annotation_of(row: Mapping[str, Any], folder: Path, labels: tuple[str, ...] 
     else:
         validation.label("label", label)
         if labels is not None and label not in labels:
-            raise InvalidValue(f"label must be one of {', '.join(map(repr, labels))}, got {label!r}")
+            validation.choice("label", label, tuple(labels))
     start, end = _number("start", row.get("start", 0.0), " in s"), _number("end", row.get("end", math.inf), " in s")
     if not 0 <= start < end:
         raise InvalidValue(f"start and end must rise from 0 s, got {start:g} and {end:g} s")
@@ -317,7 +317,9 @@ def _toml_rows(path: Path) -> tuple[list[Row], tuple[str, ...] | None]:
 def _check_names(names: Sequence[str], allowed: tuple[str, ...], what: str, required: str | None = None) -> None:
     for name in names:
         if name not in allowed or names.count(name) > 1:
-            fault = f"got {name!r}" if name not in allowed else f"{name!r} is there twice"
+            fault = f"{name!r} is there twice"
+            if name not in allowed:
+                fault = f"got {name!r}{validation.suggestion(name, allowed)}"
             raise BadData(f"{what} must be out of {', '.join(allowed)}, {fault}")
     if required is not None and required not in names:
         raise BadData(f"{what} must include {required}, got {', '.join(names) or 'none'}")

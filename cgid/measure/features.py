@@ -6,7 +6,6 @@ features are computed, and measurements that several of them share are made once
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Callable, Iterable, Mapping
 from functools import partial
 from typing import TYPE_CHECKING, Literal
@@ -100,10 +99,10 @@ def require_known(name: str) -> None:
     """Raise `InvalidValue` for an unknown feature; the message lists similar names."""
     if not isinstance(name, str) or name not in FEATURES:
         known = [*FEATURES, *(entry.name for entry in FEATURES.entries if "*" in entry.name)]
-        similar = difflib.get_close_matches(str(name)[:80], known, n=5, cutoff=0.3)
+        likely = validation.similar(str(name), known, n=5, cutoff=0.3)
         raise InvalidValue(
             f"feature must be one of the {len(FEATURES)} that `cgid features --list` describes, got {name!r}; most "
-            f"like it are {', '.join(similar) or 'none'}"
+            f"like it are {', '.join(likely) or 'none'}"
         )
 
 

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cgid.errors import BadData
-from cgid.recordings.recording import MAX_CHANNELS, RATE_TOLERANCE, Contents, require_one_rate
+from cgid.recordings.recording import MAX_CHANNELS, RATE_TOLERANCE, Contents, Remark, require_one_rate
 from cgid.recordings.text import PIECE, no_number, whole_lines
 from cgid.recordings.text_layout import NUMBER, SNIFFED, encoding_of, stamped_moment
 from cgid.recordings.times import EvenTimes, Floats, is_resolved, rate_of
@@ -223,7 +223,7 @@ def _channels_alike(segment: _Segment, named: str | None, source: str, warnings:
     }
     empty = [channel for channel, kind in kinds.items() if kind[0] == 0]
     if empty:
-        warnings.append(f"{len(empty)} channels without samples were left out: {_listed(segment, empty)}")
+        warnings.append(Remark(f"{len(empty)} channels without samples were left out: {_listed(segment, empty)}"))
     held = [channel for channel in kinds if channel not in empty]
     if not held:
         raise BadData(f"{source}: a recording must hold at least one sample, no channel does; record it again")
@@ -297,7 +297,7 @@ class _Lvm:
                 return stated or measured, "Delta_X" if stated else "column of x", True
         if stated is None:
             shown = segment.field("Delta_X", channel)
-            self.warnings.append(f"Delta_X {shown[:40]!r} has too few digits for a sampling rate to 0.1 %")
+            self.warnings.append(Remark(f"Delta_X {shown[:40]!r} has too few digits for a sampling rate to 0.1 %"))
         return stated, "Delta_X", False
 
     def samples(self, first: _Segment, channels: Sequence[int], timed: float | None) -> Iterator[Floats]:

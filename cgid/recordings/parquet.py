@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cgid.errors import BadData
-from cgid.recordings.recording import Contents, library, require_one_rate, understood
+from cgid.recordings.recording import Contents, Remark, library, require_one_rate, understood
 from cgid.recordings.text_layout import Column, column_of
 from cgid.recordings.times import rate_of_vector
 from cgid.recordings.variables import (
@@ -50,9 +50,9 @@ def read_parquet(path: Path, source: str) -> Contents:
     columns = []
     for name, kind, values in file.columns():
         if kind == "other":
-            warnings.append(f"column {name} holds no numbers and is left out")
+            warnings.append(Remark(f"column {name} holds no numbers and is left out"))
         elif name.startswith(_INDEX) and kind == "number":
-            warnings.append(f"column {name} is an index without a name and is left out")
+            warnings.append(Remark(f"column {name} is an index without a name and is left out"))
         else:
             columns.append((name, kind, values, column_of(name)))
     at = next((k for k, (_, kind, _, _) in enumerate(columns) if kind == "timestamp"), None)

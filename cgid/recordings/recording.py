@@ -36,6 +36,10 @@ RATE_TOLERANCE = 1e-3
 Blocks = Callable[[int, Sequence[int]], Iterator[NDArray[Any]]]
 
 
+class Remark(str):
+    """A warning of something that is no damage."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class Contents:
     """Channels of a file, and what the file states about them.
@@ -49,7 +53,7 @@ class Contents:
     rate_from : place in the file that states the sampling rate
     fallback_unit : unit if neither the file nor the user gives one
     start_time : time of the first sample, as stated by the file
-    warnings : damaged parts that were left out, one line each; may grow during reading
+    warnings : damaged parts that were left out, one line each; may grow during reading. What is no damage is a `Remark`
     """
 
     n_channels: int
@@ -254,7 +258,17 @@ class RecordingFile:
     @property
     def warnings(self) -> tuple[str, ...]:
         """Damaged parts that were left out, one line each; complete once all blocks have been read."""
-        return tuple(f"{self.source}: {warning}" for warning in dict.fromkeys(self._contents.warnings))
+        return tuple(f"{self.source}: {warning}" for warning in self.said)
+
+    @property
+    def said(self) -> tuple[str, ...]:
+        """The warnings without the name of the source."""
+        return tuple(dict.fromkeys(self._contents.warnings))
+
+    @property
+    def damage(self) -> tuple[str, ...]:
+        """The warnings that are no remarks."""
+        return tuple(one for one in self.said if not isinstance(one, Remark))
 
     def blocks(self, length: int = BLOCK_LENGTH) -> Iterator[NDArray[Any]]:
         """Yield the samples in order, (n_channels, at most `length`), float32 or float64.

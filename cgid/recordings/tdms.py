@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cgid.errors import BadData
-from cgid.recordings.recording import Contents, library, understood
+from cgid.recordings.recording import Contents, Remark, library, understood
 from cgid.recordings.variables import Value, Variable, contents_of, is_statement
 
 _LEAD_IN, _TAG = 28, b"TDSm"
@@ -103,7 +103,7 @@ def read_tdms(path: Path, source: str, variable: str | None) -> Contents:
     channels differ in length or rate; `MissingExtra` without nptdms.
     """
     file = _Tdms(path, source)
-    warnings = []
+    warnings: list[str] = []
     if file.is_cut:
         warnings.append("the TDMS file is cut off or was never closed; what is whole of its last part is kept")
     variables: list[Variable] = []
@@ -115,9 +115,9 @@ def read_tdms(path: Path, source: str, variable: str | None) -> Contents:
                 if len(channel) and channel.dtype.kind in "fiu":
                     variables.append(_variable(file, group.name, channel))
                 elif not len(channel):
-                    warnings.append(f"channel {group.name}/{channel.name} holds no samples and is left out")
+                    warnings.append(Remark(f"channel {group.name}/{channel.name} holds no samples and is left out"))
                 else:
-                    warnings.append(f"channel {group.name}/{channel.name} holds no numbers and is left out")
+                    warnings.append(Remark(f"channel {group.name}/{channel.name} holds no numbers and is left out"))
     if file.is_cut and not variables:
         raise BadData(f"{source}: the TDMS file is cut off before its first sample; copy it again")
     return contents_of(variables, statements, source, variable, warnings, group_is_one=True, is_cut=file.is_cut)

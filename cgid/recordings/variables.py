@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cgid.errors import BadData
-from cgid.recordings.recording import Blocks, Contents, rates_agree, require_one_rate
+from cgid.recordings.recording import Blocks, Contents, Remark, rates_agree, require_one_rate
 from cgid.recordings.text_layout import column_of
 from cgid.recordings.times import rate_of_vector
 from cgid.units import hertz_of, known_unit, plain_unit, seconds_of
@@ -319,7 +319,7 @@ def _chosen(variables: Sequence[Variable], source: str, variable: str | None, gr
         is_one = group_is_one and len({one.group for one in signals}) == 1
         if len(signals) > 1 and not is_one:
             raise BadData(
-                f"{source}: which array is meant must be statements, there are {_listed(signals)}; name one by "
+                f"{source}: which array is meant must be stated, there are {_listed(signals)}; name one by "
                 "--variable NAME, or several of one length by a pattern such as 'ch*'"
             )
         return signals or list(variables[:1])
@@ -384,7 +384,7 @@ def _rate(
             except BadData:
                 if stated is None:
                     raise
-                warnings.append(f"the times of {one.path} are not even, the rate is that of {stated[1]}")
+                warnings.append(Remark(f"the times of {one.path} are not even, the rate is that of {stated[1]}"))
                 measured[one.path] = None
         rate = measured.get(one.path)
         if rate is not None:

@@ -8,10 +8,11 @@ from __future__ import annotations
 
 import hashlib
 import json
+import re
 from collections.abc import Sequence
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Self
+from typing import Any, Self, get_args
 
 from pydantic import BaseModel, Field, ValidationError, model_validator
 
@@ -34,7 +35,8 @@ from cgid.scene.sections import (
 )
 from cgid.scene.sensor import BackgroundSection, Sensor
 from cgid.scene.stream_section import StreamSection
-from cgid.validation import cut, shown
+from cgid.shipped import scene_path
+from cgid.validation import cut, shown, suggestion
 
 #: Largest scene file [bytes] and most keys in it: 10,000 measured modes have 60,000.
 _LARGEST_FILE, _MOST_KEYS = 8 << 20, 100_000
@@ -186,11 +188,12 @@ def samples_of(scene: Scene) -> int:
 
 
 def load_scene(path: str | Path) -> Scene:
-    """Load a scene from a TOML file.
+    """Load a scene from a TOML file, or one that comes with cgid.
 
     Parameters
     ----------
     path : str or Path
+        A file, or the name of a shipped scene, as `cgid check --list` prints them; a `Path` is always a file.
 
     Returns
     -------
@@ -199,16 +202,16 @@ def load_scene(path: str | Path) -> Scene:
     Raises
     ------
     NoInput
-        The file cannot be read.
+        There is no such scene, or the file cannot be read.
     BadData
         The file is not valid TOML or breaks rules; one line for each mistake, with its path in the file.
 
     Examples
     --------
-    >>> from cgid.shipped import scene_path
-    >>> load_scene(scene_path("reference")).labels
+    >>> load_scene("reference").labels
     ('coal', 'gangue')
     """
+    path = scene_path(path)
     try:
         text = read_regular(path, "a scene file", _LARGEST_FILE, "give a .toml file").decode()
     except UnicodeDecodeError:
@@ -277,7 +280,8 @@ def _lines(entry: Any) -> list[str]:
 
 def _message(entry: Any) -> str:
     if entry["type"] == "extra_forbidden":
-        return "unknown key; look for a misspelling, or take it out"
+        hint = suggestion(entry["loc"][-1], _keys_at(entry["loc"][:-1]))
+        return f"unknown key{hint or '; look for a misspelling, or take it out'}"
     if entry["type"] == "missing":
         return "is missing"
     if entry["type"] in ("too_short", "too_long"):
@@ -291,7 +295,25 @@ def _message(entry: Any) -> str:
     given = entry["input"]
     if entry["type"] != "value_error" and isinstance(given, str | int | float):
         text += f", got {shown(given)}"
+    if entry["type"] == "literal_error":
+        text += suggestion(given, re.findall("'([^']+)'", entry["ctx"]["expected"]))
     return text
+
+
+def _keys_at(location: Sequence[int | str]) -> list[str]:
+    """Return the keys of a section; of all distributions, where it is one."""
+    sections: list[type[BaseModel]] = [Scene]
+    for part in location:  # numbers of rows and names of alternatives are no keys
+        kinds = [one.model_fields[part].annotation for one in sections if part in one.model_fields]
+        sections = [section for kind in kinds for section in _sections_in(kind)] or sections
+    return [key for section in sections for key in section.model_fields]
+
+
+def _sections_in(annotation: Any) -> list[type[BaseModel]]:
+    """Return the sections in the type of a key."""
+    if parts := get_args(annotation):
+        return [section for part in parts for section in _sections_in(part)]
+    return [annotation] if isinstance(annotation, type) and issubclass(annotation, BaseModel) else []
 
 
 #: Fewest samples before touch with `keep_frame`: baseline and noise are measured there.
@@ -327,8 +349,7 @@ def varied(scene: Scene, *, keep_frame: bool = False, **changes: Any) -> Scene:
     Examples
     --------
     >>> from cgid.scene import load_scene
-    >>> from cgid.shipped import scene_path
-    >>> slow = varied(load_scene(scene_path("reference")), keep_frame=True, sampling_rate="50 kHz")
+    >>> slow = varied(load_scene("reference"), keep_frame=True, sampling_rate="50 kHz")
     >>> slow.sampling.samples, slow.sampling.pre_trigger
     (526, 64)
     """

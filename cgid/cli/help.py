@@ -1,0 +1,118 @@
+"""The pages of --help: options and commands under headings, and one example that works in a fresh checkout.
+
+An option finds its heading by its name, so that a new one of a known name needs no edit here.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+import click
+
+_OTHERS = "Other"
+#: Heading -> the options below it; "command --option" where a command uses the name for something else.
+_OPTIONS = {
+    "Task": "--sample --list --explain --features-only --closed-form-only --parameters-only --repair --scene "
+    "--finite-element --template",
+    "Reading the recording": "--rate --unit --sensitivity --gain --full-scale --channel --channels --sample-format "
+    "--variable --index --invert --dead-time --from --to --events --kind",
+    "Model": "--model --mass --drop-height --sensor --family --by --hop --level-free --keep-baseline --features "
+    "--class-weights",
+    "Decision": "--cost --miss-cost --coverage --class-conditional --vote",
+    "Gangue share": "--window --gangue --gangue-cost --dilution-cost",
+    "Signals": "--signals --seed --dtype --quantities --learner --shuffle-labels --test-share --calibration-share",
+    "Output": "--output --report --plot --plots --overwrite --resume --compression --shard-signals --json --strict",
+    "Speed": "--jobs --scheduler",
+    _OTHERS: "--help --version",
+}
+_EXCEPTIONS = {
+    "train --window": "Model",
+    "generate --features": "Signals",
+    "features --features": "Task",
+    "ceiling --drop-height": "Signals",
+    "check --seed": "Task",
+}
+#: Heading -> the commands below it.
+_COMMANDS = {
+    "Recordings": "predict monitor events features info plot",
+    "Models": "train",
+    "Datasets and scenes": "generate check verify export",
+    "Studies": "ceiling reproduce",
+}
+#: One line for the start file of each shell.
+_COMPLETION = (
+    ("bash", 'eval "$(_CGID_COMPLETE=bash_source cgid)"'),
+    ("zsh", 'eval "$(_CGID_COMPLETE=zsh_source cgid)"'),
+    ("fish", "_CGID_COMPLETE=fish_source cgid | source"),
+)
+
+
+def heading_of(command: str | None, option: click.Parameter) -> str | None:
+    """Return the heading of an option of a command; None if its name is not known here.
+
+    Examples
+    --------
+    >>> heading_of("predict", click.Option(["--rate"])), heading_of("train", click.Option(["--window"]))
+    ('Reading the recording', 'Model')
+    """
+    flag = max(option.opts, key=len)
+    special = _EXCEPTIONS.get(f"{command} {flag}")
+    return special or next((heading for heading, flags in _OPTIONS.items() if flag in flags.split()), None)
+
+
+class Command(click.Command):
+    """A command whose help has headings and ends with an example, one or more lines for a shell."""
+
+    def __init__(self, *args: Any, example: str = "", **kwargs: Any) -> None:
+        super().__init__(*args, **kwargs)
+        self.example = example
+
+    def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """Write the options under their headings."""
+        rows: dict[str, list[tuple[str, str]]] = {heading: [] for heading in _OPTIONS}
+        for option in self.get_params(ctx):
+            row = option.get_help_record(ctx) if isinstance(option, click.Option) else None
+            if row is not None:
+                rows[heading_of(self.name, option) or _OTHERS].append(row)
+        _write(formatter, rows)
+
+    def format_epilog(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """Write the example."""
+        super().format_epilog(ctx, formatter)
+        if self.example:
+            with formatter.section("Example"):
+                for line in self.example.splitlines():  # not wrapped, it is to be copied
+                    formatter.write(f"{'':>{formatter.current_indent}}{line}\n")
+
+
+class Group(Command, click.Group):
+    """The commands under headings, and how to get them completed by the shell."""
+
+    def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """Write the commands, then the options."""
+        self.format_commands(ctx, formatter)
+        super().format_options(ctx, formatter)
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """Write one line for each command, under its heading."""
+        rows = {heading: self._rows(names.split()) for heading, names in _COMMANDS.items()}
+        known = " ".join(_COMMANDS.values()).split()
+        _write(formatter, {**rows, _OTHERS: self._rows(name for name in self.list_commands(ctx) if name not in known)})
+
+    def format_epilog(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """Write the example, and the line for each shell."""
+        super().format_epilog(ctx, formatter)
+        with formatter.section("Completion by the shell, for its start file"):
+            formatter.write_dl(_COMPLETION)
+
+    def _rows(self, names: Iterable[str]) -> list[tuple[str, str]]:
+        return [(name, self.commands[name].short_help or "") for name in names if name in self.commands]
+
+
+def _write(formatter: click.HelpFormatter, rows: Mapping[str, list[tuple[str, str]]]) -> None:
+    """Write the sections that have rows."""
+    for heading, own in rows.items():
+        if own:
+            with formatter.section(heading):
+                formatter.write_dl(own)

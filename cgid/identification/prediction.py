@@ -1,0 +1,182 @@
+"""Answers for samples in memory as one table: `load_model` and `predict`."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from cgid import validation
+from cgid.errors import BadData
+from cgid.identification.answers import Answer
+from cgid.identification.model import Model
+from cgid.identification.question import Question
+from cgid.identification.stream import factor_of, identify_blocks, scaled
+from cgid.shipped import model_path
+from cgid.signals import Signal
+
+if TYPE_CHECKING:
+    import pandas
+
+#: Fields of a question that `predict` takes: all but those of gangue shares.
+_SETTINGS = (
+    "costs", "coverage", "class_conditional", "drop_height", "mass", "invert", "sensors", "dead_time", "vote_time",
+)  # fmt: skip
+
+
+def load_model(model: str | Path = "default") -> Model:
+    """Load a model from a file, or one that comes with cgid.
+
+    Parameters
+    ----------
+    model : str or Path
+        A file, or "default" (pulses of force), "default-drop-height" (these, where the drop height is known) or
+        "default-acceleration" (vibrations of a tail beam); a `Path` is always a file.
+
+    Returns
+    -------
+    Model
+
+    Raises
+    ------
+    NoInput
+        There is no such model, or the file cannot be read.
+    BadData
+        The file is no sound model: its digest or one of its arrays is wrong.
+
+    Examples
+    --------
+    >>> load_model("default").labels
+    ('coal', 'gangue')
+    """
+    return Model.load(model_path(model))
+
+
+def predict(
+    samples: ArrayLike,
+    sampling_rate: float,
+    unit: str = "N",
+    model: Model | str | Path | None = None,
+    **settings: Any,
+) -> pandas.DataFrame:
+    """Identify the material of every impact in some samples.
+
+    Parameters
+    ----------
+    samples : array_like, (n_samples,) or (n_samples, n_channels)
+        In `unit`. The columns of a DataFrame name the channels; else they are numbered from 1.
+    sampling_rate : float
+        [Hz].
+    unit : str
+        One of `cgid.units.UNITS`, such as "N", "kN", "g" or "m/s^2".
+    model : Model, str or Path, optional
+        A model, or what `load_model` takes; by default the shipped one for this quantity.
+    **settings
+        Fields of `cgid.identification.question.Question`, such as ``mass=2.5`` [kg] of an accelerated striker,
+        ``drop_height=1.5`` [m], ``invert=True``, ``costs={"gangue": 3.0}`` or ``coverage=0.9``.
+
+    Returns
+    -------
+    DataFrame
+        One row for each impact (or window, by the model), in order of time, with the columns of `cgid predict`:
+        `channel`, `time [s]`, `label`, one `p(LABEL)` for each label of the model, `novelty` (above 1 the label is
+        "unknown"), `overlapping`, `clipped`, `cut_off`, `problem`. Windows also have `end [s]`, and a coverage adds
+        `prediction_set`. Without impacts it has no rows.
+
+    Warns
+    -----
+    UserWarning
+        A channel has no impact, for the reason given.
+
+    Raises
+    ------
+    BadData
+        The samples are not finite, have another shape, or are of another quantity than the model's.
+    InvalidValue
+        The sampling rate, the unit or a setting is invalid.
+    MissingOption
+        The model needs a drop height.
+    NoInput
+        There is no such model.
+
+    Examples
+    --------
+    A blow of 8 kN, half a sine of 0.4 ms, in 10 ms of noise.
+
+    >>> import numpy as np
+    >>> time = np.arange(2000) / 200e3
+    >>> blow = 8e3 * np.sin(np.pi * np.clip((time - 4e-3) / 0.4e-3, 0, 1)) ** 1.5
+    >>> table = predict(blow + np.random.default_rng(0).normal(0, 50, 2000), 200e3)
+    >>> list(table.columns[:5]), len(table), round(float(table["time [s]"][0]), 4)
+    (['channel', 'time [s]', 'label', 'p(coal)', 'p(gangue)'], 1, 0.004)
+    """
+    for name in settings:
+        validation.choice("setting", name, _SETTINGS)
+    question = replace(Question(), **settings)
+    signals = _signals(samples, sampling_rate, unit)
+    first = signals[0]
+    chosen = model if isinstance(model, Model) else load_model(_default(first, question) if model is None else model)
+    question.check(chosen)
+    factor = factor_of(chosen, unit, first.source, mass=question.mass) * (-1 if question.invert else 1)
+    block = np.stack([signal.samples for signal in signals])
+    names = [signal.channel for signal in signals]
+    answers: list[Answer] = []
+    blocks = scaled([block], [factor] * len(names))
+    for step in identify_blocks(blocks, first.sampling_rate, chosen, names, question, first.source):
+        answers += step.answers
+        for text in (*step.silent, *step.warnings):
+            warnings.warn(text, stacklevel=2)
+    return _table(answers, chosen, question)
+
+
+def _signals(samples: Any, sampling_rate: float, unit: str) -> list[Signal]:
+    """Return the channels of samples (n_samples,) or (n_samples, n_channels)."""
+    names: Iterable[Any] | None = getattr(samples, "columns", None)
+    columns = validation.plain("samples", samples)
+    if columns.ndim == 1:
+        columns, names = columns[:, np.newaxis], None
+    if columns.ndim != 2 or not columns.size:
+        raise BadData(f"samples must be (n_samples,) or (n_samples, n_channels), got shape {columns.shape}")
+    if columns.shape[1] > columns.shape[0]:
+        raise BadData(
+            f"samples must be (n_samples, n_channels), got shape {columns.shape} with more channels than samples; "
+            "transpose them"
+        )
+    labels = range(1, columns.shape[1] + 1) if names is None else names
+    return [
+        Signal(samples=column, sampling_rate=sampling_rate, unit=unit, source="samples", channel=str(label))
+        for label, column in zip(labels, np.ascontiguousarray(columns.T), strict=True)
+    ]
+
+
+def _default(signal: Signal, question: Question) -> str:
+    """Return the name of the shipped model for a quantity; a mass or a drop height implies a force."""
+    if question.drop_height is not None:
+        return "default-drop-height"
+    return "default-acceleration" if signal.quantity == "acceleration" and question.mass is None else "default"
+
+
+def _table(answers: Sequence[Answer], model: Model, question: Question) -> pandas.DataFrame:
+    import pandas as pd
+
+    columns: dict[str, Any] = {"channel": [one.channel for one in answers], "time [s]": [one.time for one in answers]}
+    if model.kind == "window":
+        columns["end [s]"] = [one.end for one in answers]
+    columns["label"] = [one.label for one in answers]
+    for label in model.labels:
+        columns[f"p({label})"] = [one.probabilities.get(label, np.nan) for one in answers]
+    columns["novelty"] = [one.novelty for one in answers]
+    for title, name in (("overlapping", "overlapping"), ("clipped", "clipped"), ("cut_off", "cut")):
+        columns[title] = np.array([getattr(one, name) for one in answers], bool)
+    columns["problem"] = [one.problem for one in answers]
+    if question.coverage is not None:
+        columns["prediction_set"] = ["+".join(one.prediction_set or ()) for one in answers]
+    texts = ("channel", "label", "problem", "prediction_set")
+    return pd.DataFrame(
+        {name: pd.Series(column, dtype=object if name in texts else None) for name, column in columns.items()}
+    )

@@ -1,0 +1,80 @@
+"""The pages of --help: every option has a heading and a sentence, and every example runs."""
+
+from __future__ import annotations
+
+import shlex
+import subprocess
+import sys
+from pathlib import Path
+
+import click
+import pytest
+
+from cgid.cli.help import Command, heading_of
+from cgid.cli.main import cli, run
+
+ROOT = Path(__file__).parents[1]
+COMMANDS = {"cgid": cli, **cli.commands}
+#: Of minutes.
+SLOW = ("reproduce", "ceiling")
+
+
+def test_bare_cgid_prints_the_help(capsys: pytest.CaptureFixture[str]) -> None:
+    """As click itself does since 8.2: on stderr, as a usage error."""
+    assert run([]) == 2
+    bare = capsys.readouterr()
+    assert run(["--help"]) == 0
+    assert (bare.out, bare.err) == ("", capsys.readouterr().out)
+    assert "cgid predict --sample" in bare.err
+
+
+def test_mistyped_names_are_suggested(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["predcit", "--sample"]) == 2
+    assert "Did you mean 'predict'?" in capsys.readouterr().err
+    assert run(["predict", "--smaple"]) == 2
+    assert "--sample" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_every_option_has_a_heading_and_a_sentence(name: str) -> None:
+    command = COMMANDS[name]
+    assert isinstance(command, Command), "give it cls=Command"
+    options = [one for one in command.params if isinstance(one, click.Option)]
+    assert not [one.opts for one in options if heading_of(name, one) is None], "name its heading in cgid/cli/help.py"
+    for text in [one.help or "" for one in options]:
+        assert text[:1].isupper() and text.endswith("."), text
+    assert (command.short_help or command.help or "").endswith(".")
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_every_option_and_the_example_are_on_the_page(
+    name: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", "200")
+    assert run([*([] if name == "cgid" else [name]), "--help"]) == 0
+    page = capsys.readouterr().out
+    assert max(len(line) for line in page.splitlines()) <= 110
+    command = COMMANDS[name]
+    assert isinstance(command, Command)
+    for option in command.params:
+        if isinstance(option, click.Option):
+            assert f"  {', '.join(sorted(option.opts, key=len))}" in page
+    assert command.example
+    assert "Example:\n" + "".join(f"  {line}\n" for line in command.example.splitlines()) in page
+
+
+@pytest.mark.parametrize("name", [pytest.param(name, marks=[pytest.mark.long] * (name in SLOW)) for name in COMMANDS])
+def test_every_example_runs(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """In a folder with the data and the models of a fresh checkout."""
+    for folder in ("datasets", "models"):
+        (tmp_path / folder).symlink_to(ROOT / folder)
+    monkeypatch.chdir(tmp_path)
+    command = COMMANDS[name]
+    assert isinstance(command, Command)
+    for line in command.example.splitlines():
+        program, *arguments = shlex.split(line)
+        if program == "cgid":
+            assert run(arguments) == 0, line
+        else:
+            assert program == "python"
+            subprocess.run([sys.executable, *arguments], check=True)

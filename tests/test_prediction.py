@@ -1,0 +1,111 @@
+"""`cgid.predict`, `load_model` and `load_scene` by name, against the command line and the detector."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+import cgid
+from cgid.cli.main import run
+from cgid.errors import BadData, InvalidValue, MissingOption, NoInput
+from cgid.shipped import MODELS, SCENES, model_path, scene_descriptions
+
+ROOT = Path(__file__).parents[1]
+SAMPLE = ROOT / "datasets" / "sample.csv"
+
+
+def sample() -> np.ndarray:
+    return np.loadtxt(SAMPLE, skiprows=2)
+
+
+def test_the_table_agrees_with_the_command(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["predict", str(SAMPLE), "--json"]) == 0
+    lines = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    rows = [line for line in lines if line["kind"] == "impact"]
+    table = cgid.predict(sample(), 200e3)
+    assert list(table) == [
+        *("channel", "time [s]", "label", "p(coal)", "p(gangue)", "novelty"),
+        *("overlapping", "clipped", "cut_off", "problem"),
+    ]
+    assert table["label"].tolist() == [row["label"] for row in rows]
+    for label in ("coal", "gangue"):
+        assert table[f"p({label})"].tolist() == pytest.approx([row["probabilities"][label] for row in rows], abs=1e-12)
+    assert table["time [s]"].tolist() == pytest.approx([row["time_s"] for row in rows])
+    assert table["overlapping"].dtype == bool
+
+
+def test_channels_are_columns_and_units_do_not_matter() -> None:
+    one = cgid.predict(sample(), 200e3)
+    both = pd.DataFrame({"left": sample() / 1e3, "right": -sample() / 1e3})
+    with pytest.warns(UserWarning, match="samples channel right: "):
+        named = cgid.predict(both, 200e3, "kN", model="default")
+    assert set(named["channel"]) == {"left"}
+    np.testing.assert_allclose(named["p(coal)"], one["p(coal)"], rtol=1e-9)
+    two = cgid.predict(np.stack([sample(), sample()], axis=1), 200e3)
+    assert two["channel"].value_counts().to_dict() == {"1": 6, "2": 6}
+    with pytest.warns(UserWarning):
+        assert cgid.predict(both, 200e3, "kN", invert=True)["channel"].unique().tolist() == ["right"]
+
+
+def test_settings_are_those_of_a_question() -> None:
+    assert (cgid.predict(sample(), 200e3, costs={"gangue": 1e6})["label"] == "gangue").all()
+    sets = cgid.predict(sample(), 200e3, coverage=0.99)["prediction_set"]
+    assert set(sets) <= {"coal", "gangue", "coal+gangue", ""}
+    heights = [cgid.predict(sample(), 200e3, drop_height=height)["p(coal)"] for height in (0.5, 3.0)]
+    assert np.max(np.abs(heights[0] - heights[1])) > 0.1
+    force = cgid.predict(sample(), 200e3)["p(coal)"]
+    of_mass = cgid.predict(sample() / 2.5, 200e3, "m/s^2", mass=2.5)["p(coal)"]
+    np.testing.assert_allclose(of_mass, force, rtol=1e-9)
+
+
+def test_no_impact_is_a_table_without_rows_and_a_reason() -> None:
+    with pytest.warns(UserWarning, match="no impact"):
+        table = cgid.predict(np.random.default_rng(0).normal(size=5000), 2e5)
+    assert len(table) == 0 and list(table) == list(cgid.predict(sample(), 200e3))
+
+
+@pytest.mark.parametrize(
+    ("given", "settings", "error", "says"),
+    [
+        ((np.zeros((2, 1000)), 2e5), {}, BadData, "transpose"),
+        ((np.zeros((2, 3, 4)), 2e5), {}, BadData, "shape"),
+        ((np.array([0.0, np.nan]), 2e5), {}, BadData, "sample 1 is nan"),
+        ((np.zeros(100), -1.0), {}, InvalidValue, "above 0"),
+        ((np.zeros(100), 2e5, "KN"), {}, InvalidValue, "did you mean 'kN'"),
+        ((np.zeros(100), 2e5, "V"), {}, BadData, "voltage"),
+        ((np.zeros(100), 2e5, "N", "defualt"), {}, NoInput, "did you mean 'default'"),
+        ((sample(), 2e5, "N", "default-drop-height"), {}, MissingOption, "drop_height"),
+        ((np.zeros(100), 2e5), {"masss": 2.0}, InvalidValue, "did you mean 'mass'"),
+        ((np.zeros(100), 2e5), {"costs": {"gange": 2.0}}, InvalidValue, "did you mean 'gangue'"),
+    ],
+)
+def test_what_is_refused(given: tuple, settings: dict, error: type[Exception], says: str) -> None:
+    with pytest.raises(error, match=says):
+        cgid.predict(*given, **settings)
+
+
+def test_shipped_things_are_loaded_by_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert {cgid.load_scene(name).name for name in SCENES} == set(SCENES)
+    assert [cgid.load_model(name).unit for name in MODELS] == ["N", "N", "m/s^2"]
+    assert cgid.load_model().to_bytes() == model_path("default").read_bytes()
+    assert {name: cgid.load_scene(name).description for name in SCENES} == scene_descriptions()
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "mine.toml").write_text((ROOT / "datasets" / "reference.toml").read_text())
+    assert cgid.load_scene("mine.toml").sha256 == cgid.load_scene("reference").sha256
+    for wrong, meant in (("refrence", "reference"), ("reference.tml", "reference"), ("mine.tml", "mine.toml")):
+        with pytest.raises(NoInput, match=f"{wrong}: no such scene; did you mean '{meant}'"):
+            cgid.load_scene(wrong)
+    with pytest.raises(NoInput, match="cgid check --list"):
+        cgid.load_scene("zzz")
+    with pytest.raises(NoInput, match="no such scene"):
+        cgid.load_scene(Path("reference"))
+
+
+def test_the_namespace_holds_public_names_only() -> None:
+    names = [name for name in dir(cgid) if name != "__version__"]
+    assert not [name for name in names if name.startswith("_") or name in ("Any", "annotations", "import_module")]
+    assert all(getattr(cgid, name).__module__.startswith("cgid") for name in names)
