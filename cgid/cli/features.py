@@ -96,7 +96,9 @@ def _print(
     from cgid.errors import BadData, InvalidValue
     from cgid.identification.detection import find_impacts
     from cgid.measure.features import extract_array, kind_for, kind_of
+    from cgid.recordings.chain import require_measured
 
+    require_measured(signal.unit, signal.name)
     kind = kind_for(signal.quantity) if names is None else kind_of(names)
     if kind == "window":
         raise InvalidValue(

@@ -7,7 +7,7 @@ from typing import Any
 
 import click
 
-from cgid.cli.options import PATH
+from cgid.cli.options import PATH, chain_options, warn_of_volts
 from cgid.cli.output import print_json, say
 
 #: Most samples of all channels held in memory; longer recordings are read block by block.
@@ -21,8 +21,9 @@ _LOCAL_HEAD, _HEADER = 30, b"header.npy"
 @click.option("--rate", "sampling_rate", type=float, help="Sampling rate [Hz], where a recording does not say it.")
 @click.option("--unit", help="Unit of the samples, where a recording does not say it.")
 @click.option("--variable", help="Which array, table or group of a recording, where it holds several.")
+@chain_options
 @click.option("--json", "as_json", is_flag=True, help="One JSON object.")
-def info(file: str, sampling_rate: float | None, unit: str | None, variable: str | None, as_json: bool) -> None:
+def info(file: str, as_json: bool, chain: dict[str, Any], **reading: Any) -> None:
     """Say what is in FILE: a dataset, a table, a model, or a recording (every channel)."""
     from cgid.recordings import is_dataset
     from cgid.store import is_table
@@ -34,7 +35,7 @@ def info(file: str, sampling_rate: float | None, unit: str | None, variable: str
     elif _is_model(file):
         content = _model(file)
     else:
-        content = _recording(file, sampling_rate, unit, variable)
+        content = _recording(file, **reading, **chain)
     if as_json:
         print_json(content)
     else:
@@ -134,10 +135,11 @@ def _is_model(file: str) -> bool:
     return not start.startswith(b"PK") or start[_LOCAL_HEAD:] == _HEADER
 
 
-def _recording(file: str, sampling_rate: float | None, unit: str | None, variable: str | None) -> dict[str, Any]:
+def _recording(file: str, **reading: Any) -> dict[str, Any]:
     from cgid.recordings import open_recording
 
-    recording = open_recording(file, sampling_rate=sampling_rate, unit=unit, variable=variable)
+    recording = open_recording(file, **reading)
+    warn_of_volts(recording)
     channels = _channels(recording)
     for warning in recording.warnings:
         say(f"cgid: warning: {warning}", err=True)
@@ -183,6 +185,7 @@ def _channels(recording: Any) -> dict[str, Any]:
             "duration_s": n_samples / rate,
             "quantity": channel.quantity or "unknown",
             "unit": channel.unit or "unknown",
+            **({"converted": channel.origin} if channel.origin else {}),
             "dtype": dtype,
             "lowest": float(lowest[row]),
             **{name: float(value) for name, value in middle.items()},

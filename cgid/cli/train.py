@@ -9,7 +9,7 @@ from typing import Any
 import click
 
 from cgid import validation
-from cgid.cli.options import PATH, crew_options, dead_time_in_seconds, require_one_crew
+from cgid.cli.options import PATH, chain_options, crew_options, dead_time_in_seconds, require_one_crew
 from cgid.cli.output import print_json, progress_bar, say, say_error
 from cgid.errors import CgidError, InvalidValue
 
@@ -22,6 +22,9 @@ _OF_RECORDINGS = {
     "sampling_rate": "--rate",
     "unit": "--unit",
     "channels": "--channel",
+    "sensitivity": "--sensitivity",
+    "gain": "--gain",
+    "full_scale": "--full-scale",
     "dead_time": "--dead-time",
     "strict": "--strict",
 }
@@ -67,6 +70,7 @@ _OF_DATASETS = {
 @click.option("--rate", "sampling_rate", type=float, help="Sampling rate [Hz], for recordings without it.")
 @click.option("--unit", help="Unit of the samples (N, g, ...), for recordings without it.")
 @click.option("--channel", "channels", multiple=True, help="Of the recordings, several together as 1+2; else all.")
+@chain_options
 @click.option("--dead-time", type=float, help="Ringing after a blow [ms], with --by impact.")
 @click.option("--strict", is_flag=True, help="Stop at the first recording that cannot be read.")
 @click.option("--seed", type=int, default=0, show_default=True, help="Of the split, and of the signals of a scene.")
@@ -91,7 +95,7 @@ def train(
     A scene is a .toml file or the name of a shipped one; its signals never touch the disk.
 
     A manifest is a .csv file with the columns path and label (and, as needed, start, end, group, channel, gain, sensor,
-    reference, rate, unit, variable), or a .toml file with a [[recording]] for each file, which may list intervals = [{
+    reference, rate, unit, variable, sensitivity, full_scale), or a .toml file with a [[recording]] for each file, which may list intervals = [{
     start, end, label }]. A group (a recording, a day, a support) is never on both sides of a split; each group in turn
     judges what was chosen and trained on the others. Scenes and datasets beside a manifest are used for training, too,
     with their level and spectrum moved to those of the recordings.
@@ -161,7 +165,7 @@ def _from_recordings(manifest: str, others: list[str], options: dict[str, Any]) 
             read_manifest(manifest),
             options["features"],
             slicing=slicing,
-            reading=Reading(channels=options["channels"] or None, **given),
+            reading=Reading(channels=options["channels"] or None, **given, **options["chain"]),
             level_free=options["level_free"],
             progress=progress,
         )

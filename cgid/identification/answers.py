@@ -17,8 +17,9 @@ from cgid.identification.question import Question, known_columns
 from cgid.measure.features import extract_array, problems_of
 from cgid.measure.filters import Equalisation
 from cgid.measure.frames import DETECTION_LIMIT, MINIMUM_FRAME
+from cgid.recordings.chain import require_measured
 from cgid.signals import Signal
-from cgid.units import UNITS
+from cgid.units import ELECTRICAL, UNITS
 from cgid.validation import UNKNOWN, Floats
 
 
@@ -66,13 +67,15 @@ def suited(signal: Signal, model: Model, mass: float | None = None) -> Signal:
     """Convert the signal to the quantity and unit of the model.
 
     `mass` [kg] of the accelerated striker turns an acceleration into a force. Raises `MissingOption` if the unit is
-    unknown, `BadData` for another quantity than the model's.
+    unknown or the samples are in volts without a sensitivity, `BadData` for another quantity than the model's.
     """
     if signal.unit is None:
         raise MissingOption(
             f"{signal.name}: the unit must be known, neither header nor option says it; give --unit, such as "
             f"{_unit_options(model)}"
         )
+    if model.quantity not in ELECTRICAL:
+        require_measured(signal.unit, signal.name)
     if mass is not None:
         signal = signal.as_force(mass)
     if signal.quantity != model.quantity:
@@ -80,7 +83,10 @@ def suited(signal: Signal, model: Model, mass: float | None = None) -> Signal:
         if (signal.quantity, model.quantity) == ("acceleration", "force"):
             cure = "give --mass KG if the accelerated body is the striker (force = mass x acceleration)"
         elif signal.quantity == "level":
-            cure = f"say with --unit what 1 stands for, such as {_unit_options(model)}"
+            cure = (
+                f"say with --unit what 1 stands for, such as {_unit_options(model)}; or how many volts with "
+                "--full-scale '10 V', and the --sensitivity of the sensor"
+            )
         raise BadData(
             f"{signal.name}: the quantity must be the model's, {model.quantity} [{model.unit}], got {signal.quantity} "
             f"[{signal.unit}]; {cure}"
