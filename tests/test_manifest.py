@@ -42,7 +42,7 @@ def test_recordings_are_their_own_groups_and_last_to_their_ends(tmp_path: Path) 
     manifest = read_manifest(written(tmp_path, "path,label\na.wav,coal\nsub/b.wav,gangue\n"))
     first, second = manifest.annotations
     assert first.group != second.group
-    assert (first.start, first.end, first.channels, first.gain) == (0.0, math.inf, None, 1.0)
+    assert (first.start, first.end, first.channels, first.gain) == (0.0, math.inf, None, None)
     assert second.path == tmp_path / "sub" / "b.wav"
     assert manifest.labels == ("coal", "gangue")
 

@@ -15,7 +15,7 @@ import pytest
 from scipy.io import wavfile
 
 from cgid.cli.main import run
-from cgid.errors import BadData, InvalidValue
+from cgid.errors import BadData, InvalidValue, MissingOption
 from cgid.identification.answers import Answer, identify
 from cgid.identification.model import Model
 from cgid.identification.question import Question
@@ -108,9 +108,12 @@ def test_units_and_signs_become_the_models(tmp_path: Path, default_model: Model)
 
 def test_wrong_quantity_is_said_before_anything_is_read(tmp_path: Path, default_model: Model) -> None:
     np.save(tmp_path / "v.npy", np.zeros(100))
-    recording = open_recording(tmp_path / "v.npy", sampling_rate=RATE, unit="V")
-    with pytest.raises(BadData, match=r"v.npy: the quantity must be the model's, force \[N\], got voltage \[V\]"):
+    recording = open_recording(tmp_path / "v.npy", sampling_rate=RATE, unit="J")
+    with pytest.raises(BadData, match=r"v.npy: the quantity must be the model's, force \[N\], got energy \[J\]"):
         model_blocks(recording, default_model, [0], Question())
+    volts = open_recording(tmp_path / "v.npy", sampling_rate=RATE, unit="V")
+    with pytest.raises(MissingOption, match=r"v.npy: the samples are a voltage \[V\], .* --sensitivity '10.2 mV/g'"):
+        model_blocks(volts, default_model, [0], Question())
 
 
 def test_silent_channels_are_named_and_do_not_hide_the_others(default_model: Model) -> None:
@@ -434,7 +437,7 @@ def test_recordings_of_two_quantities_have_two_models(tmp_path: Path, capsys: py
     assert run(["predict", str(tmp_path / "m.csv"), "--json"]) == 0
     rows = lines_of(capsys)
     assert {row["channel"] for row in of_kind(rows, "impact")} == {"hammer"}
-    assert "channel heat: the quantity must be the model's" in of_kind(rows, "warning")[0]["message"]
+    assert "channel heat: the samples are a voltage [V]" in of_kind(rows, "warning")[0]["message"]
 
 
 def test_model_of_windows_answers_windows(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

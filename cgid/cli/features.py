@@ -175,7 +175,9 @@ class _Rows:
         from cgid.errors import InvalidValue
         from cgid.identification.detection import find_impacts
         from cgid.measure.features import extract_array, kind_for, kind_of
+        from cgid.recordings.chain import require_measured
 
+        require_measured(signal.unit, signal.name)
         kind = kind_for(signal.quantity) if self.names is None else kind_of(self.names)
         if kind == "window":
             raise InvalidValue(

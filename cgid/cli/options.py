@@ -98,6 +98,50 @@ def require_one_crew(context: click.Context) -> None:
         raise click.UsageError("--jobs is for this machine, --scheduler for a cluster; give one of them", context)
 
 
+def chain_options(command: Callable[..., Any]) -> Callable[..., Any]:
+    """Add the options for the measuring chain; the command receives them as `chain`, arguments of `open_recording`."""
+    names = ("sensitivity", "gain", "full_scale")
+
+    @wraps(command)
+    def chained(**options: Any) -> Any:
+        return command(chain={name: options.pop(name) or None for name in names}, **options)
+
+    add = _options(
+        click.option(
+            "--sensitivity",
+            multiple=True,
+            metavar="[NAME=]VALUE",
+            help="Of the sensor, for samples in volts: '10.2 mV/g', '2.3 mV/N', '3.1 pC/g'; of one channel as 2=VALUE.",
+        ),
+        click.option(
+            "--gain",
+            multiple=True,
+            metavar="[NAME=]VALUE",
+            help="To be divided out: 10, x10, '20 dB', or '1 mV/pC' of a charge amplifier.",
+        ),
+        click.option(
+            "--full-scale",
+            multiple=True,
+            metavar="[NAME=]VALUE",
+            help="What full scale stands for in a sound file or in integers: '10 V', '50 g', '10 V at 24 bit'.",
+        ),
+    )
+    return add(chained)
+
+
+def warn_of_volts(recording: RecordingFile) -> None:
+    """Say how volts and coulombs become what the sensor measured, where it is not known."""
+    from cgid.errors import MissingOption
+    from cgid.recordings.chain import require_measured
+
+    for channel in recording.channels:
+        name = recording.source if channel.name == "1" else f"{recording.source} channel {channel.name}"
+        try:
+            require_measured(channel.unit, name)
+        except MissingOption as error:
+            say(f"cgid: warning: {error}", err=True)
+
+
 def dead_time_in_seconds(milliseconds: float | None) -> float | None:
     """Return the dead time [s]; refuse one outside of the valid range."""
     if milliseconds is None:
@@ -118,6 +162,7 @@ class Reading:
     index: int | None
     invert: bool
     milliseconds: float | None
+    chain: dict[str, tuple[str, ...] | None]
 
     @property
     def dead_time(self) -> float | None:
@@ -134,6 +179,7 @@ class Reading:
         if self.index is not None or not is_dataset(path):
             return False
         given = {"--rate": self.sampling_rate, "--unit": self.unit, "--channel": self.channel or None}
+        given |= {f"--{name.replace('_', '-')}": value for name, value in self.chain.items()}
         for flag, value in {**given, "--variable": self.variable, "--mass": mass}.items():
             if value is not None:
                 raise InvalidValue(f"{path}: {flag} is for recordings, a dataset says it itself; leave {flag} out")
@@ -151,6 +197,7 @@ class Reading:
             unit=self.unit,
             channel=self.channel or None,
             variable=self.variable,
+            **self.chain,
         )
 
     def signals(self, path: str) -> list[Signal]:
@@ -191,7 +238,7 @@ def reading_options(command: Callable[..., Any]) -> Callable[..., Any]:
         click.option("--invert", is_flag=True, help="Turn the signal upside down; impacts must point upwards."),
         dead_time_option,
     )
-    return add(read)
+    return chain_options(add(read))
 
 
 dead_time_option = click.option(

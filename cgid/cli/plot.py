@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from cgid.cli.help import Command
-from cgid.cli.options import PATH, Reading, reading_options
+from cgid.cli.options import PATH, Reading, reading_options, warn_of_volts
 from cgid.cli.output import print_json, say
 from cgid.terminal import counted
 
@@ -73,6 +73,7 @@ def plot(
     require_matplotlib()
     _require_order(begin, end)
     recording = _opened(file, reading)
+    warn_of_volts(recording)
     channels = recording.channels[:MOST_CHANNELS]
     if len(channels) < len(recording.channels):
         say(

@@ -10,7 +10,7 @@ import click
 
 from cgid import validation
 from cgid.cli.help import Command
-from cgid.cli.options import PATH, SCENE, crew_options, dead_time_in_seconds, require_one_crew
+from cgid.cli.options import PATH, SCENE, chain_options, crew_options, dead_time_in_seconds, require_one_crew
 from cgid.cli.output import print_json, progress_bar, say, say_error
 from cgid.errors import CgidError, InvalidValue
 from cgid.terminal import counted
@@ -24,6 +24,9 @@ _OF_RECORDINGS = {
     "sampling_rate": "--rate",
     "unit": "--unit",
     "channels": "--channel",
+    "sensitivity": "--sensitivity",
+    "gain": "--gain",
+    "full_scale": "--full-scale",
     "dead_time": "--dead-time",
     "strict": "--strict",
 }
@@ -98,6 +101,7 @@ _OF_DATASETS = {
     multiple=True,
     help="Read only this channel of the recordings; for several together give 1+2.",
 )
+@chain_options
 @click.option("--dead-time", type=float, help="Set how long a blow rings [ms], with --by impact.")
 @click.option("--strict", is_flag=True, help="Stop at the first recording that cannot be read.")
 @click.option(
@@ -131,9 +135,9 @@ def train(
 
     A scene is a .toml file or the name of a shipped one; its signals never touch the disk.
 
-    A manifest is a .csv file with the columns path and label (and, as needed, start, end, group, channel, gain, sensor,
-    reference, rate, unit, variable), or a .toml file with a [[recording]] for each file, which may list intervals = [{
-    start, end, label }]. A group (a recording, a day, a support) is never on both sides of a split; each group in turn
+    A manifest is a .csv file with the columns path and label (and, as needed, start, end, group, channel, sensor,
+    reference, rate, unit, variable, sensitivity, gain, full_scale), or a .toml file with a [[recording]] for each
+    file, which may list intervals = [{ start, end, label }]. A group (a recording, a day, a support) is never on both sides of a split; each group in turn
     judges what was chosen and trained on the others. Scenes and datasets beside a manifest are used for training, too,
     with their level and spectrum moved to those of the recordings.
     """
@@ -202,7 +206,7 @@ def _from_recordings(manifest: str, others: list[str], options: dict[str, Any]) 
             read_manifest(manifest),
             options["features"],
             slicing=slicing,
-            reading=Reading(channels=options["channels"] or None, **given),
+            reading=Reading(channels=options["channels"] or None, **given, **options["chain"]),
             level_free=options["level_free"],
             progress=progress,
         )

@@ -17,8 +17,9 @@ from cgid.identification.question import Question, known_columns
 from cgid.measure.features import extract_array, problems_of
 from cgid.measure.filters import Equalisation
 from cgid.measure.frames import DETECTION_LIMIT, MINIMUM_FRAME
+from cgid.recordings.chain import require_measured
 from cgid.signals import Signal
-from cgid.units import UNITS
+from cgid.units import ELECTRICAL, UNITS
 from cgid.validation import UNKNOWN, Floats
 
 
@@ -91,7 +92,7 @@ def suited(signal: Signal, model: Model, mass: float | None = None) -> Signal:
     Raises
     ------
     MissingOption
-        The unit of the signal is unknown.
+        The unit of the signal is unknown, or the samples are in volts without a sensitivity.
     BadData
         The signal has another quantity than the model.
     """
@@ -100,6 +101,8 @@ def suited(signal: Signal, model: Model, mass: float | None = None) -> Signal:
             f"{signal.name}: the unit must be known, neither header nor option says it; give --unit, such as "
             f"{_unit_options(model)}"
         )
+    if model.quantity not in ELECTRICAL:
+        require_measured(signal.unit, signal.name)
     if mass is not None:
         signal = signal.as_force(mass)
     if signal.quantity != model.quantity:
@@ -107,7 +110,10 @@ def suited(signal: Signal, model: Model, mass: float | None = None) -> Signal:
         if (signal.quantity, model.quantity) == ("acceleration", "force"):
             cure = "give --mass KG if the accelerated body is the striker (force = mass x acceleration)"
         elif signal.quantity == "level":
-            cure = f"say with --unit what 1 stands for, such as {_unit_options(model)}"
+            cure = (
+                f"say with --unit what 1 stands for, such as {_unit_options(model)}; or how many volts with "
+                "--full-scale '10 V', and the --sensitivity of the sensor"
+            )
         raise BadData(
             f"{signal.name}: the quantity must be the model's, {model.quantity} [{model.unit}], got {signal.quantity} "
             f"[{signal.unit}]; {cure}"

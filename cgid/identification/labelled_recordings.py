@@ -26,6 +26,7 @@ from cgid.identification.windows import Grid, measure_windows, windows_of
 from cgid.measure.features import FEATURES, choose, extract_array, kind_for, kind_of, require_supported, supported
 from cgid.measure.table import Kind
 from cgid.recordings import LARGEST_STREAM, RecordingFile, open_recording
+from cgid.recordings.chain import Statement, require_measured
 from cgid.recordings.recording import told
 from cgid.units import UNITS, quantity_of
 from cgid.validation import Floats
@@ -35,7 +36,7 @@ from cgid.validation import Floats
 class Reading:
     """Settings for reading recordings: metadata that files and manifest lack, and the handling of unreadable files.
 
-    For the first three see `cgid.recordings.open_recording`. If `strict`, the first unreadable recording raises; else
+    For all but `strict` see `cgid.recordings.open_recording`. If `strict`, the first unreadable recording raises; else
     it is reported and the others are read.
     """
 
@@ -43,6 +44,9 @@ class Reading:
     unit: str | None = None
     channels: tuple[int | str, ...] | None = None
     strict: bool = False
+    sensitivity: Statement | None = None
+    gain: Statement | None = None
+    full_scale: Statement | None = None
 
     def note(self, error: CgidError, failures: list[CgidError]) -> None:
         """Record the error of a recording, or raise it if strict."""
@@ -70,7 +74,7 @@ class AnnotatedFile:
     def scale(self, annotation: Annotation, unit: str) -> float:
         """Return the factor from the file's values to a unit, with the recorder's gain divided out."""
         units = UNITS[quantity_of(unit)]
-        return units[self.unit] / units[unit] / annotation.gain
+        return units[self.unit] / units[unit] / (annotation.gain or 1.0)
 
 
 def open_all(
@@ -150,6 +154,10 @@ def _opened(annotations: tuple[Annotation, ...], reading: Reading) -> AnnotatedF
         unit=first.unit or reading.unit,
         channel=first.channels or reading.channels,
         variable=first.variable,
+        sensitivity=first.sensitivity or reading.sensitivity,
+        # A gain of one annotation is divided out of its interval alone.
+        gain=first.recording_gain or (None if any(one.gain is not None for one in annotations) else reading.gain),
+        full_scale=first.full_scale or reading.full_scale,
     )
     units = {channel.unit for channel in recording.channels}
     unit = recording.channels[0].unit
@@ -157,6 +165,8 @@ def _opened(annotations: tuple[Annotation, ...], reading: Reading) -> AnnotatedF
         raise MissingOption(
             f"{recording.source}: the file does not say the unit; give it with --unit U, such as --unit g"
         )
+    for channel in recording.channels:
+        require_measured(channel.unit, recording.source)
     if len(units) > 1:
         got = " and ".join(sorted(str(unit) for unit in units))
         raise BadData(f"{recording.source}: channels must be in one unit, got {got}; choose with --channel")

@@ -18,19 +18,20 @@ from typing import Any
 from cgid import validation
 from cgid.errors import BadData, CgidError, InvalidValue
 from cgid.files import parse_toml, read_regular
+from cgid.recordings.chain import Chain, Gain
 from cgid.units import quantity_of
 
 #: The columns of a row.
 COLUMNS = (
     *("path", "label", "start", "end", "group", "channel", "gain", "sensor", "reference", "rate", "unit"),
-    "variable",
+    *("variable", "sensitivity", "full_scale"),
 )
 #: Most characters of a label, group or sensor.
 _LONGEST_WORD = 100
 #: Largest size [bytes] and number of keys of a manifest.
 LARGEST_FILE, _MOST_KEYS = 16 << 20, 1_000_000
 #: Keys that may apply to all recordings of a TOML manifest.
-_SHARED = ("group", "channel", "gain", "sensor", "rate", "unit", "variable")
+_SHARED = ("group", "channel", "gain", "sensor", "rate", "unit", "variable", "sensitivity", "full_scale")
 #: Most mistakes reported at once.
 _MOST_MISTAKES = 20
 
@@ -49,10 +50,12 @@ class Annotation:
     group : unit that splits keep together, such as a day or a support; default: the recording
     start, end : [s]; `end` is infinite for the end of the recording
     channels : numbers from 1, or names, of the channels of a row; None for all
-    gain : divisor of the samples
+    gain : divisor of the samples of the interval, None if none is stated
+    recording_gain : gain that differs between the channels, or is that of a charge amplifier; for the whole recording
     sensor : sensor whose reference run equalises the response; empty for none
     reference : whether this is the reference run of the sensor
-    sampling_rate, unit, variable : for files without them, see `cgid.recordings.open_recording`
+    sampling_rate, unit, variable, sensitivity, full_scale : for files without them, see
+        `cgid.recordings.open_recording`
     """
 
     path: Path
@@ -62,12 +65,15 @@ class Annotation:
     start: float = 0.0
     end: float = math.inf
     channels: tuple[int | str, ...] | None = None
-    gain: float = 1.0
+    gain: float | None = None
+    recording_gain: tuple[str, ...] | None = None
     sensor: str = ""
     reference: bool = False
     sampling_rate: float | None = None
     unit: str | None = None
     variable: str | None = None
+    sensitivity: tuple[str, ...] | None = None
+    full_scale: tuple[str, ...] | None = None
 
     @property
     def name(self) -> str:
@@ -101,6 +107,10 @@ def annotation_of(row: Mapping[str, Any], folder: Path, labels: tuple[str, ...] 
     rate, unit, variable = row.get("rate"), row.get("unit"), row.get("variable")
     if unit is not None:
         quantity_of(unit if isinstance(unit, str) else repr(unit))
+    gain, sensitivity, full_scale = (_of_channels(row.get(name)) for name in ("gain", "sensitivity", "full_scale"))
+    Chain.of(sensitivity, gain, full_scale)
+    one_gain = Gain.of(gain[0]) if gain is not None and len(gain) == 1 and "=" not in gain[0] else None
+    is_factor = one_gain is not None and not one_gain.is_of_charge
     return Annotation(
         path=folder / path,
         written=path,
@@ -109,12 +119,15 @@ def annotation_of(row: Mapping[str, Any], folder: Path, labels: tuple[str, ...] 
         start=start,
         end=end,
         channels=_channels(row.get("channel")),
-        gain=_gain(row.get("gain", 1.0)),
+        gain=one_gain.value if one_gain is not None and is_factor else None,
+        recording_gain=None if is_factor else gain,
         sensor=sensor,
         reference=reference,
         sampling_rate=None if rate is None else _positive("rate", rate, "Hz"),
         unit=unit,
         variable=None if variable is None else _word("variable", variable),
+        sensitivity=sensitivity,
+        full_scale=full_scale,
     )
 
 
@@ -135,21 +148,19 @@ def _number(name: str, value: Any, what: str) -> float:
     return number
 
 
-def _positive(name: str, value: Any, unit: str = "") -> float:
-    number = _number(name, value, f" in {unit}" if unit else ", a factor or with dB behind it")
+def _positive(name: str, value: Any, unit: str) -> float:
+    number = _number(name, value, f" in {unit}")
     if not 0 < number < math.inf:
-        raise InvalidValue(f"{name} must be above 0 and finite, got {number:g} {unit}".rstrip())
+        raise InvalidValue(f"{name} must be above 0 and finite, got {number:g} {unit}")
     return number
 
 
-def _gain(value: Any) -> float:
-    """Return a gain as a factor; a string may give it in dB."""
-    if not isinstance(value, str) or not value.lower().endswith("db"):
-        return _positive("gain", value)
-    level = _number("gain", value[:-2], " in dB")
-    if not abs(level) <= 400:
-        raise InvalidValue(f"gain must lie between -400 and 400 dB, got {level:g} dB")
-    return float(10.0 ** (level / 20))
+def _of_channels(value: Any) -> tuple[str, ...] | None:
+    """Return the values of a cell: one for all channels, or several NAME=VALUE, in a list or with ; between them."""
+    if value is None:
+        return None
+    listed = value.split(";") if isinstance(value, str) else value if isinstance(value, list) else [value]
+    return tuple(str(one).strip() if not isinstance(one, bool) else repr(one) for one in listed)
 
 
 def _truth(name: str, value: Any) -> bool:
@@ -189,6 +200,11 @@ def contradictions(annotations: Sequence[Annotation]) -> list[str]:
             found.append(f"{path}: a recording must lie in one group as a whole, got {' and '.join(groups[:2])}")
         own.sort(key=lambda one: (str(one.channels), one.start))
         for before, after in pairwise(own):
+            for name in ("sensitivity", "recording_gain", "full_scale"):
+                first, second = getattr(before, name), getattr(after, name)
+                if before.channels == after.channels and first != second:
+                    what = f"{' and '.join(first or ('none',))} and {' and '.join(second or ('none',))}"
+                    found.append(f"{path}: a recording must have one {name.removeprefix('recording_')}, got {what}")
             if before.channels == after.channels and after.start < before.end:
                 what = f"{before.label or 'a reference run'} and {after.label or 'a reference run'}"
                 found.append(f"{path}: intervals must not overlap, {what} do at {after.start:g} s")

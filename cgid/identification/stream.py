@@ -24,6 +24,7 @@ from cgid.identification.windows import RunningVote, measure_windows, windows_of
 from cgid.measure.features import FEATURES
 from cgid.measure.filters import Equalisation
 from cgid.measure.table import ImpactKind
+from cgid.recordings.chain import scaled
 from cgid.signals import Signal
 
 if TYPE_CHECKING:
@@ -117,18 +118,6 @@ def factor_of(model: Model, unit: str | None, source: str, channel: str = "1", *
     """Return the factor from samples in a unit to the quantity and unit of the model; raises as `suited`."""
     one = Signal(samples=np.ones(1), sampling_rate=1.0, unit=unit, source=source, channel=channel)
     return float(suited(one, model, mass).samples[0])
-
-
-def scaled(blocks: Iterable[NDArray[Any]], factors: Sequence[float]) -> Iterator[NDArray[Any]]:
-    """Yield blocks (n_channels, n_samples) with channels multiplied by their factors."""
-    if all(factor == 1.0 for factor in factors):
-        yield from blocks
-        return
-    column = np.array(factors)[:, np.newaxis]
-    for block in blocks:
-        with np.errstate(over="ignore"):  # the detector rejects infinite samples
-            scaled_block = block * column.astype(block.dtype)
-        yield scaled_block
 
 
 def identify_blocks(
