@@ -211,11 +211,11 @@ def _judgement(model: Model) -> list[str]:
 def _votes(training: Record) -> list[str]:
     """Return the accuracy of rows, running votes and whole recordings."""
     metrics = training["metrics"]
-    recordings = metrics["recordings"]
+    recordings = metrics.get("recordings")
     judged = [
         (f"one {training['recorded']['by']}", metrics),
         *((f"running vote over {row['time']:g} s", row) for row in metrics.get("running", []) if row["n"]),
-        ("vote of a whole recording", recordings),
+        *([] if recordings is None else [("vote of a whole recording", recordings)]),
     ]
     shares = []
     for name, row in judged:
@@ -230,14 +230,13 @@ def _votes(training: Record) -> list[str]:
             row["n"],
             f"{row['accuracy']:.4f}",
         )
-        for row in recordings["rows"]
+        for row in ([] if recordings is None else recordings["rows"])
     ]
     return [
         *table(("decision on", "right", "95 % interval", "number"), shares),
         "",
         "Votes are means of logarithms of probabilities. The intervals count groups, not what lies in them.",
-        "",
-        *table(("recording", "label", "vote", "rows", "right"), votes),
+        *(["", *table(("recording", "label", "vote", "rows", "right"), votes)] if votes else []),
     ]
 
 

@@ -44,18 +44,19 @@ MOST_SYNTHETIC = 10
 
 @dataclass(frozen=True, kw_only=True)
 class Slicing:
-    """How recordings become rows: by window, with length and hop [s], or by impact.
+    """How recordings become rows: by window, with length and hop [s], or by impact; None leaves it to the recordings.
 
     For `dead_time` [s] see `cgid.identification.detection.ImpactDetector`.
     """
 
-    by: Literal["window", "impact"] = "window"
+    by: Literal["window", "impact"] | None = None
     window_time: float = WINDOW_TIME
     hop_time: float = WINDOW_TIME / 2
     dead_time: float | None = None
 
     def __post_init__(self) -> None:
-        validation.choice("by", self.by, ("window", "impact"))
+        if self.by is not None:
+            validation.choice("by", self.by, ("window", "impact"))
         require_times(self.window_time, self.hop_time)
 
 
@@ -92,6 +93,8 @@ class Rows:
         Errors of unreadable recordings.
     warnings : tuple of str
         Damage of the other recordings, and intervals without a row; one line each.
+    notes : tuple of str
+        What was decided for the user, and why; one line each.
     """
 
     names: tuple[str, ...]
@@ -113,6 +116,7 @@ class Rows:
     left_out: int = 0
     failures: tuple[CgidError, ...] = ()
     warnings: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
 
     @property
     def kind(self) -> Kind:

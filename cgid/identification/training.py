@@ -30,6 +30,7 @@ from cgid.identification.grouped import (
     candidates_for,
     choose_candidate,
     final,
+    in_blocks_of_time,
     judge,
     require_groups,
 )
@@ -160,6 +161,8 @@ def train(
             validation.choice("feature of rows", name, rows.names)
     else:
         rows, names, limiting = _measured(data, features, guards, tuple(known), progress, crew)
+    if rows.slicing is not None and len(set(rows.digests)) == 1 and len(rows.groups) == 1:
+        rows = in_blocks_of_time(rows)
     rows = _shuffled(rows, seed) if shuffle_labels else rows
     _require_labels(rows, class_weights)
     record: dict[str, Any] = {
