@@ -11,6 +11,7 @@ from cgid.cli.output import print_json, say
 if TYPE_CHECKING:
     from cgid.identification.answers import Answer
     from cgid.identification.model import Model
+    from cgid.identification.next_steps import Diagnosis, Hint
     from cgid.identification.question import Question
     from cgid.identification.share import Share, Turn
     from cgid.identification.stream import Step
@@ -101,6 +102,13 @@ class AnswerLines:
         say(f"cgid: warning: {message}", err=True)
         self._line("warning", source, {"message": message})
 
+    def hint(self, source: str, hint: Hint) -> None:
+        """Print why most answers are unknown and what helps, on stderr and in JSON."""
+        where = f" channel {', '.join(hint.channels)}" if hint.channels else ""
+        say(f"cgid: hint: {source}{where}: {hint.text}", err=True)
+        content = {name: list(value) if isinstance(value, tuple) else value for name, value in vars(hint).items()}
+        self._line("hint", source, content)
+
     def delay(self, source: str, behind: float, message: str) -> None:
         """Print how far the answers are behind a live stream [s], on stderr and in JSON."""
         say(f"cgid: warning: {source}: {behind:.1f} s behind: {message}", err=True)
@@ -174,7 +182,7 @@ class RecordingRows:
     """Print the answers of one model for the channels of one recording.
 
     `keep` stores answers, shares and turns. Unless `always`, rows wait for a measurable one, and shares for a second
-    row.
+    row. `diagnosis` sees all answers; its hint follows the last line or, if `always`, the first clear answers.
     """
 
     def __init__(
@@ -187,6 +195,7 @@ class RecordingRows:
         *,
         keep: bool = False,
         always: bool = False,
+        diagnosis: Diagnosis | None = None,
     ) -> None:
         from cgid.identification.share import CavingWatch, Turn
         from cgid.identification.stream import answering_channels, independence
@@ -200,6 +209,8 @@ class RecordingRows:
         self.turns: list[Turn] = []
         self._keep, self._always, self._turn, self._question = keep, always, Turn, question
         self._numbers: Counter[str] = Counter()
+        self._diagnosis = diagnosis
+        self.hint: Hint | None = None
         self._measured = always
         self._silent: tuple[str, ...] = ()
         self._held_answers: list[Answer] = []
@@ -225,6 +236,11 @@ class RecordingRows:
         self._silent += step.silent
         for warning in step.warnings:
             self.lines.warning(self.source, warning)
+        if self._diagnosis is not None:
+            self._diagnosis.add(answers)
+            self._diagnosis.upside_down.update(step.upside_down)
+            if self._always and self._diagnosis.is_clear:
+                self._print_hint()
 
     def finish(self, duration: float, start_time: Any = None) -> None:
         """Print the rest at the end of a recording of this duration [s], and its silent channels.
@@ -251,6 +267,14 @@ class RecordingRows:
             self._print_shares(self._watch.finish(duration))
         if self.tally.total > 1 or self._always:
             self.lines.summary(self.source, self.tally, duration, start_time)
+        self._print_hint()
+
+    def _print_hint(self) -> None:
+        """Print the hint once, if there is one."""
+        if self._diagnosis is not None and self.hint is None:
+            self.hint = self._diagnosis.hint()
+            if self.hint is not None:
+                self.lines.hint(self.source, self.hint)
 
     def name(self, channel: str) -> str:
         """Return source and channel in one word; in JSON, the first channel has no name."""

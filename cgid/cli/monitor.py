@@ -17,7 +17,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cgid.cli.answer_rows import AnswerLines, RecordingRows
-from cgid.cli.options import PATH, Models, answering_options, dead_time_option, question_of, warn_of_model
+from cgid.cli.options import (
+    PATH,
+    Models,
+    answering_options,
+    dead_time_option,
+    given_options,
+    question_of,
+    warn_of_model,
+)
 
 if TYPE_CHECKING:
     from cgid.identification.question import Question
@@ -188,6 +196,7 @@ def monitor(
 
 def _follow(live: Any, scale: float, models: Models, question: Question, lines: AnswerLines) -> None:
     """Print the answers for a stream until it ends or is interrupted."""
+    from cgid.identification.next_steps import Diagnosis
     from cgid.identification.stream import factor_of, identify_blocks, scaled
     from cgid.units import quantity_of
 
@@ -197,7 +206,9 @@ def _follow(live: Any, scale: float, models: Models, question: Question, lines: 
     inbox, delay = Inbox(live, live.sampling_rate), _Delay(live.source, lines)
     blocks = scaled(inbox, [factor] * live.n_channels)
     steps = identify_blocks(blocks, live.sampling_rate, model, names, question, live.source)
-    rows = RecordingRows(live.source, model, names, question, lines, always=True)
+    # The stream is over when the next command runs: it is for a recording of it.
+    diagnosis = Diagnosis(model, live.sampling_rate, "RECORDING", given_options()[0])
+    rows = RecordingRows(live.source, model, names, question, lines, always=True, diagnosis=diagnosis)
     warn_of_model(live.source, live.source, live.sampling_rate, model, question)
     try:
         for step in steps:
